@@ -1,0 +1,1 @@
+//! Everything for clients that know no ROS: JSON over zenoh.

@@ -1,0 +1,1 @@
+//! ONNX inference through ort, and model bundles.

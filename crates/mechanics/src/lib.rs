@@ -1,0 +1,1 @@
+//! Elastic media, Green's functions and fields.

@@ -1,0 +1,1 @@
+//! The r2r backend of dermis-node, for robots with ROS 2 installed.

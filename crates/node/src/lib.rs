@@ -1,0 +1,1 @@
+//! One node API over two ROS 2 backends.

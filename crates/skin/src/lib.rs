@@ -1,0 +1,1 @@
+//! Vocabulary of tactile skins: surface, taxel, frame, stimulus, contact, force map.

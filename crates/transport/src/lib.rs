@@ -1,0 +1,1 @@
+//! Byte sources by URL, framing and reconnection.

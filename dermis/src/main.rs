@@ -1,0 +1,3 @@
+//! The tactile-skin stack: command-line program.
+
+fn main() {}

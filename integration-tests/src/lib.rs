@@ -1,0 +1,1 @@
+//! Tests across processes: rclpy, zenoh's Python client, bag readers.

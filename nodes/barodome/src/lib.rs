@@ -1,0 +1,1 @@
+//! Node for taxels in an elastic medium: frame to contacts.
