@@ -1,1 +1,60 @@
-//! Vocabulary of tactile skins: surface, taxel, frame, stimulus, contact, force map.
+//! The vocabulary that every other crate of dermis speaks.
+//!
+//! | word | type | what it is |
+//! |---|---|---|
+//! | skin description | [`SkinDescription`] | the file that says what a skin is: surface, taxels, channels, medium |
+//! | surface | [`Surface`] | triangulated outside of the skin, in the frame of its link |
+//! | frame | [`Frame`] | one reading of every channel at one instant |
+//! | stimulus | [`Stimulus`] | what touches the skin: the input of a forward model |
+//! | contact, force map | [`Contact`], [`ForceMap`] | what an estimator answers |
+//! | forward model | [`ForwardModel`] | stimulus → channels |
+//! | estimator | [`Estimator`] | frame → contacts |
+//!
+//! All quantities are in SI units and in the frame of the skin's link (z points out of the surface at a
+//! taxel, REP-103). A force is what the environment exerts *on the skin*: pushing in means `force · normal < 0`.
+//!
+//! ```
+//! use dermis_skin::SkinDescription;
+//!
+//! let skin = SkinDescription::from_toml(
+//!     r#"
+//!     schema = "dermis-skin/1"
+//!     name = "pad"
+//!     sensor = "taxels"
+//!     frame_id = "pad_link"
+//!     unit = "Pa"
+//!     rate = 100.0
+//!     noise = 20.0
+//!     surface = { type = "rectangle", size = [0.02, 0.01], spacing = 0.005 }
+//!     taxels = [
+//!         { name = "t0", position = [-0.005, 0.0, -0.005] },
+//!         { name = "t1", position = [0.005, 0.0, -0.005] },
+//!     ]
+//!     "#,
+//!     "pad.toml",
+//! )?;
+//! assert_eq!(skin.channels().len(), 2);
+//! assert!(skin.hash().starts_with("sha256:"));
+//! # Ok::<(), dermis_skin::SkinError>(())
+//! ```
+
+mod contact;
+//CONV mod convert;
+mod description;
+mod error;
+mod frame;
+mod surface;
+mod traits;
+
+pub use contact::{Contact, Estimate, ForceComponents, ForceMap, ForceValues};
+//CONV pub use convert::{contact_array, message_time};
+pub use description::{
+    Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
+};
+pub use error::SkinError;
+pub use frame::{ChannelFlags, Frame};
+pub use surface::Surface;
+pub use traits::{EstimateError, Estimator, ForwardModel, Indentation, ModelError, Stimulus};
+
+/// Nanoseconds since the Unix epoch: the time at which something was measured.
+pub type Stamp = i64;

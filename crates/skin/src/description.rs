@@ -1,0 +1,517 @@
+//! The skin description file.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::{SkinError, Surface};
+
+const SCHEMA: &str = "dermis-skin/1";
+
+/// Whether readings come from hardware, from a simulator, or are computed from other sensors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SensorKind {
+    /// Hardware.
+    #[default]
+    Real,
+    /// A simulator.
+    Simulated,
+    /// Other sensors.
+    Virtual,
+}
+
+/// Shape of the skin's outside, in the frame of its link.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum SurfaceSpec {
+    /// In the plane z = 0, centred on the origin, normal +z.
+    Rectangle {
+        /// \[m\] along x and y.
+        size: [f64; 2],
+        /// \[m\] between the points of its triangulation.
+        spacing: f64,
+    },
+    /// A hemisphere on a cylinder about z; the origin lies in the base of the cylinder, the tip is up.
+    Dome {
+        /// \[m\] of hemisphere and cylinder.
+        radius: f64,
+        /// \[m\] height of the cylinder.
+        cylinder: f64,
+        /// \[m\] between the points of its triangulation.
+        spacing: f64,
+    },
+}
+
+/// One sensing element.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Taxel {
+    /// Unique in the skin.
+    pub name: String,
+    /// \[m\] in the frame of the skin's link.
+    pub position: [f64; 3],
+    /// Out of the surface; normalised on loading.
+    #[serde(default = "up")]
+    pub normal: [f64; 3],
+}
+
+impl Taxel {
+    /// Position \[m\].
+    #[must_use]
+    pub fn point(&self) -> Point3<f64> {
+        Point3::from(self.position)
+    }
+
+    /// Rotation that takes the taxel's z axis to its normal in the link frame.
+    #[must_use]
+    pub fn orientation(&self) -> UnitQuaternion<f64> {
+        UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::from(self.normal))
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
+    }
+}
+
+fn up() -> [f64; 3] {
+    [0.0, 0.0, 1.0]
+}
+
+/// One number of a frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Channel {
+    /// Unique in the skin.
+    pub name: String,
+    /// Name of the taxel that it belongs to.
+    pub taxel: String,
+    /// Range of the device, in the unit of the skin; a reading at either end is saturated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<[f64; 2]>,
+    /// Standard deviation of its noise, in the unit of the skin; the skin's value where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<f64>,
+}
+
+/// Framing on the raw transport.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WireProtocol {
+    /// Binary frames delimited by COBS, with CRC-16, sequence and device time.
+    #[default]
+    Native,
+    /// A line of numbers a frame.
+    Ascii,
+}
+
+/// How raw readings become values in the unit of the skin: `value = raw · scale + offset`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Wire {
+    /// Framing.
+    pub protocol: WireProtocol,
+    /// Unit of the skin per raw count.
+    pub scale: f64,
+    /// Unit of the skin at raw count 0.
+    pub offset: f64,
+}
+
+impl Default for Wire {
+    fn default() -> Self {
+        Self { protocol: WireProtocol::Native, scale: 1.0, offset: 0.0 }
+    }
+}
+
+/// How raw values are cleaned before inference. Thresholds are multiples of a channel's noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Condition {
+    /// \[s\] of untouched readings that a tare averages.
+    pub tare_duration: f64,
+    /// A contact is assumed when the root mean square of the channels exceeds this many noise deviations.
+    pub contact_threshold: f64,
+    /// \[s\] time constant with which the zero follows slow drift while the skin is not touched.
+    pub drift_time: f64,
+    /// \[s\] without any change after which a channel is stuck; 0 switches the check off.
+    pub stuck_time: f64,
+    /// \[s\] without a frame after which the skin is stale.
+    pub stale_time: f64,
+}
+
+impl Default for Condition {
+    fn default() -> Self {
+        Self {
+            tare_duration: 0.5,
+            contact_threshold: 4.0,
+            drift_time: 30.0,
+            stuck_time: 5.0,
+            stale_time: 0.5,
+        }
+    }
+}
+
+/// What a skin is, as its file says it.
+///
+/// A file is TOML; see `launch/skins/` for examples to copy. Unknown keys are errors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SkinDescription {
+    schema: String,
+    /// Unique on the robot; lower case letters, digits, `-` and `_`.
+    pub name: String,
+    /// Which sensor family reads it: a name in the program's registry.
+    pub sensor: String,
+    /// Free text.
+    #[serde(default)]
+    pub description: String,
+    /// Where the readings come from.
+    #[serde(default)]
+    pub kind: SensorKind,
+    /// Coordinate frame of every position: the URDF link that the skin is fixed to.
+    pub frame_id: String,
+    /// Unit of every value: an SI symbol, or `1`.
+    pub unit: String,
+    /// Frames a second \[Hz\].
+    pub rate: f64,
+    /// Standard deviation of a channel's noise, in `unit`.
+    pub noise: f64,
+    /// Range of the device, in `unit`, for channels that name none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<[f64; 2]>,
+    /// Framing and raw counts.
+    #[serde(default)]
+    pub wire: Wire,
+    /// Cleaning of raw values.
+    #[serde(default)]
+    pub condition: Condition,
+    /// Shape of the outside.
+    pub surface: SurfaceSpec,
+    /// Sensing elements.
+    pub taxels: Vec<Taxel>,
+    /// Numbers of a frame, in order; one a taxel and of its name where absent.
+    #[serde(default)]
+    channels: Vec<Channel>,
+    /// What lies between surface and taxels: read by the sensor family's forward model.
+    #[serde(default)]
+    pub medium: toml::Table,
+}
+
+impl SkinDescription {
+    /// Reads a skin description file.
+    ///
+    /// # Errors
+    ///
+    /// [`SkinError`] says which file and field is wrong and what would be right.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, SkinError> {
+        let path = path.as_ref();
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| SkinError::Read { path: path.to_owned(), source })?;
+        Self::from_toml(&text, &path.display().to_string())
+    }
+
+    /// Reads a skin description; `file` is what errors call it.
+    ///
+    /// # Errors
+    ///
+    /// As [`load`](Self::load).
+    pub fn from_toml(text: &str, file: &str) -> Result<Self, SkinError> {
+        let deserializer = toml::Deserializer::parse(text).map_err(|e| SkinError::Parse {
+            file: file.to_owned(),
+            field: position(text, e.span()),
+            reason: e.message().to_owned(),
+        })?;
+        let mut unknown = None;
+        let mut track = serde_path_to_error::Track::new();
+        let parsed: Result<Self, _> = {
+            let path_aware = serde_path_to_error::Deserializer::new(deserializer, &mut track);
+            serde_ignored::deserialize(path_aware, |path| {
+                unknown.get_or_insert_with(|| path.to_string());
+            })
+        };
+        let mut skin = parsed.map_err(|e| SkinError::Parse {
+            file: file.to_owned(),
+            field: match track.path().to_string() {
+                p if p == "." => position(text, e.span()),
+                p => p,
+            },
+            reason: e.message().to_owned(),
+        })?;
+        if let Some(key) = unknown {
+            return Err(SkinError::UnknownKey { file: file.to_owned(), key, known: KNOWN_KEYS.join(", ") });
+        }
+        skin.finish(file)?;
+        Ok(skin)
+    }
+
+    /// Fills in what may be left out and refuses what cannot be.
+    fn finish(&mut self, file: &str) -> Result<(), SkinError> {
+        let wrong = |field: String, reason: String| {
+            Err(SkinError::Impossible { file: file.to_owned(), field, reason })
+        };
+        if self.schema != SCHEMA {
+            return wrong(
+                "schema".into(),
+                format!("is \"{}\" where this program reads \"{SCHEMA}\"", self.schema),
+            );
+        }
+        let name_ok = |s: &str| {
+            !s.is_empty()
+                && s.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_')
+        };
+        if !name_ok(&self.name) {
+            return wrong(
+                "name".into(),
+                format!("\"{}\" may only hold lower case letters, digits, `-` and `_`", self.name),
+            );
+        }
+        if self.frame_id.is_empty() || self.frame_id.starts_with('/') {
+            return wrong("frame_id".into(), "names a link, without a leading slash".into());
+        }
+        let positive = [
+            ("rate", self.rate),
+            ("noise", self.noise),
+            ("condition.tare_duration", self.condition.tare_duration),
+            ("condition.contact_threshold", self.condition.contact_threshold),
+            ("condition.drift_time", self.condition.drift_time),
+            ("condition.stale_time", self.condition.stale_time),
+        ];
+        for (field, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return wrong(field.into(), format!("is {value} and must be a positive number"));
+            }
+        }
+        if !(self.condition.stuck_time.is_finite() && self.condition.stuck_time >= 0.0) {
+            return wrong(
+                "condition.stuck_time".into(),
+                "must be 0 (off) or a positive number of seconds".into(),
+            );
+        }
+        if !(self.wire.scale.is_finite() && self.wire.scale != 0.0 && self.wire.offset.is_finite()) {
+            return wrong(
+                "wire.scale".into(),
+                "must be a finite number other than 0, and `offset` finite".into(),
+            );
+        }
+        let lengths: Vec<(&str, f64)> = match self.surface {
+            SurfaceSpec::Rectangle { size, spacing } => {
+                vec![("size[0]", size[0]), ("size[1]", size[1]), ("spacing", spacing)]
+            }
+            SurfaceSpec::Dome { radius, cylinder, spacing } => {
+                vec![("radius", radius), ("cylinder", cylinder), ("spacing", spacing)]
+            }
+        };
+        for (field, value) in &lengths {
+            if !(value.is_finite() && *value > 0.0) {
+                return wrong(
+                    format!("surface.{field}"),
+                    format!("is {value} m and must be a positive length"),
+                );
+            }
+        }
+        let (extent, spacing) = match self.surface {
+            SurfaceSpec::Rectangle { size, spacing } => (size[0] * size[1], spacing),
+            SurfaceSpec::Dome { radius, cylinder, spacing } => {
+                (std::f64::consts::TAU * radius * (radius + cylinder), spacing)
+            }
+        };
+        if extent / (spacing * spacing) > 1e6 {
+            return wrong(
+                "surface.spacing".into(),
+                format!("{spacing} m makes more than a million points; coarsen it"),
+            );
+        }
+        if self.taxels.is_empty() {
+            return wrong("taxels".into(), "is empty: a skin has at least one".into());
+        }
+        let mut names = BTreeSet::new();
+        for (i, taxel) in self.taxels.iter_mut().enumerate() {
+            if !names.insert(taxel.name.clone()) {
+                return wrong(format!("taxels[{i}].name"), format!("\"{}\" is already taken", taxel.name));
+            }
+            if taxel.position.iter().any(|v| !v.is_finite()) {
+                return wrong(format!("taxels[{i}].position"), "holds a number that is not finite".into());
+            }
+            let Some(unit) = Vector3::from(taxel.normal).try_normalize(1e-9) else {
+                return wrong(format!("taxels[{i}].normal"), "has no length".into());
+            };
+            taxel.normal = unit.into();
+        }
+        if self.channels.is_empty() {
+            self.channels = self
+                .taxels
+                .iter()
+                .map(|t| Channel { name: t.name.clone(), taxel: t.name.clone(), range: None, noise: None })
+                .collect();
+        }
+        let mut channels = BTreeSet::new();
+        for (i, channel) in self.channels.iter_mut().enumerate() {
+            if !channels.insert(channel.name.clone()) {
+                return wrong(
+                    format!("channels[{i}].name"),
+                    format!("\"{}\" is already taken", channel.name),
+                );
+            }
+            if !names.contains(&channel.taxel) {
+                return wrong(
+                    format!("channels[{i}].taxel"),
+                    format!(
+                        "\"{}\" is none of the taxels; they are {}",
+                        channel.taxel,
+                        join(names.iter(), 12)
+                    ),
+                );
+            }
+            channel.range = channel.range.or(self.range);
+            if let Some([low, high]) = channel.range
+                && !(low < high)
+            {
+                return wrong(
+                    format!("channels[{i}].range"),
+                    format!("[{low}, {high}] is empty: low must be below high"),
+                );
+            }
+            let noise = *channel.noise.get_or_insert(self.noise);
+            if !(noise.is_finite() && noise > 0.0) {
+                return wrong(format!("channels[{i}].noise"), format!("is {noise} and must be positive"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Numbers of a frame, in order. `range` and `noise` have the skin's values filled in.
+    #[must_use]
+    pub fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+
+    /// Standard deviation of each channel's noise, in `unit`.
+    #[must_use]
+    pub fn channel_noise(&self) -> Vec<f64> {
+        self.channels.iter().map(|c| c.noise.unwrap_or(self.noise)).collect()
+    }
+
+    /// Index of the taxel that each channel belongs to.
+    #[must_use]
+    pub fn channel_taxels(&self) -> Vec<usize> {
+        self.channels
+            .iter()
+            .map(|c| self.taxels.iter().position(|t| t.name == c.taxel).unwrap_or_default())
+            .collect()
+    }
+
+    /// The triangulated surface.
+    #[must_use]
+    pub fn surface(&self) -> Surface {
+        Surface::from_spec(&self.surface)
+    }
+
+    /// Identity of the physical skin: `sha256:` and 64 hex digits over name, sensor family, unit, surface,
+    /// taxels, channels and medium. What does not change the physics (text, rate, wire, cleaning, link) does
+    /// not change the hash, nor do comments and formatting.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        let identity = serde_json::json!({
+            "schema": self.schema,
+            "name": self.name,
+            "sensor": self.sensor,
+            "unit": self.unit,
+            "surface": self.surface,
+            "taxels": self.taxels,
+            "channels": self.channels,
+            "medium": self.medium,
+        });
+        let digest = Sha256::digest(identity.to_string().as_bytes());
+        let hex: String = digest.iter().map(|b| format!("{b:02x}")).collect();
+        format!("sha256:{hex}")
+    }
+}
+
+const KNOWN_KEYS: [&str; 14] = [
+    "schema",
+    "name",
+    "sensor",
+    "description",
+    "kind",
+    "frame_id",
+    "unit",
+    "rate",
+    "noise",
+    "range",
+    "wire",
+    "condition",
+    "surface, taxels, channels",
+    "medium",
+];
+
+fn join<'a>(names: impl ExactSizeIterator<Item = &'a String>, most: usize) -> String {
+    let total = names.len();
+    let mut text = names.take(most).cloned().collect::<Vec<_>>().join(", ");
+    if total > most {
+        text.push_str(&format!(" and {} more", total - most));
+    }
+    text
+}
+
+/// "line 3, column 5" of a byte range, for errors that belong to no field.
+fn position(text: &str, span: Option<std::ops::Range<usize>>) -> String {
+    let Some(span) = span.filter(|s| s.start > 0) else { return "(whole file)".to_owned() };
+    let before = text.get(..span.start).unwrap_or(text);
+    let line = before.matches('\n').count() + 1;
+    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
+    format!("line {line}, column {column}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PAD: &str = r#"
+schema = "dermis-skin/1"
+name = "pad"
+sensor = "taxels"
+frame_id = "pad_link"
+unit = "Pa"
+rate = 100.0
+noise = 20.0
+surface = { type = "rectangle", size = [0.02, 0.01], spacing = 0.005 }
+taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", position = [0.005, 0.0, -0.005] }]
+"#;
+
+    fn refused(from: &str, to: &str) -> String {
+        assert!(PAD.contains(from));
+        SkinDescription::from_toml(&PAD.replace(from, to), "pad.toml").unwrap_err().to_string()
+    }
+
+    #[test]
+    fn channels_follow_taxels_where_none_are_named() {
+        let skin = SkinDescription::from_toml(PAD, "pad.toml").unwrap();
+        assert_eq!(skin.channels()[1].name, "t1");
+        assert_eq!(skin.channel_noise(), [20.0, 20.0]);
+        assert_eq!(skin.channel_taxels(), [0, 1]);
+    }
+
+    #[test]
+    fn hash_ignores_what_is_not_physics() {
+        let hash = |text: &str| SkinDescription::from_toml(text, "pad.toml").unwrap().hash();
+        assert_eq!(hash(PAD), hash(&PAD.replace("rate = 100.0", "rate = 50 # slower")));
+        assert_ne!(hash(PAD), hash(&PAD.replace("-0.005] }]", "-0.006] }]")));
+    }
+
+    #[test]
+    fn refusals_name_file_field_and_remedy() {
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = -1.0"), @"skin file pad.toml: field `noise`: is -1 and must be a positive number");
+        insta::assert_snapshot!(refused("rate = 100.0", "rate = \"fast\""), @r#"skin file pad.toml: field `rate`: invalid type: string "fast", expected f64"#);
+        insta::assert_snapshot!(refused("rate = 100.0", "rate = 100.0\nrat = 3"), @"skin file pad.toml: unknown key `rat`; remove it or correct its spelling (known here: schema, name, sensor, description, kind, frame_id, unit, rate, noise, range, wire, condition, surface, taxels, channels, medium)");
+        insta::assert_snapshot!(refused("size = [0.02, 0.01]", "size = [0.02, -0.01]"), @"skin file pad.toml: field `surface.size[1]`: is -0.01 m and must be a positive length");
+        insta::assert_snapshot!(refused("\"t1\"", "\"t0\""), @r#"skin file pad.toml: field `taxels[1].name`: "t0" is already taken"#);
+        insta::assert_snapshot!(refused("dermis-skin/1", "dermis-skin/9"), @r#"skin file pad.toml: field `schema`: is "dermis-skin/9" where this program reads "dermis-skin/1""#);
+        insta::assert_snapshot!(refused("name = \"pad\"\n", ""), @"skin file pad.toml: field `(whole file)`: missing field `name`");
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_text_panics(text in ".{0,200}") {
+            let _ = SkinDescription::from_toml(&text, "x");
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! The two traits that every sensor implements: stimulus → channels, and frame → contacts.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::{Estimate, Frame, Surface};
+
+/// One indenter on the skin.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Indentation {
+    /// \[m\] centre of the contact on the undeformed surface.
+    pub position: Point3<f64>,
+    /// \[N\] exerted on the skin, in the link frame; the normal part points into the surface.
+    pub force: Vector3<f64>,
+    /// \[m\] diameter of the indenter's spherical tip.
+    pub diameter: f64,
+}
+
+/// What touches the skin at one instant, and what it is surrounded by.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stimulus {
+    /// All indenters; empty means "not touched".
+    pub contacts: Vec<Indentation>,
+    /// \[K\] of the skin.
+    pub temperature: f64,
+    /// \[Pa\] of the air around it.
+    pub ambient_pressure: f64,
+}
+
+impl Default for Stimulus {
+    /// Untouched at 20 °C and one standard atmosphere.
+    fn default() -> Self {
+        Self { contacts: Vec::new(), temperature: 293.15, ambient_pressure: 101_325.0 }
+    }
+}
+
+/// Why a forward model has no answer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ModelError {
+    /// The stimulus cannot be: off the surface, or not a number.
+    #[error("contact {index}: {reason}")]
+    Stimulus {
+        /// Which contact.
+        index: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The skin description lacks something that the model needs, or asks for something it cannot do.
+    #[error("skin `{skin}`: field `{field}`: {reason}")]
+    Description {
+        /// Name of the skin.
+        skin: String,
+        /// Path of the field.
+        field: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// What would the channels read for this stimulus? The one model behind data, bounds, training and diagnosis.
+pub trait ForwardModel: Send + Sync {
+    /// Number of channels.
+    fn channels(&self) -> usize;
+
+    /// Surface that stimuli lie on.
+    fn surface(&self) -> &Surface;
+
+    /// Noise-free readings, one a channel, in the unit of the skin description, written to `out`
+    /// (`out.len()` must be [`channels`](Self::channels)).
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Stimulus`] where a contact lies off the surface or is not a number.
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError>;
+
+    /// Standard deviation of each channel's noise, in the unit of the skin description.
+    fn noise(&self) -> &[f64];
+}
+
+/// Why an estimator has no answer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EstimateError {
+    /// The frame does not belong to this skin.
+    #[error("frame {sequence} has {found} channels where the skin has {expected}")]
+    Channels {
+        /// Sequence number of the frame.
+        sequence: u64,
+        /// Channels in the frame.
+        found: usize,
+        /// Channels of the skin.
+        expected: usize,
+    },
+    /// The model failed.
+    #[error("frame {sequence}: {reason}")]
+    Model {
+        /// Sequence number of the frame.
+        sequence: u64,
+        /// What the model said.
+        reason: String,
+    },
+}
+
+/// Frame → contacts. Estimators keep state (tare, filters, tracks), so frames come in order.
+pub trait Estimator: Send {
+    /// What this frame says.
+    ///
+    /// # Errors
+    ///
+    /// [`EstimateError::Channels`] for a frame of another skin, [`EstimateError::Model`] where inference fails.
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError>;
+
+    /// Forget everything that earlier frames left behind, e.g. before another recording.
+    fn reset(&mut self);
+}
