@@ -32,6 +32,12 @@ impl ChannelFlags {
         self.0 & other.0 == other.0
     }
 
+    /// Whether the value says nothing: every fault but saturation, whose value is still a bound.
+    #[must_use]
+    pub const fn is_invalid(self) -> bool {
+        self.0 & !Self::SATURATED.0 != 0
+    }
+
     /// The bits as `TaxelFrame.flags` carries them.
     #[must_use]
     pub const fn bits(self) -> u8 {

@@ -9,6 +9,7 @@
 //! | contact, force map | [`Contact`], [`ForceMap`] | what an estimator answers |
 //! | forward model | [`ForwardModel`] | stimulus → channels |
 //! | estimator | [`Estimator`] | frame → contacts |
+//! | zero | [`ZeroTracker`] | tare, and drift while untouched |
 //!
 //! All quantities are in SI units and in the frame of the skin's link (z points out of the surface at a
 //! taxel, REP-103). A force is what the environment exerts *on the skin*: pushing in means `force · normal < 0`.
@@ -45,6 +46,7 @@ mod error;
 mod frame;
 mod surface;
 mod traits;
+mod zero;
 
 pub use contact::{Contact, Estimate, ForceComponents, ForceMap, ForceValues};
 //CONV pub use convert::{contact_array, message_time};
@@ -55,6 +57,7 @@ pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};
 pub use surface::Surface;
 pub use traits::{EstimateError, Estimator, ForwardModel, Indentation, ModelError, Stimulus};
+pub use zero::{TareState, ZeroTracker};
 
 /// Nanoseconds since the Unix epoch: the time at which something was measured.
 pub type Stamp = i64;

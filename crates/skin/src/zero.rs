@@ -1,0 +1,481 @@
+//! Zero of every channel: taring, and following slow drift while the skin is not touched.
+//!
+//! Two things that look alike are kept apart here. A *tare* averages readings that are known to be untouched. *Drift
+//! tracking* lets that average follow temperature and ageing, but only while nothing touches: with a plain
+//! high-pass a foot that stands for a minute feels nothing.
+
+use crate::{Frame, SkinDescription, Stamp};
+
+/// Fewest frames that a tare averages, however short its duration and however slow the device.
+const FEWEST_FRAMES: u32 = 3;
+/// Spread of an untouched channel, root mean square over the channels, in units of its noise: more means that
+/// something moves. Twice the noise leaves room for a data sheet that flatters.
+const QUIET_SPREAD: f64 = 2.5;
+/// \[s\] after a contact during which the medium still relaxes: the zero does not follow that.
+const SETTLE: f64 = 1.0;
+/// \[s\] longest step that drift tracking believes: a gap in the stream says nothing about the zero.
+const LONGEST_STEP: f64 = 1.0;
+
+/// Where a tare stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TareState {
+    /// Averaging; never had a zero, or was asked for a new one.
+    Averaging {
+        /// \[s\] of untouched readings so far.
+        elapsed: f64,
+        /// Why the last attempt was thrown away: spread of the channels in units of their noise.
+        disturbed: Option<f64>,
+    },
+    /// The zero is known.
+    Done,
+}
+
+/// Keeps the zero of every channel.
+///
+/// Training and running code both feed their frames through this struct, so that a model sees in operation what
+/// it saw in training: `value − zero`, where zero is the mean of untouched readings.
+///
+/// ```
+/// # use dermis_skin::{SkinDescription, Frame, ZeroTracker};
+/// # let skin = SkinDescription::from_toml(r#"
+/// # schema = "dermis-skin/1"
+/// # name = "pad"
+/// # sensor = "taxels"
+/// # frame_id = "pad_link"
+/// # unit = "Pa"
+/// # rate = 100.0
+/// # noise = 20.0
+/// # surface = { type = "rectangle", size = [0.02, 0.01], spacing = 0.005 }
+/// # taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }]
+/// # "#, "pad.toml")?;
+/// let mut zero = ZeroTracker::new(&skin);
+/// for k in 0..60_u64 {
+///     zero.push(&Frame::new(k as i64 * 10_000_000, k, vec![101_325.0]), false);
+/// }
+/// let mut pressed = Frame::new(600_000_000, 60, vec![102_325.0]);
+/// zero.push(&pressed, true);
+/// zero.subtract(&mut pressed);
+/// assert_eq!(pressed.values, [1000.0]);
+/// # Ok::<(), dermis_skin::SkinError>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct ZeroTracker {
+    noise: Vec<f64>,
+    tare_duration: f64,
+    drift_time: f64,
+    trust_labels: bool,
+    /// NaN where unknown. Only meaningful while `known`.
+    zero: Vec<f64>,
+    /// Readings behind each zero, up to as many as a tare averages.
+    weight: Vec<u32>,
+    known: bool,
+    window: Window,
+    averaging: bool,
+    disturbed: Option<f64>,
+    last: Option<Stamp>,
+    last_touch: Option<Stamp>,
+}
+
+/// Running mean and sum of squared deviations of every channel (Welford).
+#[derive(Debug, Clone, Default)]
+struct Window {
+    start: Option<Stamp>,
+    frames: u32,
+    count: Vec<u32>,
+    mean: Vec<f64>,
+    squares: Vec<f64>,
+}
+
+impl Window {
+    fn clear(&mut self, channels: usize) {
+        self.start = None;
+        self.frames = 0;
+        for v in [&mut self.mean, &mut self.squares] {
+            v.clear();
+            v.resize(channels, 0.0);
+        }
+        self.count.clear();
+        self.count.resize(channels, 0);
+    }
+
+    fn push(&mut self, frame: &Frame) {
+        self.start.get_or_insert(frame.stamp);
+        self.frames += 1;
+        for (i, value) in usable(frame) {
+            self.count[i] += 1;
+            let delta = value - self.mean[i];
+            self.mean[i] += delta / f64::from(self.count[i]);
+            self.squares[i] += delta * (value - self.mean[i]);
+        }
+    }
+
+    /// Root mean square over the channels of their standard deviation in units of their noise.
+    fn spread(&self, noise: &[f64]) -> f64 {
+        let (mut sum, mut channels) = (0.0, 0_u32);
+        for ((n, squares), noise) in self.count.iter().zip(&self.squares).zip(noise) {
+            if *n >= 2 {
+                sum += squares / f64::from(n - 1) / (noise * noise);
+                channels += 1;
+            }
+        }
+        if channels == 0 { 0.0 } else { (sum / f64::from(channels)).sqrt() }
+    }
+}
+
+/// Channels of a frame that may move the zero: finite and healthy.
+fn usable(frame: &Frame) -> impl Iterator<Item = (usize, f64)> + '_ {
+    frame
+        .values
+        .iter()
+        .zip(&frame.flags)
+        .enumerate()
+        .filter(|(_, (v, f))| v.is_finite() && f.is_ok())
+        .map(|(i, (v, _))| (i, f64::from(*v)))
+}
+
+impl ZeroTracker {
+    /// A tracker that starts with a tare: the first `condition.tare_duration` of quiet, untouched readings.
+    #[must_use]
+    pub fn new(skin: &SkinDescription) -> Self {
+        let noise = skin.channel_noise();
+        let channels = noise.len();
+        let mut window = Window::default();
+        window.clear(channels);
+        Self {
+            noise,
+            tare_duration: skin.condition.tare_duration,
+            drift_time: skin.condition.drift_time,
+            trust_labels: false,
+            zero: vec![f64::NAN; channels],
+            weight: vec![0; channels],
+            known: false,
+            window,
+            averaging: true,
+            disturbed: None,
+            last: None,
+            last_touch: None,
+        }
+    }
+
+    /// A tracker for labelled recordings: `touched` is ground truth, so that readings need not look quiet to be
+    /// averaged.
+    #[must_use]
+    pub fn labelled(skin: &SkinDescription) -> Self {
+        Self { trust_labels: true, ..Self::new(skin) }
+    }
+
+    /// \[s\] with which the zero follows drift from now on.
+    pub fn set_drift_time(&mut self, seconds: f64) {
+        if seconds.is_finite() && seconds > 0.0 {
+            self.drift_time = seconds;
+        }
+    }
+
+    /// \[s\] of untouched readings that the next tare averages.
+    pub fn set_tare_duration(&mut self, seconds: f64) {
+        if seconds.is_finite() && seconds > 0.0 {
+            self.tare_duration = seconds;
+        }
+    }
+
+    /// Takes the next frame. While `touched`, the zero stands still.
+    ///
+    /// A frame with another number of channels is ignored.
+    pub fn push(&mut self, frame: &Frame, touched: bool) {
+        if frame.values.len() != self.noise.len() || frame.flags.len() != self.noise.len() {
+            return;
+        }
+        let step = self.last.map_or(0.0, |last| seconds(last, frame.stamp)).clamp(0.0, LONGEST_STEP);
+        self.last = Some(frame.stamp);
+        if touched {
+            self.last_touch = Some(frame.stamp);
+            self.window.clear(self.noise.len());
+            return;
+        }
+        if self.averaging {
+            self.average(frame);
+        } else {
+            self.follow(frame, step);
+        }
+    }
+
+    fn average(&mut self, frame: &Frame) {
+        // A clock that jumped back, e.g. a recording that starts over, must not hold up the tare.
+        if self.window.start.is_some_and(|start| frame.stamp < start) {
+            self.window.clear(self.noise.len());
+        }
+        self.window.push(frame);
+        if self.elapsed() < self.tare_duration || self.window.frames < FEWEST_FRAMES {
+            return;
+        }
+        let spread = self.window.spread(&self.noise);
+        if !self.trust_labels && spread > QUIET_SPREAD {
+            self.disturbed = Some(spread);
+            self.window.clear(self.noise.len());
+            return;
+        }
+        for (i, n) in self.window.count.iter().enumerate() {
+            self.zero[i] = if *n > 0 { self.window.mean[i] } else { f64::NAN };
+            self.weight[i] = *n;
+        }
+        self.known = true;
+        self.averaging = false;
+        self.disturbed = None;
+        self.window.clear(self.noise.len());
+    }
+
+    fn follow(&mut self, frame: &Frame, step: f64) {
+        if self.last_touch.is_some_and(|t| (0.0..SETTLE).contains(&seconds(t, frame.stamp))) {
+            return;
+        }
+        let drift = 1.0 - (-step / self.drift_time).exp();
+        for (i, value) in usable(frame) {
+            // A channel that came back after the tare gets its zero as quickly as a tare would give it.
+            let share = drift.max(1.0 / f64::from(self.weight[i] + 1));
+            if self.zero[i].is_nan() {
+                self.zero[i] = value;
+                self.weight[i] = 1;
+            } else if self.weight[i] < FEWEST_FRAMES {
+                self.zero[i] += share * (value - self.zero[i]);
+                self.weight[i] += 1;
+            } else {
+                self.zero[i] += drift * (value - self.zero[i]);
+            }
+        }
+    }
+
+    fn elapsed(&self) -> f64 {
+        match (self.window.start, self.last) {
+            (Some(start), Some(last)) => seconds(start, last),
+            _ => 0.0,
+        }
+    }
+
+    /// Asks for a new tare from the frames that follow. The old zero stays in use until it is done.
+    pub fn begin_tare(&mut self) {
+        self.averaging = true;
+        self.disturbed = None;
+        self.window.clear(self.noise.len());
+    }
+
+    /// Gives up a tare that was asked for; the zero before it stays. Without one the tracker keeps averaging.
+    pub fn cancel_tare(&mut self) {
+        self.averaging = !self.known;
+        self.window.clear(self.noise.len());
+    }
+
+    /// Where the tare stands.
+    #[must_use]
+    pub fn state(&self) -> TareState {
+        if self.averaging {
+            TareState::Averaging { elapsed: self.elapsed(), disturbed: self.disturbed }
+        } else {
+            TareState::Done
+        }
+    }
+
+    /// Zero of every channel in the unit of the skin, NaN for a channel that never gave a usable reading; `None`
+    /// before the first tare is done.
+    #[must_use]
+    pub fn zero(&self) -> Option<&[f64]> {
+        self.known.then_some(self.zero.as_slice())
+    }
+
+    /// Takes a zero from elsewhere, e.g. from the idle readings of a recording; other lengths are ignored.
+    pub fn set_zero(&mut self, zero: &[f64]) {
+        if zero.len() == self.zero.len() {
+            self.zero.copy_from_slice(zero);
+            self.weight.fill(FEWEST_FRAMES);
+            self.known = true;
+            self.averaging = false;
+        }
+    }
+
+    /// Replaces the values of a frame by `value − zero`. Channels that are invalid, and all channels before the
+    /// first tare, become NaN; a saturated channel keeps its value, which is a bound.
+    pub fn subtract(&self, frame: &mut Frame) {
+        let known = self.known && frame.values.len() == self.zero.len();
+        for (i, value) in frame.values.iter_mut().enumerate() {
+            *value = if known { (f64::from(*value) - self.zero[i]) as f32 } else { f32::NAN };
+            if frame.flags.get(i).is_some_and(|f| f.is_invalid()) {
+                *value = f32::NAN;
+            }
+        }
+    }
+
+    /// Forgets the zero and starts over.
+    pub fn reset(&mut self) {
+        self.zero.fill(f64::NAN);
+        self.weight.fill(0);
+        self.known = false;
+        self.averaging = true;
+        self.disturbed = None;
+        self.last = None;
+        self.last_touch = None;
+        self.window.clear(self.noise.len());
+    }
+}
+
+fn seconds(from: Stamp, to: Stamp) -> f64 {
+    to.saturating_sub(from) as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ChannelFlags;
+
+    fn skin() -> SkinDescription {
+        SkinDescription::from_toml(
+            r#"
+            schema = "dermis-skin/1"
+            name = "pad"
+            sensor = "taxels"
+            frame_id = "pad_link"
+            unit = "Pa"
+            rate = 100.0
+            noise = 2.0
+            surface = { type = "rectangle", size = [0.02, 0.01], spacing = 0.005 }
+            taxels = [{ name = "a", position = [0.0, 0.0, -0.005] }, { name = "b", position = [0.005, 0.0, -0.005] }]
+            "#,
+            "pad.toml",
+        )
+        .unwrap()
+    }
+
+    fn at(k: u64, values: [f32; 2]) -> Frame {
+        Frame::new(k as i64 * 10_000_000, k, values.to_vec())
+    }
+
+    /// ±1 around `base`: a spread of half the noise.
+    fn wiggle(k: u64, base: f32) -> f32 {
+        base + if k.is_multiple_of(2) { 1.0 } else { -1.0 }
+    }
+
+    fn tared() -> (ZeroTracker, u64) {
+        let mut zero = ZeroTracker::new(&skin());
+        let mut k = 0;
+        while zero.zero().is_none() {
+            assert!(k < 1000, "no tare after {k} frames");
+            zero.push(&at(k, [wiggle(k, 100.0), wiggle(k, -50.0)]), false);
+            k += 1;
+        }
+        (zero, k)
+    }
+
+    #[test]
+    fn tare_is_the_mean_of_quiet_frames() {
+        let (zero, frames) = tared();
+        assert!((50..=52).contains(&frames), "{frames} frames at 100 Hz are not 0.5 s");
+        let z = zero.zero().unwrap();
+        assert!((z[0] - 100.0).abs() < 0.1 && (z[1] + 50.0).abs() < 0.1, "{z:?}");
+        assert_eq!(zero.state(), TareState::Done);
+    }
+
+    #[test]
+    fn moving_readings_are_no_zero() {
+        let mut zero = ZeroTracker::new(&skin());
+        for k in 0..200 {
+            zero.push(&at(k, [k as f32 * 5.0, 0.0]), false);
+        }
+        assert!(zero.zero().is_none());
+        assert!(
+            matches!(zero.state(), TareState::Averaging { disturbed: Some(s), .. } if s > QUIET_SPREAD),
+            "{:?}",
+            zero.state()
+        );
+    }
+
+    #[test]
+    fn labels_are_believed_even_where_readings_move() {
+        let mut zero = ZeroTracker::labelled(&skin());
+        for k in 0..60 {
+            zero.push(&at(k, [k as f32 * 5.0, 0.0]), false);
+        }
+        assert!(zero.zero().is_some());
+    }
+
+    #[test]
+    fn the_zero_follows_drift_only_while_untouched() {
+        let (mut zero, start) = tared();
+        for k in start..start + 6000 {
+            zero.push(&at(k, [500.0, 500.0]), true);
+        }
+        let held = zero.zero().unwrap()[0];
+        assert!((held - 100.0).abs() < 0.1, "one minute of contact moved the zero to {held}");
+        let end = start + 6000;
+        for k in end..end + 9000 {
+            zero.push(&at(k, [wiggle(k, 103.0), wiggle(k, -50.0)]), false);
+        }
+        // Three time constants less the second of settling: 1 − e^(−89/30).
+        let followed = zero.zero().unwrap()[0];
+        assert!((followed - (103.0 - 3.0 * (-89.0_f64 / 30.0).exp())).abs() < 0.05, "{followed}");
+    }
+
+    #[test]
+    fn relaxation_after_release_is_not_followed() {
+        let (mut zero, start) = tared();
+        zero.push(&at(start, [500.0, 500.0]), true);
+        for k in start + 1..start + 99 {
+            zero.push(&at(k, [107.0, -50.0]), false);
+        }
+        assert!((zero.zero().unwrap()[0] - 100.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn a_gap_does_not_move_the_zero_at_once() {
+        let (mut zero, start) = tared();
+        zero.push(&at(start + 1_000_000, [107.0, -50.0]), false);
+        let z = zero.zero().unwrap()[0];
+        assert!((z - 100.0).abs() < 0.4, "{z}");
+    }
+
+    #[test]
+    fn invalid_channels_become_nan_and_saturated_ones_stay() {
+        let (zero, k) = tared();
+        let mut frame = at(k, [110.0, -20.0]);
+        frame.flags = vec![ChannelFlags::SATURATED, ChannelFlags::STUCK];
+        zero.subtract(&mut frame);
+        assert!((frame.values[0] - 10.0).abs() < 0.1);
+        assert!(frame.values[1].is_nan());
+        let mut early = at(0, [1.0, 2.0]);
+        ZeroTracker::new(&skin()).subtract(&mut early);
+        assert!(
+            early.values.iter().all(|v| v.is_nan()),
+            "a value without a zero must not look like a reading"
+        );
+    }
+
+    #[test]
+    fn a_channel_that_comes_back_gets_a_zero() {
+        let mut zero = ZeroTracker::new(&skin());
+        for k in 0..60 {
+            zero.push(&at(k, [wiggle(k, 100.0), f32::NAN]), false);
+        }
+        assert!(zero.zero().unwrap()[1].is_nan());
+        for k in 60..64 {
+            zero.push(&at(k, [wiggle(k, 100.0), 7.0]), false);
+        }
+        assert!((zero.zero().unwrap()[1] - 7.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_touch_starts_the_average_over() {
+        let (mut zero, k) = tared();
+        zero.begin_tare();
+        for i in 0..40 {
+            zero.push(&at(k + i, [200.0, 200.0]), false);
+        }
+        zero.push(&at(k + 40, [900.0, 200.0]), true);
+        for i in 41..60 {
+            zero.push(&at(k + i, [200.0, 200.0]), false);
+        }
+        assert!(matches!(zero.state(), TareState::Averaging { elapsed, .. } if elapsed < 0.2));
+        zero.cancel_tare();
+        assert_eq!(zero.state(), TareState::Done);
+        assert!(
+            (zero.zero().unwrap()[0] - 100.0).abs() < 0.1,
+            "the old zero stays until the new one is done"
+        );
+    }
+}
