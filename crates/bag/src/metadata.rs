@@ -1,0 +1,282 @@
+//! `metadata.yaml` of rosbag2: written as version 9, read from version 4 on.
+
+use std::{
+    collections::BTreeMap,
+    fmt::Write as _,
+    path::{Component, Path, PathBuf},
+};
+
+use yaml_rust2::{Yaml, YamlLoader};
+
+use crate::{BagError, BagQos};
+
+/// Metadata larger than this was not written by a recorder.
+const LARGEST: u64 = 16 << 20;
+
+/// What rosbag2 writes as the start of a bag without messages.
+const NO_START: i64 = i64::MAX;
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct TopicMetadata {
+    pub(crate) name: String,
+    pub(crate) type_name: String,
+    pub(crate) encoding: String,
+    pub(crate) qos: Option<BagQos>,
+    pub(crate) type_hash: Option<String>,
+    pub(crate) messages: u64,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Metadata {
+    pub(crate) files: Vec<PathBuf>,
+    /// First and last log time [ns]; `None` for a bag without messages.
+    pub(crate) span: Option<(i64, i64)>,
+    pub(crate) messages: u64,
+    pub(crate) topics: Vec<TopicMetadata>,
+    pub(crate) custom: BTreeMap<String, String>,
+}
+
+/// A YAML double-quoted scalar; JSON's escapes are a subset of YAML's.
+fn quoted(text: &str) -> String {
+    serde_json::Value::from(text).to_string()
+}
+
+impl Metadata {
+    pub(crate) fn to_yaml(&self) -> String {
+        let (start, duration) = self.span.map_or((NO_START, 0), |(first, last)| (first, last - first));
+        let mut out = String::new();
+        let mut line = |text: String| {
+            out.push_str(&text);
+            out.push('\n');
+        };
+        line("rosbag2_bagfile_information:".into());
+        line("  version: 9".into());
+        line("  storage_identifier: mcap".into());
+        line(format!("  duration:\n    nanoseconds: {duration}"));
+        line(format!("  starting_time:\n    nanoseconds_since_epoch: {start}"));
+        line(format!("  message_count: {}", self.messages));
+        if self.topics.is_empty() {
+            line("  topics_with_message_count: []".into());
+        } else {
+            line("  topics_with_message_count:".into());
+        }
+        for topic in &self.topics {
+            line("    - topic_metadata:".into());
+            line(format!("        name: {}", quoted(&topic.name)));
+            line(format!("        type: {}", quoted(&topic.type_name)));
+            line(format!("        serialization_format: {}", quoted(&topic.encoding)));
+            match topic.qos {
+                Some(qos) => {
+                    line(format!("        offered_qos_profiles:\n{}", qos.to_yaml("          ").trim_end()))
+                }
+                None => line("        offered_qos_profiles: []".into()),
+            }
+            line(format!(
+                "        type_description_hash: {}",
+                quoted(topic.type_hash.as_deref().unwrap_or_default())
+            ));
+            line(format!("      message_count: {}", topic.messages));
+        }
+        line("  compression_format: \"\"".into());
+        line("  compression_mode: \"\"".into());
+        line("  relative_file_paths:".into());
+        for file in &self.files {
+            line(format!("    - {}", quoted(&file.to_string_lossy())));
+        }
+        line("  files:".into());
+        for file in &self.files {
+            line(format!("    - path: {}", quoted(&file.to_string_lossy())));
+            line(format!("      starting_time:\n        nanoseconds_since_epoch: {start}"));
+            line(format!("      duration:\n        nanoseconds: {duration}"));
+            line(format!("      message_count: {}", self.messages));
+        }
+        if self.custom.is_empty() {
+            line("  custom_data: ~".into());
+        } else {
+            line("  custom_data:".into());
+            for (key, value) in &self.custom {
+                line(format!("    {}: {}", quoted(key), quoted(value)));
+            }
+        }
+        // Definitions and hashes are those of this distribution.
+        let _ = write!(out, "  ros_distro: kilted\n");
+        out
+    }
+
+    /// Reads the `metadata.yaml` at `path`; refuses a storage or compression that is not read here.
+    pub(crate) fn read(path: &Path) -> Result<Self, BagError> {
+        let length = std::fs::metadata(path).map_err(BagError::io("open", path))?.len();
+        if length > LARGEST {
+            return Err(BagError::Metadata {
+                path: path.into(),
+                problem: format!("it is {length} bytes long"),
+            });
+        }
+        let bytes = std::fs::read(path).map_err(BagError::io("read", path))?;
+        let text = String::from_utf8(bytes)
+            .map_err(|_| BagError::Metadata { path: path.into(), problem: "it is not UTF-8 text".into() })?;
+        Self::parse(path, &text)
+    }
+
+    pub(crate) fn parse(path: &Path, text: &str) -> Result<Self, BagError> {
+        let wrong = |problem: String| BagError::Metadata { path: path.into(), problem };
+        let documents = YamlLoader::load_from_str(text).map_err(|error| wrong(error.to_string()))?;
+        let root = documents.first().ok_or_else(|| wrong("it is empty".into()))?;
+        let info = &root["rosbag2_bagfile_information"];
+        if info.as_hash().is_none() {
+            return Err(wrong("it has no field rosbag2_bagfile_information".into()));
+        }
+        let text_of = |value: &Yaml, field: &str| {
+            value[field]
+                .as_str()
+                .map(str::to_owned)
+                .ok_or_else(|| wrong(format!("field {field} is missing or not text")))
+        };
+        let storage = text_of(info, "storage_identifier")?;
+        if storage != "mcap" {
+            return Err(BagError::Storage {
+                path: path.parent().unwrap_or(path).into(),
+                storage: format!("`{storage}`"),
+            });
+        }
+        if let Some(mode) =
+            info["compression_mode"].as_str().filter(|mode| !mode.is_empty() && *mode != "NONE")
+        {
+            return Err(BagError::Storage {
+                path: path.parent().unwrap_or(path).into(),
+                storage: format!(
+                    "`mcap` with {} compression by {}",
+                    info["compression_format"].as_str().unwrap_or("unknown"),
+                    mode.to_lowercase()
+                ),
+            });
+        }
+        let mut files = Vec::new();
+        let listed = info["relative_file_paths"]
+            .as_vec()
+            .ok_or_else(|| wrong("field relative_file_paths is missing or not a list".into()))?;
+        for entry in listed {
+            let name = entry
+                .as_str()
+                .ok_or_else(|| wrong("relative_file_paths holds an entry that is not text".into()))?;
+            let file = PathBuf::from(name);
+            if file.as_os_str().is_empty()
+                || !file.components().all(|part| matches!(part, Component::Normal(_)))
+            {
+                return Err(wrong(format!(
+                    "relative_file_paths names {name:?}, which lies outside of the bag"
+                )));
+            }
+            files.push(file);
+        }
+        if files.is_empty() {
+            return Err(wrong("relative_file_paths is empty".into()));
+        }
+        let count = |value: &Yaml| {
+            value["message_count"]
+                .as_i64()
+                .and_then(|count| u64::try_from(count).ok())
+                .ok_or_else(|| wrong("field message_count is missing or not a count".into()))
+        };
+        let messages = count(info)?;
+        let start = info["starting_time"]["nanoseconds_since_epoch"].as_i64();
+        let duration = info["duration"]["nanoseconds"].as_i64();
+        let span = match (start, duration) {
+            (Some(start), Some(duration)) if messages > 0 => Some((start, start.saturating_add(duration))),
+            _ => None,
+        };
+        let mut topics = Vec::new();
+        for entry in info["topics_with_message_count"].as_vec().into_iter().flatten() {
+            let topic = &entry["topic_metadata"];
+            topics.push(TopicMetadata {
+                name: text_of(topic, "name")?,
+                type_name: text_of(topic, "type")?,
+                encoding: text_of(topic, "serialization_format")?,
+                qos: BagQos::from_yaml(&topic["offered_qos_profiles"]),
+                type_hash: topic["type_description_hash"]
+                    .as_str()
+                    .filter(|hash| !hash.is_empty())
+                    .map(str::to_owned),
+                messages: count(entry)?,
+            });
+        }
+        let mut custom = BTreeMap::new();
+        for (key, value) in info["custom_data"].as_hash().into_iter().flatten() {
+            if let (Some(key), Some(value)) = (key.as_str(), value.as_str()) {
+                custom.insert(key.to_owned(), value.to_owned());
+            }
+        }
+        Ok(Self { files, span, messages, topics, custom })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> Metadata {
+        Metadata {
+            files: vec!["a_0.mcap".into()],
+            span: Some((1_700_000_000_000_000_000, 1_700_000_002_500_000_000)),
+            messages: 3,
+            topics: vec![TopicMetadata {
+                name: "/skin/taxels".into(),
+                type_name: "dermis_msgs/msg/TaxelFrame".into(),
+                encoding: "cdr".into(),
+                qos: Some(BagQos::sensor_data()),
+                type_hash: Some("RIHS01_00".into()),
+                messages: 3,
+            }],
+            custom: BTreeMap::from([("source: \"x\"\n".to_owned(), "a # b\\ µ".to_owned())]),
+        }
+    }
+
+    #[test]
+    fn survives_its_text() {
+        for metadata in [
+            sample(),
+            Metadata {
+                files: vec!["e_0.mcap".into()],
+                span: None,
+                messages: 0,
+                topics: vec![],
+                custom: BTreeMap::new(),
+            },
+        ] {
+            let text = metadata.to_yaml();
+            assert_eq!(Metadata::parse(Path::new("metadata.yaml"), &text).unwrap(), metadata, "{text}");
+        }
+    }
+
+    #[test]
+    fn text_is_that_of_version_9() {
+        let mut metadata = sample();
+        metadata.custom.clear();
+        insta::assert_snapshot!(metadata.to_yaml());
+    }
+
+    #[test]
+    fn bad_metadata_is_refused_with_the_field() {
+        let say = |text: &str| Metadata::parse(Path::new("bag/metadata.yaml"), text).unwrap_err().to_string();
+        let good = sample().to_yaml();
+        insta::assert_snapshot!(say(""), @"bag/metadata.yaml is not rosbag2 metadata: it is empty");
+        insta::assert_snapshot!(say("a: 1"), @"bag/metadata.yaml is not rosbag2 metadata: it has no field rosbag2_bagfile_information");
+        assert!(say("a: [").starts_with("bag/metadata.yaml is not rosbag2 metadata: "));
+        insta::assert_snapshot!(
+            say(&good.replace("identifier: mcap", "identifier: sqlite3")),
+            @"bag is stored as `sqlite3`, which is not read here: convert it with `ros2 bag convert` to uncompressed `mcap` storage"
+        );
+        insta::assert_snapshot!(
+            say(&good.replace("compression_format: \"\"", "compression_format: zstd").replace("compression_mode: \"\"", "compression_mode: FILE")),
+            @"bag is stored as `mcap` with zstd compression by file, which is not read here: convert it with `ros2 bag convert` to uncompressed `mcap` storage"
+        );
+        insta::assert_snapshot!(
+            say(&good.replace("- \"a_0.mcap\"", "- ../../secret.mcap")),
+            @r#"bag/metadata.yaml is not rosbag2 metadata: relative_file_paths names "../../secret.mcap", which lies outside of the bag"#
+        );
+        insta::assert_snapshot!(
+            say(&good.replace("      message_count: 3\n  compression", "      message_count: -3\n  compression")),
+            @"bag/metadata.yaml is not rosbag2 metadata: field message_count is missing or not a count"
+        );
+    }
+}

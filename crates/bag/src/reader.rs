@@ -1,0 +1,707 @@
+//! Reads bags: folders and single files, whole and interrupted ones.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs::File,
+    io::{BufReader, Read as _, Seek as _},
+    marker::PhantomData,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use dermis_msgs::{Message, TypeSupport};
+use mcap::{
+    McapError, Summary,
+    sans_io::{LinearReaderOptions, SummaryReadEvent, SummaryReader, summary_reader::SummaryReaderOptions},
+};
+use yaml_rust2::Yaml;
+
+use crate::{BagError, BagInfo, BagQos, TopicInfo, definition, error::say, metadata::Metadata};
+
+/// Largest record or decompressed chunk that is held in memory; recorders make chunks of about 1 MB.
+const RECORD_LIMIT: usize = 512 << 20;
+
+/// A topic of a bag.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Topic {
+    /// Name as recorded, mostly with a leading slash.
+    pub name: String,
+    /// Type, e.g. `dermis_msgs/msg/TaxelFrame`.
+    pub type_name: String,
+    /// RIHS01 hash of the type; older recorders don't store it.
+    pub type_hash: Option<String>,
+    /// Full `ros2msg` definition; empty where the bag has none or has it in another language.
+    pub definition: Arc<str>,
+    /// Offered quality of service, where the bag has it.
+    pub qos: Option<BagQos>,
+    /// Messages on this topic.
+    pub messages: u64,
+}
+
+/// One stored message, not decoded.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BagMessage {
+    /// Topic.
+    pub topic: Arc<str>,
+    /// Type, e.g. `dermis_msgs/msg/TaxelFrame`.
+    pub type_name: Arc<str>,
+    /// When it was received or measured, nanoseconds since the epoch.
+    pub log_time: i64,
+    /// When it was published, nanoseconds since the epoch.
+    pub publish_time: i64,
+    /// CDR bytes with their 4-byte encapsulation header.
+    pub data: Vec<u8>,
+    file: Arc<Path>,
+}
+
+impl BagMessage {
+    /// Decodes the bytes as `T`, after a look at the type's name. That the bag's version of the type is ours is
+    /// checked by [`BagReader::read`], or for all messages of a topic by [`BagReader::check_type`].
+    ///
+    /// # Errors
+    /// Where the type's name differs or the bytes don't decode.
+    pub fn decode<T: Message>(&self) -> Result<T, BagError> {
+        if &*self.type_name != T::TYPE_NAME {
+            return Err(BagError::WrongType {
+                path: self.file.to_path_buf(),
+                topic: self.topic.to_string(),
+                found: self.type_name.to_string(),
+                expected: T::TYPE_NAME.to_owned(),
+            });
+        }
+        T::from_cdr(&self.data).map_err(|source| BagError::Decode {
+            path: self.file.to_path_buf(),
+            topic: self.topic.to_string(),
+            type_name: self.type_name.to_string(),
+            log_time: self.log_time,
+            source,
+        })
+    }
+}
+
+/// A decoded message with its times.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Typed<T> {
+    /// When it was received or measured, nanoseconds since the epoch.
+    pub log_time: i64,
+    /// When it was published, nanoseconds since the epoch.
+    pub publish_time: i64,
+    /// The message.
+    pub message: T,
+}
+
+/// Which messages to read; the default is all.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Filter {
+    topics: Option<BTreeSet<String>>,
+    types: Option<BTreeSet<String>>,
+    start: Option<i64>,
+    end: Option<i64>,
+}
+
+impl Filter {
+    /// Only these topics, by their full name.
+    #[must_use]
+    pub fn topics<S: Into<String>>(mut self, topics: impl IntoIterator<Item = S>) -> Self {
+        self.topics = Some(topics.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// Only topics of these types, e.g. `dermis_msgs/msg/TaxelFrame`.
+    #[must_use]
+    pub fn types<S: Into<String>>(mut self, types: impl IntoIterator<Item = S>) -> Self {
+        self.types = Some(types.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// Only log times from `start` on, and before `end` [ns since the epoch].
+    #[must_use]
+    pub fn between(mut self, start: i64, end: i64) -> Self {
+        (self.start, self.end) = (Some(start), Some(end));
+        self
+    }
+
+    fn takes(&self, topic: &str, type_name: &str, log_time: i64) -> bool {
+        self.topics.as_ref().is_none_or(|topics| topics.contains(topic))
+            && self.types.as_ref().is_none_or(|types| types.contains(type_name))
+            && self.start.is_none_or(|start| log_time >= start)
+            && self.end.is_none_or(|end| log_time < end)
+    }
+}
+
+/// An open bag. It holds no file handle: each iteration opens its own.
+#[derive(Debug, Clone)]
+pub struct BagReader {
+    path: PathBuf,
+    files: Vec<Arc<Path>>,
+    topics: Vec<Topic>,
+    bytes: u64,
+    span: Option<(i64, i64)>,
+    messages: u64,
+    custom: BTreeMap<String, String>,
+    complete: bool,
+    recover: bool,
+}
+
+/// What the files themselves say, before `metadata.yaml` is laid over it.
+#[derive(Default)]
+struct Contents {
+    topics: BTreeMap<String, Topic>,
+    span: Option<(i64, i64)>,
+    messages: u64,
+}
+
+impl Contents {
+    fn topic(&mut self, path: &Path, channel: &mcap::Channel<'_>) -> Result<&mut Topic, BagError> {
+        if channel.message_encoding != "cdr" {
+            return Err(BagError::Storage {
+                path: path.into(),
+                storage: format!("`{}` on topic {}", channel.message_encoding, channel.topic),
+            });
+        }
+        let (type_name, definition) = match &channel.schema {
+            Some(schema) if schema.encoding == "ros2msg" => {
+                (schema.name.clone(), Arc::from(String::from_utf8_lossy(&schema.data).as_ref()))
+            }
+            Some(schema) => (schema.name.clone(), Arc::from("")),
+            None => (String::new(), Arc::from("")),
+        };
+        let found = self.topics.entry(channel.topic.clone()).or_insert_with(|| Topic {
+            name: channel.topic.clone(),
+            type_name: type_name.clone(),
+            type_hash: channel.metadata.get("topic_type_hash").filter(|hash| !hash.is_empty()).cloned(),
+            definition,
+            qos: channel
+                .metadata
+                .get("offered_qos_profiles")
+                .and_then(|text| BagQos::from_yaml(&Yaml::String(text.clone()))),
+            messages: 0,
+        });
+        if found.type_name != type_name {
+            return Err(BagError::WrongType {
+                path: path.into(),
+                topic: channel.topic.clone(),
+                found: type_name,
+                expected: found.type_name.clone(),
+            });
+        }
+        Ok(found)
+    }
+
+    fn widen(&mut self, first: i64, last: i64) {
+        self.span = Some(self.span.map_or((first, last), |(start, end)| (start.min(first), end.max(last))));
+    }
+
+    fn take_summary(
+        &mut self,
+        path: &Path,
+        summary: &Summary,
+        stats: &mcap::records::Statistics,
+    ) -> Result<(), BagError> {
+        for channel in summary.channels.values() {
+            self.topic(path, channel)?.messages +=
+                stats.channel_message_counts.get(&channel.id).copied().unwrap_or(0);
+        }
+        self.messages += stats.message_count;
+        if stats.message_count > 0 {
+            self.widen(nanos(stats.message_start_time), nanos(stats.message_end_time));
+        }
+        Ok(())
+    }
+
+    fn take_messages(&mut self, messages: FileMessages) -> Result<(), BagError> {
+        let path = Arc::clone(&messages.file);
+        for message in messages {
+            let message = message?;
+            self.topic(&path, &message.channel)?.messages += 1;
+            self.messages += 1;
+            self.widen(nanos(message.log_time), nanos(message.log_time));
+        }
+        Ok(())
+    }
+}
+
+fn nanos(time: u64) -> i64 {
+    i64::try_from(time).unwrap_or(i64::MAX)
+}
+
+impl BagReader {
+    /// Opens a rosbag2 folder or a single `.mcap` file that was completed.
+    ///
+    /// # Errors
+    /// Where there is no bag, it was interrupted, or it is stored in a way that is not read here.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
+        Self::open_with(path.as_ref(), false)
+    }
+
+    /// Opens a bag that may have been interrupted: what is whole of it is read, up to the first damage.
+    ///
+    /// # Errors
+    /// Where there is no bag or it is stored in a way that is not read here.
+    pub fn recover(path: impl AsRef<Path>) -> Result<Self, BagError> {
+        Self::open_with(path.as_ref(), true)
+    }
+
+    fn open_with(path: &Path, recover: bool) -> Result<Self, BagError> {
+        if !path.exists() {
+            return Err(BagError::Missing { path: path.into() });
+        }
+        let mut complete = true;
+        let (files, metadata) = if path.is_dir() {
+            let yaml = path.join("metadata.yaml");
+            if yaml.exists() {
+                let metadata = Metadata::read(&yaml)?;
+                // Before version 4 the paths repeated the folder's name, which the caller may have changed since.
+                let files = metadata.files.iter().map(|file| path.join(file)).collect();
+                (files, Some(metadata))
+            } else {
+                let files = mcap_files(path)?;
+                if !recover || files.is_empty() {
+                    return Err(BagError::NoMetadata { path: path.into(), files: files.len() });
+                }
+                complete = false;
+                (files, None)
+            }
+        } else {
+            (vec![path.to_path_buf()], None)
+        };
+
+        let mut contents = Contents::default();
+        let mut bytes = 0;
+        for file in &files {
+            bytes += std::fs::metadata(file).map_err(BagError::io("open", file))?.len();
+            complete &= scan(file, recover, &mut contents)?;
+        }
+        let mut custom = BTreeMap::new();
+        if let Some(metadata) = metadata {
+            for topic in metadata.topics {
+                if let Some(known) = contents.topics.get_mut(&topic.name) {
+                    known.type_hash = known.type_hash.take().or(topic.type_hash);
+                    known.qos = known.qos.or(topic.qos);
+                }
+            }
+            custom = metadata.custom;
+        }
+        Ok(Self {
+            path: path.into(),
+            files: files.into_iter().map(Arc::from).collect(),
+            topics: contents.topics.into_values().collect(),
+            bytes,
+            span: contents.span,
+            messages: contents.messages,
+            custom,
+            complete,
+            recover,
+        })
+    }
+
+    /// The folder or file that was opened.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Topics in the order of their names.
+    #[must_use]
+    pub fn topics(&self) -> &[Topic] {
+        &self.topics
+    }
+
+    /// Custom data of `metadata.yaml`.
+    #[must_use]
+    pub fn custom(&self) -> &BTreeMap<String, String> {
+        &self.custom
+    }
+
+    /// Summary for people.
+    #[must_use]
+    pub fn info(&self) -> BagInfo {
+        let topics = self.topics.iter().map(|topic| TopicInfo {
+            name: topic.name.clone(),
+            type_name: topic.type_name.clone(),
+            messages: topic.messages,
+            type_hash: topic.type_hash.clone(),
+            qos: topic.qos,
+        });
+        BagInfo {
+            path: self.path.clone(),
+            bytes: self.bytes,
+            span: self.span,
+            messages: self.messages,
+            topics: topics.collect(),
+            custom: self.custom.clone(),
+            complete: self.complete,
+        }
+    }
+
+    /// Finds a topic by its name: as it is, with a leading slash, or as the end of one namespaced name
+    /// (`taxels` finds `/left_arm/taxels`).
+    ///
+    /// # Errors
+    /// Where no topic fits, or several do.
+    pub fn topic(&self, name: &str) -> Result<&Topic, BagError> {
+        let bare = name.trim_start_matches('/');
+        let exact = |topic: &&Topic| topic.name == name || topic.name.trim_start_matches('/') == bare;
+        if let Some(topic) = self.topics.iter().find(exact) {
+            return Ok(topic);
+        }
+        let ending = format!("/{bare}");
+        let fitting: Vec<&Topic> = self
+            .topics
+            .iter()
+            .filter(|topic| !name.starts_with('/') && topic.name.ends_with(&ending))
+            .collect();
+        match fitting.as_slice() {
+            [topic] => Ok(topic),
+            [] => Err(BagError::NoTopic {
+                path: self.path.clone(),
+                topic: name.to_owned(),
+                topics: self.topics.iter().map(|topic| topic.name.clone()).collect(),
+            }),
+            several => Err(BagError::Ambiguous {
+                path: self.path.clone(),
+                wanted: name.to_owned(),
+                topics: several.iter().map(|topic| topic.name.clone()).collect(),
+            }),
+        }
+    }
+
+    /// Topics of type `T`, in the order of their names.
+    pub fn topics_of_type<T: Message>(&self) -> impl Iterator<Item = &Topic> {
+        self.topics.iter().filter(|topic| topic.type_name == T::TYPE_NAME)
+    }
+
+    /// The topic of type `T`.
+    ///
+    /// # Errors
+    /// Where no topic has the type, or several have it.
+    pub fn topic_of_type<T: Message>(&self) -> Result<&Topic, BagError> {
+        let fitting: Vec<&Topic> = self.topics_of_type::<T>().collect();
+        match fitting.as_slice() {
+            [topic] => Ok(topic),
+            [] => Err(BagError::NoTopicOfType {
+                path: self.path.clone(),
+                type_name: T::TYPE_NAME.to_owned(),
+                topics: self
+                    .topics
+                    .iter()
+                    .map(|topic| format!("{} ({})", topic.name, topic.type_name))
+                    .collect(),
+            }),
+            several => Err(BagError::Ambiguous {
+                path: self.path.clone(),
+                wanted: T::TYPE_NAME.to_owned(),
+                topics: several.iter().map(|topic| topic.name.clone()).collect(),
+            }),
+        }
+    }
+
+    /// Checks that a topic carries the type, in the version that is built in here: by the RIHS01 hash where the bag
+    /// has it, else field by field.
+    ///
+    /// # Errors
+    /// Where the name, the hash or a field differs.
+    pub fn check_type(&self, topic: &Topic, support: &TypeSupport) -> Result<(), BagError> {
+        if topic.type_name != support.name {
+            return Err(BagError::WrongType {
+                path: self.path.clone(),
+                topic: topic.name.clone(),
+                found: topic.type_name.clone(),
+                expected: support.name.to_owned(),
+            });
+        }
+        if topic.type_hash.as_deref() == Some(support.hash) {
+            return Ok(());
+        }
+        let difference = if topic.definition.is_empty() {
+            topic
+                .type_hash
+                .as_ref()
+                .map(|hash| format!("its hash is {hash} in the bag and {} here", support.hash))
+        } else {
+            definition::difference(support.name, &topic.definition, support.definition)
+        };
+        match difference {
+            Some(difference) => Err(BagError::WrongVersion {
+                path: self.path.clone(),
+                topic: topic.name.clone(),
+                type_name: support.name.to_owned(),
+                difference,
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// All messages, in the order in which they were stored: that of their arrival.
+    #[must_use]
+    pub fn messages(&self) -> Messages {
+        self.messages_where(Filter::default())
+    }
+
+    /// The messages that a filter takes, in the order in which they were stored.
+    #[must_use]
+    pub fn messages_where(&self, filter: Filter) -> Messages {
+        Messages {
+            waiting: self.files.clone().into_iter(),
+            current: None,
+            names: BTreeMap::new(),
+            filter,
+            recover: self.recover,
+            failed: false,
+        }
+    }
+
+    /// Decoded messages of one topic, which is found as in [`topic`](Self::topic) and checked as in
+    /// [`check_type`](Self::check_type).
+    ///
+    /// # Errors
+    /// Where the topic is not there or carries another type or version. The iterator's items fail where the file
+    /// is damaged or a message does not decode.
+    pub fn read<T: Message>(&self, topic: &str) -> Result<TypedMessages<T>, BagError> {
+        let topic = self.topic(topic)?;
+        self.check_type(topic, TypeSupport::of::<T>())?;
+        let messages = self.messages_where(Filter::default().topics([topic.name.clone()]));
+        Ok(TypedMessages { messages, marker: PhantomData })
+    }
+
+    /// Decoded messages of the one topic that has type `T`.
+    ///
+    /// # Errors
+    /// As [`topic_of_type`](Self::topic_of_type) and [`read`](Self::read).
+    pub fn read_only_topic<T: Message>(&self) -> Result<TypedMessages<T>, BagError> {
+        let name = self.topic_of_type::<T>()?.name.clone();
+        self.read(&name)
+    }
+}
+
+fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(dir).map_err(BagError::io("open", dir))? {
+        let file = entry.map_err(BagError::io("read", dir))?.path();
+        if file.extension().is_some_and(|extension| extension == "mcap") {
+            files.push(file);
+        }
+    }
+    // `name_10.mcap` comes after `name_9.mcap`.
+    files.sort_by_key(|file| {
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let number = stem.rsplit('_').next().and_then(|digits| digits.parse::<u64>().ok());
+        (number, stem)
+    });
+    Ok(files)
+}
+
+/// Collects topics and counts of a file: from its summary, or message by message where it has none.
+/// Returns whether the file is complete.
+fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<bool, BagError> {
+    let mut file = File::open(path).map_err(BagError::io("open", path))?;
+    let length = file.metadata().map_err(BagError::io("read", path))?.len();
+    let mut start = Vec::new();
+    file.by_ref().take(16).read_to_end(&mut start).map_err(BagError::io("read", path))?;
+    if !start.starts_with(mcap::MAGIC) {
+        return Err(if start.starts_with(b"SQLite format 3") {
+            BagError::Storage { path: path.into(), storage: "`sqlite3`".into() }
+        } else if start.starts_with(&[0x28, 0xb5, 0x2f, 0xfd]) {
+            BagError::Storage { path: path.into(), storage: "a zstd-compressed file".into() }
+        } else if start.is_empty() {
+            BagError::Truncated { path: path.into(), messages: 0 }
+        } else {
+            BagError::Foreign { path: path.into(), start: format!("\"{}\"", start.escape_ascii()) }
+        });
+    }
+    match read_summary(&mut file, length) {
+        Ok(Some(summary)) => {
+            if let Some(stats) = &summary.stats {
+                contents.take_summary(path, &summary, stats)?;
+                return Ok(true);
+            }
+        }
+        Ok(None) => {}
+        Err(McapError::Io(source)) => return Err(BagError::Io { action: "read", path: path.into(), source }),
+        // What it is exactly, a look at the messages tells.
+        Err(_) if recover => {}
+        Err(_) => {
+            let mut messages = FileMessages::open(&Arc::from(path), false)?;
+            let error = messages.find_map(Result::err);
+            let count = messages.count;
+            return Err(error.unwrap_or(BagError::Truncated { path: path.into(), messages: count }));
+        }
+    }
+    let mut messages = FileMessages::open(&Arc::from(path), false)?;
+    let damaged = messages.find_map(Result::err);
+    match damaged {
+        Some(error) if !recover => Err(error),
+        damaged => {
+            contents.take_messages(FileMessages::open(&Arc::from(path), recover)?)?;
+            Ok(damaged.is_none())
+        }
+    }
+}
+
+fn read_summary(file: &mut File, length: u64) -> Result<Option<Summary>, McapError> {
+    let options =
+        SummaryReaderOptions::default().with_file_size(length).with_record_length_limit(RECORD_LIMIT);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::SeekRequest(to) => {
+                let position = file.seek(to)?;
+                reader.notify_seeked(position);
+            }
+            SummaryReadEvent::ReadRequest(size) => {
+                let read = file.read(reader.insert(size))?;
+                reader.notify_read(read);
+            }
+        }
+    }
+    Ok(reader.finish())
+}
+
+/// Messages of one file, with errors in our words.
+struct FileMessages {
+    file: Arc<Path>,
+    reader: mcap::io::MessageReader<BufReader<File>>,
+    recover: bool,
+    count: u64,
+    last_topic: String,
+}
+
+impl FileMessages {
+    fn open(path: &Arc<Path>, recover: bool) -> Result<Self, BagError> {
+        let file = File::open(path).map_err(BagError::io("open", &**path))?;
+        let options = LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_skip_end_magic(recover)
+            .with_record_length_limit(RECORD_LIMIT);
+        Ok(Self {
+            file: Arc::clone(path),
+            reader: mcap::io::MessageReader::new_with_options(BufReader::new(file), options),
+            recover,
+            count: 0,
+            last_topic: String::new(),
+        })
+    }
+}
+
+impl Iterator for FileMessages {
+    type Item = Result<mcap::Message<'static>, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let path = || self.file.to_path_buf();
+        match self.reader.next()? {
+            Ok(message) => {
+                self.count += 1;
+                if self.last_topic != message.channel.topic {
+                    self.last_topic.clone_from(&message.channel.topic);
+                }
+                Some(Ok(message))
+            }
+            Err(McapError::Io(source))
+                if source.kind() != std::io::ErrorKind::UnexpectedEof && source.raw_os_error().is_some() =>
+            {
+                Some(Err(BagError::Io { action: "read", path: path(), source }))
+            }
+            Err(_) if self.recover => None,
+            Err(McapError::UnexpectedEof) => {
+                Some(Err(BagError::Truncated { path: path(), messages: self.count }))
+            }
+            Err(error) => Some(Err(BagError::Corrupt {
+                path: path(),
+                topic: self.last_topic.clone(),
+                messages: self.count,
+                problem: say(&error),
+            })),
+        }
+    }
+}
+
+/// Iterator over stored messages; it ends after the first error.
+pub struct Messages {
+    waiting: std::vec::IntoIter<Arc<Path>>,
+    current: Option<FileMessages>,
+    /// Topic and type of each channel, shared by its messages.
+    names: BTreeMap<u16, (Arc<str>, Arc<str>)>,
+    filter: Filter,
+    recover: bool,
+    failed: bool,
+}
+
+impl std::fmt::Debug for Messages {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Messages").field("filter", &self.filter).finish_non_exhaustive()
+    }
+}
+
+impl Messages {
+    fn step(&mut self) -> Option<Result<BagMessage, BagError>> {
+        loop {
+            let Some(current) = &mut self.current else {
+                let file = self.waiting.next()?;
+                self.names.clear();
+                match FileMessages::open(&file, self.recover) {
+                    Ok(messages) => self.current = Some(messages),
+                    Err(error) => return Some(Err(error)),
+                }
+                continue;
+            };
+            let Some(message) = current.next() else {
+                self.current = None;
+                continue;
+            };
+            let message = match message {
+                Ok(message) => message,
+                Err(error) => return Some(Err(error)),
+            };
+            let (topic, type_name) = self.names.entry(message.channel.id).or_insert_with(|| {
+                let type_name = message.channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
+                (Arc::from(message.channel.topic.as_str()), Arc::from(type_name))
+            });
+            if self.filter.takes(topic, type_name, nanos(message.log_time)) {
+                return Some(Ok(BagMessage {
+                    topic: Arc::clone(topic),
+                    type_name: Arc::clone(type_name),
+                    log_time: nanos(message.log_time),
+                    publish_time: nanos(message.publish_time),
+                    data: message.data.into_owned(),
+                    file: Arc::clone(&current.file),
+                }));
+            }
+        }
+    }
+}
+
+impl Iterator for Messages {
+    type Item = Result<BagMessage, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.failed {
+            return None;
+        }
+        let item = self.step();
+        self.failed = !matches!(item, Some(Ok(_)));
+        item
+    }
+}
+
+/// Iterator over the decoded messages of one topic; it ends after the first error.
+#[derive(Debug)]
+pub struct TypedMessages<T> {
+    messages: Messages,
+    marker: PhantomData<fn() -> T>,
+}
+
+impl<T: Message> Iterator for TypedMessages<T> {
+    type Item = Result<Typed<T>, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let decoded = self.messages.next()?.and_then(|message| {
+            Ok(Typed {
+                log_time: message.log_time,
+                publish_time: message.publish_time,
+                message: message.decode()?,
+            })
+        });
+        self.messages.failed |= decoded.is_err();
+        Some(decoded)
+    }
+}
