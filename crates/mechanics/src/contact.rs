@@ -1,0 +1,209 @@
+//! A rigid sphere pressed into a medium.
+
+use nalgebra::{DMatrix, DVector};
+use std::f64::consts::{PI, TAU};
+
+use crate::error::positive;
+use crate::quadrature::{gauss_legendre, panels};
+use crate::{MechanicsError, Medium};
+
+/// Points along the contact radius. The solution is smooth except for the logarithm of the sphere's slope.
+const POINTS: usize = 40;
+/// ka up to which a Gauss rule of that many points integrates cos kt.
+const RESOLVED: f64 = 60.0;
+
+/// Frictionless contact of a rigid sphere with a [`Medium`].
+///
+/// Sneddon's representation p̂(k) = ∫₀ᵃ φ(t) cos kt dt of a pressure that vanishes outside of the contact
+/// radius a turns "the surface has the shape of the sphere" into Fredholm's equation
+///
+/// φ(t) − ∫₀ᵃ M(t, s) φ(s) ds = E/(π(1−ν²)) · (δ − t artanh(t/R)),
+/// M(t, s) = (2/π) ∫₀^∞ g(k) cos kt cos ks dk,
+///
+/// where 1 − g is the layer's surface displacement relative to the half-space's. For a half-space g = 0 and
+/// Sneddon's solution remains (I. N. Sneddon, *Int. J. Eng. Sci.* 3 (1965) 47–57; the equation for a layer is
+/// Lebedev's and Ufliand's, *PMM* 22 (1958) 442–450). The contact ends smoothly: φ(a) = 0 gives the
+/// indentation δ. The kernel is smooth, so a Gauss rule of 40 points (Nyström) is accurate to many digits.
+///
+/// The geometry of the sphere is exact, strains are taken as small: at indentations of the order of the sphere's
+/// radius or the layer's thickness a real elastomer stiffens beyond this.
+#[derive(Debug, Clone)]
+pub struct SphereContact {
+    contact_radius: f64,
+    indentation: f64,
+    force: f64,
+    /// t \[m\] and weight · φ(t) \[N\].
+    density: Vec<(f64, f64)>,
+}
+
+impl SphereContact {
+    /// The contact of a sphere of `sphere_radius` \[m\] that touches the medium within `contact_radius` \[m\].
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Value`] where a radius is not positive or the contact is not smaller than the sphere.
+    pub fn new(medium: &Medium, sphere_radius: f64, contact_radius: f64) -> Result<Self, MechanicsError> {
+        let big = positive("radius of the sphere [m]", sphere_radius)?;
+        let a = positive("radius of the contact [m]", contact_radius)?;
+        if a >= big {
+            return Err(MechanicsError::Value {
+                quantity: "radius of the contact [m]",
+                value: a,
+                expected: "smaller than that of the sphere",
+            });
+        }
+        let nodes: Vec<(f64, f64)> = gauss_legendre(POINTS).iter().map(|(x, w)| (x * a, w * a)).collect();
+        let slope = |t: f64| t * (t / big).atanh();
+
+        // Kernel of the layer: one outer product per wavenumber, evaluated at the nodes and at the edge.
+        let mut points: Vec<f64> = nodes.iter().map(|n| n.0).collect();
+        points.push(a);
+        let mut kernel = DMatrix::<f64>::zeros(POINTS + 1, POINTS);
+        let h = medium.thickness();
+        if h.is_finite() {
+            let wavenumbers = panels(20.0 / h, (1.0 / h).min(3.0 / a));
+            let mut cosines = DMatrix::<f64>::zeros(POINTS + 1, wavenumbers.len());
+            let mut weighted = DMatrix::<f64>::zeros(wavenumbers.len(), POINTS);
+            for (q, &(k, w)) in wavenumbers.iter().enumerate() {
+                let g = 2.0 / PI * w * (1.0 - medium.relative_displacement(k));
+                for (i, &t) in points.iter().enumerate() {
+                    cosines[(i, q)] = (k * t).cos();
+                }
+                for (j, &(_, weight)) in nodes.iter().enumerate() {
+                    weighted[(q, j)] = g * cosines[(j, q)] * weight;
+                }
+            }
+            kernel = cosines * weighted;
+        }
+        let system = DMatrix::identity(POINTS, POINTS) - kernel.rows(0, POINTS);
+        let sides = DMatrix::from_fn(POINTS, 2, |i, j| if j == 0 { 1.0 } else { slope(nodes[i].0) });
+        // The operator is the identity minus a contraction, hence regular.
+        let solution = system.lu().solve(&sides).unwrap_or_else(|| sides.clone());
+        let edge = kernel.row(POINTS) * &solution;
+        let indentation = (slope(a) + edge[1]) / (1.0 + edge[0]);
+        let scale = 2.0 / (PI * medium.compliance());
+        let phi: DVector<f64> = (solution.column(0) * indentation - solution.column(1)) * scale;
+        let density: Vec<(f64, f64)> = nodes.iter().zip(phi.iter()).map(|(&(t, w), f)| (t, w * f)).collect();
+        let force = TAU * density.iter().map(|d| d.1).sum::<f64>();
+        Ok(Self { contact_radius: a, indentation, force, density })
+    }
+
+    /// \[m\] of the circle within which sphere and medium touch.
+    #[must_use]
+    pub fn contact_radius(&self) -> f64 {
+        self.contact_radius
+    }
+
+    /// \[m\] of the sphere's lowest point below the undeformed surface.
+    #[must_use]
+    pub fn indentation(&self) -> f64 {
+        self.indentation
+    }
+
+    /// \[N\] that presses the sphere in.
+    #[must_use]
+    pub fn force(&self) -> f64 {
+        self.force
+    }
+
+    /// Hankel transform of order 0 of the contact pressure, ∫ p(r) J₀(kr) r dr \[N\], at `k` [1/m].
+    ///
+    /// 0 where ka exceeds 60, beyond what the quadrature resolves: the transform has fallen to about 1/(ka)² of
+    /// the force there.
+    #[must_use]
+    pub fn transform(&self, k: f64) -> f64 {
+        if k * self.contact_radius > RESOLVED {
+            return 0.0;
+        }
+        self.density.iter().map(|(t, f)| f * (k * t).cos()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Base;
+    use approx::assert_relative_eq;
+
+    const E: f64 = 70e3;
+    const NU: f64 = 0.49;
+    const R: f64 = 0.002;
+
+    /// The contact whose indentation is `depth`, by bisection on its radius.
+    fn at_indentation(medium: &Medium, depth: f64) -> SphereContact {
+        let contact = |u: f64| SphereContact::new(medium, R, R * u.tanh()).unwrap();
+        let (mut low, mut high) = (1e-3, 8.0);
+        for _ in 0..60 {
+            let middle = (low + high) / 2.0;
+            if contact(middle).indentation() < depth {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        contact(low)
+    }
+
+    #[test]
+    fn sphere_on_half_space_is_sneddon() {
+        let half = Medium::half_space(E, NU).unwrap();
+        for (depth, force) in [(0.0012, 0.2146), (0.0024, 0.5683)] {
+            assert_relative_eq!(at_indentation(&half, depth).force(), force, max_relative = 5e-4);
+        }
+        for part in [0.1, 0.5, 0.9, 0.99] {
+            let a = part * R;
+            let c = SphereContact::new(&half, R, a).unwrap();
+            let log = ((R + a) / (R - a)).ln();
+            assert_relative_eq!(c.indentation(), a / 2.0 * log, max_relative = 1e-9);
+            let force = E / (1.0 - NU * NU) * ((a * a + R * R) / 2.0 * log - a * R);
+            assert_relative_eq!(c.force(), force, max_relative = 1e-5);
+        }
+    }
+
+    #[test]
+    fn light_touch_is_hertz() {
+        let half = Medium::half_space(E, NU).unwrap();
+        let c = SphereContact::new(&half, R, R / 100.0).unwrap();
+        let modulus = E / (1.0 - NU * NU);
+        assert_relative_eq!(c.force(), 4.0 / 3.0 * modulus * (R / 100.0).powi(3) / R, max_relative = 1e-4);
+        let hertz = crate::Load::Hertz { force: c.force(), radius: c.contact_radius() };
+        for k in [0.0, 1e3, 1e4, 1e5] {
+            assert!((c.transform(k) - hertz.transform(k)).abs() < 1e-4 * hertz.transform(0.0));
+        }
+    }
+
+    /// Reference: boundary elements of another code.
+    #[test]
+    fn bonded_layer_stiffens_the_contact() {
+        let half = Medium::half_space(E, NU).unwrap();
+        let pad = Medium::layer(E, NU, 0.010, Base::Bonded).unwrap();
+        for (depth, ratio) in [(0.0002, 1.074), (0.0005, 1.120), (0.0012, 1.185), (0.0024, 1.241)] {
+            let found = at_indentation(&pad, depth).force() / at_indentation(&half, depth).force();
+            assert_relative_eq!(found, ratio, max_relative = 0.01);
+        }
+    }
+
+    /// The solution fulfils what it was asked for: under the sphere, the surface has the sphere's shape.
+    #[test]
+    fn surface_follows_the_sphere() {
+        let pad = Medium::layer(E, NU, 0.004, Base::Bonded).unwrap();
+        let c = SphereContact::new(&pad, R, 0.6 * R).unwrap();
+        let a = c.contact_radius();
+        for part in [0.0, 0.3, 0.7, 0.95] {
+            let r = part * a;
+            let w: f64 = panels(RESOLVED / a, 3.0 / a)
+                .iter()
+                .map(|&(k, w)| w * k * pad.displacement_kernel(k) * c.transform(k) * libm::j0(k * r))
+                .sum();
+            let sphere = c.indentation() - (R - (R * R - r * r).sqrt());
+            assert_relative_eq!(w, sphere, max_relative = 5e-3);
+        }
+    }
+
+    #[test]
+    fn a_contact_as_wide_as_its_sphere_is_refused() {
+        let pad = Medium::layer(E, NU, 0.004, Base::Bonded).unwrap();
+        let error = SphereContact::new(&pad, R, R).unwrap_err();
+        insta::assert_snapshot!(error, @"radius of the contact [m] is 0.002 and must be smaller than that of the sphere");
+    }
+}

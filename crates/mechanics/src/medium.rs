@@ -1,0 +1,460 @@
+//! A layered elastic medium in Hankel space.
+
+use nalgebra::{Matrix4, Vector4};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+use crate::MechanicsError;
+use crate::error::positive;
+use crate::quadrature::panels;
+
+/// Beyond this exponent a kernel is below the resolution of f64.
+const EXPONENT_MAX: f64 = 40.0;
+
+/// What holds the lower side of a layer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Base {
+    /// Glued to something rigid: no displacement at all.
+    #[default]
+    Bonded,
+    /// Lying on something rigid and smooth: no vertical displacement, no shear stress.
+    Slip,
+}
+
+/// A normal load on the surface, axisymmetric about its centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Load {
+    /// All of it in one point.
+    Point {
+        /// \[N\] pressing in.
+        force: f64,
+    },
+    /// Uniform pressure on a disc.
+    Disc {
+        /// \[N\] pressing in.
+        force: f64,
+        /// \[m\] of the disc.
+        radius: f64,
+    },
+    /// The pressure p₀ √(1 − r²/a²) that a sphere makes on a half-space at small indentation (Hertz).
+    Hertz {
+        /// \[N\] pressing in.
+        force: f64,
+        /// \[m\] of the contact.
+        radius: f64,
+    },
+}
+
+impl Load {
+    /// \[N\] pressing in.
+    #[must_use]
+    pub fn force(&self) -> f64 {
+        match *self {
+            Self::Point { force } | Self::Disc { force, .. } | Self::Hertz { force, .. } => force,
+        }
+    }
+
+    /// Hankel transform of order 0, ∫ p(r) J₀(kr) r dr \[N\], at the wavenumber `k` [1/m].
+    #[must_use]
+    pub fn transform(&self, k: f64) -> f64 {
+        let shape = match *self {
+            Self::Point { .. } => 1.0,
+            Self::Disc { radius, .. } => {
+                let x = k * radius;
+                // Series below, where the quotient would lose digits.
+                if x < 1e-4 { 1.0 - x * x / 8.0 } else { 2.0 * libm::j1(x) / x }
+            }
+            Self::Hertz { radius, .. } => {
+                let x = k * radius;
+                if x < 1e-2 {
+                    1.0 - x * x / 10.0 + x.powi(4) / 280.0
+                } else {
+                    3.0 * (x.sin() - x * x.cos()) / x.powi(3)
+                }
+            }
+        };
+        self.force() / TAU * shape
+    }
+
+    fn check(&self) -> Result<f64, MechanicsError> {
+        if !self.force().is_finite() {
+            return Err(MechanicsError::Value {
+                quantity: "force [N]",
+                value: self.force(),
+                expected: "a finite number",
+            });
+        }
+        match *self {
+            Self::Point { .. } => Ok(0.0),
+            Self::Disc { radius, .. } | Self::Hertz { radius, .. } => {
+                positive("radius of the load [m]", radius)
+            }
+        }
+    }
+}
+
+/// A linear elastic, isotropic half-space, or a layer on a rigid base.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Medium {
+    young_modulus: f64,
+    poisson_ratio: f64,
+    layer: Option<(f64, Base)>,
+}
+
+impl Medium {
+    /// A layer of `thickness` \[m\] with `young_modulus` \[Pa\] and `poisson_ratio` on a rigid base.
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Value`] where a modulus or thickness is not positive, or Poisson's ratio is not in
+    /// \[0, 0.4999\] (an exactly incompressible layer has no solution in displacements).
+    pub fn layer(
+        young_modulus: f64,
+        poisson_ratio: f64,
+        thickness: f64,
+        base: Base,
+    ) -> Result<Self, MechanicsError> {
+        positive("thickness [m]", thickness)?;
+        Ok(Self { layer: Some((thickness, base)), ..Self::half_space(young_modulus, poisson_ratio)? })
+    }
+
+    /// An infinitely deep medium with `young_modulus` \[Pa\] and `poisson_ratio`.
+    ///
+    /// # Errors
+    ///
+    /// As [`layer`](Self::layer).
+    pub fn half_space(young_modulus: f64, poisson_ratio: f64) -> Result<Self, MechanicsError> {
+        positive("Young's modulus [Pa]", young_modulus)?;
+        if !(0.0..=0.4999).contains(&poisson_ratio) {
+            return Err(MechanicsError::Value {
+                quantity: "Poisson's ratio",
+                value: poisson_ratio,
+                expected: "between 0 and 0.4999",
+            });
+        }
+        Ok(Self { young_modulus, poisson_ratio, layer: None })
+    }
+
+    /// \[Pa\].
+    #[must_use]
+    pub fn young_modulus(&self) -> f64 {
+        self.young_modulus
+    }
+
+    /// Dimensionless.
+    #[must_use]
+    pub fn poisson_ratio(&self) -> f64 {
+        self.poisson_ratio
+    }
+
+    /// \[m\]; infinite for a half-space.
+    #[must_use]
+    pub fn thickness(&self) -> f64 {
+        self.layer.map_or(f64::INFINITY, |(h, _)| h)
+    }
+
+    /// 2 (1 − ν²) / E \[1/Pa\]: the half-space's surface displacement is this over k, per transformed pressure.
+    pub(crate) fn compliance(&self) -> f64 {
+        2.0 * (1.0 - self.poisson_ratio * self.poisson_ratio) / self.young_modulus
+    }
+
+    /// Mean compressive stress −σₖₖ/3 at `depth` \[m\] per surface pressure, both Hankel-transformed, at the
+    /// wavenumber `k` [1/m]. Dimensionless, finite for every k ≥ 0.
+    ///
+    /// Love's strain function of the layer is f = (A + Bz) e^(−kz) + (C + Dz) e^(k(z−h)). Its four constants
+    /// follow from σ_zz = −p and σ_rz = 0 on the surface, and u = w = 0 (bonded) or w = 0, σ_rz = 0 (slip) at
+    /// the base; then −σₖₖ/3 = −(1+ν)/3 · 2k² (B e^(−kz) + D e^(k(z−h))). All exponents are negative, so
+    /// nothing overflows. (A. E. H. Love, *A Treatise on the Mathematical Theory of Elasticity*, §188;
+    /// I. N. Sneddon, *Fourier Transforms*, ch. 10.)
+    #[must_use]
+    pub fn pressure_kernel(&self, k: f64, depth: f64) -> f64 {
+        let nu = self.poisson_ratio;
+        let Some((h, base)) = self.layer else {
+            return 2.0 * (1.0 + nu) / 3.0 * (-k * depth).exp();
+        };
+        let alpha = k * h;
+        if alpha > EXPONENT_MAX {
+            return 2.0 * (1.0 + nu) / 3.0 * (-k * depth).exp();
+        }
+        // Below this the 4×4 system loses its digits while the kernel has long reached its limit.
+        let alpha = alpha.max(1e-3);
+        let (b, d) = love_constants(alpha, nu, base);
+        let s = alpha * depth / h;
+        -(1.0 + nu) / 3.0 * 2.0 * (b * (-s).exp() + d * (s - alpha).exp())
+    }
+
+    /// 1 − g: displacement of the layer's surface relative to that of the half-space at the wavenumber `k`.
+    ///
+    /// Bonded: (2κ sinh 2α − 4α) / (2κ cosh 2α + 4α² + 1 + κ²) with κ = 3 − 4ν, α = kh; slip:
+    /// (cosh 2α − 1) / (sinh 2α + 2α). (K. L. Johnson, *Contact Mechanics*, §5.8.)
+    pub(crate) fn relative_displacement(&self, k: f64) -> f64 {
+        let Some((h, base)) = self.layer else { return 1.0 };
+        let a = k * h;
+        if a > EXPONENT_MAX {
+            return 1.0;
+        }
+        match base {
+            Base::Bonded => {
+                let kappa = 3.0 - 4.0 * self.poisson_ratio;
+                let numerator = 2.0 * kappa * (2.0 * a).sinh() - 4.0 * a;
+                numerator / (2.0 * kappa * (2.0 * a).cosh() + 4.0 * a * a + 1.0 + kappa * kappa)
+            }
+            // cosh 2α − 1 = 2 sinh² α keeps the digits of a small α.
+            Base::Slip if a < 1e-8 => a / 2.0,
+            Base::Slip => 2.0 * a.sinh().powi(2) / ((2.0 * a).sinh() + 2.0 * a),
+        }
+    }
+
+    /// Displacement of the surface into the medium per surface pressure, both Hankel-transformed, at the
+    /// wavenumber `k` [1/m]; \[m/Pa\].
+    #[must_use]
+    pub fn displacement_kernel(&self, k: f64) -> f64 {
+        self.compliance() / k * self.relative_displacement(k)
+    }
+
+    /// A depth that lies in the medium, or why not.
+    pub(crate) fn check_depth(&self, depth: f64) -> Result<(), MechanicsError> {
+        let thickness = self.thickness();
+        if depth.is_finite() && depth > 0.0 && depth <= thickness {
+            Ok(())
+        } else {
+            Err(MechanicsError::Depth { depth, thickness })
+        }
+    }
+
+    /// Mean compressive stress −σₖₖ/3 \[Pa\] at `depth` \[m\] and distance `r` \[m\] from the axis of `load`.
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError`] where the depth lies outside of the medium or a number cannot be.
+    pub fn pressure(&self, load: &Load, depth: f64, r: f64) -> Result<f64, MechanicsError> {
+        self.check_depth(depth)?;
+        let a = load.check()?;
+        let r = distance(r)?;
+        // Both Bessel functions oscillate: a panel spans about one and a half of their periods.
+        let panel = (6.0 / (r + a)).min(3.0 / depth);
+        let nodes = panels(EXPONENT_MAX / depth, panel);
+        Ok(nodes
+            .iter()
+            .map(|&(k, w)| w * k * self.pressure_kernel(k, depth) * load.transform(k) * libm::j0(k * r))
+            .sum())
+    }
+
+    /// Displacement of the surface into the medium \[m\] at the distance `r` \[m\] from the axis of `load`;
+    /// infinite under a point load.
+    ///
+    /// The half-space's part is a closed form; only the smooth correction of the layer is integrated.
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Value`] where a number cannot be.
+    pub fn surface_displacement(&self, load: &Load, r: f64) -> Result<f64, MechanicsError> {
+        let a = load.check()?;
+        let r = distance(r)?;
+        let force = load.force();
+        let half = self.compliance() / 2.0;
+        let infinite = match *load {
+            Load::Point { .. } => half * force / (PI * r),
+            Load::Disc { .. } => {
+                let p = force / (PI * a * a);
+                if r <= a {
+                    half * 4.0 * p * a / PI * elliptic(r / a).1
+                } else {
+                    let m = a / r;
+                    let (first, second) = elliptic(m);
+                    half * 4.0 * p * r / PI * (second - (1.0 - m * m) * first)
+                }
+            }
+            Load::Hertz { .. } => {
+                let p = 1.5 * force / (PI * a * a);
+                if r <= a {
+                    half * PI * p / (4.0 * a) * (2.0 * a * a - r * r)
+                } else {
+                    let m = a / r;
+                    let angle = (2.0 * a * a - r * r) * m.asin();
+                    half * p / (2.0 * a) * (angle + r * a * (1.0 - m * m).sqrt())
+                }
+            }
+        };
+        let Some((h, _)) = self.layer else { return Ok(infinite) };
+        let panel = (6.0 / (r + a)).min(1.0 / h);
+        let correction: f64 = panels(EXPONENT_MAX / 2.0 / h, panel)
+            .iter()
+            .map(|&(k, w)| w * (1.0 - self.relative_displacement(k)) * load.transform(k) * libm::j0(k * r))
+            .sum();
+        Ok(infinite - self.compliance() * correction)
+    }
+}
+
+fn distance(r: f64) -> Result<f64, MechanicsError> {
+    if r.is_finite() {
+        Ok(r.abs())
+    } else {
+        Err(MechanicsError::Value { quantity: "distance [m]", value: r, expected: "a finite number" })
+    }
+}
+
+/// k²B and k²D of Love's function for unit surface pressure; lengths are scaled by k, so that f k³ has the
+/// derivatives below and every entry stays of order α e^0.
+fn love_constants(alpha: f64, nu: f64, base: Base) -> (f64, f64) {
+    // f and its first three derivatives with respect to s = kz, for each of the four constants.
+    let derivatives = |s: f64| -> [[f64; 4]; 4] {
+        let (down, up) = ((-s).exp(), (s - alpha).exp());
+        [
+            [down, s * down, up, s * up],
+            [-down, (1.0 - s) * down, up, (1.0 + s) * up],
+            [down, (s - 2.0) * down, up, (2.0 + s) * up],
+            [-down, (3.0 - s) * down, up, (3.0 + s) * up],
+        ]
+    };
+    let row = |d: &[[f64; 4]; 4], weights: [f64; 4]| -> [f64; 4] {
+        std::array::from_fn(|j| (0..4).map(|i| weights[i] * d[i][j]).sum())
+    };
+    let (top, bottom) = (derivatives(0.0), derivatives(alpha));
+    let normal_stress = [0.0, -(2.0 - nu), 0.0, 1.0 - nu];
+    let shear_stress = [1.0 - nu, 0.0, nu, 0.0];
+    let vertical = [-2.0 * (1.0 - nu), 0.0, 1.0 - 2.0 * nu, 0.0];
+    let radial = [0.0, 1.0, 0.0, 0.0];
+    let held = match base {
+        Base::Bonded => radial,
+        Base::Slip => shear_stress,
+    };
+    let rows =
+        [row(&top, normal_stress), row(&top, shear_stress), row(&bottom, vertical), row(&bottom, held)];
+    let system = Matrix4::from_fn(|i, j| rows[i][j]);
+    let constants = system.lu().solve(&Vector4::new(-1.0, 0.0, 0.0, 0.0)).unwrap_or_default();
+    (constants[1], constants[3])
+}
+
+/// Complete elliptic integrals of the first and second kind of the modulus `m` in \[0, 1\], by the
+/// arithmetic-geometric mean (Abramowitz & Stegun 17.6). The first is infinite at 1, where its factor in
+/// [`Medium::surface_displacement`] is 0; it is returned as 0 there.
+fn elliptic(m: f64) -> (f64, f64) {
+    if m >= 1.0 {
+        return (0.0, 1.0);
+    }
+    let (mut a, mut b, mut c) = (1.0, (1.0 - m * m).sqrt(), m);
+    let (mut sum, mut power) = (c * c / 2.0, 1.0);
+    while c.abs() > 1e-16 {
+        (a, b, c) = ((a + b) / 2.0, (a * b).sqrt(), (a - b) / 2.0);
+        sum += power * c * c;
+        power *= 2.0;
+    }
+    let first = FRAC_PI_2 / a;
+    (first, first * (1.0 - sum))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_relative_eq;
+    use proptest::prelude::*;
+
+    const E: f64 = 70e3;
+    const NU: f64 = 0.49;
+
+    fn pad(base: Base) -> Medium {
+        Medium::layer(E, NU, 0.010, base).unwrap()
+    }
+
+    #[test]
+    fn point_load_on_half_space_is_boussinesq() {
+        let medium = Medium::half_space(E, NU).unwrap();
+        let load = Load::Point { force: 1.0 };
+        for r in [0.0f64, 0.002, 0.005, 0.020, 0.060] {
+            let z = 0.005f64;
+            let exact = (1.0 + NU) / (3.0 * PI) * z / (r * r + z * z).powf(1.5);
+            assert_relative_eq!(medium.pressure(&load, z, r).unwrap(), exact, max_relative = 1e-9);
+        }
+        assert_relative_eq!(medium.pressure(&load, 0.005, 0.0).unwrap(), 6324.0, max_relative = 1e-4);
+    }
+
+    /// Reference: an independent Hankel code, confirmed by axisymmetric quadratic finite elements.
+    #[test]
+    fn disc_on_bonded_layer() {
+        let load = Load::Disc { force: 1.0, radius: 0.001 };
+        let peak = 6882.0;
+        for (r, expected) in [(0.0, 6882.0), (0.004, 3523.0), (0.010, 597.0), (0.020, 65.5)] {
+            let p = pad(Base::Bonded).pressure(&load, 0.005, r).unwrap();
+            assert!((p - expected).abs() < 5e-4 * peak, "p({r}) = {p}, expected {expected}");
+        }
+        let w = pad(Base::Bonded).surface_displacement(&load, 0.0).unwrap();
+        assert_relative_eq!(w, 6.313e-3, max_relative = 5e-4);
+    }
+
+    #[test]
+    fn only_a_slipping_base_has_negative_wings() {
+        let load = Load::Point { force: 1.0 };
+        let wing = |base| pad(base).pressure(&load, 0.005, 0.020).unwrap();
+        assert_relative_eq!(wing(Base::Bonded), 65.0, max_relative = 0.1);
+        assert_relative_eq!(wing(Base::Slip), -12.0, max_relative = 0.1);
+    }
+
+    #[test]
+    fn deep_layer_is_a_half_space() {
+        let load = Load::Hertz { force: 0.5, radius: 0.002 };
+        let half = Medium::half_space(E, NU).unwrap();
+        for base in [Base::Bonded, Base::Slip] {
+            let deep = Medium::layer(E, NU, 20.0, base).unwrap();
+            for r in [0.0, 0.003, 0.012] {
+                let [a, b] = [deep, half].map(|m| m.pressure(&load, 0.004, r).unwrap());
+                assert_relative_eq!(a, b, max_relative = 1e-3);
+                let [a, b] = [deep, half].map(|m| m.surface_displacement(&load, r).unwrap());
+                assert_relative_eq!(a, b, max_relative = 2e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn closed_forms_of_the_surface_meet_at_the_edge() {
+        let half = Medium::half_space(E, NU).unwrap();
+        for load in [Load::Disc { force: 1.0, radius: 0.002 }, Load::Hertz { force: 1.0, radius: 0.002 }] {
+            let w = |r| half.surface_displacement(&load, r).unwrap();
+            assert_relative_eq!(w(0.002 - 1e-12), w(0.002 + 1e-12), max_relative = 1e-6);
+            let far = half.surface_displacement(&Load::Point { force: 1.0 }, 0.5).unwrap();
+            assert_relative_eq!(w(0.5), far, max_relative = 1e-5);
+        }
+    }
+
+    #[test]
+    fn kernels_stay_finite_from_the_longest_to_the_shortest_wave() {
+        for base in [Base::Bonded, Base::Slip] {
+            for exponent in -120..=80 {
+                let k = 10f64.powf(f64::from(exponent) / 10.0);
+                let p = pad(base).pressure_kernel(k, 0.005);
+                let w = pad(base).displacement_kernel(k);
+                assert!(p.is_finite() && p.abs() < 2.0, "{base:?} k={k}: {p}");
+                assert!(w.is_finite() && w > 0.0, "{base:?} k={k}: {w}");
+            }
+        }
+    }
+
+    #[test]
+    fn impossible_numbers_are_refused_by_name() {
+        let refused = |m: Result<Medium, MechanicsError>| m.unwrap_err().to_string();
+        insta::assert_snapshot!(refused(Medium::half_space(-1.0, NU)), @"Young's modulus [Pa] is -1 and must be a positive number");
+        insta::assert_snapshot!(refused(Medium::half_space(E, 0.5)), @"Poisson's ratio is 0.5 and must be between 0 and 0.4999");
+        insta::assert_snapshot!(refused(Medium::layer(E, NU, f64::NAN, Base::Slip)), @"thickness [m] is NaN and must be a positive number");
+        let deep = pad(Base::Bonded).pressure(&Load::Point { force: 1.0 }, 0.011, 0.0).unwrap_err();
+        insta::assert_snapshot!(deep, @"depth is 0.011 m and must lie between the surface and the base of the layer at 0.01 m");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn field_is_linear_in_force_and_even(
+            nu in 0.0..0.4999f64, h in 0.002..0.05f64, part in 0.05..1.0f64, r in 0.0..0.05f64, force in 0.01..10.0f64,
+            slip in any::<bool>(),
+        ) {
+            let base = if slip { Base::Slip } else { Base::Bonded };
+            let medium = Medium::layer(E, nu, h, base).unwrap();
+            let z = part * h;
+            let one = medium.pressure(&Load::Point { force: 1.0 }, z, r).unwrap();
+            let many = medium.pressure(&Load::Point { force }, z, -r).unwrap();
+            prop_assert!((many - force * one).abs() <= 1e-9 * force * one.abs() + 1e-9);
+            let axis = medium.pressure(&Load::Point { force: 1.0 }, z, 0.0).unwrap();
+            prop_assert!(axis >= one.abs(), "{} on the axis, {} off it", axis, one);
+        }
+    }
+}
