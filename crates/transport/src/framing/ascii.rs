@@ -1,0 +1,226 @@
+//! Lines of numbers.
+
+use super::sequence::{SequenceTracker, Verdict};
+use super::{DecodedFrame, DecoderStats, FrameDecoder, MAX_CHANNELS, Rejection};
+
+/// What the columns of a line are, in this order: sequence, device time, values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct AsciiOptions {
+    /// Values on a line; `None` takes any number, and then cannot tell a line that lost its end.
+    pub channels: Option<usize>,
+    /// The first column is a sequence number (unsigned, 32 bits, wraps).
+    pub sequence: bool,
+    /// The next column is the device time \[µs\].
+    pub device_time: bool,
+}
+
+impl AsciiOptions {
+    /// Lines of so many values and nothing else.
+    #[must_use]
+    pub fn channels(channels: usize) -> Self {
+        Self { channels: Some(channels), ..Self::default() }
+    }
+
+    /// The first column is a sequence number.
+    #[must_use]
+    pub fn with_sequence(mut self) -> Self {
+        self.sequence = true;
+        self
+    }
+
+    /// The column before the values is the device time \[µs\].
+    #[must_use]
+    pub fn with_device_time(mut self) -> Self {
+        self.device_time = true;
+        self
+    }
+}
+
+/// Reads lines of numbers, separated by commas, semicolons, blanks or tabs and ended by LF, CR or both.
+///
+/// `nan` is an invalid channel. Empty lines and lines that begin with `#` are passed over, and one separator at the
+/// end of a line does no harm. Text has no checksum: a line whose damage still reads as the right number of numbers
+/// is taken, and so the native wire is the better choice where the firmware is yours. The first line after
+/// [`FrameDecoder::gap`] is dropped, for it may be the second half of one.
+#[derive(Debug, Clone)]
+pub struct AsciiDecoder {
+    options: AsciiOptions,
+    limit: usize,
+    line: Vec<u8>,
+    state: Hunt,
+    sequence: SequenceTracker,
+    counted: u64,
+    stats: DecoderStats,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Hunt {
+    Start,
+    Line,
+    Skip,
+}
+
+/// \[bytes\] that one number may take on a line.
+const FIELD_LEN: usize = 32;
+
+impl AsciiDecoder {
+    /// A decoder for lines of these columns.
+    #[must_use]
+    pub fn new(options: AsciiOptions) -> Self {
+        let columns = options.channels.unwrap_or(MAX_CHANNELS).min(MAX_CHANNELS) + 2;
+        let typical = options.channels.unwrap_or(64).min(MAX_CHANNELS) * 12;
+        Self {
+            options,
+            limit: columns * FIELD_LEN,
+            line: Vec::new(),
+            state: Hunt::Start,
+            sequence: SequenceTracker::default(),
+            counted: 0,
+            stats: DecoderStats::new(typical),
+        }
+    }
+
+    fn collect(&mut self, bytes: &[u8]) {
+        if self.state != Hunt::Line {
+            return;
+        }
+        if self.line.len() + bytes.len() > self.limit {
+            let limit = self.limit;
+            self.stats
+                .reject(Rejection::Length, || format!("more than {limit} bytes without an end of line"));
+            self.line.clear();
+            self.state = Hunt::Skip;
+            return;
+        }
+        self.line.extend_from_slice(bytes);
+    }
+
+    fn finish(&mut self, rest: usize, received_ns: i64, out: &mut Vec<DecodedFrame>) {
+        match std::mem::replace(&mut self.state, Hunt::Line) {
+            Hunt::Start => self.stats.reject(Rejection::Partial, String::new),
+            Hunt::Skip => {}
+            Hunt::Line => {
+                let mut line = std::mem::take(&mut self.line);
+                self.judge(&line, rest, received_ns, out);
+                line.clear();
+                self.line = line;
+            }
+        }
+    }
+
+    fn judge(&mut self, line: &[u8], rest: usize, received_ns: i64, out: &mut Vec<DecodedFrame>) {
+        let text = match std::str::from_utf8(line) {
+            Ok(text) => text.trim(),
+            Err(_) => {
+                self.stats.reject(Rejection::NotANumber, || "a line is not text".into());
+                return;
+            }
+        };
+        if text.is_empty() || text.starts_with('#') {
+            return;
+        }
+        let parsed = match parse(text, &self.options) {
+            Ok(parsed) => parsed,
+            Err((reason, why)) => {
+                self.stats.reject(reason, || why);
+                return;
+            }
+        };
+        self.stats.valid(rest);
+        let sequence = match parsed.sequence {
+            Some(sequence) => match self.sequence.judge(sequence, parsed.device_time_us, &mut self.stats) {
+                Verdict::Accept(sequence) => sequence,
+                Verdict::Drop => return,
+            },
+            None => self.counted,
+        };
+        self.counted = self.counted.wrapping_add(1);
+        self.stats.frames += 1;
+        out.push(DecodedFrame {
+            sequence,
+            device_time_us: parsed.device_time_us,
+            received_ns,
+            values: parsed.values,
+        });
+    }
+}
+
+impl FrameDecoder for AsciiDecoder {
+    fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<DecodedFrame>) {
+        self.stats.take_in(bytes);
+        let mut rest = bytes;
+        while let Some(end) = rest.iter().position(|b| matches!(b, b'\n' | b'\r')) {
+            self.collect(&rest[..end]);
+            rest = &rest[end + 1..];
+            self.finish(rest.len(), received_ns, out);
+        }
+        self.collect(rest);
+    }
+
+    fn gap(&mut self) {
+        self.line.clear();
+        self.state = Hunt::Start;
+    }
+
+    fn stats(&self) -> &DecoderStats {
+        &self.stats
+    }
+}
+
+struct Line {
+    sequence: Option<u32>,
+    device_time_us: Option<u64>,
+    values: Vec<f32>,
+}
+
+fn parse(text: &str, options: &AsciiOptions) -> Result<Line, (Rejection, String)> {
+    let text = text.strip_suffix([',', ';']).unwrap_or(text);
+    let mut fields: Box<dyn Iterator<Item = &str>> = if text.contains([',', ';']) {
+        Box::new(text.split([',', ';']).map(str::trim))
+    } else {
+        Box::new(text.split_ascii_whitespace())
+    };
+    let mut column = 0;
+    let mut next = |fields: &mut dyn Iterator<Item = &'_ str>, what: &str| match fields.next() {
+        Some(field) => {
+            column += 1;
+            field.parse::<u64>().map_err(|_| {
+                (Rejection::NotANumber, format!("column {column} is `{}`, not a {what}", shown(field)))
+            })
+        }
+        None => Err((Rejection::Channels, format!("a line ends before its {what}"))),
+    };
+    let sequence = match options.sequence {
+        true => Some(u32::try_from(next(&mut fields, "sequence number")? & u64::from(u32::MAX)).unwrap_or(0)),
+        false => None,
+    };
+    let device_time_us = match options.device_time {
+        true => Some(next(&mut fields, "device time in microseconds")?),
+        false => None,
+    };
+    let expected = options.channels;
+    let mut values = Vec::with_capacity(expected.unwrap_or(16).min(MAX_CHANNELS));
+    for field in fields {
+        column += 1;
+        let value = field.parse::<f32>().ok().filter(|v| !v.is_infinite()).ok_or_else(|| {
+            (Rejection::NotANumber, format!("column {column} is `{}`, not a finite number", shown(field)))
+        })?;
+        if values.len() == MAX_CHANNELS {
+            return Err((Rejection::Channels, format!("a line has more than {MAX_CHANNELS} values")));
+        }
+        values.push(value);
+    }
+    if values.is_empty() || expected.is_some_and(|n| n != values.len()) {
+        let expected = expected.map_or("at least 1".into(), |n| n.to_string());
+        let why = format!("the device sends {} values on a line, expected {expected}", values.len());
+        return Err((Rejection::Channels, why));
+    }
+    Ok(Line { sequence, device_time_us: device_time_us.filter(|t| *t != 0), values })
+}
+
+/// The beginning of a field, for a message.
+fn shown(field: &str) -> String {
+    let end = field.char_indices().nth(24).map_or(field.len(), |(i, _)| i);
+    field[..end].escape_debug().to_string()
+}

@@ -1,0 +1,198 @@
+//! What decoders count, and what the counts say.
+
+use std::fmt::Write as _;
+
+use serde::Serialize;
+
+use crate::SourceUrl;
+
+/// Why bytes were not handed out as a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Rejection {
+    /// The checksum does not fit.
+    Crc,
+    /// The bytes between two delimiters are not COBS.
+    Cobs,
+    /// Too short or too long for any frame, or not as long as its header says.
+    Length,
+    /// A sound frame of a wire version that this build does not read.
+    Version,
+    /// A sound frame with an unknown value format.
+    Format,
+    /// A sound frame with another number of channels than the skin has.
+    Channels,
+    /// A field of a text line that is not a number.
+    NotANumber,
+    /// The rest of a frame whose beginning was not received: after connecting, and after a gap.
+    Partial,
+}
+
+/// Counts of rejected frames by reason.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[non_exhaustive]
+pub struct Rejections {
+    /// See [`Rejection::Crc`].
+    pub crc: u64,
+    /// See [`Rejection::Cobs`].
+    pub cobs: u64,
+    /// See [`Rejection::Length`].
+    pub length: u64,
+    /// See [`Rejection::Version`].
+    pub version: u64,
+    /// See [`Rejection::Format`].
+    pub format: u64,
+    /// See [`Rejection::Channels`].
+    pub channels: u64,
+    /// See [`Rejection::NotANumber`].
+    pub not_a_number: u64,
+    /// See [`Rejection::Partial`]; no fault of the device, and not in [`Rejections::total`].
+    pub partial: u64,
+}
+
+impl Rejections {
+    /// Rejected frames that hint at a fault: all but the partial ones.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.crc + self.cobs + self.length + self.version + self.format + self.channels + self.not_a_number
+    }
+}
+
+/// \[bytes\] of the stream kept to show when nothing can be decoded.
+const SAMPLE_LEN: usize = 48;
+/// \[bytes\] without a valid frame before [`DecoderStats::diagnosis`] says anything.
+const DIAGNOSIS_AFTER: u64 = 4096;
+
+/// What a decoder decoded, rejected and lost.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[non_exhaustive]
+pub struct DecoderStats {
+    /// \[bytes\] taken in.
+    pub bytes: u64,
+    /// Frames handed out.
+    pub frames: u64,
+    /// Frames that the device sent and that never came, by the gaps in the sequence.
+    pub lost: u64,
+    /// Frames that came twice and were handed out once.
+    pub duplicates: u64,
+    /// Frames that came after a later one (datagrams overtake each other) and were dropped.
+    pub late: u64,
+    /// Times that the device started its sequence again.
+    pub restarts: u64,
+    /// Times that a valid frame was found again after rejections.
+    pub resyncs: u64,
+    /// Frames rejected, by reason.
+    pub rejected: Rejections,
+    /// One sentence on the latest rejection.
+    pub last_rejection: Option<String>,
+    /// \[bytes\] since the end of the latest valid frame.
+    pub bytes_since_valid: u64,
+    #[serde(skip)]
+    sample: Vec<u8>,
+    #[serde(skip)]
+    unsynced: bool,
+    #[serde(skip)]
+    diagnosis_after: u64,
+}
+
+impl DecoderStats {
+    /// `frame_bytes` is the longest frame that is expected \[bytes\].
+    pub(super) fn new(frame_bytes: usize) -> Self {
+        // Less than a few frames of silence says nothing.
+        Self { diagnosis_after: DIAGNOSIS_AFTER.max(3 * frame_bytes as u64), ..Self::default() }
+    }
+
+    pub(super) fn take_in(&mut self, bytes: &[u8]) {
+        self.bytes += bytes.len() as u64;
+        self.bytes_since_valid += bytes.len() as u64;
+        let room = SAMPLE_LEN.saturating_sub(self.sample.len());
+        self.sample.extend_from_slice(&bytes[..room.min(bytes.len())]);
+    }
+
+    /// A valid frame ended `rest` bytes before the end of what was taken in.
+    pub(super) fn valid(&mut self, rest: usize) {
+        self.bytes_since_valid = rest as u64;
+        self.sample.clear();
+        if self.unsynced {
+            self.unsynced = false;
+            self.resyncs += 1;
+        }
+    }
+
+    pub(super) fn reject(&mut self, reason: Rejection, why: impl FnOnce() -> String) {
+        let r = &mut self.rejected;
+        let counter = match reason {
+            Rejection::Crc => &mut r.crc,
+            Rejection::Cobs => &mut r.cobs,
+            Rejection::Length => &mut r.length,
+            Rejection::Version => &mut r.version,
+            Rejection::Format => &mut r.format,
+            Rejection::Channels => &mut r.channels,
+            Rejection::NotANumber => &mut r.not_a_number,
+            Rejection::Partial => &mut r.partial,
+        };
+        *counter += 1;
+        if reason != Rejection::Partial {
+            // The sentence costs an allocation: at the rate of noise it is made for one rejection in 64.
+            if !self.unsynced || self.rejected.total() % 64 == 1 {
+                self.last_rejection = Some(why());
+            }
+            self.unsynced = true;
+        }
+    }
+
+    /// Says in one sentence why nothing comes out although bytes come in, or `None` while there is no reason to.
+    ///
+    /// `source` is where the bytes come from, so that the sentence can name the baud rate that was set.
+    #[must_use]
+    pub fn diagnosis(&self, source: Option<&SourceUrl>) -> Option<String> {
+        if self.bytes_since_valid < self.diagnosis_after.max(1) {
+            return None;
+        }
+        let mut text = if self.frames == 0 {
+            format!("{} bytes and not one valid frame: ", self.bytes_since_valid)
+        } else {
+            format!(
+                "no valid frame in the last {} bytes, after {} good ones: ",
+                self.bytes_since_valid, self.frames
+            )
+        };
+        let r = &self.rejected;
+        let latest = self.last_rejection.as_deref().unwrap_or("none was complete");
+        let settings = r.version + r.format + r.channels;
+        if settings > 0 && settings * 2 >= r.total() {
+            text.push_str(latest);
+            return Some(text);
+        }
+        let baud = match source {
+            Some(SourceUrl::Serial { baud, .. }) => Some(*baud),
+            _ => None,
+        };
+        let printable =
+            self.sample.iter().filter(|b| matches!(b, b' '..=b'~' | b'\r' | b'\n' | b'\t')).count();
+        if printable == self.sample.len() && r.not_a_number == 0 {
+            text.push_str(
+                "the device sends text, not our binary wire; choose the ascii format, or plug in the skin",
+            );
+        } else if printable == self.sample.len() {
+            text.push_str(
+                "the device sends text that is not lines of numbers, it is probably another device",
+            );
+        } else if let Some(baud) = baud {
+            let _ = write!(text, "wrong baud rate ({baud} set) or a device that speaks another protocol");
+        } else {
+            text.push_str("a device that speaks another protocol");
+        }
+        if printable == self.sample.len() {
+            let shown: String = self.sample.iter().map(|b| char::from(*b)).collect();
+            let _ = write!(text, "; it begins with {shown:?}");
+        } else {
+            text.push_str("; first bytes:");
+            for b in self.sample.iter().take(16) {
+                let _ = write!(text, " {b:02x}");
+            }
+        }
+        Some(text)
+    }
+}

@@ -1,0 +1,376 @@
+//! A byte source that runs by itself: a thread reads, reconnects and reports through a bounded queue.
+
+mod link;
+mod queue;
+mod replay;
+mod serial;
+
+use std::io::{PipeReader, PipeWriter};
+use std::os::fd::AsFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use serde::Serialize;
+
+use crate::SourceUrl;
+use link::{Opener, ReadOutcome};
+use queue::Queue;
+
+/// What a source tells its consumer, in the order in which it happened.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Event {
+    /// The next bytes.
+    Bytes {
+        /// The bytes; one datagram where the source is one of datagrams, else cut anywhere.
+        data: Bytes,
+        /// \[ns since the Unix epoch\] when they were read.
+        received_ns: i64,
+    },
+    /// Bytes are missing here, because the consumer was too slow: call
+    /// [`FrameDecoder::gap`](crate::framing::FrameDecoder::gap).
+    Overflow {
+        /// \[bytes\] dropped, the oldest first.
+        dropped_bytes: u64,
+    },
+    /// Waiting for a device to connect to this address.
+    Listening {
+        /// `ADDRESS:PORT` with the port that is really bound.
+        endpoint: String,
+    },
+    /// The link is up.
+    Connected {
+        /// What it is connected to, for people.
+        description: String,
+    },
+    /// The link is down, or could not be made: call [`FrameDecoder::gap`](crate::framing::FrameDecoder::gap).
+    Disconnected {
+        /// What happened and what to do, for people.
+        reason: String,
+        /// The next attempt starts after this time.
+        retry_in: Duration,
+    },
+    /// Nothing will come any more: a recording is at its end or cannot be read, or the source was stopped. Every
+    /// later event is this one again.
+    Ended,
+}
+
+/// How a source behaves.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct SourceOptions {
+    /// \[bytes\] most that wait for the consumer; the oldest are dropped beyond.
+    pub queue_bytes: usize,
+    /// Most pieces (reads, datagrams) that wait for the consumer.
+    pub queue_chunks: usize,
+    /// Time before the first attempt to reconnect; each further one waits twice as long, give or take a fifth.
+    pub backoff_initial: Duration,
+    /// Longest time between two attempts, before the give and take.
+    pub backoff_max: Duration,
+    /// Longest time that connecting to a server may take.
+    pub connect_timeout: Duration,
+}
+
+impl Default for SourceOptions {
+    /// 1 MiB and 4096 pieces; attempts after 0.1 s, 0.2 s, … 5 s; 3 s to connect.
+    fn default() -> Self {
+        Self {
+            queue_bytes: 1 << 20,
+            queue_chunks: 4096,
+            backoff_initial: Duration::from_millis(100),
+            backoff_max: Duration::from_secs(5),
+            connect_timeout: Duration::from_secs(3),
+        }
+    }
+}
+
+impl SourceOptions {
+    /// Sets the bounds of the queue: \[bytes\] and pieces, at least one piece.
+    #[must_use]
+    pub fn with_queue(mut self, bytes: usize, chunks: usize) -> Self {
+        self.queue_bytes = bytes;
+        self.queue_chunks = chunks.max(1);
+        self
+    }
+
+    /// Sets the first and the longest time between two attempts.
+    #[must_use]
+    pub fn with_backoff(mut self, initial: Duration, max: Duration) -> Self {
+        self.backoff_initial = initial;
+        self.backoff_max = max;
+        self
+    }
+}
+
+/// What a source did so far.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[non_exhaustive]
+pub struct SourceStats {
+    /// \[bytes\] read.
+    pub bytes: u64,
+    /// Pieces (reads, datagrams) read.
+    pub chunks: u64,
+    /// Times that the link came up.
+    pub connects: u64,
+    /// Times that an established link went down.
+    pub disconnects: u64,
+    /// Attempts to connect that failed.
+    pub failed_attempts: u64,
+    /// \[bytes\] dropped because the consumer was too slow.
+    pub dropped_bytes: u64,
+    /// Pieces dropped because the consumer was too slow.
+    pub dropped_chunks: u64,
+    /// \[bytes\] waiting for the consumer.
+    pub queued_bytes: usize,
+    /// Whether the link is up.
+    pub connected: bool,
+    /// \[ns since the Unix epoch\] when the last bytes were read, 0 before the first.
+    pub last_received_ns: i64,
+    /// Why the link is or was down the last time.
+    pub last_reason: Option<String>,
+    /// What others connect to or write to: bound address, or the far end of a pseudo-terminal of ours.
+    pub endpoint: Option<String>,
+}
+
+/// A byte source; dropping it stops its thread and releases the device.
+///
+/// ```no_run
+/// # async fn run() -> Result<(), dermis_transport::TransportError> {
+/// use dermis_transport::{Event, Source, SourceOptions, SourceUrl};
+/// let source = Source::open(SourceUrl::parse("udp://0.0.0.0:7400")?, SourceOptions::default());
+/// loop {
+///     match source.next().await {
+///         Event::Bytes { data, received_ns } => println!("{} bytes at {received_ns}", data.len()),
+///         Event::Disconnected { reason, .. } => eprintln!("{reason}"),
+///         Event::Ended => break,
+///         _ => {}
+///     }
+/// }
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct Source {
+    url: SourceUrl,
+    queue: Arc<Queue>,
+    stop: Option<PipeWriter>,
+    // Set while the thread is in a system call that the stop pipe cannot interrupt (connecting, resolving).
+    busy: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Source {
+    /// Starts to read `url` on a thread of its own. Whatever goes wrong comes as [`Event::Disconnected`], and
+    /// is tried again.
+    #[must_use]
+    pub fn open(url: SourceUrl, options: SourceOptions) -> Self {
+        let queue = Arc::new(Queue::new(options.queue_bytes, options.queue_chunks.max(1)));
+        let busy = Arc::new(AtomicBool::new(false));
+        let mut source = Self { url: url.clone(), queue: queue.clone(), stop: None, busy, thread: None };
+        let spawned = std::io::pipe().and_then(|(stopped, stop)| {
+            let (queue, busy) = (queue.clone(), source.busy.clone());
+            let thread = std::thread::Builder::new()
+                .name("dermis-source".into())
+                .spawn(move || Reader { url, options, queue, stop: Stop(stopped), busy }.run())?;
+            Ok((stop, thread))
+        });
+        match spawned {
+            Ok((stop, thread)) => {
+                source.stop = Some(stop);
+                source.thread = Some(thread);
+            }
+            Err(e) => {
+                let reason = format!("cannot start the reader of {}: {e}", source.url);
+                queue.disconnected(reason, Duration::ZERO, false);
+                queue.end();
+            }
+        }
+        source
+    }
+
+    /// The next event; waits for it. Dropping the future loses nothing.
+    pub async fn next(&self) -> Event {
+        self.queue.next().await
+    }
+
+    /// The next event, or `None` after `timeout`; blocks the thread.
+    pub fn next_timeout(&self, timeout: Duration) -> Option<Event> {
+        self.queue.next_timeout(timeout)
+    }
+
+    /// What was read, dropped and reconnected so far.
+    #[must_use]
+    pub fn stats(&self) -> SourceStats {
+        self.queue.stats()
+    }
+
+    /// Where the bytes come from.
+    #[must_use]
+    pub fn url(&self) -> &SourceUrl {
+        &self.url
+    }
+}
+
+impl Drop for Source {
+    fn drop(&mut self) {
+        self.queue.close();
+        self.stop = None;
+        // Joined so that the device is free again once the source is gone; but nobody waits for a slow name server.
+        if let Some(thread) = self.thread.take()
+            && !self.busy.load(Ordering::Acquire)
+        {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The end of a pipe that hangs up when the source is dropped.
+struct Stop(PipeReader);
+
+impl Stop {
+    /// Waits, or says early that it is time to stop.
+    fn stopped_within(&self, time: Duration) -> bool {
+        let until = Instant::now() + time;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            let mut fds = [PollFd::new(self.0.as_fd(), PollFlags::POLLIN)];
+            match poll(&mut fds, poll_timeout(Some(left))) {
+                Ok(n) if n > 0 => return true,
+                Ok(_) if left.is_zero() => return false,
+                Ok(_) | Err(nix::Error::EINTR) => {}
+                Err(_) => return true,
+            }
+        }
+    }
+}
+
+/// Rounded up, so that a wait never spins through the last fraction of a millisecond.
+fn poll_timeout(time: Option<Duration>) -> PollTimeout {
+    match time {
+        Some(time) => {
+            let ms = time.as_nanos().div_ceil(1_000_000);
+            PollTimeout::from(u16::try_from(ms).unwrap_or(u16::MAX))
+        }
+        None => PollTimeout::NONE,
+    }
+}
+
+struct Reader {
+    url: SourceUrl,
+    options: SourceOptions,
+    queue: Arc<Queue>,
+    stop: Stop,
+    busy: Arc<AtomicBool>,
+}
+
+impl Reader {
+    fn run(self) {
+        if let SourceUrl::Replay { path, speed, topic, repeat } = &self.url {
+            let plan = replay::Plan { path, speed: *speed, topic: topic.as_deref(), repeat: *repeat };
+            if let Err(reason) = replay::run(&plan, &self.queue, &self.stop) {
+                tracing::warn!(source = %self.url, reason, "replay failed");
+                self.queue.disconnected(reason, Duration::ZERO, false);
+            }
+        } else {
+            self.stay_connected();
+        }
+        self.queue.end();
+    }
+
+    fn stay_connected(&self) {
+        let mut opener = Opener::new(&self.url);
+        let mut backoff = Backoff::new(&self.options);
+        loop {
+            let opened = opener.open(self);
+            if self.stop.stopped_within(Duration::ZERO) {
+                return;
+            }
+            let (reason, was_up) = match opened {
+                Ok(Some(mut link)) => {
+                    tracing::info!(source = %self.url, to = link.description(), "connected");
+                    self.queue.connected(link.description());
+                    match self.pump(&mut link, &mut opener, &mut backoff) {
+                        Some(reason) => (reason, true),
+                        None => return,
+                    }
+                }
+                Ok(None) => return,
+                Err(reason) => (reason, false),
+            };
+            let retry_in = backoff.next();
+            tracing::warn!(source = %self.url, reason, ?retry_in, "not connected");
+            self.queue.disconnected(reason, retry_in, was_up);
+            if self.stop.stopped_within(retry_in) {
+                return;
+            }
+        }
+    }
+
+    /// Reads until the link is down, and says why, or `None` when it is time to stop.
+    fn pump(&self, link: &mut link::Link, opener: &mut Opener, backoff: &mut Backoff) -> Option<String> {
+        let mut buffer = vec![0; 1 << 16];
+        loop {
+            match link.read(&mut buffer, &self.stop, opener) {
+                ReadOutcome::Bytes(n) => {
+                    backoff.reset();
+                    self.queue.push(Bytes::copy_from_slice(&buffer[..n]), crate::now_ns());
+                }
+                ReadOutcome::Down(reason) => return Some(reason),
+                ReadOutcome::Stopped => return None,
+            }
+        }
+    }
+}
+
+/// Exponential backoff with jitter, so that many skins on one hub do not all knock at once.
+struct Backoff {
+    initial: Duration,
+    max: Duration,
+    current: Duration,
+}
+
+impl Backoff {
+    fn new(options: &SourceOptions) -> Self {
+        let initial = options.backoff_initial.max(Duration::from_millis(1));
+        Self { initial, max: options.backoff_max.max(initial), current: initial }
+    }
+
+    fn reset(&mut self) {
+        self.current = self.initial;
+    }
+
+    fn next(&mut self) -> Duration {
+        let now = self.current;
+        self.current = (now * 2).min(self.max);
+        now.mul_f64(0.8 + 0.4 * random_fraction())
+    }
+}
+
+/// A number from 0 to 1 that differs from process to process, which is all that jitter needs.
+fn random_fraction() -> f64 {
+    use std::hash::{BuildHasher, RandomState};
+    f64::from((RandomState::new().hash_one(0u8) >> 32) as u32) / f64::from(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn backoff_doubles_to_its_bound_and_starts_again() {
+        let options =
+            SourceOptions::default().with_backoff(Duration::from_millis(100), Duration::from_millis(500));
+        let mut backoff = Backoff::new(&options);
+        for nominal in [100, 200, 400, 500, 500] {
+            let wait = backoff.next().as_secs_f64() * 1e3;
+            let nominal = f64::from(nominal);
+            assert!((0.79 * nominal..=1.21 * nominal).contains(&wait), "{wait} ms for {nominal} ms");
+        }
+        backoff.reset();
+        assert!(backoff.next() <= Duration::from_millis(121));
+    }
+}

@@ -1,0 +1,324 @@
+//! Links: what is read once a source is connected, and how each kind is opened.
+
+use std::io::{self, ErrorKind, Read};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::path::Path;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use nix::poll::{PollFd, PollFlags, poll};
+
+use super::serial::{self, Line, Terminal};
+use super::{Reader, Stop, poll_timeout};
+use crate::{Pty, SourceUrl};
+
+/// How a read ended.
+pub(super) enum ReadOutcome {
+    /// So many bytes are in the buffer, at least one.
+    Bytes(usize),
+    /// The link is down, for this reason.
+    Down(String),
+    /// It is time to stop.
+    Stopped,
+}
+
+enum Wire {
+    Terminal(Terminal),
+    Pty(Pty),
+    Udp { socket: UdpSocket, from: Option<IpAddr> },
+    Tcp(TcpStream),
+}
+
+impl Wire {
+    fn fd(&self) -> BorrowedFd<'_> {
+        match self {
+            Self::Terminal(terminal) => terminal.file().as_fd(),
+            Self::Pty(pty) => pty.as_fd(),
+            Self::Udp { socket, .. } => socket.as_fd(),
+            Self::Tcp(stream) => stream.as_fd(),
+        }
+    }
+
+    /// Reads what is there; `None` when that was nothing of interest.
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<Option<usize>> {
+        match self {
+            Self::Terminal(terminal) => terminal.file().read(buffer).map(Some),
+            Self::Pty(pty) => pty.read(buffer).map(Some),
+            Self::Tcp(stream) => stream.read(buffer).map(Some),
+            Self::Udp { socket, from } => {
+                let (n, sender) = socket.recv_from(buffer)?;
+                let wanted = n > 0 && from.is_none_or(|from| from == sender.ip().to_canonical());
+                Ok(wanted.then_some(n))
+            }
+        }
+    }
+
+    /// What the end of the stream, or this error, means to people.
+    fn down(&self, name: &str, error: Option<&io::Error>) -> String {
+        match (self, error) {
+            (Self::Terminal(_) | Self::Pty(_), None) => {
+                format!("{name} went away: it was unplugged, or lost power")
+            }
+            (Self::Terminal(_) | Self::Pty(_), Some(e))
+                if matches!(
+                    e.raw_os_error().map(nix::errno::Errno::from_raw),
+                    Some(nix::errno::Errno::EIO | nix::errno::Errno::ENXIO | nix::errno::Errno::ENODEV)
+                ) =>
+            {
+                format!("{name} went away: it was unplugged, or lost power")
+            }
+            (Self::Tcp(_), None) => format!("{name} closed the connection"),
+            (_, None) => format!("{name} ended"),
+            (_, Some(e)) => format!("cannot read {name}: {e}"),
+        }
+    }
+}
+
+/// An open link.
+pub(super) struct Link {
+    wire: Wire,
+    /// The other end, for messages.
+    name: String,
+    description: String,
+    idle: Option<Duration>,
+    last: Instant,
+}
+
+impl Link {
+    fn new(wire: Wire, name: String, description: String, idle: Option<Duration>) -> Self {
+        Self { wire, name, description, idle, last: Instant::now() }
+    }
+
+    pub(super) fn description(&self) -> &str {
+        &self.description
+    }
+
+    /// Waits for bytes and reads them.
+    pub(super) fn read(&mut self, buffer: &mut [u8], stop: &Stop, opener: &mut Opener) -> ReadOutcome {
+        loop {
+            let left = self.idle.map(|idle| idle.saturating_sub(self.last.elapsed()));
+            if let (Some(idle), Some(Duration::ZERO)) = (self.idle, left) {
+                return ReadOutcome::Down(format!("{} is silent for {idle:?}", self.name));
+            }
+            let (readable, caller) = {
+                let mut fds = vec![
+                    PollFd::new(self.wire.fd(), PollFlags::POLLIN),
+                    PollFd::new(stop.0.as_fd(), PollFlags::POLLIN),
+                ];
+                if let Some(listener) = &opener.listener {
+                    fds.push(PollFd::new(listener.as_fd(), PollFlags::POLLIN));
+                }
+                match poll(&mut fds, poll_timeout(left)) {
+                    Ok(_) => {}
+                    Err(nix::Error::EINTR) => continue,
+                    Err(e) => return ReadOutcome::Down(format!("cannot wait for {}: {e}", self.name)),
+                }
+                let any = |i: usize| fds.get(i).is_some_and(|fd| fd.any().unwrap_or(true));
+                if any(1) {
+                    return ReadOutcome::Stopped;
+                }
+                (any(0), any(2))
+            };
+            if readable {
+                match self.wire.read(buffer) {
+                    Ok(Some(0)) => return ReadOutcome::Down(self.wire.down(&self.name, None)),
+                    Ok(Some(n)) => {
+                        self.last = Instant::now();
+                        return ReadOutcome::Bytes(n);
+                    }
+                    Ok(None) => {}
+                    Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
+                    Err(e) => return ReadOutcome::Down(self.wire.down(&self.name, Some(&e))),
+                }
+            } else if caller {
+                // A device that lost power never says goodbye to its old connection: the newest one is it.
+                match opener.accept_now() {
+                    Some((stream, peer)) => {
+                        let reason = format!("{} was replaced by a new connection from {peer}", self.name);
+                        opener.waiting = Some((stream, peer));
+                        return ReadOutcome::Down(reason);
+                    }
+                    None => continue,
+                }
+            }
+        }
+    }
+}
+
+/// Opens the link of a URL, again and again; keeps what outlives a link (a bound port).
+pub(super) struct Opener {
+    url: SourceUrl,
+    listener: Option<TcpListener>,
+    waiting: Option<(TcpStream, SocketAddr)>,
+}
+
+impl Opener {
+    pub(super) fn new(url: &SourceUrl) -> Self {
+        Self { url: url.clone(), listener: None, waiting: None }
+    }
+
+    /// A link, the reason why there is none, or `Ok(None)` when it is time to stop.
+    pub(super) fn open(&mut self, reader: &Reader) -> Result<Option<Link>, String> {
+        match &self.url {
+            SourceUrl::Serial { path, baud, parity, stop_bits, idle } => {
+                let line = Line { baud: *baud, parity: *parity, stop_bits: *stop_bits };
+                let terminal = serial::open_serial(path, &line)?;
+                let description = format!("{} at {baud} baud", path.display());
+                Ok(Some(Link::new(Wire::Terminal(terminal), path.display().to_string(), description, *idle)))
+            }
+            SourceUrl::Pty { path: Some(path), .. } => {
+                let terminal = serial::open_plain(path)?;
+                let name = path.display().to_string();
+                Ok(Some(Link::new(Wire::Terminal(terminal), name.clone(), name, None)))
+            }
+            SourceUrl::Pty { path: None, link } => {
+                let (pty, name) = make_pty(link.as_deref())?;
+                reader.queue.set_endpoint(name.clone());
+                let description = format!("pseudo-terminal, write to {name}");
+                Ok(Some(Link::new(Wire::Pty(pty), name, description, None)))
+            }
+            SourceUrl::Udp { bind, from, idle } => {
+                let socket = bind_udp(*bind).map_err(|e| explain_bind("UDP", *bind, &e))?;
+                let local = socket.local_addr().unwrap_or(*bind);
+                reader.queue.set_endpoint(local.to_string());
+                let description = match from {
+                    Some(from) => format!("UDP {local}, from {from}"),
+                    None => format!("UDP {local}"),
+                };
+                let wire = Wire::Udp { socket, from: *from };
+                Ok(Some(Link::new(wire, format!("UDP {local}"), description, *idle)))
+            }
+            SourceUrl::Tcp { address, idle } => {
+                reader.busy.store(true, Ordering::Release);
+                let stream = connect(address, reader.options.connect_timeout);
+                reader.busy.store(false, Ordering::Release);
+                let link =
+                    Link::new(Wire::Tcp(stream?), format!("TCP {address}"), format!("TCP {address}"), *idle);
+                Ok(Some(link))
+            }
+            SourceUrl::TcpListen { bind, idle } => {
+                let (bind, idle) = (*bind, *idle);
+                self.accept(bind, idle, reader)
+            }
+            SourceUrl::Replay { .. } => Err("a recording is not a link".into()),
+        }
+    }
+
+    fn accept(
+        &mut self,
+        bind: SocketAddr,
+        idle: Option<Duration>,
+        reader: &Reader,
+    ) -> Result<Option<Link>, String> {
+        if self.listener.is_none() {
+            let listen = || {
+                let listener = TcpListener::bind(bind)?;
+                listener.set_nonblocking(true)?;
+                Ok((listener.local_addr()?, listener))
+            };
+            let (local, listener) = listen().map_err(|e| explain_bind("TCP", bind, &e))?;
+            reader.queue.listening(local.to_string());
+            self.listener = Some(listener);
+        }
+        loop {
+            if let Some((stream, peer)) = self.waiting.take().or_else(|| self.accept_now()) {
+                let name = format!("TCP client {peer}");
+                return Ok(Some(Link::new(Wire::Tcp(stream), name.clone(), name, idle)));
+            }
+            let Some(listener) = &self.listener else { return Ok(None) };
+            let mut fds = [
+                PollFd::new(listener.as_fd(), PollFlags::POLLIN),
+                PollFd::new(reader.stop.0.as_fd(), PollFlags::POLLIN),
+            ];
+            match poll(&mut fds, poll_timeout(None)) {
+                Ok(_) if fds[1].any().unwrap_or(true) => return Ok(None),
+                Ok(_) | Err(nix::Error::EINTR) => {}
+                Err(e) => return Err(format!("cannot wait for a client at {bind}: {e}")),
+            }
+        }
+    }
+
+    /// The newest waiting client.
+    fn accept_now(&mut self) -> Option<(TcpStream, SocketAddr)> {
+        let listener = self.listener.as_ref()?;
+        let mut newest = None;
+        while let Ok((stream, peer)) = listener.accept() {
+            if stream.set_nonblocking(true).is_ok() {
+                newest = Some((stream, peer));
+            }
+        }
+        newest
+    }
+}
+
+fn make_pty(link: Option<&Path>) -> Result<(Pty, String), String> {
+    let mut pty = Pty::open().map_err(|e| e.to_string())?;
+    let mut name = pty.slave_path().display().to_string();
+    if let Some(link) = link {
+        pty.link(link).map_err(|e| e.to_string())?;
+        name = link.display().to_string();
+    }
+    Ok((pty, name))
+}
+
+fn bind_udp(address: SocketAddr) -> io::Result<UdpSocket> {
+    let group = address.ip();
+    let local = match group {
+        IpAddr::V4(ip) if ip.is_multicast() => SocketAddr::from((Ipv4Addr::UNSPECIFIED, address.port())),
+        IpAddr::V6(ip) if ip.is_multicast() => SocketAddr::from((Ipv6Addr::UNSPECIFIED, address.port())),
+        _ => address,
+    };
+    let socket = UdpSocket::bind(local)?;
+    match group {
+        IpAddr::V4(ip) if ip.is_multicast() => socket.join_multicast_v4(&ip, &Ipv4Addr::UNSPECIFIED)?,
+        IpAddr::V6(ip) if ip.is_multicast() => socket.join_multicast_v6(&ip, 0)?,
+        _ => {}
+    }
+    socket.set_nonblocking(true)?;
+    Ok(socket)
+}
+
+fn connect(address: &str, timeout: Duration) -> Result<TcpStream, String> {
+    let resolved: Vec<SocketAddr> =
+        address.to_socket_addrs().map_err(|e| format!("cannot resolve {address}: {e}"))?.collect();
+    let mut last = format!("cannot resolve {address}: the name has no address");
+    for candidate in resolved {
+        match TcpStream::connect_timeout(&candidate, timeout.max(Duration::from_millis(1))) {
+            Ok(stream) => match stream.set_nonblocking(true) {
+                Ok(()) => return Ok(stream),
+                Err(e) => last = format!("cannot use the connection to {candidate}: {e}"),
+            },
+            Err(e) => {
+                last = match e.kind() {
+                    ErrorKind::ConnectionRefused => {
+                        format!("{address} refuses the connection: nothing listens on that port")
+                    }
+                    ErrorKind::TimedOut => format!(
+                        "{address} does not answer within {timeout:?}: check its power, its cable and the address"
+                    ),
+                    ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {
+                        format!("{address} cannot be reached from this network: {e}")
+                    }
+                    _ => format!("cannot connect to {address}: {e}"),
+                };
+            }
+        }
+    }
+    Err(last)
+}
+
+fn explain_bind(protocol: &str, address: SocketAddr, error: &io::Error) -> String {
+    match error.kind() {
+        ErrorKind::AddrInUse => {
+            format!("{protocol} port {} is in use by another program (ss -lnp names it)", address.port())
+        }
+        ErrorKind::AddrNotAvailable => {
+            format!("{} is no address of this machine; use 0.0.0.0 for all of them", address.ip())
+        }
+        ErrorKind::PermissionDenied => {
+            format!("{protocol} port {} needs privileges; use one from 1024 up", address.port())
+        }
+        _ => format!("cannot bind {protocol} {address}: {error}"),
+    }
+}

@@ -1,0 +1,291 @@
+//! The queue between the reader thread and the consumer: bounded in bytes, in pieces and in status events.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use tokio::sync::Notify;
+
+use super::{Event, SourceStats};
+
+/// Status events that wait for the consumer; a link that flaps while nobody listens must not fill the memory.
+const STATUS_LIMIT: usize = 64;
+
+#[derive(Debug)]
+pub(super) struct Queue {
+    state: Mutex<State>,
+    arrived: Condvar,
+    taken: Condvar,
+    notify: Notify,
+    limit_bytes: usize,
+    limit_chunks: usize,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    events: VecDeque<Event>,
+    chunks: usize,
+    stats: SourceStats,
+    ended: bool,
+    closed: bool,
+}
+
+impl State {
+    fn drop_oldest_bytes(&mut self) {
+        let Some(at) = self.events.iter().position(|e| matches!(e, Event::Bytes { .. })) else { return };
+        let Some(Event::Bytes { data, .. }) = self.events.remove(at) else { return };
+        self.chunks -= 1;
+        self.stats.queued_bytes -= data.len();
+        self.stats.dropped_chunks += 1;
+        self.stats.dropped_bytes += data.len() as u64;
+        match at.checked_sub(1).and_then(|before| self.events.get_mut(before)) {
+            Some(Event::Overflow { dropped_bytes }) => *dropped_bytes += data.len() as u64,
+            _ => self.events.insert(at, Event::Overflow { dropped_bytes: data.len() as u64 }),
+        }
+    }
+
+    fn push_status(&mut self, event: Event) {
+        if self.events.len() - self.chunks >= STATUS_LIMIT {
+            // Nobody has listened through all these changes: what is left of them is that bytes are missing.
+            let mut dropped = 0;
+            for event in self.events.drain(..) {
+                match event {
+                    Event::Bytes { data, .. } => {
+                        self.stats.dropped_chunks += 1;
+                        self.stats.dropped_bytes += data.len() as u64;
+                        dropped += data.len() as u64;
+                    }
+                    Event::Overflow { dropped_bytes } => dropped += dropped_bytes,
+                    _ => {}
+                }
+            }
+            self.chunks = 0;
+            self.stats.queued_bytes = 0;
+            self.events.push_back(Event::Overflow { dropped_bytes: dropped });
+        }
+        self.events.push_back(event);
+    }
+
+    fn pop(&mut self) -> Option<Event> {
+        match self.events.pop_front() {
+            Some(Event::Bytes { data, received_ns }) => {
+                self.chunks -= 1;
+                self.stats.queued_bytes -= data.len();
+                Some(Event::Bytes { data, received_ns })
+            }
+            Some(event) => Some(event),
+            None => (self.ended || self.closed).then_some(Event::Ended),
+        }
+    }
+}
+
+impl Queue {
+    pub(super) fn new(limit_bytes: usize, limit_chunks: usize) -> Self {
+        Self {
+            state: Mutex::default(),
+            arrived: Condvar::new(),
+            taken: Condvar::new(),
+            notify: Notify::new(),
+            limit_bytes,
+            limit_chunks,
+        }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        // Nothing in here leaves the state half-changed, so that a panic elsewhere does no harm to it.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wake(&self, state: MutexGuard<'_, State>) {
+        drop(state);
+        self.arrived.notify_one();
+        self.notify.notify_one();
+    }
+
+    /// Appends bytes, and drops the oldest where the consumer is too slow.
+    pub(super) fn push(&self, data: Bytes, received_ns: i64) {
+        let mut state = self.state();
+        self.count(&mut state, &data, received_ns);
+        while state.chunks > 0
+            && (state.chunks >= self.limit_chunks || state.stats.queued_bytes + data.len() > self.limit_bytes)
+        {
+            state.drop_oldest_bytes();
+        }
+        self.append(state, data, received_ns);
+    }
+
+    /// Appends bytes, and waits where the consumer is too slow: for sources that can wait. False when closed.
+    pub(super) fn push_waiting(&self, data: Bytes, received_ns: impl FnOnce() -> i64) -> bool {
+        let mut state = self.state();
+        while !state.closed
+            && state.chunks > 0
+            && (state.chunks >= self.limit_chunks || state.stats.queued_bytes + data.len() > self.limit_bytes)
+        {
+            state = self.taken.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        if state.closed {
+            return false;
+        }
+        let received_ns = received_ns();
+        self.count(&mut state, &data, received_ns);
+        self.append(state, data, received_ns);
+        true
+    }
+
+    fn count(&self, state: &mut State, data: &Bytes, received_ns: i64) {
+        state.stats.bytes += data.len() as u64;
+        state.stats.chunks += 1;
+        state.stats.last_received_ns = received_ns;
+    }
+
+    fn append(&self, mut state: MutexGuard<'_, State>, data: Bytes, received_ns: i64) {
+        state.chunks += 1;
+        state.stats.queued_bytes += data.len();
+        state.events.push_back(Event::Bytes { data, received_ns });
+        self.wake(state);
+    }
+
+    pub(super) fn connected(&self, description: &str) {
+        let mut state = self.state();
+        state.stats.connects += 1;
+        state.stats.connected = true;
+        state.push_status(Event::Connected { description: description.to_owned() });
+        self.wake(state);
+    }
+
+    pub(super) fn listening(&self, endpoint: String) {
+        let mut state = self.state();
+        state.stats.endpoint = Some(endpoint.clone());
+        state.push_status(Event::Listening { endpoint });
+        self.wake(state);
+    }
+
+    pub(super) fn set_endpoint(&self, endpoint: String) {
+        self.state().stats.endpoint = Some(endpoint);
+    }
+
+    pub(super) fn disconnected(&self, reason: String, retry_in: Duration, was_up: bool) {
+        let mut state = self.state();
+        if was_up {
+            state.stats.disconnects += 1;
+        } else {
+            state.stats.failed_attempts += 1;
+        }
+        state.stats.connected = false;
+        state.stats.last_reason = Some(reason.clone());
+        state.push_status(Event::Disconnected { reason, retry_in });
+        self.wake(state);
+    }
+
+    /// No event will be pushed any more.
+    pub(super) fn end(&self) {
+        let mut state = self.state();
+        state.ended = true;
+        state.stats.connected = false;
+        drop(state);
+        self.arrived.notify_all();
+        self.notify.notify_one();
+    }
+
+    /// Nobody will take events any more.
+    pub(super) fn close(&self) {
+        self.state().closed = true;
+        self.taken.notify_all();
+    }
+
+    pub(super) async fn next(&self) -> Event {
+        loop {
+            if let Some(event) = self.take(self.state()) {
+                return event;
+            }
+            // A permit is kept for a wake-up between the look and the wait.
+            self.notify.notified().await;
+        }
+    }
+
+    pub(super) fn next_timeout(&self, timeout: Duration) -> Option<Event> {
+        let until = Instant::now() + timeout;
+        let mut state = self.state();
+        loop {
+            if let Some(event) = state.pop() {
+                drop(state);
+                self.taken.notify_one();
+                return Some(event);
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return None;
+            }
+            state = self.arrived.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    fn take(&self, mut state: MutexGuard<'_, State>) -> Option<Event> {
+        let event = state.pop();
+        drop(state);
+        if event.is_some() {
+            self.taken.notify_one();
+        }
+        event
+    }
+
+    pub(super) fn stats(&self) -> SourceStats {
+        self.state().stats.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bytes(n: usize) -> Bytes {
+        Bytes::from(vec![n as u8; n])
+    }
+
+    #[test]
+    fn the_oldest_bytes_go_and_the_hole_is_marked_where_it_is() {
+        let queue = Queue::new(10, 100);
+        queue.connected("here");
+        for n in [4, 5, 6, 3] {
+            queue.push(bytes(n), 0);
+        }
+        let got: Vec<_> = std::iter::from_fn(|| queue.next_timeout(Duration::ZERO)).collect();
+        assert_eq!(
+            got,
+            [
+                Event::Connected { description: "here".into() },
+                Event::Overflow { dropped_bytes: 9 },
+                Event::Bytes { data: bytes(6), received_ns: 0 },
+                Event::Bytes { data: bytes(3), received_ns: 0 },
+            ]
+        );
+        let stats = queue.stats();
+        assert_eq!((stats.dropped_bytes, stats.dropped_chunks, stats.queued_bytes), (9, 2, 0));
+    }
+
+    #[test]
+    fn nothing_grows_while_nobody_listens() {
+        let queue = Queue::new(1000, 20);
+        for i in 0..10_000 {
+            queue.push(bytes(1 + i % 200), 0);
+            if i % 7 == 0 {
+                queue.disconnected("gone".into(), Duration::ZERO, true);
+                queue.connected("back");
+            }
+        }
+        let state = queue.state();
+        assert!(state.chunks <= 20 && state.stats.queued_bytes <= 1000);
+        assert!(state.events.len() <= 20 + 2 * STATUS_LIMIT + 1, "{} events", state.events.len());
+    }
+
+    #[test]
+    fn ended_comes_last_and_for_ever() {
+        let queue = Queue::new(10, 10);
+        queue.push(bytes(1), 5);
+        queue.end();
+        assert!(matches!(queue.next_timeout(Duration::ZERO), Some(Event::Bytes { received_ns: 5, .. })));
+        assert_eq!(queue.next_timeout(Duration::ZERO), Some(Event::Ended));
+        assert_eq!(queue.next_timeout(Duration::ZERO), Some(Event::Ended));
+    }
+}

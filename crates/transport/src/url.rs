@@ -1,0 +1,481 @@
+//! Where bytes come from, written as a URL.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Display, Write as _};
+use std::net::{IpAddr, SocketAddr};
+use std::path::PathBuf;
+use std::time::Duration;
+
+use crate::TransportError;
+
+/// Parity bit of a serial line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Parity {
+    /// No parity bit, as nearly every device has it.
+    #[default]
+    None,
+    /// Even parity.
+    Even,
+    /// Odd parity.
+    Odd,
+}
+
+/// A place that bytes come from.
+///
+/// | URL | meaning |
+/// |---|---|
+/// | `serial:///dev/ttyACM0?baud=921600&parity=none&stop=1&idle=2` | a serial line, opened exclusively, raw, 8 bits |
+/// | `udp://0.0.0.0:7400?from=192.168.1.20` | datagrams that arrive at this address; a multicast address is joined |
+/// | `tcp://192.168.1.20:7400?idle=10` | connect to a server |
+/// | `tcp-listen://0.0.0.0:7400`, `tcp://0.0.0.0:7400?listen` | serve, the newest client is the device |
+/// | `pty:///dev/pts/3` | an existing terminal, no line settings and no lock |
+/// | `pty://`, `pty://?link=/tmp/skin` | make a pseudo-terminal and read what is written to its far end |
+/// | `replay:///data/bag?speed=1&topic=/skin/taxels&loop=false` | the `TaxelFrame`s of a rosbag2 (folder or `.mcap`) as native wire |
+///
+/// `idle=SECONDS` reconnects when a link is silent for so long; without it silence is no reason to.
+/// Paths may hold `%XX` escapes; `?`, `&` and `%` in a path must be written so.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum SourceUrl {
+    /// A serial line.
+    Serial {
+        /// Device file, such as `/dev/ttyACM0` or a link under `/dev/serial/by-id`.
+        path: PathBuf,
+        /// \[baud\] line rate; USB devices of class CDC-ACM ignore it.
+        baud: u32,
+        /// Parity bit.
+        parity: Parity,
+        /// Stop bits, 1 or 2.
+        stop_bits: u8,
+        /// Reconnect after so long without a byte.
+        idle: Option<Duration>,
+    },
+    /// Datagrams.
+    Udp {
+        /// Local address to bind, or a multicast group to join.
+        bind: SocketAddr,
+        /// Take datagrams of this sender only.
+        from: Option<IpAddr>,
+        /// Bind again after so long without a datagram.
+        idle: Option<Duration>,
+    },
+    /// Connect to a server.
+    Tcp {
+        /// `HOST:PORT`, the host a name or an address.
+        address: String,
+        /// Reconnect after so long without a byte.
+        idle: Option<Duration>,
+    },
+    /// Wait for the device to connect.
+    TcpListen {
+        /// Local address; port 0 takes a free one.
+        bind: SocketAddr,
+        /// Drop the client after so long without a byte.
+        idle: Option<Duration>,
+    },
+    /// A pseudo-terminal.
+    Pty {
+        /// An existing terminal, or `None` to make a pair and read its master end.
+        path: Option<PathBuf>,
+        /// Symbolic link to make to the slave end of a new pair.
+        link: Option<PathBuf>,
+    },
+    /// Recorded frames.
+    Replay {
+        /// A rosbag2 folder or an `.mcap` file.
+        path: PathBuf,
+        /// Factor on the recorded pace; 0 is as fast as the consumer takes them.
+        speed: f64,
+        /// Topic to replay; without it every topic of type `TaxelFrame` must be the same one.
+        topic: Option<String>,
+        /// Start again at the end.
+        repeat: bool,
+    },
+}
+
+const SCHEMES: &[&str] = &["serial", "udp", "tcp", "tcp-listen", "pty", "replay"];
+
+/// \[baud\] rate of a serial URL that names none.
+pub(crate) const DEFAULT_BAUD: u32 = 115_200;
+
+impl SourceUrl {
+    /// Reads a URL.
+    ///
+    /// # Errors
+    /// Every variant of [`TransportError`] about URLs; each names the part at fault and what is valid there.
+    pub fn parse(text: &str) -> Result<Self, TransportError> {
+        let url = text.trim();
+        let Some((scheme, rest)) = url.split_once("://") else {
+            return Err(TransportError::NotAUrl { url: url.into(), valid: SCHEMES.join(", ") });
+        };
+        let (target, query) = rest.split_once('?').unwrap_or((rest, ""));
+        let parser = |scheme, valid: &[&str]| Query::parse(url, scheme, target, query, valid);
+        match scheme.to_ascii_lowercase().as_str() {
+            "serial" => {
+                let mut q = parser("serial", &["baud", "parity", "stop", "idle"])?;
+                let path = q.path("a device file, as in serial:///dev/ttyACM0?baud=115200")?;
+                let baud = q.take_with("baud", "a rate from 50 to 12000000", |v| {
+                    v.parse::<u32>().ok().filter(|b| (50..=12_000_000).contains(b))
+                })?;
+                let parity = q.take_with("parity", "none, even or odd", |v| match v {
+                    "none" => Some(Parity::None),
+                    "even" => Some(Parity::Even),
+                    "odd" => Some(Parity::Odd),
+                    _ => None,
+                })?;
+                let stop_bits = q.take_with("stop", "1 or 2", |v| match v {
+                    "1" => Some(1),
+                    "2" => Some(2),
+                    _ => None,
+                })?;
+                Ok(Self::Serial {
+                    path,
+                    baud: baud.unwrap_or(DEFAULT_BAUD),
+                    parity: parity.unwrap_or_default(),
+                    stop_bits: stop_bits.unwrap_or(1),
+                    idle: q.idle()?,
+                })
+            }
+            "udp" => {
+                let mut q = parser("udp", &["from", "idle"])?;
+                let bind = q.socket_addr()?;
+                let from = q.take_with("from", "an IP address", |v| v.parse().ok())?;
+                Ok(Self::Udp { bind, from, idle: q.idle()? })
+            }
+            "tcp" => {
+                let mut q = parser("tcp", &["listen", "idle"])?;
+                if q.flag("listen")? {
+                    return Ok(Self::TcpListen { bind: q.socket_addr()?, idle: q.idle()? });
+                }
+                Ok(Self::Tcp { address: q.host_port()?, idle: q.idle()? })
+            }
+            "tcp-listen" => {
+                let mut q = parser("tcp-listen", &["idle"])?;
+                Ok(Self::TcpListen { bind: q.socket_addr()?, idle: q.idle()? })
+            }
+            "pty" => {
+                let mut q = parser("pty", &["link"])?;
+                let link = q.take_with("link", "a path", |v| (!v.is_empty()).then(|| PathBuf::from(v)))?;
+                if target.is_empty() {
+                    return Ok(Self::Pty { path: None, link });
+                }
+                let path = q.path("a terminal, as in pty:///dev/pts/3, or nothing to make one")?;
+                if let Some(link) = link {
+                    return Err(q.invalid(
+                        "link",
+                        &link.display().to_string(),
+                        "left out where a path is given",
+                    ));
+                }
+                Ok(Self::Pty { path: Some(path), link: None })
+            }
+            "replay" => {
+                let mut q = parser("replay", &["speed", "topic", "loop"])?;
+                let path = q.path("a rosbag2 folder or .mcap file, as in replay:///data/bag")?;
+                let speed = q.take_with("speed", "0 (as fast as possible) or a positive factor", |v| {
+                    v.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0)
+                })?;
+                let topic =
+                    q.take_with("topic", "a topic name", |v| (!v.is_empty()).then(|| v.to_owned()))?;
+                Ok(Self::Replay { path, speed: speed.unwrap_or(1.0), topic, repeat: q.flag("loop")? })
+            }
+            _ => Err(TransportError::UnknownScheme {
+                url: url.into(),
+                scheme: scheme.into(),
+                valid: SCHEMES.join(", "),
+            }),
+        }
+    }
+}
+
+impl std::str::FromStr for SourceUrl {
+    type Err = TransportError;
+
+    fn from_str(text: &str) -> Result<Self, TransportError> {
+        Self::parse(text)
+    }
+}
+
+/// Writes the URL such that [`SourceUrl::parse`] reads the same value back.
+impl Display for SourceUrl {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let idle_key = |idle: &Option<Duration>| idle.map(|d| format!("idle={}", d.as_secs_f64()));
+        let (base, keys): (String, Vec<Option<String>>) = match self {
+            Self::Serial { path, baud, parity, stop_bits, idle } => (
+                format!("serial://{}", escape(&path.to_string_lossy())),
+                vec![
+                    Some(format!("baud={baud}")),
+                    match parity {
+                        Parity::None => None,
+                        Parity::Even => Some("parity=even".into()),
+                        Parity::Odd => Some("parity=odd".into()),
+                    },
+                    (*stop_bits == 2).then(|| "stop=2".into()),
+                    idle_key(idle),
+                ],
+            ),
+            Self::Udp { bind, from, idle } => {
+                (format!("udp://{bind}"), vec![from.map(|a| format!("from={a}")), idle_key(idle)])
+            }
+            Self::Tcp { address, idle } => (format!("tcp://{address}"), vec![idle_key(idle)]),
+            Self::TcpListen { bind, idle } => (format!("tcp-listen://{bind}"), vec![idle_key(idle)]),
+            Self::Pty { path, link } => (
+                format!("pty://{}", path.as_ref().map_or(String::new(), |p| escape(&p.to_string_lossy()))),
+                vec![link.as_ref().map(|l| format!("link={}", escape(&l.to_string_lossy())))],
+            ),
+            Self::Replay { path, speed, topic, repeat } => (
+                format!("replay://{}", escape(&path.to_string_lossy())),
+                vec![
+                    (*speed != 1.0).then(|| format!("speed={speed}")),
+                    topic.as_ref().map(|t| format!("topic={}", escape(t))),
+                    repeat.then(|| "loop=true".into()),
+                ],
+            ),
+        };
+        f.write_str(&base)?;
+        for (i, key) in keys.into_iter().flatten().enumerate() {
+            f.write_char(if i == 0 { '?' } else { '&' })?;
+            f.write_str(&key)?;
+        }
+        Ok(())
+    }
+}
+
+struct Query<'a> {
+    url: &'a str,
+    target: &'a str,
+    keys: BTreeMap<String, String>,
+}
+
+impl<'a> Query<'a> {
+    fn parse(
+        url: &'a str,
+        scheme: &'static str,
+        target: &'a str,
+        query: &str,
+        valid: &[&str],
+    ) -> Result<Self, TransportError> {
+        let mut keys = BTreeMap::new();
+        for pair in query.split('&').filter(|p| !p.is_empty()) {
+            let (key, value) = pair.split_once('=').unwrap_or((pair, ""));
+            if !valid.contains(&key) {
+                return Err(TransportError::UnknownKey {
+                    url: url.into(),
+                    scheme,
+                    key: key.into(),
+                    valid: valid.join(", "),
+                });
+            }
+            let Some(value) = unescape(value) else {
+                return Err(TransportError::InvalidValue {
+                    url: url.into(),
+                    key: key.into(),
+                    value: value.into(),
+                    expected: "UTF-8 text with % only in %XX escapes".into(),
+                });
+            };
+            if keys.insert(key.to_owned(), value).is_some() {
+                return Err(TransportError::DuplicateKey { url: url.into(), key: key.into() });
+            }
+        }
+        Ok(Self { url, target, keys })
+    }
+
+    fn invalid(&self, key: &str, value: &str, expected: &str) -> TransportError {
+        TransportError::InvalidValue {
+            url: self.url.into(),
+            key: key.into(),
+            value: value.into(),
+            expected: expected.into(),
+        }
+    }
+
+    fn take_with<T>(
+        &mut self,
+        key: &str,
+        expected: &str,
+        read: impl FnOnce(&str) -> Option<T>,
+    ) -> Result<Option<T>, TransportError> {
+        let Some(value) = self.keys.remove(key) else { return Ok(None) };
+        read(&value).map(Some).ok_or_else(|| self.invalid(key, &value, expected))
+    }
+
+    fn flag(&mut self, key: &str) -> Result<bool, TransportError> {
+        let value = self.take_with(key, "true or false", |v| match v {
+            "" | "true" | "1" => Some(true),
+            "false" | "0" => Some(false),
+            _ => None,
+        })?;
+        Ok(value.unwrap_or(false))
+    }
+
+    fn idle(&mut self) -> Result<Option<Duration>, TransportError> {
+        self.take_with("idle", "seconds, 0.001 to 86400", |v| {
+            let seconds = v.parse::<f64>().ok().filter(|s| (0.001..=86_400.0).contains(s))?;
+            Duration::try_from_secs_f64(seconds).ok()
+        })
+    }
+
+    fn target_error(&self, what: &'static str, expected: &str) -> TransportError {
+        TransportError::InvalidTarget { url: self.url.into(), what, expected: expected.into() }
+    }
+
+    fn path(&self, expected: &str) -> Result<PathBuf, TransportError> {
+        match unescape(self.target) {
+            Some(path) if !path.is_empty() && !path.contains('\0') => Ok(PathBuf::from(path)),
+            _ => Err(self.target_error("path", &format!("expected {expected}"))),
+        }
+    }
+
+    fn socket_addr(&self) -> Result<SocketAddr, TransportError> {
+        self.target.parse().map_err(|_| {
+            self.target_error(
+                "address",
+                "expected ADDRESS:PORT of this machine, as in 0.0.0.0:7400 or [::]:7400",
+            )
+        })
+    }
+
+    fn host_port(&self) -> Result<String, TransportError> {
+        let valid = self.target.rsplit_once(':').is_some_and(|(host, port)| {
+            !host.is_empty() && !host.contains(['/', '%']) && port.parse::<u16>().is_ok_and(|p| p != 0)
+        });
+        if valid {
+            Ok(self.target.to_owned())
+        } else {
+            Err(self.target_error("address", "expected HOST:PORT, as in 192.168.1.20:7400"))
+        }
+    }
+}
+
+fn unescape(text: &str) -> Option<String> {
+    let mut out = Vec::with_capacity(text.len());
+    let mut bytes = text.bytes();
+    while let Some(b) = bytes.next() {
+        if b == b'%' {
+            let high = char::from(bytes.next()?).to_digit(16)?;
+            let low = char::from(bytes.next()?).to_digit(16)?;
+            out.push(u8::try_from(high * 16 + low).ok()?);
+        } else {
+            out.push(b);
+        }
+    }
+    String::from_utf8(out).ok()
+}
+
+fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        if matches!(c, '%' | '?' | '&' | '=' | '#') || c.is_whitespace() || c.is_control() {
+            let mut utf8 = [0; 4];
+            for b in c.encode_utf8(&mut utf8).bytes() {
+                let _ = write!(out, "%{b:02X}");
+            }
+        } else {
+            out.push(c);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn error(url: &str) -> String {
+        SourceUrl::parse(url).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn reads_every_scheme() {
+        assert_eq!(
+            SourceUrl::parse("serial:///dev/ttyACM0?baud=921600&parity=even&stop=2&idle=0.5").unwrap(),
+            SourceUrl::Serial {
+                path: "/dev/ttyACM0".into(),
+                baud: 921_600,
+                parity: Parity::Even,
+                stop_bits: 2,
+                idle: Some(Duration::from_millis(500)),
+            }
+        );
+        assert_eq!(
+            SourceUrl::parse("udp://[::]:7400?from=fe80::1").unwrap(),
+            SourceUrl::Udp {
+                bind: "[::]:7400".parse().unwrap(),
+                from: Some("fe80::1".parse().unwrap()),
+                idle: None
+            }
+        );
+        assert_eq!(
+            SourceUrl::parse("tcp://skin.local:7400").unwrap(),
+            SourceUrl::Tcp { address: "skin.local:7400".into(), idle: None }
+        );
+        let listen = SourceUrl::TcpListen { bind: "0.0.0.0:7400".parse().unwrap(), idle: None };
+        assert_eq!(SourceUrl::parse("tcp-listen://0.0.0.0:7400").unwrap(), listen);
+        assert_eq!(SourceUrl::parse("tcp://0.0.0.0:7400?listen").unwrap(), listen);
+        assert_eq!(SourceUrl::parse("pty://").unwrap(), SourceUrl::Pty { path: None, link: None });
+        assert_eq!(
+            SourceUrl::parse("replay:///data/my%20bag?speed=0&topic=/skin/taxels&loop=true").unwrap(),
+            SourceUrl::Replay {
+                path: "/data/my bag".into(),
+                speed: 0.0,
+                topic: Some("/skin/taxels".into()),
+                repeat: true
+            }
+        );
+        assert_eq!(
+            SourceUrl::parse("replay://bags/first").unwrap(),
+            SourceUrl::Replay { path: "bags/first".into(), speed: 1.0, topic: None, repeat: false }
+        );
+    }
+
+    #[test]
+    fn errors_name_the_part_and_what_is_valid() {
+        insta::assert_snapshot!(error("/dev/ttyACM0"), @"source `/dev/ttyACM0` is not a URL: write it as SCHEME://…, where SCHEME is one of serial, udp, tcp, tcp-listen, pty, replay");
+        insta::assert_snapshot!(error("usb:///dev/ttyACM0"), @"source `usb:///dev/ttyACM0` has the unknown scheme `usb`; valid schemes are serial, udp, tcp, tcp-listen, pty, replay");
+        insta::assert_snapshot!(error("serial:///dev/ttyACM0?baudrate=9600"), @"source `serial:///dev/ttyACM0?baudrate=9600` has the unknown key `baudrate`; valid keys of serial:// are baud, parity, stop, idle");
+        insta::assert_snapshot!(error("serial:///dev/ttyACM0?baud=fast"), @"source `serial:///dev/ttyACM0?baud=fast` has baud=fast, but baud must be a rate from 50 to 12000000");
+        insta::assert_snapshot!(error("serial://?baud=9600"), @"source `serial://?baud=9600` has no usable path: expected a device file, as in serial:///dev/ttyACM0?baud=115200");
+        insta::assert_snapshot!(error("udp://localhost"), @"source `udp://localhost` has no usable address: expected ADDRESS:PORT of this machine, as in 0.0.0.0:7400 or [::]:7400");
+        insta::assert_snapshot!(error("tcp://host"), @"source `tcp://host` has no usable address: expected HOST:PORT, as in 192.168.1.20:7400");
+        insta::assert_snapshot!(error("replay://b?speed=-1"), @"source `replay://b?speed=-1` has speed=-1, but speed must be 0 (as fast as possible) or a positive factor");
+        insta::assert_snapshot!(error("replay://b?speed=1&speed=2"), @"source `replay://b?speed=1&speed=2` gives the key `speed` twice");
+    }
+
+    fn any_url() -> impl Strategy<Value = SourceUrl> {
+        let idle = || proptest::option::of((1u64..86_400_000).prop_map(Duration::from_millis));
+        let path = || "/[a-z %?&=é]{1,12}".prop_map(PathBuf::from);
+        let addr = || (any::<[u8; 4]>(), any::<u16>()).prop_map(|(ip, port)| SocketAddr::from((ip, port)));
+        prop_oneof![
+            (path(), 50u32..=12_000_000, 0u8..3, 1u8..=2, idle()).prop_map(
+                |(path, baud, p, stop_bits, idle)| {
+                    let parity = [Parity::None, Parity::Even, Parity::Odd][usize::from(p)];
+                    SourceUrl::Serial { path, baud, parity, stop_bits, idle }
+                }
+            ),
+            (addr(), proptest::option::of(any::<[u8; 4]>()), idle())
+                .prop_map(|(bind, from, idle)| SourceUrl::Udp { bind, from: from.map(IpAddr::from), idle }),
+            ("[a-z]{1,8}", 1u16.., idle())
+                .prop_map(|(host, port, idle)| SourceUrl::Tcp { address: format!("{host}:{port}"), idle }),
+            (addr(), idle()).prop_map(|(bind, idle)| SourceUrl::TcpListen { bind, idle }),
+            proptest::option::of(path()).prop_map(|path| SourceUrl::Pty { path, link: None }),
+            path().prop_map(|link| SourceUrl::Pty { path: None, link: Some(link) }),
+            (path(), 0.0..100.0, proptest::option::of("/[a-z/]{1,9}"), any::<bool>())
+                .prop_map(|(path, speed, topic, repeat)| SourceUrl::Replay { path, speed, topic, repeat }),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn display_reads_back(url in any_url()) {
+            prop_assert_eq!(SourceUrl::parse(&url.to_string()).unwrap(), url);
+        }
+
+        #[test]
+        fn never_panics(text in "(serial|udp|tcp|pty|replay)?(://)?.{0,40}") {
+            let _ = SourceUrl::parse(&text);
+        }
+    }
+}
