@@ -1,3 +1,73 @@
-//! Developer commands.
+//! Developer commands: `cargo xtask test` passes every test, `cargo xtask targets` measures every figure.
 
-fn main() {}
+mod environment;
+mod layers;
+mod measure;
+mod run;
+mod targets;
+mod test;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(name = "cargo xtask", about = "Developer commands of dermis")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Set up what the tests need and run every one of them: formatting, lints, licences, unit tests, tests across
+    /// processes, ROS 2.
+    Test(test::Options),
+    /// Set up the Python clients and ROS 2 (under .dermis/), and print the variables that point at them.
+    Setup {
+        /// Leave ROS 2 out.
+        #[arg(long)]
+        no_ros: bool,
+    },
+    /// Run a command with the ROS 2 environment of the tests, e.g. `cargo xtask ros -- target/release/dermis demo --backend ros2`.
+    Ros {
+        /// The command and its arguments.
+        #[arg(trailing_var_arg = true, required = true)]
+        command: Vec<String>,
+    },
+    /// Measure the figures of targets.toml again; exits with 1 where a bound is missed.
+    Targets(targets::Options),
+    /// Take one measurement and print it as JSON; targets.toml names these.
+    #[command(subcommand)]
+    Measure(measure::Measurement),
+    /// Check that imports between crates run one way.
+    Layers,
+}
+
+fn main() -> Result<()> {
+    let root = run::root()?;
+    match Cli::parse().command {
+        Command::Test(options) => test::run(&root, &options),
+        Command::Setup { no_ros } => {
+            let clients = environment::clients(&root)?;
+            println!("DERMIS_CLIENT_PYTHON={}", clients.display());
+            if !no_ros {
+                for (name, value) in environment::ros(&root)?.variables() {
+                    println!("{name}={value}");
+                }
+            }
+            Ok(())
+        }
+        Command::Ros { command } => {
+            let ros = environment::ros(&root)?;
+            let mut it = command.iter();
+            let program = it.next().map(String::as_str).unwrap_or_default();
+            let mut child = std::process::Command::new(program);
+            child.args(it).envs(ros.variables());
+            let status = child.status()?;
+            std::process::exit(status.code().unwrap_or(1));
+        }
+        Command::Targets(options) => targets::run(&root, &options),
+        Command::Measure(measurement) => measure::run(&root, &measurement),
+        Command::Layers => layers::check(&root),
+    }
+}

@@ -1,1 +1,367 @@
-//! Everything for clients that know no ROS: JSON over zenoh.
+//! Everything that skins publish, for clients that know no ROS: JSON over zenoh.
+//!
+//! | key | value |
+//! |---|---|
+//! | `dermis/<robot>/<skin>/contacts` | `dermis_msgs/msg/ContactArray` as JSON, at every frame |
+//! | `dermis/<robot>/<skin>/taxels`, `force_map`, `skin_geometry`, … | the other topics of the skin, under the last part of their name |
+//! | `dermis/<robot>/schemas/<pkg>/msg/<Type>` | text of the message definition |
+//!
+//! Every key answers a `get` with the latest value (so a late client sees the geometry at once), and values carry
+//! the encoding `application/json`. A liveliness token stands on `dermis/<robot>/<skin>` while the skin's topics
+//! exist. NaN becomes `null`, because JSON has no NaN.
+//!
+//! The bridge finds skins by itself: whatever is published in the ROS domain with a type of `dermis_msgs` that names
+//! its skin is bridged. A message is decoded only here, once, from the bytes that ROS 2 clients get.
+//!
+//! ```no_run
+//! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
+//! use dermis_bridge_zenoh::{Bridge, BridgeConfig};
+//! use dermis_node::{HirozBackend, Node, NodeOptions};
+//!
+//! let node = Node::open(NodeOptions::new("zenoh_bridge"), HirozBackend::shared())?;
+//! let bridge = Bridge::open(&node, BridgeConfig { robot: "left_arm".into(), ..BridgeConfig::default() }).await?;
+//! node.wait_for_shutdown().await;
+//! bridge.close().await;
+//! # Ok(())
+//! # }
+//! ```
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use dermis_msgs::{TypeSupport, type_support};
+use dermis_node::{Node, Qos, Subscription};
+use serde::{Deserialize, Serialize};
+use tokio::task::JoinHandle;
+use tracing::{info, warn};
+use zenoh::bytes::Encoding;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::{Session, Wait};
+
+/// Types that say which skin they are about, and are therefore bridged.
+const BRIDGED: [&str; 5] = [
+    "dermis_msgs/msg/ContactArray",
+    "dermis_msgs/msg/TaxelFrame",
+    "dermis_msgs/msg/ForceMap",
+    "dermis_msgs/msg/SkinGeometry",
+    "dermis_msgs/msg/Indentation",
+];
+
+/// How often the ROS graph is looked at for new skins.
+const LOOK_AROUND: Duration = Duration::from_millis(500);
+
+/// Where the bridge appears.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BridgeConfig {
+    /// Second part of every key: one word that tells this robot from others on the network.
+    pub robot: String,
+    /// `peer` (default: finds others on the network by itself) or `client` (talks through a router).
+    pub mode: String,
+    /// Endpoints to connect to, e.g. `tcp/192.0.2.1:7447`; a client needs at least one.
+    pub connect: Vec<String>,
+    /// Endpoints to listen on, e.g. `tcp/0.0.0.0:7448`; a free port where empty.
+    pub listen: Vec<String>,
+    /// Stay on the loopback interface.
+    pub localhost_only: bool,
+}
+
+impl Default for BridgeConfig {
+    fn default() -> Self {
+        Self {
+            robot: "robot".to_owned(),
+            mode: "peer".to_owned(),
+            connect: Vec::new(),
+            listen: Vec::new(),
+            localhost_only: std::env::var("ROS_AUTOMATIC_DISCOVERY_RANGE").is_ok_and(|r| r == "LOCALHOST"),
+        }
+    }
+}
+
+/// Why the bridge cannot run.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BridgeError {
+    /// A configured value cannot be.
+    #[error("bridge: field `{field}`: {reason}")]
+    Config {
+        /// Name of the field.
+        field: &'static str,
+        /// What is wrong, and what would be right.
+        reason: String,
+    },
+    /// The zenoh session does not open.
+    #[error("bridge: zenoh session: {reason}; check `connect` and `listen`")]
+    Session {
+        /// What zenoh said.
+        reason: String,
+    },
+    /// The ROS side fails.
+    #[error("bridge: {0}")]
+    Node(#[from] dermis_node::NodeError),
+}
+
+/// A running bridge; closes when dropped.
+pub struct Bridge {
+    session: Session,
+    task: Option<JoinHandle<()>>,
+}
+
+impl Bridge {
+    /// Opens a zenoh session and starts to bridge every skin in the domain of `node`.
+    ///
+    /// # Errors
+    ///
+    /// [`BridgeError::Config`] for a value that cannot be, [`BridgeError::Session`] where zenoh refuses.
+    pub async fn open(node: &Node, config: BridgeConfig) -> Result<Self, BridgeError> {
+        let session = zenoh::open(session_config(&config)?)
+            .await
+            .map_err(|e| BridgeError::Session { reason: e.to_string() })?;
+        let shared = Arc::new(Shared {
+            prefix: format!("dermis/{}", config.robot),
+            session: session.clone(),
+            skins: Mutex::default(),
+            latest: Arc::default(),
+        });
+        serve_latest(&shared).map_err(|e| BridgeError::Session { reason: e.to_string() })?;
+        let node = node.clone();
+        let task = tokio::spawn(async move {
+            let mut bridged: BTreeMap<(String, String), Subscription> = BTreeMap::new();
+            let mut ticks = tokio::time::interval(LOOK_AROUND);
+            loop {
+                ticks.tick().await;
+                look_around(&node, &shared, &mut bridged);
+            }
+        });
+        Ok(Self { session, task: Some(task) })
+    }
+
+    /// Withdraws all keys and closes the session.
+    pub async fn close(mut self) {
+        if let Some(task) = self.task.take() {
+            task.abort();
+        }
+        if let Err(e) = self.session.close().await {
+            warn!("bridge: zenoh session did not close: {e}");
+        }
+    }
+}
+
+impl Drop for Bridge {
+    fn drop(&mut self) {
+        if let Some(task) = self.task.take() {
+            task.abort();
+        }
+    }
+}
+
+/// What the callbacks of all topics share.
+struct Shared {
+    prefix: String,
+    session: Session,
+    skins: Mutex<BTreeMap<String, Presence>>,
+    latest: Arc<Mutex<BTreeMap<String, String>>>,
+}
+
+/// A skin that is there, and the topics it is known by.
+struct Presence {
+    topics: BTreeSet<String>,
+    _token: LivelinessToken,
+}
+
+fn session_config(config: &BridgeConfig) -> Result<zenoh::Config, BridgeError> {
+    let wrong = |field, reason| BridgeError::Config { field, reason };
+    if config.robot.is_empty() || !config.robot.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c)) {
+        return Err(wrong("robot", format!("\"{}\" must be one word of letters, digits, `-`, `_` and `.`", config.robot)));
+    }
+    if !["peer", "client"].contains(&config.mode.as_str()) {
+        return Err(wrong("mode", format!("is \"{}\" and must be \"peer\" or \"client\"", config.mode)));
+    }
+    if config.mode == "client" && config.connect.is_empty() {
+        return Err(wrong("connect", "is empty: a client needs the endpoint of a router, e.g. \"tcp/192.0.2.1:7447\"".into()));
+    }
+    let mut zenoh = zenoh::Config::default();
+    let mut set = |field, key: &str, value: serde_json::Value| {
+        zenoh.insert_json5(key, &value.to_string()).map_err(|e| wrong(field, e.to_string()))
+    };
+    set("mode", "mode", config.mode.clone().into())?;
+    set("connect", "connect/endpoints", config.connect.clone().into())?;
+    if !config.listen.is_empty() {
+        set("listen", "listen/endpoints", config.listen.clone().into())?;
+    } else if config.localhost_only && config.mode == "peer" {
+        set("listen", "listen/endpoints", serde_json::json!(["tcp/127.0.0.1:0"]))?;
+    }
+    if config.localhost_only {
+        set("localhost_only", "scouting/multicast/interface", "lo".into())?;
+    }
+    Ok(zenoh)
+}
+
+/// Answers `get` on every key with the latest value, and on the schema keys with the definitions.
+fn serve_latest(shared: &Arc<Shared>) -> zenoh::Result<()> {
+    let latest = Arc::clone(&shared.latest);
+    let schemas = format!("{}/schemas/", shared.prefix);
+    for name in BRIDGED {
+        if let Some(support) = type_support(name) {
+            lock(&latest).insert(format!("{schemas}{name}"), support.definition.to_owned());
+        }
+    }
+    let queryable = shared.session.declare_queryable(format!("{}/**", shared.prefix));
+    queryable
+        .callback(move |query| {
+            let matching: Vec<(String, String)> = lock(&latest)
+                .iter()
+                .filter(|(key, _)| {
+                    zenoh::key_expr::KeyExpr::try_from(key.as_str()).is_ok_and(|k| query.key_expr().intersects(&k))
+                })
+                .map(|(k, v)| (k.clone(), v.clone()))
+                .collect();
+            for (key, value) in matching {
+                let encoding =
+                    if key.starts_with(&schemas) { Encoding::TEXT_PLAIN } else { Encoding::APPLICATION_JSON };
+                if let Err(e) = query.reply(&key, value).encoding(encoding).wait() {
+                    warn!("bridge: get on {key} was not answered: {e}");
+                }
+            }
+        })
+        .background()
+        .wait()
+}
+
+/// Subscribes to topics that appeared, lets go of those that went.
+fn look_around(node: &Node, shared: &Arc<Shared>, bridged: &mut BTreeMap<(String, String), Subscription>) {
+    let topics = match node.topics() {
+        Ok(topics) => topics,
+        Err(e) => {
+            warn!("bridge: the ROS graph cannot be read: {e}");
+            return;
+        }
+    };
+    let wanted: BTreeSet<(String, String)> =
+        topics.into_iter().filter(|(_, kind)| BRIDGED.contains(&kind.as_str())).collect();
+    bridged.retain(|key, _| {
+        let stays = wanted.contains(key);
+        if !stays {
+            info!("bridge: {} went away", key.0);
+            forget(shared, &key.0);
+        }
+        stays
+    });
+    for (topic, kind) in wanted {
+        if bridged.contains_key(&(topic.clone(), kind.clone())) {
+            continue;
+        }
+        let Some(support) = type_support(&kind) else { continue };
+        // Geometry is latched; everything else is a stream, where the newest counts.
+        let qos = if kind.ends_with("/SkinGeometry") { Qos::latched() } else { Qos::sensor_data() };
+        let (callback_shared, callback_topic) = (Arc::clone(shared), topic.clone());
+        let subscribed = node.subscribe_raw(&topic, support, qos, move |bytes, _| {
+            forward(&callback_shared, &callback_topic, support, bytes);
+        });
+        match subscribed {
+            Ok(subscription) => {
+                info!("bridge: {topic} [{kind}]");
+                bridged.insert((topic, kind), subscription);
+            }
+            Err(e) => warn!("bridge: {topic} is not bridged: {e}"),
+        }
+    }
+}
+
+fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8]) {
+    let value = match (support.cdr_to_json)(bytes) {
+        Ok(value) => value,
+        Err(e) => {
+            warn!("bridge: a message on {topic} is dropped: {e}");
+            return;
+        }
+    };
+    let Some(skin) = value.get("skin").and_then(|s| s.as_str()).and_then(key_word) else {
+        warn!("bridge: a message on {topic} is dropped: its field `skin` is empty or cannot be part of a key");
+        return;
+    };
+    announce(shared, &skin, topic);
+    let name = topic.rsplit('/').next().unwrap_or(topic);
+    let key = format!("{}/{skin}/{name}", shared.prefix);
+    let text = value.to_string();
+    let sent = shared
+        .session
+        .put(&key, text.clone())
+        .encoding(Encoding::APPLICATION_JSON)
+        .congestion_control(zenoh::qos::CongestionControl::Drop)
+        .wait();
+    if let Err(e) = sent {
+        warn!("bridge: {key} was not sent: {e}");
+    }
+    lock(&shared.latest).insert(key, text);
+}
+
+/// Puts up the liveliness token of a skin when its first topic speaks.
+fn announce(shared: &Shared, skin: &str, topic: &str) {
+    let mut skins = lock(&shared.skins);
+    if let Some(presence) = skins.get_mut(skin) {
+        if !presence.topics.contains(topic) {
+            presence.topics.insert(topic.to_owned());
+        }
+        return;
+    }
+    match shared.session.liveliness().declare_token(format!("{}/{skin}", shared.prefix)).wait() {
+        Ok(token) => {
+            info!("bridge: skin {skin} is there");
+            skins.insert(skin.to_owned(), Presence { topics: BTreeSet::from([topic.to_owned()]), _token: token });
+        }
+        Err(e) => warn!("bridge: no liveliness token for {skin}: {e}"),
+    }
+}
+
+/// Takes down what a topic that went away had put up.
+fn forget(shared: &Shared, topic: &str) {
+    let name = topic.rsplit('/').next().unwrap_or(topic);
+    lock(&shared.skins).retain(|skin, presence| {
+        if presence.topics.remove(topic) {
+            lock(&shared.latest).remove(&format!("{}/{skin}/{name}", shared.prefix));
+        }
+        !presence.topics.is_empty()
+    });
+}
+
+/// A skin's name as one part of a zenoh key; `None` where it cannot be.
+fn key_word(name: &str) -> Option<String> {
+    (!name.is_empty() && !name.contains(['/', '*', '$', '?', '#'])).then(|| name.to_owned())
+}
+
+/// A panic of another callback leaves the maps usable: each entry is replaced as a whole.
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrong_configuration_is_named() {
+        let refused = |config: BridgeConfig| session_config(&config).unwrap_err().to_string();
+        assert_eq!(
+            refused(BridgeConfig { robot: "a/b".into(), ..Default::default() }),
+            "bridge: field `robot`: \"a/b\" must be one word of letters, digits, `-`, `_` and `.`"
+        );
+        assert_eq!(
+            refused(BridgeConfig { mode: "router".into(), ..Default::default() }),
+            "bridge: field `mode`: is \"router\" and must be \"peer\" or \"client\""
+        );
+        assert!(refused(BridgeConfig { mode: "client".into(), ..Default::default() }).contains("`connect`"));
+        assert!(
+            refused(BridgeConfig { connect: vec!["nonsense".into()], ..Default::default() }).contains("`connect`")
+        );
+    }
+
+    #[test]
+    fn names_that_would_change_the_key_are_refused() {
+        assert_eq!(key_word("baro-grid").as_deref(), Some("baro-grid"));
+        for bad in ["", "a/b", "*", "a$b"] {
+            assert_eq!(key_word(bad), None);
+        }
+    }
+}

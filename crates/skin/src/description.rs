@@ -363,7 +363,7 @@ impl SkinDescription {
             }
             channel.range = channel.range.or(self.range);
             if let Some([low, high]) = channel.range
-                && !(low < high)
+                && low.partial_cmp(&high) != Some(std::cmp::Ordering::Less)
             {
                 return wrong(
                     format!("channels[{i}].range"),

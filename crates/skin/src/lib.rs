@@ -40,7 +40,7 @@
 //! ```
 
 mod contact;
-//CONV mod convert;
+mod convert;
 mod description;
 mod error;
 mod frame;
@@ -49,7 +49,7 @@ mod traits;
 mod zero;
 
 pub use contact::{Contact, Estimate, ForceComponents, ForceMap, ForceValues};
-//CONV pub use convert::{contact_array, message_time};
+pub use convert::{contact_array, message_time};
 pub use description::{
     Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
 };

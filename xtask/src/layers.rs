@@ -1,0 +1,183 @@
+//! Imports between the crates of this workspace run one way.
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use serde::Deserialize;
+
+use crate::run::{cargo, output};
+
+/// Rooms from the top down: a crate may import crates of its own room's rank (but see [`Room::alone`]) or a lower one.
+struct Room {
+    rank: u8,
+    /// Crates of this room never import each other.
+    alone: bool,
+}
+
+fn room(folder: &str, name: &str) -> Option<Room> {
+    let (first, _) = folder.split_once('/').unwrap_or((folder, ""));
+    let room = |rank, alone| Some(Room { rank, alone });
+    match (first, name) {
+        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(6, true),
+        ("dermis", _) => room(5, true),
+        ("nodes" | "bridges", _) => room(4, true),
+        ("crates", "dermis-skin") => room(1, true),
+        ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(2, true),
+        ("crates", _) => room(3, false),
+        ("msgs", _) => room(0, true),
+        _ => None,
+    }
+}
+
+#[derive(Deserialize)]
+struct Metadata {
+    packages: Vec<Package>,
+    workspace_root: String,
+}
+
+#[derive(Deserialize)]
+struct Package {
+    name: String,
+    manifest_path: String,
+    dependencies: Vec<Dependency>,
+}
+
+#[derive(Deserialize)]
+struct Dependency {
+    name: String,
+    kind: Option<String>,
+    path: Option<String>,
+}
+
+/// Words that only a crate under nodes/ may use for itself: the names of the sensor families.
+const FAMILIES: [&str; 4] = ["hapdef", "barodome", "insight", "ert"];
+
+/// Every import that runs the wrong way, as one sentence each.
+pub fn violations(metadata: &str) -> Result<Vec<String>> {
+    let metadata: Metadata = serde_json::from_str(metadata)?;
+    let folder = |manifest: &str| {
+        manifest
+            .trim_start_matches(&metadata.workspace_root)
+            .trim_start_matches('/')
+            .trim_end_matches("/Cargo.toml")
+            .to_owned()
+    };
+    let mut found = Vec::new();
+    for package in &metadata.packages {
+        let here = folder(&package.manifest_path);
+        let Some(from) = room(&here, &package.name) else {
+            found.push(format!(
+                "{} lies in {here}, which is no room of the house: see ARCHITECTURE.md",
+                package.name
+            ));
+            continue;
+        };
+        if here.starts_with("crates/") {
+            for family in FAMILIES {
+                if package.name.split('-').any(|word| word == family) {
+                    found.push(format!("{} under crates/ names the sensor family {family}", package.name));
+                }
+            }
+        }
+        for dependency in &package.dependencies {
+            // Tests may reach anywhere: they are not shipped.
+            if dependency.kind.as_deref() == Some("dev") {
+                continue;
+            }
+            let Some(path) = &dependency.path else { continue };
+            let there = folder(&format!("{path}/Cargo.toml"));
+            let Some(to) = room(&there, &dependency.name) else { continue };
+            if to.rank > from.rank || (to.rank == from.rank && from.alone) {
+                found.push(format!(
+                    "{} ({here}) imports {} ({there}): imports run downwards only",
+                    package.name, dependency.name
+                ));
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Fails with every import that runs the wrong way, and where a crate of an engine names a sensor family in its code.
+pub fn check(root: &Path) -> Result<()> {
+    let metadata = output(cargo(root).args(["metadata", "--format-version", "1", "--no-deps", "--offline"]))?;
+    let mut found = violations(&metadata)?;
+    found.extend(named_families(root)?);
+    if found.is_empty() {
+        println!("imports run one way");
+        return Ok(());
+    }
+    bail!("{}", found.join("\n"))
+}
+
+/// Source lines under crates/ that name a sensor family.
+fn named_families(root: &Path) -> Result<Vec<String>> {
+    let mut found = Vec::new();
+    let mut folders = vec![root.join("crates")];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder)? {
+            let path = entry?.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                let text = std::fs::read_to_string(&path)?;
+                for (number, line) in text.lines().enumerate() {
+                    let words = line.split(|c: char| !c.is_ascii_alphanumeric());
+                    if words.map(str::to_ascii_lowercase).any(|w| FAMILIES[..3].contains(&w.as_str())) {
+                        found.push(format!("{}:{}: names a sensor family", path.display(), number + 1));
+                    }
+                }
+            }
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn metadata(from: (&str, &str), to: (&str, &str)) -> String {
+        serde_json::json!({
+            "workspace_root": "/w",
+            "packages": [{
+                "name": from.1,
+                "manifest_path": format!("/w/{}/Cargo.toml", from.0),
+                "dependencies": [{ "name": to.1, "kind": null, "path": format!("/w/{}", to.0) }],
+            }],
+        })
+        .to_string()
+    }
+
+    #[test]
+    fn this_workspace_imports_one_way() {
+        check(&crate::run::root().unwrap()).unwrap();
+    }
+
+    #[test]
+    fn an_upward_import_is_named() {
+        let found =
+            violations(&metadata(("crates/skin", "dermis-skin"), ("nodes/barodome", "dermis-barodome")))
+                .unwrap();
+        assert_eq!(
+            found,
+            [
+                "dermis-skin (crates/skin) imports dermis-barodome (nodes/barodome): imports run downwards only"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_node_never_imports_a_node() {
+        let found =
+            violations(&metadata(("nodes/fusion", "dermis-fusion"), ("nodes/ert", "dermis-ert"))).unwrap();
+        assert_eq!(found.len(), 1);
+    }
+
+    #[test]
+    fn a_crate_outside_of_the_rooms_is_named() {
+        let found = violations(&metadata(("stuff", "dermis-stuff"), ("crates/skin", "dermis-skin"))).unwrap();
+        assert_eq!(found.len(), 1);
+    }
+}

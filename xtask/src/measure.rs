@@ -1,0 +1,138 @@
+//! Measurements behind `targets.toml`; each prints one line of JSON at the end.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::Subcommand;
+use serde_json::{Value, json};
+
+use crate::run::{cargo, output, run as execute, target_dir};
+
+/// What can be measured.
+#[derive(Subcommand)]
+pub enum Measurement {
+    /// CPU minutes and wall minutes of the README's first command on a fresh clone with an empty target folder.
+    ColdBuild,
+    /// Localisation on a recorded magnetic skin: import, train on one run, evaluate on held-out presses, on unseen
+    /// locations and on the other run.
+    Localisation,
+    /// Normal force on the same kind of skin: import, train on the first part of a trial, evaluate on its end and on
+    /// the other trial.
+    Force,
+}
+
+pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
+    let value = match measurement {
+        Measurement::ColdBuild => cold_build(root)?,
+        Measurement::Localisation => recorded(root, "position", "spatial_resolution")?,
+        Measurement::Force => recorded(root, "force", "normal_force")?,
+    };
+    println!("{value}");
+    Ok(())
+}
+
+fn scratch(root: &Path, name: &str) -> Result<PathBuf> {
+    let dir = root.join(".dermis/measure").join(name);
+    if dir.exists() {
+        std::fs::remove_dir_all(&dir)?;
+    }
+    std::fs::create_dir_all(&dir)?;
+    Ok(dir)
+}
+
+/// CPU seconds of all children that ended so far.
+fn children_cpu() -> Result<f64> {
+    use nix::sys::resource::{UsageWho, getrusage};
+    let usage = getrusage(UsageWho::RUSAGE_CHILDREN)?;
+    let seconds = |t: nix::sys::time::TimeVal| t.tv_sec() as f64 + t.tv_usec() as f64 * 1e-6;
+    Ok(seconds(usage.user_time()) + seconds(usage.system_time()))
+}
+
+fn cold_build(root: &Path) -> Result<Value> {
+    let dir = scratch(root, "cold-build")?;
+    let clone = dir.join("dermis");
+    execute(Command::new("git").args(["clone", "--quiet", "--no-local"]).arg(root).arg(&clone))?;
+    // Downloading is not building.
+    execute(cargo(&clone).arg("fetch").arg("--quiet"))?;
+    let (cpu, wall) = (children_cpu()?, Instant::now());
+    execute(cargo(&clone).args(["build", "--release"]).env("CARGO_TARGET_DIR", dir.join("target")))?;
+    let value = json!({
+        "cpu_minutes": (children_cpu()? - cpu) / 60.0,
+        "wall_minutes": wall.elapsed().as_secs_f64() / 60.0,
+    });
+    std::fs::remove_dir_all(&dir)?;
+    Ok(value)
+}
+
+/// Trains on each of the recorded runs with `launch/train/eflesh-<what>.toml` and evaluates.
+fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
+    let data = std::env::var("DERMIS_DATA").map_or_else(|_| root.join("../shared/data"), PathBuf::from);
+    let source = data.join("eflesh").join(folder);
+    let mut runs: Vec<PathBuf> = std::fs::read_dir(&source)
+        .with_context(|| format!("{} is missing: set DERMIS_DATA", source.display()))?
+        .map(|e| e.map(|e| e.path()))
+        .collect::<Result<_, _>>()?;
+    runs.sort();
+    execute(cargo(root).args([
+        "build",
+        "--release",
+        "--bins",
+        "-p",
+        "dermis",
+        "-p",
+        "dermis-learn",
+        "--features=dermis-learn/train",
+    ]))?;
+    let dermis = target_dir(root).join("release/dermis");
+    let dir = scratch(root, what)?;
+    let mut bags = Vec::new();
+    for run in &runs {
+        let bag = dir.join(run.file_name().unwrap_or_default());
+        execute(Command::new(&dermis).arg("import").arg(run).arg("-o").arg(&bag).current_dir(root))?;
+        bags.push(bag);
+    }
+    let config = root.join(format!("launch/train/eflesh-{what}.toml"));
+    let skin = root.join("launch/skins/eflesh.toml");
+    // The figures that the authors state hold out presses (or the end of a trial); ours hold out locations too.
+    let splits: &[&str] = if what == "position" { &["press", "location"] } else { &["time"] };
+    let mut rows = Vec::new();
+    for (i, train) in bags.iter().enumerate() {
+        for split in splits {
+            let model = dir.join(format!("model-{i}-{split}"));
+            execute(
+                Command::new(&dermis)
+                    .arg("train")
+                    .args(["--config".as_ref(), config.as_os_str()])
+                    .args(["--skin".as_ref(), skin.as_os_str()])
+                    .args(["--split", split])
+                    .args(["--out".as_ref(), model.as_os_str()])
+                    .arg(train)
+                    .current_dir(root),
+            )?;
+            for (j, bag) in bags.iter().enumerate() {
+                if i != j && *split == "press" {
+                    continue;
+                }
+                let mut evaluate = Command::new(&dermis);
+                evaluate.arg("evaluate").args(["--skin".as_ref(), skin.as_os_str()]).current_dir(root);
+                evaluate.args(["--model".as_ref(), model.as_os_str()]).arg("--json");
+                if i == j {
+                    evaluate.arg("--held-out");
+                }
+                evaluate.arg(bag);
+                let text = output(&mut evaluate)?;
+                let result: Value = serde_json::from_str(text.trim().lines().last().unwrap_or_default())
+                    .context("dermis evaluate --json printed no JSON")?;
+                rows.push(json!({
+                    "trained_on": train.file_name().map(|n| n.to_string_lossy()),
+                    "tested_on": bag.file_name().map(|n| n.to_string_lossy()),
+                    "split": if i == j { split } else { &"other run" },
+                    "result": result,
+                }));
+            }
+        }
+    }
+    Ok(json!({ "rows": rows }))
+}

@@ -1,0 +1,162 @@
+//! `targets.toml`: every figure that is asked of the project, and the command that measures it.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use serde::Deserialize;
+
+use crate::run::output;
+
+/// Which figures, and how to report.
+#[derive(Args)]
+pub struct Options {
+    /// Only the figures whose name starts with this.
+    name: Option<String>,
+    /// List the figures and what was last measured, without measuring.
+    #[arg(long)]
+    list: bool,
+    /// One JSON array instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    target: Vec<Target>,
+}
+
+/// One figure.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Target {
+    name: String,
+    /// What the figure is, in a sentence.
+    what: String,
+    /// `<= 0.5` or `>= 20`.
+    bound: String,
+    unit: String,
+    /// Shell command, run in the repository's root; its last line of output is JSON.
+    command: String,
+    /// Where the figure stands in that JSON (RFC 6901).
+    pointer: String,
+    /// Last measured value, and the commit it was measured at.
+    value: Option<f64>,
+    commit: Option<String>,
+    /// Why a bound is missed, or what the figure rests on.
+    note: Option<String>,
+}
+
+/// Whether `value` keeps `bound`.
+fn keeps(bound: &str, value: f64) -> Result<bool> {
+    let wrong = || format!("bound `{bound}` is neither `<= NUMBER` nor `>= NUMBER`");
+    let (sign, number) = bound.split_once(' ').with_context(wrong)?;
+    let number: f64 = number.trim().parse().with_context(wrong)?;
+    Ok(match sign {
+        "<=" => value <= number,
+        ">=" => value >= number,
+        _ => bail!(wrong()),
+    })
+}
+
+fn measure(root: &Path, target: &Target) -> Result<f64> {
+    let text = output(Command::new("sh").args(["-c", &target.command]).current_dir(root))?;
+    let line = text.lines().rev().find(|l| !l.trim().is_empty()).context("it printed nothing")?;
+    let json: serde_json::Value =
+        serde_json::from_str(line).with_context(|| format!("its last line is no JSON: {line}"))?;
+    json.pointer(&target.pointer)
+        .and_then(serde_json::Value::as_f64)
+        .with_context(|| format!("its JSON has no number at {}: {line}", target.pointer))
+}
+
+pub fn run(root: &Path, options: &Options) -> Result<()> {
+    let path = root.join("targets.toml");
+    let text =
+        std::fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let file: File =
+        toml::from_str(&text).with_context(|| format!("{} is not as expected", path.display()))?;
+    let wanted: Vec<&Target> = file
+        .target
+        .iter()
+        .filter(|t| options.name.as_ref().is_none_or(|n| t.name.starts_with(n.as_str())))
+        .collect();
+    if wanted.is_empty() {
+        let names: Vec<&str> = file.target.iter().map(|t| t.name.as_str()).collect();
+        bail!("no such figure; there are {}", names.join(", "));
+    }
+    let mut missed = Vec::new();
+    let mut rows = Vec::new();
+    for target in wanted {
+        let (value, commit) = if options.list {
+            (target.value, target.commit.clone())
+        } else {
+            eprintln!("measuring {}: {}", target.name, target.command);
+            let value =
+                measure(root, target).with_context(|| format!("{} cannot be measured", target.name))?;
+            (Some(value), None)
+        };
+        let ok = value.map(|v| keeps(&target.bound, v)).transpose()?;
+        if ok == Some(false) {
+            missed.push(target.name.clone());
+        }
+        let verdict = match ok {
+            Some(true) => "kept",
+            Some(false) => "MISSED",
+            None => "never measured",
+        };
+        if options.json {
+            rows.push(serde_json::json!({
+                "name": target.name, "what": target.what, "bound": target.bound, "unit": target.unit,
+                "value": value, "kept": ok, "commit": commit, "note": target.note,
+            }));
+        } else {
+            let shown = value.map_or("-".to_owned(), |v| format!("{v:.4}"));
+            let at = commit.map_or(String::new(), |c| format!(" at {c}"));
+            println!(
+                "{:<34} {shown:>10} {} (asked {}){at}: {verdict}",
+                target.name, target.unit, target.bound
+            );
+            println!("    {}", target.what);
+            if let Some(note) = &target.note {
+                println!("    {note}");
+            }
+        }
+    }
+    if options.json {
+        println!("{}", serde_json::Value::Array(rows));
+    }
+    if missed.is_empty() || options.list {
+        return Ok(());
+    }
+    bail!("bounds missed: {}", missed.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_hold_both_ways() {
+        assert!(keeps("<= 0.5", 0.5).unwrap() && !keeps("<= 0.5", 0.51).unwrap());
+        assert!(keeps(">= 20", 20.0).unwrap() && !keeps(">= 20", 19.9).unwrap());
+        assert!(keeps("about 3", 3.0).is_err());
+    }
+
+    #[test]
+    fn the_file_of_this_repository_is_well_formed() {
+        let root = crate::run::root().unwrap();
+        let file: File =
+            toml::from_str(&std::fs::read_to_string(root.join("targets.toml")).unwrap()).unwrap();
+        let mut names: Vec<&str> = file.target.iter().map(|t| t.name.as_str()).collect();
+        names.sort_unstable();
+        let count = names.len();
+        names.dedup();
+        assert_eq!(count, names.len(), "names are unique");
+        for target in &file.target {
+            keeps(&target.bound, 0.0).unwrap();
+            assert!(target.pointer.starts_with('/'));
+        }
+    }
+}

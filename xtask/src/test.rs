@@ -1,0 +1,111 @@
+//! Every test, from formatting to ROS 2.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::Result;
+use clap::Args;
+
+use crate::environment;
+use crate::run::{cargo, run as execute, step, target_dir};
+
+/// What to leave out.
+#[derive(Args)]
+pub struct Options {
+    /// Leave out what needs ROS 2: nothing is downloaded for it.
+    #[arg(long)]
+    no_ros: bool,
+    /// Leave out formatting, lints and licences.
+    #[arg(long)]
+    no_lint: bool,
+    /// Only tests whose name contains this.
+    filter: Option<String>,
+}
+
+/// Everything but the crate that needs ROS 2 headers.
+const WITHOUT_ROS: [&str; 3] =
+    ["--workspace", "--exclude=dermis-node-r2r", "--features=dermis-learn/train,dermis-node/test-suite"];
+
+/// Everything. The same selection and features as above, so that no dependency is built twice.
+const WITH_ROS: [&str; 2] = [
+    "--workspace",
+    "--features=dermis-learn/train,dermis-node/test-suite,dermis/ros2,dermis-node-r2r/test-suite",
+];
+
+pub fn run(root: &Path, options: &Options) -> Result<()> {
+    let mut skipped = Vec::new();
+    if options.no_lint {
+        skipped.push("formatting, lints and licences (--no-lint)".to_owned());
+    } else {
+        step("formatting", || execute(cargo(root).args(["fmt", "--all", "--check"])))?;
+    }
+    let clients = step("Python clients", || environment::clients(root))?;
+    if !options.no_lint {
+        step("licences and sources", || {
+            let deny = environment::cargo_deny(root)?;
+            execute(Command::new(deny).current_dir(root).args([
+                "--offline",
+                "check",
+                "licenses",
+                "bans",
+                "sources",
+            ]))
+        })?;
+        step("lints", || {
+            execute(cargo(root).arg("clippy").args(WITHOUT_ROS).args([
+                "--all-targets",
+                "--",
+                "-D",
+                "warnings",
+            ]))
+        })?;
+    }
+    // One build serves programs and tests: release, because that is what ships, and training in it takes seconds.
+    step("build", || {
+        execute(cargo(root).args(["build", "--release", "--bins"]).args(WITHOUT_ROS))?;
+        execute(cargo(root).args(["nextest", "run", "--release", "--no-run"]).args(WITHOUT_ROS))
+    })?;
+    let data =
+        std::env::var("DERMIS_DATA").unwrap_or_else(|_| root.join("../shared/data").display().to_string());
+    if !Path::new(&data).is_dir() {
+        skipped.push(format!("tests on recordings: {data} is missing (set DERMIS_DATA)"));
+    }
+    let nextest = |extra: &[&str]| {
+        let mut c = cargo(root);
+        c.args(["nextest", "run", "--release"]).args(extra);
+        c.args(&options.filter);
+        c.env("DERMIS_CLIENT_PYTHON", &clients).env("DERMIS_DATA", &data);
+        c.env("DERMIS_BIN", target_dir(root).join("release"));
+        c.arg("--no-tests=pass");
+        c
+    };
+    step("tests", || execute(nextest(&["-E", "not binary(ros2)"]).args(WITHOUT_ROS)))?;
+    if options.filter.is_none() {
+        step("documentation tests", || {
+            execute(cargo(root).args(["test", "--release", "--doc", "--quiet"]).args(WITHOUT_ROS))
+        })?;
+    }
+    if options.no_ros {
+        skipped.push("ROS 2 (--no-ros)".to_owned());
+    } else {
+        let ros = step("ROS 2", || environment::ros(root))?;
+        step("build with ROS 2", || {
+            if !options.no_lint {
+                let mut c = cargo(root);
+                c.args(["clippy", "--all-targets"]).args(WITH_ROS).args(["--", "-D", "warnings"]);
+                execute(c.envs(ros.variables()))?;
+            }
+            execute(cargo(root).args(["build", "--release", "--bins"]).args(WITH_ROS).envs(ros.variables()))
+        })?;
+        step("tests with ROS 2", || {
+            let mut c = nextest(&["-E", "package(dermis-node-r2r) | binary(ros2) | package(dermis_msgs)"]);
+            execute(c.args(WITH_ROS).envs(ros.variables()))
+        })?;
+    }
+    if skipped.is_empty() {
+        println!("all tests passed, nothing skipped");
+    } else {
+        println!("all tests passed; skipped: {}", skipped.join("; "));
+    }
+    Ok(())
+}
