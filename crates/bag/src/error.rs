@@ -152,7 +152,7 @@ pub enum BagError {
         /// Log time of the message, nanoseconds since the epoch.
         log_time: i64,
         /// What the decoder said.
-        source: dermis_msgs::CdrError,
+        source: Box<dermis_msgs::CdrError>,
     },
     /// A message that must not be stored.
     #[error("message for topic {topic} refused by {path}: {problem}")]

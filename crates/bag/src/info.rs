@@ -155,7 +155,18 @@ mod tests {
             custom: BTreeMap::from([("source".to_owned(), "someone's recording".to_owned())]),
             complete: true,
         };
-        insta::assert_snapshot!(info, @"");
+        insta::assert_snapshot!(info, @"
+        bag       presses
+        size      3.1 MiB
+        duration  5 h 40 min 12 s
+        start     2025-03-16 19:57:32.516 UTC
+        end       2025-03-17 01:37:44.271 UTC
+        messages  9611
+        topics    2
+          /skin/ground_truth  dermis_msgs/msg/Indentation       9610      0.47 Hz
+          /skin_geometry      dermis_msgs/msg/SkinGeometry         1
+        source: someone's recording
+        ");
         let empty = BagInfo {
             span: None,
             messages: 0,
@@ -165,7 +176,14 @@ mod tests {
             bytes: 512,
             ..info
         };
-        insta::assert_snapshot!(empty, @"");
+        insta::assert_snapshot!(empty, @"
+        bag       presses
+                  INTERRUPTED: only whole messages are counted
+        size      512 B
+        duration  empty
+        messages  0
+        topics    0
+        ");
     }
 
     #[test]

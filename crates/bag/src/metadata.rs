@@ -99,7 +99,7 @@ impl Metadata {
             }
         }
         // Definitions and hashes are those of this distribution.
-        let _ = write!(out, "  ros_distro: kilted\n");
+        let _ = writeln!(out, "  ros_distro: kilted");
         out
     }
 

@@ -74,7 +74,7 @@ impl BagMessage {
             topic: self.topic.to_string(),
             type_name: self.type_name.to_string(),
             log_time: self.log_time,
-            source,
+            source: Box::new(source),
         })
     }
 }

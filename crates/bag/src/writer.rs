@@ -249,7 +249,7 @@ impl BagWriter {
             })
             .map_err(|error| write_error(&self.file, &error))?;
         self.mcap.finish().map_err(|error| write_error(&self.file, &error))?;
-        let handle = self.mcap.into_inner().into_inner().map_err(|error| error.into_error());
+        let handle = self.mcap.into_inner().into_inner().map_err(std::io::IntoInnerError::into_error);
         let handle = handle.map_err(BagError::io("write", &self.file))?;
         handle.sync_all().map_err(BagError::io("write", &self.file))?;
         let bytes = handle.metadata().map_err(BagError::io("read", &self.file))?.len();

@@ -109,25 +109,25 @@ fn mistakes_of_a_caller_are_named() {
     write(&bag, 3);
     let say = |error: BagError| error.to_string().replace(&dir.path().display().to_string(), "");
 
-    insta::assert_snapshot!(say(BagWriter::create(&bag).unwrap_err()), @"");
-    insta::assert_snapshot!(say(BagReader::open(dir.path().join("nothing")).unwrap_err()), @"");
+    insta::assert_snapshot!(say(BagWriter::create(&bag).unwrap_err()), @"/presses exists already: bags are never written over, give another name or remove it");
+    insta::assert_snapshot!(say(BagReader::open(dir.path().join("nothing")).unwrap_err()), @"there is no bag at /nothing: give a rosbag2 folder or an .mcap file");
     let reader = BagReader::open(&bag).unwrap();
-    insta::assert_snapshot!(say(reader.read::<TaxelFrame>("right/taxels").unwrap_err()), @"");
-    insta::assert_snapshot!(say(reader.read::<TaxelFrame>("ground_truth").unwrap_err()), @"");
-    insta::assert_snapshot!(say(reader.read_only_topic::<Header>().unwrap_err()), @"");
+    insta::assert_snapshot!(say(reader.read::<TaxelFrame>("right/taxels").unwrap_err()), @"/presses has no topic right/taxels: it has /left/ground_truth, /left/taxels, /skin_geometry");
+    insta::assert_snapshot!(say(reader.read::<TaxelFrame>("ground_truth").unwrap_err()), @"topic /left/ground_truth of /presses carries dermis_msgs/msg/Indentation, not dermis_msgs/msg/TaxelFrame");
+    insta::assert_snapshot!(say(reader.read_only_topic::<Header>().unwrap_err()), @"/presses has no topic of type std_msgs/msg/Header: it has /left/ground_truth (dermis_msgs/msg/Indentation), /left/taxels (dermis_msgs/msg/TaxelFrame), /skin_geometry (dermis_msgs/msg/SkinGeometry)");
     let message = reader.messages().next().unwrap().unwrap();
-    insta::assert_snapshot!(say(message.decode::<TaxelFrame>().unwrap_err()), @"");
+    insta::assert_snapshot!(say(message.decode::<TaxelFrame>().unwrap_err()), @"topic /skin_geometry of /presses/presses_0.mcap carries dermis_msgs/msg/SkinGeometry, not dermis_msgs/msg/TaxelFrame");
 
     let mut writer = BagWriter::create(dir.path().join("other")).unwrap();
     writer.write("a/taxels", &frame(0), START).unwrap();
     writer.write("b/taxels", &frame(0), START).unwrap();
-    insta::assert_snapshot!(say(writer.write("a/taxels", &truth(0), START).unwrap_err()), @"");
-    insta::assert_snapshot!(say(writer.write("a/taxels", &frame(0), -1).unwrap_err()), @"");
-    insta::assert_snapshot!(say(writer.write_cdr("a/taxels", TypeSupport::of::<TaxelFrame>(), b"{\"json\":1}", START).unwrap_err()), @"");
+    insta::assert_snapshot!(say(writer.write("a/taxels", &truth(0), START).unwrap_err()), @"topic /a/taxels of /other carries dermis_msgs/msg/TaxelFrame, not dermis_msgs/msg/Indentation");
+    insta::assert_snapshot!(say(writer.write("a/taxels", &frame(0), -1).unwrap_err()), @"message for topic /a/taxels refused by /other: its time of -1 ns is before 1970");
+    insta::assert_snapshot!(say(writer.write_cdr("a/taxels", TypeSupport::of::<TaxelFrame>(), b"{\"json\":1}", START).unwrap_err()), @"message for topic /a/taxels refused by /other: it does not start with a CDR encapsulation header (00 01 00 00 or 00 00 00 00)");
     writer.write_cdr("a/taxels", TypeSupport::of::<TaxelFrame>(), &[0, 1, 0, 0, 9], START).unwrap();
     writer.finish().unwrap();
     let reader = BagReader::open(dir.path().join("other")).unwrap();
-    insta::assert_snapshot!(say(reader.read::<TaxelFrame>("taxels").unwrap_err()), @"");
+    insta::assert_snapshot!(say(reader.read::<TaxelFrame>("taxels").unwrap_err()), @"/other has several topics that fit taxels: /a/taxels, /b/taxels; name one");
     let items: Vec<_> = reader.read::<TaxelFrame>("a/taxels").unwrap().collect();
     assert!(items.len() == 2 && items[0].is_ok());
     let error = say(items.into_iter().next_back().unwrap().unwrap_err());
@@ -152,7 +152,7 @@ fn another_version_of_a_type_is_refused() {
     writer.finish().unwrap();
     let reader = BagReader::open(&bag).unwrap();
     let error = reader.read::<TaxelFrame>("taxels").unwrap_err().to_string();
-    insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), ""), @"");
+    insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), ""), @r#"topic /taxels of /old was recorded with another version of dermis_msgs/msg/TaxelFrame: field 10 of dermis_msgs/TaxelFrame is "float64 temperature" in the bag and "float32 temperature" here"#);
 
     // The same fields under another hash (another hash version, an edited comment) are the same type.
     let same_fields = TypeSupport {
@@ -177,7 +177,7 @@ fn a_dropped_writer_leaves_a_bag_that_says_so() {
     }
     drop(writer);
     let say = |error: BagError| error.to_string().replace(&dir.path().display().to_string(), "");
-    insta::assert_snapshot!(say(BagReader::open(&bag).unwrap_err()), @"");
+    insta::assert_snapshot!(say(BagReader::open(&bag).unwrap_err()), @"/cut has no metadata.yaml: the recording was interrupted before it was finished, or this is not a bag (1 .mcap files are in it); name an .mcap file itself, or recover what is whole");
     let recovered = BagReader::recover(&bag).unwrap();
     assert!(!recovered.info().complete);
     assert_eq!(recovered.read::<TaxelFrame>("taxels").unwrap().map(Result::unwrap).count(), 10);
@@ -230,12 +230,12 @@ fn foreign_files_are_named() {
         let error = BagReader::open(&path).unwrap_err().to_string();
         error.replace(&dir.path().display().to_string(), "")
     };
-    insta::assert_snapshot!(say("a.mcap", b"x,y,z\n1,2,3\n"), @"");
-    insta::assert_snapshot!(say("b.db3", b"SQLite format 3\0....."), @"");
-    insta::assert_snapshot!(say("c.mcap", b""), @"");
-    insta::assert_snapshot!(say("d.mcap.zstd", &[0x28, 0xb5, 0x2f, 0xfd, 0, 0]), @"");
+    insta::assert_snapshot!(say("a.mcap", b"x,y,z\n1,2,3\n"), @r#"/a.mcap is not an MCAP file: it starts with "x,y,z\n1,2,3\n""#);
+    insta::assert_snapshot!(say("b.db3", b"SQLite format 3\0....."), @"/b.db3 is stored as `sqlite3`, which is not read here: convert it with `ros2 bag convert` to uncompressed `mcap` storage");
+    insta::assert_snapshot!(say("c.mcap", b""), @"/c.mcap ends in the middle, after 0 whole messages: the recording was interrupted or the copy is not complete: copy it again, or recover what is whole");
+    insta::assert_snapshot!(say("d.mcap.zstd", &[0x28, 0xb5, 0x2f, 0xfd, 0, 0]), @"/d.mcap.zstd is stored as a zstd-compressed file, which is not read here: convert it with `ros2 bag convert` to uncompressed `mcap` storage");
     let error = BagReader::open(dir.path()).unwrap_err().to_string();
-    insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), "FOLDER"), @"");
+    insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), "FOLDER"), @"FOLDER has no metadata.yaml: the recording was interrupted before it was finished, or this is not a bag (2 .mcap files are in it); name an .mcap file itself, or recover what is whole");
 }
 
 proptest! {
