@@ -1,1 +1,27 @@
-//! ONNX inference through ort, and model bundles.
+//! Learned models: which runtime evaluates them, what a model bundle is, and how frames become inputs.
+//!
+//! | word | type | what it is |
+//! |---|---|---|
+//! | runtime | [`Runtime`] | ONNX Runtime's native library where one is found, otherwise the embedded one |
+//! | bundle | [`Bundle`] | folder of manifest, ONNX graph and model card, bound to one skin |
+//! | features | [`Features`] | conditioned frames → input of the graph; the same code in training and in a node |
+//! | outputs | [`Outputs`] | output of the graph → named quantities in SI units, with their sigma |
+//! | model | [`Model`] | one loaded graph: input slice → output vector |
+//! | graph builder | [`onnx::GraphBuilder`] | writes the ONNX graphs that training exports |
+//!
+//! A frame's way through this crate is `Features::push` → `Features::input` → `Model::run` → `Outputs::decode`.
+
+mod bundle;
+mod features;
+mod manifest;
+mod model;
+pub mod onnx;
+mod outputs;
+mod runtime;
+
+pub use bundle::{Bundle, BundleError, BundleWriter};
+pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
+pub use manifest::{Baseline, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection};
+pub use model::{Interface, Model, ModelError};
+pub use outputs::{Link, OutputConfig, OutputError, OutputSpec, Outputs, SigmaBin};
+pub use runtime::{Runtime, RuntimeChoice, RuntimeConfig, RuntimeError, RuntimeKind, RuntimeReport};

@@ -1,0 +1,397 @@
+//! Model bundles: a folder with `bundle.toml`, `model.onnx` and, for people, `card.json`.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use dermis_skin::SkinDescription;
+use sha2::{Digest, Sha256};
+
+use crate::features::Features;
+use crate::manifest::{Manifest, ManifestError, SkinSection};
+use crate::model::{Interface, Model, ModelError};
+use crate::onnx;
+use crate::outputs::Outputs;
+use crate::runtime::Runtime;
+
+const MANIFEST: &str = "bundle.toml";
+const MODEL: &str = "model.onnx";
+const CARD: &str = "card.json";
+
+/// A bundle that cannot be used or written, and why.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BundleError {
+    /// There is no such folder.
+    #[error(
+        "model bundle {path}: there is no such folder; train one with `dermis train` or correct the path"
+    )]
+    NoFolder {
+        /// Folder that was asked for.
+        path: PathBuf,
+    },
+    /// A file of the bundle is not there.
+    #[error(
+        "model bundle {path}: holds no `{file}`, so it is not a whole bundle; copy it again or train it anew"
+    )]
+    NoFile {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// File that is missing.
+        file: &'static str,
+    },
+    /// A file or folder cannot be read or written.
+    #[error("model bundle: {path} cannot be {action}: {source}")]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// `read` or `written`.
+        action: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The manifest is wrong.
+    #[error(transparent)]
+    Manifest(#[from] ManifestError),
+    /// The graph's file is shorter or longer than the manifest says.
+    #[error(
+        "model file {path}: has {found} bytes where bundle.toml field `model.bytes` says {expected}: it was cut short \
+         or replaced; copy the bundle again"
+    )]
+    Length {
+        /// File of the graph.
+        path: PathBuf,
+        /// Its length.
+        found: u64,
+        /// Length that the manifest says.
+        expected: u64,
+    },
+    /// The graph's file has another content than the manifest says.
+    #[error(
+        "model file {path}: has hash {found} where bundle.toml field `model.hash` says {expected}: it was damaged or \
+         replaced; copy the bundle again"
+    )]
+    Content {
+        /// File of the graph.
+        path: PathBuf,
+        /// Its hash.
+        found: String,
+        /// Hash that the manifest says.
+        expected: String,
+    },
+    /// The graph cannot be used.
+    #[error("model file {path}: {source}")]
+    Model {
+        /// File of the graph.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: ModelError,
+    },
+    /// The model was trained for another skin.
+    #[error(
+        "model bundle {path}: was trained for skin `{bundle_skin}` ({bundle_hash}), not for `{skin}` ({skin_hash}): \
+         {difference}; train a model for this skin"
+    )]
+    AnotherSkin {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// Name of the skin that it was trained for.
+        bundle_skin: String,
+        /// Hash of the skin that it was trained for.
+        bundle_hash: String,
+        /// Name of the skin that it is to be used on.
+        skin: String,
+        /// Hash of the skin that it is to be used on.
+        skin_hash: String,
+        /// What differs.
+        difference: String,
+    },
+    /// The manifest names the skin's hash, but other channels or another unit: someone has edited it.
+    #[error(
+        "bundle file {path}: field `{field}`: {difference}, though `skin.hash` is that of skin `{skin}`; restore the file"
+    )]
+    Contradiction {
+        /// The manifest.
+        path: PathBuf,
+        /// `skin.channels` or `skin.unit`.
+        field: &'static str,
+        /// What differs.
+        difference: String,
+        /// Name of the skin.
+        skin: String,
+    },
+    /// The folder to write holds something else.
+    #[error("model bundle {path}: the folder exists and is no bundle; choose another one")]
+    Occupied {
+        /// Folder that was asked for.
+        path: PathBuf,
+    },
+    /// The card cannot be written as JSON, or the manifest as TOML.
+    #[error("model bundle {path}: {file} cannot be encoded: {reason}")]
+    Encode {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// The file.
+        file: &'static str,
+        /// Why.
+        reason: String,
+    },
+}
+
+/// A model bundle that fits a skin.
+#[derive(Debug, Clone)]
+pub struct Bundle {
+    path: PathBuf,
+    manifest: Manifest,
+    graph: Vec<u8>,
+}
+
+impl Bundle {
+    /// Reads a bundle folder and checks that it is whole and fits the skin. Runs nothing of it.
+    ///
+    /// # Errors
+    ///
+    /// [`BundleError`] says which file and field is wrong and what to do.
+    pub fn load(path: impl AsRef<Path>, skin: &SkinDescription) -> Result<Self, BundleError> {
+        let path = path.as_ref();
+        if !path.is_dir() {
+            return Err(BundleError::NoFolder { path: path.to_owned() });
+        }
+        let manifest_path = path.join(MANIFEST);
+        let text = read(path, MANIFEST)?;
+        let text = String::from_utf8(text).map_err(|_| ManifestError::Parse {
+            file: manifest_path.display().to_string(),
+            field: "(whole file)".into(),
+            reason: "is not UTF-8 text".into(),
+        })?;
+        let manifest = Manifest::from_toml(&text, &manifest_path.display().to_string())?;
+        fits(path, &manifest.skin, &SkinSection::of(skin))?;
+        let graph = read(path, MODEL)?;
+        let graph_path = path.join(MODEL);
+        let found = graph.len() as u64;
+        if found != manifest.model.bytes {
+            return Err(BundleError::Length { path: graph_path, found, expected: manifest.model.bytes });
+        }
+        let found = hash(&graph);
+        if !found.eq_ignore_ascii_case(&manifest.model.hash) {
+            return Err(BundleError::Content {
+                path: graph_path,
+                found,
+                expected: manifest.model.hash.clone(),
+            });
+        }
+        onnx::check(&graph, &manifest.model.interface)
+            .map_err(|source| BundleError::Model { path: graph_path, source })?;
+        Ok(Self { path: path.to_owned(), manifest, graph })
+    }
+
+    /// Folder that it was read from.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What it says about itself.
+    #[must_use]
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// Turns frames into its input; starts with an empty history.
+    #[must_use]
+    pub fn features(&self) -> Features {
+        Features::of_valid(self.manifest.input.clone())
+    }
+
+    /// Reads its output.
+    #[must_use]
+    pub fn outputs(&self) -> Outputs {
+        Outputs::of_valid(self.manifest.output.clone())
+    }
+
+    /// Loads its graph into a runtime.
+    ///
+    /// # Errors
+    ///
+    /// [`BundleError::Model`] where the runtime refuses the graph.
+    pub fn session(&self, runtime: &Runtime) -> Result<Model, BundleError> {
+        Model::load(runtime, &self.graph, &self.manifest.model.interface)
+            .map_err(|source| BundleError::Model { path: self.path.join(MODEL), source })
+    }
+}
+
+fn read(folder: &Path, file: &'static str) -> Result<Vec<u8>, BundleError> {
+    let path = folder.join(file);
+    std::fs::read(&path).map_err(|source| match source.kind() {
+        std::io::ErrorKind::NotFound => BundleError::NoFile { path: folder.to_owned(), file },
+        _ => BundleError::Io { path, action: "read", source },
+    })
+}
+
+fn hash(bytes: &[u8]) -> String {
+    let hex: String = Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect();
+    format!("sha256:{hex}")
+}
+
+fn fits(path: &Path, bundle: &SkinSection, skin: &SkinSection) -> Result<(), BundleError> {
+    let unit = (bundle.unit != skin.unit)
+        .then(|| format!("the bundle's unit is \"{}\" and the skin's is \"{}\"", bundle.unit, skin.unit));
+    let channels = channel_difference(&bundle.channels, &skin.channels);
+    if bundle.hash.eq_ignore_ascii_case(&skin.hash) {
+        let contradiction = channels.map(|d| ("skin.channels", d)).or(unit.map(|d| ("skin.unit", d)));
+        return contradiction.map_or(Ok(()), |(field, difference)| {
+            Err(BundleError::Contradiction {
+                path: path.join(MANIFEST),
+                field,
+                difference,
+                skin: skin.name.clone(),
+            })
+        });
+    }
+    let mut differences: Vec<String> = channels.into_iter().chain(unit).collect();
+    if differences.is_empty() {
+        differences.push(
+            "channels and unit are the same, but the name, surface, taxel positions, ranges, noise or medium differ"
+                .into(),
+        );
+    }
+    Err(BundleError::AnotherSkin {
+        path: path.to_owned(),
+        bundle_skin: bundle.name.clone(),
+        bundle_hash: bundle.hash.clone(),
+        skin: skin.name.clone(),
+        skin_hash: skin.hash.clone(),
+        difference: differences.join(", and "),
+    })
+}
+
+/// How two channel tables differ.
+fn channel_difference(bundle: &[String], skin: &[String]) -> Option<String> {
+    if bundle == skin {
+        return None;
+    }
+    let lacking = |of: &[String], from: &[String]| {
+        let missing: Vec<&String> = of.iter().filter(|name| !from.contains(name)).collect();
+        let mut text = missing.iter().take(8).map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
+        if missing.len() > 8 {
+            text.push_str(&format!(" and {} more", missing.len() - 8));
+        }
+        text
+    };
+    let (only_bundle, only_skin) = (lacking(bundle, skin), lacking(skin, bundle));
+    Some(match (only_bundle.is_empty(), only_skin.is_empty()) {
+        (true, true) => {
+            let at = bundle.iter().zip(skin).position(|(a, b)| a != b);
+            let name = |of: &[String]| at.and_then(|i| of.get(i)).cloned().unwrap_or_default();
+            format!(
+                "the channels are in another order: channel {} is `{}` in the bundle and `{}` in the skin",
+                at.unwrap_or_else(|| bundle.len().min(skin.len())),
+                name(bundle),
+                name(skin),
+            )
+        }
+        (false, true) => format!("the bundle has channels that the skin lacks: {only_bundle}"),
+        (true, false) => format!("the skin has channels that the bundle lacks: {only_skin}"),
+        (false, false) => {
+            format!("the bundle has channels {only_bundle} where the skin has {only_skin}")
+        }
+    })
+}
+
+/// Writes a bundle folder.
+///
+/// Fields of the manifest that are not known when it is made are public.
+#[derive(Debug, Clone)]
+pub struct BundleWriter {
+    /// What `bundle.toml` will say; length and hash of the graph are filled in by [`write`](Self::write).
+    pub manifest: Manifest,
+    /// What `card.json` will say, for people: plots, tables, how it was trained.
+    pub card: BTreeMap<String, serde_json::Value>,
+}
+
+impl BundleWriter {
+    /// A bundle of this manifest and an empty card.
+    #[must_use]
+    pub fn new(manifest: Manifest) -> Self {
+        Self { manifest, card: BTreeMap::new() }
+    }
+
+    /// Gives the graph another interface than one flat tensor each.
+    #[must_use]
+    pub fn with_interface(mut self, interface: Interface) -> Self {
+        self.manifest.model.interface = interface;
+        self
+    }
+
+    /// Writes the folder whole or not at all, with `graph` as its ONNX file. An older bundle at the same path is
+    /// replaced; anything else is left alone.
+    ///
+    /// # Errors
+    ///
+    /// [`BundleError`] where the manifest contradicts itself or the graph, or the folder cannot be written.
+    pub fn write(mut self, path: impl AsRef<Path>, graph: &[u8]) -> Result<(), BundleError> {
+        let path = path.as_ref();
+        self.manifest.model.bytes = graph.len() as u64;
+        self.manifest.model.hash = hash(graph);
+        self.manifest.validate(&path.join(MANIFEST).display().to_string())?;
+        onnx::check(graph, &self.manifest.model.interface)
+            .map_err(|source| BundleError::Model { path: path.join(MODEL), source })?;
+        let encode = |file, reason: String| BundleError::Encode { path: path.to_owned(), file, reason };
+        let manifest = toml::to_string(&self.manifest).map_err(|e| encode(MANIFEST, e.to_string()))?;
+        let card = serde_json::to_string_pretty(&self.card).map_err(|e| encode(CARD, e.to_string()))? + "\n";
+
+        let exists = path.exists();
+        if exists && !replaceable(path) {
+            return Err(BundleError::Occupied { path: path.to_owned() });
+        }
+        let parent = match path.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        let written = |at: &Path| {
+            let at = at.to_owned();
+            move |source| BundleError::Io { path: at, action: "written", source }
+        };
+        std::fs::create_dir_all(parent).map_err(written(parent))?;
+        let scratch = scratch_folder(parent).map_err(written(parent))?;
+        for (file, content) in [(MANIFEST, manifest.as_bytes()), (MODEL, graph), (CARD, card.as_bytes())] {
+            let at = scratch.path().join(file);
+            std::fs::File::create(&at)
+                .and_then(|mut f| f.write_all(content).and_then(|()| f.sync_all()))
+                .map_err(written(&at))?;
+        }
+        // A folder cannot be replaced in one step, so the old one moves aside first. It is removed with the
+        // folder it moves into.
+        let aside = scratch_folder(parent).map_err(written(parent))?;
+        if exists {
+            std::fs::rename(path, aside.path().join("old")).map_err(written(path))?;
+        }
+        if let Err(source) = std::fs::rename(scratch.path(), path) {
+            if exists {
+                // Best effort: the error that is reported is the one that matters.
+                let _ = std::fs::rename(aside.path().join("old"), path);
+            }
+            return Err(written(path)(source));
+        }
+        // It is the bundle now, not scratch any more.
+        let _ = scratch.keep();
+        Ok(())
+    }
+}
+
+/// Whether a path is a bundle or an empty folder.
+fn replaceable(path: &Path) -> bool {
+    path.join(MANIFEST).is_file() || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
+}
+
+/// A folder that others may read, since it becomes the bundle.
+fn scratch_folder(parent: &Path) -> std::io::Result<tempfile::TempDir> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".bundle-");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o755));
+    }
+    builder.tempdir_in(parent)
+}

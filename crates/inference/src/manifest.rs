@@ -1,0 +1,311 @@
+//! `bundle.toml`: what a bundle says about itself.
+
+use std::collections::BTreeMap;
+
+use dermis_skin::SkinDescription;
+use serde::{Deserialize, Serialize};
+
+use crate::features::{FeatureConfig, FeatureError};
+use crate::model::Interface;
+use crate::outputs::{OutputConfig, OutputError};
+
+const SCHEMA_STEM: &str = "dermis-bundle/";
+const SCHEMA_VERSION: u32 = 1;
+
+/// Which readings the model was trained on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Baseline {
+    /// As the device gives them, in the unit of the skin.
+    Raw,
+    /// Minus the untouched reading, drift followed.
+    Tared,
+}
+
+/// The skin that a model was trained for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SkinSection {
+    /// Its name.
+    pub name: String,
+    /// Its [hash](SkinDescription::hash).
+    pub hash: String,
+    /// Unit of its readings.
+    pub unit: String,
+    /// Names of its channels, in order.
+    pub channels: Vec<String>,
+}
+
+impl SkinSection {
+    /// What a bundle says about this skin.
+    #[must_use]
+    pub fn of(skin: &SkinDescription) -> Self {
+        Self {
+            name: skin.name.clone(),
+            hash: skin.hash(),
+            unit: skin.unit.clone(),
+            channels: skin.channels().iter().map(|c| c.name.clone()).collect(),
+        }
+    }
+}
+
+/// The file of the graph.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct ModelSection {
+    /// Its length in bytes.
+    pub bytes: u64,
+    /// `sha256:` and 64 hex digits over its content.
+    pub hash: String,
+    /// What goes in and what comes out.
+    pub interface: Interface,
+}
+
+/// Where a model comes from.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct TrainingSection {
+    /// Hash of the data it was trained on.
+    pub data_hash: String,
+    /// Seed of every random choice, at most 2⁶³ − 1.
+    pub seed: u64,
+    /// Frames trained on.
+    pub samples: u64,
+    /// What was held out to measure the metrics.
+    #[serde(default)]
+    pub held_out: String,
+}
+
+/// What a bundle says about itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    schema: String,
+    /// What the model is called.
+    pub name: String,
+    /// Free text.
+    #[serde(default)]
+    pub description: String,
+    /// Which readings it takes.
+    pub baseline: Baseline,
+    /// \[N\] least and largest normal force that it was trained on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_range: Option<[f64; 2]>,
+    /// The skin it was trained for.
+    pub skin: SkinSection,
+    /// The graph.
+    pub model: ModelSection,
+    /// How frames become its input.
+    pub input: FeatureConfig,
+    /// What its output means.
+    pub output: OutputConfig,
+    /// Where it comes from.
+    pub training: TrainingSection,
+    /// Measured on what was held out; names end in their unit, e.g. `position_rmse_m`.
+    #[serde(default)]
+    pub metrics: BTreeMap<String, f64>,
+}
+
+/// A manifest that cannot be used, and why.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ManifestError {
+    /// The text is not TOML, or a field is missing or has the wrong type.
+    #[error("bundle file {file}: field `{field}`: {reason}")]
+    Parse {
+        /// File that the text came from.
+        file: String,
+        /// Path of the field, or a line and column.
+        field: String,
+        /// What was expected.
+        reason: String,
+    },
+    /// A key that this version of the format does not know.
+    #[error("bundle file {file}: unknown key `{key}`; remove it or correct its spelling")]
+    UnknownKey {
+        /// File that the text came from.
+        file: String,
+        /// Path of the key.
+        key: String,
+    },
+    /// A newer program wrote it.
+    #[error(
+        "bundle file {file}: field `schema`: is \"{found}\", newer than \"dermis-bundle/{SCHEMA_VERSION}\"; update dermis \
+         or train the model again with this version"
+    )]
+    Newer {
+        /// File that the text came from.
+        file: String,
+        /// Schema of the file.
+        found: String,
+    },
+    /// The fields parse, but what they say is impossible.
+    #[error("bundle file {file}: field `{field}`: {reason}")]
+    Impossible {
+        /// File that the text came from.
+        file: String,
+        /// Path of the field.
+        field: String,
+        /// Why it cannot be, and what would be right.
+        reason: String,
+    },
+}
+
+impl Manifest {
+    /// A manifest of this format for a skin; metrics, ranges and the graph's length and hash are still empty.
+    #[must_use]
+    pub fn new(
+        name: impl Into<String>,
+        skin: &SkinDescription,
+        baseline: Baseline,
+        input: FeatureConfig,
+        output: OutputConfig,
+        training: TrainingSection,
+    ) -> Self {
+        let interface = Interface::flat(input.input_len(), output.len());
+        Self {
+            schema: format!("{SCHEMA_STEM}{SCHEMA_VERSION}"),
+            name: name.into(),
+            description: String::new(),
+            baseline,
+            force_range: None,
+            skin: SkinSection::of(skin),
+            model: ModelSection { interface, ..Default::default() },
+            input,
+            output,
+            training,
+            metrics: BTreeMap::new(),
+        }
+    }
+
+    /// Reads a manifest; `file` is what errors call it.
+    ///
+    /// # Errors
+    ///
+    /// [`ManifestError`] names the field and what is wrong with it.
+    pub fn from_toml(text: &str, file: &str) -> Result<Self, ManifestError> {
+        let parse =
+            |field: String, reason: String| ManifestError::Parse { file: file.to_owned(), field, reason };
+        let table: toml::Table = text
+            .parse()
+            .map_err(|e: toml::de::Error| parse(position(text, e.span()), e.message().to_owned()))?;
+        // The schema comes first: a newer file may have any field.
+        check_schema(table.get("schema"), file)?;
+        let mut unknown = None;
+        let mut track = serde_path_to_error::Track::new();
+        let parsed: Result<Self, _> = {
+            let deserializer = toml::Deserializer::parse(text)
+                .map_err(|e| parse(position(text, e.span()), e.message().to_owned()))?;
+            let path_aware = serde_path_to_error::Deserializer::new(deserializer, &mut track);
+            serde_ignored::deserialize(path_aware, |path| {
+                unknown.get_or_insert_with(|| path.to_string());
+            })
+        };
+        let manifest = parsed.map_err(|e| {
+            let path = track.path().to_string();
+            let field = if path == "." { position(text, e.span()) } else { path };
+            parse(field, e.message().to_owned())
+        })?;
+        if let Some(key) = unknown {
+            return Err(ManifestError::UnknownKey { file: file.to_owned(), key });
+        }
+        manifest.validate(file)?;
+        Ok(manifest)
+    }
+
+    /// Says what is impossible; `file` is what errors call the manifest.
+    ///
+    /// # Errors
+    ///
+    /// [`ManifestError::Impossible`] names the field.
+    pub fn validate(&self, file: &str) -> Result<(), ManifestError> {
+        let wrong = |field: &str, reason: String| {
+            Err(ManifestError::Impossible { file: file.to_owned(), field: field.to_owned(), reason })
+        };
+        if let Err(FeatureError::Impossible { field, reason }) = self.input.validate() {
+            return wrong(&format!("input.{field}"), reason);
+        }
+        if let Err(OutputError::Impossible { field, reason }) = self.output.validate() {
+            return wrong(&format!("output.{field}"), reason);
+        }
+        if self.name.is_empty() {
+            return wrong("name", "is empty".into());
+        }
+        if !is_hash(&self.skin.hash) {
+            return wrong("skin.hash", "must be `sha256:` and 64 hex digits".into());
+        }
+        if !is_hash(&self.model.hash) {
+            return wrong("model.hash", "must be `sha256:` and 64 hex digits".into());
+        }
+        if self.skin.channels.len() != self.input.channels() {
+            return wrong(
+                "input.mean",
+                format!(
+                    "has {} entries where `skin.channels` names {}",
+                    self.input.channels(),
+                    self.skin.channels.len()
+                ),
+            );
+        }
+        let interface = &self.model.interface;
+        let sides = [
+            ("input_shape", &interface.input_shape, interface.input_len(), "[input]", self.input.input_len()),
+            ("output_shape", &interface.output_shape, interface.output_len(), "[output]", self.output.len()),
+        ];
+        for (field, shape, len, table, expected) in sides {
+            if shape.first() != Some(&1) || len != Some(expected) {
+                return wrong(
+                    &format!("model.interface.{field}"),
+                    format!("is {shape:?} where {table} takes batch 1 and {expected} numbers"),
+                );
+            }
+        }
+        if let Some([low, high]) = self.force_range
+            && !(low.is_finite() && high.is_finite() && low < high)
+        {
+            return wrong("force_range", format!("[{low}, {high}] is empty: low must be below high"));
+        }
+        if self.training.seed > i64::MAX.cast_unsigned() {
+            return wrong("training.seed", "is beyond 2^63 - 1, the largest number that TOML has".into());
+        }
+        if let Some((name, _)) = self.metrics.iter().find(|(_, value)| !value.is_finite()) {
+            return wrong(&format!("metrics.{name}"), "must be a finite number".into());
+        }
+        Ok(())
+    }
+}
+
+fn check_schema(schema: Option<&toml::Value>, file: &str) -> Result<(), ManifestError> {
+    let wrong = |reason: String| ManifestError::Impossible {
+        file: file.to_owned(),
+        field: "schema".to_owned(),
+        reason,
+    };
+    let Some(schema) = schema else {
+        return Err(wrong(format!(
+            "is missing; this program reads \"{SCHEMA_STEM}{SCHEMA_VERSION}\", so the file is no bundle of it"
+        )));
+    };
+    let version = schema
+        .as_str()
+        .and_then(|s| s.strip_prefix(SCHEMA_STEM))
+        .and_then(|version| version.parse::<u32>().ok());
+    match version {
+        Some(SCHEMA_VERSION) => Ok(()),
+        Some(newer) if newer > SCHEMA_VERSION => {
+            Err(ManifestError::Newer { file: file.to_owned(), found: format!("{SCHEMA_STEM}{newer}") })
+        }
+        _ => Err(wrong(format!("is {schema} where this program reads \"{SCHEMA_STEM}{SCHEMA_VERSION}\""))),
+    }
+}
+
+pub(crate) fn is_hash(text: &str) -> bool {
+    text.strip_prefix("sha256:")
+        .is_some_and(|hex| hex.len() == 64 && hex.bytes().all(|b| b.is_ascii_hexdigit()))
+}
+
+/// "line 3, column 5" of a byte range, for errors that belong to no field.
+fn position(text: &str, span: Option<std::ops::Range<usize>>) -> String {
+    let Some(before) = span.and_then(|span| text.get(..span.start)) else {
+        return "(whole file)".to_owned();
+    };
+    let line = before.matches('\n').count() + 1;
+    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
+    format!("line {line}, column {column}")
+}

@@ -1,0 +1,260 @@
+//! What a graph takes and gives, read without running anything.
+//!
+//! `onnx-rs` can parse a graph too, but follows nested subgraphs to any depth, so a crafted file overflows its
+//! stack. What is needed here lies at a fixed depth.
+
+use crate::model::{Interface, ModelError};
+
+const FLOAT: u64 = 1;
+
+/// Checks that `bytes` are an ONNX graph of this interface.
+///
+/// # Errors
+///
+/// [`ModelError::NotOnnx`] and [`ModelError::Interface`].
+pub(crate) fn check(bytes: &[u8], interface: &Interface) -> Result<(), ModelError> {
+    let signature = Signature::read(bytes).map_err(|reason| ModelError::NotOnnx { reason })?;
+    let sides = [
+        ("input", &signature.inputs, &interface.input, &interface.input_shape),
+        ("output", &signature.outputs, &interface.output, &interface.output_shape),
+    ];
+    for (what, found, name, shape) in sides {
+        let expected = Port {
+            name: name.clone(),
+            element: FLOAT,
+            shape: shape.iter().map(|d| i64::try_from(*d).ok()).collect(),
+        };
+        if found.as_slice() != [expected.clone()] {
+            let found = match found.as_slice() {
+                [] => "nothing".to_owned(),
+                ports => ports.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and "),
+            };
+            return Err(ModelError::Interface { what, found, expected: expected.to_string() });
+        }
+    }
+    Ok(())
+}
+
+/// A tensor that goes in or out.
+#[derive(Debug, Clone, PartialEq)]
+struct Port {
+    name: String,
+    /// `TensorProto.DataType`.
+    element: u64,
+    /// `None` where a dimension is symbolic.
+    shape: Vec<Option<i64>>,
+}
+
+impl std::fmt::Display for Port {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let shape: Vec<String> =
+            self.shape.iter().map(|d| d.map_or_else(|| "?".to_owned(), |d| d.to_string())).collect();
+        let element = match self.element {
+            FLOAT => "",
+            7 => " of int64",
+            11 => " of float64",
+            _ => " of another element type",
+        };
+        write!(f, "`{}` [{}]{element}", self.name, shape.join(", "))
+    }
+}
+
+struct Signature {
+    inputs: Vec<Port>,
+    outputs: Vec<Port>,
+}
+
+impl Signature {
+    /// Field numbers are those of `onnx.proto`.
+    fn read(bytes: &[u8]) -> Result<Self, String> {
+        let (mut version, mut graph) = (0, None);
+        for field in Fields(bytes) {
+            match field? {
+                (1, Value::Number(n)) => version = n,
+                (7, Value::Bytes(b)) => graph = Some(b),
+                _ => {}
+            }
+        }
+        let graph = graph.filter(|_| version > 0).ok_or("it holds no graph")?;
+        let (mut inputs, mut outputs, mut constants) = (Vec::new(), Vec::new(), Vec::new());
+        for field in Fields(graph) {
+            match field? {
+                (5, Value::Bytes(b)) => constants.push(constant_name(b)?),
+                (11, Value::Bytes(b)) => inputs.push(port(b)?),
+                (12, Value::Bytes(b)) => outputs.push(port(b)?),
+                _ => {}
+            }
+        }
+        // Old exporters list weights among the inputs, too.
+        inputs.retain(|input| !constants.contains(&input.name));
+        Ok(Self { inputs, outputs })
+    }
+}
+
+fn constant_name(bytes: &[u8]) -> Result<String, String> {
+    let mut name = String::new();
+    for field in Fields(bytes) {
+        match field? {
+            (8, Value::Bytes(b)) => name = text(b)?,
+            (14, Value::Number(1)) => return Err("it keeps weights in another file".into()),
+            _ => {}
+        }
+    }
+    Ok(name)
+}
+
+fn port(bytes: &[u8]) -> Result<Port, String> {
+    let mut port = Port { name: String::new(), element: 0, shape: Vec::new() };
+    for field in Fields(bytes) {
+        match field? {
+            (1, Value::Bytes(b)) => port.name = text(b)?,
+            (2, Value::Bytes(kind)) => {
+                for field in Fields(kind) {
+                    if let (1, Value::Bytes(tensor)) = field? {
+                        tensor_type(tensor, &mut port)?;
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(port)
+}
+
+fn tensor_type(bytes: &[u8], port: &mut Port) -> Result<(), String> {
+    for field in Fields(bytes) {
+        match field? {
+            (1, Value::Number(n)) => port.element = n,
+            (2, Value::Bytes(shape)) => {
+                for field in Fields(shape) {
+                    if let (1, Value::Bytes(dimension)) = field? {
+                        let mut size = None;
+                        for field in Fields(dimension) {
+                            if let (1, Value::Number(n)) = field? {
+                                size = Some(n.cast_signed());
+                            }
+                        }
+                        port.shape.push(size);
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+fn text(bytes: &[u8]) -> Result<String, String> {
+    String::from_utf8(bytes.to_vec()).map_err(|_| "a name is not UTF-8".into())
+}
+
+enum Value<'a> {
+    Number(u64),
+    Bytes(&'a [u8]),
+    Fixed,
+}
+
+/// The fields of one protobuf message; stops after the first error.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn varint(&mut self) -> Option<u64> {
+        let mut value = 0;
+        for shift in (0..64).step_by(7) {
+            let (byte, rest) = self.0.split_first()?;
+            self.0 = rest;
+            value |= u64::from(byte & 0x7f) << shift;
+            if byte & 0x80 == 0 {
+                return Some(value);
+            }
+        }
+        None
+    }
+
+    fn take(&mut self, length: u64) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    fn field(&mut self) -> Option<(u64, Value<'a>)> {
+        let tag = self.varint()?;
+        let value = match tag & 7 {
+            0 => Value::Number(self.varint()?),
+            1 => self.take(8).map(|_| Value::Fixed)?,
+            2 => {
+                let length = self.varint()?;
+                Value::Bytes(self.take(length)?)
+            }
+            5 => self.take(4).map(|_| Value::Fixed)?,
+            _ => return None,
+        };
+        (tag >> 3 != 0).then_some((tag >> 3, value))
+    }
+}
+
+impl<'a> Iterator for Fields<'a> {
+    type Item = Result<(u64, Value<'a>), String>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.0.is_empty() {
+            return None;
+        }
+        let field = self.field();
+        if field.is_none() {
+            self.0 = &[];
+        }
+        Some(field.ok_or_else(|| "it is cut short or garbled".to_owned()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::onnx::GraphBuilder;
+
+    fn doubler() -> Vec<u8> {
+        let mut g = GraphBuilder::new("doubler");
+        let x = g.input("input", &[1, 3]);
+        let y = g.add(&x, &x);
+        g.output("output", &y, &[1, 3]);
+        g.finish().unwrap()
+    }
+
+    #[test]
+    fn a_graph_of_the_declared_interface_passes() {
+        check(&doubler(), &Interface::flat(3, 3)).unwrap();
+    }
+
+    #[test]
+    fn refusals_show_both_sides() {
+        let refused = |bytes: &[u8], interface| check(bytes, &interface).unwrap_err().to_string();
+        insta::assert_snapshot!(refused(&doubler(), Interface::flat(4, 3)), @"has input `input` [1, 3] where `input` [1, 4] is declared");
+        insta::assert_snapshot!(refused(&doubler(), Interface { output: "y".into(), ..Interface::flat(3, 3) }), @"has output `output` [1, 3] where `y` [1, 3] is declared");
+        insta::assert_snapshot!(refused(b"", Interface::flat(3, 3)), @"is not an ONNX model: it holds no graph; export it again");
+        insta::assert_snapshot!(refused(b"PK\x03\x04 a zip", Interface::flat(3, 3)), @"is not an ONNX model: it is cut short or garbled; export it again");
+    }
+
+    #[test]
+    fn every_truncation_is_refused() {
+        let bytes = doubler();
+        for length in 0..bytes.len() {
+            assert!(check(&bytes[..length], &Interface::flat(3, 3)).is_err() || length + 10 > bytes.len());
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_bytes_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..400)) {
+            let _ = check(&bytes, &Interface::flat(3, 3));
+        }
+
+        #[test]
+        fn no_bit_flip_panics(at in 0..100_usize, bit in 0..8) {
+            let mut bytes = doubler();
+            let at = at % bytes.len();
+            bytes[at] ^= 1 << bit;
+            let _ = check(&bytes, &Interface::flat(3, 3));
+        }
+    }
+}
