@@ -1,0 +1,588 @@
+//! Devices that are not there: a model, or a recording, behind a real transport.
+//!
+//! Both speak the native wire (or lines, where the skin's description says so) on a pseudo-terminal or a TCP
+//! port, with sequence and device time, so that a node cannot tell them from hardware.
+
+use std::collections::VecDeque;
+use std::io::{self, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{JoinHandle, Thread};
+use std::time::{Duration, Instant};
+
+use dermis_bag::BagReader;
+use dermis_msgs::msg::{Indentation, TaxelFrame};
+use dermis_skin::{ForwardModel, SkinDescription, Stamp, Surface, WireProtocol};
+use dermis_transport::framing::{NativeEncoder, NativeFormat};
+use dermis_transport::{Pty, now_ns};
+
+use crate::{Moment, Plan, Sampler, TestbedError, Timeline};
+
+/// Where a simulated device is plugged in.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Outlet {
+    /// A new pseudo-terminal.
+    #[default]
+    Pty,
+    /// A new pseudo-terminal with a symbolic link to it, for a path that stays the same.
+    PtyLink(PathBuf),
+    /// A TCP server for one client at a time; port 0 takes a free one.
+    Tcp(SocketAddr),
+}
+
+/// What a simulated device has sent so far.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DeviceStats {
+    /// Frames that were made.
+    pub frames: u64,
+    /// Bytes that the line took.
+    pub bytes: u64,
+    /// Frames of which the line did not take all: nobody was reading.
+    pub dropped: u64,
+    /// Frames that were not made because this process had no time to.
+    pub skipped: u64,
+}
+
+#[derive(Debug, Default)]
+struct Counters {
+    frames: AtomicU64,
+    bytes: AtomicU64,
+    dropped: AtomicU64,
+    skipped: AtomicU64,
+}
+
+impl Counters {
+    fn read(&self) -> DeviceStats {
+        let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
+        DeviceStats {
+            frames: get(&self.frames),
+            bytes: get(&self.bytes),
+            dropped: get(&self.dropped),
+            skipped: get(&self.skipped),
+        }
+    }
+}
+
+/// The device's end of the line.
+#[derive(Debug)]
+enum Line {
+    Pty(Pty),
+    Tcp { listener: TcpListener, client: Option<TcpStream> },
+}
+
+impl Line {
+    fn open(outlet: &Outlet, skin: &str) -> Result<(Self, String), TestbedError> {
+        match outlet {
+            Outlet::Pty => {
+                let pty = Pty::open()?;
+                let url = format!("pty://{}", pty.slave_path().display());
+                Ok((Self::Pty(pty), url))
+            }
+            Outlet::PtyLink(link) => {
+                let mut pty = Pty::open()?;
+                pty.link(link)?;
+                Ok((Self::Pty(pty), format!("pty://{}", link.display())))
+            }
+            Outlet::Tcp(address) => {
+                let failed =
+                    |what| move |source| TestbedError::Device { skin: skin.to_owned(), what, source };
+                let listener = TcpListener::bind(address).map_err(failed("cannot listen on its TCP port"))?;
+                listener.set_nonblocking(true).map_err(failed("cannot listen on its TCP port"))?;
+                let bound = listener.local_addr().map_err(failed("cannot listen on its TCP port"))?;
+                Ok((Self::Tcp { listener, client: None }, format!("tcp://{bound}")))
+            }
+        }
+    }
+
+    /// Sends what the line takes now; returns how many bytes. A TCP client that has gone makes room for another.
+    fn send(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Pty(pty) => pty.write_lossy(bytes),
+            Self::Tcp { listener, client } => {
+                if let Ok((stream, _)) = listener.accept() {
+                    stream.set_nonblocking(true)?;
+                    stream.set_nodelay(true)?;
+                    *client = Some(stream);
+                }
+                let Some(stream) = client else { return Ok(0) };
+                match stream.write(bytes) {
+                    Ok(sent) => Ok(sent),
+                    Err(e)
+                        if e.kind() == io::ErrorKind::WouldBlock
+                            || e.kind() == io::ErrorKind::Interrupted =>
+                    {
+                        Ok(0)
+                    }
+                    Err(_) => {
+                        *client = None;
+                        Ok(0)
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Writes frames as the skin's device would: raw counts, framed.
+#[derive(Debug)]
+struct Encoder {
+    native: Option<NativeEncoder>,
+    scale: f64,
+    offset: f64,
+    raw: Vec<f32>,
+    text: Vec<u8>,
+}
+
+impl Encoder {
+    fn new(skin: &SkinDescription) -> Self {
+        let native = match skin.wire.protocol {
+            WireProtocol::Native => Some(NativeEncoder::new(NativeFormat::F32)),
+            WireProtocol::Ascii => None,
+        };
+        Self { native, scale: skin.wire.scale, offset: skin.wire.offset, raw: Vec::new(), text: Vec::new() }
+    }
+
+    fn encode(&mut self, sequence: u64, device_time_us: u64, values: &[f32]) -> Result<&[u8], TestbedError> {
+        self.raw.clear();
+        self.raw.extend(values.iter().map(|v| {
+            // Untouched where the device already speaks the skin's unit: a round trip keeps every bit.
+            if self.scale == 1.0 && self.offset == 0.0 {
+                *v
+            } else {
+                ((f64::from(*v) - self.offset) / self.scale) as f32
+            }
+        }));
+        // The wire's sequence number wraps at 32 bits.
+        match &mut self.native {
+            Some(native) => Ok(native.encode(sequence as u32, device_time_us, &self.raw)?),
+            None => {
+                self.text.clear();
+                for (i, value) in self.raw.iter().enumerate() {
+                    let comma = if i == 0 { "" } else { "," };
+                    self.text.extend_from_slice(format!("{comma}{value}").as_bytes());
+                }
+                self.text.push(b'\n');
+                Ok(&self.text)
+            }
+        }
+    }
+}
+
+/// A thread that can be told to end, and is waited for.
+#[derive(Debug)]
+struct Worker {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Result<(), TestbedError>>>,
+}
+
+impl Worker {
+    fn spawn(
+        skin: &str,
+        name: &str,
+        stop: Arc<AtomicBool>,
+        body: impl FnOnce() -> Result<(), TestbedError> + Send + 'static,
+    ) -> Result<Self, TestbedError> {
+        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(body).map_err(|source| {
+            TestbedError::Device { skin: skin.to_owned(), what: "cannot start its thread", source }
+        })?;
+        Ok(Self { stop, thread: Some(thread) })
+    }
+
+    fn running(&self) -> bool {
+        self.thread.as_ref().is_some_and(|t| !t.is_finished())
+    }
+
+    fn stop(&mut self) -> Result<(), TestbedError> {
+        self.stop.store(true, Ordering::Relaxed);
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        Thread::unpark(thread.thread());
+        match thread.join() {
+            Ok(result) => result,
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.stop.store(true, Ordering::Relaxed);
+        } else if let Err(error) = self.stop() {
+            tracing::warn!("{error}");
+        }
+    }
+}
+
+/// Sleeps until `deadline`, or less where `stop` is set and the thread unparked.
+fn sleep_until(deadline: Instant, stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        let Some(left) = deadline.checked_duration_since(Instant::now()).filter(|d| !d.is_zero()) else {
+            return;
+        };
+        std::thread::park_timeout(left);
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // What a panicking thread left behind is still a list of timelines.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A plan gone through again and again, with another seed each time.
+struct Script {
+    plan: Plan,
+    surface: Surface,
+    seed: u64,
+    start: Stamp,
+    /// Start \[s\] and timeline of the last rounds, and how many there were.
+    rounds: Mutex<(u64, VecDeque<(f64, Arc<Timeline>)>)>,
+}
+
+/// Rounds of a plan that a device remembers.
+const ROUNDS: usize = 4;
+
+impl Script {
+    fn new(plan: Plan, surface: Surface, seed: u64, start: Stamp) -> Result<Self, TestbedError> {
+        let first = Arc::new(Timeline::new(&plan, &surface, seed)?);
+        Ok(Self { plan, surface, seed, start, rounds: Mutex::new((1, VecDeque::from([(0.0, first)]))) })
+    }
+
+    /// What happens `t` \[s\] after the start; `None` before it, and for what is forgotten.
+    fn at(&self, t: f64) -> Result<Option<Moment>, TestbedError> {
+        let (begin, timeline) = {
+            let mut rounds = lock(&self.rounds);
+            while let Some((begin, last)) = rounds.1.back()
+                && t >= begin + last.duration()
+            {
+                let next = begin + last.duration();
+                let timeline = Timeline::new(&self.plan, &self.surface, self.seed.wrapping_add(rounds.0))?;
+                rounds.0 += 1;
+                rounds.1.push_back((next, Arc::new(timeline)));
+                if rounds.1.len() > ROUNDS {
+                    rounds.1.pop_front();
+                }
+            }
+            match rounds.1.iter().rev().find(|(begin, _)| *begin <= t) {
+                Some((begin, timeline)) => (*begin, Arc::clone(timeline)),
+                None => return Ok(None),
+            }
+        };
+        Ok(Some(timeline.at(t - begin)))
+    }
+}
+
+/// A modelled skin as a device that sends frames at the skin's rate, in real time, until it is stopped or dropped.
+///
+/// ```no_run
+/// # fn model() -> std::sync::Arc<dyn dermis_skin::ForwardModel> { unimplemented!() }
+/// use dermis_testbed::{Outlet, Plan, VirtualDevice};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let skin = dermis_skin::SkinDescription::load("pad.toml")?;
+/// let plan = Plan::random_touches(0.004, [0.1, 1.0]);
+/// let device = VirtualDevice::start(model(), &skin, &plan, 1, &Outlet::Pty)?;
+/// println!("open {} and read", device.url());
+/// # Ok(())
+/// # }
+/// ```
+pub struct VirtualDevice {
+    url: String,
+    skin: SkinDescription,
+    script: Arc<Script>,
+    counters: Arc<Counters>,
+    worker: Worker,
+}
+
+impl std::fmt::Debug for VirtualDevice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("VirtualDevice")
+            .field("skin", &self.skin.name)
+            .field("url", &self.url)
+            .field("stats", &self.stats())
+            .finish_non_exhaustive()
+    }
+}
+
+impl VirtualDevice {
+    /// Plugs the modelled skin in at `outlet` and carries out `plan` on it, over and over; each round draws
+    /// anew from `seed`.
+    ///
+    /// # Errors
+    ///
+    /// [`TestbedError`] where model, skin and plan don't fit together, or there is no line to send on.
+    pub fn start(
+        model: Arc<dyn ForwardModel>,
+        skin: &SkinDescription,
+        plan: &Plan,
+        seed: u64,
+        outlet: &Outlet,
+    ) -> Result<Self, TestbedError> {
+        let surface = model.surface().clone();
+        let mut sampler = Sampler::new(model, skin, seed ^ 0x5eed_0001)?;
+        let (mut line, url) = Line::open(outlet, &skin.name)?;
+        let mut encoder = Encoder::new(skin);
+        let (begin, start) = (Instant::now(), now_ns());
+        let script = Arc::new(Script::new(plan.clone(), surface, seed, start)?);
+        let counters = Arc::new(Counters::default());
+        let stop = Arc::new(AtomicBool::new(false));
+
+        let body = {
+            let (script, counters, stop) = (Arc::clone(&script), Arc::clone(&counters), Arc::clone(&stop));
+            let (name, rate) = (skin.name.clone(), skin.rate);
+            move || {
+                let (mut values, mut flags) = (Vec::new(), Vec::new());
+                let mut index = 0u64;
+                loop {
+                    let t = index as f64 / rate;
+                    sleep_until(begin + Duration::from_secs_f64(t), &stop);
+                    if stop.load(Ordering::Relaxed) {
+                        return Ok(());
+                    }
+                    // A device that was stopped for long does not send what it did not measure.
+                    let late = begin.elapsed().as_secs_f64() - t;
+                    if late > 0.5 {
+                        let missed = (late * rate) as u64;
+                        counters.skipped.fetch_add(missed, Ordering::Relaxed);
+                        index += missed.max(1);
+                        continue;
+                    }
+                    let moment = script.at(t)?.unwrap_or_default();
+                    sampler
+                        .sample(&moment.stimulus, &mut values, &mut flags)
+                        .map_err(|source| TestbedError::Model { press: moment.press, source })?;
+                    // Device time 0 would mean that there is no clock.
+                    let bytes = encoder.encode(index, 1 + (t * 1e6).round() as u64, &values)?;
+                    let sent = line.send(bytes).map_err(|source| TestbedError::Device {
+                        skin: name.clone(),
+                        what: "lost its line",
+                        source,
+                    })?;
+                    counters.frames.fetch_add(1, Ordering::Relaxed);
+                    counters.bytes.fetch_add(sent as u64, Ordering::Relaxed);
+                    if sent < bytes.len() {
+                        counters.dropped.fetch_add(1, Ordering::Relaxed);
+                    }
+                    index += 1;
+                }
+            }
+        };
+        let worker = Worker::spawn(&skin.name, "virtual-device", stop, body)?;
+        Ok(Self { url, skin: skin.clone(), script, counters, worker })
+    }
+
+    /// Source URL under which a node reads the device.
+    #[must_use]
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// What really touched the skin at `stamp`; `None` before the device was started, and for what happened so
+    /// long ago that it is forgotten (four rounds of the plan).
+    #[must_use]
+    pub fn truth(&self, stamp: Stamp) -> Option<Moment> {
+        let t = (stamp - self.script.start) as f64 * 1e-9;
+        if t < 0.0 {
+            return None;
+        }
+        // The next round may begin before its first frame is due; that it fits was seen in the first.
+        self.script.at(t).ok().flatten()
+    }
+
+    /// [`truth`](Self::truth) as a message.
+    #[must_use]
+    pub fn truth_message(&self, stamp: Stamp) -> Option<Indentation> {
+        let session = format!("{}/{}", self.script.plan.name, self.script.seed);
+        self.truth(stamp).map(|m| m.message(&self.skin, &self.script.surface, &session, stamp))
+    }
+
+    /// What was sent so far.
+    #[must_use]
+    pub fn stats(&self) -> DeviceStats {
+        self.counters.read()
+    }
+
+    /// Whether it is still sending; `false` after its line was lost, and [`stop`](Self::stop) says why.
+    #[must_use]
+    pub fn running(&self) -> bool {
+        self.worker.running()
+    }
+
+    /// Pulls the plug: ends the thread, closes the line, and says what had gone wrong before.
+    ///
+    /// # Errors
+    ///
+    /// [`TestbedError`] that ended the device before.
+    pub fn stop(mut self) -> Result<DeviceStats, TestbedError> {
+        self.worker.stop()?;
+        Ok(self.stats())
+    }
+}
+
+/// How a recording is sent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReplayOptions {
+    /// Factor on the recorded pace; infinite for as fast as it is read.
+    pub speed: f64,
+    /// Topic of the frames; the only one of that type where absent.
+    pub topic: Option<String>,
+    /// Where the device is plugged in.
+    pub outlet: Outlet,
+}
+
+impl Default for ReplayOptions {
+    fn default() -> Self {
+        Self { speed: 1.0, topic: None, outlet: Outlet::Pty }
+    }
+}
+
+/// The frames of a bag as a device that sends them once, with the sequence numbers and device times that they
+/// were recorded with.
+///
+/// Nothing is dropped: where the line is full, it waits until somebody reads. The line stays open after the last
+/// frame until the device is stopped or dropped. At another speed than 1 the device time keeps its recorded pace
+/// and so runs faster or slower than the host's clock.
+#[derive(Debug)]
+pub struct ReplayDevice {
+    url: String,
+    counters: Arc<Counters>,
+    finished: Arc<AtomicBool>,
+    worker: Worker,
+}
+
+impl ReplayDevice {
+    /// Plugs the recording in and starts to send it.
+    ///
+    /// # Errors
+    ///
+    /// [`TestbedError`] where the bag cannot be read, holds no frames of this skin, or there is no line.
+    pub fn start(
+        bag: impl AsRef<Path>,
+        skin: &SkinDescription,
+        options: &ReplayOptions,
+    ) -> Result<Self, TestbedError> {
+        let path = bag.as_ref().to_path_buf();
+        let wrong = |reason: String| TestbedError::Recording { path: path.clone(), reason };
+        if options.speed.is_nan() || options.speed <= 0.0 {
+            return Err(wrong(format!("replay speed is {} and must be positive", options.speed)));
+        }
+        let reader = BagReader::open(&path)?;
+        let frames = || match &options.topic {
+            Some(topic) => reader.read::<TaxelFrame>(topic),
+            None => reader.read_only_topic::<TaxelFrame>(),
+        };
+        let Some(first) = frames()?.next().transpose()?.map(|m| m.message) else {
+            return Err(wrong("holds no frames".into()));
+        };
+        let names: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
+        if first.channels != names {
+            return Err(wrong(format!(
+                "its frames are of skin `{}` with channels {}, and not of `{}` with channels {}",
+                first.skin,
+                summary(&first.channels),
+                skin.name,
+                summary(&names),
+            )));
+        }
+        let messages = frames()?;
+        let (mut line, url) = Line::open(&options.outlet, &skin.name)?;
+        let mut encoder = Encoder::new(skin);
+        let counters = Arc::new(Counters::default());
+        let stop = Arc::new(AtomicBool::new(false));
+        let finished = Arc::new(AtomicBool::new(false));
+        let body = {
+            let (counters, stop, finished) =
+                (Arc::clone(&counters), Arc::clone(&stop), Arc::clone(&finished));
+            let (name, speed, channels) = (skin.name.clone(), options.speed, names.len());
+            let (begin, zero) = (Instant::now(), first.header.stamp.as_nanos());
+            move || {
+                for message in messages {
+                    let frame = message?.message;
+                    if frame.values.len() != channels {
+                        return Err(TestbedError::Recording {
+                            path,
+                            reason: format!(
+                                "frame {} has {} values where its channels are {channels}",
+                                frame.sequence,
+                                frame.values.len()
+                            ),
+                        });
+                    }
+                    let since = (frame.header.stamp.as_nanos() - zero).max(0) as f64 * 1e-9 / speed;
+                    sleep_until(begin + Duration::from_secs_f64(since), &stop);
+                    let mut bytes = encoder.encode(frame.sequence, frame.device_time_us, &frame.values)?;
+                    counters.frames.fetch_add(1, Ordering::Relaxed);
+                    while !bytes.is_empty() {
+                        if stop.load(Ordering::Relaxed) {
+                            return Ok(());
+                        }
+                        let sent = line.send(bytes).map_err(|source| TestbedError::Device {
+                            skin: name.clone(),
+                            what: "lost its line",
+                            source,
+                        })?;
+                        counters.bytes.fetch_add(sent as u64, Ordering::Relaxed);
+                        bytes = &bytes[sent..];
+                        if sent == 0 {
+                            sleep_until(Instant::now() + Duration::from_millis(1), &stop);
+                        }
+                    }
+                }
+                finished.store(true, Ordering::Release);
+                // Hanging up would throw away what is still on its way to the reader.
+                while !stop.load(Ordering::Relaxed) {
+                    std::thread::park();
+                }
+                Ok(())
+            }
+        };
+        let worker = Worker::spawn(&skin.name, "replay-device", stop, body)?;
+        Ok(Self { url, counters, finished, worker })
+    }
+
+    /// Source URL under which a node reads the device.
+    #[must_use]
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// Whether every frame was handed to the line.
+    #[must_use]
+    pub fn finished(&self) -> bool {
+        self.finished.load(Ordering::Acquire)
+    }
+
+    /// Whether it is still plugged in; `false` after it failed, and [`stop`](Self::stop) says why.
+    #[must_use]
+    pub fn running(&self) -> bool {
+        self.worker.running()
+    }
+
+    /// What was sent so far.
+    #[must_use]
+    pub fn stats(&self) -> DeviceStats {
+        self.counters.read()
+    }
+
+    /// Pulls the plug.
+    ///
+    /// # Errors
+    ///
+    /// [`TestbedError`] that ended the replay before.
+    pub fn stop(mut self) -> Result<DeviceStats, TestbedError> {
+        self.worker.stop()?;
+        Ok(self.stats())
+    }
+}
+
+/// The first few of many names.
+fn summary<S: AsRef<str>>(names: &[S]) -> String {
+    let mut text: Vec<&str> = names.iter().take(3).map(AsRef::as_ref).collect();
+    let more = format!("… ({} in all)", names.len());
+    if names.len() > 3 {
+        text.push(&more);
+    }
+    text.join(", ")
+}
