@@ -12,7 +12,7 @@ use thiserror::Error;
 /// Header of little-endian CDR: representation 0x0001, no options.
 const LITTLE_ENDIAN_HEADER: [u8; 4] = [0, 1, 0, 0];
 /// Bytes that a transport may append to fill its last 4-byte word.
-const MAX_PADDING: usize = 3;
+const WORD_PADDING: usize = 3;
 
 /// Why bytes or JSON are not a message.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -57,7 +57,7 @@ pub enum CdrErrorKind {
         left: usize,
     },
     /// A sequence claims more elements than the rest of the input can hold, or than its type allows.
-    #[error("{field} at byte {offset} claims {count} elements, at most {max} are possible")]
+    #[error("{field} at byte {offset} claims a length of {count}, at most {max} is possible")]
     Length {
         /// Field that was read.
         field: &'static str,
@@ -131,8 +131,10 @@ pub fn decode<T: Cdr>(bytes: &[u8]) -> Result<T, CdrErrorKind> {
     };
     let mut reader = Reader { payload, at: 0, little_endian, field: "" };
     let message = T::read(&mut reader)?;
+    // Fast RTPS hands out serialised messages with as many bytes as it had estimated, and it estimates up to 4 bytes of
+    // padding too many for each empty sequence, which has 4 bytes itself.
     let count = reader.left();
-    if count > MAX_PADDING {
+    if count > WORD_PADDING + reader.at {
         return Err(CdrErrorKind::Trailing { count, offset: reader.offset() });
     }
     Ok(message)

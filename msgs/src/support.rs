@@ -30,7 +30,8 @@ pub trait Message:
     /// Reads CDR of either byte order.
     ///
     /// # Errors
-    /// Where the bytes are not exactly one message of this type; up to 3 bytes of padding may follow it.
+    /// Where the bytes are not a message of this type. Padding may follow it: peers append up to as many bytes as the
+    /// message has, and 3 more.
     fn from_cdr(bytes: &[u8]) -> Result<Self, CdrError> {
         cdr::decode(bytes).map_err(|kind| CdrError { type_name: Self::TYPE_NAME, kind })
     }

@@ -15,34 +15,34 @@ fn split(nanos: i64) -> (i32, u32) {
 }
 
 impl Time {
-    /// [ns] since the epoch of the clock it was taken from, 1970-01-01 for the system's. Saturates where the seconds
-    /// leave 32 bits.
+    /// Nanoseconds since the epoch of the clock it was taken from, 1970-01-01 for the system's. Saturates where
+    /// the seconds leave 32 bits.
     pub fn from_nanos(nanos: i64) -> Self {
         let (sec, nanosec) = split(nanos);
         Self { sec, nanosec }
     }
 
-    /// [ns] since the epoch of the clock it was taken from.
+    /// Nanoseconds since the epoch of the clock it was taken from.
     pub fn as_nanos(&self) -> i64 {
         i64::from(self.sec) * NANOS_PER_SECOND + i64::from(self.nanosec)
     }
 }
 
 impl Duration {
-    /// [ns] of a duration. Saturates where the seconds leave 32 bits.
+    /// From nanoseconds. Saturates where the seconds leave 32 bits.
     pub fn from_nanos(nanos: i64) -> Self {
         let (sec, nanosec) = split(nanos);
         Self { sec, nanosec }
     }
 
-    /// [ns] of the duration.
+    /// The duration in nanoseconds.
     pub fn as_nanos(&self) -> i64 {
         i64::from(self.sec) * NANOS_PER_SECOND + i64::from(self.nanosec)
     }
 }
 
 impl Header {
-    /// A header with the time [ns since 1970-01-01] of acquisition and the coordinate frame of the data.
+    /// A header with the time of acquisition, in nanoseconds since 1970-01-01, and the coordinate frame of the data.
     pub fn new(stamp_nanos: i64, frame_id: impl Into<String>) -> Self {
         Self { stamp: Time::from_nanos(stamp_nanos), frame_id: frame_id.into() }
     }
