@@ -64,8 +64,10 @@ pub struct DeviceClock {
     /// Where the rate is measured from: (device time, receive time) \[ns\].
     rate_from: (i64, i64),
     wrong_rate: bool,
-    /// Receive time \[ns\] since which every frame came late by more than a jump.
-    late_since: Option<i64>,
+    /// (Device time, receive time) \[ns\] since which every frame came late by more than a jump.
+    late_since: Option<(i64, i64)>,
+    /// Receive time \[ns\] of the latest jump of the device clock ahead.
+    ahead_at: Option<i64>,
     same: u32,
     resets: u64,
     state: ClockState,
@@ -113,10 +115,17 @@ impl DeviceClock {
         let offset = received_ns.saturating_sub(device);
         let late = offset.saturating_sub(self.offset_at(device));
         if late < -JUMP_NS {
+            // Once is a jump; again and again is a clock that runs too fast.
+            let before = self.ahead_at.replace(received_ns);
+            self.wrong_rate |= before.is_some_and(|at| received_ns.saturating_sub(at) < RATE_SPAN_NS);
             self.restart(device, received_ns);
         } else if late > JUMP_NS {
-            let since = *self.late_since.get_or_insert(received_ns);
-            if received_ns - since >= JUMP_CONFIRM_NS {
+            let (device_then, received_then) = *self.late_since.get_or_insert((device, received_ns));
+            let host = received_ns.saturating_sub(received_then);
+            if host >= JUMP_CONFIRM_NS {
+                // After a jump both clocks run alike again; a clock that runs too slow falls further behind.
+                let passed = device.saturating_sub(device_then);
+                self.wrong_rate = (passed as f64 / host as f64) < 0.5;
                 self.restart(device, received_ns);
             }
         } else {
@@ -249,5 +258,172 @@ impl DeviceClock {
         // Through whichever point of the hull keeps the line below all of them, also where the slope was clamped.
         let offset = hull.iter().map(|(t, o)| o - slope * t).fold(f64::INFINITY, f64::min);
         self.line = (origin, base as f64 + offset, slope);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const START: i64 = 1_700_000_000_000_000_000;
+    const MS: i64 = 1_000_000;
+
+    /// A device whose clock drifts, behind a link with a floor and a tail of delay.
+    struct Link {
+        period_ns: i64,
+        drift: f64,
+        floor_ns: i64,
+        tail_ns: i64,
+        random: u64,
+    }
+
+    impl Link {
+        fn random(&mut self) -> f64 {
+            self.random =
+                self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (self.random >> 40) as f64 / f64::from(1u32 << 24)
+        }
+
+        /// (device time µs, received ns, true time ns) of each frame; frames arrive in order.
+        fn frames(&mut self, n: i64) -> Vec<(u64, i64, i64)> {
+            let mut last = 0;
+            (0..n)
+                .map(|i| {
+                    let truth = START + i * self.period_ns;
+                    let device = 5e9 + (truth - START) as f64 * (1.0 - self.drift);
+                    // Mostly near the floor, sometimes far above it.
+                    let tail = (self.random().powi(4) * self.tail_ns as f64) as i64;
+                    let received = (truth + self.floor_ns + tail).max(last + 1000);
+                    last = received;
+                    ((device / 1000.0) as u64, received, truth)
+                })
+                .collect()
+        }
+    }
+
+    #[test]
+    fn stamps_hold_still_where_arrival_jitters() {
+        let mut link = Link { period_ns: 10 * MS, drift: 40e-6, floor_ns: MS, tail_ns: 20 * MS, random: 7 };
+        let mut clock = DeviceClock::new();
+        let mut worst = 0;
+        for (i, (device, received, truth)) in link.frames(6000).into_iter().enumerate() {
+            let error = clock.stamp(Some(device), received) - truth - MS;
+            if i > 500 {
+                worst = worst.max(error.abs());
+            }
+        }
+        assert!(worst < MS / 2, "{worst} ns of jitter are left of 20 ms");
+        assert!((clock.drift() - 40e-6).abs() < 15e-6, "drift {}", clock.drift());
+        assert_eq!((clock.state(), clock.resets()), (ClockState::Device, 0));
+    }
+
+    #[test]
+    fn a_restarted_device_is_followed_at_once() {
+        let mut link = Link { period_ns: 10 * MS, drift: 0.0, floor_ns: MS, tail_ns: 0, random: 1 };
+        let frames = link.frames(1000);
+        let mut clock = DeviceClock::new();
+        for (device, received, _) in &frames {
+            clock.stamp(Some(*device), *received);
+        }
+        let pause = 30_000 * MS;
+        for (i, (_, received, truth)) in frames.iter().enumerate() {
+            let stamp = clock.stamp(Some(1 + i as u64 * 10_000), received + pause);
+            assert!((stamp - truth - pause).abs() <= MS, "frame {i}");
+        }
+        assert_eq!(clock.resets(), 1);
+    }
+
+    #[test]
+    fn a_stall_of_the_link_does_not_move_the_stamps() {
+        let mut clock = DeviceClock::new();
+        for i in 0..400i64 {
+            // From frame 200 on 40 frames are held up and arrive together.
+            let truth = START + i * 10 * MS;
+            let received = if (200..240).contains(&i) { START + 2400 * MS } else { truth } + MS;
+            let stamp = clock.stamp(Some((i as u64 + 1) * 10_000), received);
+            assert!((stamp - truth - MS).abs() < MS / 10, "frame {i}: {} ns off", stamp - truth - MS);
+        }
+        assert_eq!(clock.resets(), 0);
+    }
+
+    #[test]
+    fn a_set_host_clock_is_followed() {
+        for step in [-7200_000 * MS, -700 * MS, 700 * MS, 7200_000 * MS] {
+            let mut clock = DeviceClock::new();
+            let mut stamp = 0;
+            let mut received = 0;
+            for i in 0..600i64 {
+                received = START + i * 10 * MS + if i >= 200 { step } else { 0 };
+                stamp = clock.stamp(Some((i as u64 + 1) * 10_000), received);
+                assert!(stamp <= received);
+            }
+            assert!((stamp - received).abs() <= MS, "step {step}: {} off", stamp - received);
+            assert!(clock.resets() >= 1, "step {step}");
+        }
+    }
+
+    #[test]
+    fn without_a_usable_clock_stamps_are_receive_times() {
+        let mut clock = DeviceClock::new();
+        assert_eq!(clock.stamp(None, START), START);
+        assert_eq!(clock.state(), ClockState::NoDeviceTime);
+
+        let mut frozen = DeviceClock::new();
+        let mut milliseconds = DeviceClock::new();
+        for i in 0..1000i64 {
+            let received = START + i * 10 * MS;
+            let from_frozen = frozen.stamp(Some(123), received);
+            let from_ms = milliseconds.stamp(Some(1 + i as u64 * 10), received);
+            if i > 400 {
+                assert_eq!(from_frozen, received);
+                assert_eq!(from_ms, received);
+            }
+        }
+        assert_eq!(frozen.state(), ClockState::Frozen);
+        assert_eq!(milliseconds.state(), ClockState::WrongRate);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn error_is_the_shortest_delay_and_time_never_runs_back(
+            period_us in 1_000i64..50_000,
+            drift_ppm in -200i64..=200,
+            floor_us in 0i64..5_000,
+            tail_us in 0i64..30_000,
+            random: u64,
+        ) {
+            let mut link = Link {
+                period_ns: period_us * 1000,
+                drift: drift_ppm as f64 * 1e-6,
+                floor_ns: floor_us * 1000,
+                tail_ns: tail_us * 1000,
+                random,
+            };
+            let mut clock = DeviceClock::new();
+            let mut last = i64::MIN;
+            let mut lowest = i64::MAX;
+            for (device, received, truth) in link.frames(3000) {
+                let stamp = clock.stamp(Some(device), received);
+                prop_assert!(stamp >= last && stamp <= received);
+                last = stamp;
+                lowest = lowest.min(received - truth);
+                // Drift of the first seconds, before it is known, and what the tail bends the line by.
+                let slack = 200_000 * 6 + tail_us * 1000 / 4 + 2000;
+                prop_assert!(stamp - truth <= lowest + slack, "{} ns late", stamp - truth - lowest);
+                prop_assert!(stamp - truth >= -slack, "{} ns early", truth - stamp);
+            }
+            prop_assert_eq!(clock.resets(), 0);
+        }
+
+        #[test]
+        fn no_times_panic(frames in proptest::collection::vec((proptest::option::of(any::<u64>()), any::<i64>()), 0..50)) {
+            let mut clock = DeviceClock::new();
+            for (device, received) in frames {
+                prop_assert!(clock.stamp(device, received) <= received);
+            }
+        }
     }
 }

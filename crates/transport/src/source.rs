@@ -13,7 +13,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::poll::{PollFd, PollFlags, PollTimeout, ppoll};
+use nix::sys::time::TimeSpec;
 use serde::Serialize;
 
 use crate::SourceUrl;
@@ -234,11 +235,12 @@ struct Stop(PipeReader);
 impl Stop {
     /// Waits, or says early that it is time to stop.
     fn stopped_within(&self, time: Duration) -> bool {
-        let until = Instant::now() + time;
+        let began = Instant::now();
         loop {
-            let left = until.saturating_duration_since(Instant::now());
+            let left = time.saturating_sub(began.elapsed());
             let mut fds = [PollFd::new(self.0.as_fd(), PollFlags::POLLIN)];
-            match poll(&mut fds, poll_timeout(Some(left))) {
+            // To the nanosecond: recordings are replayed by it.
+            match ppoll(&mut fds, Some(TimeSpec::from_duration(left)), None) {
                 Ok(n) if n > 0 => return true,
                 Ok(_) if left.is_zero() => return false,
                 Ok(_) | Err(nix::Error::EINTR) => {}

@@ -224,3 +224,95 @@ fn shown(field: &str) -> String {
     let end = field.char_indices().nth(24).map_or(field.len(), |(i, _)| i);
     field[..end].escape_debug().to_string()
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn decode(options: AsciiOptions, text: &[u8]) -> (Vec<DecodedFrame>, DecoderStats) {
+        let mut decoder = AsciiDecoder::new(options);
+        let mut out = Vec::new();
+        decoder.push(b"\n", 0, &mut out);
+        decoder.push(text, 1, &mut out);
+        (out, decoder.stats().clone())
+    }
+
+    #[test]
+    fn separators_and_line_ends_of_every_habit() {
+        let text = b"1,2,3\r\n4 5\t6\n7;8;9\r10, 11 , 12,\n\n# boot\n  -1e-3 nan +.5\n";
+        let (frames, stats) = decode(AsciiOptions::channels(3), text);
+        let values: Vec<_> = frames.iter().map(|f| f.values.clone()).collect();
+        assert_eq!(values[..4], [[1., 2., 3.], [4., 5., 6.], [7., 8., 9.], [10., 11., 12.]]);
+        assert!(values[4][1].is_nan() && values[4][0] == -1e-3 && values[4][2] == 0.5);
+        assert_eq!(stats.rejected.total(), 0);
+        assert_eq!(frames.iter().map(|f| f.sequence).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn every_fault_is_counted_under_its_name() {
+        let long = vec![b'1'; 10_000];
+        let mut text = b"1,2\n1,2,3\n1,x\n1,,2\n1,inf\n\xff\xfe,1\n".to_vec();
+        text.extend_from_slice(&long);
+        text.extend_from_slice(b"\n3,4\n");
+        let (frames, stats) = decode(AsciiOptions::channels(2), &text);
+        assert_eq!(frames.iter().map(|f| f.values[0]).collect::<Vec<_>>(), [1.0, 3.0]);
+        let r = stats.rejected;
+        assert_eq!((r.channels, r.not_a_number, r.length), (1, 4, 1), "{stats:?}");
+        assert_eq!(stats.resyncs, 1);
+    }
+
+    #[test]
+    fn sequence_and_time_columns() {
+        let options = AsciiOptions::channels(1).with_sequence().with_device_time();
+        let (frames, stats) =
+            decode(options, b"4294967295,10,1.5\n0,20,2.5\n3,50,3.5\n3,50,3.5\nx,60,1\n5,70\n");
+        let first = u64::from(u32::MAX);
+        assert_eq!(frames.iter().map(|f| f.sequence).collect::<Vec<_>>(), [first, first + 1, first + 4]);
+        assert_eq!(frames[2].device_time_us, Some(50));
+        assert_eq!((stats.lost, stats.duplicates), (2, 1));
+        assert_eq!((stats.rejected.not_a_number, stats.rejected.channels), (1, 1));
+        insta::assert_snapshot!(stats.last_rejection.unwrap(), @"column 1 is `x`, not a sequence number");
+    }
+
+    #[test]
+    fn half_a_line_is_never_a_frame() {
+        let mut decoder = AsciiDecoder::new(AsciiOptions::channels(2));
+        let mut out = Vec::new();
+        decoder.push(b"325,7\n1,2\n101", 1, &mut out);
+        decoder.gap();
+        decoder.push(b"5,3\n5,6\n", 1, &mut out);
+        let values: Vec<_> = out.iter().map(|f| f.values.clone()).collect();
+        assert_eq!(values, [[1.0, 2.0], [5.0, 6.0]]);
+        assert_eq!(decoder.stats().rejected.partial, 2);
+    }
+
+    proptest! {
+        #[test]
+        fn any_cut_gives_the_same_frames(
+            lines in proptest::collection::vec(proptest::collection::vec(-1e5f32..1e5, 3..=3), 1..20),
+            cut in 1usize..40,
+        ) {
+            let text: String = lines.iter().map(|v| format!("{},{},{}\r\n", v[0], v[1], v[2])).collect();
+            let whole = decode(AsciiOptions::channels(3), text.as_bytes()).0;
+            prop_assert_eq!(whole.iter().map(|f| f.values.clone()).collect::<Vec<_>>(), lines);
+            let mut decoder = AsciiDecoder::new(AsciiOptions::channels(3));
+            let mut out = Vec::new();
+            decoder.push(b"\n", 0, &mut out);
+            for piece in text.as_bytes().chunks(cut) {
+                decoder.push(piece, 1, &mut out);
+            }
+            prop_assert_eq!(out, whole);
+        }
+
+        #[test]
+        fn no_bytes_panic_or_grow(bytes in proptest::collection::vec(any::<u8>(), 0..2000), n in proptest::option::of(0usize..9)) {
+            let mut decoder = AsciiDecoder::new(AsciiOptions { channels: n, sequence: true, device_time: true });
+            let mut out = Vec::new();
+            decoder.push(&bytes, 0, &mut out);
+            prop_assert!(decoder.line.len() <= decoder.limit);
+            prop_assert_eq!(decoder.stats().bytes, bytes.len() as u64);
+        }
+    }
+}

@@ -196,3 +196,74 @@ impl DecoderStats {
         Some(text)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::framing::{
+        AsciiDecoder, AsciiOptions, FrameDecoder, NativeDecoder, NativeEncoder, NativeFormat,
+    };
+
+    fn serial() -> SourceUrl {
+        SourceUrl::parse("serial:///dev/ttyACM0?baud=921600").unwrap()
+    }
+
+    fn diagnose(mut decoder: impl FrameDecoder, bytes: &[u8], source: &SourceUrl) -> Option<String> {
+        let mut out = Vec::new();
+        decoder.push(bytes, 0, &mut out);
+        decoder.stats().diagnosis(Some(source))
+    }
+
+    #[test]
+    fn silence_and_a_few_bytes_say_nothing() {
+        assert_eq!(diagnose(NativeDecoder::new(Some(4)), &[], &serial()), None);
+        assert_eq!(diagnose(NativeDecoder::new(Some(4)), &[0x3f; 4095], &serial()), None);
+    }
+
+    #[test]
+    fn a_wrong_baud_rate_is_named_with_what_came() {
+        let bytes: Vec<u8> = [0x3f, 0x00, 0xf8, 0xc7].into_iter().cycle().take(4096).collect();
+        let text = diagnose(NativeDecoder::new(Some(4)), &bytes, &serial()).unwrap();
+        insta::assert_snapshot!(text, @"4096 bytes and not one valid frame: wrong baud rate (921600 set) or a device that speaks another protocol; first bytes: 3f 00 f8 c7 3f 00 f8 c7 3f 00 f8 c7 3f 00 f8 c7");
+        let udp = SourceUrl::parse("udp://0.0.0.0:7400").unwrap();
+        let text = diagnose(NativeDecoder::new(Some(4)), &bytes, &udp).unwrap();
+        insta::assert_snapshot!(text, @"4096 bytes and not one valid frame: a device that speaks another protocol; first bytes: 3f 00 f8 c7 3f 00 f8 c7 3f 00 f8 c7 3f 00 f8 c7");
+    }
+
+    #[test]
+    fn a_device_that_sends_text_is_named() {
+        let nmea: Vec<u8> =
+            b"$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n".iter().copied().cycle().take(5000).collect();
+        let text = diagnose(NativeDecoder::new(Some(4)), &nmea, &serial()).unwrap();
+        insta::assert_snapshot!(text, @r#"5000 bytes and not one valid frame: the device sends text, not our binary wire; choose the ascii format, or plug in the skin; it begins with "$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n$GPGG""#);
+        let text = diagnose(AsciiDecoder::new(AsciiOptions::channels(4)), &nmea, &serial()).unwrap();
+        insta::assert_snapshot!(text, @r#"5000 bytes and not one valid frame: the device sends text that is not lines of numbers, it is probably another device; it begins with "$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n$GPGG""#);
+    }
+
+    #[test]
+    fn a_skin_with_other_channels_is_named() {
+        let mut encoder = NativeEncoder::new(NativeFormat::F32);
+        let bytes: Vec<u8> =
+            (0..100).flat_map(|i| encoder.encode(i, 1, &[1.0; 12]).unwrap().to_vec()).collect();
+        let text = diagnose(NativeDecoder::new(Some(16)), &bytes, &serial()).unwrap();
+        insta::assert_snapshot!(text, @"6800 bytes and not one valid frame: the device sends 12 channels, and the skin description has 16");
+    }
+
+    #[test]
+    fn a_line_that_turns_bad_is_named_and_forgotten_when_it_is_good_again() {
+        let mut encoder = NativeEncoder::new(NativeFormat::F32);
+        let mut good = |i| encoder.encode(i, u64::from(i), &[1.0; 4]).unwrap().to_vec();
+        let mut decoder = NativeDecoder::new(Some(4));
+        let mut out = Vec::new();
+        decoder.push(&good(1), 0, &mut out);
+        decoder.push(&[0xf0; 4096], 0, &mut out);
+        let text = decoder.stats().diagnosis(Some(&serial())).unwrap();
+        assert!(
+            text.starts_with("no valid frame in the last 4096 bytes, after 1 good ones: wrong baud"),
+            "{text}"
+        );
+        decoder.push(&[0], 0, &mut out);
+        decoder.push(&good(2), 0, &mut out);
+        assert_eq!(decoder.stats().diagnosis(Some(&serial())), None);
+    }
+}
