@@ -350,7 +350,7 @@ mod tests {
 
     #[test]
     fn a_set_host_clock_is_followed() {
-        for step in [-7200_000 * MS, -700 * MS, 700 * MS, 7200_000 * MS] {
+        for step in [-7_200_000 * MS, -700 * MS, 700 * MS, 7_200_000 * MS] {
             let mut clock = DeviceClock::new();
             let mut stamp = 0;
             let mut received = 0;

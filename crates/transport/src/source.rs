@@ -271,6 +271,7 @@ struct Reader {
 
 impl Reader {
     fn run(self) {
+        let _end = EndOnDrop(&self.queue);
         if let SourceUrl::Replay { path, speed, topic, repeat } = &self.url {
             let plan = replay::Plan { path, speed: *speed, topic: topic.as_deref(), repeat: *repeat };
             if let Err(reason) = replay::run(&plan, &self.queue, &self.stop) {
@@ -280,7 +281,6 @@ impl Reader {
         } else {
             self.stay_connected();
         }
-        self.queue.end();
     }
 
     fn stay_connected(&self) {
@@ -325,6 +325,19 @@ impl Reader {
                 ReadOutcome::Stopped => return None,
             }
         }
+    }
+}
+
+/// Tells the consumer that nothing will come any more, even where the reader ends by a panic.
+struct EndOnDrop<'a>(&'a Queue);
+
+impl Drop for EndOnDrop<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let reason = "the reader of this source panicked; the message is in the log".to_owned();
+            self.0.disconnected(reason, Duration::ZERO, false);
+        }
+        self.0.end();
     }
 }
 

@@ -1,5 +1,7 @@
 //! The reference encoder in C says byte for byte what ours says.
 
+#![expect(clippy::unwrap_used, reason = "a panic in a test is its failure report")]
+
 use std::cell::RefCell;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};

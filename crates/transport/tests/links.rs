@@ -1,5 +1,7 @@
 //! Sources over real pseudo-terminals and sockets: what a day in the life of a plug does to them.
 
+#![expect(clippy::unwrap_used, reason = "a panic in a test is its failure report")]
+
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::Path;
