@@ -112,4 +112,10 @@ pub trait Estimator: Send {
 
     /// Forget everything that earlier frames left behind, e.g. before another recording.
     fn reset(&mut self);
+
+    /// Take a new zero from the frames that follow: the caller knows that nothing touches the skin, whatever the
+    /// readings look like. History that was seen with the zero before is forgotten.
+    fn tare(&mut self) {
+        self.reset();
+    }
 }
