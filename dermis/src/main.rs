@@ -1,3 +1,121 @@
-//! The tactile-skin stack: command-line program.
+//! `dermis`: the tactile-skin stack on the command line. See `dermis --help` and the README.
 
-fn main() {}
+mod backend;
+mod bags;
+mod bridge;
+mod collect;
+mod demo;
+mod device;
+mod doctor;
+mod evaluate;
+mod registry;
+mod skins;
+mod stats;
+mod train;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+#[derive(Parser)]
+#[command(name = "dermis", version, about = "Tactile skins for ROS 2: where, how hard and in which direction a robot is touched")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// A simulated skin behind a pseudo-terminal, the node that reads it, and a table of what it feels.
+    Demo(demo::Options),
+    /// Run the node of a skin of taxels in an elastic medium: raw bytes in, contacts out.
+    Barodome(Box<dermis_barodome::cli::Arguments>),
+    /// Offer every skin in the ROS domain as JSON over zenoh, for clients that know no ROS.
+    Bridge(bridge::Options),
+    /// Put a simulated skin, or a recorded one, behind a pseudo-terminal.
+    #[command(subcommand)]
+    Device(device::Device),
+    /// Turn other people's recordings into labelled bags.
+    Import(bags::Import),
+    /// Let the virtual testbed press a simulated skin, and record a labelled bag.
+    Collect(collect::Options),
+    /// Learn contacts from labelled bags, and write a model bundle (program dermis-train).
+    #[command(disable_help_flag = true)]
+    Train(train::Options),
+    /// Measure model bundles on labelled bags; exits with 1 where a requirement is missed.
+    Evaluate(evaluate::Options),
+    /// Look into a bag.
+    #[command(subcommand)]
+    Bag(bags::Bag),
+    /// Check a skin description and say what it describes.
+    Skin(skins::Options),
+    /// What this machine offers: inference runtimes, serial devices, ROS 2.
+    Doctor(doctor::Options),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let level = match cli.command {
+        Command::Barodome(_) | Command::Bridge(_) | Command::Device(_) => "info",
+        _ => "warn",
+    };
+    // zenoh reports every peer that comes and goes as a warning of its own.
+    let filter = std::env::var("DERMIS_LOG").unwrap_or_else(|_| format!("{level},zenoh=error,zenoh_transport=error,hiroz=warn"));
+    tracing_subscriber::fmt()
+        .with_env_filter(EnvFilter::try_new(&filter).unwrap_or_else(|_| EnvFilter::new(level)))
+        .with_writer(std::io::stderr)
+        .init();
+    let done = match cli.command {
+        Command::Demo(options) => demo::run(&options),
+        Command::Barodome(arguments) => block_on(async move {
+            let backend = backend::by_name(arguments.backend())?;
+            Ok(dermis_barodome::cli::run(*arguments, backend).await?)
+        }),
+        Command::Bridge(options) => block_on(bridge::run(options)),
+        Command::Device(device) => device::run(&device),
+        Command::Import(import) => bags::import(&import),
+        Command::Collect(options) => collect::run(&options),
+        Command::Train(options) => train::run(&options),
+        Command::Evaluate(options) => evaluate::run(&options),
+        Command::Bag(bag) => bags::run(&bag),
+        Command::Skin(options) => skins::run(&options),
+        Command::Doctor(options) => doctor::run(&options),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            report(&error);
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// One sentence, then its causes, each once: a cause that its effect already quotes is not repeated.
+fn report(error: &anyhow::Error) {
+    let mut said = error.to_string();
+    eprintln!("dermis: {said}");
+    for cause in error.chain().skip(1) {
+        let text = cause.to_string();
+        if !said.contains(&text) {
+            eprintln!("  because {text}");
+            said = text;
+        }
+    }
+}
+
+/// Runs asynchronous work on a runtime of its own.
+fn block_on<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<T> {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?.block_on(work)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn arguments_are_consistent() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,1 +1,165 @@
-//! Tests across processes: rclpy, zenoh's Python client, bag readers.
+//! What tests across processes share: finding our programs and other people's, and talking to them by lines.
+//!
+//! `cargo xtask test` sets the variables that are read here; a test whose other side is missing says so and passes.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+/// The repository.
+#[must_use]
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().map_or_else(PathBuf::new, Path::to_owned)
+}
+
+/// One of our programs, e.g. `dermis`: in `$DERMIS_BIN`, or beside the folder of the running test.
+#[must_use]
+pub fn program(name: &str) -> PathBuf {
+    if let Some(dir) = std::env::var_os("DERMIS_BIN") {
+        return PathBuf::from(dir).join(name);
+    }
+    let test = std::env::current_exe().unwrap_or_default();
+    test.ancestors().nth(2).unwrap_or(Path::new(".")).join(name)
+}
+
+/// Python with the clients of others (`$DERMIS_CLIENT_PYTHON`); prints why where there is none.
+#[must_use]
+pub fn client_python() -> Option<PathBuf> {
+    or_skip("DERMIS_CLIENT_PYTHON", "a Python with eclipse-zenoh, rosbags, mcap-ros2-support, onnx")
+}
+
+/// Python with rclpy and our messages (`$DERMIS_ROS_PYTHON`); prints why where there is none.
+#[must_use]
+pub fn ros_python() -> Option<PathBuf> {
+    or_skip("DERMIS_ROS_PYTHON", "a Python with rclpy and dermis_msgs")
+}
+
+/// A folder of other people's recordings; prints why where it is missing.
+#[must_use]
+pub fn recordings(name: &str) -> Option<PathBuf> {
+    let base = std::env::var_os("DERMIS_DATA").map_or_else(|| root().join("../shared/data"), PathBuf::from);
+    let path = base.join(name);
+    if path.is_dir() {
+        return Some(path);
+    }
+    eprintln!("skipped: {} is missing (DERMIS_DATA)", path.display());
+    None
+}
+
+fn or_skip(variable: &str, what: &str) -> Option<PathBuf> {
+    let found = std::env::var_os(variable).map(PathBuf::from);
+    if found.is_none() {
+        eprintln!("skipped: {variable} names no {what}; `cargo xtask test` sets it up");
+    }
+    found
+}
+
+/// A ROS domain that no other test of this run is in: tests are processes, and process ids differ.
+#[must_use]
+pub fn domain() -> u16 {
+    (std::process::id() % 100) as u16 + 1
+}
+
+/// Another program, read line by line; killed when dropped.
+#[derive(Debug)]
+pub struct Peer {
+    child: Child,
+    lines: Receiver<String>,
+    seen: Vec<String>,
+}
+
+impl Peer {
+    /// Starts it in this test's ROS domain, on this machine only.
+    ///
+    /// # Panics
+    ///
+    /// Where it cannot be started.
+    #[must_use]
+    pub fn start(command: &mut Command) -> Self {
+        command
+            .env("ROS_DOMAIN_ID", domain().to_string())
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            .env("PYTHONUNBUFFERED", "1")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
+        let (send, lines) = channel();
+        if let Some(out) = child.stdout.take() {
+            std::thread::spawn(move || {
+                for line in BufReader::new(out).lines().map_while(Result::ok) {
+                    if send.send(line).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        Self { child, lines, seen: Vec::new() }
+    }
+
+    /// The next line that starts with `prefix`.
+    ///
+    /// # Panics
+    ///
+    /// Where none comes in time, with all that came.
+    pub fn expect(&mut self, prefix: &str, within: Duration) -> String {
+        let deadline = Instant::now() + within;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match self.lines.recv_timeout(left) {
+                Ok(line) => {
+                    self.seen.push(line.clone());
+                    if line.starts_with(prefix) {
+                        return line;
+                    }
+                }
+                Err(e) => panic!("no line `{prefix}…` ({e}); it printed:\n{}", self.seen.join("\n")),
+            }
+        }
+    }
+
+    /// Waits for its end; kills it where that takes too long.
+    ///
+    /// # Panics
+    ///
+    /// Where it does not end in time.
+    pub fn end(&mut self, within: Duration) -> ExitStatus {
+        let deadline = Instant::now() + within;
+        while Instant::now() < deadline {
+            match self.child.try_wait() {
+                Ok(Some(status)) => return status,
+                Ok(None) => std::thread::sleep(Duration::from_millis(20)),
+                Err(e) => panic!("its end cannot be waited for: {e}"),
+            }
+        }
+        panic!("it did not end within {within:?}; it printed:\n{}", self.seen.join("\n"));
+    }
+
+    /// Asks it to end, as Ctrl-C does.
+    ///
+    /// # Panics
+    ///
+    /// Where it cannot be signalled.
+    pub fn interrupt(&self) {
+        let done = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status();
+        assert!(done.is_ok_and(|s| s.success()), "it cannot be interrupted");
+    }
+
+    /// Ends it at once, as a crash does.
+    ///
+    /// # Panics
+    ///
+    /// Where it cannot be killed.
+    pub fn kill(&mut self) {
+        self.child.kill().and_then(|()| self.child.wait()).unwrap_or_else(|e| panic!("it cannot be killed: {e}"));
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

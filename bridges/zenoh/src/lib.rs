@@ -18,9 +18,9 @@
 //! use dermis_bridge_zenoh::{Bridge, BridgeConfig};
 //! use dermis_node::{HirozBackend, Node, NodeOptions};
 //!
-//! let node = Node::open(NodeOptions::new("zenoh_bridge"), HirozBackend::shared())?;
+//! let node = Node::open(NodeOptions::new("zenoh_bridge"), &HirozBackend::default())?;
 //! let bridge = Bridge::open(&node, BridgeConfig { robot: "left_arm".into(), ..BridgeConfig::default() }).await?;
-//! node.wait_for_shutdown().await;
+//! node.wait_for_shutdown().await?;
 //! bridge.close().await;
 //! # Ok(())
 //! # }
@@ -189,11 +189,12 @@ fn session_config(config: &BridgeConfig) -> Result<zenoh::Config, BridgeError> {
     set("connect", "connect/endpoints", config.connect.clone().into())?;
     if !config.listen.is_empty() {
         set("listen", "listen/endpoints", config.listen.clone().into())?;
-    } else if config.localhost_only && config.mode == "peer" {
-        set("listen", "listen/endpoints", serde_json::json!(["tcp/127.0.0.1:0"]))?;
+    } else if config.mode == "peer" {
+        let any = if config.localhost_only { "tcp/127.0.0.1:0" } else { "tcp/0.0.0.0:0" };
+        set("listen", "listen/endpoints", serde_json::json!([any]))?;
     }
     if config.localhost_only {
-        set("localhost_only", "scouting/multicast/interface", "lo".into())?;
+        set("localhost_only", "scouting/multicast/interface", "127.0.0.1".into())?;
     }
     Ok(zenoh)
 }

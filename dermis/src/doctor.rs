@@ -1,0 +1,69 @@
+//! What this machine offers.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+use dermis_inference::{Runtime, RuntimeConfig};
+use serde_json::json;
+
+/// What to look at.
+#[derive(Args)]
+pub struct Options {
+    /// ONNX Runtime's native library, where it lies in an unusual place.
+    #[arg(long)]
+    onnxruntime: Option<PathBuf>,
+    /// One JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints the report.
+pub fn run(options: &Options) -> Result<()> {
+    let config = RuntimeConfig { library: options.onnxruntime.clone(), ..RuntimeConfig::default() };
+    let inference = Runtime::load(&config)?.report();
+    let serial = serial_devices();
+    let ros = std::env::var("ROS_DISTRO").ok();
+    let rmw = std::env::var("RMW_IMPLEMENTATION").ok();
+    let domain = std::env::var("ROS_DOMAIN_ID").unwrap_or_else(|_| "0".to_owned());
+    if options.json {
+        println!(
+            "{}",
+            json!({
+                "version": env!("CARGO_PKG_VERSION"),
+                "inference": inference,
+                "serial_devices": serial,
+                "ros": { "distro": ros, "rmw": rmw, "domain": domain, "backend_ros2": cfg!(feature = "ros2") },
+                "sensor_families": crate::registry::FAMILIES.iter().map(|f| f.name).collect::<Vec<_>>(),
+            })
+        );
+        return Ok(());
+    }
+    println!("dermis {}", env!("CARGO_PKG_VERSION"));
+    println!("inference     {inference}");
+    println!(
+        "serial        {}",
+        if serial.is_empty() { "no device (/dev/ttyACM*, /dev/ttyUSB*)".to_owned() } else { serial.join(", ") }
+    );
+    println!(
+        "ROS 2         {}, domain {domain}, backends: hiroz{}",
+        ros.map_or_else(|| "none sourced (not needed)".to_owned(), |d| format!("{d} sourced")),
+        if cfg!(feature = "ros2") { ", ros2" } else { " (ros2: build with --features ros2)" },
+    );
+    println!("              peers see us with RMW_IMPLEMENTATION=rmw_zenoh_cpp over hiroz, with any RMW over ros2");
+    let families: Vec<&str> = crate::registry::FAMILIES.iter().map(|f| f.name).collect();
+    println!("sensors       {}", families.join(", "));
+    Ok(())
+}
+
+fn serial_devices() -> Vec<String> {
+    let Ok(entries) = std::fs::read_dir("/dev") else { return Vec::new() };
+    let mut devices: Vec<String> = entries
+        .flatten()
+        .filter_map(|e| e.file_name().into_string().ok())
+        .filter(|n| ["ttyACM", "ttyUSB", "ttyAMA"].iter().any(|p| n.starts_with(p)))
+        .map(|n| format!("/dev/{n}"))
+        .collect();
+    devices.sort();
+    devices
+}

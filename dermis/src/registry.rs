@@ -1,0 +1,40 @@
+//! The sensor families that this program knows: one line each.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::{Result, bail};
+use dermis_skin::{Estimator, ForwardModel, SkinDescription};
+
+/// What the program needs of a sensor family.
+pub struct Family {
+    /// As skin descriptions call it in their field `sensor`.
+    pub name: &'static str,
+    /// Stimulus → channels, for families and skins that have one.
+    pub model: fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>>,
+    /// Frame → contacts, with these model bundles.
+    pub estimator: fn(&SkinDescription, &[PathBuf], &dermis_inference::RuntimeConfig) -> Result<Box<dyn Estimator>>,
+}
+
+/// All families.
+pub const FAMILIES: &[Family] = &[Family {
+    name: dermis_barodome::SENSOR,
+    model: |skin| Ok(dermis_barodome::model(skin)?),
+    estimator: |skin, bundles, runtime| Ok(dermis_barodome::estimator(skin, bundles, runtime)?),
+}];
+
+/// The family that reads a skin.
+pub fn family(skin: &SkinDescription) -> Result<&'static Family> {
+    match FAMILIES.iter().find(|f| f.name == skin.sensor) {
+        Some(family) => Ok(family),
+        None => {
+            let known: Vec<&str> = FAMILIES.iter().map(|f| f.name).collect();
+            bail!(
+                "skin `{}`: field `sensor` is \"{}\", which this program does not know; it knows {}",
+                skin.name,
+                skin.sensor,
+                known.join(", ")
+            )
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! Contacts for clients that know no ROS: zenoh's own Python client against the demo and the bridge.
+
+use std::net::TcpListener;
+use std::process::Command;
+use std::time::Duration;
+
+use dermis_integration_tests::{Peer, client_python, program, root};
+
+const SOON: Duration = Duration::from_secs(60);
+
+fn script(name: &str) -> std::path::PathBuf {
+    root().join("integration-tests/python/zenoh").join(name)
+}
+
+#[test]
+fn the_ten_lines_of_the_readme_print_contacts() {
+    let Some(python) = client_python() else { return };
+    let _demo = Peer::start(Command::new(program("dermis")).args(["demo", "--duration", "90s", "--json"]));
+    let mut client = Peer::start(Command::new(python).arg(script("contacts.py")).arg("80"));
+    let line = client.expect("contact ", SOON);
+    let numbers: Vec<f64> = line.split(' ').skip(1).map(|n| n.parse().unwrap()).collect();
+    assert!(numbers[0].abs() < 0.02 && numbers[1].abs() < 0.02 && (0.0..3.0).contains(&numbers[2]), "{line}");
+}
+
+#[test]
+fn readme_and_script_are_the_same() {
+    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let text = std::fs::read_to_string(script("contacts.py")).unwrap();
+    let body = text.lines().skip_while(|l| l.starts_with("\"\"\"")).collect::<Vec<_>>().join("\n");
+    assert!(readme.contains(body.trim()), "README.md must show integration-tests/python/zenoh/contacts.py");
+}
+
+#[test]
+fn a_peer_gets_streams_latest_values_presence_and_schemas() {
+    let Some(python) = client_python() else { return };
+    let _demo = Peer::start(Command::new(program("dermis")).args(["demo", "--duration", "90s", "--json"]));
+    let mut client = Peer::start(Command::new(python).arg(script("everything.py")).arg("peer"));
+    client.expect("DONE", SOON);
+}
+
+#[test]
+fn a_client_behind_a_router_gets_them_too() {
+    let Some(python) = client_python() else { return };
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let mut router = Peer::start(Command::new(&python).arg(script("router.py")).arg(&endpoint));
+    router.expect("READY", SOON);
+    // The demo without its own bridge finds peers; this bridge talks through the router only.
+    let _demo = Peer::start(Command::new(program("dermis")).args(["demo", "--duration", "90s", "--json", "--no-bridge"]));
+    let _bridge = Peer::start(
+        Command::new(program("dermis"))
+            .args(["bridge", "--robot", "demo", "--mode", "client", "--connect", &endpoint]),
+    );
+    let mut client = Peer::start(Command::new(python).arg(script("everything.py")).args(["client", &endpoint]));
+    client.expect("DONE", SOON);
+}
