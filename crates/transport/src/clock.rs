@@ -125,7 +125,7 @@ impl DeviceClock {
             if host >= JUMP_CONFIRM_NS {
                 // After a jump both clocks run alike again; a clock that runs too slow falls further behind.
                 let passed = device.saturating_sub(device_then);
-                self.wrong_rate = (passed as f64 / host as f64) < 0.5;
+                self.wrong_rate = (passed as f64 / host as f64) < 0.9;
                 self.restart(device, received_ns);
             }
         } else {

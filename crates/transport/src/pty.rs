@@ -101,6 +101,11 @@ impl Pty {
         Ok(sent)
     }
 
+    /// Reads what is there, or [`io::ErrorKind::WouldBlock`].
+    pub(crate) fn try_read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.master.read(buffer)
+    }
+
     fn wait(&self, flags: PollFlags) -> io::Result<()> {
         let mut fds = [PollFd::new(self.master.as_fd(), flags)];
         match poll(&mut fds, PollTimeout::NONE) {
@@ -136,7 +141,7 @@ impl Write for Pty {
 impl Read for Pty {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         loop {
-            match self.master.read(buffer) {
+            match self.try_read(buffer) {
                 Err(e) if e.kind() == io::ErrorKind::WouldBlock => self.wait(PollFlags::POLLIN)?,
                 done => return done,
             }

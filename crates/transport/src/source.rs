@@ -275,7 +275,6 @@ impl Reader {
         if let SourceUrl::Replay { path, speed, topic, repeat } = &self.url {
             let plan = replay::Plan { path, speed: *speed, topic: topic.as_deref(), repeat: *repeat };
             if let Err(reason) = replay::run(&plan, &self.queue, &self.stop) {
-                tracing::warn!(source = %self.url, reason, "replay failed");
                 self.queue.disconnected(reason, Duration::ZERO, false);
             }
         } else {
@@ -293,7 +292,6 @@ impl Reader {
             }
             let (reason, was_up) = match opened {
                 Ok(Some(mut link)) => {
-                    tracing::info!(source = %self.url, to = link.description(), "connected");
                     self.queue.connected(link.description());
                     match self.pump(&mut link, &mut opener, &mut backoff) {
                         Some(reason) => (reason, true),
@@ -304,7 +302,6 @@ impl Reader {
                 Err(reason) => (reason, false),
             };
             let retry_in = backoff.next();
-            tracing::warn!(source = %self.url, reason, ?retry_in, "not connected");
             self.queue.disconnected(reason, retry_in, was_up);
             if self.stop.stopped_within(retry_in) {
                 return;
@@ -334,7 +331,8 @@ struct EndOnDrop<'a>(&'a Queue);
 impl Drop for EndOnDrop<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            let reason = "the reader of this source panicked; the message is in the log".to_owned();
+            let reason =
+                "the reader of this source panicked; the message is on its standard error".to_owned();
             self.0.disconnected(reason, Duration::ZERO, false);
         }
         self.0.end();

@@ -32,7 +32,8 @@ pub enum Parity {
 /// | `pty://`, `pty://?link=/tmp/skin` | make a pseudo-terminal and read what is written to its far end |
 /// | `replay:///data/bag?speed=1&topic=/skin/taxels&loop=false` | the `TaxelFrame`s of a rosbag2 (folder or `.mcap`) as native wire |
 ///
-/// `idle=SECONDS` reconnects when a link is silent for so long; without it silence is no reason to.
+/// `idle=SECONDS` reconnects when a link is silent for so long, `idle=0` never. `tcp://` does so after 10 s if nothing
+/// else is said, because a server that lost power never says goodbye; for the others silence is no reason to.
 /// Paths may hold `%XX` escapes; `?`, `&` and `%` in a path must be written so.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -63,7 +64,7 @@ pub enum SourceUrl {
     Tcp {
         /// `HOST:PORT`, the host a name or an address.
         address: String,
-        /// Reconnect after so long without a byte.
+        /// Reconnect after so long without a byte; `None` never.
         idle: Option<Duration>,
     },
     /// Wait for the device to connect.
@@ -96,7 +97,10 @@ pub enum SourceUrl {
 const SCHEMES: &[&str] = &["serial", "udp", "tcp", "tcp-listen", "pty", "replay"];
 
 /// \[baud\] rate of a serial URL that names none.
-pub(crate) const DEFAULT_BAUD: u32 = 115_200;
+const DEFAULT_BAUD: u32 = 115_200;
+
+/// Silence after which a TCP server is taken to be gone.
+const TCP_IDLE: Duration = Duration::from_secs(10);
 
 impl SourceUrl {
     /// Reads a URL.
@@ -147,7 +151,7 @@ impl SourceUrl {
                 if q.flag("listen")? {
                     return Ok(Self::TcpListen { bind: q.socket_addr()?, idle: q.idle()? });
                 }
-                Ok(Self::Tcp { address: q.host_port()?, idle: q.idle()? })
+                Ok(Self::Tcp { address: q.host_port()?, idle: q.idle_or(Some(TCP_IDLE))? })
             }
             "tcp-listen" => {
                 let mut q = parser("tcp-listen", &["idle"])?;
@@ -217,7 +221,9 @@ impl Display for SourceUrl {
             Self::Udp { bind, from, idle } => {
                 (format!("udp://{bind}"), vec![from.map(|a| format!("from={a}")), idle_key(idle)])
             }
-            Self::Tcp { address, idle } => (format!("tcp://{address}"), vec![idle_key(idle)]),
+            Self::Tcp { address, idle } => {
+                (format!("tcp://{address}"), vec![idle_key(&Some(idle.unwrap_or_default()))])
+            }
             Self::TcpListen { bind, idle } => (format!("tcp-listen://{bind}"), vec![idle_key(idle)]),
             Self::Pty { path, link } => (
                 format!("pty://{}", path.as_ref().map_or(String::new(), |p| escape(&p.to_string_lossy()))),
@@ -310,10 +316,15 @@ impl<'a> Query<'a> {
     }
 
     fn idle(&mut self) -> Result<Option<Duration>, TransportError> {
-        self.take_with("idle", "seconds, 0.001 to 86400", |v| {
-            let seconds = v.parse::<f64>().ok().filter(|s| (0.001..=86_400.0).contains(s))?;
+        self.idle_or(None)
+    }
+
+    fn idle_or(&mut self, default: Option<Duration>) -> Result<Option<Duration>, TransportError> {
+        let given = self.take_with("idle", "seconds, 0 (never) or 0.001 to 86400", |v| {
+            let seconds = v.parse::<f64>().ok().filter(|s| *s == 0.0 || (0.001..=86_400.0).contains(s))?;
             Duration::try_from_secs_f64(seconds).ok()
-        })
+        })?;
+        Ok(given.map_or(default, |idle| Some(idle).filter(|idle| !idle.is_zero())))
     }
 
     fn target_error(&self, what: &'static str, expected: &str) -> TransportError {
@@ -410,7 +421,7 @@ mod tests {
         );
         assert_eq!(
             SourceUrl::parse("tcp://skin.local:7400").unwrap(),
-            SourceUrl::Tcp { address: "skin.local:7400".into(), idle: None }
+            SourceUrl::Tcp { address: "skin.local:7400".into(), idle: Some(TCP_IDLE) }
         );
         let listen = SourceUrl::TcpListen { bind: "0.0.0.0:7400".parse().unwrap(), idle: None };
         assert_eq!(SourceUrl::parse("tcp-listen://0.0.0.0:7400").unwrap(), listen);

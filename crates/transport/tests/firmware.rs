@@ -109,12 +109,9 @@ fn c_and_rust_encode_the_same_bytes() {
     let driver = RefCell::new(Driver::start());
     // Zeroes and long runs without one are where stuffing has its corners.
     let word = prop_oneof![3 => any::<u32>(), 2 => Just(0), 2 => Just(0x0101_0101), 1 => Just(0x7fc0_0000)];
-    let words = prop_oneof![
-        20 => proptest::collection::vec(word.clone(), 1..140),
-        1 => proptest::collection::vec(word, MAX_CHANNELS..=MAX_CHANNELS),
-    ];
+    let words = proptest::collection::vec(word, 1..140);
     let format = proptest::sample::select(NativeFormat::ALL.to_vec());
-    proptest!(ProptestConfig::with_cases(512), |(format in format, sequence: u32, time: u64, words in words)| {
+    proptest!(ProptestConfig::with_cases(256), |(format in format, sequence: u32, time: u64, words in words)| {
         let (values, payload) = values_of(format, &words);
         let from_c = driver.borrow_mut().encode(format, sequence, time, &payload);
         let mut encoder = NativeEncoder::new(format);
@@ -134,10 +131,9 @@ fn c_and_rust_encode_the_same_bytes() {
 #[test]
 fn every_block_length_around_254_is_stuffed_alike() {
     let mut driver = Driver::start();
-    for channels in 1..=400u32 {
+    for channels in (1..=400).chain([MAX_CHANNELS]) {
         // 0x0101 has no zero byte, so that the block grows with the channels.
-        let (values, payload) =
-            values_of(NativeFormat::U16, &vec![0x0101; usize::try_from(channels).unwrap()]);
+        let (values, payload) = values_of(NativeFormat::U16, &vec![0x0101; channels]);
         let from_c = driver.encode(NativeFormat::U16, 0x0101_0101, 0x0101_0101_0101_0101, &payload);
         let mut encoder = NativeEncoder::new(NativeFormat::U16);
         let ours = encoder.encode(0x0101_0101, 0x0101_0101_0101_0101, &values).unwrap();

@@ -44,7 +44,7 @@ impl Wire {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<Option<usize>> {
         match self {
             Self::Terminal(terminal) => terminal.file().read(buffer).map(Some),
-            Self::Pty(pty) => pty.read(buffer).map(Some),
+            Self::Pty(pty) => pty.try_read(buffer).map(Some),
             Self::Tcp(stream) => stream.read(buffer).map(Some),
             Self::Udp { socket, from } => {
                 let (n, sender) = socket.recv_from(buffer)?;
