@@ -133,6 +133,10 @@ pub struct Condition {
     pub contact_threshold: f64,
     /// \[s\] time constant with which the zero follows slow drift while the skin is not touched.
     pub drift_time: f64,
+    /// Share of a contact's strongest signal below which a signal that stands still for `tare_duration` is what the
+    /// medium's hysteresis leaves behind, and becomes the new zero. 0 switches that off: where contacts may shift
+    /// their weight instead of ending, as under a foot, stillness says nothing.
+    pub release_share: f64,
     /// \[s\] without any change after which a channel is stuck; 0 switches the check off.
     pub stuck_time: f64,
     /// \[s\] without a frame after which the skin is stale.
@@ -145,6 +149,7 @@ impl Default for Condition {
             tare_duration: 0.5,
             contact_threshold: 4.0,
             drift_time: 30.0,
+            release_share: 0.0,
             stuck_time: 5.0,
             stale_time: 0.5,
         }
@@ -279,6 +284,9 @@ impl SkinDescription {
             if !(value.is_finite() && value > 0.0) {
                 return wrong(field.into(), format!("is {value} and must be a positive number"));
             }
+        }
+        if !(0.0..1.0).contains(&self.condition.release_share) {
+            return wrong("condition.release_share".into(), "must be at least 0 (off) and below 1".into());
         }
         if !(self.condition.stuck_time.is_finite() && self.condition.stuck_time >= 0.0) {
             return wrong(
