@@ -88,24 +88,8 @@ pub enum BundleError {
         source: ModelError,
     },
     /// The model was trained for another skin.
-    #[error(
-        "model bundle {path}: was trained for skin `{bundle_skin}` ({bundle_hash}), not for `{skin}` ({skin_hash}): \
-         {difference}; train a model for this skin"
-    )]
-    AnotherSkin {
-        /// Folder of the bundle.
-        path: PathBuf,
-        /// Name of the skin that it was trained for.
-        bundle_skin: String,
-        /// Hash of the skin that it was trained for.
-        bundle_hash: String,
-        /// Name of the skin that it is to be used on.
-        skin: String,
-        /// Hash of the skin that it is to be used on.
-        skin_hash: String,
-        /// What differs.
-        difference: String,
-    },
+    #[error(transparent)]
+    AnotherSkin(Box<SkinMismatch>),
     /// The manifest names the skin's hash, but other channels or another unit: someone has edited it.
     #[error(
         "bundle file {path}: field `{field}`: {difference}, though `skin.hash` is that of skin `{skin}`; restore the file"
@@ -136,6 +120,27 @@ pub enum BundleError {
         /// Why.
         reason: String,
     },
+}
+
+/// The skin that a model was trained for, and the one that it is to be used on.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "model bundle {path}: was trained for skin `{bundle_skin}` ({bundle_hash}), not for `{skin}` ({skin_hash}): \
+     {difference}; train a model for this skin"
+)]
+pub struct SkinMismatch {
+    /// Folder of the bundle.
+    pub path: PathBuf,
+    /// Name of the skin that it was trained for.
+    pub bundle_skin: String,
+    /// Hash of the skin that it was trained for.
+    pub bundle_hash: String,
+    /// Name of the skin that it is to be used on.
+    pub skin: String,
+    /// Hash of the skin that it is to be used on.
+    pub skin_hash: String,
+    /// What differs.
+    pub difference: String,
 }
 
 /// A model bundle that fits a skin.
@@ -255,14 +260,14 @@ fn fits(path: &Path, bundle: &SkinSection, skin: &SkinSection) -> Result<(), Bun
                 .into(),
         );
     }
-    Err(BundleError::AnotherSkin {
+    Err(BundleError::AnotherSkin(Box::new(SkinMismatch {
         path: path.to_owned(),
         bundle_skin: bundle.name.clone(),
         bundle_hash: bundle.hash.clone(),
         skin: skin.name.clone(),
         skin_hash: skin.hash.clone(),
         difference: differences.join(", and "),
-    })
+    })))
 }
 
 /// How two channel tables differ.

@@ -19,9 +19,9 @@ pub mod onnx;
 mod outputs;
 mod runtime;
 
-pub use bundle::{Bundle, BundleError, BundleWriter};
+pub use bundle::{Bundle, BundleError, BundleWriter, SkinMismatch};
 pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
 pub use manifest::{Baseline, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection};
 pub use model::{Interface, Model, ModelError};
 pub use outputs::{Link, OutputConfig, OutputError, OutputSpec, Outputs, SigmaBin};
-pub use runtime::{Runtime, RuntimeChoice, RuntimeConfig, RuntimeError, RuntimeKind, RuntimeReport};
+pub use runtime::{Runtime, RuntimeChoice, RuntimeConfig, RuntimeError, RuntimeKind, RuntimeReport, Tried};

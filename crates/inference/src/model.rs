@@ -76,7 +76,7 @@ pub enum ModelError {
         reason: String,
     },
     /// The graph has other inputs or outputs than it is said to have.
-    #[error("has {what} {found} where {expected} is declared")]
+    #[error("has {what} {found} where {expected} is declared; export it again with that {what}")]
     Interface {
         /// `input` or `output`.
         what: &'static str,
@@ -86,7 +86,7 @@ pub enum ModelError {
         expected: String,
     },
     /// The runtime does not accept the graph.
-    #[error("is refused by {runtime}: {reason}")]
+    #[error("is refused by {runtime}: {reason}; export it again or try another runtime")]
     Refused {
         /// The runtime.
         runtime: String,
@@ -137,9 +137,8 @@ impl Model {
             runtime: runtime.report().to_string(),
             reason: reason.split_whitespace().collect::<Vec<_>>().join(" "),
         };
-        let (input_len, output_len) = match (interface.input_len(), interface.output_len()) {
-            (Some(i), Some(o)) => (i, o),
-            _ => return Err(refused("a declared shape has no elements, or far too many".into())),
+        let (Some(input_len), Some(output_len)) = (interface.input_len(), interface.output_len()) else {
+            return Err(refused("a declared shape has no elements, or far too many".into()));
         };
         if runtime.report().kind == RuntimeKind::Embedded {
             rehearse(bytes, &interface.input_shape).map_err(refused)?;

@@ -229,8 +229,8 @@ mod tests {
     #[test]
     fn refusals_show_both_sides() {
         let refused = |bytes: &[u8], interface| check(bytes, &interface).unwrap_err().to_string();
-        insta::assert_snapshot!(refused(&doubler(), Interface::flat(4, 3)), @"has input `input` [1, 3] where `input` [1, 4] is declared");
-        insta::assert_snapshot!(refused(&doubler(), Interface { output: "y".into(), ..Interface::flat(3, 3) }), @"has output `output` [1, 3] where `y` [1, 3] is declared");
+        insta::assert_snapshot!(refused(&doubler(), Interface::flat(4, 3)), @"has input `input` [1, 3] where `input` [1, 4] is declared; export it again with that input");
+        insta::assert_snapshot!(refused(&doubler(), Interface { output: "y".into(), ..Interface::flat(3, 3) }), @"has output `output` [1, 3] where `y` [1, 3] is declared; export it again with that output");
         insta::assert_snapshot!(refused(b"", Interface::flat(3, 3)), @"is not an ONNX model: it holds no graph; export it again");
         insta::assert_snapshot!(refused(b"PK\x03\x04 a zip", Interface::flat(3, 3)), @"is not an ONNX model: it is cut short or garbled; export it again");
     }
@@ -253,7 +253,7 @@ mod tests {
         fn no_bit_flip_panics(at in 0..100_usize, bit in 0..8) {
             let mut bytes = doubler();
             let at = at % bytes.len();
-            bytes[at] ^= 1 << bit;
+            bytes[at] ^= 1_u8 << bit;
             let _ = check(&bytes, &Interface::flat(3, 3));
         }
     }

@@ -1,0 +1,275 @@
+//! What a bundle is refused for, and that one that fits works from frame to named output.
+
+use std::path::{Path, PathBuf};
+
+use dermis_inference::{
+    Baseline, Bundle, BundleWriter, FeatureConfig, Manifest, Missing, OutputConfig, OutputSpec, Taps,
+    TrainingSection,
+};
+use dermis_skin::SkinDescription;
+use proptest::prelude::*;
+use sha2::{Digest, Sha256};
+
+use crate::graphs;
+use crate::runtimes::embedded;
+
+/// A skin of one channel per name.
+fn skin(name: &str, unit: &str, channels: &[&str]) -> SkinDescription {
+    let taxels: String = channels
+        .iter()
+        .enumerate()
+        .map(|(i, c)| format!("{{ name = \"{c}\", position = [{}, 0.0, -0.002] }},", 0.001 * i as f64))
+        .collect();
+    let text = format!(
+        "schema = \"dermis-skin/1\"\nname = \"{name}\"\nsensor = \"taxels\"\nframe_id = \"link\"\nunit = \"{unit}\"\n\
+         rate = 100.0\nnoise = 1.0\nsurface = {{ type = \"rectangle\", size = [0.02, 0.02], spacing = 0.01 }}\n\
+         taxels = [{taxels}]"
+    );
+    SkinDescription::from_toml(&text, "test").unwrap()
+}
+
+const CHANNELS: [&str; 5] = ["a", "b", "c", "d", "e"];
+
+fn pad() -> SkinDescription {
+    skin("pad", "Pa", &CHANNELS)
+}
+
+/// A bundle of the three-layer network for [`pad`].
+fn writer() -> BundleWriter {
+    let input = FeatureConfig::newest(vec![100.0; 5], vec![50.0; 5]);
+    let output = OutputConfig {
+        values: vec![
+            OutputSpec::new("position.x", "m", 0.01, 0.005),
+            OutputSpec::new("position.y", "m", 0.0, 0.005),
+            OutputSpec::new("force.normal", "N", 2.0, 1.0),
+        ],
+    };
+    let training = TrainingSection {
+        data_hash: "sha256:0".into(),
+        seed: 7,
+        samples: 1000,
+        held_out: "a fifth of the presses".into(),
+    };
+    let mut writer =
+        BundleWriter::new(Manifest::new("pad-mlp", &pad(), Baseline::Tared, input, output, training));
+    writer.manifest.metrics.insert("position_rmse_m".into(), 0.000_45);
+    writer.manifest.force_range = Some([0.0, 8.0]);
+    writer.card.insert("note".into(), "made by a test".into());
+    writer
+}
+
+struct OnDisk {
+    folder: tempfile::TempDir,
+    path: PathBuf,
+}
+
+impl OnDisk {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pad-mlp");
+        writer().write(&path, &graphs::mlp().bytes).unwrap();
+        Self { folder, path }
+    }
+
+    /// Changes the manifest's text.
+    fn edit(&self, from: &str, to: &str) {
+        let path = self.path.join("bundle.toml");
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{from} is not in\n{text}");
+        std::fs::write(path, text.replacen(from, to, 1)).unwrap();
+    }
+
+    /// Replaces the graph and makes the manifest agree with it.
+    fn replace_graph(&self, bytes: &[u8]) {
+        replace_graph(&self.path, bytes);
+    }
+
+    /// The refusal, with the folder's own path and hashes shortened.
+    fn refusal(&self, skin: &SkinDescription) -> String {
+        let text = Bundle::load(&self.path, skin).unwrap_err().to_string();
+        self.shorten(&text)
+    }
+
+    fn shorten(&self, text: &str) -> String {
+        let text = text.replace(self.folder.path().to_str().unwrap(), "");
+        let mut short = String::new();
+        for (i, part) in text.split("sha256:").enumerate() {
+            let part = if i > 0 && part.len() >= 64 {
+                assert!(part.as_bytes()[..64].iter().all(u8::is_ascii_hexdigit), "{part}");
+                short.push('#');
+                &part[64..]
+            } else {
+                part
+            };
+            short.push_str(part);
+        }
+        short
+    }
+}
+
+fn replace_graph(path: &Path, bytes: &[u8]) {
+    let mut manifest: toml::Table =
+        std::fs::read_to_string(path.join("bundle.toml")).unwrap().parse().unwrap();
+    let hex: String = Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect();
+    let model = manifest["model"].as_table_mut().unwrap();
+    model.insert("hash".into(), format!("sha256:{hex}").into());
+    model.insert("bytes".into(), i64::try_from(bytes.len()).unwrap().into());
+    std::fs::write(path.join("bundle.toml"), manifest.to_string()).unwrap();
+    std::fs::write(path.join("model.onnx"), bytes).unwrap();
+}
+
+#[test]
+fn a_frame_becomes_named_outputs() {
+    let disk = OnDisk::new();
+    let bundle = Bundle::load(&disk.path, &pad()).unwrap();
+    assert_eq!(bundle.manifest().metrics["position_rmse_m"], 0.000_45);
+    let mut features = bundle.features();
+    let mut outputs = bundle.outputs();
+    let mut model = bundle.session(embedded()).unwrap();
+    features.push(0, &[125.0, 100.0, 75.0, f32::NAN, 150.0]).unwrap();
+    let mut raw = Vec::new();
+    model.run(features.input().unwrap(), &mut raw).unwrap();
+    outputs.decode(&raw).unwrap();
+    let oracle = graphs::mlp().oracle.unwrap()(&[0.5, 0.0, -0.5, 0.0, 1.0]);
+    assert!((outputs.get("position.x").unwrap() - (0.01 + 0.005 * oracle[0])).abs() < 1e-7);
+    assert!((outputs.normal_force().unwrap() - (2.0 + oracle[2])).abs() < 1e-5);
+}
+
+#[test]
+fn what_was_written_is_read_back_exactly() {
+    let disk = OnDisk::new();
+    let mut wanted = writer();
+    wanted.manifest.input = FeatureConfig {
+        mean: vec![0.1, 1e-7, 3.0e8, -5.0, 0.3],
+        taps: Taps::Seconds(vec![0.0]),
+        missing: Missing::Mean,
+        ..wanted.manifest.input
+    };
+    let manifest = wanted.manifest.clone();
+    wanted.write(&disk.path, &graphs::mlp().bytes).unwrap();
+    let bundle = Bundle::load(&disk.path, &pad()).unwrap();
+    assert_eq!(bundle.manifest().input, manifest.input);
+    assert_eq!(bundle.manifest().output, manifest.output);
+    assert_eq!(bundle.manifest().training, manifest.training);
+    let card = std::fs::read_to_string(disk.path.join("card.json")).unwrap();
+    assert!(card.contains("made by a test"));
+    // An overwritten bundle leaves nothing behind.
+    assert_eq!(std::fs::read_dir(disk.folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn missing_parts_are_named() {
+    let disk = OnDisk::new();
+    let nowhere = Bundle::load(disk.folder.path().join("nowhere"), &pad()).unwrap_err();
+    insta::assert_snapshot!(disk.shorten(&nowhere.to_string()), @"model bundle /nowhere: there is no such folder; train one with `dermis train` or correct the path");
+    std::fs::remove_file(disk.path.join("model.onnx")).unwrap();
+    insta::assert_snapshot!(disk.refusal(&pad()), @"model bundle /pad-mlp: holds no `model.onnx`, so it is not a whole bundle; copy it again or train it anew");
+    std::fs::remove_file(disk.path.join("bundle.toml")).unwrap();
+    insta::assert_snapshot!(disk.refusal(&pad()), @"model bundle /pad-mlp: holds no `bundle.toml`, so it is not a whole bundle; copy it again or train it anew");
+}
+
+#[test]
+fn a_truncated_or_damaged_graph_is_refused() {
+    let disk = OnDisk::new();
+    let bytes = graphs::mlp().bytes;
+    std::fs::write(disk.path.join("model.onnx"), &bytes[..500]).unwrap();
+    insta::assert_snapshot!(disk.refusal(&pad()), @"model file /pad-mlp/model.onnx: has 500 bytes where bundle.toml field `model.bytes` says 1217: it was cut short or replaced; copy the bundle again");
+    let mut flipped = bytes;
+    flipped[300] ^= 1;
+    std::fs::write(disk.path.join("model.onnx"), flipped).unwrap();
+    insta::assert_snapshot!(disk.refusal(&pad()), @"model file /pad-mlp/model.onnx: has hash # where bundle.toml field `model.hash` says #: it was damaged or replaced; copy the bundle again");
+}
+
+#[test]
+fn a_graph_that_is_none_or_another_is_refused_though_its_hash_fits() {
+    let disk = OnDisk::new();
+    disk.replace_graph(b"<html>404 Not Found</html>");
+    insta::assert_snapshot!(disk.refusal(&pad()), @"model file /pad-mlp/model.onnx: is not an ONNX model: it is cut short or garbled; export it again");
+    disk.replace_graph(&graphs::all()[1].bytes);
+    insta::assert_snapshot!(disk.refusal(&pad()), @"model file /pad-mlp/model.onnx: has input `input` [1, 4] where `input` [1, 5] is declared; export it again with that input");
+}
+
+#[test]
+fn another_skin_is_refused_with_what_differs() {
+    let disk = OnDisk::new();
+    insta::assert_snapshot!(disk.refusal(&skin("glove", "Pa", &["a", "b", "x", "d"])), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `glove` (#): the bundle has channels `c`, `e` where the skin has `x`; train a model for this skin");
+    insta::assert_snapshot!(disk.refusal(&skin("pad", "Pa", &["a", "c", "b", "d", "e"])), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pad` (#): the channels are in another order: channel 1 is `b` in the bundle and `c` in the skin; train a model for this skin");
+    insta::assert_snapshot!(disk.refusal(&skin("pad", "T", &CHANNELS)), @r#"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pad` (#): the bundle's unit is "Pa" and the skin's is "T"; train a model for this skin"#);
+    insta::assert_snapshot!(disk.refusal(&skin("pat", "Pa", &CHANNELS)), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pat` (#): channels and unit are the same, but the name, surface, taxel positions, ranges, noise or medium differ; train a model for this skin");
+    insta::assert_snapshot!(disk.refusal(&skin("pad", "Pa", &["a", "b", "c", "d"])), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pad` (#): the bundle has channels that the skin lacks: `e`; train a model for this skin");
+}
+
+#[test]
+fn an_edited_manifest_is_refused() {
+    let edited = |from: &str, to: &str| {
+        let disk = OnDisk::new();
+        disk.edit(from, to);
+        disk.refusal(&pad())
+    };
+    insta::assert_snapshot!(edited("\"a\", \"b\"", "\"b\", \"a\""), @"bundle file /pad-mlp/bundle.toml: field `skin.channels`: the channels are in another order: channel 0 is `b` in the bundle and `a` in the skin, though `skin.hash` is that of skin `pad`; restore the file");
+    insta::assert_snapshot!(edited("unit = \"Pa\"", "unit = \"T\""), @r#"bundle file /pad-mlp/bundle.toml: field `skin.unit`: the bundle's unit is "T" and the skin's is "Pa", though `skin.hash` is that of skin `pad`; restore the file"#);
+    insta::assert_snapshot!(edited("dermis-bundle/1", "dermis-bundle/2"), @r#"bundle file /pad-mlp/bundle.toml: field `schema`: is "dermis-bundle/2", newer than "dermis-bundle/1"; update dermis or train the model again with this version"#);
+    insta::assert_snapshot!(edited("dermis-bundle/1", "dermis-skin/1"), @r#"bundle file /pad-mlp/bundle.toml: field `schema`: is "dermis-skin/1" where this program reads "dermis-bundle/1""#);
+    insta::assert_snapshot!(edited("schema = \"dermis-bundle/1\"\n", ""), @r#"bundle file /pad-mlp/bundle.toml: field `schema`: is missing; this program reads "dermis-bundle/1", so the file is no bundle of it"#);
+    insta::assert_snapshot!(edited("max_gap", "max_gab"), @"bundle file /pad-mlp/bundle.toml: unknown key `input.max_gab`; remove it or correct its spelling");
+    insta::assert_snapshot!(edited("seed = 7", "seed = \"seven\""), @r#"bundle file /pad-mlp/bundle.toml: field `training.seed`: invalid type: string "seven", expected u64"#);
+    insta::assert_snapshot!(edited("scale = [50.0", "scale = [0.0"), @"bundle file /pad-mlp/bundle.toml: field `input.scale[0]`: is 0 and must be positive");
+    insta::assert_snapshot!(edited("scale = [50.0, ", "scale = ["), @"bundle file /pad-mlp/bundle.toml: field `input.scale`: has 4 entries where `mean` has 5");
+    insta::assert_snapshot!(edited("input_shape = [1, 5]", "input_shape = [1, 6]"), @"bundle file /pad-mlp/bundle.toml: field `model.interface.input_shape`: is [1, 6] where [input] takes batch 1 and 5 numbers");
+    insta::assert_snapshot!(edited("baseline = \"tared\"", "baseline = \"zeroed\""), @"bundle file /pad-mlp/bundle.toml: field `baseline`: unknown variant `zeroed`, expected `raw` or `tared`");
+    insta::assert_snapshot!(edited("name = \"pad-mlp\"", "name = "), @"bundle file /pad-mlp/bundle.toml: field `line 2, column 8`: string values must be quoted, expected literal string");
+}
+
+#[test]
+fn what_contradicts_itself_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("b");
+    let refused = |writer: BundleWriter, graph: &[u8]| {
+        writer.write(&path, graph).unwrap_err().to_string().replace(folder.path().to_str().unwrap(), "")
+    };
+    let mut metric = writer();
+    metric.manifest.metrics.insert("force_rmse_n".into(), f64::NAN);
+    insta::assert_snapshot!(refused(metric, &graphs::mlp().bytes), @"bundle file /b/bundle.toml: field `metrics.force_rmse_n`: must be a finite number");
+    insta::assert_snapshot!(refused(writer(), &graphs::all()[2].bytes), @"model file /b/model.onnx: has input `input` [1, 3] where `input` [1, 5] is declared; export it again with that input");
+    assert!(!path.exists());
+
+    std::fs::create_dir(&path).unwrap();
+    std::fs::write(path.join("thesis.tex"), "years of work").unwrap();
+    insta::assert_snapshot!(refused(writer(), &graphs::mlp().bytes), @"model bundle /b: the folder exists and is no bundle; choose another one");
+    assert!(path.join("thesis.tex").exists());
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..Default::default() })]
+
+    #[test]
+    fn no_manifest_bytes_panic(changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6)) {
+        let disk = OnDisk::new();
+        let path = disk.path.join("bundle.toml");
+        let mut bytes = std::fs::read(&path).unwrap();
+        for (at, value) in changes {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        std::fs::write(path, bytes).unwrap();
+        if let Ok(bundle) = Bundle::load(&disk.path, &pad()) {
+            let _ = bundle.features().push(0, &[0.0; 5]);
+        }
+    }
+
+    /// A graph that is garbage, but whose hash the manifest names, is refused or runs; the process goes on.
+    #[test]
+    fn no_graph_bytes_panic(changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4)) {
+        let disk = OnDisk::new();
+        let mut bytes = graphs::mlp().bytes;
+        for (at, value) in changes {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        disk.replace_graph(&bytes);
+        if let Ok(mut model) = Bundle::load(&disk.path, &pad()).and_then(|bundle| bundle.session(embedded())) {
+            let _ = model.run(&[0.5; 5], &mut Vec::new());
+        }
+    }
+}
