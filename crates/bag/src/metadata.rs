@@ -67,7 +67,7 @@ impl Metadata {
             line(format!("        serialization_format: {}", quoted(&topic.encoding)));
             match topic.qos {
                 Some(qos) => {
-                    line(format!("        offered_qos_profiles:\n{}", qos.to_yaml("          ").trim_end()))
+                    line(format!("        offered_qos_profiles:\n{}", qos.to_yaml("          ").trim_end()));
                 }
                 None => line("        offered_qos_profiles: []".into()),
             }

@@ -40,6 +40,7 @@ fn same<T: Message>(a: &T, b: &T) -> bool {
     a.to_cdr() == b.to_cdr()
 }
 
+#[expect(clippy::unwrap_used, reason = "a helper of tests")]
 fn write(dir: &Path, count: u64) {
     let mut writer = BagWriter::create(dir).unwrap();
     writer.set_custom("source", "a test");

@@ -30,7 +30,13 @@ fn python() -> Option<PathBuf> {
 
 fn run(python: &Path, command: &str, bag: &Path, lines: &Path) -> String {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/clients.py");
-    let output = Command::new(python).arg(script).arg(command).arg(bag).arg(lines).output().unwrap();
+    let output = Command::new(python)
+        .arg(script)
+        .arg(command)
+        .arg(bag)
+        .arg(lines)
+        .output()
+        .expect("the client starts");
     let said =
         format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success(), "{said}");
@@ -39,7 +45,7 @@ fn run(python: &Path, command: &str, bag: &Path, lines: &Path) -> String {
 
 fn line<T: Message>(topic: &str, log_time: i64, message: &T) -> Value {
     let support = TypeSupport::of::<T>();
-    let message = (support.cdr_to_json)(&message.to_cdr()).unwrap();
+    let message = (support.cdr_to_json)(&message.to_cdr()).expect("its own bytes decode");
     json!({"topic": topic, "type": T::TYPE_NAME, "log_time": log_time, "message": message})
 }
 
