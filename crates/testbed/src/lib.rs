@@ -11,6 +11,7 @@
 mod collect;
 mod device;
 mod error;
+pub mod import;
 mod plan;
 mod sampler;
 mod timeline;
