@@ -1,1 +1,54 @@
 //! One node API over two ROS 2 backends.
+//!
+//! A [`Node`] publishes, subscribes, serves, has parameters, a clock, a managed life and diagnostics. What
+//! carries it is a [`Backend`]: [`HirozBackend`] speaks the wire of `rmw_zenoh` and needs neither a ROS
+//! installation nor a router; the r2r backend (crate `dermis-node-r2r`) uses the ROS 2 that is sourced.
+//! Both pass the same behaviour suite (module `suite`, feature `test-suite`).
+//!
+//! ```no_run
+//! use dermis_msgs::msg::ContactArray;
+//! use dermis_node::{HirozBackend, Node, NodeError, NodeOptions, Qos};
+//!
+//! # async fn run() -> Result<(), NodeError> {
+//! let node = Node::open(NodeOptions::new("listener"), &HirozBackend::default())?;
+//! let _contacts = node.subscribe("contacts", Qos::sensor_data(), |array: ContactArray, _| {
+//!     println!("{} contacts", array.contacts.len());
+//! })?;
+//! node.wait_for_shutdown().await
+//! # }
+//! ```
+
+pub mod backend;
+mod clock;
+mod diagnostics;
+mod error;
+mod executor;
+#[cfg(feature = "hiroz")]
+mod hiroz_backend;
+mod lifecycle;
+mod names;
+mod node;
+mod options;
+mod parameters;
+mod pubsub;
+mod qos;
+mod service;
+#[cfg(feature = "test-suite")]
+pub mod suite;
+mod watch;
+
+pub use backend::{Backend, BackendError};
+pub use clock::{Clock, ClockJump};
+pub use diagnostics::{Diagnostics, Level, Status};
+pub use error::NodeError;
+#[cfg(feature = "hiroz")]
+pub use hiroz_backend::{HirozBackend, HirozConfig};
+pub use lifecycle::{Lifecycle, State, Transition};
+pub use names::parse_remapping;
+pub use node::{LogLevel, Node, Timer};
+pub use options::NodeOptions;
+pub use parameters::{ParameterDescriptor, ParameterRange, ParameterValue, Parameters};
+pub use pubsub::{MessageInfo, Publisher, RawPublisher, Subscription};
+pub use qos::{Durability, History, Qos, Reliability};
+pub use service::{Client, ServiceServer};
+pub use watch::{Problem, ProblemKind};

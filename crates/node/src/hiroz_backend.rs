@@ -1,0 +1,716 @@
+//! The embedded backend: ROS 2 over zenoh with the wire of `rmw_zenoh`, by the hiroz library.
+
+use std::collections::HashMap;
+use std::net::Ipv4Addr;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, Weak};
+use std::time::Duration;
+
+use bytes::Bytes;
+use dermis_msgs::TypeSupport;
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use hiroz::Builder;
+use hiroz::attachment::{Attachment, GidArray};
+use hiroz::context::{ZContext, ZContextBuilder};
+use hiroz::entity::{EndpointEntity, EndpointKind as GraphKind, Entity, TypeHash, TypeInfo};
+use hiroz::graph::Graph;
+use hiroz::msg::{SerdeCdrSerdes, ZService};
+use hiroz::node::ZNode;
+use hiroz::pubsub::{ZPub, ZSub};
+use hiroz_protocol::qos as wire_qos;
+use zenoh::Wait;
+use zenoh::key_expr::KeyExpr;
+use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::sample::Sample;
+
+use crate::backend::{
+    Backend, BackendClient, BackendEndpoint, BackendError, BackendNode, BackendPublisher, EndpointInfo,
+    EndpointKind, GraphHook, MessageSink, NodeSpec, RawMessage, RawRequest, RequestSink, ServiceSupport,
+};
+use crate::clock::system_now;
+use crate::executor::lock;
+use crate::node::runtime;
+use crate::qos::{Durability, History, Qos, Reliability};
+
+const NAME: &str = "hiroz";
+
+/// Where a router of `rmw_zenoh` listens.
+const ROUTER: &str = "tcp/127.0.0.1:7447";
+/// Multicast group in which zenoh peers look for each other.
+const SCOUTING_GROUP: Ipv4Addr = Ipv4Addr::new(224, 0, 0, 224);
+const SCOUTING_PORT: u16 = 7446;
+/// Depth of the history that `rmw_zenoh` keeps for “keep all”.
+const KEEP_ALL_DEPTH: usize = 42;
+
+/// How the embedded backend reaches the network.
+///
+/// By default nodes find each other by multicast, on one machine and in the local network, and no router
+/// is needed. Where a router of `rmw_zenoh` runs on this machine, it is used too. The environment
+/// variables of `rmw_zenoh`, `ZENOH_SESSION_CONFIG_URI` and `ZENOH_CONFIG_OVERRIDE`, count here too.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HirozConfig {
+    /// A zenoh configuration file (JSON5) to start from instead of the defaults of this backend.
+    pub config_file: Option<PathBuf>,
+    /// Endpoints to connect to, `tcp/192.168.1.5:7447`, beside the router of this machine.
+    pub connect: Vec<String>,
+    /// Endpoints to listen on; none for a free port.
+    pub listen: Vec<String>,
+    /// Whether to look for a router on this machine.
+    pub local_router: bool,
+    /// Whether to find peers by multicast.
+    pub multicast: bool,
+    /// Port of the multicast group: networks with different ports do not see each other.
+    pub scouting_port: u16,
+    /// Entries of the zenoh configuration that win over everything: key and JSON5 value.
+    pub overrides: Vec<(String, String)>,
+}
+
+impl Default for HirozConfig {
+    fn default() -> Self {
+        Self {
+            config_file: None,
+            connect: Vec::new(),
+            listen: Vec::new(),
+            local_router: true,
+            multicast: true,
+            scouting_port: SCOUTING_PORT,
+            overrides: Vec::new(),
+        }
+    }
+}
+
+impl HirozConfig {
+    fn zenoh(&self, localhost_only: bool) -> Result<zenoh::Config, String> {
+        let file = self
+            .config_file
+            .clone()
+            .or_else(|| std::env::var_os("ZENOH_SESSION_CONFIG_URI").map(PathBuf::from));
+        let from_file = file.is_some();
+        let mut config = match file {
+            Some(path) => zenoh::Config::from_file(&path)
+                .map_err(|error| format!("zenoh configuration file {}: {error}", path.display()))?,
+            None => zenoh::Config::default(),
+        };
+        let mut set = |key: &str, value: &serde_json::Value| insert(&mut config, key, &value.to_string());
+        if !from_file {
+            let mut connect = self.connect.clone();
+            if self.local_router {
+                connect.push(ROUTER.to_owned());
+            }
+            let listen = if !self.listen.is_empty() {
+                self.listen.clone()
+            } else if localhost_only {
+                vec!["tcp/127.0.0.1:0".to_owned()]
+            } else {
+                vec!["tcp/0.0.0.0:0".to_owned()]
+            };
+            set("mode", &"peer".into())?;
+            set("connect/endpoints", &connect.into())?;
+            // A router that is not there is tried again in the background.
+            set("connect/timeout_ms", &(-1).into())?;
+            set("connect/exit_on_failure", &false.into())?;
+            set("listen/endpoints", &listen.into())?;
+            set("scouting/multicast/enabled", &self.multicast.into())?;
+            let group = format!("{SCOUTING_GROUP}:{}", self.scouting_port);
+            set("scouting/multicast/address", &group.into())?;
+            if localhost_only {
+                set("scouting/multicast/interface", &"127.0.0.1".into())?;
+                set("scouting/multicast/ttl", &0.into())?;
+            }
+        }
+        // History for late joiners needs stamps from peers, too.
+        set("timestamping/enabled", &serde_json::json!({ "router": true, "peer": true, "client": true }))?;
+        for (key, value) in &self.overrides {
+            insert(&mut config, key, value)?;
+        }
+        Ok(config)
+    }
+}
+
+fn insert(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), String> {
+    config.insert_json5(key, value).map_err(|error| format!("zenoh configuration {key}={value}: {error}"))
+}
+
+/// The embedded backend. Each node is a zenoh session of its own.
+#[derive(Debug, Clone, Default)]
+pub struct HirozBackend {
+    config: HirozConfig,
+}
+
+impl HirozBackend {
+    /// A backend with this configuration; [`HirozBackend::default`] suits most.
+    #[must_use]
+    pub fn new(config: HirozConfig) -> Self {
+        Self { config }
+    }
+}
+
+/// Runs what may wait on zenoh's runtime. Zenoh must not wait on the thread of a foreign single-threaded
+/// runtime, so this moves to another one there.
+fn off_runtime<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+    if tokio::runtime::Handle::try_current().is_err() {
+        return work();
+    }
+    std::thread::scope(|scope| match scope.spawn(work).join() {
+        Ok(result) => result,
+        Err(panic) => std::panic::resume_unwind(panic),
+    })
+}
+
+impl Backend for HirozBackend {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn open(&self, spec: &NodeSpec) -> Result<Arc<dyn BackendNode>, BackendError> {
+        let error = |reason: String| BackendError::Open { backend: NAME, node: spec.full_name(), reason };
+        let config = self.config.zenoh(spec.localhost_only).map_err(error)?;
+        let namespace = if spec.namespace == "/" { "" } else { spec.namespace.as_str() };
+        let (context, node) = off_runtime(|| -> zenoh::Result<(ZContext, ZNode)> {
+            let context = ZContextBuilder::default()
+                .with_domain_id(usize::from(spec.domain_id))
+                .with_zenoh_config(config)
+                .build()?;
+            let node =
+                context.create_node(&spec.name).with_namespace(namespace).without_parameters().build()?;
+            Ok((context, node))
+        })
+        .map_err(|e| error(e.to_string()))?;
+        let shared = Arc::new(Shared {
+            node: Mutex::new(Some(node)),
+            graph: Arc::clone(context.graph()),
+            publishers: Mutex::default(),
+            hooks: Mutex::default(),
+            next: AtomicU64::new(0),
+        });
+        let weak = Arc::downgrade(&shared);
+        let graph = Arc::clone(context.graph());
+        let watch = runtime()
+            .map_err(|e| error(e.to_string()))?
+            .spawn(async move { follow(&weak, &graph).await })
+            .abort_handle();
+        Ok(Arc::new(HirozNode { full_name: spec.full_name(), context, shared, watch }))
+    }
+}
+
+/// Counts the subscriptions anew after each change of the graph.
+async fn follow(shared: &Weak<Shared>, graph: &Arc<Graph>) {
+    loop {
+        let changed = graph.change_notify.notified();
+        let Some(shared) = shared.upgrade() else { return };
+        shared.count();
+        for hook in lock(&shared.hooks).iter() {
+            hook();
+        }
+        drop(shared);
+        changed.await;
+    }
+}
+
+struct Matching {
+    topic: String,
+    type_info: TypeInfo,
+    count: Arc<AtomicUsize>,
+}
+
+struct Shared {
+    /// Taken out when the node is closed.
+    node: Mutex<Option<ZNode>>,
+    graph: Arc<Graph>,
+    publishers: Mutex<HashMap<u64, Matching>>,
+    hooks: Mutex<Vec<GraphHook>>,
+    next: AtomicU64,
+}
+
+impl Shared {
+    fn count(&self) {
+        for publisher in lock(&self.publishers).values() {
+            publisher.count.store(self.subscriptions(publisher), Ordering::Release);
+        }
+    }
+
+    fn subscriptions(&self, publisher: &Matching) -> usize {
+        self.graph
+            .get_entities_by_topic(GraphKind::Subscription, &publisher.topic)
+            .iter()
+            .filter(|entity| has_type(entity, &publisher.type_info))
+            .count()
+    }
+}
+
+fn has_type(entity: &Entity, type_info: &TypeInfo) -> bool {
+    endpoint(entity).is_some_and(|endpoint| {
+        endpoint
+            .type_info
+            .as_ref()
+            .is_some_and(|other| other.name == type_info.name && other.hash == type_info.hash)
+    })
+}
+
+fn endpoint(entity: &Entity) -> Option<&EndpointEntity> {
+    if let Entity::Endpoint(endpoint) = entity { Some(endpoint) } else { None }
+}
+
+struct HirozNode {
+    full_name: String,
+    context: ZContext,
+    shared: Arc<Shared>,
+    watch: tokio::task::AbortHandle,
+}
+
+impl HirozNode {
+    fn make<R: Send>(
+        &self,
+        what: &'static str,
+        name: &str,
+        make: impl FnOnce(&ZNode) -> zenoh::Result<R> + Send,
+    ) -> Result<R, BackendError> {
+        let node = lock(&self.shared.node);
+        let Some(node) = node.as_ref() else {
+            return Err(BackendError::Closed { node: self.full_name.clone() });
+        };
+        off_runtime(|| make(node)).map_err(|error| BackendError::Endpoint {
+            what,
+            name: name.to_owned(),
+            reason: error.to_string(),
+        })
+    }
+}
+
+/// `std_msgs/msg/String` as the wire names it: `std_msgs::msg::dds_::String_`.
+fn wire_type_name(name: &str) -> String {
+    match name.rsplit_once('/') {
+        Some((package, name)) => format!("{}::dds_::{name}_", package.replace('/', "::")),
+        None => name.to_owned(),
+    }
+}
+
+/// The other way.
+fn ros_type_name(name: &str) -> String {
+    name.replace("::dds_::", "/").replace("::", "/").trim_end_matches('_').to_owned()
+}
+
+fn type_info(what: &'static str, topic: &str, name: &str, hash: &str) -> Result<TypeInfo, BackendError> {
+    let hash = TypeHash::from_rihs_string(hash).ok_or_else(|| BackendError::Endpoint {
+        what,
+        name: topic.to_owned(),
+        reason: format!("`{hash}` is not a RIHS01 type hash"),
+    })?;
+    Ok(TypeInfo { name: wire_type_name(name), hash })
+}
+
+fn to_wire_qos(qos: &Qos) -> hiroz::qos::QosProfile {
+    hiroz::qos::QosProfile {
+        reliability: match qos.reliability {
+            Reliability::BestEffort => hiroz::qos::QosReliability::BestEffort,
+            Reliability::Reliable => hiroz::qos::QosReliability::Reliable,
+        },
+        durability: match qos.durability {
+            Durability::Volatile => hiroz::qos::QosDurability::Volatile,
+            Durability::TransientLocal => hiroz::qos::QosDurability::TransientLocal,
+        },
+        history: match qos.depth() {
+            Some(depth) => hiroz::qos::QosHistory::from_depth(depth),
+            None => hiroz::qos::QosHistory::KeepAll,
+        },
+        ..hiroz::qos::QosProfile::default()
+    }
+}
+
+fn from_wire_qos(qos: &wire_qos::QosProfile) -> Qos {
+    Qos {
+        reliability: match qos.reliability {
+            wire_qos::QosReliability::BestEffort => Reliability::BestEffort,
+            wire_qos::QosReliability::Reliable => Reliability::Reliable,
+        },
+        durability: match qos.durability {
+            wire_qos::QosDurability::Volatile => Durability::Volatile,
+            wire_qos::QosDurability::TransientLocal => Durability::TransientLocal,
+        },
+        history: match qos.history {
+            wire_qos::QosHistory::KeepLast(0) => History::KeepLast(KEEP_ALL_DEPTH),
+            wire_qos::QosHistory::KeepLast(depth) => History::KeepLast(depth),
+            wire_qos::QosHistory::KeepAll => History::KeepAll,
+        },
+    }
+}
+
+impl BackendNode for HirozNode {
+    fn publisher(
+        &self,
+        topic: &str,
+        type_support: &'static TypeSupport,
+        qos: &Qos,
+    ) -> Result<Arc<dyn BackendPublisher>, BackendError> {
+        let type_info = type_info("publisher", topic, type_support.name, type_support.hash)?;
+        let id = self.shared.next.fetch_add(1, Ordering::Relaxed);
+        let count = Arc::new(AtomicUsize::new(0));
+        let watched = Arc::new(AtomicBool::new(false));
+        let (publisher, watcher) = self.make("publisher", topic, |node| {
+            let publisher = node
+                .create_pub_impl::<Raw>(topic, Some(type_info.clone()))
+                .with_qos(to_wire_qos(qos))
+                .build()?;
+            // The graph knows ROS subscriptions only; zenoh itself also knows of plain zenoh subscribers.
+            let key = node.keyexpr_format().topic_key_expr(publisher.entity())?;
+            let watcher = node.session().declare_publisher((*key).clone()).wait()?;
+            let flag = Arc::clone(&watched);
+            watcher
+                .matching_listener()
+                .callback(move |status| flag.store(status.matching(), Ordering::Release))
+                .background()
+                .wait()?;
+            watched.store(watcher.matching_status().wait()?.matching(), Ordering::Release);
+            Ok((publisher, watcher))
+        })?;
+        let matching = Matching { topic: topic.to_owned(), type_info, count: Arc::clone(&count) };
+        count.store(self.shared.subscriptions(&matching), Ordering::Release);
+        lock(&self.shared.publishers).insert(id, matching);
+        // A change between counting and inserting would be missed.
+        self.shared.count();
+        Ok(Arc::new(HirozPublisher {
+            topic: topic.to_owned(),
+            publisher: Some((publisher, watcher)),
+            count,
+            watched,
+            id,
+            shared: Arc::downgrade(&self.shared),
+        }))
+    }
+
+    fn subscribe(
+        &self,
+        topic: &str,
+        type_support: &'static TypeSupport,
+        qos: &Qos,
+        sink: MessageSink,
+    ) -> Result<Box<dyn BackendEndpoint>, BackendError> {
+        let type_info = type_info("subscription", topic, type_support.name, type_support.hash)?;
+        let subscription = self.make("subscription", topic, |node| {
+            node.create_sub_impl::<Raw>(topic, Some(type_info))
+                .with_qos(to_wire_qos(qos))
+                .with_buffer_group(hiroz::BufferGroup::Off)
+                .build()
+        })?;
+        let queue = subscription.queue.clone();
+        let gate = Arc::new(Mutex::new(Some(sink)));
+        let forward = Arc::clone(&gate);
+        let error =
+            |reason: String| BackendError::Endpoint { what: "subscription", name: topic.to_owned(), reason };
+        let queue = queue.ok_or_else(|| error("it has no queue".to_owned()))?;
+        let task = runtime().map_err(|e| error(e.to_string()))?.spawn(async move {
+            loop {
+                let sample = queue.recv_async().await;
+                match &*lock(&forward) {
+                    Some(sink) => sink(raw_message(&sample)),
+                    None => return,
+                }
+            }
+        });
+        Ok(Box::new(HirozSubscription { subscription: Some(subscription), gate, task: task.abort_handle() }))
+    }
+
+    fn serve(
+        &self,
+        name: &str,
+        service: &ServiceSupport,
+        sink: RequestSink,
+    ) -> Result<Box<dyn BackendEndpoint>, BackendError> {
+        let type_info = type_info("service", name, service.name, service.hash)?;
+        let server = self.make("service", name, |node| {
+            let service = name.to_owned();
+            node.create_service_impl::<RawService>(name, Some(type_info))
+                .with_qos(to_wire_qos(&Qos::services()))
+                .build_with_callback(move |query| sink(raw_request(&service, query)))
+        })?;
+        Ok(Box::new(HirozServer(Some(Box::new(server)))))
+    }
+
+    fn client(&self, name: &str, service: &ServiceSupport) -> Result<Arc<dyn BackendClient>, BackendError> {
+        let type_info = type_info("client", name, service.name, service.hash)?;
+        let (presence, key, gid, session) = self.make("client", name, |node| {
+            let builder = node
+                .create_client_impl::<RawService>(name, Some(type_info.clone()))
+                .with_qos(to_wire_qos(&Qos::services()));
+            let key = (*node.keyexpr_format().topic_key_expr(builder.entity())?).clone();
+            let gid = hiroz::entity::endpoint_gid(builder.entity()).unwrap_or_default();
+            Ok((builder.build()?, key, gid, Arc::clone(node.session())))
+        })?;
+        Ok(Arc::new(HirozClient {
+            name: name.to_owned(),
+            presence: Some(Box::new(presence)),
+            type_info,
+            key,
+            gid,
+            session,
+            graph: Arc::clone(&self.shared.graph),
+            // rcl counts requests from 1.
+            sequence: AtomicI64::new(1),
+        }))
+    }
+
+    fn node_names(&self) -> Result<Vec<String>, BackendError> {
+        let names = self.shared.graph.get_node_names();
+        Ok(names.into_iter().map(|(name, namespace)| crate::names::join(&namespace, &name)).collect())
+    }
+
+    fn endpoints(&self, name: &str, kind: EndpointKind) -> Result<Vec<EndpointInfo>, BackendError> {
+        let graph = &self.shared.graph;
+        let entities = match kind {
+            EndpointKind::Publisher => graph.get_entities_by_topic(GraphKind::Publisher, name),
+            EndpointKind::Subscription => graph.get_entities_by_topic(GraphKind::Subscription, name),
+            EndpointKind::Service => graph.get_entities_by_service(GraphKind::Service, name),
+            EndpointKind::Client => graph.get_entities_by_service(GraphKind::Client, name),
+        };
+        Ok(entities
+            .iter()
+            .filter_map(|entity| endpoint(entity))
+            .map(|endpoint| EndpointInfo {
+                node: endpoint
+                    .node
+                    .as_ref()
+                    .map_or_else(String::new, |node| crate::names::join(&node.namespace, &node.name)),
+                own: endpoint.node.as_ref().is_some_and(|node| node.z_id == graph.zid),
+                type_name: endpoint
+                    .type_info
+                    .as_ref()
+                    .map_or_else(String::new, |info| ros_type_name(&info.name)),
+                type_hash: endpoint.type_info.as_ref().map(|info| info.hash.to_rihs_string()),
+                qos: matches!(kind, EndpointKind::Publisher | EndpointKind::Subscription)
+                    .then(|| from_wire_qos(&endpoint.qos)),
+            })
+            .collect())
+    }
+
+    fn topics(&self) -> Result<Vec<(String, String)>, BackendError> {
+        let graph = &self.shared.graph;
+        let mut topics = graph.get_topic_names_and_types();
+        topics.retain(|(name, _)| !graph.get_entities_by_topic(GraphKind::Publisher, name).is_empty());
+        Ok(topics.into_iter().map(|(name, kind)| (name, ros_type_name(&kind))).collect())
+    }
+
+    fn on_graph_change(&self, hook: GraphHook) {
+        lock(&self.shared.hooks).push(hook);
+    }
+
+    fn close(&self) {
+        let Some(node) = lock(&self.shared.node).take() else { return };
+        self.watch.abort();
+        lock(&self.shared.hooks).clear();
+        let closed = off_runtime(|| {
+            drop(node);
+            self.context.shutdown()
+        });
+        if let Err(error) = closed {
+            tracing::debug!("closing the zenoh session of {}: {error}", self.full_name);
+        }
+    }
+}
+
+impl Drop for HirozNode {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+/// Placeholder for the message type: bytes pass as they are, so nothing is ever encoded from or decoded
+/// into it.
+type Raw = u8;
+type RawSerdes = <Raw as hiroz::msg::ZMessage>::Serdes;
+
+struct RawService;
+
+impl ZService for RawService {
+    type Request = Raw;
+    type Response = Raw;
+}
+
+struct HirozPublisher {
+    topic: String,
+    publisher: Option<(ZPub<Raw, RawSerdes>, zenoh::pubsub::Publisher<'static>)>,
+    count: Arc<AtomicUsize>,
+    watched: Arc<AtomicBool>,
+    id: u64,
+    shared: Weak<Shared>,
+}
+
+impl BackendPublisher for HirozPublisher {
+    fn publish(&self, payload: &[u8]) -> Result<(), BackendError> {
+        let Some((publisher, _)) = &self.publisher else { return Ok(()) };
+        publisher
+            .publish_serialized(payload)
+            .map_err(|error| BackendError::Send { name: self.topic.clone(), reason: error.to_string() })
+    }
+
+    fn subscriber_count(&self) -> usize {
+        let plain = usize::from(self.watched.load(Ordering::Acquire));
+        self.count.load(Ordering::Acquire).max(plain)
+    }
+}
+
+impl Drop for HirozPublisher {
+    fn drop(&mut self) {
+        if let Some(shared) = self.shared.upgrade() {
+            lock(&shared.publishers).remove(&self.id);
+        }
+        let publisher = self.publisher.take();
+        off_runtime(|| drop(publisher));
+    }
+}
+
+struct HirozSubscription {
+    subscription: Option<ZSub<Raw, Sample, RawSerdes>>,
+    gate: Arc<Mutex<Option<MessageSink>>>,
+    task: tokio::task::AbortHandle,
+}
+
+impl BackendEndpoint for HirozSubscription {}
+
+impl Drop for HirozSubscription {
+    fn drop(&mut self) {
+        let subscription = self.subscription.take();
+        off_runtime(|| drop(subscription));
+        let sink = lock(&self.gate).take();
+        drop(sink);
+        self.task.abort();
+    }
+}
+
+fn raw_message(sample: &Sample) -> RawMessage {
+    let source_ns = sample
+        .attachment()
+        .and_then(|bytes| Attachment::try_from(bytes).ok())
+        .map(|attachment| attachment.source_timestamp);
+    RawMessage {
+        payload: Bytes::from(sample.payload().to_bytes().into_owned()),
+        source_ns,
+        received_ns: system_now(),
+    }
+}
+
+fn raw_request(service: &str, query: Query) -> RawRequest {
+    // A plain zenoh client may call without an attachment; it does not look for one in the answer.
+    let (sequence, gid) = query
+        .attachment()
+        .and_then(|bytes| Attachment::try_from(bytes).ok())
+        .map_or((0, GidArray::default()), |a| (a.sequence_number, a.source_gid));
+    let payload =
+        query.payload().map_or_else(Bytes::new, |payload| Bytes::from(payload.to_bytes().into_owned()));
+    let service = service.to_owned();
+    RawRequest {
+        payload,
+        reply: Box::new(move |bytes| {
+            let key = query.key_expr().clone();
+            off_runtime(|| query.reply(key, bytes).attachment(Attachment::new(sequence, gid)).wait())
+                .map_err(|error| BackendError::Send { name: service, reason: error.to_string() })
+        }),
+    }
+}
+
+struct HirozServer(Option<Box<dyn std::any::Any + Send + Sync>>);
+
+impl BackendEndpoint for HirozServer {}
+
+impl Drop for HirozServer {
+    fn drop(&mut self) {
+        let server = self.0.take();
+        off_runtime(|| drop(server));
+    }
+}
+
+struct HirozClient {
+    name: String,
+    /// Announces the client in the graph.
+    presence: Option<Box<dyn std::any::Any + Send + Sync>>,
+    type_info: TypeInfo,
+    key: KeyExpr<'static>,
+    gid: GidArray,
+    session: Arc<zenoh::Session>,
+    graph: Arc<Graph>,
+    sequence: AtomicI64,
+}
+
+impl BackendClient for HirozClient {
+    fn available(&self) -> bool {
+        self.graph
+            .get_entities_by_service(GraphKind::Service, &self.name)
+            .iter()
+            .any(|entity| has_type(entity, &self.type_info))
+    }
+
+    fn call(&self, request: &[u8], timeout: Duration) -> BoxFuture<'static, Result<Bytes, BackendError>> {
+        let name = self.name.clone();
+        let no_answer = move |reason: String| BackendError::NoAnswer { name, reason };
+        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
+        let (answer, answered) = futures::channel::oneshot::channel();
+        let answer = Mutex::new(Some(answer));
+        let sent = self
+            .session
+            .get(&self.key)
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .timeout(timeout)
+            .payload(request)
+            .attachment(Attachment::new(sequence, self.gid))
+            .callback(move |reply| {
+                if let Ok(sample) = reply.into_result() {
+                    if let Some(answer) = lock(&answer).take() {
+                        // The caller may have given up.
+                        let _ = answer.send(Bytes::from(sample.payload().to_bytes().into_owned()));
+                    }
+                }
+            })
+            .wait();
+        async move {
+            match sent {
+                Ok(()) => {
+                    answered.await.map_err(|_| no_answer("the server ended the call without one".to_owned()))
+                }
+                Err(error) => Err(no_answer(error.to_string())),
+            }
+        }
+        .boxed()
+    }
+}
+
+impl Drop for HirozClient {
+    fn drop(&mut self) {
+        let presence = self.presence.take();
+        off_runtime(|| drop(presence));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn type_names_go_both_ways() {
+        for (ros, wire) in [
+            ("dermis_msgs/msg/ContactArray", "dermis_msgs::msg::dds_::ContactArray_"),
+            ("std_srvs/srv/Trigger", "std_srvs::srv::dds_::Trigger_"),
+        ] {
+            assert_eq!(wire_type_name(ros), wire);
+            assert_eq!(ros_type_name(wire), ros);
+        }
+    }
+
+    #[test]
+    fn qos_survives_the_wire_form() {
+        for qos in [Qos::sensor_data(), Qos::latched(), Qos::services()] {
+            assert_eq!(from_wire_qos(&to_wire_qos(&qos).to_protocol_qos()), qos);
+        }
+    }
+
+    #[test]
+    fn a_bad_override_is_named() {
+        let config = HirozConfig {
+            overrides: vec![("scouting/nonsense".to_owned(), "1".to_owned())],
+            ..HirozConfig::default()
+        };
+        let error = config.zenoh(true).unwrap_err();
+        assert!(error.contains("scouting/nonsense=1"), "{error}");
+    }
+}

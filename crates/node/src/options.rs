@@ -1,0 +1,212 @@
+//! How a node is started.
+
+use std::collections::BTreeMap;
+
+use crate::error::NodeError;
+use crate::names::parse_remapping;
+use crate::parameters::ParameterValue;
+
+/// How a node is started.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeOptions {
+    /// Node name without namespace.
+    pub name: String,
+    /// Namespace, `/` for none.
+    pub namespace: String,
+    /// ROS domain; `None` reads `ROS_DOMAIN_ID`, or else 0.
+    pub domain_id: Option<u16>,
+    /// Whether to stay on this machine; `None` reads `ROS_AUTOMATIC_DISCOVERY_RANGE` (`LOCALHOST` or `OFF`)
+    /// and the older `ROS_LOCALHOST_ONLY`.
+    pub localhost_only: Option<bool>,
+    /// Remappings `from:=to` of topics and services, and `__node`, `__ns`.
+    pub remappings: Vec<(String, String)>,
+    /// Values of parameters that win over their defaults.
+    pub parameters: BTreeMap<String, ParameterValue>,
+    /// Whether to start with the time of `/clock`.
+    pub use_sim_time: bool,
+    /// Whether `/diagnostics` is published (at 1 Hz).
+    pub diagnostics: bool,
+    /// Threads that run callbacks, at least 1.
+    pub threads: usize,
+}
+
+impl NodeOptions {
+    /// A node with everything else as ROS has it by default.
+    #[must_use]
+    pub fn new(name: impl Into<String>) -> Self {
+        Self {
+            name: name.into(),
+            namespace: "/".to_owned(),
+            domain_id: None,
+            localhost_only: None,
+            remappings: Vec::new(),
+            parameters: BTreeMap::new(),
+            use_sim_time: false,
+            diagnostics: true,
+            threads: 2,
+        }
+    }
+
+    /// Sets the namespace.
+    #[must_use]
+    pub fn namespace(mut self, namespace: impl Into<String>) -> Self {
+        self.namespace = namespace.into();
+        self
+    }
+
+    /// Sets the ROS domain.
+    #[must_use]
+    pub fn domain_id(mut self, domain_id: u16) -> Self {
+        self.domain_id = Some(domain_id);
+        self
+    }
+
+    /// Keeps the node on this machine, or not.
+    #[must_use]
+    pub fn localhost_only(mut self, localhost_only: bool) -> Self {
+        self.localhost_only = Some(localhost_only);
+        self
+    }
+
+    /// Adds a remapping.
+    #[must_use]
+    pub fn remap(mut self, from: impl Into<String>, to: impl Into<String>) -> Self {
+        self.remappings.push((from.into(), to.into()));
+        self
+    }
+
+    /// Gives a parameter its value.
+    #[must_use]
+    pub fn parameter(mut self, name: impl Into<String>, value: impl Into<ParameterValue>) -> Self {
+        self.parameters.insert(name.into(), value.into());
+        self
+    }
+
+    /// Starts with the time of `/clock`, or not.
+    #[must_use]
+    pub fn use_sim_time(mut self, use_sim_time: bool) -> Self {
+        self.use_sim_time = use_sim_time;
+        self
+    }
+
+    /// Publishes `/diagnostics`, or not.
+    #[must_use]
+    pub fn diagnostics(mut self, diagnostics: bool) -> Self {
+        self.diagnostics = diagnostics;
+        self
+    }
+
+    /// Sets the number of threads that run callbacks.
+    #[must_use]
+    pub fn threads(mut self, threads: usize) -> Self {
+        self.threads = threads;
+        self
+    }
+
+    /// Reads what ROS gives a process after `--ros-args`: `-r from:=to`, `-p name:=value`, with the long
+    /// forms `--remap` and `--param`. Returns the arguments that are not for ROS.
+    ///
+    /// # Errors
+    ///
+    /// When a rule cannot be read or its value is missing.
+    pub fn ros_args(&mut self, args: impl IntoIterator<Item = String>) -> Result<Vec<String>, NodeError> {
+        let mut rest = Vec::new();
+        let mut ros = false;
+        let mut args = args.into_iter();
+        while let Some(arg) = args.next() {
+            match arg.as_str() {
+                "--ros-args" => ros = true,
+                "--" if ros => ros = false,
+                "-r" | "--remap" | "-p" | "--param" if ros => {
+                    let rule = args.next().ok_or_else(|| NodeError::Remapping { rule: arg.clone() })?;
+                    let (from, to) = parse_remapping(&rule)?;
+                    if arg == "-r" || arg == "--remap" {
+                        self.remappings.push((from, to));
+                    } else {
+                        self.parameters.insert(from, ParameterValue::parse(&to));
+                    }
+                }
+                _ if ros => return Err(NodeError::RosArgument { argument: arg }),
+                _ => rest.push(arg),
+            }
+        }
+        Ok(rest)
+    }
+
+    pub(crate) fn resolve_domain(&self) -> Result<u16, NodeError> {
+        self.domain_id.map_or_else(
+            || domain_from(std::env::var("ROS_DOMAIN_ID").ok().as_deref()),
+            |id| domain_from(Some(&id.to_string())),
+        )
+    }
+
+    pub(crate) fn resolve_localhost_only(&self) -> Result<bool, NodeError> {
+        self.localhost_only.map_or_else(
+            || {
+                localhost_from(
+                    std::env::var("ROS_AUTOMATIC_DISCOVERY_RANGE").ok().as_deref(),
+                    std::env::var("ROS_LOCALHOST_ONLY").ok().as_deref(),
+                )
+            },
+            Ok,
+        )
+    }
+}
+
+fn domain_from(variable: Option<&str>) -> Result<u16, NodeError> {
+    match variable.map(str::trim) {
+        None | Some("") => Ok(0),
+        Some(text) => match text.parse::<u16>() {
+            Ok(id) if id <= 232 => Ok(id),
+            _ => Err(NodeError::Environment {
+                variable: "ROS_DOMAIN_ID",
+                value: text.to_owned(),
+                reason: "it must be a whole number from 0 to 232",
+            }),
+        },
+    }
+}
+
+fn localhost_from(range: Option<&str>, localhost_only: Option<&str>) -> Result<bool, NodeError> {
+    match range.map(str::trim) {
+        None | Some("") => Ok(localhost_only.map(str::trim) == Some("1")),
+        Some("LOCALHOST" | "OFF") => Ok(true),
+        Some("SUBNET" | "SYSTEM_DEFAULT") => Ok(false),
+        Some(text) => Err(NodeError::Environment {
+            variable: "ROS_AUTOMATIC_DISCOVERY_RANGE",
+            value: text.to_owned(),
+            reason: "it must be SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT",
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_environment_of_ros_counts() {
+        assert_eq!(domain_from(None).unwrap(), 0);
+        assert_eq!(domain_from(Some("42")).unwrap(), 42);
+        insta::assert_snapshot!(domain_from(Some("300")).unwrap_err(), @"environment variable ROS_DOMAIN_ID=`300` is not valid: it must be a whole number from 0 to 232");
+        assert!(!localhost_from(None, None).unwrap());
+        assert!(localhost_from(None, Some("1")).unwrap());
+        assert!(localhost_from(Some("LOCALHOST"), None).unwrap());
+        assert!(!localhost_from(Some("SUBNET"), Some("1")).unwrap());
+        assert!(localhost_from(Some("localhost"), None).is_err());
+    }
+
+    #[test]
+    fn ros_arguments_are_taken_out() {
+        let mut options = NodeOptions::new("palm");
+        let args = "--skin palm.toml --ros-args -r contacts:=/c --param rate:=50.0 -p on:=true -- --json";
+        let rest = options.ros_args(args.split(' ').map(str::to_owned)).unwrap();
+        assert_eq!(rest, ["--skin", "palm.toml", "--json"]);
+        assert_eq!(options.remappings, [("contacts".to_owned(), "/c".to_owned())]);
+        assert_eq!(options.parameters["rate"], ParameterValue::Double(50.0));
+        assert_eq!(options.parameters["on"], ParameterValue::Bool(true));
+        for bad in ["--ros-args -r", "--ros-args -r x", "--ros-args --nonsense"] {
+            assert!(options.ros_args(bad.split(' ').map(str::to_owned)).is_err(), "{bad}");
+        }
+    }
+}
