@@ -114,7 +114,7 @@ fn list(tried: &[Tried]) -> String {
 /// Oldest ONNX Runtime 1.x whose function table is understood.
 const MINOR_VERSION: u32 = ort::MINOR_VERSION;
 
-/// Version of the embedded runtime, as `Cargo.lock` has it.
+/// Version of tract that the workspace builds.
 const EMBEDDED_VERSION: &str = "0.23";
 
 /// What evaluates ONNX graphs in this process.
