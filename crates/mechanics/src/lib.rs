@@ -32,4 +32,4 @@ mod table;
 pub use contact::SphereContact;
 pub use error::MechanicsError;
 pub use medium::{Base, Load, Medium};
-pub use table::PressureTable;
+pub use table::{PressureTable, Profile};

@@ -10,6 +10,8 @@ const CONTACTS: usize = 48;
 const PER_DEPTH: f64 = 16.0;
 /// A layer's field has vanished at this many thicknesses (below 10⁻⁵ of its peak).
 const REACH: f64 = 12.0;
+/// Largest distance in depths: the table's size and the time to fill it grow with it and its square.
+const SPAN: f64 = 100.0;
 
 /// Mean compressive stress at one depth under a rigid sphere, over the distance from its axis and the force.
 ///
@@ -32,6 +34,21 @@ struct ForcePlace {
     row: usize,
     fraction: f64,
     force: f64,
+}
+
+/// The field of one force of a [`PressureTable`].
+#[derive(Debug, Clone, Copy)]
+pub struct Profile<'a> {
+    table: &'a PressureTable,
+    place: ForcePlace,
+}
+
+impl Profile<'_> {
+    /// Mean compressive stress \[Pa\] at the distance `r` \[m\] from the axis.
+    #[must_use]
+    pub fn pressure(&self, r: f64) -> f64 {
+        self.table.at(self.place, r)
+    }
 }
 
 impl PressureTable {
@@ -65,9 +82,16 @@ impl PressureTable {
             .collect::<Result<Vec<_>, _>>()?;
 
         let reach = distance_max.min(REACH * medium.thickness());
+        if reach > SPAN * depth {
+            return Err(MechanicsError::Value {
+                quantity: "depth of the sensor [m]",
+                value: depth,
+                expected: "at least a hundredth of the distance that it shall feel",
+            });
+        }
         let step = depth / PER_DEPTH;
         // Two more than needed: a cubic takes a neighbour on either side.
-        let columns = ((reach / step).ceil() as usize).min(1 << 16) + 3;
+        let columns = (reach / step).ceil() as usize + 3;
         let r_end = step * columns as f64;
         let nodes = panels(40.0 / depth, (6.0 / (r_end + radius)).min(3.0 / depth));
         let kernel: Vec<f64> = nodes.iter().map(|&(k, w)| w * k * medium.pressure_kernel(k, depth)).collect();
@@ -97,7 +121,7 @@ impl PressureTable {
     /// `force` \[N\]; 0 for a force that does not press.
     #[must_use]
     pub fn pressure(&self, force: f64, r: f64) -> f64 {
-        self.at(self.place(force), r)
+        self.under(force).pressure(r)
     }
 
     /// \[N\] up to which the contact was solved.
@@ -106,13 +130,11 @@ impl PressureTable {
         self.roots.last().map_or(0.0, |r| r.powi(3))
     }
 
-    /// Adds the stress \[Pa\] of a sphere that presses with `force` \[N\] to each of `out`, at the distances
-    /// `r` \[m\]: [`pressure`](Self::pressure) for many sensors at once.
-    pub fn add(&self, force: f64, r: impl IntoIterator<Item = f64>, out: &mut [f64]) {
-        let place = self.place(force);
-        for (o, r) in out.iter_mut().zip(r) {
-            *o += self.at(place, r);
-        }
+    /// The field of a sphere that presses with `force` \[N\]: finds the force's place in the table once, for
+    /// many distances.
+    #[must_use]
+    pub fn under(&self, force: f64) -> Profile<'_> {
+        Profile { table: self, place: self.place(force) }
     }
 
     fn place(&self, force: f64) -> ForcePlace {

@@ -116,7 +116,6 @@ pub fn collect(
         interrupted: false,
     };
     let mut frame = Frame::default();
-    frame.temperature = f32::NAN;
     let mut one = |index: u64, writer: &mut BagWriter| -> Result<u64, TestbedError> {
         let t = index as f64 / skin.rate;
         let mut moment = timeline.at(t);
@@ -182,5 +181,164 @@ impl Truth {
             let noise: f64 = self.rng.sample(StandardNormal);
             contact.force -= normal * (self.force_noise * noise);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{self, Bumps};
+    use dermis_bag::BagReader;
+    use dermis_skin::{ChannelFlags, ModelError, Stimulus, Surface};
+
+    const START: Stamp = 1_700_000_000_000_000_000;
+
+    fn options() -> CollectOptions {
+        CollectOptions { start: Some(START), ..CollectOptions::default() }
+    }
+
+    fn read(bag: &Path) -> (Vec<TaxelFrame>, Vec<Indentation>) {
+        let reader = BagReader::open(bag).unwrap();
+        let frames = reader.read::<TaxelFrame>("taxels").unwrap().map(|m| m.unwrap().message).collect();
+        let truth = reader.read::<Indentation>("ground_truth").unwrap().map(|m| m.unwrap().message).collect();
+        (frames, truth)
+    }
+
+    #[test]
+    fn a_bag_holds_what_the_model_reads_and_what_was_done() {
+        let dir = tempfile::tempdir().unwrap();
+        let skin = testing::skin(200.0);
+        let model = Bumps::shared(&skin);
+        let bag = dir.path().join("bag");
+        let report = collect(&model, &skin, &testing::plan(), &bag, &options()).unwrap();
+        assert!(!report.interrupted);
+        let (frames, truth) = read(&bag);
+        assert_eq!(frames.len() as u64, report.frames);
+        assert_eq!(truth.len(), frames.len());
+
+        let timeline = Timeline::new(&testing::plan(), model.surface(), 3).unwrap();
+        assert_eq!(report.presses, timeline.presses());
+        let (mut clean, mut squares, mut forces) = ([0.0; 3], 0.0, 0.0);
+        let (mut readings, mut contacts) = (0.0, 0.0);
+        for (i, (frame, label)) in frames.iter().zip(&truth).enumerate() {
+            let stamp = START + i as i64 * 5_000_000;
+            assert_eq!((frame.header.stamp.as_nanos(), label.header.stamp.as_nanos()), (stamp, stamp));
+            assert_eq!(frame.sequence, i as u64);
+            let moment = timeline.at(i as f64 / 200.0);
+            assert_eq!(
+                (label.press, label.location, label.phase),
+                (moment.press, moment.location, moment.phase.code())
+            );
+            model.response(&moment.stimulus, &mut clean).unwrap();
+            for (value, clean) in frame.values.iter().zip(clean) {
+                squares += (f64::from(*value) - clean).powi(2);
+                readings += 1.0;
+            }
+            assert_eq!(label.contacts.len(), moment.stimulus.contacts.len());
+            for (found, real) in label.contacts.iter().zip(&moment.stimulus.contacts) {
+                let off = (found.position.x - real.position.x).hypot(found.position.y - real.position.y);
+                assert!(off < 6.0 * 7.5e-6, "stage is {off} m off");
+                forces += (found.force.z - real.force.z).powi(2);
+                contacts += 1.0;
+                assert_eq!(found.diameter, 0.004);
+            }
+        }
+        // Standard deviations are those that were asked for: 2 Pa and 4 mN, within their own statistics.
+        approx::assert_relative_eq!(f64::sqrt(squares / readings), 2.0, max_relative = 0.1);
+        approx::assert_relative_eq!(f64::sqrt(forces / contacts), 0.004, max_relative = 0.15);
+
+        let reader = BagReader::open(&bag).unwrap();
+        let geometry = reader.read_only_topic::<SkinGeometry>().unwrap().next().unwrap().unwrap().message;
+        assert_eq!(geometry.skin_hash, skin.hash());
+
+        let again = dir.path().join("again");
+        collect(&model, &skin, &testing::plan(), &again, &options()).unwrap();
+        // As bytes: an unknown depth is NaN, which equals nothing.
+        let bytes =
+            |bag| BagReader::open(bag).unwrap().messages().map(|m| m.unwrap().data).collect::<Vec<_>>();
+        assert!(bytes(&bag) == bytes(&again), "the same plan and seed made another bag");
+    }
+
+    #[test]
+    fn a_reading_beyond_the_range_is_cut_and_flagged() {
+        let skin = testing::skin(100.0);
+        let mut sampler = Sampler::new(Bumps::shared(&skin), &skin, 1).unwrap();
+        let contact = dermis_skin::Indentation {
+            position: nalgebra::Point3::origin(),
+            force: Vector3::new(0.0, 0.0, -2.0),
+            diameter: 0.004,
+        };
+        let (mut values, mut flags) = (Vec::new(), Vec::new());
+        let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+        sampler.sample(&stimulus, &mut values, &mut flags).unwrap();
+        assert_eq!((values[1], flags[1]), (900.0, ChannelFlags::SATURATED));
+        assert_eq!(flags[0], ChannelFlags::OK);
+    }
+
+    /// Raises the stop flag in the middle of its work, as a signal handler does.
+    struct Interrupted {
+        inner: Bumps,
+        left: std::sync::atomic::AtomicI64,
+        stop: Arc<AtomicBool>,
+    }
+
+    impl ForwardModel for Interrupted {
+        fn channels(&self) -> usize {
+            self.inner.channels()
+        }
+        fn surface(&self) -> &Surface {
+            self.inner.surface()
+        }
+        fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+            if self.left.fetch_sub(1, Ordering::Relaxed) == 0 {
+                self.stop.store(true, Ordering::Relaxed);
+            }
+            self.inner.response(stimulus, out)
+        }
+        fn noise(&self) -> &[f64] {
+            self.inner.noise()
+        }
+    }
+
+    #[test]
+    fn a_stopped_collection_is_a_whole_bag() {
+        let dir = tempfile::tempdir().unwrap();
+        let skin = testing::skin(200.0);
+        let options = options();
+        let model: Arc<dyn ForwardModel> = Arc::new(Interrupted {
+            inner: Bumps::new(&skin),
+            left: 300.into(),
+            stop: Arc::clone(&options.stop),
+        });
+        let bag = dir.path().join("bag");
+        let report = collect(&model, &skin, &testing::plan(), &bag, &options).unwrap();
+        assert!(report.interrupted);
+        assert!((300..300 + STRIDE + 1).contains(&report.frames), "{}", report.frames);
+        let (frames, truth) = read(&bag);
+        assert_eq!((frames.len() as u64, truth.len() as u64), (report.frames, report.frames));
+    }
+
+    #[test]
+    fn a_model_without_an_answer_ends_the_collection_with_a_whole_bag() {
+        let dir = tempfile::tempdir().unwrap();
+        let skin = testing::skin(200.0);
+        let mut bumps = Bumps::new(&skin);
+        bumps.limit = 0.3;
+        let model: Arc<dyn ForwardModel> = Arc::new(bumps);
+        let bag = dir.path().join("bag");
+        let error = collect(&model, &skin, &testing::plan(), &bag, &options()).unwrap_err().to_string();
+        assert!(error.starts_with("press ") && error.ends_with("N are too much"), "{error}");
+        assert!(!read(&bag).0.is_empty());
+    }
+
+    #[test]
+    fn a_model_of_another_skin_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let skin = testing::skin(200.0);
+        let mut bumps = Bumps::new(&skin);
+        bumps.drop_channel();
+        let model: Arc<dyn ForwardModel> = Arc::new(bumps);
+        let error = collect(&model, &skin, &testing::plan(), dir.path().join("bag"), &options()).unwrap_err();
+        insta::assert_snapshot!(error, @"the model has 2 channels where skin `pad` has 3: they describe different skins");
     }
 }

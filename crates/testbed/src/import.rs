@@ -62,6 +62,16 @@ pub enum ImportError {
         /// The file or folder.
         path: PathBuf,
     },
+    /// More than one recording.
+    #[error("{path} holds {count} recordings, and a bag is made of one: name one of them, e.g. {first}")]
+    Several {
+        /// The folder.
+        path: PathBuf,
+        /// How many recordings lie in it.
+        count: usize,
+        /// The first of them.
+        first: PathBuf,
+    },
     /// The bag cannot be written.
     #[error(transparent)]
     Bag(#[from] BagError),
@@ -82,7 +92,7 @@ impl ImportError {
 }
 
 /// What became of one recording; `Display` prints it for people.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct ImportReport {
     /// What was imported.
     pub source: PathBuf,
@@ -133,33 +143,33 @@ impl fmt::Display for ImportReport {
     }
 }
 
-/// Imports whatever is recognised at `path`: one recording, or a folder of them (at any depth). A bag named like its
-/// recording is written below `out` for each; `progress` gets the recording and the done and total rows in it.
+/// Imports the recording that is recognised at `path`, or below it where it is a folder of one, into the bag folder
+/// `out`, which must not exist or be empty.
 ///
 /// # Errors
-/// Where nothing at `path` is recognised, or a recording is damaged or its bag cannot be written.
-pub fn auto(
-    path: &Path,
-    out: &Path,
-    progress: &mut dyn FnMut(&Path, u64, u64),
-) -> Result<Vec<ImportReport>, ImportError> {
+/// Where nothing at `path` is recognised, or several recordings are; where the recording is damaged, or the bag cannot
+/// be written.
+pub fn auto(path: &Path, out: &Path) -> Result<ImportReport, ImportError> {
+    let found = recordings(path)?;
+    match found.as_slice() {
+        [] => Err(ImportError::Unknown { path: path.into() }),
+        [recording] if recording.is_dir() => eflesh(recording, out, &mut |_, _| {}),
+        [recording] => tactile_fsi(recording, out),
+        [first, ..] => {
+            Err(ImportError::Several { path: path.into(), count: found.len(), first: first.clone() })
+        }
+    }
+}
+
+/// The recordings at `path` or, where it is a folder, below it, in the order of their names: each can be given to
+/// [`auto`].
+///
+/// # Errors
+/// Where a folder cannot be read.
+pub fn recordings(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
     let mut found = Vec::new();
     find(path, 0, &mut found)?;
-    if found.is_empty() {
-        return Err(ImportError::Unknown { path: path.into() });
-    }
-    found
-        .into_iter()
-        .map(|recording| {
-            if recording.is_dir() {
-                eflesh(&recording, out, &mut |done, total| progress(&recording, done, total))
-            } else {
-                let report = tactile_fsi(&recording, out)?;
-                progress(&recording, report.readings, report.readings);
-                Ok(report)
-            }
-        })
-        .collect()
+    Ok(found)
 }
 
 /// Folders below which nothing is looked for: an eFlesh download is three deep.
@@ -238,7 +248,7 @@ impl Target {
         skin: Skin,
         start: i64,
     ) -> Result<Self, ImportError> {
-        let mut writer = BagWriter::create(out.join(session))?;
+        let mut writer = BagWriter::create(out)?;
         writer.set_custom("dermis.import.source", recording.display().to_string());
         writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data())?;
         writer.add_topic("ground_truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data())?;

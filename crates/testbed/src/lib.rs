@@ -14,6 +14,8 @@ mod error;
 pub mod import;
 mod plan;
 mod sampler;
+#[cfg(test)]
+mod testing;
 mod timeline;
 
 pub use collect::{CollectOptions, CollectReport, collect};

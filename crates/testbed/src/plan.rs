@@ -68,7 +68,7 @@ pub enum Step {
     },
     /// Single presses on a grid of places, in random order of the places.
     Grid {
-        /// \[m\] least distance between places.
+        /// \[m\] between places, along the axes of the skin's link.
         pitch: f64,
         /// \[N\] largest pressing force of each press, one press after another at each place.
         forces: Vec<f64>,
@@ -204,7 +204,11 @@ impl Plan {
             field: field.to_owned(),
             reason: reason.trim().replace('\n', " "),
         };
-        let deserializer = toml::Deserializer::parse(text).map_err(|e| wrong("(whole file)", e.message()))?;
+        let deserializer = toml::Deserializer::parse(text).map_err(|e| {
+            let start = e.span().map_or(0, |span| span.start);
+            let line = 1 + text.get(..start).unwrap_or(text).matches('\n').count();
+            wrong(&format!("line {line}"), e.message())
+        })?;
         let plan: Self = serde_path_to_error::deserialize(deserializer).map_err(|e| {
             let field = match e.path().to_string() {
                 p if p == "." => "(whole file)".to_owned(),
@@ -326,5 +330,59 @@ impl Plan {
             return wrong("timing".into(), "lets a press last no time at all: lengthen a phase".into());
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::PLAN;
+
+    fn refused(from: &str, to: &str) -> String {
+        assert!(PLAN.contains(from), "{from} is not in the plan");
+        Plan::from_toml(&PLAN.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
+    }
+
+    #[test]
+    fn refusals_name_file_field_and_remedy() {
+        insta::assert_snapshot!(refused("plan/1", "plan/7"), @r#"plan plan.toml: field `schema`: is "dermis-plan/7" where this program reads "dermis-plan/1""#);
+        insta::assert_snapshot!(refused("diameter = 0.004", "diameter = -0.004"), @"plan plan.toml: field `diameter`: is -0.004 m and must be a positive length");
+        insta::assert_snapshot!(refused("margin = 0.002", "margin = nan"), @"plan plan.toml: field `margin`: is NaN m and must be 0 or a positive length");
+        insta::assert_snapshot!(refused("margin = 0.002", "marjin = 0.002"), @"plan plan.toml: field `marjin`: unknown field `marjin`, expected one of `schema`, `name`, `description`, `seed`, `diameter`, `margin`, `force_distribution`, `timing`, `steps`");
+        insta::assert_snapshot!(refused("hold = [0.04, 0.06]", "hold = [0.06, 0.04]"), @"plan plan.toml: field `timing.hold`: [0.06, 0.04] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
+        insta::assert_snapshot!(refused("duration = 0.2", "duration = 0.0"), @"plan plan.toml: field `steps[0].duration`: is 0 s and must be positive, a day at most");
+        insta::assert_snapshot!(refused("force = [0.1, 0.5]", "force = [0.0, 0.5]"), @"plan plan.toml: field `steps[1].force`: [0, 0.5] is not a range: 0 < low ≤ high N");
+        insta::assert_snapshot!(refused("forces = [0.2, 0.4]", "forces = []"), @"plan plan.toml: field `steps[2].forces`: is empty: name at least one force");
+        insta::assert_snapshot!(refused("contacts = [2, 3]", "contacts = [0, 3]"), @"plan plan.toml: field `steps[4].contacts`: [0, 3] is not a range: 1 ≤ low ≤ high ≤ 100");
+        insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `slides`, `multi`");
+        insta::assert_snapshot!(refused("count = 4", "count = 4000000000"), @"plan plan.toml: field `steps`: make 8000000016 contacts; 5000000 at most fit a recording");
+        insta::assert_snapshot!(refused("seed = 3", "seed = \"three\""), @r#"plan plan.toml: field `seed`: invalid type: string "three", expected u64"#);
+        insta::assert_snapshot!(refused("seed = 3", "seed ="), @"plan plan.toml: field `line 4`: string values must be quoted, expected literal string");
+    }
+
+    #[test]
+    fn plans_that_ship_are_valid() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/plans");
+        let mut found = 0;
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let plan = Plan::load(&path).unwrap_or_else(|e| panic!("{e}"));
+            assert_eq!(plan.name, path.file_stem().unwrap().to_str().unwrap());
+            found += 1;
+        }
+        assert!(found >= 2);
+    }
+
+    #[test]
+    fn a_missing_file_is_named() {
+        let error = Plan::load("/nowhere/plan.toml").unwrap_err().to_string();
+        assert!(error.starts_with("plan file /nowhere/plan.toml: cannot be read"), "{error}");
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_text_panics(text in ".{0,200}") {
+            let _ = Plan::from_toml(&text, "x");
+        }
     }
 }

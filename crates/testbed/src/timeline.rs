@@ -290,6 +290,12 @@ impl Timeline {
         self.count
     }
 
+    /// The first moment of full force; idle where nothing is ever touched.
+    pub(crate) fn first_touch(&self) -> Moment {
+        let first = self.presses.iter().find(|p| !p.touches.is_empty());
+        first.map(|p| self.at(p.start + p.ends[1])).unwrap_or_default()
+    }
+
     /// What the testbed does at `t` \[s\]; idle before the start and after the end.
     #[must_use]
     pub fn at(&self, t: f64) -> Moment {
@@ -384,9 +390,9 @@ impl Draw<'_> {
     }
 
     fn apart(&mut self, count: usize, distance: f64) -> Option<Vec<Point3<f64>>> {
-        for _ in 0..100 {
+        for _ in 0..20 {
             let mut places: Vec<Point3<f64>> = Vec::new();
-            for _ in 0..TRIES {
+            for _ in 0..TRIES / 10 {
                 let p = self.place()?;
                 if places.iter().all(|q| (p - q).norm() >= distance) {
                     places.push(p);
@@ -441,24 +447,139 @@ impl<'a> Sites<'a> {
     }
 
     fn keeps_margin(&self, p: &Point3<f64>) -> bool {
-        self.margin <= 0.0
+        // Rounding must not drop a place that is exactly the margin away.
+        let least = self.margin * (1.0 - 1e-9);
+        least <= 0.0
             || self.rim.iter().all(|[a, b]| {
                 let edge = b - a;
                 let along = ((p - a).dot(&edge) / edge.norm_squared()).clamp(0.0, 1.0);
-                (p - (a + edge * along)).norm() >= self.margin
+                (p - (a + edge * along)).norm() >= least
             })
     }
 
-    /// Points of the surface that keep the margin, at least `pitch` from one another, in their order.
+    /// Points of the surface that keep the margin, at least `pitch` from one another along one of the axes: on
+    /// a flat skin a square grid.
     fn grid(&self, pitch: f64) -> Vec<Point3<f64>> {
         let mut chosen: Vec<Point3<f64>> = Vec::new();
         // Rounding must not drop a neighbour that is exactly one pitch away.
         let least = pitch * (1.0 - 1e-9);
         for p in &self.surface.points {
-            if self.keeps_margin(p) && chosen.iter().all(|q| (p - q).norm() >= least) {
+            if self.keeps_margin(p) && chosen.iter().all(|q| (p - q).amax() >= least) {
                 chosen.push(*p);
             }
         }
         chosen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+    use dermis_skin::SurfaceSpec;
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
+
+    fn moments(timeline: &Timeline) -> Vec<Moment> {
+        let steps = (timeline.duration() * 1000.0) as u32;
+        (0..=steps).map(|i| timeline.at(f64::from(i) / 1000.0)).collect()
+    }
+
+    #[test]
+    fn a_press_goes_through_its_phases_and_its_force_does_not_jump() {
+        let skin = testing::skin(100.0);
+        let timeline = Timeline::new(&testing::plan(), &skin.surface(), 3).unwrap();
+        let force = |m: &Moment| m.stimulus.contacts.iter().map(|c| -c.force.z).fold(0.0, f64::max);
+        let mut last = Moment::default();
+        for moment in moments(&timeline) {
+            if moment.press == last.press && moment.phase != last.phase {
+                let expected = match last.phase {
+                    Phase::Idle | Phase::Approach => &[Phase::Load][..],
+                    Phase::Load => &[Phase::Hold, Phase::Slide],
+                    Phase::Hold | Phase::Slide => &[Phase::Unload],
+                    Phase::Unload => &[Phase::Idle],
+                };
+                assert!(expected.contains(&moment.phase), "{:?} after {:?}", moment.phase, last.phase);
+            }
+            // 0.5 N in 30 ms along a cosine is at most 26 N/s.
+            assert!((force(&moment) - force(&last)).abs() < 0.03, "{last:?} then {moment:?}");
+            let touches = matches!(moment.phase, Phase::Hold | Phase::Slide);
+            assert!(!touches || force(&moment) > 0.0);
+            assert!(
+                !matches!(moment.phase, Phase::Idle | Phase::Approach) || moment.stimulus.contacts.is_empty()
+            );
+            last = moment;
+        }
+        assert_eq!(timeline.at(-1.0), Moment::default());
+        assert_eq!(timeline.at(timeline.duration() + 1e6).phase, Phase::Idle);
+    }
+
+    #[test]
+    fn the_plan_is_carried_out_in_full() {
+        let skin = testing::skin(100.0);
+        let timeline = Timeline::new(&testing::plan(), &skin.surface(), 3).unwrap();
+        // 26 mm by 16 mm within the margin: points at 0, 8, 16, 24 by 0, 8, 16 mm.
+        let grid = 4 * 3;
+        assert_eq!(timeline.presses(), 4 * 2 + grid * 2 * 2 + 3 + 3);
+        let all = moments(&timeline);
+        let locations: BTreeSet<u32> = all.iter().map(|m| m.location).collect();
+        assert_eq!(locations.len() as u64, 1 + 4 + grid + 3 + 3);
+        assert!(all.iter().any(|m| m.phase == Phase::Slide));
+        for pair in all.iter().map(|m| &m.stimulus.contacts).filter(|c| c.len() > 1) {
+            assert!((pair[0].position - pair[1].position).norm() >= 0.006);
+        }
+        // One place is one position, whatever the repeat, unless it slides.
+        for location in 1..=4 {
+            let places: Vec<_> = all
+                .iter()
+                .filter(|m| m.location == location)
+                .flat_map(|m| m.stimulus.contacts.iter().map(|c| c.position))
+                .collect();
+            assert!(places.len() > 10 && places.iter().all(|p| *p == places[0]));
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let skin = testing::skin(100.0);
+        let refused = |from: &str, to: &str| {
+            let plan = Plan::from_toml(&testing::PLAN.replace(from, to), "plan.toml").unwrap();
+            Timeline::new(&plan, &skin.surface(), 1).unwrap_err().to_string()
+        };
+        insta::assert_snapshot!(refused("margin = 0.002", "margin = 0.011"), @"plan all-kinds: field `margin`: no place on the surface is 0.011 m away from its rim");
+        insta::assert_snapshot!(refused("length = [0.004, 0.008]", "length = [0.1, 0.2]"), @"plan all-kinds: field `steps[3].length`: no way of 0.1 m fits on the surface within the margin");
+        insta::assert_snapshot!(refused("distance = 0.006", "distance = 0.06"), @"plan all-kinds: field `steps[4].distance`: 2 contacts 0.06 m apart do not fit on the surface");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        #[test]
+        fn contacts_lie_on_the_surface_and_press_with_what_was_asked(seed in any::<u64>(), dome in any::<bool>()) {
+            let spec = if dome {
+                SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 }
+            } else {
+                SurfaceSpec::Rectangle { size: [0.03, 0.02], spacing: 0.002 }
+            };
+            let surface = Surface::from_spec(&spec);
+            let timeline = Timeline::new(&testing::plan(), &surface, seed).unwrap();
+            let again = Timeline::new(&testing::plan(), &surface, seed).unwrap();
+            for i in 0..200 {
+                let t = timeline.duration() * f64::from(i) / 200.0;
+                let moment = timeline.at(t);
+                prop_assert_eq!(&moment, &again.at(t));
+                for contact in &moment.stimulus.contacts {
+                    let (on, normal) = surface.project(&contact.position);
+                    prop_assert!((on - contact.position).norm() < 1e-9);
+                    let pressing = -contact.force.dot(&normal);
+                    prop_assert!(pressing > 0.0 && pressing <= 0.5 + 1e-9);
+                    prop_assert!((contact.force + normal * pressing).norm() < 1e-9);
+                    if !dome {
+                        let p = contact.position;
+                        prop_assert!(p.x.abs() <= 0.013 + 1e-9 && p.y.abs() <= 0.008 + 1e-9);
+                    }
+                }
+            }
+        }
     }
 }

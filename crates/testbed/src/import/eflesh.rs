@@ -142,7 +142,7 @@ fn stretches(baselines: Option<&[Vec<f64>]>, rows: usize, kind: Kind) -> Vec<usi
     }
 }
 
-/// Imports one run into `out_dir/<run name>`; `progress` gets the readings done and in all.
+/// Imports one run into the bag folder `out_dir`; `progress` gets the readings done and in all.
 ///
 /// - Readings keep their recorded times and order; flux densities are converted from microtesla to T. That the unit is
 ///   microtesla is supported by the readings themselves: they are multiples of 2.4 and 3.872 (0.6 and 0.968 in the

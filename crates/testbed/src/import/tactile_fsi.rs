@@ -48,7 +48,7 @@ pub(super) fn recognises(path: &Path) -> bool {
     }
 }
 
-/// Imports one sheet of presses or one time series into `out_dir/<file stem>`.
+/// Imports one sheet of presses or one time series into the bag folder `out_dir`.
 ///
 /// **Presses.** A reading has the peak pressures of a press in Pa (the sheet has kPa), and for the pad the rise times in s;
 /// the authors have taken the pressure before each press as zero. Ground truth is the pressed place in metres

@@ -30,9 +30,7 @@ struct Imported {
 
 fn import(path: &Path) -> Imported {
     let out = tempfile::tempdir().unwrap();
-    let mut reports = auto(path, out.path(), &mut |_, _, _| {}).unwrap();
-    assert_eq!(reports.len(), 1);
-    let report = reports.pop().unwrap();
+    let report = auto(path, &out.path().join("bag")).unwrap();
     let bag = BagReader::open(&report.bag.path).unwrap();
     let frames: Vec<_> =
         bag.read::<TaxelFrame>("taxels").unwrap().map(|read| read.unwrap().message).collect();
@@ -223,14 +221,15 @@ fn tactile_fsi_time_series() {
 #[test]
 fn everything_in_a_folder_is_found() {
     let Some(path) = data("eflesh") else { return };
-    let mut found = Vec::new();
-    find(&path, 0, &mut found).unwrap();
-    assert_eq!(found.len(), 5);
+    assert_eq!(recordings(&path).unwrap().len(), 5);
+    let error = auto(&path, Path::new("bag")).unwrap_err().to_string();
+    assert!(
+        error.contains("holds 5 recordings, and a bag is made of one: name one of them, e.g. "),
+        "{error}"
+    );
     let Some(path) = data("tactile_fsi") else { return };
-    let mut found = Vec::new();
-    find(&path, 0, &mut found).unwrap();
     // Simulation results lie beside them.
-    assert_eq!(found.len(), 7 + 8);
+    assert_eq!(recordings(&path).unwrap().len(), 7 + 8);
 }
 
 fn run(dir: &Path, sensor: &str, post: Option<&str>, states: &str) -> PathBuf {
@@ -262,7 +261,7 @@ fn a_run_without_baselines_says_what_is_missing() {
     insta::assert_snapshot!(text, @"
     imported  /20250101_run
     data set  eFlesh, spatial resolution (Pattabiraman et al. 2025, MIT licence)
-    bag       /out/20250101_run
+    bag       /out
     readings  2 pressed, 0 untouched, 15 channels in T
     presses   2 at 2 locations
     matching  every reading has a robot state within 2.0 ms
@@ -286,7 +285,7 @@ fn mistakes_in_a_run_are_named() {
     let say = |sensor: &str, post: Option<&str>, states: &str| {
         let dir = tempfile::tempdir().unwrap();
         let run = run(dir.path(), sensor, post, states);
-        let error = auto(&run, &dir.path().join("out"), &mut |_, _, _| {}).unwrap_err().to_string();
+        let error = auto(&run, &dir.path().join("out")).unwrap_err().to_string();
         error.replace(&dir.path().display().to_string(), "")
     };
     insta::assert_snapshot!(say(&good.replacen("2.4", "2,4", 1), None, states), @"/20250101_run/sensor.csv, line 2: has 16 columns, the lines before have 17");
@@ -303,7 +302,7 @@ fn mistakes_in_a_run_are_named() {
 
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("notes.txt"), "x").unwrap();
-    let error = auto(dir.path(), &dir.path().join("out"), &mut |_, _, _| {}).unwrap_err().to_string();
+    let error = auto(dir.path(), &dir.path().join("out")).unwrap_err().to_string();
     insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), "FOLDER"), @"FOLDER is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv) and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these");
 }
 
