@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, fmt, path::PathBuf};
 use crate::BagQos;
 
 /// Summary of a bag; `Display` prints it for people.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct BagInfo {
     /// The folder or file.
     pub path: PathBuf,
@@ -24,7 +24,7 @@ pub struct BagInfo {
 }
 
 /// One line of a [`BagInfo`].
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct TopicInfo {
     /// Topic.
     pub name: String,

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use yaml_rust2::{Yaml, YamlLoader};
 
 /// Whether a publisher resends what a subscriber missed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Reliability {
     /// Samples may be lost; the publisher never waits.
     BestEffort,
@@ -14,7 +15,8 @@ pub enum Reliability {
 }
 
 /// Whether a late subscriber gets samples from before it joined.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Durability {
     /// No.
     Volatile,
@@ -24,7 +26,7 @@ pub enum Durability {
 
 /// Offered quality of service of a recorded topic; deadline, lifespan and liveliness are always infinite and
 /// automatic here.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
 pub struct BagQos {
     /// Delivery.
     pub reliability: Reliability,
