@@ -349,6 +349,19 @@ mod tests {
     }
 
     #[test]
+    fn whatever_the_fit_does_stamps_do_not_run_back() {
+        let mut clock = DeviceClock::new();
+        let mut last = i64::MIN;
+        for i in 0..100i64 {
+            // The line is bent by more than a period, down and up.
+            clock.line.1 += if i % 10 == 5 { -30e6 } else { 3e6 };
+            let stamp = clock.stamp(Some((i as u64 + 1) * 10_000), START + i * 10 * MS);
+            assert!(stamp >= last && stamp <= START + i * 10 * MS);
+            last = stamp;
+        }
+    }
+
+    #[test]
     fn a_set_host_clock_is_followed() {
         for step in [-7_200_000 * MS, -700 * MS, 700 * MS, 7_200_000 * MS] {
             let mut clock = DeviceClock::new();

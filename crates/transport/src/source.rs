@@ -64,7 +64,7 @@ pub enum Event {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct SourceOptions {
-    /// \[bytes\] most that wait for the consumer; the oldest are dropped beyond.
+    /// \[bytes\] most that wait for the consumer; the oldest are dropped beyond. One datagram may be longer.
     pub queue_bytes: usize,
     /// Most pieces (reads, datagrams) that wait for the consumer.
     pub queue_chunks: usize,
@@ -311,7 +311,12 @@ impl Reader {
 
     /// Reads until the link is down, and says why, or `None` when it is time to stop.
     fn pump(&self, link: &mut link::Link, opener: &mut Opener, backoff: &mut Backoff) -> Option<String> {
-        let mut buffer = vec![0; 1 << 16];
+        // A datagram is read whole or its end is lost; a stream can be cut to what the queue takes.
+        let size = match &self.url {
+            SourceUrl::Udp { .. } => 1 << 16,
+            _ => (1 << 14).min(self.options.queue_bytes).max(1),
+        };
+        let mut buffer = vec![0; size];
         loop {
             match link.read(&mut buffer, &self.stop, opener) {
                 ReadOutcome::Bytes(n) => {

@@ -137,6 +137,13 @@ mod tests {
         assert_eq!((stats.restarts, stats.lost), (1, 0));
     }
 
+    #[test]
+    fn a_restart_ahead_of_where_it_was_is_found_by_its_time() {
+        let (out, stats) = run(&[(100, 100_000), (150, 1500), (151, 1510)]);
+        assert_eq!(out, [100, 101, 102]);
+        assert_eq!((stats.restarts, stats.lost), (1, 0));
+    }
+
     proptest! {
         #[test]
         fn unwrapped_numbers_only_grow(frames in proptest::collection::vec((any::<u32>(), any::<u64>()), 0..60)) {

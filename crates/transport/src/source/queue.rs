@@ -280,6 +280,37 @@ mod tests {
     }
 
     #[test]
+    fn a_source_that_can_wait_never_runs_ahead() {
+        use std::sync::atomic::{AtomicU64, Ordering};
+
+        let (queue, taken) = (Queue::new(1000, 2), AtomicU64::new(0));
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                for i in 0..2000u64 {
+                    let room = || i64::from(i < taken.load(Ordering::SeqCst) + 2);
+                    assert!(queue.push_waiting(bytes(3), room));
+                }
+                queue.end();
+            });
+            loop {
+                // Counted before it is taken: the pusher must not have gone on earlier than that.
+                taken.fetch_add(1, Ordering::SeqCst);
+                match queue.next_timeout(Duration::from_secs(20)) {
+                    Some(Event::Bytes { received_ns, .. }) => {
+                        assert_eq!(received_ns, 1, "pushed beyond the bound")
+                    }
+                    end => break assert_eq!(end, Some(Event::Ended)),
+                }
+            }
+        });
+        assert_eq!((queue.stats().dropped_bytes, queue.stats().bytes), (0, 6000));
+        queue.push(bytes(1), 0);
+        queue.push(bytes(1), 0);
+        queue.close();
+        assert!(!queue.push_waiting(bytes(1), || 0), "nobody waits for a consumer that is gone");
+    }
+
+    #[test]
     fn ended_comes_last_and_for_ever() {
         let queue = Queue::new(10, 10);
         queue.push(bytes(1), 5);
