@@ -297,7 +297,7 @@ mod tests {
                 taken.fetch_add(1, Ordering::SeqCst);
                 match queue.next_timeout(Duration::from_secs(20)) {
                     Some(Event::Bytes { received_ns, .. }) => {
-                        assert_eq!(received_ns, 1, "pushed beyond the bound")
+                        assert_eq!(received_ns, 1, "pushed beyond the bound");
                     }
                     end => break assert_eq!(end, Some(Event::Ended)),
                 }
