@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, RwLock, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -16,7 +16,7 @@ use hiroz::attachment::{Attachment, GidArray};
 use hiroz::context::{ZContext, ZContextBuilder};
 use hiroz::entity::{EndpointEntity, EndpointKind as GraphKind, Entity, TypeHash, TypeInfo};
 use hiroz::graph::Graph;
-use hiroz::msg::{SerdeCdrSerdes, ZService};
+use hiroz::msg::ZService;
 use hiroz::node::ZNode;
 use hiroz::pubsub::{ZPub, ZSub};
 use hiroz_protocol::qos as wire_qos;

@@ -1,0 +1,359 @@
+//! The behaviour suite over the embedded backend, and what only it must show.
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::channel;
+use std::time::{Duration, Instant};
+
+use dermis_msgs::std_msgs::msg::{Int32, String as Text};
+use dermis_msgs::std_srvs::srv::{Trigger, TriggerResponse};
+use dermis_msgs::{Message, Service, TypeSupport};
+use dermis_node::suite::{Bench, WAIT, domain, expect_next, until};
+use dermis_node::{Backend, HirozBackend, HirozConfig, ProblemKind, Qos};
+use zenoh::Wait;
+
+/// Networks of different tests do not see each other.
+fn scouting_port() -> u16 {
+    20_000 + u16::try_from(std::process::id() % 10_000).unwrap()
+}
+
+fn config() -> HirozConfig {
+    HirozConfig { local_router: false, scouting_port: scouting_port(), ..HirozConfig::default() }
+}
+
+fn backend() -> Arc<dyn Backend> {
+    Arc::new(HirozBackend::new(config()))
+}
+
+dermis_node::behaviour_suite!(backend());
+
+/// A zenoh client that knows nothing of ROS.
+fn plain_session() -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("listen/endpoints", "[\"tcp/127.0.0.1:0\"]".to_owned()),
+        ("scouting/multicast/address", format!("\"224.0.0.224:{}\"", scouting_port())),
+        ("scouting/multicast/interface", "\"127.0.0.1\"".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    zenoh::open(config).wait().unwrap()
+}
+
+#[test]
+fn the_wire_is_that_of_rmw_zenoh() {
+    let backend = backend();
+    let bench = Bench::new(&*backend);
+    let node = bench.node("a");
+    let session = plain_session();
+    let (tx, rx) = channel();
+    let _all = session
+        .declare_subscriber(format!("{}/**", domain()))
+        .callback(move |sample| {
+            let attachment = sample.attachment().map(|bytes| bytes.to_bytes().into_owned());
+            let payload = sample.payload().to_bytes().into_owned();
+            let _ = tx.send((sample.key_expr().to_string(), payload, attachment));
+        })
+        .wait()
+        .unwrap();
+    let publisher = node.publisher::<Text>("words", Qos::reliable(10)).unwrap();
+    until("the plain subscriber counts as one", || publisher.subscriber_count() == 1);
+    let before = dermis_now();
+    publisher.publish(&Text { data: "hello".to_owned() }).unwrap();
+    publisher.publish(&Text { data: "again".to_owned() }).unwrap();
+    let mut samples = Vec::new();
+    while samples.len() < 2 {
+        let sample = expect_next(&rx, "a sample");
+        if sample.0.contains("/words/") {
+            samples.push(sample);
+        }
+    }
+    let (key, payload, attachment) = &samples[0];
+    let hash = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+    let topic = publisher.topic().trim_start_matches('/');
+    assert_eq!(*key, format!("{}/{topic}/std_msgs::msg::dds_::String_/{hash}", domain()));
+    assert_eq!(payload[..], [0, 1, 0, 0, 6, 0, 0, 0, b'h', b'e', b'l', b'l', b'o', 0][..]);
+    let attachment = attachment.as_ref().unwrap();
+    assert_eq!(attachment.len(), 33);
+    let long = |at: usize| i64::from_le_bytes(attachment[at..at + 8].try_into().unwrap());
+    assert_eq!(long(0), 0, "the sequence starts at 0");
+    assert!((before..=dermis_now()).contains(&long(8)), "the time of publishing");
+    assert_eq!(attachment[16], 16, "the length of the gid");
+    let second = samples[1].2.as_ref().unwrap();
+    assert_eq!(second[0], 1, "the next of the sequence");
+    assert_eq!(second[16..], attachment[16..], "one publisher, one gid");
+
+    let tokens = session.liveliness().get(format!("@ros2_lv/{}/**", domain())).wait().unwrap();
+    let tokens: Vec<String> = std::iter::from_fn(|| tokens.recv().ok())
+        .filter_map(|reply| reply.into_result().ok().map(|sample| sample.key_expr().to_string()))
+        .collect();
+    let publisher_token = tokens
+        .iter()
+        .find(|token| token.contains("/MP/") && token.contains("%words/"))
+        .unwrap_or_else(|| panic!("no token of the publisher in {tokens:#?}"));
+    let parts: Vec<&str> = publisher_token.split('/').collect();
+    assert_eq!(parts[1], domain().to_string());
+    assert_eq!(parts[2].parse::<zenoh::session::ZenohId>().map(|_| ()), Ok(()));
+    assert_eq!(parts[8], "a");
+    assert_eq!(parts[10], "std_msgs::msg::dds_::String_");
+    assert_eq!(parts[11], hash);
+}
+
+fn dermis_now() -> i64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
+    i64::try_from(since.as_nanos()).unwrap()
+}
+
+#[test]
+fn a_plain_zenoh_client_publishes_and_calls() {
+    let backend = backend();
+    let bench = Bench::new(&*backend);
+    let node = bench.node("a");
+    let (tx, rx) = channel();
+    let sub = node
+        .subscribe("words", Qos::sensor_data(), move |text: Text, info| {
+            let _ = tx.send((text.data, info.source_ns));
+        })
+        .unwrap();
+    let server = node
+        .serve::<Trigger>("~/tare", |_| TriggerResponse { success: true, message: "tared".to_owned() })
+        .unwrap();
+    let session = plain_session();
+    let key = |name: &str, kind: &str, hash: &str| format!("{}/{}/{kind}/{hash}", domain(), &name[1..]);
+    let publisher = session
+        .declare_publisher(key(sub.topic(), "std_msgs::msg::dds_::String_", Text::TYPE_HASH))
+        .wait()
+        .unwrap();
+    until("matched", || publisher.matching_status().wait().unwrap().matching());
+    // Without an attachment: the bytes count, and the time of sending is not known.
+    publisher.put(Text { data: "plain".to_owned() }.to_cdr()).wait().unwrap();
+    assert_eq!(expect_next(&rx, "the word"), ("plain".to_owned(), None));
+
+    let replies = session
+        .get(key(server.name(), "std_srvs::srv::dds_::Trigger_", Trigger::TYPE_HASH))
+        .payload(<Trigger as Service>::Request::default().to_cdr())
+        .timeout(WAIT)
+        .wait()
+        .unwrap();
+    let reply = replies.recv().unwrap().into_result().unwrap();
+    let response = TriggerResponse::from_cdr(&reply.payload().to_bytes()).unwrap();
+    assert_eq!(response, TriggerResponse { success: true, message: "tared".to_owned() });
+}
+
+#[test]
+fn another_version_of_a_type_is_reported() {
+    static CHANGED: TypeSupport = TypeSupport {
+        name: "std_msgs/msg/Int32",
+        hash: "RIHS01_00000000000000000000000000000000000000000000000000000000000000ff",
+        definition: "int32 data\nint32 more\n",
+        cdr_to_json: |bytes| (TypeSupport::of::<Int32>().cdr_to_json)(bytes),
+        json_to_cdr: |value| (TypeSupport::of::<Int32>().json_to_cdr)(value),
+    };
+    let backend = backend();
+    let bench = Bench::new(&*backend);
+    let (a, b) = (bench.node("a"), bench.node("b"));
+    let (tx, rx) = channel();
+    b.on_problem(move |problem| {
+        let _ = tx.send(problem.clone());
+    });
+    let _sub = b.subscribe("numbers", Qos::reliable(5), |_: Int32, _| {}).unwrap();
+    let publisher = a.publisher_raw("numbers", &CHANGED, Qos::reliable(5)).unwrap();
+    let problem = expect_next(&rx, "the report");
+    assert_eq!(problem.kind, ProblemKind::TypeMismatch);
+    assert!(problem.sentence.contains("another version of std_msgs/msg/Int32"), "{}", problem.sentence);
+    assert_eq!(publisher.subscriber_count(), 0, "what is of another version does not count");
+}
+
+#[test]
+fn explicit_endpoints_do_without_multicast() {
+    let port = free_port();
+    let listener =
+        HirozConfig { multicast: false, listen: vec![format!("tcp/127.0.0.1:{port}")], ..config() };
+    let caller = HirozConfig { multicast: false, connect: vec![format!("tcp/127.0.0.1:{port}")], ..config() };
+    let (listener, caller) = (HirozBackend::new(listener), HirozBackend::new(caller));
+    let bench = Bench::new(&listener);
+    let a = bench.node("a");
+    let b = dermis_node::Node::open(bench.options("b"), &caller).unwrap();
+    let (tx, rx) = channel();
+    let _sub = b
+        .subscribe("words", Qos::reliable(10), move |text: Text, _| {
+            let _ = tx.send(text.data);
+        })
+        .unwrap();
+    let publisher = a.publisher::<Text>("words", Qos::reliable(10)).unwrap();
+    until("matched", || publisher.subscriber_count() == 1);
+    publisher.publish(&Text { data: "direct".to_owned() }).unwrap();
+    assert_eq!(expect_next(&rx, "the word"), "direct");
+}
+
+#[test]
+fn domains_do_not_hear_each_other() {
+    let backend = backend();
+    let bench = Bench::new(&*backend);
+    let a = bench.node("a");
+    let other = bench.open(bench.options("b").domain_id(domain() + 100));
+    let same = bench.node("c");
+    let (tx, rx) = channel();
+    let also = tx.clone();
+    let _elsewhere = other
+        .subscribe("words", Qos::reliable(10), move |_: Text, _| {
+            let _ = also.send("elsewhere");
+        })
+        .unwrap();
+    let _here = same
+        .subscribe("words", Qos::reliable(10), move |_: Text, _| {
+            let _ = tx.send("here");
+        })
+        .unwrap();
+    let publisher = a.publisher::<Text>("words", Qos::reliable(10)).unwrap();
+    until("matched", || publisher.subscriber_count() == 1);
+    for _ in 0..3 {
+        publisher.publish(&Text::default()).unwrap();
+        assert_eq!(expect_next(&rx, "the word"), "here");
+    }
+    assert!(!a.node_names().unwrap().contains(&other.full_name()));
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// Passes bytes between two peers until it is told to stop reading.
+struct Proxy {
+    port: u16,
+    stopped: Arc<AtomicBool>,
+    passed: Arc<AtomicU64>,
+}
+
+impl Proxy {
+    fn to(target: u16) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let stopped = Arc::new(AtomicBool::new(false));
+        let passed = Arc::new(AtomicU64::new(0));
+        let proxy = Self { port, stopped: Arc::clone(&stopped), passed: Arc::clone(&passed) };
+        std::thread::spawn(move || {
+            for client in listener.incoming().flatten() {
+                let Ok(server) = TcpStream::connect(("127.0.0.1", target)) else { return };
+                for (from, to) in [
+                    (client.try_clone().unwrap(), server.try_clone().unwrap()),
+                    (server.try_clone().unwrap(), client.try_clone().unwrap()),
+                ] {
+                    let (stopped, passed) = (Arc::clone(&stopped), Arc::clone(&passed));
+                    std::thread::spawn(move || pass(from, to, &stopped, &passed));
+                }
+            }
+        });
+        proxy
+    }
+}
+
+fn pass(mut from: TcpStream, mut to: TcpStream, stopped: &AtomicBool, passed: &AtomicU64) {
+    let mut buffer = [0; 65_536];
+    while !stopped.load(Ordering::SeqCst) {
+        match from.read(&mut buffer) {
+            Ok(0) | Err(_) => {
+                let _ = to.shutdown(Shutdown::Both);
+                return;
+            }
+            Ok(n) => {
+                passed.fetch_add(n as u64, Ordering::SeqCst);
+                if to.write_all(&buffer[..n]).is_err() {
+                    return;
+                }
+            }
+        }
+    }
+    // Holds both ends open without reading: a peer that hangs.
+    std::thread::sleep(WAIT);
+}
+
+/// A peer that stops reading fills the buffers of the network. A best effort publisher drops then and
+/// goes on at its rate; 5 s long here.
+#[test]
+fn a_hanging_peer_never_holds_a_best_effort_publisher_up() {
+    let port = free_port();
+    let listen = format!("tcp/127.0.0.1:{port}");
+    let talker = HirozConfig { multicast: false, listen: vec![listen], ..config() };
+    let proxy = Proxy::to(port);
+    let connect = format!("tcp/127.0.0.1:{}", proxy.port);
+    // Gossip would tell the peer the way around the proxy.
+    let reader = HirozConfig {
+        multicast: false,
+        connect: vec![connect],
+        overrides: vec![("scouting/gossip/enabled".to_owned(), "false".to_owned())],
+        ..config()
+    };
+    let (talker, reader) = (HirozBackend::new(talker), HirozBackend::new(reader));
+    let bench = Bench::new(&talker);
+    let a = bench.node("a");
+    let b = dermis_node::Node::open(bench.options("b"), &reader).unwrap();
+    let (tx, rx) = channel();
+    let _sub = b
+        .subscribe("frames", Qos::sensor_data(), move |_: Text, _| {
+            let _ = tx.send(());
+        })
+        .unwrap();
+    let publisher = a.publisher::<Text>("frames", Qos::sensor_data()).unwrap();
+    until("matched", || publisher.subscriber_count() == 1);
+    let frame = Text { data: "x".repeat(100_000) }.to_cdr();
+    until("a frame passes", || {
+        publisher.publish_cdr(&frame).unwrap();
+        rx.try_recv().is_ok()
+    });
+    proxy.stopped.store(true, Ordering::SeqCst);
+    let started = Instant::now();
+    let mut worst = Duration::ZERO;
+    let mut sent = 0_u64;
+    while started.elapsed() < Duration::from_secs(5) {
+        let before = Instant::now();
+        publisher.publish_cdr(&frame).unwrap();
+        worst = worst.max(before.elapsed());
+        sent += 1;
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let offered = sent * frame.len() as u64;
+    assert!(offered > 10_000_000, "{offered} bytes are more than the buffers of two sockets hold");
+    assert!(proxy.passed.load(Ordering::SeqCst) < offered, "the peer did hang");
+    println!("longest publish beside a hanging peer: {worst:?} of {sent}");
+    // A blocked publisher would wait for seconds; a busy machine may take the processor for less.
+    assert!(worst < Duration::from_millis(500), "one publish took {worst:?}");
+}
+
+#[test]
+fn python_clients_understand_the_wire() {
+    let Some(python) = std::env::var_os("DERMIS_CLIENT_PYTHON") else {
+        println!("skipped: DERMIS_CLIENT_PYTHON names no python with the clients");
+        return;
+    };
+    let port = free_port();
+    let listen = format!("tcp/127.0.0.1:{port}");
+    let backend = HirozBackend::new(HirozConfig { listen: vec![listen.clone()], ..config() });
+    let bench = Bench::new(&backend);
+    let node = bench.node("palm");
+    let (tx, rx) = channel();
+    let _sub = node
+        .subscribe("from_python", Qos::reliable(10), move |text: Text, _| {
+            let _ = tx.send(text.data);
+        })
+        .unwrap();
+    let _tare = node
+        .serve::<Trigger>("~/tare", |_| TriggerResponse { success: true, message: "tared".to_owned() })
+        .unwrap();
+    let publisher = node.publisher::<Text>("to_python", Qos::reliable(10)).unwrap();
+    let _talk = node.timer(Duration::from_millis(100), move || {
+        publisher.publish(&Text { data: "hello python".to_owned() }).unwrap();
+    });
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/python/wire_client.py");
+    let output = std::process::Command::new(python)
+        .arg(script)
+        .args([&listen, &domain().to_string(), &node.full_name()])
+        .output()
+        .unwrap();
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "the client failed\n{out}\n{err}");
+    println!("{out}");
+    assert_eq!(expect_next(&rx, "the word of python"), "hello rust");
+}
