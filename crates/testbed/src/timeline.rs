@@ -151,14 +151,13 @@ impl Timeline {
             surface: surface.clone(),
         };
         let mut location = 0;
+        let too_narrow = || TestbedError::Plan {
+            file: plan.name.clone(),
+            field: "margin".into(),
+            reason: format!("no place on the surface is {} m away from its rim", plan.margin),
+        };
         for (i, step) in plan.steps.iter().enumerate() {
-            let place = |draw: &mut Draw<'_>| {
-                draw.place().ok_or_else(|| TestbedError::Plan {
-                    file: plan.name.clone(),
-                    field: "margin".into(),
-                    reason: format!("no place on the surface is {} m away from its rim", plan.margin),
-                })
-            };
+            let place = |draw: &mut Draw<'_>| draw.place().ok_or_else(too_narrow);
             match step {
                 Step::Idle { duration } => timeline.idle(*duration),
                 Step::Presses { count, force, repeats } => {
@@ -180,7 +179,7 @@ impl Timeline {
                 Step::Grid { pitch, forces, repeats } => {
                     let mut places = sites.grid(*pitch);
                     if places.is_empty() {
-                        place(&mut draw)?;
+                        return Err(too_narrow());
                     }
                     places.shuffle(&mut draw.rng);
                     for at in places {
@@ -232,6 +231,13 @@ impl Timeline {
                     }
                 }
             }
+        }
+        if timeline.duration <= 0.0 {
+            return Err(TestbedError::Plan {
+                file: plan.name.clone(),
+                field: "timing".into(),
+                reason: "lets the plan last no time at all: lengthen a phase".into(),
+            });
         }
         Ok(timeline)
     }
@@ -542,10 +548,19 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_refused() {
         let skin = testing::skin(100.0);
-        let refused = |from: &str, to: &str| {
-            let plan = Plan::from_toml(&testing::PLAN.replace(from, to), "plan.toml").unwrap();
+        let plan_error = |text: &str| {
+            let plan = Plan::from_toml(text, "plan.toml").unwrap();
             Timeline::new(&plan, &skin.surface(), 1).unwrap_err().to_string()
         };
+        let refused = |from: &str, to: &str| plan_error(&testing::PLAN.replace(from, to));
+        let no_time = r#"
+            schema = "dermis-plan/1"
+            name = "no-time"
+            diameter = 0.004
+            timing = { approach = [0, 0], load = [0, 0], hold = [0, 0], unload = [0, 0], gap = [0, 0] }
+            steps = [{ kind = "presses", count = 3, force = [0.1, 0.2] }]
+        "#;
+        insta::assert_snapshot!(plan_error(no_time), @"plan no-time: field `timing`: lets the plan last no time at all: lengthen a phase");
         insta::assert_snapshot!(refused("margin = 0.002", "margin = 0.011"), @"plan all-kinds: field `margin`: no place on the surface is 0.011 m away from its rim");
         insta::assert_snapshot!(refused("length = [0.004, 0.008]", "length = [0.1, 0.2]"), @"plan all-kinds: field `steps[3].length`: no way of 0.1 m fits on the surface within the margin");
         insta::assert_snapshot!(refused("distance = 0.006", "distance = 0.06"), @"plan all-kinds: field `steps[4].distance`: 2 contacts 0.06 m apart do not fit on the surface");
