@@ -5,7 +5,8 @@
 //! about one thickness of them is left out. Each press is solved as the contact of a rigid sphere with the layer
 //! ([`dermis_mechanics::SphereContact`]); several presses add up, and the part of a force along the surface is not
 //! felt. Strains are taken as small, which a soft pad outgrows: at 1 N a 4 mm tip already sinks 3 mm into 10 mm of
-//! a 70 kPa elastomer, where a real one stiffens. Readings are gauge pressures: 0 when untouched at one standard atmosphere.
+//! a 70 kPa elastomer, where a real one stiffens. Readings are gauge pressures: 0 when untouched at one standard
+//! atmosphere.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock};
