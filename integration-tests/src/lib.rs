@@ -8,6 +8,10 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
+pub mod rclpy;
+
+pub use rclpy::Rclpy;
+
 /// The repository.
 #[must_use]
 pub fn root() -> PathBuf {

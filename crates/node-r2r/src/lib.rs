@@ -4,14 +4,18 @@
 //!
 //! What this backend cannot do, because rcl or r2r do not let it:
 //! - One process is in one ROS domain: the first node's domain holds for all, and another one is refused.
+//! - One process has one type for each topic: another one is refused, not only reported.
 //! - Subscriptions of other nodes are not listed in the graph; their number on an own topic is.
-//! - A subscription that was dropped leaves the graph with its next message, or with its node.
+//! - A subscription or service that was dropped leaves the graph with its next message, or with its node.
+//! - Messages carry no time of their sender ([`dermis_node::MessageInfo::source_ns`] is `None`).
+//! - Services are those of the packages that a node itself needs: std_srvs, rcl_interfaces, lifecycle_msgs and ours.
+//! - A call that was given up is remembered until its client is dropped.
 //!
 //! ```no_run
 //! use dermis_node::{Node, NodeOptions};
 //! use dermis_node_r2r::R2rBackend;
 //!
-//! let node = Node::open(NodeOptions::new("listener"), R2rBackend::shared())?;
+//! let node = Node::open(NodeOptions::new("listener"), &R2rBackend)?;
 //! # Ok::<(), dermis_node::NodeError>(())
 //! ```
 
@@ -20,14 +24,15 @@ mod worker;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Duration;
 
 use bytes::Bytes;
 use dermis_msgs::TypeSupport;
 use dermis_node::backend::{
-    Backend, BackendClient, BackendEndpoint, BackendError, BackendNode, BackendPublisher, EndpointInfo, EndpointKind,
-    GraphHook, MessageSink, NodeSpec, RequestSink, ServiceSupport,
+    Backend, BackendClient, BackendEndpoint, BackendError, BackendNode, BackendPublisher, EndpointInfo,
+    EndpointKind, GraphHook, MessageSink, NodeSpec, RequestSink, ServiceSupport,
 };
-use dermis_node::qos::{Durability, History, Qos, Reliability};
+use dermis_node::{Durability, History, Qos, Reliability};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use r2r::qos::{DurabilityPolicy, HistoryPolicy, QosProfile, ReliabilityPolicy};
@@ -40,14 +45,6 @@ const NAME: &str = "r2r";
 #[derive(Debug, Default)]
 pub struct R2rBackend;
 
-impl R2rBackend {
-    /// The one of this process.
-    #[must_use]
-    pub fn shared() -> Arc<dyn Backend> {
-        Arc::new(Self)
-    }
-}
-
 /// Domain and range that the process's one ROS context was made with.
 static CONTEXT: OnceLock<(u16, bool)> = OnceLock::new();
 
@@ -56,13 +53,9 @@ fn context(spec: &NodeSpec) -> Result<r2r::Context, BackendError> {
     let wanted = (spec.domain_id, spec.localhost_only);
     let refuse = |reason: String| BackendError::Open { backend: NAME, node: spec.full_name(), reason };
     let made = *CONTEXT.get_or_init(|| {
-        // SAFETY: this runs once, before rcl is initialised, so that no ROS thread reads the environment yet; rcl
-        // takes the domain and the discovery range from nowhere else.
-        unsafe {
-            std::env::set_var("ROS_DOMAIN_ID", spec.domain_id.to_string());
-            if spec.localhost_only {
-                std::env::set_var("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-            }
+        set_variable("ROS_DOMAIN_ID", &spec.domain_id.to_string());
+        if spec.localhost_only {
+            set_variable("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
         }
         wanted
     });
@@ -72,7 +65,24 @@ fn context(spec: &NodeSpec) -> Result<r2r::Context, BackendError> {
             made.0, wanted.0
         )));
     }
-    r2r::Context::create().map_err(|e| refuse(format!("ROS 2 does not start ({e}): is it sourced?")))
+    // r2r panics where rcl refuses the program's `--ros-args`.
+    match std::panic::catch_unwind(r2r::Context::create) {
+        Ok(context) => context.map_err(|e| refuse(format!("ROS 2 does not start ({e}): is it sourced?"))),
+        Err(panic) => {
+            let why = panic.downcast_ref::<String>().map_or("no reason given", String::as_str);
+            Err(refuse(format!("ROS 2 does not start: {why}")))
+        }
+    }
+}
+
+/// Sets a variable that rcl reads when it starts; it takes the domain and the discovery range from nowhere else.
+fn set_variable(name: &str, value: &str) {
+    if std::env::var(name).is_ok_and(|v| v == value) {
+        return;
+    }
+    // SAFETY: this runs once, before rcl is initialised, so that no ROS thread reads the environment yet; threads
+    // of Rust read it under the lock of the standard library.
+    unsafe { std::env::set_var(name, value) };
 }
 
 impl Backend for R2rBackend {
@@ -82,12 +92,14 @@ impl Backend for R2rBackend {
 
     fn open(&self, spec: &NodeSpec) -> Result<Arc<dyn BackendNode>, BackendError> {
         let context = context(spec)?;
-        let node = r2r::Node::create(context, &spec.name, &spec.namespace).map_err(|e| BackendError::Open {
-            backend: NAME,
-            node: spec.full_name(),
-            reason: e.to_string(),
+        let node = r2r::Node::create(context, &spec.name, &spec.namespace).map_err(|e| {
+            BackendError::Open { backend: NAME, node: spec.full_name(), reason: e.to_string() }
         })?;
-        Ok(Arc::new(R2rNode { spec: spec.clone(), worker: Worker::start(node, &spec.full_name()), own: Mutex::default() }))
+        Ok(Arc::new(R2rNode {
+            spec: spec.clone(),
+            worker: Worker::start(node, &spec.full_name()),
+            own: Mutex::default(),
+        }))
     }
 }
 
@@ -106,7 +118,14 @@ impl R2rNode {
     }
 
     /// Remembers an own endpoint until the returned flag is cleared.
-    fn remember(&self, name: &str, kind: EndpointKind, type_name: &str, hash: &str, qos: Option<Qos>) -> Arc<AtomicBool> {
+    fn remember(
+        &self,
+        name: &str,
+        kind: EndpointKind,
+        type_name: &str,
+        hash: &str,
+        qos: Option<Qos>,
+    ) -> Arc<AtomicBool> {
         let alive = Arc::new(AtomicBool::new(true));
         let info = EndpointInfo {
             node: self.spec.full_name(),
@@ -133,9 +152,13 @@ impl BackendNode for R2rNode {
         known_type(type_support.name)?;
         let publisher = self
             .worker
-            .ask(move |w| w.node.create_publisher_untyped(&name, kind, profile))?
-            .map_err(|e| Self::endpoint_error("publisher", topic, &e))?;
-        let alive = self.remember(topic, EndpointKind::Publisher, type_support.name, type_support.hash, Some(*qos));
+            .ask(move |w| {
+                let made = w.node.create_publisher_untyped(&name, kind, profile);
+                made.map_err(|e| refusal(&w.node, &name, kind, &e))
+            })?
+            .map_err(|reason| BackendError::Endpoint { what: "publisher", name: topic.to_owned(), reason })?;
+        let alive =
+            self.remember(topic, EndpointKind::Publisher, type_support.name, type_support.hash, Some(*qos));
         Ok(Arc::new(Publisher {
             topic: topic.to_owned(),
             inner: Mutex::new(publisher),
@@ -152,16 +175,28 @@ impl BackendNode for R2rNode {
         sink: MessageSink,
     ) -> Result<Box<dyn BackendEndpoint>, BackendError> {
         known_type(type_support.name)?;
-        let alive = self.remember(topic, EndpointKind::Subscription, type_support.name, type_support.hash, Some(*qos));
+        let alive = self.remember(
+            topic,
+            EndpointKind::Subscription,
+            type_support.name,
+            type_support.hash,
+            Some(*qos),
+        );
         let guard = Endpoint::new(alive);
         let (name, kind, profile, gate) = (topic.to_owned(), type_support.name, profile(qos), guard.gate());
         self.worker
             .ask(move |w| {
-                let stream = w.node.subscribe_raw(&name, kind, profile)?;
-                w.subscriptions.push((gate, Box::new(stream), sink));
+                let made =
+                    w.node.subscribe_raw(&name, kind, profile).map(|s| Box::new(s) as worker::Messages);
+                let messages = made.map_err(|e| refusal(&w.node, &name, kind, &e))?;
+                w.subscriptions.push((gate, messages, sink));
                 Ok(())
             })?
-            .map_err(|e: r2r::Error| Self::endpoint_error("subscription", topic, &e))?;
+            .map_err(|reason| BackendError::Endpoint {
+                what: "subscription",
+                name: topic.to_owned(),
+                reason,
+            })?;
         Ok(Box::new(guard))
     }
 
@@ -204,13 +239,22 @@ impl BackendNode for R2rNode {
     }
 
     fn node_names(&self) -> Result<Vec<String>, BackendError> {
-        // Every ROS 2 node that logs publishes on /rosout, ours included; rcl's list of nodes is not in r2r.
-        let infos = self.worker.ask(|w| w.node.get_publishers_info_by_topic("/rosout", false))?;
-        Ok(infos
-            .map_err(|e| BackendError::Graph { reason: e.to_string() })?
-            .iter()
-            .map(|i| dermis_node::names::join(&i.node_namespace, &i.node_name))
-            .collect())
+        // rcl's list of nodes is not in r2r. Nodes of all client libraries publish parameter events, once each;
+        // one that does not still has a log, or two: rcl's and its own.
+        let ask = |w: &mut worker::State| {
+            let events = w.node.get_publishers_info_by_topic("/parameter_events", false)?;
+            Ok((events, w.node.get_publishers_info_by_topic("/rosout", false)?))
+        };
+        let (events, logs) =
+            self.worker.ask(ask)?.map_err(|e: r2r::Error| BackendError::Graph { reason: e.to_string() })?;
+        let mut names: Vec<String> =
+            events.iter().filter_map(|i| node_of(&i.node_namespace, &i.node_name)).collect();
+        for name in logs.iter().filter_map(|i| node_of(&i.node_namespace, &i.node_name)) {
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        Ok(names)
     }
 
     fn endpoints(&self, name: &str, kind: EndpointKind) -> Result<Vec<EndpointInfo>, BackendError> {
@@ -230,22 +274,42 @@ impl BackendNode for R2rNode {
         let full_name = self.spec.full_name();
         Ok(infos
             .iter()
-            .map(|i| {
-                let node = dermis_node::names::join(&i.node_namespace, &i.node_name);
-                EndpointInfo {
+            .filter_map(|i| {
+                let node = node_of(&i.node_namespace, &i.node_name)?;
+                Some(EndpointInfo {
                     own: node == full_name,
                     node,
                     type_name: i.topic_type.clone(),
                     type_hash: None,
                     qos: Some(policies(&i.qos_profile)),
-                }
+                })
             })
             .collect())
+    }
+
+    fn topics(&self) -> Result<Vec<(String, String)>, BackendError> {
+        self.worker
+            .ask(|w| {
+                let mut published = Vec::new();
+                for (name, kinds) in w.node.get_topic_names_and_types()? {
+                    if !w.node.get_publishers_info_by_topic(&name, false)?.is_empty() {
+                        published.extend(kinds.into_iter().map(|kind| (name.clone(), kind)));
+                    }
+                }
+                Ok(published)
+            })?
+            .map_err(|e: r2r::Error| BackendError::Graph { reason: e.to_string() })
     }
 
     fn on_graph_change(&self, _hook: GraphHook) {}
 
     fn close(&self) {
+        self.worker.stop();
+    }
+}
+
+impl Drop for R2rNode {
+    fn drop(&mut self) {
         self.worker.stop();
     }
 }
@@ -316,7 +380,7 @@ impl BackendClient for Client {
         self.available.load(Ordering::Acquire)
     }
 
-    fn call(&self, request: &[u8]) -> BoxFuture<'static, Result<Bytes, BackendError>> {
+    fn call(&self, request: &[u8], _timeout: Duration) -> BoxFuture<'static, Result<Bytes, BackendError>> {
         let name = self.name.clone();
         match (self.call)(request) {
             Ok(answer) => answer
@@ -333,6 +397,18 @@ fn unknown(type_name: &str) -> BackendError {
 
 fn known_type(name: &str) -> Result<(), BackendError> {
     r2r::WrappedNativeMsgUntyped::new_from(name).map(drop).map_err(|_| unknown(name))
+}
+
+/// Why an endpoint was refused, which rcl's code does not tell.
+fn refusal(node: &r2r::Node, topic: &str, wanted: &str, e: &r2r::Error) -> String {
+    let types =
+        node.get_topic_names_and_types().ok().and_then(|mut all| all.remove(topic)).unwrap_or_default();
+    types.iter().find(|t| *t != wanted).map_or_else(
+        || e.to_string(),
+        |other| {
+            format!("{wanted} is wanted where {other} is in use, and one process has one type for each topic ({e})")
+        },
+    )
 }
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
@@ -371,4 +447,10 @@ fn policies(profile: &QosProfile) -> Qos {
             _ => History::KeepLast(profile.depth.max(1)),
         },
     }
+}
+
+/// `/namespace/name` of the node of an endpoint; `None` while only the endpoint has been discovered.
+fn node_of(namespace: &str, name: &str) -> Option<String> {
+    let known = !name.is_empty() && name != "_NODE_NAME_UNKNOWN_";
+    known.then(|| format!("{}/{name}", namespace.trim_end_matches('/')))
 }

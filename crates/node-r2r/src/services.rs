@@ -14,7 +14,8 @@ type MakeServer = fn(&mut Node, &str, RequestSink) -> Result<Server, Error>;
 /// Makes a client of one type on a node.
 type MakeClient = fn(&mut Node, &str) -> Result<MadeClient, Error>;
 /// Sends an encoded request; the future yields the encoded response.
-pub(crate) type Call = Box<dyn Fn(&[u8]) -> Result<BoxFuture<'static, Result<Bytes, Error>>, Error> + Send + Sync>;
+pub(crate) type Call =
+    Box<dyn Fn(&[u8]) -> Result<BoxFuture<'static, Result<Bytes, Error>>, Error> + Send + Sync>;
 
 /// A client, in the two parts that are used from different threads.
 pub(crate) struct MadeClient {
@@ -53,7 +54,7 @@ known! {
 }
 
 fn services() -> r2r::QosProfile {
-    profile(&dermis_node::qos::Qos::services())
+    profile(&dermis_node::Qos::services())
 }
 
 fn serve<T>(node: &mut Node, name: &str, sink: RequestSink) -> Result<Server, Error>
@@ -88,6 +89,7 @@ where
 fn make_client<T>(node: &mut Node, name: &str) -> Result<MadeClient, Error>
 where
     T: WrappedServiceTypeSupport + 'static,
+    T::Response: Send,
 {
     let client = std::sync::Arc::new(std::sync::Mutex::new(node.create_client::<T>(name, services())?));
     let watched = std::sync::Arc::clone(&client);

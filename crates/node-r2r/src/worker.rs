@@ -20,7 +20,8 @@ const WAIT: Duration = Duration::from_millis(5);
 const AVAILABILITY: Duration = Duration::from_millis(200);
 
 type Command = Box<dyn FnOnce(&mut State) + Send>;
-type Messages = Box<dyn Stream<Item = Vec<u8>> + Unpin + Send>;
+/// Encoded messages of one subscription.
+pub(crate) type Messages = Box<dyn Stream<Item = Vec<u8>> + Unpin + Send>;
 /// Completes when the server of a client is there.
 pub(crate) type Poll = Box<dyn Fn() -> Option<BoxFuture<'static, ()>> + Send>;
 /// Takes the requests that came and hands them on; the flag says whether they are still wanted.
@@ -102,7 +103,8 @@ impl Worker {
         let stopping = Arc::new(AtomicBool::new(false));
         let stop = Arc::clone(&stopping);
         let spawned = std::thread::Builder::new().name("ros".to_owned()).spawn(move || {
-            let mut state = State { node, subscriptions: Vec::new(), servers: Vec::new(), watches: Vec::new() };
+            let mut state =
+                State { node, subscriptions: Vec::new(), servers: Vec::new(), watches: Vec::new() };
             while !stop.load(Ordering::Acquire) {
                 loop {
                     match inbox.try_recv() {
@@ -127,7 +129,10 @@ impl Worker {
     }
 
     /// Runs `f` on the thread and waits for what it returns.
-    pub fn ask<T: Send + 'static>(&self, f: impl FnOnce(&mut State) -> T + Send + 'static) -> Result<T, BackendError> {
+    pub fn ask<T: Send + 'static>(
+        &self,
+        f: impl FnOnce(&mut State) -> T + Send + 'static,
+    ) -> Result<T, BackendError> {
         let (answer, wait) = mpsc::channel();
         self.tell(move |state| {
             // Nobody waits any more: there is nothing to tell.
@@ -175,5 +180,7 @@ fn deliver(state: &mut State) {
 }
 
 fn now_ns() -> i64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX))
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |d| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX))
 }

@@ -1,21 +1,22 @@
-//! Programs on the other side that say what happens as one JSON object a line.
+//! A real `rclpy` node on the other side, driven with one JSON object a line: `python/ros/peer.py`.
 
 use std::io::{BufRead, BufReader, Write};
-use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-/// Longest wait for a peer: discovery, Python's imports and a machine at full load.
+use crate::{domain, root, ros_python};
+
+/// Longest wait for it: discovery, Python's imports and a machine at full load.
 pub const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A child process with a line protocol. Dropping it kills it.
+/// A process with one `rclpy` node. Dropping it kills it.
 ///
-/// All of its methods panic where the peer does not do what the test needs, and show what it said instead.
+/// All of its methods panic where the node does not do what the test needs, and show what it said instead.
 #[derive(Debug)]
-pub struct Peer {
+pub struct Rclpy {
     name: String,
     child: Child,
     commands: Option<ChildStdin>,
@@ -23,19 +24,23 @@ pub struct Peer {
     said: Vec<String>,
 }
 
-impl Peer {
-    /// Starts a program. Its standard error goes where the test's goes.
+impl Rclpy {
+    /// Starts a node and waits until it is there; `None`, with a printed line, where no ROS 2 is set up for tests.
     ///
     /// # Panics
     ///
-    /// When it does not start.
+    /// When it does not get ready.
     #[must_use]
-    pub fn start(name: &str, command: &mut Command) -> Self {
-        let mut child = command
+    pub fn start(name: &str) -> Option<Self> {
+        let mut child = Command::new(ros_python()?)
+            .arg(root().join("integration-tests/python/ros/peer.py"))
+            .arg(name)
+            .env("ROS_DOMAIN_ID", domain().to_string())
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
-            .unwrap_or_else(|e| panic!("{name} does not start ({command:?}): {e}"));
+            .unwrap_or_else(|e| panic!("Python does not start: {e}"));
         let commands = child.stdin.take();
         let out = child.stdout.take().expect("its standard output is a pipe");
         let (sender, lines) = mpsc::channel();
@@ -46,26 +51,7 @@ impl Peer {
                 }
             }
         });
-        Self { name: name.to_owned(), child, commands, lines, said: Vec::new() }
-    }
-
-    /// Starts `python/ros/peer.py` as the node `name` and waits until it is there; `None`, with a printed line,
-    /// where no ROS 2 is set up for tests.
-    ///
-    /// # Panics
-    ///
-    /// When it does not get ready.
-    #[must_use]
-    pub fn rclpy(name: &str, domain: u16) -> Option<Self> {
-        let python = ros_python()?;
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/ros/peer.py");
-        let mut command = Command::new(python);
-        command
-            .arg(script)
-            .arg(name)
-            .env("ROS_DOMAIN_ID", domain.to_string())
-            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-        let mut peer = Self::start(&format!("rclpy node {name}"), &mut command);
+        let mut peer = Self { name: name.to_owned(), child, commands, lines, said: Vec::new() };
         peer.event("ready", |_| true);
         Some(peer)
     }
@@ -74,12 +60,12 @@ impl Peer {
     ///
     /// # Panics
     ///
-    /// When the peer has ended.
+    /// When the node has ended.
     pub fn tell(&mut self, command: &Value) {
         let pipe = self.commands.as_mut().expect("its standard input is a pipe");
-        writeln!(pipe, "{command}")
-            .and_then(|()| pipe.flush())
-            .unwrap_or_else(|e| panic!("{} does not listen: {e}\n{}", self.name, self.said.join("\n")));
+        writeln!(pipe, "{command}").and_then(|()| pipe.flush()).unwrap_or_else(|e| {
+            panic!("rclpy node {} does not listen: {e}\n{}", self.name, self.said.join("\n"))
+        });
     }
 
     /// Waits until it says something for which `found` has a value.
@@ -88,16 +74,29 @@ impl Peer {
     ///
     /// When it does not within [`PATIENCE`].
     pub fn wait<T>(&mut self, what: &str, mut found: impl FnMut(&Value) -> Option<T>) -> T {
+        self.wait_and(what, |_, said| found(said))
+    }
+
+    /// [`Rclpy::wait`], with the node at hand to tell it more.
+    ///
+    /// # Panics
+    ///
+    /// When it does not within [`PATIENCE`].
+    pub fn wait_and<T>(&mut self, what: &str, mut found: impl FnMut(&mut Self, &Value) -> Option<T>) -> T {
         let deadline = Instant::now() + PATIENCE;
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             let Ok(line) = self.lines.recv_timeout(left) else {
                 let state = self.child.try_wait();
-                panic!("{} did not say {what} ({state:?}); it said:\n{}", self.name, self.said.join("\n"));
+                panic!(
+                    "rclpy node {} did not say {what} ({state:?}); it said:\n{}",
+                    self.name,
+                    self.said.join("\n")
+                );
             };
             let value = serde_json::from_str(&line).unwrap_or(Value::Null);
             self.said.push(line);
-            if let Some(value) = found(&value) {
+            if let Some(value) = found(self, &value) {
                 return value;
             }
         }
@@ -124,6 +123,16 @@ impl Peer {
         self.child.id()
     }
 
+    /// Closes its standard input, which ends it, and waits until it is gone.
+    ///
+    /// # Panics
+    ///
+    /// When the system refuses.
+    pub fn close(mut self) {
+        self.commands = None;
+        self.child.wait().expect("a child can be waited for");
+    }
+
     /// Kills it, with no chance to say goodbye, and waits until it is gone.
     ///
     /// # Panics
@@ -134,28 +143,12 @@ impl Peer {
     }
 }
 
-impl Drop for Peer {
+impl Drop for Rclpy {
     fn drop(&mut self) {
         // Nothing can be done where it does not die.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
-}
-
-/// The Python that has rclpy and dermis_msgs; `None`, with a printed line, where none is set up.
-#[must_use]
-pub fn ros_python() -> Option<PathBuf> {
-    let python = std::env::var_os("DERMIS_ROS_PYTHON").filter(|p| !p.is_empty()).map(PathBuf::from);
-    if python.is_none() {
-        println!("skipped: DERMIS_ROS_PYTHON is not set; `cargo xtask test` sets ROS 2 up");
-    }
-    python
-}
-
-/// A ROS domain that no other test of this run is likely to be in.
-#[must_use]
-pub fn domain() -> u16 {
-    1 + u16::try_from(std::process::id() % 100).expect("below 100")
 }
 
 /// Waits until `holds`.

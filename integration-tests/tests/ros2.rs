@@ -1,0 +1,132 @@
+//! The program over the ROS 2 that is sourced, real `rclpy` on the other side. Needs the program with the feature `ros2`
+//! and is skipped, with a printed line, where no ROS 2 is set up for tests.
+
+use std::process::Command;
+use std::time::Duration;
+
+use dermis_integration_tests::{Peer, Rclpy, program, root, ros_python};
+use serde_json::{Value, json};
+
+const SOON: Duration = Duration::from_secs(60);
+/// `dermis_msgs/msg/ContactArray.STATUS_OK`.
+const OK: u8 = 0;
+
+fn demo() -> Peer {
+    Peer::start(Command::new(program("dermis")).args([
+        "demo",
+        "--backend",
+        "ros2",
+        "--duration",
+        "120s",
+        "--json",
+        "--no-bridge",
+    ]))
+}
+
+/// Asks about the graph until `found` has an answer.
+fn find<T>(rclpy: &mut Rclpy, what: &str, mut found: impl FnMut(&Value) -> Option<T>) -> T {
+    rclpy.tell(&json!({"do": "graph"}));
+    rclpy.wait_and(what, |rclpy, said| {
+        if said["event"] != "graph" {
+            return None;
+        }
+        let answer = found(said);
+        if answer.is_none() {
+            rclpy.tell(&json!({"do": "graph"}));
+        }
+        answer
+    })
+}
+
+/// Name of the service or topic of this type.
+fn of_type(names: &Value, suffix: &str, kind: &str) -> Option<String> {
+    let all = names.as_object()?;
+    all.iter()
+        .find(|(name, kinds)| {
+            name.ends_with(suffix) && kinds.as_array().is_some_and(|k| k.contains(&kind.into()))
+        })
+        .map(|(name, _)| name.clone())
+}
+
+#[test]
+fn the_lines_of_the_readme_print_contacts() {
+    let Some(python) = ros_python() else { return };
+    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let start = readme.find("import rclpy").expect("README.md shows an rclpy client");
+    let client = &readme[start..start + readme[start..].find("```").unwrap()];
+    let _demo = demo();
+    let mut client = Peer::start(Command::new(python).args(["-c", client]));
+    let line = client.expect("baro-grid ", SOON);
+    let numbers: Vec<f64> = line.split(' ').skip(1).map(|n| n.parse().unwrap()).collect();
+    let [track, x, y, force] = numbers[..] else { panic!("{line}") };
+    assert!(track >= 1.0, "{line}");
+    assert!(x.abs() < 0.02 && y.abs() < 0.02, "the pad is 34 mm wide: {line}");
+    assert!((0.0..10.0).contains(&force), "pressing force in N: {line}");
+}
+
+#[test]
+fn rclpy_gets_every_topic_of_the_demo() {
+    let Some(mut rclpy) = Rclpy::start("planner") else { return };
+    let _demo = demo();
+    let streams = [
+        ("taxels", "dermis_msgs/msg/TaxelFrame"),
+        ("wrench", "geometry_msgs/msg/WrenchStamped"),
+        ("contact_points", "sensor_msgs/msg/PointCloud2"),
+        ("contact_markers", "visualization_msgs/msg/MarkerArray"),
+    ];
+    rclpy.tell(&json!({"do": "subscribe", "topic": "/contacts", "type": "dermis_msgs/msg/ContactArray",
+        "qos": {"reliable": false, "depth": 5}}));
+    for (topic, kind) in streams {
+        rclpy.tell(&json!({"do": "subscribe", "topic": format!("/{topic}"), "type": kind, "qos": {"reliable": false, "depth": 5}}));
+    }
+    rclpy.tell(
+        &json!({"do": "subscribe", "topic": "/diagnostics", "type": "diagnostic_msgs/msg/DiagnosticArray"}),
+    );
+    let touched = rclpy.wait("a contact", |said| {
+        let array = &said["value"];
+        let touched = said["topic"] == "/contacts"
+            && array["status"] == OK
+            && array["contacts"].as_array().is_some_and(|c| !c.is_empty());
+        touched.then(|| array.clone())
+    });
+    assert_eq!(touched["skin"], "baro-grid");
+    assert_eq!(touched["header"]["frame_id"], "baro_grid_link");
+    assert!(
+        touched["contacts"][0]["force"]["z"].as_f64().unwrap() < 0.0,
+        "pressing pushes into the skin: {touched}"
+    );
+    let mut missing: Vec<String> = streams.iter().map(|(topic, _)| format!("/{topic}")).collect();
+    missing.push("/diagnostics".to_owned());
+    rclpy.wait("all topics of the README", |said| {
+        missing.retain(|topic| said["event"] != "message" || said["topic"] != topic.as_str());
+        missing.is_empty().then_some(())
+    });
+    // The geometry was published long ago: it is latched.
+    rclpy.tell(&json!({"do": "subscribe", "topic": "/skin_geometry", "type": "dermis_msgs/msg/SkinGeometry",
+        "qos": {"latched": true, "depth": 1}}));
+    let geometry = rclpy.event("message", |said| said["topic"] == "/skin_geometry")["value"].clone();
+    assert_eq!(geometry["taxels"].as_array().unwrap().len(), 25);
+    assert!(geometry["points"].as_array().unwrap().len() > 100);
+}
+
+#[test]
+fn rclpy_tares_and_tunes_the_demo() {
+    let Some(mut rclpy) = Rclpy::start("operator") else { return };
+    let _demo = demo();
+    let tare = find(&mut rclpy, "the service ~/tare", |graph| {
+        of_type(&graph["services"], "/tare", "std_srvs/srv/Trigger")
+    });
+    rclpy.tell(&json!({"do": "call", "service": tare, "type": "std_srvs/srv/Trigger"}));
+    let answer = rclpy.event("response", |said| said["service"] == tare.as_str())["value"].clone();
+    assert!(!answer["message"].as_str().unwrap().is_empty(), "a tare says what it did: {answer}");
+
+    let node = tare.strip_suffix("/tare").unwrap();
+    rclpy.tell(&json!({"do": "parameters", "node": node, "ask": "list"}));
+    let names = rclpy.event("parameters", |_| true)["value"]["result"]["names"].clone();
+    assert!(names.as_array().unwrap().len() > 3, "{names}");
+    rclpy
+        .tell(&json!({"do": "parameters", "node": node, "ask": "set", "values": {"no_such_parameter": 1.0}}));
+    let refused = rclpy.event("parameters", |said| said["ask"] == "set")["value"].clone();
+    assert_eq!(refused["results"][0]["successful"], false, "{refused}");
+    assert!(refused["results"][0]["reason"].as_str().unwrap().contains("no_such_parameter"), "{refused}");
+}
