@@ -123,10 +123,16 @@ fn rclpy_tares_and_tunes_the_demo() {
     let node = tare.strip_suffix("/tare").unwrap();
     rclpy.tell(&json!({"do": "parameters", "node": node, "ask": "list"}));
     let names = rclpy.event("parameters", |_| true)["value"]["result"]["names"].clone();
-    assert!(names.as_array().unwrap().len() > 3, "{names}");
-    rclpy
-        .tell(&json!({"do": "parameters", "node": node, "ask": "set", "values": {"no_such_parameter": 1.0}}));
-    let refused = rclpy.event("parameters", |said| said["ask"] == "set")["value"].clone();
-    assert_eq!(refused["results"][0]["successful"], false, "{refused}");
-    assert!(refused["results"][0]["reason"].as_str().unwrap().contains("no_such_parameter"), "{refused}");
+    assert!(names.as_array().unwrap().contains(&"tare_duration".into()), "{names}");
+    for (name, value, accepted) in
+        [("tare_duration", 0.25, true), ("tare_duration", -1.0, false), ("no_such_parameter", 1.0, false)]
+    {
+        rclpy.tell(&json!({"do": "parameters", "node": node, "ask": "set", "values": {name: value}}));
+        let answer = rclpy.event("parameters", |said| said["ask"] == "set")["value"]["results"][0].clone();
+        assert_eq!(answer["successful"], accepted, "{name} = {value}: {answer}");
+        assert!(accepted || answer["reason"].as_str().unwrap().contains(name), "{answer}");
+    }
+    rclpy.tell(&json!({"do": "parameters", "node": node, "ask": "get", "names": ["tare_duration"]}));
+    let got = rclpy.event("parameters", |said| said["ask"] == "get")["value"]["values"][0].clone();
+    assert_eq!(got["double_value"], 0.25, "{got}");
 }
