@@ -37,6 +37,9 @@ pub enum Bag {
     Info {
         /// Folder of a rosbag2 bag, or an .mcap file.
         bag: PathBuf,
+        /// Read what is whole of a bag whose recording was interrupted.
+        #[arg(long)]
+        recover: bool,
         /// One JSON object.
         #[arg(long)]
         json: bool,
@@ -46,8 +49,9 @@ pub enum Bag {
 /// Prints it.
 pub fn run(command: &Bag) -> Result<()> {
     match command {
-        Bag::Info { bag, json } => {
-            let info = BagReader::open(bag)?.info();
+        Bag::Info { bag, recover, json } => {
+            let reader = if *recover { BagReader::recover(bag)? } else { BagReader::open(bag)? };
+            let info = reader.info();
             if *json {
                 println!("{}", serde_json::to_string(&info)?);
             } else {

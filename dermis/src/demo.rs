@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_barodome::{Handle, NodeConfig};
+use dermis_barodome::{BarodomeNode, Config};
 use dermis_bridge_zenoh::{Bridge, BridgeConfig};
 use dermis_msgs::geometry_msgs::msg::Point;
 use dermis_msgs::msg::ContactArray;
@@ -88,9 +88,9 @@ async fn play(options: &Options, skin: &SkinDescription, plan: &Plan, skin_path:
     let device = VirtualDevice::start(model, skin, plan, options.seed, &Outlet::Pty)?;
     let backend = options.backend.open()?;
 
-    let mut config = NodeConfig::new(skin_path, device.url());
+    let mut config = Config::new(skin_path, device.url());
     config.models = vec![bundle.to_path_buf()];
-    let node: Handle = dermis_barodome::start(config, Arc::clone(&backend)).await?;
+    let node = BarodomeNode::start(config, backend.as_ref())?;
 
     let watcher = Node::open(NodeOptions::new("dermis_demo"), backend.as_ref())?;
     let seen = Arc::new(Mutex::new(Seen::default()));
@@ -131,7 +131,7 @@ async fn play(options: &Options, skin: &SkinDescription, plan: &Plan, skin_path:
     if let Some(bridge) = bridge {
         bridge.close().await;
     }
-    node.stop().await?;
+    node.stop();
     watcher.shutdown();
     let sent = device.stop()?;
     let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_inference::RuntimeConfig;
 use dermis_learn::{Dataset, DatasetOptions, Requirement, SplitConfig, SplitKind, Verdict, evaluate};
 use dermis_skin::SkinDescription;
 use serde_json::json;
@@ -39,7 +38,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
-    let mut estimator = (family.estimator)(&skin, &options.model, &RuntimeConfig::default())?;
+    let mut estimator = (family.estimator)(&skin, &options.model)?;
     let data = Dataset::from_bags(&options.bags, &skin, DatasetOptions::default())?;
     for notice in data.notices() {
         eprintln!("note: {notice}");

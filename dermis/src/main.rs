@@ -8,6 +8,7 @@ mod demo;
 mod device;
 mod doctor;
 mod evaluate;
+mod nodes;
 mod registry;
 mod skins;
 mod stats;
@@ -30,7 +31,7 @@ enum Command {
     /// A simulated skin behind a pseudo-terminal, the node that reads it, and a table of what it feels.
     Demo(demo::Options),
     /// Run the node of a skin of taxels in an elastic medium: raw bytes in, contacts out.
-    Barodome(Box<dermis_barodome::cli::Arguments>),
+    Barodome(Box<nodes::Barodome>),
     /// Offer every skin in the ROS domain as JSON over zenoh, for clients that know no ROS.
     Bridge(bridge::Options),
     /// Put a simulated skin, or a recorded one, behind a pseudo-terminal.
@@ -68,10 +69,7 @@ fn main() -> ExitCode {
         .init();
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
-        Command::Barodome(arguments) => block_on(async move {
-            let backend = backend::by_name(arguments.backend())?;
-            Ok(dermis_barodome::cli::run(*arguments, backend).await?)
-        }),
+        Command::Barodome(options) => block_on(nodes::barodome(*options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),
         Command::Import(import) => bags::import(&import),

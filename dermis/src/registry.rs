@@ -1,9 +1,10 @@
-//! The sensor families that this program knows: one line each.
+//! The sensor families that this program knows: one entry each.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
+use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_skin::{Estimator, ForwardModel, SkinDescription};
 
 /// What the program needs of a sensor family.
@@ -13,28 +14,29 @@ pub struct Family {
     /// Stimulus → channels, for families and skins that have one.
     pub model: fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>>,
     /// Frame → contacts, with these model bundles.
-    pub estimator: fn(&SkinDescription, &[PathBuf], &dermis_inference::RuntimeConfig) -> Result<Box<dyn Estimator>>,
+    pub estimator: fn(&SkinDescription, &[PathBuf]) -> Result<Box<dyn Estimator>>,
 }
 
 /// All families.
 pub const FAMILIES: &[Family] = &[Family {
     name: dermis_barodome::SENSOR,
     model: |skin| Ok(dermis_barodome::model(skin)?),
-    estimator: |skin, bundles, runtime| Ok(dermis_barodome::estimator(skin, bundles, runtime)?),
+    estimator: |skin, bundles| {
+        let runtime = Runtime::load(&RuntimeConfig::default())?;
+        Ok(dermis_barodome::estimator(skin, bundles, &[], runtime)?)
+    },
 }];
 
 /// The family that reads a skin.
 pub fn family(skin: &SkinDescription) -> Result<&'static Family> {
-    match FAMILIES.iter().find(|f| f.name == skin.sensor) {
-        Some(family) => Ok(family),
-        None => {
-            let known: Vec<&str> = FAMILIES.iter().map(|f| f.name).collect();
-            bail!(
-                "skin `{}`: field `sensor` is \"{}\", which this program does not know; it knows {}",
-                skin.name,
-                skin.sensor,
-                known.join(", ")
-            )
-        }
+    if let Some(family) = FAMILIES.iter().find(|f| f.name == skin.sensor) {
+        return Ok(family);
     }
+    let known: Vec<&str> = FAMILIES.iter().map(|f| f.name).collect();
+    bail!(
+        "skin `{}`: field `sensor` is \"{}\", which this program does not know; it knows {}",
+        skin.name,
+        skin.sensor,
+        known.join(", ")
+    )
 }

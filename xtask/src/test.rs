@@ -51,13 +51,22 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                 "sources",
             ]))
         })?;
+    }
+    let ros = if options.no_ros {
+        skipped.push("ROS 2 (--no-ros)".to_owned());
+        None
+    } else {
+        Some(step("ROS 2", || environment::ros(root))?)
+    };
+    if !options.no_lint {
         step("lints", || {
-            execute(cargo(root).arg("clippy").args(WITHOUT_ROS).args([
-                "--all-targets",
-                "--",
-                "-D",
-                "warnings",
-            ]))
+            let mut c = cargo(root);
+            c.args(["clippy", "--all-targets"]);
+            match &ros {
+                Some(ros) => c.args(WITH_ROS).envs(ros.variables()),
+                None => c.args(WITHOUT_ROS),
+            };
+            execute(c.args(["--", "-D", "warnings"]))
         })?;
     }
     // One build serves programs and tests: release, because that is what ships, and training in it takes seconds.
@@ -85,16 +94,8 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             execute(cargo(root).args(["test", "--release", "--doc", "--quiet"]).args(WITHOUT_ROS))
         })?;
     }
-    if options.no_ros {
-        skipped.push("ROS 2 (--no-ros)".to_owned());
-    } else {
-        let ros = step("ROS 2", || environment::ros(root))?;
+    if let Some(ros) = &ros {
         step("build with ROS 2", || {
-            if !options.no_lint {
-                let mut c = cargo(root);
-                c.args(["clippy", "--all-targets"]).args(WITH_ROS).args(["--", "-D", "warnings"]);
-                execute(c.envs(ros.variables()))?;
-            }
             execute(cargo(root).args(["build", "--release", "--bins"]).args(WITH_ROS).envs(ros.variables()))
         })?;
         step("tests with ROS 2", || {
