@@ -191,7 +191,12 @@ impl Backend for HirozBackend {
             .map_err(|e| error(e.to_string()))?
             .spawn(async move { follow(&weak, &graph).await })
             .abort_handle();
-        Ok(Arc::new(HirozNode { full_name: spec.full_name(), context, shared, watch }))
+        Ok(Arc::new(HirozNode {
+            full_name: spec.full_name(),
+            context: Mutex::new(Some(context)),
+            shared,
+            watch,
+        }))
     }
 }
 
@@ -255,7 +260,8 @@ fn endpoint(entity: &Entity) -> Option<&EndpointEntity> {
 
 struct HirozNode {
     full_name: String,
-    context: ZContext,
+    /// Taken out when the node is closed.
+    context: Mutex<Option<ZContext>>,
     shared: Arc<Shared>,
     watch: tokio::task::AbortHandle,
 }
@@ -444,7 +450,7 @@ impl BackendNode for HirozNode {
             type_info,
             key,
             gid,
-            session,
+            session: Some(session),
             graph: Arc::clone(&self.shared.graph),
             // rcl counts requests from 1.
             sequence: AtomicI64::new(1),
@@ -499,9 +505,10 @@ impl BackendNode for HirozNode {
         let Some(node) = lock(&self.shared.node).take() else { return };
         self.watch.abort();
         lock(&self.shared.hooks).clear();
+        let context = lock(&self.context).take();
         let closed = off_runtime(|| {
             drop(node);
-            self.context.shutdown()
+            context.map_or(Ok(()), |context| context.shutdown())
         });
         if let Err(error) = closed {
             tracing::debug!("closing the zenoh session of {}: {error}", self.full_name);
@@ -627,7 +634,8 @@ struct HirozClient {
     type_info: TypeInfo,
     key: KeyExpr<'static>,
     gid: GidArray,
-    session: Arc<zenoh::Session>,
+    /// Taken out when the client is dropped.
+    session: Option<Arc<zenoh::Session>>,
     graph: Arc<Graph>,
     sequence: AtomicI64,
 }
@@ -646,8 +654,10 @@ impl BackendClient for HirozClient {
         let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
         let (answer, answered) = futures::channel::oneshot::channel();
         let answer = Mutex::new(Some(answer));
-        let sent = self
-            .session
+        let Some(session) = &self.session else {
+            return std::future::ready(Err(no_answer("the client is closed".to_owned()))).boxed();
+        };
+        let sent = session
             .get(&self.key)
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
@@ -677,8 +687,8 @@ impl BackendClient for HirozClient {
 
 impl Drop for HirozClient {
     fn drop(&mut self) {
-        let presence = self.presence.take();
-        off_runtime(|| drop(presence));
+        let (presence, session) = (self.presence.take(), self.session.take());
+        off_runtime(|| drop((presence, session)));
     }
 }
 

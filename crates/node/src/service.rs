@@ -175,7 +175,9 @@ impl<S: Service> Client<S> {
                 }
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
-            tokio::time::timeout_at(deadline, backend.call(&payload, timeout))
+            // The backend gives up a little later, so that the reason given is always the same.
+            let patience = timeout.saturating_add(Duration::from_secs(1));
+            tokio::time::timeout_at(deadline, backend.call(&payload, patience))
                 .await
                 .map_err(|_| "a server is there, but did not answer")
         });
