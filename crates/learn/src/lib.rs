@@ -1,1 +1,28 @@
-//! Data sets, training, evaluation and ONNX export.
+//! Data sets, splits, metrics and evaluation; with feature `train`, training and ONNX export.
+//!
+//! | word | type | what it is |
+//! |---|---|---|
+//! | data set | [`Dataset`] | frames of labelled bags, tared as a node tares them, joined with the ground truth |
+//! | split | [`SplitConfig`], [`Split`] | which samples are held out; by default whole contact locations |
+//! | metrics | [`Scores`], [`Summary`] | errors per quantity and force, with intervals over locations |
+//! | evaluation | [`evaluate`], [`Evaluation`] | what an estimator makes of a data set |
+//! | bound | [`Requirement`] | a figure that an evaluation has to reach |
+//!
+//! All quantities are in SI units and in the frame of the skin's link.
+//!
+//! Feature `train` adds training and the program `dermis-train`; everything else builds without it.
+
+mod dataset;
+mod error;
+mod evaluate;
+mod metrics;
+pub mod plot;
+mod split;
+#[cfg(feature = "train")]
+pub mod train;
+
+pub use dataset::{Dataset, DatasetOptions, Run, Sample, SampleId, Truth, TruthContact};
+pub use error::LearnError;
+pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, evaluate};
+pub use metrics::{Answer, Bin, FORCE_BINS, Scores, Summary};
+pub use split::{Split, SplitConfig, SplitKind};

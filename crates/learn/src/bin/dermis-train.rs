@@ -1,0 +1,211 @@
+//! Learns contacts from labelled bags and writes a model bundle.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use clap::Parser;
+use dermis_inference::{Runtime, RuntimeConfig};
+use dermis_learn::train::{Outcome, Progress, Request, TrainConfig, run};
+use dermis_learn::{Dataset, DatasetOptions, LearnError, Requirement, SplitKind, Verdict};
+use dermis_skin::SkinDescription;
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use serde_json::json;
+
+/// Learn contacts from labelled bags, and write a model bundle.
+///
+/// The bundle is measured on what was held out of the bags, and on other bags given with `--test`. Ctrl-C saves the
+/// state; the same command with `--resume` goes on. Flags override the configuration file.
+#[derive(Parser)]
+#[command(name = "dermis-train", version)]
+struct Options {
+    /// What to learn and how; examples lie in `launch/train/`.
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// Skin description.
+    #[arg(long)]
+    skin: PathBuf,
+    /// Folder of the bundle; an older bundle is replaced.
+    #[arg(long)]
+    out: PathBuf,
+    /// Bags of other runs to report on; may be repeated.
+    #[arg(long)]
+    test: Vec<PathBuf>,
+    /// What is held out: location, press (only to compare with figures measured that way) or time.
+    #[arg(long)]
+    split: Option<SplitKind>,
+    /// Share that is held out.
+    #[arg(long)]
+    fraction: Option<f64>,
+    /// Quantities to learn, e.g. `position.x,position.y,force.normal`.
+    #[arg(long, value_delimiter = ',')]
+    targets: Option<Vec<String>>,
+    /// Widths of the hidden layers, e.g. `128,128`.
+    #[arg(long, value_delimiter = ',')]
+    hidden: Option<Vec<usize>>,
+    /// Networks whose outputs are averaged.
+    #[arg(long)]
+    members: Option<u32>,
+    /// Passes over the training part.
+    #[arg(long)]
+    epochs: Option<u32>,
+    /// Seed of every random choice in training; the split has its own, in the configuration file.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Networks fitted at the same time; all cores where absent.
+    #[arg(long)]
+    threads: Option<usize>,
+    /// Seconds between a frame and its ground truth that still count as the same instant.
+    #[arg(long)]
+    tolerance: Option<f64>,
+    /// Go on from where an interrupted call with the same data and configuration stopped.
+    #[arg(long)]
+    resume: bool,
+    /// A figure that must be reached on what was held out, in SI units, e.g. `position_rms<=0.0005`; may be repeated.
+    #[arg(long)]
+    require: Vec<Requirement>,
+    /// One JSON object instead of tables.
+    #[arg(long)]
+    json: bool,
+    /// Labelled bags to learn from.
+    #[arg(required = true)]
+    bags: Vec<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    let options = Options::parse();
+    match train(&options) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Flags over the file.
+fn configuration(options: &Options) -> Result<TrainConfig, LearnError> {
+    let mut config = match (&options.config, &options.targets) {
+        (Some(path), _) => TrainConfig::load(path)?,
+        (None, Some(_)) => TrainConfig::from_toml("targets = [\"contact\"]", "flags")?,
+        (None, None) => {
+            return Err(LearnError::Config {
+                file: "flags".into(),
+                field: "--config".into(),
+                reason: "is missing: name a file (examples lie in `launch/train/`) or `--targets`".into(),
+            });
+        }
+    };
+    if let Some(targets) = &options.targets {
+        config.targets.clone_from(targets);
+    }
+    if let Some(hidden) = &options.hidden {
+        config.network.hidden.clone_from(hidden);
+    }
+    config.network.members = options.members.unwrap_or(config.network.members);
+    config.training.epochs = options.epochs.unwrap_or(config.training.epochs);
+    config.training.seed = options.seed.unwrap_or(config.training.seed);
+    config.split.kind = options.split.unwrap_or(config.split.kind);
+    config.split.fraction = options.fraction.unwrap_or(config.split.fraction);
+    config.validate("flags and configuration")?;
+    Ok(config)
+}
+
+fn train(options: &Options) -> Result<bool, Box<dyn std::error::Error>> {
+    let config = configuration(options)?;
+    let skin = SkinDescription::load(&options.skin)?;
+    let join = DatasetOptions { tolerance: options.tolerance, ..DatasetOptions::default() };
+    let data = Dataset::from_bags(&options.bags, &skin, join)?;
+    let mut others = Vec::new();
+    for path in &options.test {
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        others.push((name, Dataset::from_bags(&[path], &skin, join)?));
+    }
+    for notice in data.notices().iter().chain(others.iter().flat_map(|(_, d)| d.notices())) {
+        eprintln!("note: {notice}");
+    }
+    eprintln!(
+        "learning {} from {} labelled frames at {} locations; held out: {}",
+        config.outputs().join(", "),
+        data.labelled().count(),
+        data.locations(),
+        config.split.describe()
+    );
+
+    let stop = Arc::new(AtomicBool::new(false));
+    let asked = Arc::clone(&stop);
+    ctrlc::set_handler(move || asked.store(true, Ordering::Relaxed))?;
+    let threads = options
+        .threads
+        .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get));
+    let request = Request {
+        data: &data,
+        others: &others,
+        config: &config,
+        out: &options.out,
+        resume: options.resume,
+        threads,
+        runtime: Runtime::load(&RuntimeConfig::default())?,
+    };
+    let bars = bars(&config)?;
+    let outcome = run(&request, &stop, &|p: Progress| {
+        if let Some(bar) = bars.get(p.member as usize) {
+            bar.set_position(u64::from(p.epoch));
+            bar.set_message(format!("{:.5}", p.loss));
+        }
+    })?;
+    for bar in &bars {
+        bar.finish_and_clear();
+    }
+    Ok(report(options, &outcome))
+}
+
+/// A progress bar for each network; they hide themselves where no one watches.
+fn bars(config: &TrainConfig) -> Result<Vec<ProgressBar>, Box<dyn std::error::Error>> {
+    let all = MultiProgress::new();
+    let style =
+        ProgressStyle::with_template("network {prefix}: {bar:30} epoch {pos}/{len}, loss {msg}, {eta} left")?;
+    Ok((0..config.network.members)
+        .map(|member| {
+            let bar = all.add(ProgressBar::new(u64::from(config.training.epochs)));
+            bar.set_style(style.clone());
+            bar.set_prefix((member + 1).to_string());
+            bar
+        })
+        .collect())
+}
+
+/// Prints the figures; whether all requirements are met.
+fn report(options: &Options, outcome: &Outcome) -> bool {
+    let verdicts: Vec<Verdict> = options.require.iter().map(|r| r.check(&outcome.held_out)).collect();
+    if options.json {
+        let others: serde_json::Map<String, serde_json::Value> =
+            outcome.others.iter().map(|(name, e)| (name.clone(), e.to_json())).collect();
+        let result = json!({
+            "bundle": options.out,
+            "samples": outcome.samples,
+            "seconds": outcome.seconds,
+            "held_out": outcome.held_out.to_json(),
+            "other_runs": others,
+            "requirements": verdicts,
+        });
+        println!("{result}");
+    } else {
+        print!("held out: {}", outcome.held_out);
+        for (_, evaluation) in &outcome.others {
+            print!("{evaluation}");
+        }
+        for verdict in &verdicts {
+            println!("{verdict}");
+        }
+        println!(
+            "{} samples in {:.0} s; bundle and report in {}",
+            outcome.samples,
+            outcome.seconds,
+            options.out.display()
+        );
+    }
+    verdicts.iter().all(|v| v.met)
+}

@@ -1,0 +1,222 @@
+use dermis_bag::BagWriter;
+use dermis_msgs::builtin_interfaces::msg::Time;
+use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg};
+use dermis_msgs::msg::IndentationContact;
+use dermis_msgs::std_msgs::msg::Header;
+
+use super::*;
+
+pub(crate) const STEP: i64 = 10_000_000;
+
+pub(crate) fn skin() -> SkinDescription {
+    SkinDescription::from_toml(
+        r#"
+        schema = "dermis-skin/1"
+        name = "pad"
+        sensor = "taxels"
+        frame_id = "pad_link"
+        unit = "Pa"
+        rate = 100.0
+        noise = 1.0
+        surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
+        taxels = [
+            { name = "left", position = [-0.005, 0.0, -0.005] },
+            { name = "right", position = [0.005, 0.0, -0.005] },
+        ]
+        [condition]
+        tare_duration = 0.03
+        "#,
+        "pad.toml",
+    )
+    .unwrap()
+}
+
+pub(crate) fn contact(x: f64, y: f64, newtons: f64) -> TruthContact {
+    TruthContact {
+        position: Point3::new(x, y, 0.0),
+        normal: Vector3::z(),
+        force: Vector3::new(0.0, 0.0, -newtons),
+        components: ForceComponents::Full,
+    }
+}
+
+/// `repeats` rounds of presses at `places` locations, two touched frames each after ten untouched ones; readings
+/// are linear in position and force over a zero of 1000.
+pub(crate) fn presses(places: u32, repeats: u32) -> Dataset {
+    let skin = skin();
+    let mut stamp = 0;
+    let (mut frames, mut truths) = (Vec::new(), Vec::new());
+    let mut push = |values: [f64; 2], truth: Truth| {
+        stamp += STEP;
+        let values = values.map(|v| v as f32).to_vec();
+        frames.push(Frame::new(stamp, frames.len() as u64, values));
+        truths.push((stamp, truth));
+    };
+    for repeat in 0..repeats {
+        for location in 0..places {
+            let press = u64::from(repeat * places + location);
+            for _ in 0..10 {
+                push([1000.0, 1000.0], Truth { press, location, idle: true, contacts: Vec::new() });
+            }
+            let (x, force) = (f64::from(location) / f64::from(places) * 0.01, 1.0 + f64::from(location % 5));
+            for _ in 0..2 {
+                let truth = Truth { press, location, idle: false, contacts: vec![contact(x, 0.0, force)] };
+                push([1000.0 + 1e4 * x, 1000.0 + 20.0 * force], truth);
+            }
+        }
+    }
+    let samples = join(frames, &truths, &skin, 1e-3, true);
+    let run = Run { path: "made.bag".into(), session: "made".into(), hash: hex(&[0; 32]), samples, lost: 0 };
+    Dataset::from_runs(&skin, vec![run])
+}
+
+fn frame(stamp: i64, sequence: u64, values: Vec<f32>) -> TaxelFrame {
+    let skin = skin();
+    let mut message = skin.frame_message(&Frame::new(stamp, sequence, values));
+    message.header.stamp = Time::from_nanos(stamp);
+    message
+}
+
+fn truth(stamp: i64, press: u64, contacts: &[(f64, f64)]) -> Indentation {
+    Indentation {
+        header: Header { stamp: Time::from_nanos(stamp), frame_id: "pad_link".into() },
+        skin: "pad".into(),
+        session: "s1".into(),
+        press,
+        location: press as u32,
+        contacts: contacts
+            .iter()
+            .map(|(x, force)| IndentationContact {
+                position: Point { x: *x, y: 0.0, z: 0.0 },
+                normal: VectorMsg { x: 0.0, y: 0.0, z: 1.0 },
+                force: VectorMsg { x: f64::NAN, y: f64::NAN, z: -force },
+                force_components: ContactMsg::FORCE_NORMAL,
+                ..Default::default()
+            })
+            .collect(),
+        ..Default::default()
+    }
+}
+
+fn bag(dir: &Path, frames: &[TaxelFrame], truths: &[Indentation]) -> PathBuf {
+    let path = dir.join("bag");
+    let mut writer = BagWriter::create(&path).unwrap();
+    for f in frames {
+        writer.write("/pad/taxels", f, f.header.stamp.as_nanos()).unwrap();
+    }
+    for t in truths {
+        writer.write("/pad/ground_truth", t, t.header.stamp.as_nanos()).unwrap();
+    }
+    writer.finish().unwrap();
+    path
+}
+
+#[test]
+fn frames_meet_their_ground_truth() {
+    let dir = tempfile::tempdir().unwrap();
+    let frames: Vec<TaxelFrame> = (0..12)
+        .map(|k| {
+            frame(
+                k * STEP,
+                k as u64 + u64::from(k > 9),
+                vec![100.0 + k as f32, if k < 8 { 50.0 } else { 80.0 }],
+            )
+        })
+        .collect();
+    let mut truths: Vec<Indentation> = (0..6).map(|k| truth(k * STEP + 1_000_000, 1, &[])).collect();
+    // Frame 8 lies a quarter of the way between two readings of one press, frame 9 beyond them.
+    truths.push(truth(8 * STEP - 1_000_000, 2, &[(0.001, 1.0)]));
+    truths.push(truth(8 * STEP + 3_000_000, 2, &[(0.001, 2.0)]));
+    // Frame 10 has a gap in its nearest reading, frame 11 two contacts.
+    truths.push(truth(10 * STEP, 3, &[(0.002, f64::NAN)]));
+    truths.push(truth(11 * STEP, 4, &[(0.002, 1.0), (0.004, 1.0)]));
+    let path = bag(dir.path(), &frames, &truths);
+    let data = Dataset::from_bags(&[&path], &skin(), DatasetOptions::default()).unwrap();
+    let run = &data.runs()[0];
+    assert_eq!((run.samples.len(), run.lost, run.session.as_str()), (12, 1, "s1"));
+
+    let value = |k: usize, target: &str| run.samples[k].truth.as_ref().and_then(|t| t.value(target));
+    assert_eq!(value(2, "contact"), Some(0.0));
+    assert_eq!((value(2, "force.normal"), value(2, "position.x")), (Some(0.0), None));
+    approx::assert_relative_eq!(value(8, "force.normal").unwrap(), 1.25, max_relative = 1e-12);
+    assert_eq!((value(8, "position.x"), value(8, "force.z")), (Some(0.001), None));
+    assert_eq!((value(10, "position.x"), value(10, "force.normal")), (Some(0.002), None));
+    assert_eq!((value(11, "contact"), value(11, "position.x")), (Some(1.0), None));
+    assert!(run.samples[7].truth.is_none(), "9 ms away from any ground truth");
+
+    // The tare averages the first 30 ms of untouched frames: k = 0..=3.
+    assert!(run.samples[0].tared[0].is_nan());
+    assert!((run.samples[8].tared[1] - 30.0).abs() < 1e-4);
+    assert_eq!(data.targets()["position.x"], 2);
+    let notices = data.notices().join("\n").replace(&path.display().to_string(), "BAG");
+    insta::assert_snapshot!(notices, @r"
+    bag BAG: 1 frames were lost between device and bag
+    bag BAG: 3 of 12 frames have no ground truth within 0.01 s and are used as history only
+    bag BAG: 1 frames have several contacts; they only count for the target `contact`
+    ");
+}
+
+#[test]
+fn what_a_bag_lacks_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let told = |frames: &[TaxelFrame], truths: &[Indentation]| {
+        let path = bag(dir.path(), frames, truths);
+        let error = Dataset::from_bags(&[&path], &skin(), DatasetOptions::default()).unwrap_err().to_string();
+        std::fs::remove_dir_all(&path).unwrap();
+        error.replace(&path.display().to_string(), "BAG")
+    };
+    let good = frame(0, 7, vec![1.0, 2.0]);
+    insta::assert_snapshot!(told(std::slice::from_ref(&good), &[]), @"bag BAG: holds 1 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it; record one with `dermis collect`, or `dermis import` a labelled recording");
+    let mut other = good.clone();
+    other.skin = "arm".into();
+    insta::assert_snapshot!(told(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm`");
+    insta::assert_snapshot!(told(std::slice::from_ref(&good), &[truth(STEP * 5, 0, &[])]), @"bag BAG: none of 1 frames has ground truth within 0.01 s of its stamp; check that both were stamped by the same clock");
+    let mut swapped = good.clone();
+    swapped.channels.swap(0, 1);
+    insta::assert_snapshot!(told(&[swapped], &[truth(0, 0, &[])]), @"bag BAG: frame 7: channel 0 is `right` where the skin has `left`; check the skin description");
+    let mut unit = good.clone();
+    unit.unit = "V".into();
+    insta::assert_snapshot!(told(&[unit], &[truth(0, 0, &[])]), @r#"bag BAG: frame 7: is in "V" where the skin is in "Pa"; check the skin description"#);
+    let short = frame(0, 7, vec![1.0]);
+    insta::assert_snapshot!(told(&[short], &[truth(0, 0, &[])]), @"bag BAG: frame 7: has 1 values where the skin has 2 channels; check the skin description");
+}
+
+#[test]
+fn the_zero_is_taken_anew_in_every_idle_stretch() {
+    let skin = skin();
+    // The zero jumps by 5 Pa between two presses, too far for drift to be followed.
+    let mut frames = Vec::new();
+    let mut truths = Vec::new();
+    for (k, (value, idle)) in [(100.0, true); 5]
+        .into_iter()
+        .chain([(120.0, false); 2])
+        .chain([(105.0, true); 5])
+        .chain([(125.0, false); 2])
+        .enumerate()
+    {
+        let stamp = k as i64 * STEP;
+        frames.push(Frame::new(stamp, k as u64, vec![value; 2]));
+        let contacts = if idle { Vec::new() } else { vec![contact(0.0, 0.0, 1.0)] };
+        truths.push((stamp, Truth { press: 0, location: 0, idle, contacts }));
+    }
+    let anew = join(frames.clone(), &truths, &skin, 1e-3, true);
+    let marks: Vec<usize> = anew.iter().enumerate().filter(|(_, s)| s.tare).map(|(k, _)| k).collect();
+    assert_eq!(marks, [0, 7]);
+    assert_eq!((anew[6].tared[0], anew[13].tared[0]), (20.0, 20.0));
+    let once = join(frames, &truths, &skin, 1e-3, false);
+    assert!(once[13].tared[0] > 24.9);
+}
+
+#[test]
+fn inputs_are_those_of_a_node() {
+    let data = presses(6, 1);
+    let mut config = FeatureConfig::newest(vec![0.0; 2], vec![1.0; 2]);
+    config.low_pass = vec![0.1];
+    let (ids, rows) = data.inputs(&config, Baseline::Tared).unwrap();
+    assert_eq!(rows.len(), ids.len() * 4);
+    let mut features = Features::new(config).unwrap();
+    for sample in &data.runs()[0].samples {
+        features.push(sample.frame.stamp, &sample.tared).unwrap();
+    }
+    assert_eq!(features.input().unwrap(), &rows[rows.len() - 4..]);
+}

@@ -1,0 +1,372 @@
+//! Errors per quantity and force: one implementation for training, evaluation and reports.
+
+use std::collections::BTreeMap;
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::dataset::Truth;
+
+/// \[N\] edges of the bins of normal force that errors are reported by; the last bin is open.
+pub const FORCE_BINS: [f64; 9] = [0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
+
+const RESAMPLES: usize = 1000;
+const LOW: f64 = 0.025;
+const HIGH: f64 = 0.975;
+
+/// What is estimated of one frame, in SI units and in the frame of the skin's link; `None` where the model gives
+/// no such quantity.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Answer {
+    /// \[m\].
+    pub position: Option<[f64; 3]>,
+    /// Whether `position` has a z that the model gives, instead of one that follows from the surface.
+    pub depth: bool,
+    /// \[N\] exerted on the skin.
+    pub force: Option<[f64; 3]>,
+    /// \[N\] pressing.
+    pub normal_force: Option<f64>,
+    /// Whether something touches the skin.
+    pub contact: Option<bool>,
+}
+
+/// Distribution of one error. For a position the error is a distance, for anything else a difference.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// `m` or `N`.
+    pub unit: String,
+    /// Samples.
+    pub samples: usize,
+    /// Root mean square.
+    pub rms: f64,
+    /// Mean magnitude.
+    pub mean: f64,
+    /// Median magnitude.
+    pub median: f64,
+    /// 95th percentile of the magnitude.
+    pub p95: f64,
+    /// Largest magnitude.
+    pub max: f64,
+    /// Mean of estimate − truth; absent for a distance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bias: Option<f64>,
+    /// 95 % interval of `rms` over resampled groups; absent with fewer than three groups.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rms_interval: Option<[f64; 2]>,
+    /// 95 % interval of `mean` over resampled groups; absent with fewer than three groups.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_interval: Option<[f64; 2]>,
+    /// Number of groups, and what they are.
+    pub groups: usize,
+    /// `location`, or `press` where all samples are of one or two locations.
+    pub grouped_by: String,
+}
+
+/// Errors in one bin of normal force.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Bin {
+    /// \[N\] lower end.
+    pub from: f64,
+    /// \[N\] upper end, absent for the last bin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub to: Option<f64>,
+    /// Samples.
+    pub samples: usize,
+    /// Root mean square of the error, in the unit of the quantity.
+    pub rms: f64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Error {
+    value: f64,
+    /// \[N\] true normal force, NaN where unknown.
+    force: f64,
+    location: u64,
+    press: u64,
+}
+
+/// Collects errors sample by sample.
+#[derive(Debug, Clone, Default)]
+pub struct Scores {
+    errors: BTreeMap<&'static str, Vec<Error>>,
+    touched: usize,
+    missed: usize,
+    untouched: usize,
+    false_contacts: usize,
+}
+
+impl Scores {
+    /// Nothing yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Compares one answer with the truth. `run` tells presses of different runs apart.
+    ///
+    /// Force errors of an untouched skin are kept apart under `force.normal untouched`. A contact that was missed
+    /// counts as a force of 0 and has no position.
+    pub fn push(&mut self, run: usize, truth: &Truth, answer: &Answer) {
+        if let Some(contact) = answer.contact {
+            let (all, wrong) = if truth.touched() {
+                (&mut self.touched, &mut self.missed)
+            } else {
+                (&mut self.untouched, &mut self.false_contacts)
+            };
+            *all += 1;
+            *wrong += usize::from(contact != truth.touched());
+        }
+        let press = ((run as u64) << 40) ^ truth.press;
+        let mut add = |name: &'static str, value: f64| {
+            self.errors.entry(name).or_default().push(Error {
+                value,
+                force: truth.single().and_then(crate::TruthContact::normal_force).unwrap_or(f64::NAN),
+                location: u64::from(truth.location),
+                press,
+            });
+        };
+        if let Some(force) = answer.normal_force
+            && let Some(known) = truth.value("force.normal")
+        {
+            add(if truth.touched() { "force.normal" } else { "force.normal untouched" }, force - known);
+        }
+        if !truth.touched() {
+            return;
+        }
+        if let Some(force) = answer.force {
+            for (name, value) in ["force.x", "force.y", "force.z"].into_iter().zip(force) {
+                if let Some(known) = truth.value(name) {
+                    add(name, value - known);
+                }
+            }
+        }
+        if let Some(position) = answer.position {
+            let names = ["position.x", "position.y", "position.z"];
+            let known = names.map(|n| truth.value(n));
+            let axes = if answer.depth { 3 } else { 2 };
+            let mut squares = Some(0.0);
+            for ((name, known), value) in names.into_iter().zip(known).zip(position).take(axes) {
+                if let Some(known) = known {
+                    add(name, value - known);
+                    squares = squares.map(|s: f64| s + (value - known).powi(2));
+                } else {
+                    squares = None;
+                }
+            }
+            if let Some(squares) = squares {
+                add("position", squares.sqrt());
+            }
+        }
+    }
+
+    /// Every quantity that was compared: `position` (distance), `position.x` …, `force.normal`,
+    /// `force.normal untouched`, `force.x` ….
+    #[must_use]
+    pub fn summaries(&self, seed: u64) -> BTreeMap<String, Summary> {
+        self.errors.iter().map(|(name, errors)| ((*name).to_owned(), summarise(name, errors, seed))).collect()
+    }
+
+    /// Errors by true normal force, for quantities whose samples have one; empty bins are left out.
+    #[must_use]
+    pub fn by_force(&self) -> BTreeMap<String, Vec<Bin>> {
+        let mut all = BTreeMap::new();
+        for (name, errors) in &self.errors {
+            let bins: Vec<Bin> = FORCE_BINS
+                .iter()
+                .enumerate()
+                .filter_map(|(i, from)| {
+                    let to = FORCE_BINS.get(i + 1).copied();
+                    let inside = |e: &&Error| e.force.max(0.0) >= *from && to.is_none_or(|to| e.force < to);
+                    let (mut samples, mut squares) = (0, 0.0);
+                    for e in errors.iter().filter(|e| e.force.is_finite()).filter(inside) {
+                        samples += 1;
+                        squares += e.value * e.value;
+                    }
+                    (samples > 0).then(|| Bin {
+                        from: *from,
+                        to,
+                        samples,
+                        rms: (squares / samples as f64).sqrt(),
+                    })
+                })
+                .collect();
+            if !bins.is_empty() {
+                all.insert((*name).to_owned(), bins);
+            }
+        }
+        all
+    }
+
+    /// Share of touched samples that were taken for untouched; `None` where the question never arose.
+    #[must_use]
+    pub fn missed(&self) -> Option<f64> {
+        (self.touched > 0).then(|| self.missed as f64 / self.touched as f64)
+    }
+
+    /// Share of untouched samples that were taken for touched; `None` where the question never arose.
+    #[must_use]
+    pub fn false_contacts(&self) -> Option<f64> {
+        (self.untouched > 0).then(|| self.false_contacts as f64 / self.untouched as f64)
+    }
+}
+
+fn summarise(name: &str, errors: &[Error], seed: u64) -> Summary {
+    let count = errors.len() as f64;
+    let rms = (errors.iter().map(|e| e.value * e.value).sum::<f64>() / count).sqrt();
+    let mean = errors.iter().map(|e| e.value.abs()).sum::<f64>() / count;
+    let mut sorted: Vec<f64> = errors.iter().map(|e| e.value.abs()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let bias = (name != "position").then(|| errors.iter().map(|e| e.value).sum::<f64>() / count);
+
+    let mut groups = Group::collect(errors, |e| e.location);
+    let mut grouped_by = "location";
+    if groups.len() < 3 {
+        (groups, grouped_by) = (Group::collect(errors, |e| e.press), "press");
+    }
+    let intervals = (groups.len() >= 3).then(|| bootstrap(&groups, seed));
+    Summary {
+        unit: if name.starts_with("position") { "m" } else { "N" }.into(),
+        samples: errors.len(),
+        rms,
+        mean,
+        median: percentile(&sorted, 0.5),
+        p95: percentile(&sorted, 0.95),
+        max: sorted.last().copied().unwrap_or(f64::NAN),
+        bias,
+        rms_interval: intervals.map(|(rms, _)| rms),
+        mean_interval: intervals.map(|(_, mean)| mean),
+        groups: groups.len(),
+        grouped_by: grouped_by.into(),
+    }
+}
+
+/// Sums over one location or press.
+#[derive(Debug, Clone, Copy, Default)]
+struct Group {
+    count: f64,
+    squares: f64,
+    magnitudes: f64,
+}
+
+impl Group {
+    fn collect(errors: &[Error], key: impl Fn(&Error) -> u64) -> Vec<Self> {
+        let mut groups: BTreeMap<u64, Self> = BTreeMap::new();
+        for e in errors {
+            let group = groups.entry(key(e)).or_default();
+            group.count += 1.0;
+            group.squares += e.value * e.value;
+            group.magnitudes += e.value.abs();
+        }
+        groups.into_values().collect()
+    }
+}
+
+/// 95 % intervals of root mean square and mean magnitude: whole groups are drawn with replacement, since samples of
+/// one location are not independent (Efron & Tibshirani, An Introduction to the Bootstrap, chapter 8).
+fn bootstrap(groups: &[Group], seed: u64) -> ([f64; 2], [f64; 2]) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (mut rms, mut mean) = (Vec::with_capacity(RESAMPLES), Vec::with_capacity(RESAMPLES));
+    for _ in 0..RESAMPLES {
+        let mut sum = Group::default();
+        for _ in groups {
+            let drawn = groups[rng.random_range(0..groups.len())];
+            sum.count += drawn.count;
+            sum.squares += drawn.squares;
+            sum.magnitudes += drawn.magnitudes;
+        }
+        rms.push((sum.squares / sum.count).sqrt());
+        mean.push(sum.magnitudes / sum.count);
+    }
+    let interval = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        [percentile(&values, LOW), percentile(&values, HIGH)]
+    };
+    (interval(rms), interval(mean))
+}
+
+/// Linear between the order statistics; NaN of nothing.
+fn percentile(sorted: &[f64], share: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let at = share * last as f64;
+    let below = at.floor() as usize;
+    let above = (below + 1).min(last);
+    sorted[below] + (at - below as f64) * (sorted[above] - sorted[below])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::tests::contact;
+
+    fn truth(location: u32, contacts: Vec<crate::TruthContact>) -> Truth {
+        Truth { press: u64::from(location), location, idle: false, contacts }
+    }
+
+    fn at(x: f64, y: f64, force: f64) -> Answer {
+        Answer {
+            position: Some([x, y, 0.0]),
+            normal_force: Some(force),
+            contact: Some(true),
+            ..Answer::default()
+        }
+    }
+
+    #[test]
+    fn figures_are_those_computed_by_hand() {
+        let mut scores = Scores::new();
+        // Distances 5, 0 and 1 mm; force errors +1, -2 and 0 N.
+        scores.push(0, &truth(1, vec![contact(0.0, 0.0, 1.0)]), &at(0.003, -0.004, 2.0));
+        scores.push(0, &truth(2, vec![contact(0.01, 0.0, 3.0)]), &at(0.01, 0.0, 1.0));
+        scores.push(0, &truth(3, vec![contact(0.0, 0.01, 3.5)]), &at(0.0, 0.011, 3.5));
+        let s = scores.summaries(1);
+        let position = &s["position"];
+        approx::assert_relative_eq!(position.rms, (26e-6_f64 / 3.0).sqrt(), max_relative = 1e-9);
+        approx::assert_relative_eq!(position.mean, 0.002, max_relative = 1e-9);
+        approx::assert_relative_eq!(position.median, 0.001, max_relative = 1e-9);
+        approx::assert_relative_eq!(position.p95, 0.0046, max_relative = 1e-9);
+        approx::assert_relative_eq!(position.max, 0.005, max_relative = 1e-9);
+        assert_eq!((position.samples, position.groups, position.bias), (3, 3, None));
+        let force = &s["force.normal"];
+        approx::assert_relative_eq!(force.rms, (5.0_f64 / 3.0).sqrt(), max_relative = 1e-9);
+        approx::assert_relative_eq!(force.bias.unwrap(), -1.0 / 3.0, max_relative = 1e-9);
+        approx::assert_relative_eq!(s["position.y"].rms, (17e-6_f64 / 3.0).sqrt(), max_relative = 1e-9);
+        assert!(!s.contains_key("position.z"));
+        let [low, high] = position.rms_interval.unwrap();
+        assert!(low < position.rms && position.rms <= high && high <= 0.005 + 1e-12);
+
+        let bins = &scores.by_force()["force.normal"];
+        let rows: Vec<(f64, usize, f64)> = bins.iter().map(|b| (b.from, b.samples, b.rms)).collect();
+        assert_eq!(rows, [(1.0, 1, 1.0), (2.0, 2, 2.0_f64.sqrt())]);
+    }
+
+    #[test]
+    fn missed_and_false_contacts_are_counted() {
+        let mut scores = Scores::new();
+        let none = Answer { contact: Some(false), normal_force: Some(0.0), ..Answer::default() };
+        scores.push(0, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &none);
+        scores.push(0, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &at(0.0, 0.0, 2.0));
+        scores.push(0, &truth(1, vec![]), &at(0.0, 0.0, 0.5));
+        assert_eq!((scores.missed(), scores.false_contacts()), (Some(0.5), Some(1.0)));
+        let s = scores.summaries(1);
+        assert_eq!((s["position"].samples, s["force.normal"].samples), (1, 2));
+        approx::assert_relative_eq!(s["force.normal"].rms, 2.0_f64.sqrt(), max_relative = 1e-9);
+        approx::assert_relative_eq!(s["force.normal untouched"].rms, 0.5, max_relative = 1e-9);
+        assert_eq!(s["force.normal"].rms_interval, None);
+    }
+
+    #[test]
+    fn intervals_widen_where_samples_repeat_a_location() {
+        let spread = |locations: u32| {
+            let mut scores = Scores::new();
+            for i in 0..400_u32 {
+                let location = i % locations;
+                let error = f64::from(location * 7919 % 101) * 1e-5;
+                scores.push(0, &truth(location, vec![contact(0.0, 0.0, 1.0)]), &at(error, 0.0, 1.0));
+            }
+            let [low, high] = scores.summaries(3)["position"].mean_interval.unwrap();
+            high - low
+        };
+        assert!(spread(10) > 2.0 * spread(400));
+    }
+}

@@ -1,0 +1,14 @@
+//! Training: bags → model bundle.
+//!
+//! Data set, split, network and targets come from a [`TrainConfig`]; see `launch/train/` for examples to copy.
+//! What a model sees in training is what it sees in a node: frames are tared by
+//! [`ZeroTracker`](dermis_skin::ZeroTracker) and become inputs in [`Features`](dermis_inference::Features).
+
+mod checkpoint;
+mod config;
+mod network;
+mod run;
+
+pub use config::{Activation, FeatureChoice, NetworkConfig, Scaling, TrainConfig, TrainingConfig};
+pub use network::{Batch, Mlp, Progress, fit};
+pub use run::{Outcome, Request, run};

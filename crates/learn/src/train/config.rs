@@ -1,0 +1,281 @@
+//! What is trained, and how.
+
+use std::path::Path;
+
+use dermis_inference::{Baseline, FeatureConfig, Missing, Taps};
+use serde::{Deserialize, Serialize};
+
+use crate::dataset::Truth;
+use crate::{LearnError, SplitConfig};
+
+/// Everything that decides what comes out of training, besides the data. A file is TOML; unknown keys are errors.
+///
+/// ```
+/// let config = dermis_learn::train::TrainConfig::from_toml(
+///     r#"
+///     targets = ["position.x", "position.y"]
+///     [network]
+///     hidden = [64, 64]
+///     "#,
+///     "position.toml",
+/// )?;
+/// assert_eq!(config.training.epochs, 200);
+/// # Ok::<(), dermis_learn::LearnError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Free text for the bundle.
+    #[serde(default)]
+    pub description: String,
+    /// Quantities to learn: `position.x`, `position.y`, `position.z`, `force.x`, `force.y`, `force.z`,
+    /// `force.normal`, `contact`.
+    pub targets: Vec<String>,
+    /// Whether the model takes readings minus their zero, or as they are.
+    #[serde(default = "tared")]
+    pub baseline: Baseline,
+    /// \[N\] normal force below which a touched sample does not count for positions; samples of unknown force do.
+    #[serde(default)]
+    pub position_min_force: f64,
+    /// How frames become inputs.
+    #[serde(default)]
+    pub features: FeatureChoice,
+    /// The network.
+    #[serde(default)]
+    pub network: NetworkConfig,
+    /// How it is fitted.
+    #[serde(default)]
+    pub training: TrainingConfig,
+    /// What is held out.
+    #[serde(default)]
+    pub split: SplitConfig,
+}
+
+fn tared() -> Baseline {
+    Baseline::Tared
+}
+
+/// The part of [`FeatureConfig`] that is chosen; mean and scale are measured on the training part.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FeatureChoice {
+    /// Frames that the model sees.
+    pub taps: Taps,
+    /// \[s\] time constants of low-passed copies.
+    pub low_pass: Vec<f64>,
+    /// \[s\] spans of differences.
+    pub difference: Vec<f64>,
+    /// What stands in for an invalid channel.
+    pub missing: Missing,
+    /// \[s\] without a frame after which history starts anew.
+    pub max_gap: f64,
+    /// What a channel is divided by.
+    pub scaling: Scaling,
+}
+
+impl Default for FeatureChoice {
+    fn default() -> Self {
+        let newest = FeatureConfig::newest(Vec::new(), Vec::new());
+        Self {
+            taps: newest.taps,
+            low_pass: newest.low_pass,
+            difference: newest.difference,
+            missing: newest.missing,
+            max_gap: newest.max_gap,
+            scaling: Scaling::default(),
+        }
+    }
+}
+
+impl FeatureChoice {
+    /// With a measured mean and scale, one a channel, in the unit of the skin.
+    #[must_use]
+    pub fn with(&self, mean: Vec<f32>, scale: Vec<f32>) -> FeatureConfig {
+        FeatureConfig {
+            mean,
+            scale,
+            taps: self.taps.clone(),
+            low_pass: self.low_pass.clone(),
+            difference: self.difference.clone(),
+            missing: self.missing,
+            max_gap: self.max_gap,
+        }
+    }
+}
+
+/// What a channel is divided by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scaling {
+    /// The standard deviation of its touched training samples.
+    #[default]
+    Channel,
+    /// One for all: the root mean square of those. Keeps the ratios between channels.
+    Common,
+}
+
+/// Non-linearity of the hidden layers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Activation {
+    /// x · logistic(x).
+    #[default]
+    Silu,
+    /// Hyperbolic tangent.
+    Tanh,
+    /// Positive part.
+    Relu,
+}
+
+/// A multilayer perceptron, or the mean of several.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Widths of the hidden layers.
+    pub hidden: Vec<usize>,
+    /// Non-linearity of the hidden layers.
+    pub activation: Activation,
+    /// Networks whose outputs are averaged; each starts and shuffles differently.
+    pub members: u32,
+}
+
+impl Default for NetworkConfig {
+    fn default() -> Self {
+        Self { hidden: vec![128, 128], activation: Activation::default(), members: 1 }
+    }
+}
+
+/// Adam (Kingma & Ba 2015) on the mean squared error, with a rate that falls to 0 along a cosine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainingConfig {
+    /// Passes over the training part.
+    pub epochs: u32,
+    /// Samples a step.
+    pub batch: usize,
+    /// Largest step size.
+    pub learning_rate: f64,
+    /// Decoupled weight decay a step, relative to the step size.
+    pub weight_decay: f64,
+    /// Standard deviation of Gaussian noise that is added to inputs at every step, in normalised units.
+    pub noise: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+}
+
+impl Default for TrainingConfig {
+    fn default() -> Self {
+        Self { epochs: 200, batch: 128, learning_rate: 2e-3, weight_decay: 0.0, noise: 0.0, seed: 1 }
+    }
+}
+
+impl TrainConfig {
+    /// Reads a configuration file.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError`] names the file and field.
+    pub fn load(path: &Path) -> Result<Self, LearnError> {
+        let text = std::fs::read_to_string(path).map_err(LearnError::io(path, "read"))?;
+        Self::from_toml(&text, &path.display().to_string())
+    }
+
+    /// Reads a configuration; `file` is what errors call it.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Config`] names the field, or line and column.
+    pub fn from_toml(text: &str, file: &str) -> Result<Self, LearnError> {
+        let config: Self = toml::from_str(text).map_err(|e: toml::de::Error| {
+            let before = e.span().and_then(|s| text.get(..s.start)).unwrap_or_default();
+            LearnError::Config {
+                file: file.to_owned(),
+                field: format!("(line {})", before.matches('\n').count() + 1),
+                reason: e.message().to_owned(),
+            }
+        })?;
+        config.validate(file)?;
+        Ok(config)
+    }
+
+    /// Says what is impossible; `file` is what errors call the configuration.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Config`] names the field.
+    pub fn validate(&self, file: &str) -> Result<(), LearnError> {
+        let wrong = |field: &str, reason: String| {
+            Err(LearnError::Config { file: file.to_owned(), field: field.to_owned(), reason })
+        };
+        if self.targets.is_empty() {
+            return wrong("targets", "is empty: a model has at least one output".into());
+        }
+        for (i, target) in self.targets.iter().enumerate() {
+            if !Truth::TARGETS.contains(&target.as_str()) {
+                return wrong(
+                    &format!("targets[{i}]"),
+                    format!("is \"{target}\" and must be one of {}", Truth::TARGETS.join(", ")),
+                );
+            }
+            if self.targets[..i].contains(target) {
+                return wrong(&format!("targets[{i}]"), format!("\"{target}\" is already taken"));
+            }
+        }
+        let has = |name: &str| self.targets.iter().any(|t| t == name);
+        if has("position.x") != has("position.y") {
+            return wrong("targets", "position.x and position.y only make sense together".into());
+        }
+        if self.network.hidden.iter().any(|w| !(1..=8192).contains(w)) || self.network.hidden.len() > 32 {
+            return wrong("network.hidden", "holds up to 32 widths of 1 to 8192".into());
+        }
+        if !(1..=64).contains(&self.network.members) {
+            return wrong("network.members", format!("is {} and must be 1 to 64", self.network.members));
+        }
+        let t = &self.training;
+        if t.epochs == 0 || t.batch == 0 {
+            return wrong("training.epochs", "and `training.batch` must be at least 1".into());
+        }
+        if !(t.learning_rate > 0.0 && t.learning_rate.is_finite()) {
+            return wrong("training.learning_rate", "must be positive".into());
+        }
+        for (field, v) in [
+            ("training.weight_decay", t.weight_decay),
+            ("training.noise", t.noise),
+            ("position_min_force", self.position_min_force),
+        ] {
+            if !(v >= 0.0 && v.is_finite()) {
+                return wrong(field, format!("is {v} and must be 0 or positive"));
+            }
+        }
+        if t.seed > i64::MAX.cast_unsigned() {
+            return wrong("training.seed", "is beyond 2^63 - 1".into());
+        }
+        Ok(())
+    }
+
+    /// Targets in the order of the model's outputs: `contact` last.
+    #[must_use]
+    pub fn outputs(&self) -> Vec<&'static str> {
+        Truth::TARGETS.into_iter().filter(|t| self.targets.iter().any(|own| own == t)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refusals_name_the_field() {
+        let told = |text: &str| TrainConfig::from_toml(text, "c.toml").unwrap_err().to_string();
+        insta::assert_snapshot!(told("targets = [\"position.x\"]"), @"c.toml: field `targets`: position.x and position.y only make sense together");
+        insta::assert_snapshot!(told("targets = [\"torque\"]"), @r#"c.toml: field `targets[0]`: is "torque" and must be one of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact"#);
+        insta::assert_snapshot!(told("targets = [\"contact\"]\n[training]\nepoch = 3"), @"c.toml: field `(line 3)`: unknown field `epoch`, expected one of `epochs`, `batch`, `learning_rate`, `weight_decay`, `noise`, `seed`");
+        insta::assert_snapshot!(told("targets = [\"contact\"]\n[network]\nmembers = 0"), @"c.toml: field `network.members`: is 0 and must be 1 to 64");
+    }
+
+    #[test]
+    fn contact_is_the_last_output() {
+        let config = TrainConfig::from_toml("targets = [\"contact\", \"force.normal\"]", "c.toml").unwrap();
+        assert_eq!(config.outputs(), ["force.normal", "contact"]);
+    }
+}

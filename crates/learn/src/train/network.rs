@@ -1,0 +1,581 @@
+//! Multilayer perceptrons: fitting, and as an ONNX graph.
+//!
+//! Nothing but dense layers is trained here, so forward and backward pass are a few matrix products; a training
+//! framework would take minutes to build and train 2 to 4 times slower. Gradients are checked against finite
+//! differences in the tests.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use dermis_inference::onnx::{GraphBuilder, OnnxError, Value};
+use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::config::{Activation, NetworkConfig, TrainingConfig};
+use crate::LearnError;
+
+/// Samples end to end, normalised.
+#[derive(Debug, Clone, Default)]
+pub struct Batch {
+    /// Row-major \[n, inputs\].
+    pub inputs: Vec<f32>,
+    /// Row-major \[n, outputs\]; NaN where unknown. With `logit`, the last one is 0 or 1.
+    pub targets: Vec<f32>,
+    /// Number of inputs.
+    pub width: usize,
+    /// Number of outputs.
+    pub outputs: usize,
+    /// Whether the last output is the logit of a probability, fitted by cross entropy.
+    pub logit: bool,
+}
+
+impl Batch {
+    /// Number of samples.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.inputs.len() / self.width.max(1)
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.inputs.is_empty()
+    }
+}
+
+/// One network: weights \[in, out\] and biases \[out\] of every layer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mlp {
+    /// Inputs, hidden widths, outputs.
+    sizes: Vec<usize>,
+    activation: Activation,
+    /// Weight, bias, weight, bias, …
+    pub(super) parameters: Vec<Vec<f32>>,
+}
+
+impl Mlp {
+    /// He initialisation; the last layer starts small.
+    #[must_use]
+    pub fn new(inputs: usize, outputs: usize, config: &NetworkConfig, seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let sizes: Vec<usize> =
+            std::iter::once(inputs).chain(config.hidden.iter().copied()).chain([outputs]).collect();
+        let mut parameters = Vec::new();
+        for (layer, w) in sizes.windows(2).enumerate() {
+            let last = if layer + 2 == sizes.len() { 0.1 } else { 1.0 };
+            let scale = (2.0 / w[0] as f64).sqrt() * last;
+            parameters.push(
+                (0..w[0] * w[1])
+                    .map(|_| (scale * Distribution::<f64>::sample(&StandardNormal, &mut rng)) as f32)
+                    .collect(),
+            );
+            parameters.push(vec![0.0; w[1]]);
+        }
+        Self { sizes, activation: config.activation, parameters }
+    }
+
+    /// Number of weights and biases.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.parameters.iter().map(Vec::len).sum()
+    }
+
+    /// Whether it has no parameter; never so.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn shape(&self, parameter: usize) -> [usize; 2] {
+        let layer = parameter / 2;
+        if parameter.is_multiple_of(2) {
+            [self.sizes[layer], self.sizes[layer + 1]]
+        } else {
+            [1, self.sizes[layer + 1]]
+        }
+    }
+
+    /// Outputs for rows that lie end to end.
+    #[must_use]
+    pub fn predict(&self, inputs: &[f32]) -> Vec<f32> {
+        let mut layers = Layers::default();
+        self.forward(inputs, &mut layers);
+        layers.values.pop().unwrap_or_default()
+    }
+
+    fn forward(&self, inputs: &[f32], layers: &mut Layers) {
+        let rows = inputs.len() / self.sizes[0];
+        let last = self.sizes.len() - 2;
+        layers.values.resize(last + 1, Vec::new());
+        layers.slopes.resize(last, Vec::new());
+        for layer in 0..=last {
+            let [width, outputs] = self.shape(2 * layer);
+            let (before, after) = layers.values.split_at_mut(layer);
+            let x = before.last().map_or(inputs, Vec::as_slice);
+            let z = &mut after[0];
+            z.clear();
+            for _ in 0..rows {
+                z.extend_from_slice(&self.parameters[2 * layer + 1]);
+            }
+            let product = Product { rows, inner: width, columns: outputs, keep: true };
+            product.run(x, [width, 1], &self.parameters[2 * layer], [outputs, 1], z);
+            if layer < last {
+                self.activation.apply(z, &mut layers.slopes[layer]);
+            }
+        }
+    }
+
+    /// Gradient of the loss by every parameter, from the gradient by the outputs.
+    fn backward(&self, inputs: &[f32], layers: &mut Layers, mut by_output: Vec<f32>) -> Vec<Vec<f32>> {
+        let rows = inputs.len() / self.sizes[0];
+        let mut gradients: Vec<Vec<f32>> = self.parameters.iter().map(|p| vec![0.0; p.len()]).collect();
+        for layer in (0..self.sizes.len() - 1).rev() {
+            let [width, outputs] = self.shape(2 * layer);
+            let x = layer.checked_sub(1).map_or(inputs, |l| layers.values[l].as_slice());
+            // xᵀ · g.
+            let product = Product { rows: width, inner: rows, columns: outputs, keep: false };
+            product.run(x, [1, width], &by_output, [outputs, 1], &mut gradients[2 * layer]);
+            for row in by_output.chunks_exact(outputs) {
+                for (sum, g) in gradients[2 * layer + 1].iter_mut().zip(row) {
+                    *sum += g;
+                }
+            }
+            if let Some(before) = layer.checked_sub(1) {
+                // g · wᵀ.
+                let mut by_input = vec![0.0; rows * width];
+                let product = Product { rows, inner: outputs, columns: width, keep: false };
+                product.run(
+                    &by_output,
+                    [outputs, 1],
+                    &self.parameters[2 * layer],
+                    [1, outputs],
+                    &mut by_input,
+                );
+                for (g, slope) in by_input.iter_mut().zip(&layers.slopes[before]) {
+                    *g *= slope;
+                }
+                by_output = by_input;
+            }
+        }
+        gradients
+    }
+
+    /// Loss over rows, and its gradient by every parameter.
+    fn gradient(
+        &self,
+        inputs: &[f32],
+        targets: &[f32],
+        logit: bool,
+        layers: &mut Layers,
+    ) -> (f32, Vec<Vec<f32>>) {
+        self.forward(inputs, layers);
+        let answers = layers.values.last().map_or(&[][..], Vec::as_slice);
+        let (loss, by_output) = loss(answers, targets, self.sizes[self.sizes.len() - 1], logit);
+        (loss, self.backward(inputs, layers, by_output))
+    }
+
+    /// The mean of several networks of one interface as a graph of batch 1: `input` → `output`.
+    ///
+    /// # Errors
+    ///
+    /// [`OnnxError`] where there is no network.
+    pub fn to_onnx(members: &[Self], name: &str) -> Result<Vec<u8>, OnnxError> {
+        let mut g = GraphBuilder::new(name);
+        let Some(first) = members.first() else { return g.finish() };
+        let (inputs, outputs) = (first.sizes[0], first.sizes[first.sizes.len() - 1]);
+        let input = g.input("input", &[1, inputs]);
+        let mut mean: Option<Value> = None;
+        let share = 1.0 / members.len() as f32;
+        for (m, member) in members.iter().enumerate() {
+            let last = member.sizes.len() - 2;
+            let mut x = input.clone();
+            for layer in 0..=last {
+                // The mean is taken in the last layer's weights.
+                let factor = if layer == last { share } else { 1.0 };
+                let scaled = |values: &[f32]| values.iter().map(|v| v * factor).collect::<Vec<f32>>();
+                let [rows, columns] = member.shape(2 * layer);
+                let weight = scaled(&member.parameters[2 * layer]);
+                let bias = scaled(&member.parameters[2 * layer + 1]);
+                let weight = g.constant(&format!("weight_{m}_{layer}"), &[rows, columns], &weight);
+                let bias = g.constant(&format!("bias_{m}_{layer}"), &[columns], &bias);
+                x = g.gemm(&x, &weight, Some(&bias));
+                if layer < last {
+                    x = match member.activation {
+                        Activation::Silu => {
+                            let gate = g.sigmoid(&x);
+                            g.mul(&x, &gate)
+                        }
+                        Activation::Tanh => g.tanh(&x),
+                        Activation::Relu => g.relu(&x),
+                    };
+                }
+            }
+            mean = Some(match mean {
+                Some(sum) => g.add(&sum, &x),
+                None => x,
+            });
+        }
+        if let Some(mean) = mean {
+            g.output("output", &mean, &[1, outputs]);
+        }
+        g.finish()
+    }
+}
+
+/// What a forward pass leaves for the backward pass.
+#[derive(Default)]
+struct Layers {
+    /// Outputs of every layer, row-major \[n, width\].
+    values: Vec<Vec<f32>>,
+    /// Derivative of every hidden activation.
+    slopes: Vec<Vec<f32>>,
+}
+
+impl Activation {
+    /// In place; `slopes` becomes the derivative.
+    fn apply(self, values: &mut [f32], slopes: &mut Vec<f32>) {
+        slopes.clear();
+        slopes.extend(values.iter_mut().map(|v| {
+            let z = *v;
+            match self {
+                Self::Silu => {
+                    let gate = 1.0 / (1.0 + (-z).exp());
+                    *v = z * gate;
+                    gate * (1.0 + z * (1.0 - gate))
+                }
+                Self::Tanh => {
+                    *v = z.tanh();
+                    1.0 - *v * *v
+                }
+                Self::Relu => {
+                    *v = z.max(0.0);
+                    f32::from(u8::from(z > 0.0))
+                }
+            }
+        }));
+    }
+}
+
+/// c = a · b, or c += a · b.
+#[derive(Clone, Copy)]
+struct Product {
+    rows: usize,
+    inner: usize,
+    columns: usize,
+    /// Adds to what is in c.
+    keep: bool,
+}
+
+impl Product {
+    /// Matrices come with the distance between rows and between columns; c is row-major.
+    fn run(self, a: &[f32], a_steps: [usize; 2], b: &[f32], b_steps: [usize; 2], c: &mut [f32]) {
+        let Self { rows, inner, columns, keep } = self;
+        let reach = |rows: usize, columns: usize, steps: [usize; 2]| {
+            (rows.max(1) - 1) * steps[0] + (columns.max(1) - 1) * steps[1] + 1
+        };
+        assert!(a.len() >= reach(rows, inner, a_steps) || rows * inner == 0, "a is too short");
+        assert!(b.len() >= reach(inner, columns, b_steps) || inner * columns == 0, "b is too short");
+        assert!(c.len() >= rows * columns, "c is too short");
+        let [ars, acs, brs, bcs, crs] =
+            [a_steps[0], a_steps[1], b_steps[0], b_steps[1], columns].map(usize::cast_signed);
+        // SAFETY: every index that the product reads or writes lies in its slice, as asserted above, and c is
+        // borrowed mutably, so that it overlaps neither a nor b.
+        unsafe {
+            matrixmultiply::sgemm(
+                rows,
+                inner,
+                columns,
+                1.0,
+                a.as_ptr(),
+                ars,
+                acs,
+                b.as_ptr(),
+                brs,
+                bcs,
+                if keep { 1.0 } else { 0.0 },
+                c.as_mut_ptr(),
+                crs,
+                1,
+            );
+        }
+    }
+}
+
+/// A network on its way, and what is needed to go on exactly where it was.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct State {
+    pub(super) network: Mlp,
+    /// Running mean and mean square of every gradient.
+    pub(super) first: Vec<Vec<f32>>,
+    pub(super) second: Vec<Vec<f32>>,
+    /// Steps done.
+    pub(super) steps: u64,
+    /// Epochs done.
+    pub(super) epoch: u32,
+}
+
+impl State {
+    pub(super) fn new(network: Mlp) -> Self {
+        let zeros: Vec<Vec<f32>> = network.parameters.iter().map(|p| vec![0.0; p.len()]).collect();
+        Self { network, first: zeros.clone(), second: zeros, steps: 0, epoch: 0 }
+    }
+}
+
+/// What is told after every epoch.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Progress {
+    /// Which network of an ensemble.
+    pub member: u32,
+    /// Epochs done.
+    pub epoch: u32,
+    /// Epochs to do.
+    pub epochs: u32,
+    /// Mean loss over the epoch, in normalised units.
+    pub loss: f64,
+}
+
+/// Fits one network from the start, without checkpoints.
+///
+/// # Errors
+///
+/// [`LearnError::Training`] where the loss stops being a number.
+pub fn fit(
+    data: &Batch,
+    network: &NetworkConfig,
+    training: &TrainingConfig,
+    member: u32,
+) -> Result<Mlp, LearnError> {
+    let mut state = State::new(Mlp::new(data.width, data.outputs, network, seed_of(training, member, 0)));
+    advance(&mut state, data, training, member, &AtomicBool::new(false), &mut |_, _| Ok(()))?;
+    Ok(state.network)
+}
+
+/// A seed for each member and epoch, so that a resumed run shuffles as one that was never interrupted.
+pub(super) fn seed_of(training: &TrainingConfig, member: u32, epoch: u32) -> u64 {
+    // SplitMix64 (Steele et al. 2014) over the three numbers.
+    let mut z = training
+        .seed
+        .wrapping_add((u64::from(member) << 32 | u64::from(epoch)).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// Goes on until all epochs are done or `stop` is set; `told` is called after every epoch.
+pub(super) fn advance(
+    state: &mut State,
+    data: &Batch,
+    training: &TrainingConfig,
+    member: u32,
+    stop: &AtomicBool,
+    told: &mut dyn FnMut(&State, Progress) -> Result<(), LearnError>,
+) -> Result<(), LearnError> {
+    let samples = data.len();
+    if samples == 0 {
+        return Err(LearnError::Training { reason: "there is no sample to train on".into() });
+    }
+    let mut layers = Layers::default();
+    let batches = samples.div_ceil(training.batch) as u64;
+    let total = batches * u64::from(training.epochs);
+    let mut order: Vec<usize> = (0..samples).collect();
+    while state.epoch < training.epochs {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(seed_of(training, member, state.epoch + 1));
+        order.sort_unstable();
+        order.shuffle(&mut rng);
+        let mut sum = 0.0;
+        for chunk in order.chunks(training.batch) {
+            let loss = step(state, data, chunk, training, total, &mut rng, &mut layers);
+            sum += f64::from(loss) * chunk.len() as f64;
+        }
+        state.epoch += 1;
+        let loss = sum / samples as f64;
+        if !loss.is_finite() {
+            return Err(LearnError::Training {
+                reason: format!(
+                    "the loss is no number any more after epoch {}; lower `training.learning_rate` (now {})",
+                    state.epoch, training.learning_rate
+                ),
+            });
+        }
+        told(state, Progress { member, epoch: state.epoch, epochs: training.epochs, loss })?;
+    }
+    Ok(())
+}
+
+fn step(
+    state: &mut State,
+    data: &Batch,
+    chunk: &[usize],
+    training: &TrainingConfig,
+    total: u64,
+    rng: &mut ChaCha8Rng,
+    layers: &mut Layers,
+) -> f32 {
+    let (width, outputs) = (data.width, data.outputs);
+    let mut inputs = Vec::with_capacity(chunk.len() * width);
+    let mut targets = Vec::with_capacity(chunk.len() * outputs);
+    for &i in chunk {
+        inputs.extend_from_slice(&data.inputs[i * width..(i + 1) * width]);
+        targets.extend_from_slice(&data.targets[i * outputs..(i + 1) * outputs]);
+    }
+    if training.noise > 0.0 {
+        for x in &mut inputs {
+            *x += training.noise as f32 * rng.sample::<f32, _>(StandardNormal);
+        }
+    }
+    let (loss, gradients) = state.network.gradient(&inputs, &targets, data.logit, layers);
+    state.steps += 1;
+    let progress = state.steps as f64 / total as f64;
+    let rate = training.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
+    for (i, gradient) in gradients.iter().enumerate() {
+        let decay = if i.is_multiple_of(2) { training.weight_decay } else { 0.0 };
+        adam(
+            &mut state.network.parameters[i],
+            gradient,
+            &mut state.first[i],
+            &mut state.second[i],
+            state.steps,
+            rate,
+            decay,
+        );
+    }
+    loss
+}
+
+/// Mean over samples of the summed squared errors, cross entropy for a logit, and its gradient by the outputs.
+/// Unknown targets do not count.
+fn loss(answers: &[f32], targets: &[f32], outputs: usize, logit: bool) -> (f32, Vec<f32>) {
+    let share = outputs as f32 / answers.len() as f32;
+    let mut sum = 0.0;
+    let slopes = answers
+        .iter()
+        .zip(targets)
+        .enumerate()
+        .map(|(i, (z, t))| {
+            if t.is_nan() {
+                0.0
+            } else if logit && i % outputs == outputs - 1 {
+                // ln(1 + e^z) − t z, written so that no exponential overflows.
+                sum += z.max(0.0) + (-z.abs()).exp().ln_1p() - t * z;
+                (1.0 / (1.0 + (-z).exp()) - t) * share
+            } else {
+                sum += (z - t) * (z - t);
+                2.0 * (z - t) * share
+            }
+        })
+        .collect();
+    (sum * share, slopes)
+}
+
+fn adam(
+    parameters: &mut [f32],
+    gradient: &[f32],
+    first: &mut [f32],
+    second: &mut [f32],
+    step: u64,
+    rate: f64,
+    decay: f64,
+) {
+    const BETA: [f32; 2] = [0.9, 0.999];
+    let step = i32::try_from(step).unwrap_or(i32::MAX);
+    let [c1, c2] = BETA.map(|b| 1.0 - f64::from(b).powi(step));
+    let (scale, root) = ((rate / c1) as f32, (1.0 / c2.sqrt()) as f32);
+    let keep = (1.0 - rate * decay) as f32;
+    for (((p, g), m), v) in parameters.iter_mut().zip(gradient).zip(first).zip(second) {
+        *m += (1.0 - BETA[0]) * (g - *m);
+        *v += (1.0 - BETA[1]) * (g * g - *v);
+        *p = *p * keep - scale * *m / (v.sqrt() * root + 1e-8);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_inference::{Interface, Model, Runtime, RuntimeChoice, RuntimeConfig};
+
+    use super::*;
+
+    fn embedded() -> &'static Runtime {
+        Runtime::load(&RuntimeConfig { choice: RuntimeChoice::Embedded, library: None }).unwrap()
+    }
+
+    fn small(activation: Activation) -> NetworkConfig {
+        NetworkConfig { hidden: vec![5, 4], activation, members: 1 }
+    }
+
+    fn noise(seed: u64, n: usize) -> Vec<f32> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        (0..n).map(|_| rng.sample(StandardNormal)).collect()
+    }
+
+    #[test]
+    fn a_linear_function_is_learned() {
+        let inputs = noise(1, 200 * 3);
+        let targets: Vec<f32> =
+            inputs.chunks(3).flat_map(|x| [2.0 * x[0] - x[1], 0.5 * x[2] + 1.0]).collect();
+        let data =
+            Batch { inputs: inputs.clone(), targets: targets.clone(), width: 3, outputs: 2, logit: false };
+        let linear = NetworkConfig { hidden: vec![], ..NetworkConfig::default() };
+        let training = TrainingConfig { epochs: 120, batch: 20, learning_rate: 0.05, ..Default::default() };
+        let network = fit(&data, &linear, &training, 0).unwrap();
+        for (got, expected) in network.predict(&inputs).iter().zip(&targets) {
+            assert!((got - expected).abs() < 1e-2, "{got} {expected}");
+        }
+    }
+
+    #[test]
+    fn gradients_are_those_of_finite_differences() {
+        let (n, width, outputs) = (4, 3, 2);
+        let inputs = noise(2, n * width);
+        let targets = [0.3, 1.0, f32::NAN, 0.0, -0.2, 1.0, 0.1, f32::NAN];
+        for (activation, logit) in
+            [(Activation::Silu, true), (Activation::Tanh, false), (Activation::Relu, false)]
+        {
+            let mut network = Mlp::new(width, outputs, &small(activation), 3);
+            let (_, gradients) = network.gradient(&inputs, &targets, logit, &mut Layers::default());
+            for (i, gradient) in gradients.iter().enumerate() {
+                for (k, slope) in gradient.iter().enumerate() {
+                    let mut shifted = |by: f32| {
+                        network.parameters[i][k] += by;
+                        let loss = network.gradient(&inputs, &targets, logit, &mut Layers::default()).0;
+                        network.parameters[i][k] -= by;
+                        loss
+                    };
+                    let finite = (shifted(5e-3) - shifted(-5e-3)) / 1e-2;
+                    assert!((finite - slope).abs() < 2e-3, "{activation:?} {i} {k}: {finite} {slope}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_graph_equals_the_mean_of_the_networks() {
+        for activation in [Activation::Silu, Activation::Tanh, Activation::Relu] {
+            let members: Vec<Mlp> = (0..3).map(|s| Mlp::new(6, 2, &small(activation), s)).collect();
+            let graph = Mlp::to_onnx(&members, "mean").unwrap();
+            let mut model = Model::load(embedded(), &graph, &Interface::flat(6, 2)).unwrap();
+            let inputs = noise(4, 6 * 20);
+            let mut got = Vec::new();
+            model.run_batch(&inputs, &mut got).unwrap();
+            let each: Vec<Vec<f32>> = members.iter().map(|m| m.predict(&inputs)).collect();
+            for (i, got) in got.iter().enumerate() {
+                let mean = each.iter().map(|e| e[i]).sum::<f32>() / 3.0;
+                assert!((got - mean).abs() < 1e-5, "{activation:?}: {got} {mean}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_logit_learns_a_probability() {
+        let inputs = noise(5, 400);
+        let targets = inputs.iter().map(|x| if *x > 0.3 { 1.0 } else { 0.0 }).collect();
+        let data = Batch { inputs, targets, width: 1, outputs: 1, logit: true };
+        let training = TrainingConfig { epochs: 60, batch: 50, learning_rate: 0.02, ..Default::default() };
+        let network = fit(&data, &small(Activation::Silu), &training, 0).unwrap();
+        let answer = network.predict(&[-0.5, 0.0, 0.6, 1.5]);
+        assert!(answer[0] < -1.0 && answer[1] < 0.0 && answer[2] > 0.0 && answer[3] > 1.0, "{answer:?}");
+    }
+}

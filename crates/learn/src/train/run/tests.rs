@@ -1,0 +1,133 @@
+use dermis_inference::{Bundle, RuntimeChoice, RuntimeConfig};
+
+use super::*;
+use crate::dataset::tests::{presses, skin};
+use crate::{SplitConfig, SplitKind};
+
+fn config() -> TrainConfig {
+    let mut config = TrainConfig::from_toml(
+        r#"
+        targets = ["position.x", "position.y", "force.normal", "contact"]
+        [network]
+        hidden = [12]
+        members = 2
+        [training]
+        epochs = 150
+        batch = 32
+        learning_rate = 0.02
+        "#,
+        "c.toml",
+    )
+    .unwrap();
+    config.split = SplitConfig { kind: SplitKind::Location, ..Default::default() };
+    config
+}
+
+fn runtime() -> &'static Runtime {
+    Runtime::load(&RuntimeConfig { choice: RuntimeChoice::Embedded, library: None }).unwrap()
+}
+
+fn request<'a>(data: &'a Dataset, config: &'a TrainConfig, out: &'a Path) -> Request<'a> {
+    Request { data, others: &[], config, out, resume: false, threads: 1, runtime: runtime() }
+}
+
+#[test]
+fn a_trained_bundle_answers_as_it_was_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("model");
+    let (data, config) = (presses(40, 2), config());
+    let others = [("again".to_owned(), presses(10, 1))];
+    let request = Request { others: &others, ..request(&data, &config, &out) };
+    let outcome = run(&request, &AtomicBool::new(false), &|_| {}).unwrap();
+    let figures = outcome.held_out.figures();
+    assert!(figures["position_rms"] < 5e-4, "{}", outcome.held_out);
+    assert!(figures["force_normal_rms"] < 0.3, "{}", outcome.held_out);
+    assert!(figures["missed"] < 0.05 && figures["false_contacts"] < 0.05, "{}", outcome.held_out);
+    assert_eq!(outcome.others.len(), 1);
+    assert!(!partial(&out).exists());
+    assert!(out.join("report.html").is_file());
+
+    let bundle = Bundle::load(&out, &skin()).unwrap();
+    let manifest = bundle.manifest();
+    assert_eq!(manifest.output.values.len(), 4);
+    approx::assert_relative_eq!(manifest.metrics["position_rmse_m"], figures["position_rms"]);
+    assert_eq!(manifest.force_range, Some([1.0, 5.0]));
+    let card: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(out.join("card.json")).unwrap()).unwrap();
+    let split: SplitConfig = serde_json::from_value(card["split"].clone()).unwrap();
+    let held_out = split.apply(&data).unwrap().test;
+    assert_eq!(card["samples"]["held_out"]["all"], held_out.len());
+
+    // A node that loads the bundle gives what the card says.
+    let (mut features, mut outputs) = (bundle.features(), bundle.outputs());
+    let mut model = bundle.session(runtime()).unwrap();
+    let (mut squares, mut count, mut raw) = (0.0, 0.0, Vec::new());
+    for (i, sample) in data.runs()[0].samples.iter().enumerate() {
+        features.push(sample.frame.stamp, &sample.tared).unwrap();
+        let known = sample.truth.as_ref().and_then(|t| t.value("position.x"));
+        if let Some(x) = known.filter(|_| held_out.contains(&SampleId { run: 0, sample: i })) {
+            model.run(features.input().unwrap(), &mut raw).unwrap();
+            outputs.decode(&raw).unwrap();
+            squares += (outputs.get("position.x").unwrap() - x).powi(2);
+            count += 1.0;
+        }
+    }
+    approx::assert_relative_eq!(f64::sqrt(squares / count), figures["position_x_rms"], max_relative = 1e-6);
+}
+
+#[test]
+fn an_interrupted_training_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, mut config) = (presses(20, 2), config());
+    config.training.epochs = 6;
+    let whole = dir.path().join("whole");
+    run(&request(&data, &config, &whole), &AtomicBool::new(false), &|_| {}).unwrap();
+
+    let out = dir.path().join("part");
+    let stop = AtomicBool::new(false);
+    let error = run(&request(&data, &config, &out), &stop, &|p| {
+        stop.store(p.member == 1 && p.epoch == 2, Ordering::Relaxed);
+    })
+    .unwrap_err();
+    assert!(matches!(error, LearnError::Interrupted { epoch: 2, epochs: 6, .. }), "{error}");
+    assert!(!out.exists());
+    let request = Request { resume: true, ..request(&data, &config, &out) };
+    run(&request, &AtomicBool::new(false), &|_| {}).unwrap();
+    let graph = |path: &Path| std::fs::read(path.join("model.onnx")).unwrap();
+    assert_eq!(graph(&whole), graph(&out));
+}
+
+#[test]
+fn what_cannot_be_learned_is_refused_before_training() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("model");
+    let data = presses(20, 1);
+    let told = |data: &Dataset, config: &TrainConfig| {
+        let never = |_: Progress| panic!("training has begun");
+        let error = run(&request(data, config, &out), &AtomicBool::new(false), &never);
+        error.unwrap_err().to_string()
+    };
+    let mut depth = config();
+    depth.targets = vec!["position.z".into()];
+    insta::assert_snapshot!(told(&data, &depth), @"target `position.z`: is the same in all training samples, so nothing can be learned; the ground truth holds 36 of 168 samples");
+
+    let mut unknown = data.clone();
+    let mut runs = unknown.runs().to_vec();
+    for contact in runs
+        .iter_mut()
+        .flat_map(|r| &mut r.samples)
+        .filter_map(|s| s.truth.as_mut())
+        .flat_map(|t| &mut t.contacts)
+    {
+        contact.components = dermis_skin::ForceComponents::None;
+    }
+    unknown = Dataset::from_runs(unknown.skin(), runs.clone());
+    insta::assert_snapshot!(told(&unknown, &config()), @"target `force.normal`: is never known while the skin is touched; the ground truth holds contact (40 samples), position.x (40 samples), position.y (40 samples), position.z (40 samples)");
+
+    for sample in runs.iter_mut().flat_map(|r| &mut r.samples) {
+        sample.tared.fill(f32::NAN);
+    }
+    let mut place = config();
+    place.targets = vec!["position.x".into(), "position.y".into()];
+    insta::assert_snapshot!(told(&Dataset::from_runs(unknown.skin(), runs), &place), @r#"bag made.bag: the zero is unknown for every labelled frame, since no stretch of 0.03 s (and 3 frames) before them is labelled untouched; record idle frames first, or train with `baseline = "raw"`"#);
+}
