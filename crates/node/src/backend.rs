@@ -24,6 +24,9 @@ pub type MessageSink = Box<dyn Fn(RawMessage) + Send + Sync>;
 /// Receives a service request. Called from any thread of the backend; returns at once and never blocks.
 pub type RequestSink = Box<dyn Fn(RawRequest) + Send + Sync>;
 
+/// Sends the encoded response of a service.
+pub type Reply = Box<dyn FnOnce(&[u8]) -> Result<(), BackendError> + Send>;
+
 /// Called after endpoints or nodes appeared or went. Returns at once.
 pub type GraphHook = Box<dyn Fn() + Send + Sync>;
 
@@ -181,7 +184,7 @@ pub struct RawRequest {
     /// CDR with encapsulation header.
     pub payload: Bytes,
     /// Sends the encoded response. May block shortly; called from a thread of the node, not of the backend.
-    pub reply: Box<dyn FnOnce(&[u8]) -> Result<(), BackendError> + Send>,
+    pub reply: Reply,
 }
 
 /// The support of a generated service type.

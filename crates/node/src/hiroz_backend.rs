@@ -665,11 +665,11 @@ impl BackendClient for HirozClient {
             .payload(request)
             .attachment(Attachment::new(sequence, self.gid))
             .callback(move |reply| {
-                if let Ok(sample) = reply.into_result() {
-                    if let Some(answer) = lock(&answer).take() {
-                        // The caller may have given up.
-                        let _ = answer.send(Bytes::from(sample.payload().to_bytes().into_owned()));
-                    }
+                if let Ok(sample) = reply.into_result()
+                    && let Some(answer) = lock(&answer).take()
+                {
+                    // The caller may have given up.
+                    let _ = answer.send(Bytes::from(sample.payload().to_bytes().into_owned()));
                 }
             })
             .wait();

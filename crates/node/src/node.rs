@@ -2,6 +2,7 @@
 
 use std::any::Any;
 use std::collections::BTreeMap;
+use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError, Weak};
 use std::thread::JoinHandle;
@@ -92,17 +93,16 @@ impl Core {
         Registration { core: Arc::downgrade(self), id }
     }
 
-    pub(crate) fn track(&self, closer: Weak<dyn Close>) {
+    pub(crate) fn track(&self, closer: &Arc<impl Close + 'static>) {
+        let weak = Arc::downgrade(closer);
         {
             let mut tracked = lock(&self.tracked);
             tracked.retain(|known| known.strong_count() > 0);
-            tracked.push(closer.clone());
+            tracked.push(weak);
         }
         // The node may have been shut down since the check.
         if self.closed.load(Ordering::Acquire) {
-            if let Some(closer) = closer.upgrade() {
-                closer.close();
-            }
+            closer.close();
         }
     }
 }
@@ -200,16 +200,28 @@ struct Shared {
     ended: tokio::sync::watch::Sender<bool>,
 }
 
-impl Drop for Shared {
+/// What clones of a node share; threads of the node hold [`Shared`] only, so that the last clone shuts the
+/// node down where it is dropped.
+struct Handle(Arc<Shared>);
+
+impl Deref for Handle {
+    type Target = Shared;
+
+    fn deref(&self) -> &Shared {
+        &self.0
+    }
+}
+
+impl Drop for Handle {
     fn drop(&mut self) {
-        self.shutdown();
+        self.0.shutdown();
     }
 }
 
 /// A ROS 2 node. Cheap to clone; the last clone shuts it down. Publishers and subscriptions do not keep
 /// it alive.
 #[derive(Clone)]
-pub struct Node(Arc<Shared>);
+pub struct Node(Arc<Handle>);
 
 impl Node {
     /// Joins the domain.
@@ -281,7 +293,7 @@ impl Node {
             keeper: Mutex::default(),
             ended: tokio::sync::watch::Sender::new(false),
         });
-        let node = Self(shared);
+        let node = Self(Arc::new(Handle(shared)));
         node.start_log()?;
         node.start_parameters()?;
         node.start_clock()?;
@@ -289,7 +301,7 @@ impl Node {
         if publish_diagnostics {
             node.start_diagnostics()?;
         }
-        let weak = Arc::downgrade(&node.0);
+        let weak = Arc::downgrade(&node.0.0);
         let alarm = Arc::clone(&node.0.core.alarm);
         let keeper = std::thread::Builder::new()
             .name("dermis-node-time".to_owned())
@@ -417,8 +429,7 @@ impl Node {
         let lane = executor.lane("timer".to_owned(), Some(1), move |()| callback());
         let timer = Arc::new(TimerInner { period, next: Mutex::new(Instant::now() + period), lane });
         lock(&self.0.timers).push(Arc::downgrade(&timer));
-        let closer: Weak<TimerInner> = Arc::downgrade(&timer);
-        self.0.core.track(closer);
+        self.0.core.track(&timer);
         lock(&self.0.core.alarm.state).timers_changed = true;
         self.0.core.alarm.wake.notify_all();
         timer
@@ -697,7 +708,7 @@ impl Node {
         if simulated == ParameterValue::Bool(true) {
             self.0.set_simulated(true)?;
         }
-        let weak = Arc::downgrade(&self.0);
+        let weak = Arc::downgrade(&self.0.0);
         self.0.parameters.on_changed(move |name, value| {
             let (SIM_TIME, Some(simulated), Some(shared)) = (name, value.as_bool(), weak.upgrade()) else {
                 return;
@@ -721,7 +732,7 @@ impl Node {
     }
 
     fn start_diagnostics(&self) -> Result<(), NodeError> {
-        let weak = Arc::downgrade(&self.0);
+        let weak = Arc::downgrade(&self.0.0);
         self.0.diagnostics.add("ROS graph", move || {
             let mut status = Status::ok("no conflict with other nodes");
             if let Some(shared) = weak.upgrade() {
@@ -740,7 +751,7 @@ impl Node {
             status
         });
         let publisher: Publisher<DiagnosticArray> = self.publisher("/diagnostics", Qos::reliable(10))?;
-        let weak = Arc::downgrade(&self.0);
+        let weak = Arc::downgrade(&self.0.0);
         let timer = self.timer_on(&self.0.core.system, DIAGNOSTICS_PERIOD, move || {
             let Some(shared) = weak.upgrade() else { return };
             if publisher.subscriber_count() > 0 {
@@ -848,12 +859,11 @@ impl Shared {
         if self.core.closed.load(Ordering::Acquire) {
             return;
         }
-        if let Some(lifecycle) = lifecycle {
-            if lifecycle.state() != State::Finalized {
-                if let Err(error) = lifecycle.take(Transition::Shutdown) {
-                    tracing::warn!("{error}");
-                }
-            }
+        if let Some(lifecycle) = lifecycle
+            && lifecycle.state() != State::Finalized
+            && let Err(error) = lifecycle.take(Transition::Shutdown)
+        {
+            tracing::warn!("{error}");
         }
         if self.core.closed.swap(true, Ordering::AcqRel) {
             return;
@@ -861,10 +871,11 @@ impl Shared {
         lock(&self.core.alarm.state).stop = true;
         self.core.alarm.wake.notify_all();
         let keeper = lock(&self.keeper).take();
-        if let Some(keeper) = keeper {
-            if keeper.thread().id() != std::thread::current().id() && keeper.join().is_err() {
-                tracing::error!("the timer thread of the node ended by a panic");
-            }
+        if let Some(keeper) = keeper
+            && keeper.thread().id() != std::thread::current().id()
+            && keeper.join().is_err()
+        {
+            tracing::error!("the timer thread of the node ended by a panic");
         }
         let tracked = std::mem::take(&mut *lock(&self.core.tracked));
         for closer in tracked.iter().filter_map(Weak::upgrade) {

@@ -597,10 +597,10 @@ impl Parameters {
             };
             if listed {
                 result.names.push(name.clone());
-                if let Some((prefix, _)) = name.rsplit_once('.') {
-                    if !result.prefixes.iter().any(|known| known == prefix) {
-                        result.prefixes.push(prefix.to_owned());
-                    }
+                if let Some((prefix, _)) = name.rsplit_once('.')
+                    && !result.prefixes.iter().any(|known| known == prefix)
+                {
+                    result.prefixes.push(prefix.to_owned());
                 }
             }
         }

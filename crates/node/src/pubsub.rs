@@ -73,8 +73,7 @@ impl RawPublisher {
             published: AtomicU64::new(0),
             _registration: registration,
         });
-        let weak: std::sync::Weak<PublisherInner> = Arc::downgrade(&inner);
-        core.track(weak);
+        core.track(&inner);
         Ok(Self(inner))
     }
 
@@ -226,8 +225,7 @@ impl Subscription {
             rejected,
             _registration: registration,
         });
-        let weak: std::sync::Weak<SubscriptionInner> = Arc::downgrade(&inner);
-        core.track(weak);
+        core.track(&inner);
         Ok(Self(inner))
     }
 

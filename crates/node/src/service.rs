@@ -79,8 +79,7 @@ impl ServiceServer {
             lane,
             _registration: registration,
         });
-        let weak: std::sync::Weak<ServerInner> = Arc::downgrade(&inner);
-        core.track(weak);
+        core.track(&inner);
         Ok(Self(inner))
     }
 
@@ -136,8 +135,7 @@ impl<S: Service> Client<S> {
             backend: RwLock::new(Some(backend)),
             _registration: registration,
         });
-        let weak: std::sync::Weak<ClientInner> = Arc::downgrade(&inner);
-        core.track(weak);
+        core.track(&inner);
         Ok(Self { inner, service: PhantomData })
     }
 

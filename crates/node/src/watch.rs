@@ -100,21 +100,22 @@ fn mismatch(own: &OwnEndpoint, kind: EndpointKind, peer: &EndpointInfo) -> Optio
             ),
         });
     }
-    if let Some(hash) = peer.type_hash.as_deref() {
-        if hash != own.type_hash && hash.starts_with("RIHS01_") {
-            return Some(Problem {
-                kind: ProblemKind::TypeMismatch,
-                name: name.clone(),
-                sentence: format!(
-                    "{name}: node {} was built with another version of {} ({} there, {} here): no message \
+    if let Some(hash) = peer.type_hash.as_deref()
+        && hash != own.type_hash
+        && hash.starts_with("RIHS01_")
+    {
+        return Some(Problem {
+            kind: ProblemKind::TypeMismatch,
+            name: name.clone(),
+            sentence: format!(
+                "{name}: node {} was built with another version of {} ({} there, {} here): no message \
                      passes between them; build both against the same interface package",
-                    peer.node,
-                    own.type_name,
-                    short(hash),
-                    short(own.type_hash)
-                ),
-            });
-        }
+                peer.node,
+                own.type_name,
+                short(hash),
+                short(own.type_hash)
+            ),
+        });
     }
     let (own_qos, peer_qos) = (own.qos?, peer.qos?);
     let why = match own.kind {
