@@ -2,9 +2,11 @@
 //!
 //! `cargo xtask test` sets the variables that are read here; a test whose other side is missing says so and passes.
 
+use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -60,10 +62,31 @@ fn or_skip(variable: &str, what: &str) -> Option<PathBuf> {
     found
 }
 
-/// A ROS domain that no other test of this run is in: tests are processes, and process ids differ.
+/// A ROS domain that no other running test is in, the same for all of this process.
+///
+/// # Panics
+///
+/// Where the folder for temporary files cannot be written to, or all domains are taken.
 #[must_use]
 pub fn domain() -> u16 {
-    (std::process::id() % 100) as u16 + 1
+    // The lock on the file ends with the process, however it ends. Domains above 101 reach into the ports that
+    // systems give out themselves.
+    static TAKEN: OnceLock<(u16, File)> = OnceLock::new();
+    let take = || {
+        let dir = std::env::temp_dir().join("dermis-test-domains");
+        std::fs::create_dir_all(&dir).unwrap_or_else(|e| panic!("{} cannot be made: {e}", dir.display()));
+        let first = std::process::id() % 100;
+        for id in (0..100).map(|i| 1 + (first + i) % 100) {
+            let path = dir.join(id.to_string());
+            let file =
+                File::create(&path).unwrap_or_else(|e| panic!("{} cannot be made: {e}", path.display()));
+            if file.try_lock().is_ok() {
+                return (u16::try_from(id).unwrap_or(1), file);
+            }
+        }
+        panic!("a hundred tests run at once: every lock in {} is taken", dir.display());
+    };
+    TAKEN.get_or_init(take).0
 }
 
 /// Another program, read line by line; killed when dropped.
@@ -156,7 +179,10 @@ impl Peer {
     ///
     /// Where it cannot be killed.
     pub fn kill(&mut self) {
-        self.child.kill().and_then(|()| self.child.wait()).unwrap_or_else(|e| panic!("it cannot be killed: {e}"));
+        self.child
+            .kill()
+            .and_then(|()| self.child.wait())
+            .unwrap_or_else(|e| panic!("it cannot be killed: {e}"));
     }
 }
 

@@ -1,6 +1,7 @@
 //! ROS 2 through `r2r`, for robots that have ROS 2 installed: any RMW, any client library on the other side.
 //!
-//! It builds against the ROS 2 that is sourced (`. /opt/ros/<distro>/setup.sh`) and is left out of the default build.
+//! It builds against the ROS 2 that is sourced (`. /opt/ros/<distro>/setup.sh`), with `dermis_msgs` built from `msgs/`
+//! (`colcon build --paths msgs && . install/setup.sh`), and is left out of the default build.
 //!
 //! What this backend cannot do, because rcl or r2r do not let it:
 //! - One process is in one ROS domain: the first node's domain holds for all, and another one is refused.
@@ -9,7 +10,10 @@
 //! - A subscription or service that was dropped leaves the graph with its next message, or with its node.
 //! - Messages carry no time of their sender ([`dermis_node::MessageInfo::source_ns`] is `None`).
 //! - Services are those of the packages that a node itself needs: std_srvs, rcl_interfaces, lifecycle_msgs and ours.
-//! - A call that was given up is remembered until its client is dropped.
+//! - A node that was killed stays in the graph until DDS gives it up (20 s with Fast DDS); its replacement reports
+//!   a second node of its name so long.
+//! - rcl reads the program's `--ros-args`, too, so that remappings `a:=b` and `b:=c` together take `a` to `c`.
+//! - A client, and a call that was given up, is remembered until its node is closed.
 //!
 //! ```no_run
 //! use dermis_node::{Node, NodeOptions};

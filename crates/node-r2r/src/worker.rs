@@ -1,7 +1,7 @@
 //! The one thread that may touch an rcl node.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, TryRecvError};
+use std::sync::mpsc::{self, RecvTimeoutError, TryRecvError};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -112,6 +112,15 @@ impl Worker {
                         Err(TryRecvError::Empty) => break,
                         Err(TryRecvError::Disconnected) => return,
                     }
+                }
+                if state.subscriptions.is_empty() && state.servers.is_empty() && state.watches.is_empty() {
+                    // rcl does not wait for nothing: it refuses at once.
+                    match inbox.recv_timeout(WAIT) {
+                        Ok(command) => command(&mut state),
+                        Err(RecvTimeoutError::Timeout) => {}
+                        Err(RecvTimeoutError::Disconnected) => return,
+                    }
+                    continue;
                 }
                 state.node.spin_once(WAIT);
                 deliver(&mut state);

@@ -431,11 +431,16 @@ fn rclpy_manages_our_life() {
             .any(|t| t["transition"]["label"] == "activate"),
         "{transitions}"
     );
-    let (service, kind, request) = change(activate);
-    call(service, kind, request);
-    rclpy.wait("the event of the last transition", |said| {
-        (said["topic"] == "/managed/transition_event" && said["value"]["goal_state"]["label"] == "active")
-            .then_some(())
+    // Event and answer come in any order.
+    rclpy.tell(&json!({"do": "call", "service": "/managed/change_state",
+        "type": "lifecycle_msgs/srv/ChangeState", "request": {"transition": {"label": "cleanup"}}}));
+    let (mut told, mut answered) = (false, false);
+    rclpy.wait("answer and event of the last transition", |said| {
+        told |= said["topic"] == "/managed/transition_event"
+            && said["value"]["start_state"]["label"] == "cleaningup"
+            && said["value"]["goal_state"]["label"] == "unconfigured";
+        answered |= said["service"] == "/managed/change_state" && said["value"]["success"] == true;
+        (told && answered).then_some(())
     });
 }
 
