@@ -113,6 +113,8 @@ pub fn ros(root: &Path) -> Result<Ros> {
     set("DERMIS_ROS_PYTHON", python.display().to_string());
     // Type descriptions with their hashes: ours in the overlay, the standard ones below it.
     set("DERMIS_ROS_PREFIX", join(&[&overlay.display().to_string(), &base.ament]));
+    // A file for each process; otherwise below ~/.ros.
+    set("ROS_LOG_DIR", home.join("ros-log").display().to_string());
     // Tests never leave this machine.
     set("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST".to_owned());
     Ok(Ros { variables })
