@@ -131,7 +131,8 @@ fn frames_meet_their_ground_truth() {
     truths.push(truth(10 * STEP, 3, &[(0.002, f64::NAN)]));
     truths.push(truth(11 * STEP, 4, &[(0.002, 1.0), (0.004, 1.0)]));
     let path = bag(dir.path(), &frames, &truths);
-    let data = Dataset::from_bags(&[&path], &skin(), DatasetOptions::default()).unwrap();
+    let options = DatasetOptions { tolerance: Some(0.005), ..DatasetOptions::default() };
+    let data = Dataset::from_bags(&[&path], &skin(), options).unwrap();
     let run = &data.runs()[0];
     assert_eq!((run.samples.len(), run.lost, run.session.as_str()), (12, 1, "s1"));
 
@@ -151,7 +152,7 @@ fn frames_meet_their_ground_truth() {
     let notices = data.notices().join("\n").replace(&path.display().to_string(), "BAG");
     insta::assert_snapshot!(notices, @r"
     bag BAG: 1 frames were lost between device and bag
-    bag BAG: 3 of 12 frames have no ground truth within 0.01 s and are used as history only
+    bag BAG: 3 of 12 frames have no ground truth within 0.005 s and are used as history only
     bag BAG: 1 frames have several contacts; they only count for the target `contact`
     ");
 }
@@ -216,6 +217,9 @@ fn inputs_are_those_of_a_node() {
     assert_eq!(rows.len(), ids.len() * 4);
     let mut features = Features::new(config).unwrap();
     for sample in &data.runs()[0].samples {
+        if sample.tare {
+            features.reset();
+        }
         features.push(sample.frame.stamp, &sample.tared).unwrap();
     }
     assert_eq!(features.input().unwrap(), &rows[rows.len() - 4..]);
