@@ -1,4 +1,5 @@
 //! The behaviour suite over the embedded backend, and what only it must show.
+#![expect(clippy::unwrap_used, reason = "helpers of tests are not seen as tests")]
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
