@@ -134,8 +134,8 @@ pub struct Condition {
     /// \[s\] time constant with which the zero follows slow drift while the skin is not touched.
     pub drift_time: f64,
     /// Share of a contact's strongest signal below which a signal that stands still for `tare_duration` is what the
-    /// medium's hysteresis leaves behind, and becomes the new zero. 0 switches that off: where contacts may shift
-    /// their weight instead of ending, as under a foot, stillness says nothing.
+    /// medium's hysteresis leaves behind: the contact has ended there, and that signal is the new zero. 0 switches
+    /// this off: where contacts may shift their weight instead of ending, as under a foot, stillness says nothing.
     pub release_share: f64,
     /// \[s\] without any change after which a channel is stuck; 0 switches the check off.
     pub stuck_time: f64,

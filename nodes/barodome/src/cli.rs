@@ -1,0 +1,96 @@
+//! The node's options on a command line.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::{Config, ConfigError};
+
+/// The node's options on a command line.
+#[derive(Debug, Clone, Args)]
+pub struct Arguments {
+    /// Configuration file (TOML or YAML) in place of `--skin` and `--source`.
+    #[arg(long, conflicts_with_all = ["skin", "source"])]
+    config: Option<PathBuf>,
+    /// Skin description file.
+    #[arg(long, required_unless_present = "config")]
+    skin: Option<PathBuf>,
+    /// Where the bytes come from, e.g. `serial:///dev/ttyACM0?baud=921600`.
+    #[arg(long, required_unless_present = "config")]
+    source: Option<String>,
+    /// Folder of a model bundle; may be given several times.
+    #[arg(long)]
+    model: Vec<PathBuf>,
+    /// Channel to leave out; may be given several times.
+    #[arg(long)]
+    mask: Vec<String>,
+    /// Node name; the skin's name where absent.
+    #[arg(long)]
+    name: Option<String>,
+    /// ROS namespace.
+    #[arg(long)]
+    namespace: Option<String>,
+    /// Remapping of a topic or service, `from:=to`; may be given several times.
+    #[arg(long)]
+    remap: Vec<String>,
+    /// End where a model cannot be used, instead of publishing readings only.
+    #[arg(long)]
+    strict: bool,
+}
+
+impl Arguments {
+    /// What the options say, on top of the configuration file where one is given.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] where the configuration file cannot be used.
+    pub fn into_config(self) -> Result<Config, ConfigError> {
+        let mut config = match (self.config, self.skin, self.source) {
+            (Some(file), ..) => Config::load(file)?,
+            (None, skin, source) => Config::new(skin.unwrap_or_default(), source.unwrap_or_default()),
+        };
+        config.models.extend(self.model);
+        config.masked.extend(self.mask);
+        config.remap.extend(self.remap);
+        config.strict |= self.strict;
+        config.name = self.name.or(config.name);
+        config.namespace = self.namespace.unwrap_or(config.namespace);
+        Ok(config)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Program {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    fn parse(arguments: &[&str]) -> Result<Config, String> {
+        let all = std::iter::once(&"node").chain(arguments);
+        let program = Program::try_parse_from(all).map_err(|e| e.to_string())?;
+        program.arguments.into_config().map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn options_add_to_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("palm.toml");
+        std::fs::write(&file, "skin = 'p.toml'\nsource = 's'\nnamespace = '/left'\nmodels = ['a']").unwrap();
+        let file = file.display().to_string();
+        let config = parse(&["--config", &file, "--model", "b", "--strict"]).unwrap();
+        assert_eq!(config.models, [folder.path().join("a"), PathBuf::from("b")]);
+        assert!(config.strict && config.namespace == "/left");
+        assert!(parse(&["--config", &file, "--skin", "p"]).is_err());
+    }
+
+    #[test]
+    fn a_skin_needs_a_source() {
+        assert!(parse(&["--skin", "p"]).unwrap_err().contains("--source"));
+        assert_eq!(parse(&["--skin", "p", "--source", "s"]).unwrap(), Config::new("p", "s"));
+    }
+}

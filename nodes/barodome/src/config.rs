@@ -1,0 +1,251 @@
+//! What the node is told when it starts.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use dermis_inference::RuntimeConfig;
+use serde::{Deserialize, Serialize};
+
+/// A configuration that cannot be used, and why.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// The file cannot be read, or is neither TOML nor YAML.
+    #[error("configuration {path}: {reason}")]
+    Read {
+        /// File that was asked for.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A field is missing or has the wrong type.
+    #[error("configuration {path}: field `{field}`: {reason}")]
+    Field {
+        /// File that it came from.
+        path: PathBuf,
+        /// Path of the field.
+        field: String,
+        /// What was expected.
+        reason: String,
+    },
+    /// A key that the node does not know: most often a misspelt one.
+    #[error("configuration {path}: unknown key `{key}`; remove it or correct its spelling (known here: {})", KEYS.join(", "))]
+    UnknownKey {
+        /// File that it came from.
+        path: PathBuf,
+        /// Path of the key.
+        key: String,
+    },
+}
+
+const KEYS: [&str; 16] = [
+    "skin",
+    "source",
+    "name",
+    "namespace",
+    "models",
+    "masked",
+    "runtime",
+    "force_threshold",
+    "strict",
+    "autostart",
+    "domain_id",
+    "localhost_only",
+    "use_sim_time",
+    "device_time",
+    "remap",
+    "parameters",
+];
+
+/// What the node is told when it starts; a file of it is TOML or YAML.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Config {
+    /// Skin description file; relative to the configuration file where it comes from one.
+    pub skin: PathBuf,
+    /// Where the bytes come from, e.g. `serial:///dev/ttyACM0?baud=921600`.
+    pub source: String,
+    /// Node name; the skin's name where absent.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// ROS namespace.
+    #[serde(default = "root")]
+    pub namespace: String,
+    /// Folders of model bundles, each of which gives some of the outputs; relative as `skin` is.
+    #[serde(default)]
+    pub models: Vec<PathBuf>,
+    /// Channels to leave out.
+    #[serde(default)]
+    pub masked: Vec<String>,
+    /// What evaluates the models.
+    #[serde(default)]
+    pub runtime: RuntimeConfig,
+    /// \[N\] contacts that press less are not reported; 0 reports whatever stands out of the noise.
+    #[serde(default)]
+    pub force_threshold: f64,
+    /// Whether a model that cannot be used ends the node; otherwise it publishes readings, and says why it gives no
+    /// contacts.
+    #[serde(default)]
+    pub strict: bool,
+    /// Whether the node configures and activates itself; otherwise a lifecycle manager does.
+    #[serde(default = "yes")]
+    pub autostart: bool,
+    /// ROS domain; `ROS_DOMAIN_ID` where absent.
+    #[serde(default)]
+    pub domain_id: Option<u16>,
+    /// Whether to stay on this machine; the ROS environment variables decide where absent.
+    #[serde(default)]
+    pub localhost_only: Option<bool>,
+    /// Whether stamps are those of `/clock`.
+    #[serde(default)]
+    pub use_sim_time: bool,
+    /// Whether stamps follow the device's clock as it is, from its first frame on, instead of being mapped to the clock
+    /// of this machine: for recordings that are played at another pace than they were made at.
+    #[serde(default)]
+    pub device_time: bool,
+    /// Remappings of topics and services, `from:=to`.
+    #[serde(default)]
+    pub remap: Vec<String>,
+    /// Start values of parameters, e.g. `contact_threshold`.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, serde_json::Value>,
+}
+
+fn root() -> String {
+    "/".into()
+}
+
+fn yes() -> bool {
+    true
+}
+
+impl Config {
+    /// A node for this skin and source, with everything else as it is by default.
+    #[must_use]
+    pub fn new(skin: impl Into<PathBuf>, source: impl Into<String>) -> Self {
+        Self {
+            skin: skin.into(),
+            source: source.into(),
+            name: None,
+            namespace: root(),
+            models: Vec::new(),
+            masked: Vec::new(),
+            runtime: RuntimeConfig::default(),
+            force_threshold: 0.0,
+            strict: false,
+            autostart: true,
+            domain_id: None,
+            localhost_only: None,
+            use_sim_time: false,
+            device_time: false,
+            remap: Vec::new(),
+            parameters: BTreeMap::new(),
+        }
+    }
+
+    /// Reads a file: YAML where its name ends in `.yaml` or `.yml`, otherwise TOML.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] names the file and the field or key.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
+        let path = path.as_ref();
+        let text = std::fs::read_to_string(path).map_err(|e| ConfigError::Read {
+            path: path.to_owned(),
+            reason: format!("cannot be read: {e}; check the path and its permissions"),
+        })?;
+        let yaml = path.extension().is_some_and(|e| e == "yaml" || e == "yml");
+        let mut config = Self::parse(&text, yaml, path)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        config.skin = folder.join(&config.skin);
+        for model in &mut config.models {
+            *model = folder.join(&model);
+        }
+        Ok(config)
+    }
+
+    fn parse(text: &str, yaml: bool, path: &Path) -> Result<Self, ConfigError> {
+        let format = if yaml { ::config::FileFormat::Yaml } else { ::config::FileFormat::Toml };
+        let tree = ::config::Config::builder()
+            .add_source(::config::File::from_str(text, format))
+            .build()
+            .map_err(|e| ConfigError::Read { path: path.to_owned(), reason: one_line(&e.to_string()) })?;
+        let mut unknown = None;
+        let mut track = serde_path_to_error::Track::new();
+        let parsed: Result<Self, ::config::ConfigError> = {
+            let path_aware = serde_path_to_error::Deserializer::new(tree, &mut track);
+            serde_ignored::deserialize(path_aware, |key| {
+                unknown.get_or_insert_with(|| key.to_string());
+            })
+        };
+        // A misspelt key is the likely reason for a missing one, so that it comes first.
+        if let Some(key) = unknown {
+            return Err(ConfigError::UnknownKey { path: path.to_owned(), key });
+        }
+        parsed.map_err(|e| ConfigError::Field {
+            path: path.to_owned(),
+            field: match track.path().to_string() {
+                path if path == "." => "(top level)".into(),
+                path => path,
+            },
+            reason: one_line(&e.to_string()),
+        })
+    }
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn toml(text: &str) -> Result<Config, String> {
+        Config::parse(text, false, Path::new("palm.toml")).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn toml_and_yaml_say_the_same() {
+        let a = toml(
+            "skin = 'pad.toml'\nsource = 'udp://0.0.0.0:7400'\nmodels = ['a', 'b']\nautostart = false\n\
+             [parameters]\ncontact_threshold = 5.5\n[runtime]\nchoice = 'embedded'",
+        )
+        .unwrap();
+        let b = Config::parse(
+            "skin: pad.toml\nsource: udp://0.0.0.0:7400\nmodels: [a, b]\nautostart: false\n\
+             parameters: {contact_threshold: 5.5}\nruntime: {choice: embedded}",
+            true,
+            Path::new("palm.yaml"),
+        )
+        .unwrap();
+        assert_eq!(a, b);
+        assert_eq!(a.models, [Path::new("a"), Path::new("b")]);
+        assert_eq!(a.parameters["contact_threshold"], serde_json::json!(5.5));
+        assert!(!a.autostart && !a.strict);
+    }
+
+    #[test]
+    fn what_is_left_out_is_as_in_new() {
+        assert_eq!(toml("skin = 'p.toml'\nsource = 's'").unwrap(), Config::new("p.toml", "s"));
+    }
+
+    #[test]
+    fn refusals_name_the_key() {
+        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, models, masked, runtime, force_threshold, strict, autostart, domain_id, localhost_only, use_sim_time, device_time, remap, parameters)");
+        insta::assert_snapshot!(toml("skin = 'p'").unwrap_err(), @r#"configuration palm.toml: field `(top level)`: missing configuration field "source""#);
+        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nautostart = 'maybe'").unwrap_err(), @r#"configuration palm.toml: field `autostart`: invalid type: string "maybe", expected a boolean for key `autostart`"#);
+        assert!(toml("skin = ").is_err());
+    }
+
+    #[test]
+    fn paths_are_relative_to_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("palm.toml");
+        std::fs::write(&file, "skin = 'skins/pad.toml'\nsource = 's'\nmodels = ['m', '/abs']").unwrap();
+        let config = Config::load(&file).unwrap();
+        assert_eq!(config.skin, folder.path().join("skins/pad.toml"));
+        assert_eq!(config.models, [folder.path().join("m"), PathBuf::from("/abs")]);
+        let missing = Config::load(folder.path().join("none.toml")).unwrap_err().to_string();
+        assert!(missing.contains("none.toml: cannot be read"), "{missing}");
+    }
+}

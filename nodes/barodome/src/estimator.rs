@@ -1,0 +1,853 @@
+//! Frame → contacts: conditioning, inference, contact extraction and tracking in one struct, the same in the node and
+//! in offline evaluation.
+
+use std::path::PathBuf;
+
+use dermis_inference::{Baseline, Bundle, BundleError, Features, Model, Outputs, Runtime};
+use dermis_skin::{
+    ChannelFlags, Condition, Contact, Estimate, EstimateError, Estimator, ForceComponents, ForceMap,
+    ForceValues, Frame, SkinDescription, Surface, SurfaceSpec, TareState,
+};
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use crate::condition::{ConditionError, Conditioned, Conditioner, TareRefusal, listed};
+use crate::contacts::{TaxelShares, Tracker};
+
+/// Presence by probability begins above the first and ends below the second.
+const PRESENT: (f64, f64) = (0.5, 0.4);
+/// Output that gives the pressing force at every point of the surface \[N\].
+const MAP_NORMAL: &str = "map.normal";
+/// Output that gives x, y and z of the force at every point of the surface \[N\].
+const MAP_FORCE: &str = "map.force";
+
+/// Why an estimator could not be made, or a model not be taken over.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SetupError {
+    /// A bundle is missing, damaged or for another skin.
+    #[error(transparent)]
+    Bundle(#[from] BundleError),
+    /// The configuration does not fit the skin.
+    #[error(transparent)]
+    Condition(#[from] ConditionError),
+    /// Two bundles answer the same question.
+    #[error("model bundles {first} and {second} both give `{output}`; load only one of them")]
+    SameOutput {
+        /// Name of the output.
+        output: String,
+        /// Bundle that came first.
+        first: PathBuf,
+        /// Bundle that came second.
+        second: PathBuf,
+    },
+    /// A bundle whose outputs cannot be placed on this skin.
+    #[error("model bundle {path}: output `{output}`: {reason}")]
+    Output {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// Name of the output.
+        output: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// Whether the estimate can be relied on; the order is from best to worst.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum Quality {
+    /// Yes: no contacts means "not touched".
+    Ok,
+    /// With less certainty: channels are missing or out of range.
+    Degraded,
+    /// Not yet: no zero, no model, or the model fails.
+    #[default]
+    Uncalibrated,
+    /// No: most readings are invalid.
+    Fault,
+}
+
+/// What is known about the latest frame besides its contacts.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Verdict {
+    /// Whether the estimate can be relied on.
+    pub quality: Quality,
+    /// One sentence, empty when all is well.
+    pub text: String,
+    /// Root mean square of the signal in units of the channels' noise; NaN before the first tare.
+    pub level: f64,
+    /// Whether something touches the skin, by level or by the model.
+    pub touched: bool,
+    /// Model's probability of a contact, where it gives one.
+    pub probability: Option<f64>,
+}
+
+/// One loaded bundle.
+struct Pipeline {
+    path: PathBuf,
+    name: String,
+    baseline: Baseline,
+    force_range: Option<[f64; 2]>,
+    features: Features,
+    model: Model,
+    raw: Vec<f32>,
+    outputs: Outputs,
+    fresh: bool,
+}
+
+impl Pipeline {
+    fn new(bundle: &Bundle, runtime: &Runtime) -> Result<Self, BundleError> {
+        Ok(Self {
+            path: bundle.path().to_owned(),
+            name: bundle.manifest().name.clone(),
+            baseline: bundle.manifest().baseline,
+            force_range: bundle.manifest().force_range,
+            features: bundle.features(),
+            model: bundle.session(runtime)?,
+            raw: Vec::new(),
+            outputs: bundle.outputs(),
+            fresh: false,
+        })
+    }
+
+    fn names(&self) -> impl Iterator<Item = &str> {
+        self.outputs.config().values.iter().map(|v| v.name.as_str())
+    }
+
+    /// Evaluates the model on the newest frame; `false` while its history is not filled.
+    fn infer(&mut self) -> Result<bool, String> {
+        let Some(input) = self.features.input() else { return Ok(false) };
+        self.model
+            .run(input, &mut self.raw)
+            .map_err(|e| e.to_string())
+            .and_then(|()| self.outputs.decode(&self.raw).map_err(|e| e.to_string()))
+            .map_err(|reason| format!("model {}: {reason}", self.path.display()))?;
+        self.fresh = true;
+        Ok(true)
+    }
+}
+
+/// Loaded bundles that share the work: each gives some of the outputs.
+pub struct Models(Vec<Pipeline>);
+
+impl Models {
+    /// Loads bundles into a runtime; takes a moment.
+    ///
+    /// # Errors
+    ///
+    /// [`SetupError`] where a graph is refused, two bundles give the same output, or a force map does not fit the
+    /// surface.
+    pub fn load(surface: &Surface, bundles: &[Bundle], runtime: &Runtime) -> Result<Self, SetupError> {
+        let mut models = Self(Vec::new());
+        for bundle in bundles {
+            let pipeline = Pipeline::new(bundle, runtime)?;
+            for other in &models.0 {
+                if let Some(output) = pipeline.names().find(|n| other.names().any(|o| o == *n)) {
+                    return Err(SetupError::SameOutput {
+                        output: output.to_owned(),
+                        first: other.path.clone(),
+                        second: pipeline.path.clone(),
+                    });
+                }
+            }
+            let points = surface.points.len();
+            for (output, expected) in [(MAP_NORMAL, points), (MAP_FORCE, 3 * points)] {
+                if let Some(values) = pipeline.outputs.values(output)
+                    && values.len() != expected
+                {
+                    return Err(SetupError::Output {
+                        path: pipeline.path,
+                        output: output.into(),
+                        reason: format!(
+                            "has {} numbers where the surface needs {expected}; was `surface.spacing` changed?",
+                            values.len()
+                        ),
+                    });
+                }
+            }
+            models.0.push(pipeline);
+        }
+        Ok(models)
+    }
+
+    /// Whether one of them gives a force map.
+    #[must_use]
+    pub fn gives_force_map(&self) -> bool {
+        self.0.iter().flat_map(Pipeline::names).any(|n| n == MAP_NORMAL || n == MAP_FORCE)
+    }
+}
+
+/// Estimator for taxels in an elastic medium.
+///
+/// One contact at a time: position, force and presence come from learned models. A frame goes through
+/// [`Conditioner`], the models' features, the models, and [`Tracker`]; nothing but the frames and the loaded bundles
+/// goes in, so that a recording gives the same contacts offline as it gave in the node.
+pub struct BarodomeEstimator {
+    skin: SkinDescription,
+    surface: Surface,
+    conditioner: Conditioner,
+    pipelines: Vec<Pipeline>,
+    shares: TaxelShares,
+    tracker: Tracker,
+    cleaned: Conditioned,
+    verdict: Verdict,
+    /// Pressing force \[N\] below which contacts are not reported.
+    least_force: f64,
+    probable: bool,
+    no_model: String,
+}
+
+impl BarodomeEstimator {
+    /// An estimator without a model: it conditions frames and finds nothing until
+    /// [`set_models`](Self::set_models). `masked` names channels that are to be left out.
+    ///
+    /// # Errors
+    ///
+    /// [`SetupError::Condition`] names a channel that does not exist.
+    pub fn new(skin: &SkinDescription, masked: &[String]) -> Result<Self, SetupError> {
+        Ok(Self {
+            surface: skin.surface(),
+            conditioner: Conditioner::new(skin, masked)?,
+            pipelines: Vec::new(),
+            shares: TaxelShares::new(skin),
+            tracker: Tracker::new(skin),
+            cleaned: Conditioned::default(),
+            verdict: Verdict { level: f64::NAN, ..Verdict::default() },
+            least_force: 0.0,
+            probable: false,
+            no_model: "no model is loaded, so that contacts are unknown; train one with `dermis train` and name its \
+                       folder in `models`"
+                .into(),
+            skin: skin.clone(),
+        })
+    }
+
+    /// Uses these models from the next frame on.
+    pub fn set_models(&mut self, models: Models) {
+        self.pipelines = models.0;
+        self.probable = false;
+    }
+
+    /// Uses these models in place of those that give any of the same outputs; the others stay.
+    pub fn replace_models(&mut self, models: Models) {
+        self.pipelines
+            .retain(|old| !models.0.iter().any(|new| old.names().any(|n| new.names().any(|m| m == n))));
+        self.pipelines.extend(models.0);
+        self.probable = false;
+    }
+
+    /// Has the verdict say why there is no model, for as long as there is none.
+    pub fn explain_missing_model(&mut self, sentence: String) {
+        self.no_model = sentence;
+    }
+
+    /// What is known about the latest frame besides its contacts.
+    #[must_use]
+    pub fn verdict(&self) -> &Verdict {
+        &self.verdict
+    }
+
+    /// The latest frame after conditioning.
+    #[must_use]
+    pub fn conditioned(&self) -> &Conditioned {
+        &self.cleaned
+    }
+
+    /// Where the tare stands.
+    #[must_use]
+    pub fn tare_state(&self) -> TareState {
+        self.conditioner.tare_state()
+    }
+
+    /// Zero of every channel in the unit of the skin; `None` before the first tare.
+    #[must_use]
+    pub fn zero(&self) -> Option<&[f64]> {
+        self.conditioner.zero()
+    }
+
+    /// Starts a tare; see [`Conditioner::begin_tare`].
+    ///
+    /// # Errors
+    ///
+    /// [`TareRefusal`]; the zero stays as it was.
+    pub fn begin_tare(&mut self, even_if_touched: bool) -> Result<(), TareRefusal> {
+        self.conditioner.begin_tare(even_if_touched)
+    }
+
+    /// Gives up a tare that has not ended.
+    pub fn cancel_tare(&mut self) {
+        self.conditioner.cancel_tare();
+    }
+
+    /// Takes a zero from elsewhere; see [`Conditioner::set_zero`].
+    pub fn set_zero(&mut self, zero: &[f64]) {
+        self.conditioner.set_zero(zero);
+    }
+
+    /// Thresholds and times in use.
+    #[must_use]
+    pub fn condition(&self) -> &Condition {
+        self.conditioner.condition()
+    }
+
+    /// Uses other thresholds and times from the next frame on.
+    pub fn set_condition(&mut self, condition: Condition) {
+        self.conditioner.set_condition(condition);
+    }
+
+    /// \[N\] pressing force below which contacts are not reported; 0 reports whatever stands out of the noise.
+    pub fn set_least_force(&mut self, newton: f64) {
+        if newton.is_finite() && newton >= 0.0 {
+            self.least_force = newton;
+        }
+    }
+
+    /// \[N\] lightest contact that is reported: the configured force, or where none is configured the model's own error
+    /// for light contacts, below which a force is not told from nothing. NaN where no model gives a force.
+    #[must_use]
+    pub fn force_threshold(&self) -> f64 {
+        let sigma = ["force.normal", "force.z"]
+            .iter()
+            .find_map(|name| self.pipelines.iter().find_map(|p| p.outputs.sigma(name, 0.0)));
+        if self.least_force > 0.0 { self.least_force } else { sigma.unwrap_or(f64::NAN) }
+    }
+
+    /// \[N\] largest normal force that the model was trained on; NaN where unknown.
+    #[must_use]
+    pub fn force_max(&self) -> f64 {
+        self.force_range().map_or(f64::NAN, |[_, most]| most)
+    }
+
+    fn force_range(&self) -> Option<[f64; 2]> {
+        let gives_force = |p: &&Pipeline| p.names().any(|n| n.starts_with("force."));
+        self.pipelines.iter().find(gives_force).and_then(|p| p.force_range)
+    }
+
+    /// Without a zero neither the signal is known nor, unless a model says so, whether something touches.
+    fn needs_zero(&self) -> bool {
+        self.pipelines.iter().any(|p| p.baseline == Baseline::Tared)
+            || !self.outputs().any(|n| n == "contact")
+    }
+
+    /// Names of everything that the loaded models give.
+    pub fn outputs(&self) -> impl Iterator<Item = &str> {
+        self.pipelines.iter().flat_map(Pipeline::names)
+    }
+
+    /// Whether a loaded model gives a force map.
+    #[must_use]
+    pub fn gives_force_map(&self) -> bool {
+        self.outputs().any(|n| n == MAP_NORMAL || n == MAP_FORCE)
+    }
+
+    /// Loaded models: name and folder.
+    pub fn models(&self) -> impl Iterator<Item = (&str, &std::path::Path)> {
+        self.pipelines.iter().map(|p| (p.name.as_str(), p.path.as_path()))
+    }
+
+    fn get(&self, output: &str) -> Option<f64> {
+        self.pipelines.iter().filter(|p| p.fresh).find_map(|p| p.outputs.get(output))
+    }
+
+    fn sigma(&self, output: &str, force: f64) -> f64 {
+        let found = self.pipelines.iter().find_map(|p| p.outputs.sigma(output, force));
+        found.unwrap_or(f64::NAN)
+    }
+
+    /// Runs what is needed of the models. Returns whether a contact is there and whether every model could answer.
+    fn infer(&mut self) -> Result<(bool, bool), String> {
+        let cleaned = &self.cleaned;
+        for pipeline in &mut self.pipelines {
+            pipeline.fresh = false;
+            let values = match pipeline.baseline {
+                Baseline::Raw => &cleaned.reading.values,
+                Baseline::Tared => &cleaned.signal.values,
+            };
+            pipeline.features.push(cleaned.reading.stamp, values).map_err(|e| e.to_string())?;
+        }
+        // A model that says whether there is a contact is asked on every frame, the others only during contacts.
+        let mut probability = None;
+        for pipeline in &mut self.pipelines {
+            if pipeline.names().any(|n| n == "contact") && pipeline.infer()? {
+                probability = pipeline.outputs.contact();
+            }
+        }
+        self.verdict.probability = probability;
+        if let Some(p) = probability {
+            self.probable = p > if self.probable { PRESENT.1 } else { PRESENT.0 };
+        }
+        let present = if probability.is_some() { self.probable } else { self.cleaned.touched };
+        let mut complete = true;
+        for pipeline in &mut self.pipelines {
+            if present && !pipeline.fresh {
+                complete &= pipeline.infer()?;
+            }
+        }
+        Ok((present, complete))
+    }
+
+    fn contact(&mut self) -> Contact {
+        let flat = matches!(self.skin.surface, SurfaceSpec::Rectangle { .. });
+        let (position, normal) =
+            match (self.get("position.x"), self.get("position.y"), self.get("position.z")) {
+                (Some(x), Some(y), Some(z)) => self.surface.project(&Point3::new(x, y, z)),
+                (Some(x), Some(y), None) if flat => self.surface.project(&Point3::new(x, y, 0.0)),
+                // On a flat skin the normal is known without the position.
+                _ if flat => (Point3::from(Vector3::repeat(f64::NAN)), Vector3::z()),
+                _ => (Point3::from(Vector3::repeat(f64::NAN)), Vector3::repeat(f64::NAN)),
+            };
+        let mut contact = Contact::at(position, normal);
+
+        let full = match (self.get("force.x"), self.get("force.y"), self.get("force.z")) {
+            (Some(x), Some(y), Some(z)) => Some(Vector3::new(x, y, z)),
+            _ => None,
+        };
+        let pressing = self.get("force.normal").or_else(|| self.get("force.z").filter(|_| flat).map(|z| -z));
+        let magnitude = if let Some(force) = full {
+            contact.force = force;
+            contact.force_components = ForceComponents::Full;
+            let along = -force.dot(&normal);
+            let along = if along.is_nan() { force.norm() } else { along };
+            contact.force_covariance = Matrix3::from_diagonal(&Vector3::new(
+                self.sigma("force.x", along).powi(2),
+                self.sigma("force.y", along).powi(2),
+                self.sigma("force.z", along).powi(2),
+            ));
+            along
+        } else if let Some(pressing) = pressing.filter(|_| !normal.x.is_nan()) {
+            contact.force = -normal * pressing;
+            contact.force_components = ForceComponents::Normal;
+            let by_normal = self.sigma("force.normal", pressing);
+            let sigma = if by_normal.is_nan() { self.sigma("force.z", pressing) } else { by_normal };
+            contact.force_covariance = normal * normal.transpose() * sigma.powi(2);
+            pressing
+        } else {
+            f64::NAN
+        };
+
+        if !position.x.is_nan() {
+            let at = if magnitude.is_nan() { 0.0 } else { magnitude };
+            let z = self.sigma("position.z", at);
+            contact.position_covariance = Matrix3::from_diagonal(&Vector3::new(
+                self.sigma("position.x", at).powi(2),
+                self.sigma("position.y", at).powi(2),
+                // A flat skin knows its own height.
+                if flat { 0.0 } else { z.powi(2) },
+            ));
+        }
+        contact.taxels = self.shares.of(&self.cleaned.signal, self.conditioner.condition().contact_threshold);
+        contact.confidence = self.confidence(magnitude) as f32;
+        contact
+    }
+
+    /// 0 to 1: how surely this is a contact, less for channels that are missing and for a force that the model has
+    /// never seen.
+    fn confidence(&self, pressing: f64) -> f64 {
+        let present = self.verdict.probability.unwrap_or_else(|| {
+            // One half at the threshold, and towards one as the signal rises above it.
+            let ratio = self.cleaned.level / self.conditioner.condition().contact_threshold;
+            1.0 - 0.5 * (1.0 - ratio).exp()
+        });
+        let reading = &self.cleaned.reading;
+        let healthy = reading.healthy_channels() as f64 / reading.values.len().max(1) as f64;
+        let familiar = match self.force_range() {
+            Some([_, most]) if pressing > most && most > 0.0 => most / pressing,
+            _ => 1.0,
+        };
+        (present * healthy * familiar).clamp(0.0, 1.0)
+    }
+
+    fn force_map(&self) -> Option<ForceMap> {
+        let values = |name| self.pipelines.iter().filter(|p| p.fresh).find_map(|p| p.outputs.values(name));
+        let forces = if let Some(map) = values(MAP_FORCE) {
+            ForceValues::Vector(
+                map.chunks_exact(3).map(|f| [f[0] as f32, f[1] as f32, f[2] as f32]).collect(),
+            )
+        } else {
+            ForceValues::Normal(values(MAP_NORMAL)?.iter().map(|f| *f as f32).collect())
+        };
+        Some(ForceMap { indices: None, forces })
+    }
+
+    fn no_force(&self) -> Option<ForceMap> {
+        let points = self.surface.points.len();
+        let has = |name| self.outputs().any(|n| n == name);
+        let forces = if has(MAP_FORCE) {
+            ForceValues::Vector(vec![[0.0; 3]; points])
+        } else if has(MAP_NORMAL) {
+            ForceValues::Normal(vec![0.0; points])
+        } else {
+            return None;
+        };
+        Some(ForceMap { indices: None, forces })
+    }
+
+    /// Unusable channels that nobody asked to leave out: their names with what is wrong, and how many of how many.
+    fn faults(&self) -> (Vec<String>, usize, usize) {
+        let reading = &self.cleaned.reading;
+        let mut names = Vec::new();
+        let (mut invalid, mut asked) = (0, 0);
+        for (channel, flags) in self.skin.channels().iter().zip(&reading.flags) {
+            if flags.contains(ChannelFlags::MASKED) {
+                continue;
+            }
+            asked += 1;
+            invalid += usize::from(flags.is_invalid());
+            if !flags.is_ok() {
+                names.push(format!("{} ({flags})", channel.name));
+            }
+        }
+        (names, invalid, asked)
+    }
+
+    fn judge(&self) -> (Quality, String) {
+        let (faults, invalid, asked) = self.faults();
+        if 2 * invalid > asked || asked == 0 {
+            return (
+                Quality::Fault,
+                format!(
+                    "{invalid} of {asked} channels are unusable: {}; check the sensor and its wiring",
+                    listed(&faults, 8)
+                ),
+            );
+        }
+        if self.pipelines.is_empty() {
+            return (Quality::Uncalibrated, self.no_model.clone());
+        }
+        if self.needs_zero() && !self.conditioner.is_tared() {
+            return (Quality::Uncalibrated, self.untared());
+        }
+        if faults.is_empty() {
+            return (Quality::Ok, String::new());
+        }
+        (
+            Quality::Degraded,
+            format!("{} of {asked} channels are impaired: {}", faults.len(), listed(&faults, 8)),
+        )
+    }
+
+    fn untared(&self) -> String {
+        match self.conditioner.tare_state() {
+            TareState::Averaging { disturbed: Some(spread), .. } => format!(
+                "not tared: the readings move by {spread:.1} times their noise; leave the skin untouched, or correct \
+                 `noise` in the skin file"
+            ),
+            TareState::Averaging { elapsed, .. } => format!(
+                "not tared yet: {elapsed:.1} of {:.1} s of untouched readings",
+                self.conditioner.condition().tare_duration
+            ),
+            TareState::Done => "not tared".into(),
+        }
+    }
+}
+
+impl Estimator for BarodomeEstimator {
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
+        let expected = self.skin.channels().len();
+        if frame.values.len() != expected {
+            return Err(EstimateError::Channels {
+                sequence: frame.sequence,
+                found: frame.values.len(),
+                expected,
+            });
+        }
+        let mut cleaned = std::mem::take(&mut self.cleaned);
+        self.conditioner.clean(frame, &mut cleaned);
+        self.cleaned = cleaned;
+        let (quality, text) = self.judge();
+        self.verdict = Verdict {
+            quality,
+            text,
+            level: self.cleaned.level,
+            touched: self.cleaned.touched,
+            probability: None,
+        };
+        let inferred = if quality <= Quality::Degraded { self.infer() } else { Ok((false, true)) };
+        let (present, complete) = match inferred {
+            Ok(answer) => answer,
+            Err(reason) => {
+                self.conditioner.follow(&self.cleaned, false);
+                self.verdict.quality = Quality::Uncalibrated;
+                self.verdict.text.clone_from(&reason);
+                return Err(EstimateError::Model { sequence: frame.sequence, reason });
+            }
+        };
+        self.verdict.touched |= present;
+        self.conditioner.follow(&self.cleaned, present);
+        if quality > Quality::Degraded {
+            return Ok(Estimate::default());
+        }
+        if present && !complete {
+            self.verdict.quality = Quality::Uncalibrated;
+            self.verdict.text = "touched, but the model's history of readings is not filled yet".into();
+            return Ok(Estimate::default());
+        }
+        if !present {
+            return Ok(Estimate { contacts: Vec::new(), force_map: self.no_force() });
+        }
+        let contact = self.contact();
+        let mut contacts = Vec::new();
+        if !(contact.normal_force() < self.least_force) {
+            contacts.push(contact);
+        }
+        self.tracker.assign(&mut contacts, frame.stamp);
+        Ok(Estimate { contacts, force_map: self.force_map() })
+    }
+
+    fn reset(&mut self) {
+        self.conditioner.reset();
+        for pipeline in &mut self.pipelines {
+            pipeline.features.reset();
+            pipeline.fresh = false;
+        }
+        self.tracker.reset();
+        self.cleaned = Conditioned::default();
+        self.verdict = Verdict { level: f64::NAN, ..Verdict::default() };
+        self.probable = false;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Out, TestBundle, load, skin_with, tared_estimator};
+
+    const IDLE: f32 = 101_325.0;
+
+    fn frame(k: u64, load: [f32; 4]) -> Frame {
+        // A pattern with a spread of one noise deviation and a mean of zero over four frames.
+        let wiggle = [20.0, -20.0, -20.0, 20.0][(k % 4) as usize];
+        let values =
+            load.iter().enumerate().map(|(i, l)| IDLE + l + if i % 2 == 0 { wiggle } else { -wiggle });
+        Frame::new(k as i64 * 10_000_000, k, values.collect())
+    }
+
+    fn press(estimator: &mut BarodomeEstimator, k: u64, load: [f32; 4]) -> Estimate {
+        estimator.estimate(&frame(k, load)).unwrap()
+    }
+
+    #[test]
+    fn without_a_model_it_is_uncalibrated_and_says_so() {
+        let mut estimator = BarodomeEstimator::new(&skin_with(""), &[]).unwrap();
+        for k in 0..100 {
+            assert!(press(&mut estimator, k, [0.0; 4]).contacts.is_empty());
+        }
+        assert_eq!(estimator.verdict().quality, Quality::Uncalibrated);
+        assert!(estimator.verdict().text.contains("no model is loaded"));
+        assert!(estimator.zero().is_some(), "it tares all the same");
+    }
+
+    #[test]
+    fn a_press_has_position_force_and_error_bars() {
+        let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
+        assert!(press(&mut estimator, 100, [0.0; 4]).contacts.is_empty());
+        assert_eq!((estimator.verdict().quality, estimator.verdict().text.as_str()), (Quality::Ok, ""));
+
+        let contacts = press(&mut estimator, 101, [2000.0, 0.0, 0.0, 0.0]).contacts;
+        let [contact] = contacts.as_slice() else { panic!("{contacts:?}") };
+        assert_eq!(contact.track_id, 1);
+        assert!((contact.position - Point3::new(-0.01, -0.01, 0.0)).norm() < 1e-3, "{}", contact.position);
+        assert_eq!(contact.normal, Vector3::z());
+        assert!((contact.normal_force() - 2.0).abs() < 0.1, "{}", contact.normal_force());
+        assert!(contact.force.z < 0.0, "pressing pushes into the skin");
+        assert_eq!(contact.force_components, ForceComponents::Normal);
+        assert!((contact.position_covariance[(0, 0)] - 1e-6).abs() < 1e-12);
+        assert_eq!(contact.position_covariance[(2, 2)], 0.0);
+        assert!((contact.force_covariance[(2, 2)] - 0.01).abs() < 1e-9);
+        assert_eq!(contact.taxels, [0]);
+        assert!(contact.confidence > 0.99 && contact.diameter.is_nan());
+        assert!((estimator.force_max() - 5.0).abs() < 1e-9);
+
+        assert_eq!(press(&mut estimator, 102, [1900.0, 0.0, 0.0, 0.0]).contacts[0].track_id, 1);
+        assert!(press(&mut estimator, 103, [0.0; 4]).contacts.is_empty());
+        assert_eq!(press(&mut estimator, 150, [1900.0, 0.0, 0.0, 0.0]).contacts[0].track_id, 2);
+    }
+
+    #[test]
+    fn positions_lie_on_the_surface() {
+        let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
+        let contact = &press(&mut estimator, 100, [8000.0, 0.0, 0.0, 0.0]).contacts[0];
+        assert_eq!(contact.position, Point3::new(-0.01, -0.01, 0.0), "beyond the edge of the pad");
+        assert!(contact.confidence < 0.7, "8 N where the model knows 5: {}", contact.confidence);
+    }
+
+    #[test]
+    fn the_same_frames_give_the_same_contacts() {
+        let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
+        estimator.reset();
+        let mut run = || -> Vec<Estimate> {
+            (0..400)
+                .map(|k| {
+                    let touched = (100..300).contains(&k);
+                    press(&mut estimator, k, if touched { [900.0, 100.0, 0.0, 40.0] } else { [0.0; 4] })
+                })
+                .collect()
+        };
+        let first = run();
+        assert!(first.iter().any(|e| !e.contacts.is_empty()));
+        let (estimator_again, _dir) = tared_estimator(&TestBundle::default());
+        estimator = estimator_again;
+        estimator.reset();
+        let second: Vec<Estimate> = (0..400)
+            .map(|k| {
+                let touched = (100..300).contains(&k);
+                press(&mut estimator, k, if touched { [900.0, 100.0, 0.0, 40.0] } else { [0.0; 4] })
+            })
+            .collect();
+        assert_eq!(format!("{first:?}"), format!("{second:?}"));
+    }
+
+    #[test]
+    fn impaired_channels_degrade_and_many_are_a_fault() {
+        let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
+        let healthy = press(&mut estimator, 100, [2000.0, 0.0, 0.0, 0.0]).contacts[0].confidence;
+        let contacts = press(&mut estimator, 101, [2000.0, 0.0, f32::NAN, 0.0]).contacts;
+        assert_eq!(estimator.verdict().quality, Quality::Degraded);
+        assert_eq!(estimator.verdict().text, "1 of 4 channels are impaired: t2 (not finite)");
+        assert!(contacts[0].confidence < 0.8 * healthy);
+        let blind = press(&mut estimator, 102, [f32::NAN, f32::NAN, f32::NAN, 0.0]);
+        assert!(blind.contacts.is_empty() && blind.force_map.is_none());
+        assert_eq!(estimator.verdict().quality, Quality::Fault);
+        assert!(
+            estimator.verdict().text.starts_with("3 of 4 channels are unusable: t0 (not finite), t1"),
+            "{}",
+            estimator.verdict().text
+        );
+    }
+
+    #[test]
+    fn an_untared_skin_is_no_untouched_skin() {
+        let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
+        estimator.reset();
+        press(&mut estimator, 0, [0.0; 4]);
+        press(&mut estimator, 1, [0.0; 4]);
+        assert_eq!(estimator.verdict().quality, Quality::Uncalibrated);
+        insta::assert_snapshot!(estimator.verdict().text, @"not tared yet: 0.0 of 0.5 s of untouched readings");
+        for k in 2..100 {
+            press(&mut estimator, k, [k as f32 * 50.0, 0.0, 0.0, 0.0]);
+        }
+        insta::assert_snapshot!(estimator.verdict().text, @"not tared: the readings move by 18.6 times their noise; leave the skin untouched, or correct `noise` in the skin file");
+    }
+
+    #[test]
+    fn a_model_that_says_whether_there_is_a_contact_is_believed() {
+        let mut bundle = TestBundle::default();
+        // One half at a sum of 1 kPa.
+        bundle.outputs.push(Out::new("contact", "1", 20.0, [1.0; 4]).biased(-20.0).logistic());
+        let (mut estimator, _dir) = tared_estimator(&bundle);
+        assert!(press(&mut estimator, 100, [500.0, 0.0, 0.0, 0.0]).contacts.is_empty());
+        assert!(estimator.conditioned().touched, "by level it is touched");
+        let contacts = press(&mut estimator, 101, [1500.0, 0.0, 0.0, 0.0]).contacts;
+        assert_eq!(contacts.len(), 1);
+        assert!(estimator.verdict().probability.is_some_and(|p| p > 0.9));
+    }
+
+    #[test]
+    fn presence_and_force_without_position_are_reported_as_such() {
+        let mut bundle = TestBundle::default();
+        bundle.outputs.retain(|o| o.name == "force.normal");
+        let (mut estimator, _dir) = tared_estimator(&bundle);
+        let contact = press(&mut estimator, 100, [2000.0, 0.0, 0.0, 0.0]).contacts.remove(0);
+        assert!(contact.position.x.is_nan() && contact.position_covariance[(0, 0)].is_nan());
+        assert!((contact.normal_force() - 2.0).abs() < 0.1, "the normal of a flat skin is known");
+
+        let dome =
+            skin_with("surface = { type = \"dome\", radius = 0.01, cylinder = 0.01, spacing = 0.003 }");
+        let dir = tempfile::tempdir().unwrap();
+        bundle.write(&dome, dir.path());
+        let mut estimator = load(&dome, &[dir.path()]).unwrap();
+        for k in 0..60 {
+            press(&mut estimator, k, [0.0; 4]);
+        }
+        let contact = press(&mut estimator, 100, [2000.0, 0.0, 0.0, 0.0]).contacts.remove(0);
+        assert_eq!(contact.force_components, ForceComponents::None);
+        assert!(contact.force.x.is_nan() && contact.normal.x.is_nan());
+    }
+
+    #[test]
+    fn all_three_components_are_told_from_the_normal_one() {
+        let mut bundle = TestBundle::default();
+        bundle.outputs.retain(|o| o.name != "force.normal");
+        for (axis, w) in [("x", 0.5), ("y", 0.0), ("z", -1.0)] {
+            bundle.outputs.push(Out::new(&format!("force.{axis}"), "N", 1.0, [w; 4]));
+        }
+        let (mut estimator, _dir) = tared_estimator(&bundle);
+        let contact = press(&mut estimator, 100, [2000.0, 0.0, 0.0, 0.0]).contacts.remove(0);
+        assert_eq!(contact.force_components, ForceComponents::Full);
+        assert!((contact.force - Vector3::new(1.0, 0.0, -2.0)).norm() < 0.1, "{}", contact.force);
+    }
+
+    #[test]
+    fn light_contacts_are_left_out_where_asked() {
+        let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
+        assert!((estimator.force_threshold() - 0.1).abs() < 1e-9, "the model's own error");
+        estimator.set_least_force(0.5);
+        assert!((estimator.force_threshold() - 0.5).abs() < 1e-9);
+        assert!(press(&mut estimator, 100, [300.0, 0.0, 0.0, 0.0]).contacts.is_empty());
+        assert_eq!(press(&mut estimator, 101, [900.0, 0.0, 0.0, 0.0]).contacts.len(), 1);
+    }
+
+    #[test]
+    fn two_bundles_share_the_work_but_not_an_output() {
+        let skin = skin_with("");
+        let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let mut position = TestBundle::default();
+        let mut force = TestBundle::default();
+        position.outputs.retain(|o| o.name != "force.normal");
+        force.outputs.retain(|o| o.name == "force.normal");
+        position.write(&skin, a.path());
+        force.write(&skin, b.path());
+        let mut estimator = load(&skin, &[a.path(), b.path()]).unwrap();
+        for k in 0..60 {
+            press(&mut estimator, k, [0.0; 4]);
+        }
+        let contact = press(&mut estimator, 100, [2000.0, 0.0, 0.0, 0.0]).contacts.remove(0);
+        assert!(contact.position.x < 0.0 && contact.normal_force() > 1.0);
+        let error = load(&skin, &[a.path(), a.path()]).err().unwrap().to_string();
+        assert!(error.contains("both give `position.x`"), "{error}");
+    }
+
+    #[test]
+    fn a_force_map_appears_where_the_model_gives_one() {
+        let points = skin_with("").surface().points.len();
+        let mut bundle = TestBundle::default();
+        let mut map = Out::new(MAP_NORMAL, "N", 0.1, [1.0, 0.0, 0.0, 0.0]);
+        map.count = points;
+        bundle.outputs.push(map);
+        let (mut estimator, _dir) = tared_estimator(&bundle);
+        assert!(estimator.gives_force_map());
+        let idle = press(&mut estimator, 100, [0.0; 4]).force_map.unwrap();
+        assert_eq!(idle.forces, ForceValues::Normal(vec![0.0; points]));
+        let pressed = press(&mut estimator, 101, [2000.0, 0.0, 0.0, 0.0]).force_map.unwrap();
+        let ForceValues::Normal(values) = pressed.forces else { panic!("vector map") };
+        assert!(values.len() == points && (values[3] - 0.2).abs() < 0.01);
+
+        bundle.outputs.last_mut().unwrap().count = 3;
+        let dir = tempfile::tempdir().unwrap();
+        bundle.write(&skin_with(""), dir.path());
+        let error = load(&skin_with(""), &[dir.path()]).err().unwrap().to_string();
+        assert!(error.contains("has 3 numbers where the surface needs 25"), "{error}");
+    }
+
+    #[test]
+    fn frames_of_another_skin_are_refused() {
+        let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
+        let error = estimator.estimate(&Frame::new(0, 9, vec![0.0; 5])).unwrap_err().to_string();
+        assert_eq!(error, "frame 9 has 5 channels where the skin has 4");
+    }
+
+    #[test]
+    fn a_history_that_is_not_filled_is_no_untouched_skin() {
+        let mut bundle = TestBundle::default();
+        bundle.taps = vec![0, 5];
+        let (mut estimator, _dir) = tared_estimator(&bundle);
+        // A pause of a second empties the history.
+        let estimate = press(&mut estimator, 200, [2000.0, 0.0, 0.0, 0.0]);
+        assert!(estimate.contacts.is_empty());
+        assert_eq!(estimator.verdict().quality, Quality::Uncalibrated);
+        assert!(estimator.verdict().text.starts_with("touched, but"));
+        for k in 201..206 {
+            press(&mut estimator, k, [2000.0, 0.0, 0.0, 0.0]);
+        }
+        assert_eq!(estimator.verdict().quality, Quality::Ok);
+    }
+}

@@ -1,0 +1,141 @@
+//! From bytes to frames in the unit of the skin, with the time at which they were acquired.
+
+use dermis_skin::{Frame, SkinDescription, WireProtocol};
+use dermis_transport::framing::{
+    AsciiDecoder, AsciiOptions, DecodedFrame, DecoderStats, FrameDecoder, NativeDecoder,
+};
+use dermis_transport::{ClockState, DeviceClock};
+
+/// Finds frames in a stream of bytes, scales them to the unit of the skin and stamps them.
+pub struct FrameReader {
+    decoder: Box<dyn FrameDecoder>,
+    scale: f64,
+    offset: f64,
+    clock: DeviceClock,
+    /// Stamp and device time of the first frame, where stamps follow the device's clock as it is.
+    device_epoch: Option<Option<(i64, u64)>>,
+    decoded: Vec<DecodedFrame>,
+}
+
+impl FrameReader {
+    /// A reader of the wire that the skin description names.
+    #[must_use]
+    pub fn new(skin: &SkinDescription) -> Self {
+        let channels = skin.channels().len();
+        let decoder: Box<dyn FrameDecoder> = match skin.wire.protocol {
+            WireProtocol::Native => Box::new(NativeDecoder::new(Some(channels))),
+            WireProtocol::Ascii => Box::new(AsciiDecoder::new(AsciiOptions::channels(channels))),
+        };
+        Self {
+            decoder,
+            scale: skin.wire.scale,
+            offset: skin.wire.offset,
+            clock: DeviceClock::new(),
+            device_epoch: None,
+            decoded: Vec::new(),
+        }
+    }
+
+    /// Has stamps follow the device's clock as it is, from the first frame on: for recordings that are played at another
+    /// pace than they were made at. A device without a clock is stamped on arrival all the same.
+    #[must_use]
+    pub fn with_device_time(mut self) -> Self {
+        self.device_epoch = Some(None);
+        self
+    }
+
+    fn stamp(&mut self, device_time_us: Option<u64>, received_ns: i64) -> i64 {
+        if let (Some(epoch), Some(device)) = (&mut self.device_epoch, device_time_us) {
+            let (stamp, first) = *epoch.get_or_insert((received_ns, device));
+            let elapsed = i128::from(device) - i128::from(first);
+            return i64::try_from(i128::from(stamp) + elapsed * 1000).unwrap_or(received_ns);
+        }
+        self.clock.stamp(device_time_us, received_ns)
+    }
+
+    /// Takes the next bytes, read at `received_ns` \[ns since the Unix epoch\], and appends the frames that end in
+    /// them to `out`: values in the unit of the skin, stamped on the host clock with the time of acquisition.
+    pub fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<Frame>) {
+        self.decoder.push(bytes, received_ns, &mut self.decoded);
+        let mut arrived = std::mem::take(&mut self.decoded);
+        for decoded in arrived.drain(..) {
+            let stamp = self.stamp(decoded.device_time_us, decoded.received_ns);
+            let values = decoded
+                .values
+                .iter()
+                .map(|raw| (f64::from(*raw) * self.scale + self.offset) as f32)
+                .collect();
+            let mut frame = Frame::new(stamp, decoded.sequence, values);
+            frame.device_time_us = decoded.device_time_us.unwrap_or(0);
+            out.push(frame);
+        }
+        self.decoded = arrived;
+    }
+
+    /// Bytes are missing here: the link was lost, or the queue overflowed.
+    pub fn gap(&mut self) {
+        self.decoder.gap();
+    }
+
+    /// What was decoded, rejected and lost so far.
+    #[must_use]
+    pub fn stats(&self) -> &DecoderStats {
+        self.decoder.stats()
+    }
+
+    /// Where stamps come from.
+    #[must_use]
+    pub fn clock(&self) -> ClockState {
+        self.clock.state()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::skin_with;
+    use dermis_transport::framing::{NativeEncoder, NativeFormat};
+
+    #[test]
+    fn raw_counts_become_units_and_keep_the_device_time() {
+        let skin = skin_with("wire = { scale = 0.25, offset = 100000.0 }");
+        let mut reader = FrameReader::new(&skin);
+        let mut encoder = NativeEncoder::new(NativeFormat::U16);
+        let mut frames = Vec::new();
+        for k in 0..3_u32 {
+            let bytes = encoder.encode(k, u64::from(k) * 10_000 + 1, &[0.0, 4.0, 5300.0, 65535.0]).unwrap();
+            // Each frame 2 ms later on its way than the one before.
+            reader.push(bytes, 1_000_000_000 + i64::from(k) * 12_000_000, &mut frames);
+        }
+        let last = frames.last().unwrap();
+        assert_eq!(last.values, [100_000.0, 100_001.0, 101_325.0, 116_383.75]);
+        assert_eq!((last.sequence, last.device_time_us), (2, 20_001));
+        assert_eq!(last.stamp, 1_020_000_000, "stamped when measured, not when received");
+    }
+
+    #[test]
+    fn device_time_keeps_the_recorded_pace() {
+        let skin = skin_with("");
+        let mut reader = FrameReader::new(&skin).with_device_time();
+        let mut encoder = NativeEncoder::new(NativeFormat::F32);
+        let mut frames = Vec::new();
+        for k in 0..3_u32 {
+            // Recorded 4 s apart, played 1 ms apart.
+            let bytes = encoder.encode(k, 7 + u64::from(k) * 4_000_000, &[0.0; 4]).unwrap();
+            reader.push(bytes, 1_000_000_000 + i64::from(k) * 1_000_000, &mut frames);
+        }
+        let stamps: Vec<i64> = frames.iter().map(|f| f.stamp).collect();
+        assert_eq!(stamps, [1_000_000_000, 5_000_000_000, 9_000_000_000]);
+    }
+
+    #[test]
+    fn lines_of_text_are_read_where_the_skin_says_so() {
+        let skin = skin_with("wire = { protocol = \"ascii\" }");
+        let mut reader = FrameReader::new(&skin);
+        let mut frames = Vec::new();
+        reader.push(b"# hello\n1,2,3,nan\n1,2,3\n4,5,6,7\n", 5, &mut frames);
+        assert_eq!(frames.last().map(|f| f.values.clone()), Some(vec![4.0, 5.0, 6.0, 7.0]));
+        assert!(frames.iter().all(|f| f.values.len() == 4 && f.stamp == 5 && f.device_time_us == 0));
+        assert_eq!(reader.stats().rejected.channels, 1);
+    }
+}

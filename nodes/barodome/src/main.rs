@@ -1,0 +1,33 @@
+//! `dermis-barodome`: one skin of taxels in an elastic medium as a ROS 2 node.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use dermis_barodome::cli::Arguments;
+use dermis_node::HirozBackend;
+
+/// Reads a skin of taxels in an elastic medium and publishes its contacts.
+#[derive(Parser)]
+#[command(version)]
+struct Program {
+    #[command(flatten)]
+    arguments: Arguments,
+}
+
+async fn run(arguments: Arguments) -> Result<(), Box<dyn std::error::Error>> {
+    let config = arguments.into_config()?;
+    Ok(dermis_barodome::run(config, &HirozBackend::default()).await?)
+}
+
+#[tokio::main]
+async fn main() -> ExitCode {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into());
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    match run(Program::parse().arguments).await {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("dermis-barodome: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

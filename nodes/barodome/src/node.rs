@@ -1,0 +1,883 @@
+//! The node: a source of bytes at one end, ROS topics at the other, one thread between them.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use dermis_inference::{Bundle, Runtime, RuntimeError};
+use dermis_msgs::geometry_msgs::msg::WrenchStamped;
+use dermis_msgs::msg::{ContactArray, ForceMap, SkinGeometry, TaxelFrame};
+use dermis_msgs::sensor_msgs::msg::PointCloud2;
+use dermis_msgs::srv::{LoadModel, LoadModelResponse};
+use dermis_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
+use dermis_msgs::visualization_msgs::msg::MarkerArray;
+use dermis_node::{
+    Backend, Level, Node, NodeError, NodeOptions, ParameterDescriptor, ParameterValue, Publisher, Qos,
+    ServiceServer, State, Status, Transition, parse_remapping,
+};
+use dermis_skin::{ChannelFlags, Estimate, Estimator, Frame, SkinDescription, SkinError, Surface, TareState};
+use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, TransportError, now_ns};
+
+use crate::SENSOR;
+use crate::config::Config;
+use crate::estimator::{BarodomeEstimator, Models, Quality, SetupError};
+use crate::frame::FrameReader;
+use crate::messages::{
+    blind_message, contacts_message, markers_message, no_markers_message, points_message, wrench_message,
+};
+
+/// Longest wait for bytes, and so the longest time until a stop or a silence is noticed.
+const TICK: Duration = Duration::from_millis(50);
+/// Period at which a blind skin says that it is blind.
+const BLIND_PERIOD: Duration = Duration::from_millis(500);
+/// Shortest time between two marker messages: viewers draw 30 times a second.
+const MARKER_PERIOD: Duration = Duration::from_millis(33);
+/// \[s\] beyond its duration that a tare may take before its caller hears that it did not end.
+const TARE_PATIENCE: f64 = 2.0;
+
+/// Why the node does not start.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RunError {
+    /// The skin description cannot be used.
+    #[error(transparent)]
+    Skin(#[from] SkinError),
+    /// The skin belongs to another node.
+    #[error(
+        "skin file {path}: field `sensor`: is \"{found}\", which this node does not read; it reads \"{SENSOR}\""
+    )]
+    Sensor {
+        /// Skin description file.
+        path: PathBuf,
+        /// Sensor family that it names.
+        found: String,
+    },
+    /// The source URL cannot be used.
+    #[error(transparent)]
+    Source(#[from] TransportError),
+    /// A model or a masked channel does not fit.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// No runtime for models.
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
+    /// ROS refused.
+    #[error(transparent)]
+    Node(#[from] NodeError),
+    /// A start value of a parameter that is no parameter value.
+    #[error(
+        "parameter `{name}`: {value} is no parameter value; give a truth value, a number, a text or a list of them"
+    )]
+    ParameterValue {
+        /// Name of the parameter.
+        name: String,
+        /// The value as configured.
+        value: String,
+    },
+    /// Start values of parameters that this node does not have.
+    #[error("parameter `{names}` is none of this node; its parameters are {known}")]
+    UnknownParameter {
+        /// Names as configured.
+        names: String,
+        /// Parameters that exist.
+        known: String,
+    },
+    /// The system gave no thread.
+    #[error("cannot start the thread of skin `{skin}`: {source}")]
+    Thread {
+        /// Name of the skin.
+        skin: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+/// Runs a node until it is stopped by a signal or through its lifecycle.
+///
+/// # Errors
+///
+/// [`RunError`] says in one sentence why it does not start.
+pub async fn run(config: Config, backend: &dyn Backend) -> Result<(), RunError> {
+    let running = BarodomeNode::start(config, backend)?;
+    running.node().wait_for_shutdown().await?;
+    running.stop();
+    Ok(())
+}
+
+/// A running node; dropping it stops it.
+///
+/// Topics, relative to its namespace: `contacts`, `taxels`, `wrench`, `contact_points`, `contact_markers`,
+/// `skin_geometry` (latched) and, where a model gives one, `force_map`. Services: `~/tare`, `~/set_enabled`,
+/// `~/load_model`. `taxels` carries readings in the unit of the skin *before* tare, so that a recording of it is all
+/// that training needs. `wrench`, `contact_points` and `contact_markers` fall silent while the skin is blind;
+/// `contacts` goes on and says why.
+pub struct BarodomeNode {
+    node: Node,
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+    _services: Vec<ServiceServer>,
+}
+
+impl BarodomeNode {
+    /// Starts a node.
+    ///
+    /// # Errors
+    ///
+    /// [`RunError`] says in one sentence what is wrong: file, field or channel, and what to do.
+    pub fn start(config: Config, backend: &dyn Backend) -> Result<Self, RunError> {
+        let skin = SkinDescription::load(&config.skin)?;
+        if skin.sensor != SENSOR {
+            return Err(RunError::Sensor { path: config.skin, found: skin.sensor });
+        }
+        let url = SourceUrl::parse(&config.source)?;
+        let mut estimator = BarodomeEstimator::new(&skin, &config.masked)?;
+        estimator.set_least_force(config.force_threshold);
+        let surface = skin.surface();
+        let runtime = Runtime::load(&config.runtime)?;
+        if !config.models.is_empty() {
+            match load_models(&skin, &surface, &config.models, runtime) {
+                Ok(models) => estimator.set_models(models),
+                Err(error) if config.strict => return Err(error.into()),
+                Err(error) => {
+                    tracing::error!("{error}");
+                    estimator.explain_missing_model(error.to_string());
+                }
+            }
+        }
+
+        let node = Node::open(options(&config, &skin)?, backend)?;
+        declare(&node, &config, &skin, &mut estimator)?;
+        let publishers = Publishers::new(&node, estimator.gives_force_map())?;
+        let slow = slow_lane().map_err(|source| RunError::Thread { skin: skin.name.clone(), source })?;
+        let shared = Arc::new(Shared {
+            device_time: config.device_time,
+            skin,
+            surface,
+            url,
+            runtime,
+            node: node.clone(),
+            slow,
+            core: Mutex::new(Core {
+                reader: None,
+                estimator,
+                publishers,
+                enabled: true,
+                sequence: 0,
+                figures: Figures::default(),
+                source: SourceStats::default(),
+                blind: None,
+            }),
+            progress: Condvar::new(),
+            active: AtomicBool::new(false),
+            stop: AtomicBool::new(false),
+        });
+        shared.follow_parameters();
+        let services = shared.serve()?;
+        let watched = Arc::downgrade(&shared);
+        node.diagnostics().set_hardware_id(&shared.skin.name);
+        node.diagnostics().add("skin", move || {
+            watched.upgrade().map_or_else(|| Status::ok("stopped"), |shared| shared.diagnose())
+        });
+        let worker = Arc::clone(&shared);
+        let thread = std::thread::Builder::new()
+            .name("dermis-barodome".into())
+            .spawn(move || worker.work())
+            .map_err(|source| RunError::Thread { skin: shared.skin.name.clone(), source })?;
+        let running = Self { node, shared, thread: Some(thread), _services: services };
+        running.manage(config.autostart)?;
+        Ok(running)
+    }
+
+    fn manage(&self, autostart: bool) -> Result<(), NodeError> {
+        let life = self.node.lifecycle()?;
+        for (transition, active) in [(Transition::Activate, true), (Transition::Deactivate, false)] {
+            let shared = Arc::downgrade(&self.shared);
+            life.on(transition, move |_| {
+                if let Some(shared) = shared.upgrade() {
+                    shared.active.store(active, Ordering::Release);
+                }
+                Ok(())
+            });
+        }
+        let node = self.node.clone();
+        let shared = Arc::downgrade(&self.shared);
+        life.on(Transition::Shutdown, move |_| {
+            if let Some(shared) = shared.upgrade() {
+                shared.stop.store(true, Ordering::Release);
+            }
+            // The node must not wait for the callback that asks it to end.
+            let node = node.clone();
+            std::thread::spawn(move || node.shutdown());
+            Ok(())
+        });
+        if autostart {
+            life.take(Transition::Configure)?;
+            life.take(Transition::Activate)?;
+        }
+        Ok(())
+    }
+
+    /// The ROS node: names, parameters, lifecycle, clock.
+    #[must_use]
+    pub fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// The skin that it reads.
+    #[must_use]
+    pub fn skin(&self) -> &SkinDescription {
+        &self.shared.skin
+    }
+
+    /// Its own diagnostics, now.
+    #[must_use]
+    pub fn diagnosis(&self) -> Status {
+        self.shared.diagnose()
+    }
+
+    /// Stops reading and leaves the ROS graph.
+    pub fn stop(mut self) {
+        self.end();
+    }
+
+    fn end(&mut self) {
+        self.shared.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the thread of skin `{}` ended by a panic", self.shared.skin.name);
+        }
+        self.node.shutdown();
+    }
+}
+
+impl Drop for BarodomeNode {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+fn load_models(
+    skin: &SkinDescription,
+    surface: &Surface,
+    folders: &[PathBuf],
+    runtime: &Runtime,
+) -> Result<Models, SetupError> {
+    let bundles = folders.iter().map(|f| Bundle::load(f, skin)).collect::<Result<Vec<_>, _>>()?;
+    Models::load(surface, &bundles, runtime)
+}
+
+fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunError> {
+    // ROS names have no `-`.
+    let name = config.name.clone().unwrap_or_else(|| skin.name.replace('-', "_"));
+    let mut options = NodeOptions::new(name).namespace(&config.namespace).use_sim_time(config.use_sim_time);
+    options.domain_id = config.domain_id;
+    options.localhost_only = config.localhost_only;
+    for rule in &config.remap {
+        let (from, to) = parse_remapping(rule)?;
+        options = options.remap(from, to);
+    }
+    for (name, value) in &config.parameters {
+        let value = ParameterValue::from_json(value)
+            .ok_or_else(|| RunError::ParameterValue { name: name.clone(), value: value.to_string() })?;
+        options = options.parameter(name, value);
+    }
+    Ok(options)
+}
+
+/// Declares the parameters and takes their start values over into the estimator.
+fn declare(
+    node: &Node,
+    config: &Config,
+    skin: &SkinDescription,
+    estimator: &mut BarodomeEstimator,
+) -> Result<(), RunError> {
+    let parameters = node.parameters();
+    let fixed = |text: &str| ParameterDescriptor::new(text).read_only();
+    parameters.declare("skin", skin.name.as_str(), fixed("name of the skin"))?;
+    parameters.declare("source", config.source.as_str(), fixed("where the bytes come from"))?;
+    let models: Vec<String> = config.models.iter().map(|m| m.display().to_string()).collect();
+    parameters.declare("models", models, fixed("model bundles at start; ~/load_model replaces them"))?;
+    let live = |text: &str, from: f64, to: f64| ParameterDescriptor::new(text).float_range(from, to);
+    let c = &skin.condition;
+    for (name, value, descriptor) in [
+        (
+            "contact_threshold",
+            c.contact_threshold,
+            live("a contact is assumed above this many noise deviations (rms of the channels)", 0.1, 1e6),
+        ),
+        (
+            "drift_time",
+            c.drift_time,
+            live("[s] with which the zero follows drift while untouched", 1e-3, 1e6),
+        ),
+        (
+            "release_share",
+            c.release_share,
+            live(
+                "share of a contact's peak below which a signal at rest becomes the new zero; 0: never",
+                0.0,
+                0.99,
+            ),
+        ),
+        (
+            "tare_duration",
+            c.tare_duration,
+            live("[s] of untouched readings that a tare averages", 1e-3, 600.0),
+        ),
+        (
+            "stuck_time",
+            c.stuck_time,
+            live("[s] without change after which a channel is stuck; 0: off", 0.0, 1e6),
+        ),
+        ("stale_time", c.stale_time, live("[s] without a frame after which the skin is stale", 1e-3, 1e4)),
+        ("force_threshold", config.force_threshold, live("[N] lighter contacts are not reported", 0.0, 1e6)),
+    ] {
+        parameters.declare(name, value, descriptor)?;
+    }
+    parameters.declare(
+        "tare_while_touched",
+        false,
+        ParameterDescriptor::new(
+            "whether ~/tare is obeyed where the skin reads as touched: its zero has drifted",
+        ),
+    )?;
+    let unused = parameters.unused_overrides();
+    if !unused.is_empty() {
+        return Err(RunError::UnknownParameter {
+            names: unused.join("`, `"),
+            known: parameters.names().join(", "),
+        });
+    }
+    for name in parameters.names() {
+        if let Some(value) = parameters.get(&name) {
+            apply(estimator, &name, &value);
+        }
+    }
+    Ok(())
+}
+
+/// Takes one parameter over into the estimator.
+fn apply(estimator: &mut BarodomeEstimator, name: &str, value: &ParameterValue) {
+    let Some(value) = value.as_f64() else { return };
+    let mut condition = estimator.condition().clone();
+    match name {
+        "contact_threshold" => condition.contact_threshold = value,
+        "drift_time" => condition.drift_time = value,
+        "release_share" => condition.release_share = value,
+        "tare_duration" => condition.tare_duration = value,
+        "stuck_time" => condition.stuck_time = value,
+        "stale_time" => condition.stale_time = value,
+        "force_threshold" => return estimator.set_least_force(value),
+        _ => return,
+    }
+    estimator.set_condition(condition);
+}
+
+struct Publishers {
+    taxels: Publisher<TaxelFrame>,
+    contacts: Publisher<ContactArray>,
+    wrench: Publisher<WrenchStamped>,
+    points: Publisher<PointCloud2>,
+    markers: Publisher<MarkerArray>,
+    geometry: Publisher<SkinGeometry>,
+    force_map: Option<Publisher<ForceMap>>,
+    markers_sent: Option<Instant>,
+    arrows: bool,
+}
+
+impl Publishers {
+    fn new(node: &Node, force_map: bool) -> Result<Self, NodeError> {
+        let qos = Qos::sensor_data();
+        Ok(Self {
+            taxels: node.publisher("taxels", qos)?,
+            contacts: node.publisher("contacts", qos)?,
+            wrench: node.publisher("wrench", qos)?,
+            points: node.publisher("contact_points", qos)?,
+            // Viewers subscribe to markers reliably.
+            markers: node.publisher("contact_markers", Qos::reliable(1))?,
+            geometry: node.publisher("skin_geometry", Qos::latched())?,
+            force_map: if force_map { Some(node.publisher("force_map", qos)?) } else { None },
+            markers_sent: None,
+            arrows: false,
+        })
+    }
+}
+
+/// Publishes what `make` gives if somebody listens.
+fn send<T: dermis_msgs::Message>(publisher: &Publisher<T>, make: impl FnOnce() -> Option<T>) {
+    if publisher.subscriber_count() == 0 {
+        return;
+    }
+    if let Some(message) = make()
+        && let Err(error) = publisher.publish(&message)
+    {
+        tracing::debug!("{error}");
+    }
+}
+
+type Job = Box<dyn FnOnce() -> Result<(), NodeError> + Send>;
+
+/// A thread for what is published reliably: over zenoh a peer that stopped reading holds a reliable publisher up for a
+/// minute, and frames must not wait for that.
+fn slow_lane() -> std::io::Result<SyncSender<Job>> {
+    let (tx, rx) = sync_channel::<Job>(8);
+    std::thread::Builder::new().name("dermis-reliable".into()).spawn(move || {
+        for job in rx {
+            if let Err(error) = job() {
+                tracing::debug!("{error}");
+            }
+        }
+    })?;
+    Ok(tx)
+}
+
+/// What the working thread, services, parameters and diagnostics share.
+struct Shared {
+    /// Whether stamps follow the device's clock as it is.
+    device_time: bool,
+    skin: SkinDescription,
+    surface: Surface,
+    url: SourceUrl,
+    runtime: &'static Runtime,
+    node: Node,
+    slow: SyncSender<Job>,
+    core: Mutex<Core>,
+    /// Told after every batch of frames.
+    progress: Condvar,
+    active: AtomicBool,
+    stop: AtomicBool,
+}
+
+struct Core {
+    /// While active.
+    reader: Option<FrameReader>,
+    estimator: BarodomeEstimator,
+    publishers: Publishers,
+    enabled: bool,
+    /// Of the latest frame.
+    sequence: u64,
+    figures: Figures,
+    source: SourceStats,
+    /// Why the skin is blind, if it is: status and sentence.
+    blind: Option<(u8, String)>,
+}
+
+/// Rates and delays since the diagnostics asked last.
+#[derive(Debug, Default)]
+struct Figures {
+    frames_total: u64,
+    frames: u64,
+    /// \[ns\] from acquisition to publication.
+    latency_sum: i64,
+    latency_max: i64,
+    /// \[ns\] from the bytes to the last message.
+    work_max: i64,
+    asked: Option<Instant>,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Core> {
+        self.core.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Publishes on the other thread; what does not fit into its queue is dropped.
+    fn slowly(&self, job: impl FnOnce() -> Result<(), NodeError> + Send + 'static) {
+        if self.slow.try_send(Box::new(job)).is_err() {
+            tracing::debug!(
+                "a subscriber of skin `{}` does not read: a reliable message was dropped",
+                self.skin.name
+            );
+        }
+    }
+
+    fn markers(&self, core: &Core, make: impl FnOnce() -> MarkerArray) {
+        if core.publishers.markers.subscriber_count() > 0 {
+            let (publisher, message) = (core.publishers.markers.clone(), make());
+            self.slowly(move || publisher.publish(&message));
+        }
+    }
+
+    fn stopping(&self) -> bool {
+        self.stop.load(Ordering::Acquire)
+    }
+
+    /// The working thread: reads while the node is active, says that it is blind while nothing comes.
+    fn work(&self) {
+        let mut source: Option<Source> = None;
+        let mut last_frame = Instant::now();
+        let mut last_blind: Option<Instant> = None;
+        let mut frames = Vec::new();
+        while !self.stopping() {
+            if !self.active.load(Ordering::Acquire) {
+                if source.take().is_some() {
+                    let mut core = self.lock();
+                    core.reader = None;
+                    core.blind = None;
+                    self.clear_arrows(&mut core);
+                }
+                std::thread::sleep(TICK);
+                continue;
+            }
+            if source.is_none() {
+                let reader = FrameReader::new(&self.skin);
+                self.lock().reader = Some(if self.device_time { reader.with_device_time() } else { reader });
+                let message = self.skin.geometry_message(&self.surface, self.node.clock().now());
+                let publisher = self.lock().publishers.geometry.clone();
+                self.slowly(move || publisher.publish(&message));
+                last_frame = Instant::now();
+                last_blind = None;
+            }
+            let source =
+                source.get_or_insert_with(|| Source::open(self.url.clone(), SourceOptions::default()));
+            let event = source.next_timeout(TICK);
+            let mut core = self.lock();
+            core.source = source.stats();
+            match event {
+                Some(Event::Bytes { data, received_ns }) => {
+                    if let Some(reader) = &mut core.reader {
+                        reader.push(&data, received_ns, &mut frames);
+                    }
+                    if !frames.is_empty() {
+                        last_frame = Instant::now();
+                        if core.enabled {
+                            last_blind = None;
+                            core.blind = None;
+                        }
+                    }
+                    for frame in frames.drain(..) {
+                        self.take(&mut core, frame);
+                    }
+                }
+                Some(Event::Overflow { .. }) => core.gap(),
+                Some(Event::Disconnected { reason, .. }) => {
+                    tracing::warn!("skin `{}`: {reason}", self.skin.name);
+                    core.gap();
+                }
+                Some(Event::Connected { description }) => {
+                    tracing::info!("skin `{}`: connected to {description}", self.skin.name);
+                }
+                Some(Event::Ended) => {
+                    // Every later event is this one again: the wait is ours.
+                    drop(core);
+                    std::thread::sleep(TICK);
+                    core = self.lock();
+                }
+                _ => {}
+            }
+            let silence = last_frame.elapsed();
+            let stale = silence.as_secs_f64() > core.estimator.condition().stale_time;
+            if stale || !core.enabled {
+                let (status, text) = if core.enabled {
+                    self.why_blind(&core, silence)
+                } else {
+                    (ContactArray::STATUS_STALE, "switched off by ~/set_enabled".to_owned())
+                };
+                if last_blind.is_none_or(|at| at.elapsed() >= BLIND_PERIOD) {
+                    last_blind = Some(Instant::now());
+                    if core.blind.as_ref().is_none_or(|(before, _)| *before != status) {
+                        tracing::warn!("skin `{}`: {text}", self.skin.name);
+                    }
+                    let stamp = self.node.clock().now();
+                    let c = &*core;
+                    send(&c.publishers.contacts, || {
+                        Some(blind_message(&self.skin, &c.estimator, stamp, c.sequence, status, &text))
+                    });
+                    self.clear_arrows(&mut core);
+                }
+                core.blind = Some((status, text));
+            }
+            drop(core);
+            self.progress.notify_all();
+        }
+    }
+
+    /// Why no frame comes, as far as link and decoder know.
+    fn why_blind(&self, core: &Core, silence: Duration) -> (u8, String) {
+        let stats = core.reader.as_ref().map(FrameReader::stats);
+        let name = &self.skin.name;
+        if let Some(diagnosis) = stats.and_then(|s| s.diagnosis(Some(&self.url))) {
+            return (ContactArray::STATUS_FAULT, format!("skin `{name}` on {}: {diagnosis}", self.url));
+        }
+        let why = if !core.source.connected {
+            core.source.last_reason.clone().unwrap_or_else(|| format!("{} is not connected yet", self.url))
+        } else if stats.is_some_and(|s| s.bytes_since_valid > 0) {
+            format!("{} sends bytes, but no whole frame yet", self.url)
+        } else {
+            format!("{} is connected and silent; check that the device is on", self.url)
+        };
+        (ContactArray::STATUS_STALE, format!("no frame for {:.1} s: {why}", silence.as_secs_f64()))
+    }
+
+    /// One frame through conditioning, inference and publication.
+    fn take(&self, core: &mut Core, mut frame: Frame) {
+        let begun = Instant::now();
+        core.sequence = frame.sequence;
+        if self.node.clock().is_simulated() {
+            frame.stamp = frame.stamp.saturating_sub(now_ns()).saturating_add(self.node.clock().now());
+        }
+        if !core.enabled {
+            return;
+        }
+        let estimate = core.estimator.estimate(&frame).unwrap_or_else(|error| {
+            tracing::debug!("skin `{}`: {error}", self.skin.name);
+            Estimate::default()
+        });
+        self.publish(core, &frame, &estimate);
+        let now = self.node.clock().now();
+        let figures = &mut core.figures;
+        figures.frames_total += 1;
+        figures.frames += 1;
+        let latency = now.saturating_sub(frame.stamp);
+        figures.latency_sum = figures.latency_sum.saturating_add(latency);
+        figures.latency_max = figures.latency_max.max(latency);
+        figures.work_max =
+            figures.work_max.max(i64::try_from(begun.elapsed().as_nanos()).unwrap_or(i64::MAX));
+    }
+
+    fn publish(&self, core: &mut Core, frame: &Frame, estimate: &Estimate) {
+        let (skin, stamp) = (&self.skin, frame.stamp);
+        let Core { estimator, publishers, .. } = core;
+        let contacts = &estimate.contacts;
+        let quality = estimator.verdict().quality;
+        send(&publishers.taxels, || Some(skin.frame_message(&estimator.conditioned().reading)));
+        send(&publishers.contacts, || Some(contacts_message(skin, estimator, frame, estimate)));
+        if let Some(publisher) = &publishers.force_map {
+            send(publisher, || estimate.force_map.as_ref().map(|map| map.to_message(skin, frame)));
+        }
+        if quality > Quality::Degraded {
+            self.clear_arrows(core);
+            return;
+        }
+        if estimator.outputs().any(|o| o.starts_with("force.")) {
+            send(&publishers.wrench, || wrench_message(skin, stamp, contacts));
+        }
+        send(&publishers.points, || Some(points_message(skin, stamp, contacts)));
+        if contacts.is_empty() {
+            self.clear_arrows(core);
+        } else if publishers.markers_sent.is_none_or(|at| at.elapsed() >= MARKER_PERIOD) {
+            publishers.markers_sent = Some(Instant::now());
+            publishers.arrows = true;
+            let lifetime = (3.0 / skin.rate).max(0.2);
+            let degraded = quality == Quality::Degraded;
+            self.markers(core, || markers_message(skin, stamp, contacts, degraded, lifetime));
+        }
+    }
+
+    fn clear_arrows(&self, core: &mut Core) {
+        if std::mem::take(&mut core.publishers.arrows) {
+            let stamp = self.node.clock().now();
+            self.markers(core, || no_markers_message(&self.skin, stamp));
+        }
+    }
+
+    fn follow_parameters(self: &Arc<Self>) {
+        let shared = Arc::downgrade(self);
+        self.node.parameters().on_changed(move |name, value| {
+            if let Some(shared) = shared.upgrade() {
+                apply(&mut shared.lock().estimator, name, value);
+            }
+        });
+    }
+
+    fn serve(self: &Arc<Self>) -> Result<Vec<ServiceServer>, NodeError> {
+        let shared = Arc::downgrade(self);
+        let tare = self.node.serve::<Trigger>("~/tare", move |_| {
+            let done = shared.upgrade().map_or_else(|| Err("the node is stopping".to_owned()), |s| s.tare());
+            let (success, message) = match done {
+                Ok(message) => (true, message),
+                Err(message) => (false, message),
+            };
+            TriggerResponse { success, message }
+        })?;
+        let shared = Arc::downgrade(self);
+        let enable = self.node.serve::<SetBool>("~/set_enabled", move |request| {
+            let Some(shared) = shared.upgrade() else {
+                return SetBoolResponse { success: false, message: "the node is stopping".into() };
+            };
+            shared.lock().enabled = request.data;
+            let message = if request.data { "enabled" } else { "disabled: contacts are reported as stale" };
+            SetBoolResponse { success: true, message: message.into() }
+        })?;
+        let shared = Arc::downgrade(self);
+        let load = self.node.serve::<LoadModel>("~/load_model", move |request| {
+            let loaded = shared.upgrade().map_or_else(
+                || Err("the node is stopping".to_owned()),
+                |s| s.load_model(request.bundle.into()),
+            );
+            match loaded {
+                Ok(message) => LoadModelResponse { success: true, message },
+                Err(message) => LoadModelResponse { success: false, message },
+            }
+        })?;
+        Ok(vec![tare, enable, load])
+    }
+
+    /// Tares and waits for the end of it.
+    fn tare(&self) -> Result<String, String> {
+        let forced =
+            self.node.parameters().get("tare_while_touched").and_then(|v| v.as_bool()).unwrap_or(false);
+        let mut core = self.lock();
+        if !self.active.load(Ordering::Acquire) {
+            return Err(
+                "the node is not active, so that no frame comes to tare with; activate it first".into()
+            );
+        }
+        if let Some((_, why)) = &core.blind {
+            return Err(format!("not tared: {why}"));
+        }
+        core.estimator.begin_tare(forced).map_err(|refusal| refusal.to_string())?;
+        let begun = Instant::now();
+        let duration = core.estimator.condition().tare_duration;
+        let patience = Duration::from_secs_f64(duration + TARE_PATIENCE + 4.0 / self.skin.rate);
+        loop {
+            if core.estimator.tare_state() == TareState::Done {
+                return Ok(format!("tared over {duration} s"));
+            }
+            let left = patience.saturating_sub(begun.elapsed());
+            if left.is_zero() || self.stopping() {
+                let why = match core.estimator.tare_state() {
+                    TareState::Averaging { disturbed: Some(spread), .. } => format!(
+                        "the readings move by {spread:.1} times their noise; leave the skin untouched and call again"
+                    ),
+                    _ => format!(
+                        "no {duration} s of untouched readings came; leave the skin untouched and call again"
+                    ),
+                };
+                core.estimator.cancel_tare();
+                return Err(format!("not tared: {why}"));
+            }
+            core = self.progress.wait_timeout(core, left.min(TICK)).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Takes a bundle in place of those that give the same outputs.
+    fn load_model(&self, folder: PathBuf) -> Result<String, String> {
+        let models =
+            load_models(&self.skin, &self.surface, &[folder], self.runtime).map_err(|e| e.to_string())?;
+        let mut core = self.lock();
+        if models.gives_force_map() && core.publishers.force_map.is_none() {
+            let publisher =
+                self.node.publisher("force_map", Qos::sensor_data()).map_err(|e| e.to_string())?;
+            core.publishers.force_map = Some(publisher);
+        }
+        core.estimator.replace_models(models);
+        let names: Vec<String> =
+            core.estimator.models().map(|(name, path)| format!("{name} ({})", path.display())).collect();
+        Ok(format!("running {}", names.join(", ")))
+    }
+
+    fn diagnose(&self) -> Status {
+        let mut core = self.lock();
+        let verdict = core.estimator.verdict().clone();
+        let active = self.active.load(Ordering::Acquire);
+        let mut status = Status::ok("reads, and contacts are known");
+        if !active {
+            let state = self.node.lifecycle().map_or(State::Unconfigured, |life| life.state());
+            status = Status::ok(format!("{state}: reads nothing"));
+        } else if let Some((code, text)) = &core.blind {
+            let level = if *code == ContactArray::STATUS_FAULT { Level::Error } else { Level::Stale };
+            status.worsen(level, text);
+        } else if core.figures.frames_total == 0 {
+            status.worsen(Level::Warn, "no frame yet");
+        } else {
+            match verdict.quality {
+                Quality::Ok => {}
+                Quality::Degraded | Quality::Uncalibrated => status.worsen(Level::Warn, &verdict.text),
+                Quality::Fault => status.worsen(Level::Error, &verdict.text),
+            }
+        }
+
+        let now = Instant::now();
+        let passed = core.figures.asked.map_or(0.0, |at| now.duration_since(at).as_secs_f64());
+        let figures = &core.figures;
+        if passed > 0.0 {
+            let rate = figures.frames as f64 / passed;
+            status.value("rate [Hz]", format!("{rate:.1}"));
+            if active
+                && core.blind.is_none()
+                && rate < 0.5 * self.skin.rate
+                && figures.frames_total > 0
+                && passed > 0.5
+            {
+                status.worsen(
+                    Level::Warn,
+                    format!("{rate:.1} frames a second where the skin file says {}", self.skin.rate),
+                );
+            }
+        }
+        if figures.frames > 0 {
+            let mean = figures.latency_sum as f64 / figures.frames as f64 * 1e-6;
+            status.value("latency mean [ms]", format!("{mean:.3}"));
+            status.value("latency max [ms]", format!("{:.3}", figures.latency_max as f64 * 1e-6));
+            status.value("processing max [ms]", format!("{:.3}", figures.work_max as f64 * 1e-6));
+        }
+        status.value("frames", figures.frames_total);
+        if let Some(reader) = &core.reader {
+            let stats = reader.stats();
+            let rejected = &stats.rejected;
+            status.value("frames lost", stats.lost);
+            status.value("CRC errors", rejected.crc);
+            status.value("other rejected frames", rejected.total() - rejected.crc);
+            status.value("resynchronisations", stats.resyncs);
+            status.value("device restarts", stats.restarts);
+            status.value("stamps from", format!("{:?}", reader.clock()));
+            if let Some(last) = &stats.last_rejection {
+                status.value("last rejection", last);
+            }
+        }
+        status.value("reconnects", core.source.connects.saturating_sub(1));
+        status.value("disconnects", core.source.disconnects);
+        status.value("bytes dropped", core.source.dropped_bytes);
+        let flags = &core.estimator.conditioned().reading.flags;
+        for (name, flag) in [
+            ("dead channels", ChannelFlags::DEAD),
+            ("saturated channels", ChannelFlags::SATURATED),
+            ("stuck channels", ChannelFlags::STUCK),
+            ("not finite channels", ChannelFlags::NOT_FINITE),
+            ("masked channels", ChannelFlags::MASKED),
+        ] {
+            let named: Vec<&str> = self
+                .skin
+                .channels()
+                .iter()
+                .zip(flags)
+                .filter(|(_, f)| f.contains(flag))
+                .map(|(c, _)| c.name.as_str())
+                .collect();
+            status.value(name, if named.is_empty() { "none".into() } else { named.join(", ") });
+        }
+        status.value("level [noise deviations]", format!("{:.2}", verdict.level));
+        status.value("touched", verdict.touched);
+        status.value(
+            "tare",
+            match core.estimator.tare_state() {
+                TareState::Done => "done".to_owned(),
+                TareState::Averaging { elapsed, .. } => format!("averaging, {elapsed:.1} s so far"),
+            },
+        );
+        let models: Vec<String> =
+            core.estimator.models().map(|(name, path)| format!("{name} ({})", path.display())).collect();
+        status.value("models", if models.is_empty() { "none".into() } else { models.join(", ") });
+        status.value("runtime", self.runtime.report());
+        status.value("source", &self.url);
+        core.figures =
+            Figures { frames_total: core.figures.frames_total, asked: Some(now), ..Figures::default() };
+        status
+    }
+}
+
+impl Core {
+    /// Bytes are missing.
+    fn gap(&mut self) {
+        if let Some(reader) = &mut self.reader {
+            reader.gap();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

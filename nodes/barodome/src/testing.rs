@@ -1,0 +1,184 @@
+//! What the tests of this crate share.
+
+use std::path::Path;
+
+use dermis_inference::onnx::GraphBuilder;
+use dermis_inference::{
+    Baseline, Bundle, BundleWriter, FeatureConfig, Link, Manifest, OutputConfig, OutputSpec, Runtime,
+    RuntimeConfig, Taps, TrainingSection,
+};
+use dermis_skin::{Estimator, Frame, SkinDescription};
+
+use crate::estimator::{BarodomeEstimator, Models, SetupError};
+
+/// A 2×2 pad of barometers: 20 Pa of noise, 50 to 110 kPa, 100 Hz. Lines of `extra` replace or add top-level keys.
+pub(crate) fn skin_with(extra: &str) -> SkinDescription {
+    SkinDescription::from_toml(&skin_text(extra), "pad.toml").unwrap()
+}
+
+/// The file of [`skin_with`].
+pub(crate) fn skin_text(extra: &str) -> String {
+    let mut keys: Vec<String> = [
+        "schema = \"dermis-skin/1\"",
+        "name = \"pad\"",
+        "sensor = \"barodome\"",
+        "frame_id = \"pad_link\"",
+        "unit = \"Pa\"",
+        "rate = 100.0",
+        "noise = 20.0",
+        "range = [50000.0, 110000.0]",
+        "surface = { type = \"rectangle\", size = [0.02, 0.02], spacing = 0.005 }",
+        "taxels = [\
+         { name = \"t0\", position = [-0.005, -0.005, -0.005] }, { name = \"t1\", position = [0.005, -0.005, -0.005] }, \
+         { name = \"t2\", position = [-0.005, 0.005, -0.005] }, { name = \"t3\", position = [0.005, 0.005, -0.005] }]",
+    ]
+    .map(String::from)
+    .to_vec();
+    for line in extra.lines().map(str::trim).filter(|l| !l.is_empty()) {
+        let key = line.split('=').next().unwrap_or_default().trim();
+        keys.retain(|k| k.split('=').next().unwrap_or_default().trim() != key);
+        keys.push(line.to_owned());
+    }
+    keys.join("\n")
+}
+
+/// Standard normal numbers, the same in every run (xorshift and Box–Muller).
+pub(crate) struct Noise(u64);
+
+impl Noise {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
+    }
+
+    fn uniform(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        ((self.0 >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+    }
+
+    pub(crate) fn normal(&mut self) -> f64 {
+        let (u, v) = (self.uniform(), self.uniform());
+        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+    }
+}
+
+/// One output of a linear model: `scale · Σ weight · (signal / 1 kPa) + bias` over the channels of the newest frame.
+#[derive(Clone)]
+pub(crate) struct Out {
+    pub(crate) name: String,
+    unit: &'static str,
+    scale: f64,
+    bias: f64,
+    weights: [f32; 4],
+    pub(crate) count: usize,
+    link: Link,
+}
+
+impl Out {
+    pub(crate) fn new(name: &str, unit: &'static str, scale: f64, weights: [f32; 4]) -> Self {
+        Self { name: name.into(), unit, scale, bias: 0.0, weights, count: 1, link: Link::Linear }
+    }
+
+    pub(crate) fn biased(mut self, bias: f64) -> Self {
+        self.bias = bias;
+        self
+    }
+
+    pub(crate) fn logistic(mut self) -> Self {
+        self.link = Link::Logistic;
+        self
+    }
+}
+
+/// A bundle that takes the pad's signal apart linearly: 1 kPa on one taxel is a press of 1 N, 5 mm out per axis.
+#[derive(Clone)]
+pub(crate) struct TestBundle {
+    pub(crate) outputs: Vec<Out>,
+    pub(crate) taps: Vec<u32>,
+    pub(crate) baseline: Baseline,
+}
+
+impl Default for TestBundle {
+    fn default() -> Self {
+        Self {
+            outputs: vec![
+                Out::new("position.x", "m", 0.005, [-1.0, 1.0, -1.0, 1.0]),
+                Out::new("position.y", "m", 0.005, [-1.0, -1.0, 1.0, 1.0]),
+                Out::new("position.z", "m", 0.005, [0.0; 4]),
+                Out::new("force.normal", "N", 1.0, [1.0; 4]),
+            ],
+            taps: vec![0],
+            baseline: Baseline::Tared,
+        }
+    }
+}
+
+impl TestBundle {
+    pub(crate) fn write(&self, skin: &SkinDescription, folder: &Path) {
+        let channels = skin.channels().len();
+        let mut input = FeatureConfig::newest(vec![0.0; channels], vec![1000.0; channels]);
+        input.taps = Taps::Frames(self.taps.clone());
+        let output = OutputConfig {
+            values: self
+                .outputs
+                .iter()
+                .map(|o| {
+                    let mut spec = OutputSpec::new(&o.name, o.unit, o.bias, o.scale);
+                    spec.count = o.count;
+                    spec.link = o.link;
+                    spec.sigma = match o.unit {
+                        "m" => Some(0.001),
+                        "N" => Some(0.1),
+                        _ => None,
+                    };
+                    spec
+                })
+                .collect(),
+        };
+        let (inputs, outputs) = (input.input_len(), output.len());
+        let mut weights = vec![0.0; inputs * outputs];
+        let mut column = 0;
+        for out in &self.outputs {
+            for _ in 0..out.count {
+                for (row, w) in out.weights.iter().enumerate() {
+                    weights[row * outputs + column] = *w;
+                }
+                column += 1;
+            }
+        }
+        let mut graph = GraphBuilder::new("linear");
+        let x = graph.input("input", &[1, inputs]);
+        let w = graph.constant("weight", &[inputs, outputs], &weights);
+        let y = graph.matmul(&x, &w);
+        graph.output("output", &y, &[1, outputs]);
+        let mut manifest =
+            Manifest::new("linear", skin, self.baseline, input, output, TrainingSection::default());
+        manifest.force_range = Some([0.0, 5.0]);
+        BundleWriter::new(manifest).write(folder, &graph.finish().unwrap()).unwrap();
+    }
+}
+
+/// An estimator with these bundles.
+pub(crate) fn load(skin: &SkinDescription, folders: &[&Path]) -> Result<BarodomeEstimator, SetupError> {
+    let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
+    let bundles: Vec<Bundle> = folders.iter().map(|f| Bundle::load(f, skin).unwrap()).collect();
+    let mut estimator = BarodomeEstimator::new(skin, &[])?;
+    estimator.set_models(Models::load(&skin.surface(), &bundles, runtime)?);
+    Ok(estimator)
+}
+
+/// An estimator for [`skin_with`]`("")` that has seen 0.8 s of quiet frames at 101 325 Pa.
+pub(crate) fn tared_estimator(bundle: &TestBundle) -> (BarodomeEstimator, tempfile::TempDir) {
+    let skin = skin_with("");
+    let folder = tempfile::tempdir().unwrap();
+    bundle.write(&skin, folder.path());
+    let mut estimator = load(&skin, &[folder.path()]).unwrap();
+    for k in 0..80_u64 {
+        let wiggle = [20.0, -20.0, -20.0, 20.0][(k % 4) as usize];
+        let values = (0..4).map(|i| 101_325.0 + if i % 2 == 0 { wiggle } else { -wiggle }).collect();
+        estimator.estimate(&Frame::new(k as i64 * 10_000_000, k, values)).unwrap();
+    }
+    assert!(estimator.zero().is_some());
+    (estimator, folder)
+}
