@@ -203,11 +203,11 @@ mod tests {
     proptest::proptest! {
         #[test]
         fn no_name_panics(name in ".{0,20}", namespace in ".{0,10}") {
-            if let Ok(names) = Names::new("n", &namespace, &[]) {
-                if let Ok(full) = names.resolve(&name, NameKind::Topic) {
-                    proptest::prop_assert!(full.starts_with('/'));
-                    proptest::prop_assert!(!full.contains("//"));
-                }
+            let full = Names::new("n", &namespace, &[])
+                .and_then(|names| names.resolve(&name, NameKind::Topic));
+            if let Ok(full) = full {
+                proptest::prop_assert!(full.starts_with('/'));
+                proptest::prop_assert!(!full.contains("//"));
             }
         }
     }
