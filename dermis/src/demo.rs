@@ -212,7 +212,7 @@ impl Seen {
     }
 
     fn summary(&mut self, elapsed: f64, sent: u64) -> serde_json::Value {
-        let mut spread = |samples: &mut Samples| {
+        let spread = |samples: &mut Samples| {
             json!({ "p50": samples.percentile(50.0), "p90": samples.percentile(90.0), "p99": samples.percentile(99.0) })
         };
         json!({
