@@ -46,7 +46,11 @@ fn duration(text: &str) -> Result<Duration, String> {
         "" | "s" => 1.0,
         "ms" => 1e-3,
         "m" | "min" => 60.0,
-        _ => return Err(format!("`{text}` has the unit `{unit}`; write seconds, e.g. `10s`, or minutes, e.g. `2m`")),
+        _ => {
+            return Err(format!(
+                "`{text}` has the unit `{unit}`; write seconds, e.g. `10s`, or minutes, e.g. `2m`"
+            ));
+        }
     };
     match number.parse::<f64>() {
         Ok(n) if n > 0.0 && n.is_finite() => Ok(Duration::from_secs_f64(n * factor)),
@@ -83,7 +87,13 @@ pub fn run(options: &Options) -> Result<()> {
     crate::block_on(async { play(options, &skin, &plan, &skin_path, &bundle).await })
 }
 
-async fn play(options: &Options, skin: &SkinDescription, plan: &Plan, skin_path: &Path, bundle: &Path) -> Result<()> {
+async fn play(
+    options: &Options,
+    skin: &SkinDescription,
+    plan: &Plan,
+    skin_path: &Path,
+    bundle: &Path,
+) -> Result<()> {
     let model = dermis_barodome::model(skin)?;
     let device = VirtualDevice::start(model, skin, plan, options.seed, &Outlet::Pty)?;
     let backend = options.backend.open()?;
@@ -95,9 +105,10 @@ async fn play(options: &Options, skin: &SkinDescription, plan: &Plan, skin_path:
     let watcher = Node::open(NodeOptions::new("dermis_demo"), backend.as_ref())?;
     let seen = Arc::new(Mutex::new(Seen::default()));
     let sink = Arc::clone(&seen);
-    let _subscription = watcher.subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, info| {
-        sink.lock().unwrap_or_else(PoisonError::into_inner).take(array, info.received_ns);
-    })?;
+    let _subscription =
+        watcher.subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, info| {
+            sink.lock().unwrap_or_else(PoisonError::into_inner).take(array, info.received_ns);
+        })?;
     let bridge = if options.no_bridge {
         None
     } else {
@@ -149,7 +160,9 @@ async fn play(options: &Options, skin: &SkinDescription, plan: &Plan, skin_path:
         );
     }
     if seen.arrays == 0 {
-        bail!("no contact array arrived in {elapsed:.0} s: run with DERMIS_LOG=info to see what the node says");
+        bail!(
+            "no contact array arrived in {elapsed:.0} s: run with DERMIS_LOG=info to see what the node says"
+        );
     }
     Ok(())
 }
@@ -212,9 +225,7 @@ impl Seen {
     }
 
     fn summary(&mut self, elapsed: f64, sent: u64) -> serde_json::Value {
-        let spread = |samples: &mut Samples| {
-            json!({ "p50": samples.percentile(50.0), "p90": samples.percentile(90.0), "p99": samples.percentile(99.0) })
-        };
+        let spread = |samples: &mut Samples| json!({ "p50": samples.percentile(50.0), "p90": samples.percentile(90.0), "p99": samples.percentile(99.0) });
         json!({
             "seconds": elapsed,
             "frames_sent": sent,
@@ -249,7 +260,10 @@ fn draw(seen: &mut Seen, start: Instant, screen: bool, drawn: usize) -> Result<u
     match &seen.latest {
         None => lines.push("  waiting for the first frame".to_owned()),
         Some(array) => {
-            lines.push(format!("  {:>5} {:>9} {:>9} {:>9} {:>11}", "track", "x / mm", "y / mm", "F / N", "confidence"));
+            lines.push(format!(
+                "  {:>5} {:>9} {:>9} {:>9} {:>11}",
+                "track", "x / mm", "y / mm", "F / N", "confidence"
+            ));
             for c in &array.contacts {
                 lines.push(format!(
                     "  {:>5} {:>9.2} {:>9.2} {:>9.3} {:>11.2}",
@@ -261,7 +275,8 @@ fn draw(seen: &mut Seen, start: Instant, screen: bool, drawn: usize) -> Result<u
                 ));
             }
             if array.contacts.is_empty() {
-                let words = if array.status == ContactArray::STATUS_OK { "not touched" } else { &array.status_text };
+                let words =
+                    if array.status == ContactArray::STATUS_OK { "not touched" } else { &array.status_text };
                 lines.push(format!("  {words}"));
             }
         }

@@ -43,14 +43,20 @@ pub fn run(options: &Options) -> Result<()> {
     println!("inference     {inference}");
     println!(
         "serial        {}",
-        if serial.is_empty() { "no device (/dev/ttyACM*, /dev/ttyUSB*)".to_owned() } else { serial.join(", ") }
+        if serial.is_empty() {
+            "no device (/dev/ttyACM*, /dev/ttyUSB*)".to_owned()
+        } else {
+            serial.join(", ")
+        }
     );
     println!(
         "ROS 2         {}, domain {domain}, backends: hiroz{}",
         ros.map_or_else(|| "none sourced (not needed)".to_owned(), |d| format!("{d} sourced")),
         if cfg!(feature = "ros2") { ", ros2" } else { " (ros2: build with --features ros2)" },
     );
-    println!("              peers see us with RMW_IMPLEMENTATION=rmw_zenoh_cpp over hiroz, with any RMW over ros2");
+    println!(
+        "              peers see us with RMW_IMPLEMENTATION=rmw_zenoh_cpp over hiroz, with any RMW over ros2"
+    );
     let families: Vec<&str> = crate::registry::FAMILIES.iter().map(|f| f.name).collect();
     println!("sensors       {}", families.join(", "));
     Ok(())

@@ -75,12 +75,13 @@ pub fn run(options: &Options) -> Result<()> {
 /// The split that a model was trained with.
 fn split_of(model: &Path) -> Result<SplitConfig> {
     let path = model.join("card.json");
-    let text = std::fs::read_to_string(&path)
-        .with_context(|| format!("{} cannot be read: `--held-out` needs the data card of the model", path.display()))?;
+    let text = std::fs::read_to_string(&path).with_context(|| {
+        format!("{} cannot be read: `--held-out` needs the data card of the model", path.display())
+    })?;
     let card: serde_json::Value =
         serde_json::from_str(&text).with_context(|| format!("{} is not JSON", path.display()))?;
-    let split = card
-        .get("split")
-        .with_context(|| format!("{}: field `split` is missing: pass `--split` instead of `--held-out`", path.display()))?;
+    let split = card.get("split").with_context(|| {
+        format!("{}: field `split` is missing: pass `--split` instead of `--held-out`", path.display())
+    })?;
     serde_json::from_value(split.clone()).with_context(|| format!("{}: field `split`", path.display()))
 }

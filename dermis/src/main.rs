@@ -20,7 +20,11 @@ use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
 #[derive(Parser)]
-#[command(name = "dermis", version, about = "Tactile skins for ROS 2: where, how hard and in which direction a robot is touched")]
+#[command(
+    name = "dermis",
+    version,
+    about = "Tactile skins for ROS 2: where, how hard and in which direction a robot is touched"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -62,7 +66,8 @@ fn main() -> ExitCode {
         _ => "warn",
     };
     // zenoh reports every peer that comes and goes as a warning of its own.
-    let filter = std::env::var("DERMIS_LOG").unwrap_or_else(|_| format!("{level},zenoh=error,zenoh_transport=error,hiroz=warn"));
+    let filter = std::env::var("DERMIS_LOG")
+        .unwrap_or_else(|_| format!("{level},zenoh=error,zenoh_transport=error,hiroz=warn"));
     tracing_subscriber::fmt()
         .with_env_filter(EnvFilter::try_new(&filter).unwrap_or_else(|_| EnvFilter::new(level)))
         .with_writer(std::io::stderr)

@@ -37,8 +37,19 @@ pub fn run(options: &Options) -> Result<()> {
     }
     println!("{}: {}", skin.name, skin.description);
     println!("  sensor family  {}", skin.sensor);
-    println!("  taxels         {} with {} channels in {}, {} frames/s", skin.taxels.len(), skin.channels().len(), skin.unit, skin.rate);
-    println!("  surface        {:.2} cm² in {} points, frame {}", area * 1e4, surface.points.len(), skin.frame_id);
+    println!(
+        "  taxels         {} with {} channels in {}, {} frames/s",
+        skin.taxels.len(),
+        skin.channels().len(),
+        skin.unit,
+        skin.rate
+    );
+    println!(
+        "  surface        {:.2} cm² in {} points, frame {}",
+        area * 1e4,
+        surface.points.len(),
+        skin.frame_id
+    );
     match model {
         Ok(_) => println!("  forward model  yes: it can be simulated"),
         Err(e) => println!("  forward model  none: {e}"),

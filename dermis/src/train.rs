@@ -20,7 +20,8 @@ pub struct Options {
 
 /// Becomes `dermis-train`.
 pub fn run(options: &Options) -> Result<()> {
-    let beside = std::env::current_exe().ok().and_then(|p| Some(p.parent()?.join(PROGRAM))).filter(|p| p.is_file());
+    let beside =
+        std::env::current_exe().ok().and_then(|p| Some(p.parent()?.join(PROGRAM))).filter(|p| p.is_file());
     let program = beside.unwrap_or_else(|| PathBuf::from(PROGRAM));
     let error = Command::new(&program).args(&options.arguments).exec();
     if error.kind() == std::io::ErrorKind::NotFound {

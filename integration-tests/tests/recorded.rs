@@ -61,7 +61,8 @@ fn recorded_frames_become_contacts_over_ros() {
     );
     println!("held-out presses: {}", held_out.trim());
     // Another day is another thing: no bound is asked of it, but there must be an honest figure.
-    let across = dermis(&["evaluate", "--json"], &[("--skin", &skin_file), ("--model", &model), ("", &other)]);
+    let across =
+        dermis(&["evaluate", "--json"], &[("--skin", &skin_file), ("--model", &model), ("", &other)]);
     println!("the other run: {}", across.trim());
     assert!(across.contains("position_mean"), "{across}");
 
@@ -72,9 +73,16 @@ fn recorded_frames_become_contacts_over_ros() {
 }
 
 /// Feeds the node as a person at the rig does: tare, press, tare, press; and an estimator in this process alike.
-fn online_equals_offline(skin: &SkinDescription, skin_file: &Path, bag: &Path, model: &Path, split: &SplitConfig) {
+fn online_equals_offline(
+    skin: &SkinDescription,
+    skin_file: &Path,
+    bag: &Path,
+    model: &Path,
+    split: &SplitConfig,
+) {
     let data = Dataset::from_bags(&[bag], skin, DatasetOptions::default()).unwrap();
-    let held_out: std::collections::BTreeSet<SampleId> = split.apply(&data).unwrap().test.into_iter().collect();
+    let held_out: std::collections::BTreeSet<SampleId> =
+        split.apply(&data).unwrap().test.into_iter().collect();
     let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
     let mut offline = dermis_barodome::estimator(skin, &[model.to_owned()], &[], runtime).unwrap();
     offline.reset();
@@ -101,7 +109,8 @@ fn online_equals_offline(skin: &SkinDescription, skin_file: &Path, bag: &Path, m
             let _ = send.send(array);
         })
         .unwrap();
-    let _skin_node = Peer::start(Command::new(program("dermis")).arg("barodome").arg("--config").arg(&config));
+    let _skin_node =
+        Peer::start(Command::new(program("dermis")).arg("barodome").arg("--config").arg(&config));
     // A skin that hears nothing says so: then the way back is open.
     let first = arrays.recv_timeout(SOON).unwrap();
     assert_ne!(first.status, ContactArray::STATUS_OK, "a node without frames is blind");
@@ -150,7 +159,8 @@ fn online_equals_offline(skin: &SkinDescription, skin_file: &Path, bag: &Path, m
             presses += 1;
             assert_eq!(array.contacts.len(), expected.contacts.len(), "press {presses}");
             for (online, offline) in array.contacts.iter().zip(&expected.contacts) {
-                let apart = (online.position.x - offline.position.x).hypot(online.position.y - offline.position.y);
+                let apart =
+                    (online.position.x - offline.position.x).hypot(online.position.y - offline.position.y);
                 assert!(apart < 1e-9, "press {presses}: online and offline are {apart} m apart");
                 if held_out.contains(&SampleId { run: 0, sample: k }) {
                     let error = |x: f64, y: f64| (x - truth.position.x).hypot(y - truth.position.y);
@@ -176,7 +186,8 @@ fn answer(arrays: &Receiver<ContactArray>, sequence: u64) -> ContactArray {
     let deadline = Instant::now() + SOON;
     loop {
         let left = deadline.saturating_duration_since(Instant::now());
-        let array = arrays.recv_timeout(left).unwrap_or_else(|e| panic!("no array for frame {sequence}: {e}"));
+        let array =
+            arrays.recv_timeout(left).unwrap_or_else(|e| panic!("no array for frame {sequence}: {e}"));
         if array.sequence == sequence && array.status != ContactArray::STATUS_STALE {
             return array;
         }

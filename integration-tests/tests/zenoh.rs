@@ -46,11 +46,23 @@ fn a_client_behind_a_router_gets_them_too() {
     let mut router = Peer::start(Command::new(&python).arg(script("router.py")).arg(&endpoint));
     router.expect("READY", SOON);
     // The demo without its own bridge finds peers; this bridge talks through the router only.
-    let _demo = Peer::start(Command::new(program("dermis")).args(["demo", "--duration", "90s", "--json", "--no-bridge"]));
-    let _bridge = Peer::start(
-        Command::new(program("dermis"))
-            .args(["bridge", "--robot", "demo", "--mode", "client", "--connect", &endpoint]),
-    );
-    let mut client = Peer::start(Command::new(python).arg(script("everything.py")).args(["client", &endpoint]));
+    let _demo = Peer::start(Command::new(program("dermis")).args([
+        "demo",
+        "--duration",
+        "90s",
+        "--json",
+        "--no-bridge",
+    ]));
+    let _bridge = Peer::start(Command::new(program("dermis")).args([
+        "bridge",
+        "--robot",
+        "demo",
+        "--mode",
+        "client",
+        "--connect",
+        &endpoint,
+    ]));
+    let mut client =
+        Peer::start(Command::new(python).arg(script("everything.py")).args(["client", &endpoint]));
     client.expect("DONE", SOON);
 }

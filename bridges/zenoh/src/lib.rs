@@ -172,14 +172,22 @@ struct Presence {
 
 fn session_config(config: &BridgeConfig) -> Result<zenoh::Config, BridgeError> {
     let wrong = |field, reason| BridgeError::Config { field, reason };
-    if config.robot.is_empty() || !config.robot.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c)) {
-        return Err(wrong("robot", format!("\"{}\" must be one word of letters, digits, `-`, `_` and `.`", config.robot)));
+    if config.robot.is_empty()
+        || !config.robot.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c))
+    {
+        return Err(wrong(
+            "robot",
+            format!("\"{}\" must be one word of letters, digits, `-`, `_` and `.`", config.robot),
+        ));
     }
     if !["peer", "client"].contains(&config.mode.as_str()) {
         return Err(wrong("mode", format!("is \"{}\" and must be \"peer\" or \"client\"", config.mode)));
     }
     if config.mode == "client" && config.connect.is_empty() {
-        return Err(wrong("connect", "is empty: a client needs the endpoint of a router, e.g. \"tcp/192.0.2.1:7447\"".into()));
+        return Err(wrong(
+            "connect",
+            "is empty: a client needs the endpoint of a router, e.g. \"tcp/192.0.2.1:7447\"".into(),
+        ));
     }
     let mut zenoh = zenoh::Config::default();
     let mut set = |field, key: &str, value: serde_json::Value| {
@@ -214,7 +222,8 @@ fn serve_latest(shared: &Arc<Shared>) -> zenoh::Result<()> {
             let matching: Vec<(String, String)> = lock(&latest)
                 .iter()
                 .filter(|(key, _)| {
-                    zenoh::key_expr::KeyExpr::try_from(key.as_str()).is_ok_and(|k| query.key_expr().intersects(&k))
+                    zenoh::key_expr::KeyExpr::try_from(key.as_str())
+                        .is_ok_and(|k| query.key_expr().intersects(&k))
                 })
                 .map(|(k, v)| (k.clone(), v.clone()))
                 .collect();
@@ -279,7 +288,9 @@ fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8]) {
         }
     };
     let Some(skin) = value.get("skin").and_then(|s| s.as_str()).and_then(key_word) else {
-        warn!("bridge: a message on {topic} is dropped: its field `skin` is empty or cannot be part of a key");
+        warn!(
+            "bridge: a message on {topic} is dropped: its field `skin` is empty or cannot be part of a key"
+        );
         return;
     };
     announce(shared, &skin, topic);
@@ -310,7 +321,10 @@ fn announce(shared: &Shared, skin: &str, topic: &str) {
     match shared.session.liveliness().declare_token(format!("{}/{skin}", shared.prefix)).wait() {
         Ok(token) => {
             info!("bridge: skin {skin} is there");
-            skins.insert(skin.to_owned(), Presence { topics: BTreeSet::from([topic.to_owned()]), _token: token });
+            skins.insert(
+                skin.to_owned(),
+                Presence { topics: BTreeSet::from([topic.to_owned()]), _token: token },
+            );
         }
         Err(e) => warn!("bridge: no liveliness token for {skin}: {e}"),
     }
@@ -354,7 +368,8 @@ mod tests {
         );
         assert!(refused(BridgeConfig { mode: "client".into(), ..Default::default() }).contains("`connect`"));
         assert!(
-            refused(BridgeConfig { connect: vec!["nonsense".into()], ..Default::default() }).contains("`connect`")
+            refused(BridgeConfig { connect: vec!["nonsense".into()], ..Default::default() })
+                .contains("`connect`")
         );
     }
 
