@@ -750,6 +750,57 @@ mod tests {
         assert_eq!(run.out.reading.flags[1], ChannelFlags::STUCK);
     }
 
+    /// Recorded presses on a magnetic pad (eFlesh), each after a reading of the untouched pad.
+    #[test]
+    fn every_recorded_press_is_felt_and_ends() {
+        let data = std::env::var("DERMIS_DATA")
+            .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data").into());
+        let runs = std::path::Path::new(&data).join("eflesh/spatial_resolution");
+        let Ok(runs) = std::fs::read_dir(&runs) else {
+            println!("skipped: {} is not there", runs.display());
+            return;
+        };
+        let skin = SkinDescription::from_toml(
+            include_str!("../../../launch/skins/eflesh.toml"),
+            "launch/skins/eflesh.toml",
+        )
+        .unwrap();
+        let read = |path: std::path::PathBuf| -> Vec<Vec<f64>> {
+            let text = std::fs::read_to_string(path).unwrap();
+            text.lines().map(|l| l.split(',').map(|n| n.trim().parse().unwrap()).collect()).collect()
+        };
+        for run in runs {
+            let run = run.unwrap().path();
+            let readings = read(run.join("sensor.csv"));
+            let signals = read(run.join("sensor_post_baselines.csv"));
+            let mut conditioner = Conditioner::new(&skin, &[]).unwrap();
+            let mut out = Conditioned::default();
+            let (mut k, mut felt, mut ended, mut worst) = (0, 0, 0, 0.0_f64);
+            for (reading, signal) in readings.iter().zip(&signals) {
+                let stamp = (reading[0] * 1e9) as Stamp;
+                let tesla = |v: &[f64]| v.iter().map(|v| (v * 1e-6) as f32).collect::<Vec<f32>>();
+                let untouched: Vec<f64> = reading[1..].iter().zip(&signal[1..]).map(|(r, s)| r - s).collect();
+                for before in (0..=8).rev() {
+                    let values = tesla(if before > 0 { &untouched } else { &reading[1..] });
+                    let frame = Frame::new(stamp - before * 100_000_000, k, values);
+                    k += 1;
+                    conditioner.clean(&frame, &mut out);
+                    conditioner.follow(&out, false);
+                    if before == 1 {
+                        ended += usize::from(!out.touched);
+                        worst = worst.max(out.level);
+                    }
+                }
+                felt += usize::from(out.touched);
+            }
+            let presses = readings.len();
+            assert_eq!(presses, 4805, "{}", run.display());
+            println!("{}: {felt} felt, {ended} ended, worst rest {worst:.2}", run.display());
+            assert!(felt + 2 >= presses, "{felt} of {presses} presses felt in {}", run.display());
+            assert!(ended + 5 >= presses, "{ended} of {presses} presses ended in {}", run.display());
+        }
+    }
+
     #[test]
     fn the_change_probability_is_that_of_a_normal_distribution() {
         assert!((change_probability(0.0) - 1.0).abs() < 1e-6);

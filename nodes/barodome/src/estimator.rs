@@ -585,10 +585,9 @@ impl Estimator for BarodomeEstimator {
             return Ok(Estimate { contacts: Vec::new(), force_map: self.no_force() });
         }
         let contact = self.contact();
-        let mut contacts = Vec::new();
-        if !(contact.normal_force() < self.least_force) {
-            contacts.push(contact);
-        }
+        // A force that is not known is not too light.
+        let too_light = contact.normal_force() < self.least_force;
+        let mut contacts = if too_light { Vec::new() } else { vec![contact] };
         self.tracker.assign(&mut contacts, frame.stamp);
         Ok(Estimate { contacts, force_map: self.force_map() })
     }
@@ -837,8 +836,7 @@ mod tests {
 
     #[test]
     fn a_history_that_is_not_filled_is_no_untouched_skin() {
-        let mut bundle = TestBundle::default();
-        bundle.taps = vec![0, 5];
+        let bundle = TestBundle { taps: vec![0, 5], ..TestBundle::default() };
         let (mut estimator, _dir) = tared_estimator(&bundle);
         // A pause of a second empties the history.
         let estimate = press(&mut estimator, 200, [2000.0, 0.0, 0.0, 0.0]);
