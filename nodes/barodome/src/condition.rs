@@ -75,6 +75,7 @@ pub struct Conditioner {
     rest: Rest,
     /// Whether there was a contact since the zero was taken.
     contacted: bool,
+    replaced: bool,
     strongest: Option<usize>,
 }
 
@@ -105,6 +106,7 @@ impl Conditioner {
             peak: 0.0,
             rest: Rest::default(),
             contacted: false,
+            replaced: false,
             strongest: None,
             names,
         })
@@ -142,6 +144,7 @@ impl Conditioner {
         if self.came_to_rest(&out.reading) {
             // What hysteresis left behind is where untouched is now.
             self.zero.set_zero(&self.rest.mean);
+            self.replaced = true;
             self.contacted = false;
             out.signal.clone_from(&out.reading);
             self.zero.subtract(&mut out.signal);
@@ -184,7 +187,14 @@ impl Conditioner {
 
     /// Lets the zero follow the cleaned frame, unless something touches: by level, or because the model says so.
     pub fn follow(&mut self, cleaned: &Conditioned, model_says_touched: bool) {
+        let averaging = self.zero.state() != TareState::Done;
         self.zero.push(&cleaned.reading, cleaned.touched || model_says_touched);
+        self.replaced |= averaging && self.zero.state() == TareState::Done;
+    }
+
+    /// Whether another zero was taken since this was asked last: earlier signals are not comparable with later ones.
+    pub fn zero_replaced(&mut self) -> bool {
+        std::mem::take(&mut self.replaced)
     }
 
     /// Starts a tare; `even_if_touched` skips the check that nothing touches.

@@ -553,6 +553,11 @@ impl Estimator for BarodomeEstimator {
         let mut cleaned = std::mem::take(&mut self.cleaned);
         self.conditioner.clean(frame, &mut cleaned);
         self.cleaned = cleaned;
+        if self.conditioner.zero_replaced() {
+            for pipeline in self.pipelines.iter_mut().filter(|p| p.baseline == Baseline::Tared) {
+                pipeline.features.reset();
+            }
+        }
         let (quality, text) = self.judge();
         self.verdict = Verdict {
             quality,
@@ -590,6 +595,11 @@ impl Estimator for BarodomeEstimator {
         let mut contacts = if too_light { Vec::new() } else { vec![contact] };
         self.tracker.assign(&mut contacts, frame.stamp);
         Ok(Estimate { contacts, force_map: self.force_map() })
+    }
+
+    fn tare(&mut self) {
+        // Refused only where asked to check.
+        let _ = self.conditioner.begin_tare(true);
     }
 
     fn reset(&mut self) {
@@ -825,6 +835,34 @@ mod tests {
         bundle.write(&skin_with(""), dir.path());
         let error = load(&skin_with(""), &[dir.path()]).err().unwrap().to_string();
         assert!(error.contains("has 3 numbers where the surface needs 25"), "{error}");
+    }
+
+    #[test]
+    fn a_tare_that_is_told_to_leaves_identities_and_takes_a_new_zero() {
+        let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
+        assert_eq!(press(&mut estimator, 80, [2000.0, 0.0, 0.0, 0.0]).contacts[0].track_id, 1);
+        Estimator::tare(&mut estimator);
+        assert!(press(&mut estimator, 81, [400.0, 0.0, 0.0, 0.0]).contacts.is_empty());
+        assert_eq!(estimator.verdict().quality, Quality::Uncalibrated, "the old zero is known to be wrong");
+        for k in 82..140 {
+            press(&mut estimator, k, [400.0, 0.0, 0.0, 0.0]);
+        }
+        assert!((estimator.zero().unwrap()[0] - 101_725.0).abs() < 10.0);
+        assert_eq!(press(&mut estimator, 140, [2400.0, 0.0, 0.0, 0.0]).contacts[0].track_id, 2);
+    }
+
+    #[test]
+    fn a_model_with_history_never_sees_two_zeros_at_once() {
+        let bundle = TestBundle { taps: vec![0, 5], ..TestBundle::default() };
+        let (mut estimator, _dir) = tared_estimator(&bundle);
+        estimator.begin_tare(false).unwrap();
+        let mut k = 80;
+        while estimator.tare_state() != TareState::Done {
+            press(&mut estimator, k, [0.0; 4]);
+            k += 1;
+        }
+        press(&mut estimator, k, [2000.0, 0.0, 0.0, 0.0]);
+        assert!(estimator.verdict().text.starts_with("touched, but"), "{}", estimator.verdict().text);
     }
 
     #[test]
