@@ -388,7 +388,7 @@ fn read_run(
         notices.push(format!("bag {shown}: {lost} frames were lost between device and bag"));
     }
     let tolerance = options.tolerance.unwrap_or_else(|| (0.5 / skin.rate).max(0.01));
-    let samples = join(frames, &truths, skin, tolerance, options.tare_when_idle);
+    let samples = join(&frames, &truths, skin, tolerance, options.tare_when_idle);
     let labelled = samples.iter().filter(|s| s.truth.is_some()).count();
     if labelled == 0 {
         return Err(LearnError::NeverMeet { bag: path.into(), frames: samples.len(), tolerance });
@@ -457,7 +457,7 @@ fn truth_of(message: &Indentation) -> Truth {
 
 /// Labels frames and subtracts their zero. Both inputs are in order of their stamps.
 fn join(
-    frames: Vec<Frame>,
+    frames: &[Frame],
     truths: &[(Stamp, Truth)],
     skin: &SkinDescription,
     tolerance: f64,

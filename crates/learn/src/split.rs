@@ -160,7 +160,7 @@ impl SplitConfig {
     fn time_bound(&self, run: &Run) -> i64 {
         let mut labelled = run.samples.iter().filter(|s| s.truth.is_some()).map(|s| s.frame.stamp);
         let first = labelled.next().unwrap_or(0);
-        let last = labelled.last().unwrap_or(first);
+        let last = labelled.next_back().unwrap_or(first);
         first + ((last - first) as f64 * (1.0 - self.fraction)) as i64
     }
 

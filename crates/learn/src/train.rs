@@ -7,8 +7,10 @@
 mod checkpoint;
 mod config;
 mod network;
+mod prepare;
 mod run;
 
-pub use config::{Activation, FeatureChoice, NetworkConfig, Scaling, TrainConfig, TrainingConfig};
+pub use config::{Activation, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig};
 pub use network::{Batch, Mlp, Progress, fit};
+pub use prepare::Preparation;
 pub use run::{Outcome, Request, run};

@@ -65,7 +65,7 @@ pub(crate) fn presses(places: u32, repeats: u32) -> Dataset {
             }
         }
     }
-    let samples = join(frames, &truths, &skin, 1e-3, true);
+    let samples = join(&frames, &truths, &skin, 1e-3, true);
     let run = Run { path: "made.bag".into(), session: "made".into(), hash: hex(&[0; 32]), samples, lost: 0 };
     Dataset::from_runs(&skin, vec![run])
 }
@@ -200,11 +200,11 @@ fn the_zero_is_taken_anew_in_every_idle_stretch() {
         let contacts = if idle { Vec::new() } else { vec![contact(0.0, 0.0, 1.0)] };
         truths.push((stamp, Truth { press: 0, location: 0, idle, contacts }));
     }
-    let anew = join(frames.clone(), &truths, &skin, 1e-3, true);
+    let anew = join(&frames, &truths, &skin, 1e-3, true);
     let marks: Vec<usize> = anew.iter().enumerate().filter(|(_, s)| s.tare).map(|(k, _)| k).collect();
     assert_eq!(marks, [0, 7]);
     assert_eq!((anew[6].tared[0], anew[13].tared[0]), (20.0, 20.0));
-    let once = join(frames, &truths, &skin, 1e-3, false);
+    let once = join(&frames, &truths, &skin, 1e-3, false);
     assert!(once[13].tared[0] > 24.9);
 }
 

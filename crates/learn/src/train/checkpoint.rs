@@ -82,7 +82,7 @@ mod tests {
     fn data() -> Batch {
         let inputs: Vec<f32> = (0..60).map(|i| (i as f32 * 0.7).sin()).collect();
         let targets = inputs.chunks(2).map(|x| x[0] * x[1]).collect();
-        Batch { inputs, targets, width: 2, outputs: 1, logit: false }
+        Batch { inputs, targets, width: 2, outputs: 1, ..Batch::default() }
     }
 
     #[test]

@@ -37,6 +37,10 @@ pub struct TrainConfig {
     /// \[N\] normal force below which a touched sample does not count for positions; samples of unknown force do.
     #[serde(default)]
     pub position_min_force: f64,
+    /// \[N\] normal force from which on a sample counts fully for positions; below, with the square of its share of
+    /// it, as the error of a position grows with the inverse of the force. 0: all count the same.
+    #[serde(default)]
+    pub position_full_force: f64,
     /// How frames become inputs.
     #[serde(default)]
     pub features: FeatureChoice,
@@ -127,12 +131,26 @@ pub enum Activation {
     Relu,
 }
 
+/// What the first layer sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum InputForm {
+    /// The normalised readings.
+    #[default]
+    Plain,
+    /// Direction and logarithm of the magnitude of the first tap's readings, and everything else normalised. Where a
+    /// contact is shows in the ratios between channels, how hard it is in their magnitude.
+    Direction,
+}
+
 /// A multilayer perceptron, or the mean of several.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NetworkConfig {
     /// Widths of the hidden layers.
     pub hidden: Vec<usize>,
+    /// What the first layer sees.
+    pub input: InputForm,
     /// Non-linearity of the hidden layers.
     pub activation: Activation,
     /// Networks whose outputs are averaged; each starts and shuffles differently.
@@ -141,7 +159,12 @@ pub struct NetworkConfig {
 
 impl Default for NetworkConfig {
     fn default() -> Self {
-        Self { hidden: vec![128, 128], activation: Activation::default(), members: 1 }
+        Self {
+            hidden: vec![128, 128],
+            input: InputForm::default(),
+            activation: Activation::default(),
+            members: 1,
+        }
     }
 }
 
@@ -231,6 +254,16 @@ impl TrainConfig {
         if !(1..=64).contains(&self.network.members) {
             return wrong("network.members", format!("is {} and must be 1 to 64", self.network.members));
         }
+        let newest_first = match &self.features.taps {
+            Taps::Frames(delays) => delays.first() == Some(&0),
+            Taps::Seconds(delays) => delays.first() == Some(&0.0),
+        };
+        if self.network.input == InputForm::Direction && !newest_first {
+            return wrong(
+                "network.input",
+                "`direction` needs the newest frame as the first of `features.taps`".into(),
+            );
+        }
         let t = &self.training;
         if t.epochs == 0 || t.batch == 0 {
             return wrong("training.epochs", "and `training.batch` must be at least 1".into());
@@ -242,6 +275,7 @@ impl TrainConfig {
             ("training.weight_decay", t.weight_decay),
             ("training.noise", t.noise),
             ("position_min_force", self.position_min_force),
+            ("position_full_force", self.position_full_force),
         ] {
             if !(v >= 0.0 && v.is_finite()) {
                 return wrong(field, format!("is {v} and must be 0 or positive"));

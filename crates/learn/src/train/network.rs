@@ -13,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::config::{Activation, NetworkConfig, TrainingConfig};
+use super::prepare::Preparation;
 use crate::LearnError;
 
 /// Samples end to end, normalised.
@@ -22,6 +23,8 @@ pub struct Batch {
     pub inputs: Vec<f32>,
     /// Row-major \[n, outputs\]; NaN where unknown. With `logit`, the last one is 0 or 1.
     pub targets: Vec<f32>,
+    /// Weight of every target; empty: all count the same.
+    pub weights: Vec<f32>,
     /// Number of inputs.
     pub width: usize,
     /// Number of outputs.
@@ -165,26 +168,28 @@ impl Mlp {
     fn gradient(
         &self,
         inputs: &[f32],
-        targets: &[f32],
+        (targets, weights): (&[f32], &[f32]),
         logit: bool,
         layers: &mut Layers,
     ) -> (f32, Vec<Vec<f32>>) {
         self.forward(inputs, layers);
         let answers = layers.values.last().map_or(&[][..], Vec::as_slice);
-        let (loss, by_output) = loss(answers, targets, self.sizes[self.sizes.len() - 1], logit);
+        let (loss, by_output) = loss(answers, targets, weights, self.sizes[self.sizes.len() - 1], logit);
         (loss, self.backward(inputs, layers, by_output))
     }
 
-    /// The mean of several networks of one interface as a graph of batch 1: `input` → `output`.
+    /// The mean of several networks of one interface behind a preparation, as a graph of batch 1: `input` →
+    /// `output`.
     ///
     /// # Errors
     ///
     /// [`OnnxError`] where there is no network.
-    pub fn to_onnx(members: &[Self], name: &str) -> Result<Vec<u8>, OnnxError> {
+    pub fn to_onnx(members: &[Self], preparation: &Preparation, name: &str) -> Result<Vec<u8>, OnnxError> {
         let mut g = GraphBuilder::new(name);
         let Some(first) = members.first() else { return g.finish() };
-        let (inputs, outputs) = (first.sizes[0], first.sizes[first.sizes.len() - 1]);
-        let input = g.input("input", &[1, inputs]);
+        let outputs = first.sizes[first.sizes.len() - 1];
+        let input = g.input("input", &[1, preparation.width()]);
+        let input = preparation.to_graph(&mut g, &input);
         let mut mean: Option<Value> = None;
         let share = 1.0 / members.len() as f32;
         for (m, member) in members.iter().enumerate() {
@@ -418,7 +423,11 @@ fn step(
     let (width, outputs) = (data.width, data.outputs);
     let mut inputs = Vec::with_capacity(chunk.len() * width);
     let mut targets = Vec::with_capacity(chunk.len() * outputs);
+    let mut weights = Vec::new();
     for &i in chunk {
+        if let Some(row) = data.weights.get(i * outputs..(i + 1) * outputs) {
+            weights.extend_from_slice(row);
+        }
         inputs.extend_from_slice(&data.inputs[i * width..(i + 1) * width]);
         targets.extend_from_slice(&data.targets[i * outputs..(i + 1) * outputs]);
     }
@@ -427,7 +436,7 @@ fn step(
             *x += training.noise as f32 * rng.sample::<f32, _>(StandardNormal);
         }
     }
-    let (loss, gradients) = state.network.gradient(&inputs, &targets, data.logit, layers);
+    let (loss, gradients) = state.network.gradient(&inputs, (&targets, &weights), data.logit, layers);
     state.steps += 1;
     let progress = state.steps as f64 / total as f64;
     let rate = training.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
@@ -448,7 +457,7 @@ fn step(
 
 /// Mean over samples of the summed squared errors, cross entropy for a logit, and its gradient by the outputs.
 /// Unknown targets do not count.
-fn loss(answers: &[f32], targets: &[f32], outputs: usize, logit: bool) -> (f32, Vec<f32>) {
+fn loss(answers: &[f32], targets: &[f32], weights: &[f32], outputs: usize, logit: bool) -> (f32, Vec<f32>) {
     let share = outputs as f32 / answers.len() as f32;
     let mut sum = 0.0;
     let slopes = answers
@@ -456,15 +465,16 @@ fn loss(answers: &[f32], targets: &[f32], outputs: usize, logit: bool) -> (f32, 
         .zip(targets)
         .enumerate()
         .map(|(i, (z, t))| {
+            let weight = weights.get(i).copied().unwrap_or(1.0);
             if t.is_nan() {
                 0.0
             } else if logit && i % outputs == outputs - 1 {
                 // ln(1 + e^z) − t z, written so that no exponential overflows.
-                sum += z.max(0.0) + (-z.abs()).exp().ln_1p() - t * z;
-                (1.0 / (1.0 + (-z).exp()) - t) * share
+                sum += weight * (z.max(0.0) + (-z.abs()).exp().ln_1p() - t * z);
+                weight * (1.0 / (1.0 + (-z).exp()) - t) * share
             } else {
-                sum += (z - t) * (z - t);
-                2.0 * (z - t) * share
+                sum += weight * (z - t) * (z - t);
+                2.0 * weight * (z - t) * share
             }
         })
         .collect();
@@ -494,8 +504,9 @@ fn adam(
 
 #[cfg(test)]
 mod tests {
-    use dermis_inference::{Interface, Model, Runtime, RuntimeChoice, RuntimeConfig};
+    use dermis_inference::{FeatureConfig, Interface, Model, Runtime, RuntimeChoice, RuntimeConfig};
 
+    use super::super::config::InputForm;
     use super::*;
 
     fn embedded() -> &'static Runtime {
@@ -503,7 +514,7 @@ mod tests {
     }
 
     fn small(activation: Activation) -> NetworkConfig {
-        NetworkConfig { hidden: vec![5, 4], activation, members: 1 }
+        NetworkConfig { hidden: vec![5, 4], activation, ..Default::default() }
     }
 
     fn noise(seed: u64, n: usize) -> Vec<f32> {
@@ -516,8 +527,13 @@ mod tests {
         let inputs = noise(1, 200 * 3);
         let targets: Vec<f32> =
             inputs.chunks(3).flat_map(|x| [2.0 * x[0] - x[1], 0.5 * x[2] + 1.0]).collect();
-        let data =
-            Batch { inputs: inputs.clone(), targets: targets.clone(), width: 3, outputs: 2, logit: false };
+        let data = Batch {
+            inputs: inputs.clone(),
+            targets: targets.clone(),
+            width: 3,
+            outputs: 2,
+            ..Batch::default()
+        };
         let linear = NetworkConfig { hidden: vec![], ..NetworkConfig::default() };
         let training = TrainingConfig { epochs: 120, batch: 20, learning_rate: 0.05, ..Default::default() };
         let network = fit(&data, &linear, &training, 0).unwrap();
@@ -531,16 +547,19 @@ mod tests {
         let (n, width, outputs) = (4, 3, 2);
         let inputs = noise(2, n * width);
         let targets = [0.3, 1.0, f32::NAN, 0.0, -0.2, 1.0, 0.1, f32::NAN];
+        let weights = [1.0, 0.5, 1.0, 1.0, 0.3, 1.0, 2.0, 1.0];
         for (activation, logit) in
             [(Activation::Silu, true), (Activation::Tanh, false), (Activation::Relu, false)]
         {
             let mut network = Mlp::new(width, outputs, &small(activation), 3);
-            let (_, gradients) = network.gradient(&inputs, &targets, logit, &mut Layers::default());
+            let (_, gradients) =
+                network.gradient(&inputs, (&targets, &weights), logit, &mut Layers::default());
             for (i, gradient) in gradients.iter().enumerate() {
                 for (k, slope) in gradient.iter().enumerate() {
                     let mut shifted = |by: f32| {
                         network.parameters[i][k] += by;
-                        let loss = network.gradient(&inputs, &targets, logit, &mut Layers::default()).0;
+                        let loss =
+                            network.gradient(&inputs, (&targets, &weights), logit, &mut Layers::default()).0;
                         network.parameters[i][k] -= by;
                         loss
                     };
@@ -553,17 +572,24 @@ mod tests {
 
     #[test]
     fn the_graph_equals_the_mean_of_the_networks() {
-        for activation in [Activation::Silu, Activation::Tanh, Activation::Relu] {
-            let members: Vec<Mlp> = (0..3).map(|s| Mlp::new(6, 2, &small(activation), s)).collect();
-            let graph = Mlp::to_onnx(&members, "mean").unwrap();
-            let mut model = Model::load(embedded(), &graph, &Interface::flat(6, 2)).unwrap();
-            let inputs = noise(4, 6 * 20);
-            let mut got = Vec::new();
-            model.run_batch(&inputs, &mut got).unwrap();
-            let each: Vec<Vec<f32>> = members.iter().map(|m| m.predict(&inputs)).collect();
-            for (i, got) in got.iter().enumerate() {
-                let mean = each.iter().map(|e| e[i]).sum::<f32>() / 3.0;
-                assert!((got - mean).abs() < 1e-5, "{activation:?}: {got} {mean}");
+        let mut features = FeatureConfig::newest(vec![3.0, -2.0, 0.5], vec![2.0, 4.0, 1.0]);
+        features.low_pass = vec![1.0];
+        let inputs = noise(4, 6 * 20);
+        for form in [InputForm::Plain, InputForm::Direction] {
+            let preparation = Preparation::measure(form, &features, &[0.5, 0.5, 0.5], &inputs);
+            let prepared = preparation.apply(&inputs);
+            for activation in [Activation::Silu, Activation::Tanh, Activation::Relu] {
+                let members: Vec<Mlp> =
+                    (0..3).map(|s| Mlp::new(preparation.columns(), 2, &small(activation), s)).collect();
+                let graph = Mlp::to_onnx(&members, &preparation, "mean").unwrap();
+                let mut model = Model::load(embedded(), &graph, &Interface::flat(6, 2)).unwrap();
+                let mut got = Vec::new();
+                model.run_batch(&inputs, &mut got).unwrap();
+                let each: Vec<Vec<f32>> = members.iter().map(|m| m.predict(&prepared)).collect();
+                for (i, got) in got.iter().enumerate() {
+                    let mean = each.iter().map(|e| e[i]).sum::<f32>() / 3.0;
+                    assert!((got - mean).abs() < 1e-5, "{form:?} {activation:?}: {got} {mean}");
+                }
             }
         }
     }
@@ -572,7 +598,7 @@ mod tests {
     fn a_logit_learns_a_probability() {
         let inputs = noise(5, 400);
         let targets = inputs.iter().map(|x| if *x > 0.3 { 1.0 } else { 0.0 }).collect();
-        let data = Batch { inputs, targets, width: 1, outputs: 1, logit: true };
+        let data = Batch { inputs, targets, width: 1, outputs: 1, logit: true, ..Batch::default() };
         let training = TrainingConfig { epochs: 60, batch: 50, learning_rate: 0.02, ..Default::default() };
         let network = fit(&data, &small(Activation::Silu), &training, 0).unwrap();
         let answer = network.predict(&[-0.5, 0.0, 0.6, 1.5]);

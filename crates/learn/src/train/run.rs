@@ -16,6 +16,7 @@ use sha2::{Digest, Sha256};
 use super::checkpoint;
 use super::config::{Scaling, TrainConfig};
 use super::network::{Batch, Mlp, Progress, State, advance, seed_of};
+use super::prepare::Preparation;
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId, Truth, hex};
 use crate::evaluate::Evaluation;
@@ -89,12 +90,8 @@ pub fn run(
     let specs = measure_outputs(data, &outputs, &split)?;
     let decoder = Outputs::new(specs.clone())?;
 
-    let mut batch = Batch {
-        width,
-        outputs: outputs.len(),
-        logit: outputs.last() == Some(&"contact"),
-        ..Batch::default()
-    };
+    let mut batch =
+        Batch { outputs: outputs.len(), logit: outputs.last() == Some(&"contact"), ..Batch::default() };
     for (id, row) in ids.iter().zip(rows.chunks_exact(width)) {
         if held_out.contains(id) {
             continue;
@@ -104,17 +101,22 @@ pub fn run(
         if targets.iter().any(|t| !t.is_nan()) {
             batch.inputs.extend_from_slice(row);
             batch.targets.extend(targets);
+            batch.weights.extend(outputs.iter().map(|name| weight(truth, name, config)));
         }
     }
     if batch.is_empty() {
         return Err(no_rows(data, config));
     }
+    let noise = data.skin().channel_noise();
+    let preparation = Preparation::measure(config.network.input, &features, &noise, &batch.inputs);
+    batch.inputs = preparation.apply(&batch.inputs);
+    batch.width = preparation.columns();
 
     let started = Instant::now();
     let signature = signature(data, config)?;
     let networks = fit_all(request, &batch, &signature, stop, told)?;
     let seconds = started.elapsed().as_secs_f64();
-    let graph = Mlp::to_onnx(&networks, "dermis")
+    let graph = Mlp::to_onnx(&networks, &preparation, "dermis")
         .map_err(|e| LearnError::Training { reason: format!("the graph cannot be written: {e}") })?;
 
     let interface = Interface::flat(width, outputs.len());
@@ -198,6 +200,15 @@ fn target(truth: &Truth, name: &str, config: &TrainConfig, outputs: &Outputs) ->
         return f32::NAN;
     }
     outputs.encode(name, value).unwrap_or(f32::NAN)
+}
+
+/// How much a target counts.
+fn weight(truth: &Truth, name: &str, config: &TrainConfig) -> f32 {
+    let full = config.position_full_force;
+    match truth.value("force.normal").filter(|_| name.starts_with("position.") && full > 0.0) {
+        Some(force) => (force / full).clamp(0.0, 1.0).powi(2) as f32,
+        None => 1.0,
+    }
 }
 
 #[derive(Default, Clone, Copy)]
