@@ -93,11 +93,11 @@ impl std::fmt::Display for ChannelFlags {
 /// One reading of every channel of a skin at one instant.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Frame {
-    /// When the readings were acquired [ns since the Unix epoch], not when they arrived or left.
+    /// When the readings were acquired \[ns since the Unix epoch\], not when they arrived or left.
     pub stamp: Stamp,
     /// Counts every frame that the device sent; a step larger than one is a loss.
     pub sequence: u64,
-    /// Device clock [µs] as sent, 0 where the device has none.
+    /// Device clock \[µs\] as sent, 0 where the device has none.
     pub device_time_us: u64,
     /// One value a channel, in the unit of the skin description; NaN for an invalid channel, never 0.
     pub values: Vec<f32>,

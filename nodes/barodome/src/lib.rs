@@ -5,7 +5,7 @@
 //! zero, touch) → [`BarodomeEstimator`] (learned models, contacts, identities) → [`messages`] → bus. The estimator is
 //! the same struct in the node and in offline evaluation.
 //!
-//! The program registers the sensor with what is on the top level here: [`SENSOR`], [`estimator`], [`model`] and
+//! The program registers the sensor with what is on the top level here: [`SENSOR`], [`estimator`], [`model()`] and
 //! [`run`].
 
 pub mod cli;
