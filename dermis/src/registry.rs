@@ -14,8 +14,10 @@ pub struct Family {
     /// Stimulus → channels, for families and skins that have one.
     pub model: fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>>,
     /// Frame → contacts, with these model bundles.
-    pub estimator: fn(&SkinDescription, &[PathBuf]) -> Result<Box<dyn Estimator>>,
+    pub estimator: MakeEstimator,
 }
+
+type MakeEstimator = fn(&SkinDescription, &[PathBuf]) -> Result<Box<dyn Estimator>>;
 
 /// All families.
 pub const FAMILIES: &[Family] = &[Family {

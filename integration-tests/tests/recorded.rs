@@ -1,6 +1,8 @@
 //! Frames that a real skin recorded go byte by byte through a pseudo-terminal, the node and a learned model; what comes
 //! over the bus is what the offline evaluation says.
 
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;

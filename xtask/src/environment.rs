@@ -33,7 +33,7 @@ pub fn cargo_deny(root: &Path) -> Result<PathBuf> {
     if !program.exists() {
         // Unoptimised: building it takes longer than it will ever run.
         run(cargo(root)
-            .args(["install", "--quiet", "--debug", "--locked", "cargo-deny@0.20", "--root"])
+            .args(["install", "--quiet", "--debug", "--locked", "cargo-deny@0.20.2", "--root"])
             .arg(&tools))?;
     }
     Ok(program)

@@ -32,6 +32,9 @@ const WITH_ROS: [&str; 2] = [
     "--features=dermis-learn/train,dermis-node/test-suite,dermis/ros2,dermis-node-r2r/test-suite",
 ];
 
+/// Programs and tests in one go: apart, their dependencies differ in features and are built twice.
+const BUILD: [&str; 4] = ["build", "--release", "--bins", "--tests"];
+
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let mut skipped = Vec::new();
     if options.no_lint {
@@ -69,11 +72,8 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             execute(c.args(["--", "-D", "warnings"]))
         })?;
     }
-    // One build serves programs and tests: release, because that is what ships, and training in it takes seconds.
-    step("build", || {
-        execute(cargo(root).args(["build", "--release", "--bins"]).args(WITHOUT_ROS))?;
-        execute(cargo(root).args(["nextest", "run", "--release", "--no-run"]).args(WITHOUT_ROS))
-    })?;
+    // Release, because that is what ships, and training in it takes seconds.
+    step("build", || execute(cargo(root).args(BUILD).args(WITHOUT_ROS)))?;
     let data =
         std::env::var("DERMIS_DATA").unwrap_or_else(|_| root.join("../shared/data").display().to_string());
     if !Path::new(&data).is_dir() {
@@ -95,9 +95,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         })?;
     }
     if let Some(ros) = &ros {
-        step("build with ROS 2", || {
-            execute(cargo(root).args(["build", "--release", "--bins"]).args(WITH_ROS).envs(ros.variables()))
-        })?;
+        step("build with ROS 2", || execute(cargo(root).args(BUILD).args(WITH_ROS).envs(ros.variables())))?;
         step("tests with ROS 2", || {
             let mut c = nextest(&["-E", "package(dermis-node-r2r) | binary(ros2) | package(dermis_msgs)"]);
             execute(c.args(WITH_ROS).envs(ros.variables()))
