@@ -233,6 +233,10 @@ impl SkinDescription {
                 unknown.get_or_insert_with(|| path.to_string());
             })
         };
+        // A misspelt key is the likely reason for a missing one, so that it comes first.
+        if let Some(key) = unknown {
+            return Err(SkinError::UnknownKey { file: file.to_owned(), key, known: KNOWN_KEYS.join(", ") });
+        }
         let mut skin = parsed.map_err(|e| SkinError::Parse {
             file: file.to_owned(),
             field: match track.path().to_string() {
@@ -241,9 +245,6 @@ impl SkinDescription {
             },
             reason: e.message().to_owned(),
         })?;
-        if let Some(key) = unknown {
-            return Err(SkinError::UnknownKey { file: file.to_owned(), key, known: KNOWN_KEYS.join(", ") });
-        }
         skin.finish(file)?;
         Ok(skin)
     }
