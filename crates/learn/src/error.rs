@@ -162,6 +162,7 @@ pub enum LearnError {
     },
 }
 
+#[cfg(feature = "train")]
 impl LearnError {
     /// Maps an I/O error at a path.
     pub(crate) fn io(path: impl Into<PathBuf>, action: &'static str) -> impl FnOnce(std::io::Error) -> Self {
