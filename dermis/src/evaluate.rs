@@ -23,6 +23,10 @@ pub struct Options {
     /// Only the held-out part of this split (location, press, time), whatever the card says.
     #[arg(long, conflicts_with = "held_out")]
     split: Option<SplitKind>,
+    /// Leave the zero to the estimator, as in a node that nobody tells when to tare; otherwise it is taken anew where the
+    /// bag says that nothing touches for long enough.
+    #[arg(long)]
+    unattended: bool,
     /// A figure that must be reached, in SI units, e.g. `position_rms<=0.0005`; may be repeated.
     #[arg(long)]
     require: Vec<Requirement>,
@@ -39,7 +43,8 @@ pub fn run(options: &Options) -> Result<()> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
     let mut estimator = (family.estimator)(&skin, &options.model)?;
-    let data = Dataset::from_bags(&options.bags, &skin, DatasetOptions::default())?;
+    let how = DatasetOptions { tare_when_idle: !options.unattended, ..DatasetOptions::default() };
+    let data = Dataset::from_bags(&options.bags, &skin, how)?;
     for notice in data.notices() {
         eprintln!("note: {notice}");
     }
