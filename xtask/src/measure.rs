@@ -9,6 +9,7 @@ use clap::Subcommand;
 use serde_json::{Value, json};
 
 use crate::run::{cargo, output, run as execute, target_dir};
+use crate::test::{BUILD, WITHOUT_ROS};
 
 /// What can be measured.
 #[derive(Subcommand)]
@@ -75,16 +76,7 @@ fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
         .map(|e| e.map(|e| e.path()))
         .collect::<Result<_, _>>()?;
     runs.sort();
-    execute(cargo(root).args([
-        "build",
-        "--release",
-        "--bins",
-        "-p",
-        "dermis",
-        "-p",
-        "dermis-learn",
-        "--features=dermis-learn/train",
-    ]))?;
+    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
     let dermis = target_dir(root).join("release/dermis");
     let dir = scratch(root, what)?;
     let mut bags = Vec::new();

@@ -23,7 +23,7 @@ pub struct Options {
 }
 
 /// Everything but the crate that needs ROS 2 headers.
-const WITHOUT_ROS: [&str; 3] =
+pub const WITHOUT_ROS: [&str; 3] =
     ["--workspace", "--exclude=dermis-node-r2r", "--features=dermis-learn/train,dermis-node/test-suite"];
 
 /// Everything. The same selection and features as above, so that no dependency is built twice.
@@ -33,7 +33,7 @@ const WITH_ROS: [&str; 2] = [
 ];
 
 /// Programs and tests in one go: apart, their dependencies differ in features and are built twice.
-const BUILD: [&str; 4] = ["build", "--release", "--bins", "--tests"];
+pub const BUILD: [&str; 4] = ["build", "--release", "--bins", "--tests"];
 
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let mut skipped = Vec::new();
