@@ -193,3 +193,70 @@ impl Drop for Peer {
         let _ = self.child.wait();
     }
 }
+
+/// A recorded skin, played at its own pace behind a pseudo-terminal, and the node that reads it with a model learned
+/// from that recording: what a client of any kind can listen to.
+#[derive(Debug)]
+pub struct Recorded {
+    _device: Peer,
+    _node: Peer,
+}
+
+impl Recorded {
+    /// Imports a recording of a magnetic pad into `folder`, learns from it in seconds, and starts device and node with
+    /// these further arguments. `None`, with a printed line, where the recording is missing.
+    ///
+    /// # Panics
+    ///
+    /// Where one of our programs fails.
+    #[must_use]
+    pub fn start(folder: &Path, arguments: &[&str]) -> Option<Self> {
+        let data = recordings("eflesh/spatial_resolution")?;
+        let [bag, model, link] = ["bag", "model", "device"].map(|n| folder.join(n));
+        let skin = root().join("launch/skins/eflesh.toml");
+        let dermis = || {
+            let mut command = Command::new(program("dermis"));
+            command.current_dir(root());
+            command
+        };
+        let finish = |command: &mut Command| {
+            let out = command.output().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
+            assert!(out.status.success(), "{command:?}\n{}", String::from_utf8_lossy(&out.stderr));
+        };
+        finish(dermis().arg("import").arg(data.join("20250317_134149_probe")).arg("--out").arg(&bag));
+        // A quick one: how good it is, is measured elsewhere.
+        finish(
+            dermis()
+                .args([
+                    "train",
+                    "--config",
+                    "launch/train/eflesh-position.toml",
+                    "--epochs",
+                    "15",
+                    "--members",
+                    "1",
+                ])
+                .arg("--skin")
+                .arg(&skin)
+                .arg("--out")
+                .arg(&model)
+                .arg(&bag),
+        );
+        let mut device = Peer::start(
+            dermis().args(["device", "replay", "--skin"]).arg(&skin).arg("--link").arg(&link).arg(&bag),
+        );
+        device.expect("", Duration::from_secs(20));
+        let node = Peer::start(
+            dermis()
+                .arg("barodome")
+                .arg("--skin")
+                .arg(&skin)
+                .arg("--model")
+                .arg(&model)
+                .arg("--source")
+                .arg(format!("serial://{}", link.display()))
+                .args(arguments),
+        );
+        Some(Self { _device: device, _node: node })
+    }
+}

@@ -4,7 +4,7 @@
 use std::process::Command;
 use std::time::Duration;
 
-use dermis_integration_tests::{Peer, Rclpy, program, root, ros_python};
+use dermis_integration_tests::{Peer, Rclpy, Recorded, program, root, ros_python};
 use serde_json::{Value, json};
 
 const SOON: Duration = Duration::from_secs(60);
@@ -135,4 +135,24 @@ fn rclpy_tares_and_tunes_the_demo() {
     rclpy.tell(&json!({"do": "parameters", "node": node, "ask": "get", "names": ["tare_duration"]}));
     let got = rclpy.event("parameters", |said| said["ask"] == "get")["value"]["values"][0].clone();
     assert_eq!(got["double_value"], 0.25, "{got}");
+}
+
+#[test]
+fn rclpy_feels_a_recorded_skin() {
+    let Some(mut rclpy) = Rclpy::start("planner") else { return };
+    let scratch = tempfile::tempdir().unwrap();
+    let Some(_skin) = Recorded::start(scratch.path(), &["--backend", "ros2"]) else { return };
+    rclpy.tell(&json!({"do": "subscribe", "topic": "/contacts", "type": "dermis_msgs/msg/ContactArray",
+        "qos": {"reliable": false, "depth": 5}}));
+    let array = rclpy.wait("a recorded press", |said| {
+        let array = &said["value"];
+        let touched =
+            said["topic"] == "/contacts" && array["contacts"].as_array().is_some_and(|c| !c.is_empty());
+        touched.then(|| array.clone())
+    });
+    assert_eq!(array["skin"], "eflesh");
+    let place = &array["contacts"][0]["position"];
+    for axis in ["x", "y"] {
+        assert!(place[axis].as_f64().unwrap().abs() < 0.016, "the robot pressed a square of 30 mm: {array}");
+    }
 }

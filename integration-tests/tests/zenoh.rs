@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::process::Command;
 use std::time::Duration;
 
-use dermis_integration_tests::{Peer, client_python, program, root};
+use dermis_integration_tests::{Peer, Recorded, client_python, program, root};
 
 const SOON: Duration = Duration::from_secs(60);
 
@@ -65,4 +65,16 @@ fn a_client_behind_a_router_gets_them_too() {
     let mut client =
         Peer::start(Command::new(python).arg(script("everything.py")).args(["client", &endpoint]));
     client.expect("DONE", SOON);
+}
+
+#[test]
+fn a_recorded_skin_is_heard_without_ros() {
+    let Some(python) = client_python() else { return };
+    let scratch = tempfile::tempdir().unwrap();
+    let Some(_skin) = Recorded::start(scratch.path(), &[]) else { return };
+    let _bridge = Peer::start(Command::new(program("dermis")).args(["bridge", "--robot", "rig"]));
+    let mut client = Peer::start(Command::new(python).arg(script("contacts.py")).arg("80"));
+    let line = client.expect("contact ", SOON);
+    let place: Vec<f64> = line.split(' ').skip(1).take(2).map(|n| n.parse().unwrap()).collect();
+    assert!(place.iter().all(|p| p.abs() < 0.016), "the robot pressed a square of 30 mm: {line}");
 }

@@ -26,10 +26,14 @@ pub struct Options {
 pub const WITHOUT_ROS: [&str; 3] =
     ["--workspace", "--exclude=dermis-node-r2r", "--features=dermis-learn/train,dermis-node/test-suite"];
 
-/// Everything. The same selection and features as above, so that no dependency is built twice.
-const WITH_ROS: [&str; 2] = [
+/// Everything; the program still without ROS 2, as it ships.
+const WITH_ROS: [&str; 2] =
+    ["--workspace", "--features=dermis-learn/train,dermis-node/test-suite,dermis-node-r2r/test-suite"];
+
+/// Everything, with ROS 2 in the program, too. The selection is that of [`WITH_ROS`], so that no dependency is built twice.
+const ROS_IN_PROGRAM: [&str; 2] = [
     "--workspace",
-    "--features=dermis-learn/train,dermis-node/test-suite,dermis/ros2,dermis-node-r2r/test-suite",
+    "--features=dermis-learn/train,dermis-node/test-suite,dermis-node-r2r/test-suite,dermis/ros2",
 ];
 
 /// Programs and tests in one go: apart, their dependencies differ in features and are built twice.
@@ -61,45 +65,47 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     } else {
         Some(step("ROS 2", || environment::ros(root))?)
     };
+    // Cargo on everything that can be built here, in the environment that it needs.
+    let everything = |arguments: &[&str]| {
+        let mut c = cargo(root);
+        c.args(arguments);
+        match &ros {
+            Some(ros) => c.args(WITH_ROS).envs(ros.variables()),
+            None => c.args(WITHOUT_ROS),
+        };
+        c
+    };
     if !options.no_lint {
-        step("lints", || {
-            let mut c = cargo(root);
-            c.args(["clippy", "--all-targets"]);
-            match &ros {
-                Some(ros) => c.args(WITH_ROS).envs(ros.variables()),
-                None => c.args(WITHOUT_ROS),
-            };
-            execute(c.args(["--", "-D", "warnings"]))
-        })?;
+        step("lints", || execute(everything(&["clippy", "--all-targets"]).args(["--", "-D", "warnings"])))?;
     }
     // Release, because that is what ships, and training in it takes seconds.
-    step("build", || execute(cargo(root).args(BUILD).args(WITHOUT_ROS)))?;
+    step("build", || execute(&mut everything(&BUILD)))?;
     let data =
         std::env::var("DERMIS_DATA").unwrap_or_else(|_| root.join("../shared/data").display().to_string());
     if !Path::new(&data).is_dir() {
         skipped.push(format!("tests on recordings: {data} is missing (set DERMIS_DATA)"));
     }
-    let nextest = |extra: &[&str]| {
-        let mut c = cargo(root);
-        c.args(["nextest", "run", "--release"]).args(extra);
-        c.args(&options.filter);
+    let nextest = |mut c: Command, which: &str| {
         c.env("DERMIS_CLIENT_PYTHON", &clients).env("DERMIS_DATA", &data);
         c.env("DERMIS_BIN", target_dir(root).join("release"));
-        c.arg("--no-tests=pass");
-        c
+        execute(c.args(["-E", which, "--no-tests=pass"]).args(&options.filter))
     };
-    step("tests", || execute(nextest(&["-E", "not binary(ros2)"]).args(WITHOUT_ROS)))?;
+    const RUN: [&str; 3] = ["nextest", "run", "--release"];
+    step("tests", || nextest(everything(&RUN), "not binary(ros2)"))?;
     if options.filter.is_none() {
-        step("documentation tests", || {
-            execute(cargo(root).args(["test", "--release", "--doc", "--quiet"]).args(WITHOUT_ROS))
-        })?;
+        step("documentation tests", || execute(&mut everything(&["test", "--release", "--doc", "--quiet"])))?;
     }
     if let Some(ros) = &ros {
-        step("build with ROS 2", || execute(cargo(root).args(BUILD).args(WITH_ROS).envs(ros.variables())))?;
-        step("tests with ROS 2", || {
-            let mut c = nextest(&["-E", "package(dermis-node-r2r) | binary(ros2) | package(dermis_msgs)"]);
-            execute(c.args(WITH_ROS).envs(ros.variables()))
-        })?;
+        let with = |arguments: &[&str]| {
+            let mut c = cargo(root);
+            c.args(arguments).args(ROS_IN_PROGRAM).envs(ros.variables());
+            c
+        };
+        if !options.no_lint {
+            step("lints with ROS 2", || execute(with(&["clippy", "--bins"]).args(["--", "-D", "warnings"])))?;
+        }
+        step("build with ROS 2", || execute(&mut with(&BUILD)))?;
+        step("tests with ROS 2", || nextest(with(&RUN), "binary(ros2)"))?;
     }
     if skipped.is_empty() {
         println!("all tests passed, nothing skipped");
