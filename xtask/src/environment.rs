@@ -23,20 +23,16 @@ pub fn clients(root: &Path) -> Result<PathBuf> {
     venv(&home(root).join("clients"), &requirements)
 }
 
-/// `cargo deny`: the one on the path, or one that is built here once.
-pub fn cargo_deny(root: &Path) -> Result<PathBuf> {
-    if Command::new("cargo-deny").arg("--version").output().is_ok_and(|o| o.status.success()) {
-        return Ok(PathBuf::from("cargo-deny"));
+/// Makes sure that cargo has a subcommand: the one on the path, or one that is built here once.
+pub fn subcommand(root: &Path, name: &str, version: &str) -> Result<()> {
+    if cargo(root).args([name, "--version"]).output().is_ok_and(|o| o.status.success()) {
+        return Ok(());
     }
-    let tools = home(root).join("tools");
-    let program = tools.join("bin/cargo-deny");
-    if !program.exists() {
-        // Unoptimised: building it takes longer than it will ever run.
-        run(cargo(root)
-            .args(["install", "--quiet", "--debug", "--locked", "cargo-deny@0.20.2", "--root"])
-            .arg(&tools))?;
-    }
-    Ok(program)
+    // Unoptimised: building it takes longer than it will ever run.
+    let package = format!("cargo-{name}@{version}");
+    run(cargo(root)
+        .args(["install", "--quiet", "--debug", "--locked", &package, "--root"])
+        .arg(home(root).join("tools")))
 }
 
 /// A virtual environment that holds just what `requirements` pins.

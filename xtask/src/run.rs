@@ -34,6 +34,12 @@ pub fn output(command: &mut Command) -> Result<String> {
 pub fn cargo(root: &Path) -> Command {
     let mut c = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     c.current_dir(root);
+    // Subcommands that were installed for this repository.
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let folders = std::env::split_paths(&path).chain([root.join(".dermis/tools/bin")]);
+    if let Ok(path) = std::env::join_paths(folders) {
+        c.env("PATH", path);
+    }
     c
 }
 

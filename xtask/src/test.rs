@@ -1,6 +1,7 @@
 //! Every test, from formatting to ROS 2.
 
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::Result;
@@ -46,17 +47,12 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     } else {
         step("formatting", || execute(cargo(root).args(["fmt", "--all", "--check"])))?;
     }
+    step("test runner", || environment::subcommand(root, "nextest", "0.9.143"))?;
     let clients = step("Python clients", || environment::clients(root))?;
     if !options.no_lint {
         step("licences and sources", || {
-            let deny = environment::cargo_deny(root)?;
-            execute(Command::new(deny).current_dir(root).args([
-                "--offline",
-                "check",
-                "licenses",
-                "bans",
-                "sources",
-            ]))
+            environment::subcommand(root, "deny", "0.20.2")?;
+            execute(cargo(root).args(["deny", "--offline", "check", "licenses", "bans", "sources"]))
         })?;
     }
     let ros = if options.no_ros {
@@ -85,13 +81,13 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     if !Path::new(&data).is_dir() {
         skipped.push(format!("tests on recordings: {data} is missing (set DERMIS_DATA)"));
     }
-    let nextest = |mut c: Command, which: &str| {
-        c.env("DERMIS_CLIENT_PYTHON", &clients).env("DERMIS_DATA", &data);
-        c.env("DERMIS_BIN", target_dir(root).join("release"));
+    let release = target_dir(root).join("release");
+    let nextest = |mut c: Command, programs: &Path, which: &str| {
+        c.env("DERMIS_CLIENT_PYTHON", &clients).env("DERMIS_DATA", &data).env("DERMIS_BIN", programs);
         execute(c.args(["-E", which, "--no-tests=pass"]).args(&options.filter))
     };
     const RUN: [&str; 3] = ["nextest", "run", "--release"];
-    step("tests", || nextest(everything(&RUN), "not binary(ros2)"))?;
+    step("tests", || nextest(everything(&RUN), &release, "not binary(ros2)"))?;
     if options.filter.is_none() {
         step("documentation tests", || execute(&mut everything(&["test", "--release", "--doc", "--quiet"])))?;
     }
@@ -104,8 +100,10 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         if !options.no_lint {
             step("lints with ROS 2", || execute(with(&["clippy", "--bins"]).args(["--", "-D", "warnings"])))?;
         }
-        step("build with ROS 2", || execute(&mut with(&BUILD)))?;
-        step("tests with ROS 2", || nextest(with(&RUN), "binary(ros2)"))?;
+        let programs = step("build with ROS 2", || {
+            build_aside(&release, &["dermis", "dermis-train"], || execute(&mut with(&BUILD)))
+        })?;
+        step("tests with ROS 2", || nextest(with(&RUN), &programs, "binary(ros2)"))?;
     }
     if skipped.is_empty() {
         println!("all tests passed, nothing skipped");
@@ -113,4 +111,25 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         println!("all tests passed; skipped: {}", skipped.join("; "));
     }
     Ok(())
+}
+
+/// Builds programs and puts them into a folder of their own. Those that were there stay: the program with ROS 2 in it does
+/// not start where ROS 2 is not sourced.
+fn build_aside(release: &Path, programs: &[&str], build: impl FnOnce() -> Result<()>) -> Result<PathBuf> {
+    let (aside, kept) = (release.join("with-ros2"), release.join("without-ros2"));
+    for folder in [&aside, &kept] {
+        fs::create_dir_all(folder)?;
+    }
+    for program in programs {
+        fs::copy(release.join(program), kept.join(program))?;
+    }
+    let built = build();
+    for program in programs {
+        fs::copy(release.join(program), aside.join(program))?;
+        // Not over the file: cargo has linked it to its own copy.
+        fs::remove_file(release.join(program))?;
+        fs::copy(kept.join(program), release.join(program))?;
+    }
+    fs::remove_dir_all(&kept)?;
+    built.map(|()| aside)
 }
