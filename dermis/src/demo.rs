@@ -151,7 +151,7 @@ async fn play(
     } else {
         let s = seen.summary(elapsed, sent.frames);
         println!(
-            "\n{} frames in {elapsed:.1} s, {} with a contact; median error {} mm and {} N over {} presses stronger than {COMPARED} N",
+            "\n{} frames in {elapsed:.1} s, {} with a contact; median error {} mm and {} N over {} frames stronger than {COMPARED} N",
             s["arrays"],
             s["touched"],
             rounded(&s["position_error_mm"]["p50"]),

@@ -141,6 +141,9 @@ impl Bridge {
     pub async fn close(mut self) {
         if let Some(task) = self.task.take() {
             task.abort();
+            // Its end drops the subscriptions: nothing is forwarded into a session that closes. That it was aborted is
+            // no news.
+            let _ = task.await;
         }
         if let Err(e) = self.session.close().await {
             warn!("bridge: zenoh session did not close: {e}");
