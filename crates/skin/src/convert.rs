@@ -11,12 +11,6 @@ use crate::{
     SkinDescription, Stamp, Surface,
 };
 
-/// A stamp as messages carry it.
-#[must_use]
-pub fn message_time(stamp: Stamp) -> Time {
-    Time::from_nanos(stamp)
-}
-
 fn point(p: &Point3<f64>) -> Point {
     Point { x: p.x, y: p.y, z: p.z }
 }
@@ -29,7 +23,7 @@ impl SkinDescription {
     /// Header of a message about this skin.
     #[must_use]
     pub fn header(&self, stamp: Stamp) -> Header {
-        Header { stamp: message_time(stamp), frame_id: self.frame_id.clone() }
+        Header { stamp: Time::from_nanos(stamp), frame_id: self.frame_id.clone() }
     }
 
     /// Identity that a [`ForceMap`] message refers to: changes with the points of the surface.

@@ -49,7 +49,7 @@ mod traits;
 mod zero;
 
 pub use contact::{Contact, Estimate, ForceComponents, ForceMap, ForceValues};
-pub use convert::{contact_array, message_time};
+pub use convert::contact_array;
 pub use description::{
     Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
 };

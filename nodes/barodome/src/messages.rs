@@ -4,11 +4,9 @@ use dermis_msgs::builtin_interfaces::msg::Duration;
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg, WrenchStamped};
 use dermis_msgs::msg::ContactArray;
 use dermis_msgs::sensor_msgs::msg::{PointCloud2, PointField};
-use dermis_msgs::std_msgs::msg::{ColorRGBA, Header};
+use dermis_msgs::std_msgs::msg::ColorRGBA;
 use dermis_msgs::visualization_msgs::msg::{Marker, MarkerArray};
-use dermis_skin::{
-    Contact, Estimate, ForceComponents, Frame, SkinDescription, Stamp, contact_array, message_time,
-};
+use dermis_skin::{Contact, Estimate, ForceComponents, Frame, SkinDescription, Stamp, contact_array};
 use nalgebra::{Point3, Vector3};
 
 use crate::estimator::{BarodomeEstimator, Quality};
@@ -64,10 +62,6 @@ pub fn blind_message(
     }
 }
 
-fn header(skin: &SkinDescription, stamp: Stamp) -> Header {
-    Header { stamp: message_time(stamp), frame_id: skin.frame_id.clone() }
-}
-
 /// Sum of the contact forces \[N\] and of their moments about the link's origin \[N m\], in the link's frame; `None`
 /// where a contact's force is not measured. A moment is NaN where a contact has no position.
 #[must_use]
@@ -81,7 +75,7 @@ pub fn wrench_message(skin: &SkinDescription, stamp: Stamp, contacts: &[Contact]
         force += contact.force;
         torque += contact.position.coords.cross(&contact.force);
     }
-    let mut message = WrenchStamped { header: header(skin, stamp), ..WrenchStamped::default() };
+    let mut message = WrenchStamped { header: skin.header(stamp), ..WrenchStamped::default() };
     message.wrench.force = VectorMsg { x: force.x, y: force.y, z: force.z };
     message.wrench.torque = VectorMsg { x: torque.x, y: torque.y, z: torque.z };
     Some(message)
@@ -105,7 +99,7 @@ pub fn points_message(skin: &SkinDescription, stamp: Stamp, contacts: &[Contact]
     let step = 4 * POINT_FIELDS.len() as u32;
     let width = placed.len() as u32;
     PointCloud2 {
-        header: header(skin, stamp),
+        header: skin.header(stamp),
         height: 1,
         width,
         fields: POINT_FIELDS
@@ -148,7 +142,7 @@ pub fn markers_message(
         };
         let direction = if direction.iter().all(|v| v.is_finite()) { direction } else { -contact.normal };
         let mut marker = Marker {
-            header: header(skin, stamp),
+            header: skin.header(stamp),
             ns: skin.name.clone(),
             id: i32::from_ne_bytes(contact.track_id.to_ne_bytes()),
             r#type: Marker::ARROW,
@@ -176,7 +170,7 @@ pub fn markers_message(
 #[must_use]
 pub fn no_markers_message(skin: &SkinDescription, stamp: Stamp) -> MarkerArray {
     let mut marker = Marker {
-        header: header(skin, stamp),
+        header: skin.header(stamp),
         ns: skin.name.clone(),
         action: Marker::DELETEALL,
         ..Marker::default()
