@@ -164,6 +164,16 @@ pub enum BagError {
         /// Why.
         problem: String,
     },
+    /// There is no room for more.
+    #[error(
+        "cannot write {path}: {reason}; what was written before stays readable: make room, then complete the bag with `dermis bag check --repair`"
+    )]
+    Full {
+        /// The file.
+        path: PathBuf,
+        /// What ran out.
+        reason: &'static str,
+    },
     /// Writing the MCAP file failed.
     #[error("cannot write {path}: {problem}")]
     Write {

@@ -9,6 +9,8 @@ use crate::BagQos;
 pub struct BagInfo {
     /// The folder or file.
     pub path: PathBuf,
+    /// How many `.mcap` files it has.
+    pub files: usize,
     /// Bytes of its `.mcap` files together.
     pub bytes: u64,
     /// First and last log time [ns since the epoch]; `None` where there is no message.
@@ -52,7 +54,8 @@ impl fmt::Display for BagInfo {
         if !self.complete {
             writeln!(f, "          INTERRUPTED: only whole messages are counted")?;
         }
-        writeln!(f, "size      {}", size(self.bytes))?;
+        let files = if self.files == 1 { String::new() } else { format!(" in {} files", self.files) };
+        writeln!(f, "size      {}{files}", size(self.bytes))?;
         match self.span {
             Some((first, last)) => {
                 writeln!(f, "duration  {}", duration(self.duration_s()))?;
@@ -133,6 +136,7 @@ mod tests {
     fn prints_for_people() {
         let info = BagInfo {
             path: "presses".into(),
+            files: 2,
             bytes: 3_250_000,
             span: Some((1_742_155_052_516_000_000, 1_742_175_464_271_000_000)),
             messages: 9611,
@@ -157,7 +161,7 @@ mod tests {
         };
         insta::assert_snapshot!(info, @"
         bag       presses
-        size      3.1 MiB
+        size      3.1 MiB in 2 files
         duration  5 h 40 min 12 s
         start     2025-03-16 19:57:32.516 UTC
         end       2025-03-17 01:37:44.271 UTC
@@ -173,6 +177,7 @@ mod tests {
             topics: vec![],
             custom: BTreeMap::new(),
             complete: false,
+            files: 1,
             bytes: 512,
             ..info
         };

@@ -33,10 +33,12 @@ mod info;
 mod metadata;
 mod qos;
 mod reader;
+mod recorder;
 mod writer;
 
 pub use error::BagError;
 pub use info::{BagInfo, TopicInfo};
 pub use qos::{BagQos, Durability, Reliability};
 pub use reader::{BagMessage, BagReader, Filter, Messages, Topic, Typed, TypedMessages};
-pub use writer::BagWriter;
+pub use recorder::{Recorded, Recorder, RecorderOptions, RecorderState, TopicSink, TopicState};
+pub use writer::{BagOptions, BagWriter, Compression, TopicId};

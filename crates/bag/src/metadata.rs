@@ -26,9 +26,21 @@ pub(crate) struct TopicMetadata {
     pub(crate) messages: u64,
 }
 
+/// One `.mcap` file of a bag.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct FileMetadata {
+    /// Relative to the folder.
+    pub(crate) path: PathBuf,
+    /// First and last log time [ns]; `None` where it holds no message, or nothing is said of it.
+    pub(crate) span: Option<(i64, i64)>,
+    /// Messages in it, where that is said.
+    pub(crate) messages: Option<u64>,
+}
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Metadata {
-    pub(crate) files: Vec<PathBuf>,
+    /// In the order in which they were written.
+    pub(crate) files: Vec<FileMetadata>,
     /// First and last log time [ns]; `None` for a bag without messages.
     pub(crate) span: Option<(i64, i64)>,
     pub(crate) messages: u64,
@@ -43,7 +55,9 @@ fn quoted(text: &str) -> String {
 
 impl Metadata {
     pub(crate) fn to_yaml(&self) -> String {
-        let (start, duration) = self.span.map_or((NO_START, 0), |(first, last)| (first, last - first));
+        let times =
+            |span: Option<(i64, i64)>| span.map_or((NO_START, 0), |(first, last)| (first, last - first));
+        let (start, duration) = times(self.span);
         let mut out = String::new();
         let mut line = |text: String| {
             out.push_str(&text);
@@ -81,14 +95,15 @@ impl Metadata {
         line("  compression_mode: \"\"".into());
         line("  relative_file_paths:".into());
         for file in &self.files {
-            line(format!("    - {}", quoted(&file.to_string_lossy())));
+            line(format!("    - {}", quoted(&file.path.to_string_lossy())));
         }
         line("  files:".into());
         for file in &self.files {
-            line(format!("    - path: {}", quoted(&file.to_string_lossy())));
+            let (start, duration) = times(file.span);
+            line(format!("    - path: {}", quoted(&file.path.to_string_lossy())));
             line(format!("      starting_time:\n        nanoseconds_since_epoch: {start}"));
             line(format!("      duration:\n        nanoseconds: {duration}"));
-            line(format!("      message_count: {}", self.messages));
+            line(format!("      message_count: {}", file.messages.unwrap_or(0)));
         }
         if self.custom.is_empty() {
             line("  custom_data: ~".into());
@@ -167,7 +182,7 @@ impl Metadata {
                     "relative_file_paths names {name:?}, which lies outside of the bag"
                 )));
             }
-            files.push(file);
+            files.push(FileMetadata { path: file, span: None, messages: None });
         }
         if files.is_empty() {
             return Err(wrong("relative_file_paths is empty".into()));
@@ -178,13 +193,20 @@ impl Metadata {
                 .and_then(|count| u64::try_from(count).ok())
                 .ok_or_else(|| wrong("field message_count is missing or not a count".into()))
         };
-        let messages = count(info)?;
-        let start = info["starting_time"]["nanoseconds_since_epoch"].as_i64();
-        let duration = info["duration"]["nanoseconds"].as_i64();
-        let span = match (start, duration) {
-            (Some(start), Some(duration)) if messages > 0 => Some((start, start.saturating_add(duration))),
-            _ => None,
+        let span_of = |value: &Yaml, messages: u64| {
+            let start = value["starting_time"]["nanoseconds_since_epoch"].as_i64()?;
+            let duration = value["duration"]["nanoseconds"].as_i64()?;
+            (messages > 0).then_some((start, start.saturating_add(duration)))
         };
+        let messages = count(info)?;
+        let span = span_of(info, messages);
+        for entry in info["files"].as_vec().into_iter().flatten() {
+            let path = entry["path"].as_str().map(Path::new);
+            if let Some(file) = files.iter_mut().find(|file| Some(file.path.as_path()) == path) {
+                let messages = count(entry)?;
+                (file.span, file.messages) = (span_of(entry, messages), Some(messages));
+            }
+        }
         let mut topics = Vec::new();
         for entry in info["topics_with_message_count"].as_vec().into_iter().flatten() {
             let topic = &entry["topic_metadata"];
@@ -216,7 +238,18 @@ mod tests {
 
     fn sample() -> Metadata {
         Metadata {
-            files: vec!["a_0.mcap".into()],
+            files: vec![
+                FileMetadata {
+                    path: "a_0.mcap".into(),
+                    span: Some((1_700_000_000_000_000_000, 1_700_000_001_000_000_000)),
+                    messages: Some(2),
+                },
+                FileMetadata {
+                    path: "a_1.mcap".into(),
+                    span: Some((1_700_000_002_500_000_000, 1_700_000_002_500_000_000)),
+                    messages: Some(1),
+                },
+            ],
             span: Some((1_700_000_000_000_000_000, 1_700_000_002_500_000_000)),
             messages: 3,
             topics: vec![TopicMetadata {
@@ -236,7 +269,7 @@ mod tests {
         for metadata in [
             sample(),
             Metadata {
-                files: vec!["e_0.mcap".into()],
+                files: vec![FileMetadata { path: "e_0.mcap".into(), span: None, messages: Some(0) }],
                 span: None,
                 messages: 0,
                 topics: vec![],

@@ -38,6 +38,21 @@ pub struct Topic {
     pub messages: u64,
 }
 
+impl Topic {
+    /// A topic of a type that is built in here, without messages.
+    #[must_use]
+    pub fn of_type(name: &str, support: &TypeSupport, qos: Option<BagQos>) -> Self {
+        Self {
+            name: name.to_owned(),
+            type_name: support.name.to_owned(),
+            type_hash: Some(support.hash.to_owned()),
+            definition: Arc::from(support.definition),
+            qos,
+            messages: 0,
+        }
+    }
+}
+
 /// One stored message, not decoded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BagMessage {
@@ -252,7 +267,7 @@ impl BagReader {
             if yaml.exists() {
                 let metadata = Metadata::read(&yaml)?;
                 // Before version 4 the paths repeated the folder's name, which the caller may have changed since.
-                let files = metadata.files.iter().map(|file| path.join(file)).collect();
+                let files = metadata.files.iter().map(|file| path.join(&file.path)).collect();
                 (files, Some(metadata))
             } else {
                 let files = mcap_files(path)?;
@@ -325,6 +340,7 @@ impl BagReader {
         });
         BagInfo {
             path: self.path.clone(),
+            files: self.files.len(),
             bytes: self.bytes,
             span: self.span,
             messages: self.messages,

@@ -3,36 +3,158 @@
 use std::{
     collections::BTreeMap,
     fs::File,
-    io::{BufWriter, Write as _},
+    io::{self, BufWriter, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    thread::JoinHandle,
 };
 
 use dermis_msgs::{Message, TypeSupport};
 
 use crate::{
-    BagError, BagInfo, BagQos, TopicInfo,
+    BagError, BagInfo, BagQos, Topic, TopicInfo,
     error::say,
-    metadata::{Metadata, TopicMetadata},
+    metadata::{FileMetadata, Metadata, TopicMetadata},
 };
 
-/// Uncompressed bytes of a chunk: a reader holds one chunk in memory, and an interruption loses at most one.
-const CHUNK_BYTES: u64 = 768 * 1024;
-
-struct TopicState {
-    channel: u16,
-    sequence: u32,
-    metadata: TopicMetadata,
+/// How the chunks of a bag are compressed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Compression {
+    /// Not at all.
+    None,
+    /// zstd at level 1: what a recorder keeps up with.
+    Fast,
+    /// zstd at its default level 3.
+    #[default]
+    Default,
+    /// zstd at level 15: for archives; far slower than a sensor.
+    Small,
 }
 
-/// Writes one bag: `<dir>/<name>_0.mcap` and, in [`finish`](Self::finish), `<dir>/metadata.yaml`.
+/// How a bag is laid out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct BagOptions {
+    /// Compression of the chunks.
+    pub compression: Compression,
+    /// Uncompressed bytes of a chunk: a reader holds one chunk in memory, and an interruption loses at most the one
+    /// that is being filled.
+    pub chunk_bytes: u64,
+    /// A file that has reached this many bytes is closed and the next one is begun; `None` for one file.
+    pub split_bytes: Option<u64>,
+    /// A file whose messages span this much log time [ns] is closed and the next one is begun.
+    pub split_ns: Option<i64>,
+}
+
+impl Default for BagOptions {
+    fn default() -> Self {
+        Self {
+            compression: Compression::default(),
+            chunk_bytes: 768 * 1024,
+            split_bytes: None,
+            split_ns: None,
+        }
+    }
+}
+
+impl BagOptions {
+    /// With this compression.
+    #[must_use]
+    pub fn compression(mut self, compression: Compression) -> Self {
+        self.compression = compression;
+        self
+    }
+
+    /// Begins a new file after this many bytes; a message is never split.
+    #[must_use]
+    pub fn split_bytes(mut self, bytes: Option<u64>) -> Self {
+        self.split_bytes = bytes;
+        self
+    }
+
+    /// Begins a new file after this much log time [ns].
+    #[must_use]
+    pub fn split_ns(mut self, nanos: Option<i64>) -> Self {
+        self.split_ns = nanos;
+        self
+    }
+}
+
+/// A topic that was declared to a [`BagWriter`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct TopicId(usize);
+
+/// A file that is only appended to, and knows its length without asking the system.
+struct Out {
+    file: BufWriter<File>,
+    written: u64,
+    /// [`Self::written`], for the writer of the bag.
+    length: Arc<AtomicU64>,
+}
+
+impl Write for Out {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let count = self.file.write(bytes)?;
+        self.written += count as u64;
+        self.length.store(self.written, Ordering::Relaxed);
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Seek for Out {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match to {
+            SeekFrom::Current(0) => Ok(self.written),
+            SeekFrom::Start(at) if at == self.written => Ok(at),
+            _ => Err(io::Error::new(io::ErrorKind::Unsupported, "a bag is only appended to")),
+        }
+    }
+}
+
+struct TopicState {
+    topic: Topic,
+    /// In the file that is open.
+    channel: u16,
+    sequence: u32,
+}
+
+/// The file that is open.
+struct Part {
+    path: PathBuf,
+    mcap: mcap::Writer<Out>,
+    length: Arc<AtomicU64>,
+    span: Option<(i64, i64)>,
+    messages: u64,
+}
+
+fn widen(span: &mut Option<(i64, i64)>, time: i64) {
+    *span = Some(span.map_or((time, time), |(first, last)| (first.min(time), last.max(time))));
+}
+
+/// Writes one bag: `<dir>/<name>_0.mcap`, where it is split also `<name>_1.mcap` and so on, and, in
+/// [`finish`](Self::finish), `<dir>/metadata.yaml`.
 ///
-/// A writer that is dropped without `finish` completes the `.mcap` file as well as it can but writes no
+/// A writer that is dropped without `finish` completes the last `.mcap` file as well as it can but writes no
 /// `metadata.yaml`, so that the bag is recognised as interrupted.
 pub struct BagWriter {
     dir: PathBuf,
-    file: PathBuf,
-    mcap: mcap::Writer<BufWriter<File>>,
-    topics: BTreeMap<String, TopicState>,
+    name: String,
+    options: BagOptions,
+    part: Part,
+    /// Files that are complete.
+    done: Vec<FileMetadata>,
+    done_bytes: u64,
+    /// Hand complete files to the disk while the next one is written.
+    syncing: Vec<JoinHandle<Result<(), BagError>>>,
+    topics: Vec<TopicState>,
+    by_name: BTreeMap<String, TopicId>,
     span: Option<(i64, i64)>,
     messages: u64,
     custom: BTreeMap<String, String>,
@@ -52,17 +174,77 @@ fn absolute(topic: &str) -> String {
     if topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") }
 }
 
+/// Begins file number `index` of a bag.
+fn begin(dir: &Path, name: &str, index: usize, options: &BagOptions) -> Result<Part, BagError> {
+    let path = dir.join(format!("{name}_{index}.mcap"));
+    let file = File::create_new(&path).map_err(|error| match full(&error) {
+        Some(reason) => BagError::Full { path: path.clone(), reason },
+        None => BagError::Io { action: "create", path: path.clone(), source: error },
+    })?;
+    let length = Arc::new(AtomicU64::new(0));
+    let (compression, level) = match options.compression {
+        Compression::None => (None, 0),
+        Compression::Fast => (Some(mcap::Compression::Zstd), 1),
+        Compression::Default => (Some(mcap::Compression::Zstd), 3),
+        Compression::Small => (Some(mcap::Compression::Zstd), 15),
+    };
+    let mcap = mcap::WriteOptions::new()
+        .profile("ros2")
+        .library(concat!("dermis-bag ", env!("CARGO_PKG_VERSION")))
+        .compression(compression)
+        .compression_level(level)
+        .compression_threads(0)
+        .chunk_size(Some(options.chunk_bytes))
+        // A chunk is made in memory and written in one go: what an interruption tears is the last one at most.
+        .disable_seeking(true)
+        .create(Out { file: BufWriter::new(file), written: 0, length: Arc::clone(&length) })
+        .map_err(|error| write_error(&path, &error))?;
+    Ok(Part { path, mcap, length, span: None, messages: 0 })
+}
+
+/// Says a failure to write; a full disk is told apart, because it is none of the program's.
+fn write_error(path: &Path, error: &mcap::McapError) -> BagError {
+    if let mcap::McapError::Io(source) = error
+        && let Some(reason) = full(source)
+    {
+        return BagError::Full { path: path.into(), reason };
+    }
+    BagError::Write { path: path.into(), problem: say(error) }
+}
+
+fn full(error: &io::Error) -> Option<&'static str> {
+    match error.kind() {
+        io::ErrorKind::StorageFull => Some("the disk is full"),
+        io::ErrorKind::QuotaExceeded => Some("the disk quota is used up"),
+        io::ErrorKind::FileTooLarge => Some("the file has reached the largest size that is allowed here"),
+        _ => None,
+    }
+}
+
 impl BagWriter {
     /// Makes the folder `dir` and starts a bag named like it.
     ///
     /// # Errors
     /// Where the folder exists and is not empty, or cannot be made.
     pub fn create(dir: impl AsRef<Path>) -> Result<Self, BagError> {
+        Self::create_with(dir, &BagOptions::default())
+    }
+
+    /// [`create`](Self::create) with another layout.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create).
+    pub fn create_with(dir: impl AsRef<Path>, options: &BagOptions) -> Result<Self, BagError> {
         let dir = dir.as_ref().to_path_buf();
         let name = match dir.file_name() {
             Some(name) => name.to_string_lossy().into_owned(),
             None => "bag".to_owned(),
         };
+        Self::create_named(dir, name, options)
+    }
+
+    /// A bag whose files are not named like its folder: one that takes its place later.
+    pub(crate) fn create_named(dir: PathBuf, name: String, options: &BagOptions) -> Result<Self, BagError> {
         if dir.exists() {
             let mut entries = std::fs::read_dir(&dir).map_err(BagError::io("open", &dir))?;
             if entries.next().is_some() {
@@ -70,21 +252,17 @@ impl BagWriter {
             }
         }
         std::fs::create_dir_all(&dir).map_err(BagError::io("create", &dir))?;
-        let file = dir.join(format!("{name}_0.mcap"));
-        let handle = File::create_new(&file).map_err(BagError::io("create", &file))?;
-        let mcap = mcap::WriteOptions::new()
-            .profile("ros2")
-            .library(concat!("dermis-bag ", env!("CARGO_PKG_VERSION")))
-            .compression(Some(mcap::Compression::Zstd))
-            .compression_threads(0)
-            .chunk_size(Some(CHUNK_BYTES))
-            .create(BufWriter::new(handle))
-            .map_err(|error| BagError::Write { path: file.clone(), problem: say(&error) })?;
+        let part = begin(&dir, &name, 0, options)?;
         Ok(Self {
             dir,
-            file,
-            mcap,
-            topics: BTreeMap::new(),
+            name,
+            options: *options,
+            part,
+            done: Vec::new(),
+            done_bytes: 0,
+            syncing: Vec::new(),
+            topics: Vec::new(),
+            by_name: BTreeMap::new(),
             span: None,
             messages: 0,
             custom: BTreeMap::new(),
@@ -103,6 +281,18 @@ impl BagWriter {
         self.messages
     }
 
+    /// Bytes of its files so far, without the chunk that is being filled.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.done_bytes + self.part.length.load(Ordering::Relaxed)
+    }
+
+    /// Files so far, the open one included.
+    #[must_use]
+    pub fn files(&self) -> usize {
+        self.done.len() + 1
+    }
+
     /// Adds an entry to the custom data of `metadata.yaml`: where an imported recording comes from, what was
     /// assumed. The same key again replaces its value.
     pub fn set_custom(&mut self, key: impl Into<String>, value: impl Into<String>) {
@@ -115,31 +305,41 @@ impl BagWriter {
     /// # Errors
     /// Where the topic exists with another type, or writing fails.
     pub fn add_topic(&mut self, topic: &str, support: &TypeSupport, qos: BagQos) -> Result<(), BagError> {
-        let name = absolute(topic);
-        if let Some(state) = self.topics.get(&name) {
-            return self.check_type(&name, &state.metadata.type_name, support.name);
+        self.declare(&Topic::of_type(topic, support, Some(qos))).map(drop)
+    }
+
+    /// Declares a topic of any type, as another bag or the graph describes it; its `messages` don't count.
+    ///
+    /// # Errors
+    /// Where the topic exists with another type, or writing fails.
+    pub fn declare(&mut self, topic: &Topic) -> Result<TopicId, BagError> {
+        let name = absolute(&topic.name);
+        if let Some(&id) = self.by_name.get(&name) {
+            self.check_type(&name, &self.topics[id.0].topic.type_name, &topic.type_name)?;
+            return Ok(id);
         }
-        let write_error = |error| BagError::Write { path: self.file.clone(), problem: say(&error) };
-        let schema = self
-            .mcap
-            .add_schema(support.name, "ros2msg", support.definition.as_bytes())
-            .map_err(write_error)?;
-        let channel_metadata = BTreeMap::from([
-            ("offered_qos_profiles".to_owned(), qos.to_yaml("")),
-            ("topic_type_hash".to_owned(), support.hash.to_owned()),
-        ]);
-        let write_error = |error| BagError::Write { path: self.file.clone(), problem: say(&error) };
-        let channel = self.mcap.add_channel(schema, &name, "cdr", &channel_metadata).map_err(write_error)?;
-        let metadata = TopicMetadata {
-            name: name.clone(),
-            type_name: support.name.to_owned(),
-            encoding: "cdr".to_owned(),
-            qos: Some(qos),
-            type_hash: Some(support.hash.to_owned()),
-            messages: 0,
-        };
-        self.topics.insert(name, TopicState { channel, sequence: 0, metadata });
-        Ok(())
+        let topic = Topic { name: name.clone(), messages: 0, ..topic.clone() };
+        let channel = self.add_channel(&topic)?;
+        let id = TopicId(self.topics.len());
+        self.topics.push(TopicState { topic, channel, sequence: 0 });
+        self.by_name.insert(name, id);
+        Ok(id)
+    }
+
+    fn add_channel(&mut self, topic: &Topic) -> Result<u16, BagError> {
+        let mut channel_metadata = BTreeMap::new();
+        if let Some(qos) = topic.qos {
+            channel_metadata.insert("offered_qos_profiles".to_owned(), qos.to_yaml(""));
+        }
+        if let Some(hash) = &topic.type_hash {
+            channel_metadata.insert("topic_type_hash".to_owned(), hash.clone());
+        }
+        // What rosbag2 writes where it has no definition.
+        let encoding = if topic.definition.is_empty() { "" } else { "ros2msg" };
+        let mcap = &mut self.part.mcap;
+        mcap.add_schema(&topic.type_name, encoding, topic.definition.as_bytes())
+            .and_then(|schema| mcap.add_channel(schema, &topic.name, "cdr", &channel_metadata))
+            .map_err(|error| write_error(&self.part.path, &error))
     }
 
     fn check_type(&self, topic: &str, found: &str, expected: &str) -> Result<(), BagError> {
@@ -174,46 +374,70 @@ impl BagWriter {
         log_time_ns: i64,
     ) -> Result<(), BagError> {
         let name = absolute(topic);
-        let refused = |problem: &str| BagError::Refused {
-            path: self.dir.clone(),
-            topic: name.clone(),
-            problem: problem.to_owned(),
-        };
-        let Ok(time) = u64::try_from(log_time_ns) else {
-            return Err(refused(&format!("its time of {log_time_ns} ns is before 1970")));
-        };
         if !matches!(cdr, [0, 0 | 1, _, _, ..]) {
-            return Err(refused(
-                "it does not start with a CDR encapsulation header (00 01 00 00 or 00 00 00 00)",
-            ));
-        }
-        match self.topics.get(&name) {
-            Some(state) => self.check_type(&name, &state.metadata.type_name, support.name)?,
-            None => self.add_topic(&name, support, BagQos::sensor_data())?,
-        }
-        let Some(state) = self.topics.get_mut(&name) else {
             return Err(BagError::Refused {
                 path: self.dir.clone(),
                 topic: name,
-                problem: "it was not declared".into(),
+                problem: "it does not start with a CDR encapsulation header (00 01 00 00 or 00 00 00 00)"
+                    .into(),
+            });
+        }
+        let id = match self.by_name.get(&name) {
+            Some(&id) => {
+                self.check_type(&name, &self.topics[id.0].topic.type_name, support.name)?;
+                id
+            }
+            None => self.declare(&Topic::of_type(&name, support, Some(BagQos::sensor_data())))?,
+        };
+        self.write_bytes(id, cdr, log_time_ns, log_time_ns)
+    }
+
+    /// Writes the bytes of a message as they are, received at `log_time_ns` and published at `publish_time_ns`,
+    /// nanoseconds since the epoch.
+    ///
+    /// # Errors
+    /// Where a time is before the epoch, or writing fails.
+    pub fn write_bytes(
+        &mut self,
+        topic: TopicId,
+        data: &[u8],
+        log_time_ns: i64,
+        publish_time_ns: i64,
+    ) -> Result<(), BagError> {
+        let Ok(log_time) = u64::try_from(log_time_ns) else {
+            return Err(BagError::Refused {
+                path: self.dir.clone(),
+                topic: self.topics[topic.0].topic.name.clone(),
+                problem: format!("its time of {log_time_ns} ns is before 1970"),
             });
         };
+        if self.split_is_due(log_time_ns) {
+            self.split()?;
+        }
+        let state = &mut self.topics[topic.0];
         let header = mcap::records::MessageHeader {
             channel_id: state.channel,
             sequence: state.sequence,
-            log_time: time,
-            publish_time: time,
+            log_time,
+            publish_time: u64::try_from(publish_time_ns).unwrap_or(log_time),
         };
-        self.mcap
-            .write_to_known_channel(&header, cdr)
-            .map_err(|error| BagError::Write { path: self.file.clone(), problem: say(&error) })?;
+        self.part
+            .mcap
+            .write_to_known_channel(&header, data)
+            .map_err(|error| write_error(&self.part.path, &error))?;
         state.sequence = state.sequence.wrapping_add(1);
-        state.metadata.messages += 1;
+        state.topic.messages += 1;
+        self.part.messages += 1;
         self.messages += 1;
-        self.span = Some(self.span.map_or((log_time_ns, log_time_ns), |(first, last)| {
-            (first.min(log_time_ns), last.max(log_time_ns))
-        }));
+        widen(&mut self.part.span, log_time_ns);
+        widen(&mut self.span, log_time_ns);
         Ok(())
+    }
+
+    fn split_is_due(&self, log_time_ns: i64) -> bool {
+        let Some((first, _)) = self.part.span else { return false };
+        self.options.split_ns.is_some_and(|span| log_time_ns.saturating_sub(first) >= span)
+            || self.options.split_bytes.is_some_and(|bytes| self.part.length.load(Ordering::Relaxed) >= bytes)
     }
 
     /// Ends the chunk that is being filled and hands it to the system, so that an interruption from here on loses
@@ -222,46 +446,74 @@ impl BagWriter {
     /// # Errors
     /// Where writing fails.
     pub fn flush(&mut self) -> Result<(), BagError> {
-        self.mcap.flush().map_err(|error| BagError::Write { path: self.file.clone(), problem: say(&error) })
+        self.part.mcap.flush().map_err(|error| write_error(&self.part.path, &error))
+    }
+
+    /// Completes the open file and begins the next one, which knows all topics so far.
+    ///
+    /// # Errors
+    /// Where writing fails.
+    pub fn split(&mut self) -> Result<(), BagError> {
+        let metadata = self.metadata();
+        let next = begin(&self.dir, &self.name, self.files(), &self.options)?;
+        let part = std::mem::replace(&mut self.part, next);
+        let path = part.path.clone();
+        let file = part.close(&metadata.to_yaml())?;
+        self.done_bytes += file.metadata().map_err(BagError::io("read", &path))?.len();
+        self.done = metadata.files;
+        let sync = std::thread::Builder::new().name("bag-sync".into()).spawn({
+            let path = path.clone();
+            move || file.sync_all().map_err(|error| sync_error(&path, error))
+        });
+        self.syncing.push(sync.map_err(BagError::io("write", &path))?);
+        for index in 0..self.topics.len() {
+            let topic = self.topics[index].topic.clone();
+            self.topics[index].channel = self.add_channel(&topic)?;
+        }
+        Ok(())
+    }
+
+    /// The bag's metadata as it is with the open file.
+    fn metadata(&self) -> Metadata {
+        let mut files = self.done.clone();
+        files.push(FileMetadata {
+            path: self.part.path.file_name().map(PathBuf::from).unwrap_or_default(),
+            span: self.part.span,
+            messages: Some(self.part.messages),
+        });
+        let mut topics: Vec<_> = self.topics.iter().map(|state| TopicMetadata::of(&state.topic)).collect();
+        topics.sort_by(|a, b| a.name.cmp(&b.name));
+        Metadata { files, span: self.span, messages: self.messages, topics, custom: self.custom.clone() }
     }
 
     /// Completes the bag: index and footer, then `metadata.yaml` under a temporary name, then its real name.
     ///
     /// # Errors
     /// Where writing fails; the bag is then recognised as interrupted.
-    pub fn finish(mut self) -> Result<BagInfo, BagError> {
-        let write_error =
-            |path: &Path, error: &mcap::McapError| BagError::Write { path: path.into(), problem: say(error) };
-        let name = self.file.file_name().map(PathBuf::from).unwrap_or_default();
-        let metadata = Metadata {
-            files: vec![name],
-            span: self.span,
-            messages: self.messages,
-            topics: self.topics.values().map(|state| state.metadata.clone()).collect(),
-            custom: self.custom.clone(),
-        };
+    pub fn finish(self) -> Result<BagInfo, BagError> {
+        let metadata = self.metadata();
         let yaml = metadata.to_yaml();
-        // The same text inside the file, as the rosbag2 plugin stores it, so that the .mcap alone tells all.
-        self.mcap
-            .write_metadata(&mcap::records::Metadata {
-                name: "rosbag2".into(),
-                metadata: BTreeMap::from([("serialized_metadata".to_owned(), yaml.clone())]),
-            })
-            .map_err(|error| write_error(&self.file, &error))?;
-        self.mcap.finish().map_err(|error| write_error(&self.file, &error))?;
-        let handle = self.mcap.into_inner().into_inner().map_err(std::io::IntoInnerError::into_error);
-        let handle = handle.map_err(BagError::io("write", &self.file))?;
-        handle.sync_all().map_err(BagError::io("write", &self.file))?;
-        let bytes = handle.metadata().map_err(BagError::io("read", &self.file))?.len();
+        let Self { dir, part, done_bytes, syncing, .. } = self;
+        let path = part.path.clone();
+        let file = part.close(&yaml)?;
+        file.sync_all().map_err(|error| sync_error(&path, error))?;
+        let bytes = done_bytes + file.metadata().map_err(BagError::io("read", &path))?.len();
+        for thread in syncing {
+            thread.join().map_err(|_| BagError::Write {
+                path: dir.clone(),
+                problem: "the thread that hands a file to the disk ended by a panic".into(),
+            })??;
+        }
 
-        let target = self.dir.join("metadata.yaml");
-        let partial = self.dir.join("metadata.yaml.partial");
+        let target = dir.join("metadata.yaml");
+        let partial = dir.join("metadata.yaml.partial");
         let mut out = File::create(&partial).map_err(BagError::io("create", &partial))?;
         out.write_all(yaml.as_bytes()).map_err(BagError::io("write", &partial))?;
         out.sync_all().map_err(BagError::io("write", &partial))?;
         std::fs::rename(&partial, &target).map_err(BagError::io("rename", &partial))?;
         Ok(BagInfo {
-            path: self.dir,
+            path: dir,
+            files: metadata.files.len(),
             bytes,
             span: metadata.span,
             messages: metadata.messages,
@@ -269,6 +521,42 @@ impl BagWriter {
             custom: metadata.custom,
             complete: true,
         })
+    }
+}
+
+impl Part {
+    /// Writes index and footer.
+    fn close(mut self, yaml: &str) -> Result<File, BagError> {
+        // The same text inside the file, as the rosbag2 plugin stores it, so that the .mcap alone tells all.
+        self.mcap
+            .write_metadata(&mcap::records::Metadata {
+                name: "rosbag2".into(),
+                metadata: BTreeMap::from([("serialized_metadata".to_owned(), yaml.to_owned())]),
+            })
+            .and_then(|()| self.mcap.finish().map(drop))
+            .map_err(|error| write_error(&self.path, &error))?;
+        let file = self.mcap.into_inner().file.into_inner().map_err(io::IntoInnerError::into_error);
+        file.map_err(|error| write_error(&self.path, &mcap::McapError::Io(error)))
+    }
+}
+
+fn sync_error(path: &Path, error: io::Error) -> BagError {
+    match full(&error) {
+        Some(reason) => BagError::Full { path: path.into(), reason },
+        None => BagError::Io { action: "write", path: path.into(), source: error },
+    }
+}
+
+impl TopicMetadata {
+    fn of(topic: &Topic) -> Self {
+        Self {
+            name: topic.name.clone(),
+            type_name: topic.type_name.clone(),
+            encoding: "cdr".to_owned(),
+            qos: topic.qos,
+            type_hash: topic.type_hash.clone(),
+            messages: topic.messages,
+        }
     }
 }
 
