@@ -1,0 +1,69 @@
+//! `dermis-bench`: measurements of speed, each against a named peer in the same run. Start it by `cargo xtask bench`.
+
+mod device;
+mod machine;
+mod node;
+mod publish;
+mod subscriber;
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
+use serde_json::Value;
+
+#[derive(Parser)]
+#[command(name = "dermis-bench", about = "Measurements of speed")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// File for the result as JSON; it is printed as a table in any case.
+    #[arg(long, global = true)]
+    out: Option<PathBuf>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// From the last byte of a frame to the message at a subscriber in another process, and frames/s per core: our node
+    /// over each backend, and a node of rclpy and ONNX Runtime with the same model.
+    Node(node::Options),
+    /// What publishing costs, with and without a subscriber.
+    Publish(publish::Options),
+    /// Used by the others: a subscriber process.
+    #[command(hide = true)]
+    Subscriber(subscriber::Options),
+}
+
+fn main() -> Result<()> {
+    let cli = Cli::parse();
+    let result = match cli.command {
+        Command::Node(options) => node::run(&options)?,
+        Command::Publish(options) => publish::run(&options)?,
+        Command::Subscriber(options) => return subscriber::run(&options),
+    };
+    let result = machine::stamp(result);
+    if let Some(path) = &cli.out {
+        write(path, &result)?;
+    }
+    println!("{result}");
+    Ok(())
+}
+
+fn write(path: &std::path::Path, result: &Value) -> Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let text = serde_json::to_string_pretty(result)? + "\n";
+    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn arguments_are_consistent() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,344 @@
+//! The straight way, measured: bytes on a line → message at a subscriber in another process.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use dermis_msgs::msg::ContactArray;
+use dermis_skin::SkinDescription;
+use serde_json::{Value, json};
+
+use crate::device::Device;
+use crate::machine::cpu_time;
+use crate::subscriber::{Arrival, Choice, Process, isolated, start};
+
+/// Frames under way at most while the rate is measured: as many as a line of 4 KiB holds, several times over.
+const WINDOW: u64 = 256;
+/// Longest wait for a node to report its first calibrated frame.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// What to measure.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Folder of our programs without ROS 2.
+    #[arg(long)]
+    programs: PathBuf,
+    /// Folder of our programs with ROS 2 in them; leaves ROS 2 out where absent.
+    #[arg(long)]
+    ros_programs: Option<PathBuf>,
+    /// Python with rclpy, our messages and ONNX Runtime; leaves the peer out where absent.
+    #[arg(long)]
+    ros_python: Option<PathBuf>,
+    /// Root of the repository.
+    #[arg(long, default_value = ".")]
+    root: PathBuf,
+    /// \[s\] of each phase.
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+    /// \[Hz\] at which latency is measured.
+    #[arg(long, default_value_t = 1000.0)]
+    rate: f64,
+    /// ONNX Runtime's library for our node, too; its embedded runtime where absent.
+    #[arg(long)]
+    onnxruntime: Option<PathBuf>,
+}
+
+/// One node under measurement.
+struct Candidate {
+    name: &'static str,
+    /// Of the node and of its subscriber.
+    backend: Choice,
+    /// The subscriber is of the same program for all that share a backend.
+    kind: Kind,
+}
+
+enum Kind {
+    Ours { programs: PathBuf, onnxruntime: Option<PathBuf> },
+    Peer { python: PathBuf },
+}
+
+/// Runs all that this machine has, and prints the table.
+///
+/// # Errors
+///
+/// Where a node does not come up or loses frames that it must not lose.
+pub fn run(options: &Options) -> Result<Value> {
+    let mut candidates = Vec::new();
+    let ours = |programs: &Path, onnxruntime: Option<&PathBuf>| Kind::Ours {
+        programs: programs.to_owned(),
+        onnxruntime: onnxruntime.cloned(),
+    };
+    candidates.push(Candidate {
+        name: "dermis, hiroz",
+        backend: Choice::Hiroz,
+        kind: ours(&options.programs, None),
+    });
+    if let Some(library) = &options.onnxruntime {
+        let kind = ours(&options.programs, Some(library));
+        candidates.push(Candidate { name: "dermis, hiroz, ONNX Runtime", backend: Choice::Hiroz, kind });
+    }
+    if let Some(programs) = &options.ros_programs {
+        let kind = ours(programs, None);
+        candidates.push(Candidate { name: "dermis, r2r", backend: Choice::Ros2, kind });
+    }
+    if let Some(python) = &options.ros_python {
+        let kind = Kind::Peer { python: python.clone() };
+        candidates.push(Candidate { name: "rclpy + onnxruntime", backend: Choice::Ros2, kind });
+    }
+    let mut rows = Vec::new();
+    for (i, candidate) in candidates.iter().enumerate() {
+        eprintln!("measuring {}", candidate.name);
+        let domain = 60 + (std::process::id() % 20) as u16 * 2 + (i % 2) as u16;
+        let row = measure(options, candidate, domain).with_context(|| candidate.name.to_owned())?;
+        rows.push(row);
+    }
+    let peer = rows.iter().find(|r| r["name"] == "rclpy + onnxruntime").cloned();
+    for row in &mut rows {
+        let ratio = peer.as_ref().and_then(|p| {
+            Some(row["frames_per_second_and_core"].as_f64()? / p["frames_per_second_and_core"].as_f64()?)
+        });
+        row["ratio"] = json!(ratio);
+    }
+    table(&rows, options);
+    let of = |name: &str| rows.iter().find(|r| r["name"] == name).cloned().unwrap_or(Value::Null);
+    Ok(json!({
+        "rate_hz": options.rate,
+        "seconds": options.seconds,
+        "hiroz": of("dermis, hiroz"),
+        "r2r": of("dermis, r2r"),
+        "peer": of("rclpy + onnxruntime"),
+        "rows": rows,
+    }))
+}
+
+fn command(options: &Options, candidate: &Candidate, device: &Device) -> Command {
+    let skin = options.root.join("launch/skins/baro-grid.toml");
+    let model = options.root.join("models/baro-grid");
+    match &candidate.kind {
+        Kind::Ours { programs, onnxruntime } => {
+            let mut c = Command::new(programs.join("dermis"));
+            c.arg("barodome").arg("--skin").arg(skin).arg("--model").arg(model);
+            c.arg("--source").arg(format!("serial://{}", device.path()));
+            c.args(["--backend", candidate.backend.name(), "--strict"]).env("DERMIS_LOG", "error");
+            c.env_remove("VIRTUAL_ENV");
+            match onnxruntime {
+                Some(library) => c.env("ORT_DYLIB_PATH", library),
+                None => c.env_remove("ORT_DYLIB_PATH"),
+            };
+            c
+        }
+        Kind::Peer { python } => {
+            let mut c = Command::new(python);
+            c.arg(options.root.join("benches/python/rclpy_node.py"));
+            c.arg(skin).arg(model).arg(device.path());
+            c
+        }
+    }
+}
+
+fn measure(options: &Options, candidate: &Candidate, domain: u16) -> Result<Value> {
+    let skin = SkinDescription::load(options.root.join("launch/skins/baro-grid.toml"))?;
+    let mut device = Device::new(&skin, 1)?;
+    let (subscriber, arrivals) = start(candidate.backend, domain)?;
+    let mut command = command(options, candidate, &device);
+    let node = isolated(&mut command, domain).stdout(Stdio::null()).spawn().with_context(|| {
+        format!("{} cannot be started", command.get_program().display())
+    })?;
+    let node = Process(node);
+
+    // The zero is taken from untouched frames.
+    let begun = Instant::now();
+    let mut pace = Pace::new(200.0);
+    loop {
+        device.send(false)?;
+        pace.wait();
+        if arrivals.try_iter().any(|a| a.status == ContactArray::STATUS_OK) {
+            break;
+        }
+        if begun.elapsed() > PATIENCE {
+            bail!("no calibrated frame came within {} s", PATIENCE.as_secs());
+        }
+    }
+
+    let latency = latency(options, &mut device, &arrivals, &node)?;
+    let mut row = rate(options, &mut device, &arrivals, &node)?;
+    row["name"] = json!(candidate.name);
+    row["latency"] = latency;
+    drop(node);
+    drop(subscriber);
+    Ok(row)
+}
+
+/// At a fixed rate: from the last byte to the subscriber.
+fn latency(
+    options: &Options,
+    device: &mut Device,
+    arrivals: &Receiver<Arrival>,
+    node: &Process,
+) -> Result<Value> {
+    let mut pace = Pace::new(options.rate);
+    // Until touch and rate have settled.
+    let settled = Instant::now() + Duration::from_secs(2);
+    while Instant::now() < settled {
+        device.send(true)?;
+        pace.wait();
+    }
+    let first = device.sent.len() as u64;
+    let (cpu, begun) = (cpu_time(&node.0)?, Instant::now());
+    let end = begun + Duration::from_secs_f64(options.seconds);
+    let mut seen = Vec::new();
+    while Instant::now() < end {
+        device.send(true)?;
+        pace.wait();
+        seen.extend(arrivals.try_iter());
+    }
+    let used = (cpu_time(&node.0)? - cpu).as_secs_f64() / begun.elapsed().as_secs_f64();
+    let last = device.sent.len() as u64;
+    // The last ones are still on their way.
+    let deadline = Instant::now() + Duration::from_secs(5);
+    while !seen.iter().any(|a: &Arrival| a.sequence + 1 >= last) && Instant::now() < deadline {
+        match arrivals.recv_timeout(Duration::from_millis(50)) {
+            Ok(arrival) => seen.push(arrival),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => bail!("the subscriber ended"),
+        }
+    }
+    let counted: Vec<&Arrival> = seen.iter().filter(|a| (first..last).contains(&a.sequence)).collect();
+    let without = counted.iter().filter(|a| a.contacts == 0).count();
+    if without * 100 > counted.len() {
+        bail!("{without} of {} messages hold no contact although the pad is pressed", counted.len());
+    }
+    let mut ms: Vec<f64> = counted
+        .iter()
+        .filter_map(|a| Some((a.received_ns - device.sent.get(a.sequence as usize)?) as f64 * 1e-6))
+        .collect();
+    ms.sort_by(f64::total_cmp);
+    Ok(json!({
+        "p50_ms": percentile(&ms, 50.0),
+        "p99_ms": percentile(&ms, 99.0),
+        "p999_ms": percentile(&ms, 99.9),
+        "max_ms": percentile(&ms, 100.0),
+        "frames": last - first,
+        "lost": (last - first).saturating_sub(counted.len() as u64),
+        "cores": used,
+    }))
+}
+
+/// As fast as the node takes them: frames per second of CPU time of the node.
+fn rate(
+    options: &Options,
+    device: &mut Device,
+    arrivals: &Receiver<Arrival>,
+    node: &Process,
+) -> Result<Value> {
+    let mut acknowledged = device.sent.len() as u64;
+    let mut arrived = 0_u64;
+    let mut counted = None;
+    let begun = Instant::now();
+    let warm = Duration::from_secs(1);
+    let whole = warm + Duration::from_secs_f64(options.seconds);
+    while begun.elapsed() < whole {
+        if counted.is_none() && begun.elapsed() >= warm {
+            counted = Some((cpu_time(&node.0)?, Instant::now(), arrived, device.sent.len()));
+        }
+        if (device.sent.len() as u64) < acknowledged + WINDOW {
+            device.send(true)?;
+            for arrival in arrivals.try_iter() {
+                arrived += 1;
+                acknowledged = acknowledged.max(arrival.sequence + 1);
+            }
+            continue;
+        }
+        match arrivals.recv_timeout(Duration::from_millis(200)) {
+            Ok(arrival) => {
+                arrived += 1;
+                acknowledged = acknowledged.max(arrival.sequence + 1);
+            }
+            // What was lost at the end of a window is never acknowledged.
+            Err(RecvTimeoutError::Timeout) => acknowledged = device.sent.len() as u64,
+            Err(RecvTimeoutError::Disconnected) => bail!("the subscriber ended"),
+        }
+    }
+    let Some((cpu, since, before, sent)) = counted else { bail!("the measurement was too short") };
+    let used = (cpu_time(&node.0)? - cpu).as_secs_f64();
+    let frames = arrived - before;
+    Ok(json!({
+        "frames_per_second": frames as f64 / since.elapsed().as_secs_f64(),
+        "frames_per_second_and_core": frames as f64 / used,
+        "cpu_us_per_frame": used / frames as f64 * 1e6,
+        "sent": device.sent.len() - sent,
+        "arrived": frames,
+    }))
+}
+
+/// Nearest-rank percentile of sorted numbers; NaN where there are none.
+fn percentile(sorted: &[f64], p: f64) -> f64 {
+    let rank = (p / 100.0 * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.clamp(1, sorted.len().max(1)) - 1).copied().unwrap_or(f64::NAN)
+}
+
+/// Waits so that calls come at a rate, without drift.
+struct Pace {
+    next: Instant,
+    period: Duration,
+}
+
+impl Pace {
+    fn new(rate: f64) -> Self {
+        Self { next: Instant::now(), period: Duration::from_secs_f64(1.0 / rate) }
+    }
+
+    fn wait(&mut self) {
+        self.next += self.period;
+        let now = Instant::now();
+        match self.next.checked_duration_since(now) {
+            Some(left) => std::thread::sleep(left),
+            // What was missed is not made up for by a burst.
+            None => self.next = now,
+        }
+    }
+}
+
+fn table(rows: &[Value], options: &Options) {
+    let number = |v: &Value, digits: usize| v.as_f64().map_or("-".into(), |x| format!("{x:.digits$}"));
+    eprintln!(
+        "\n{:<30} {:>14} {:>8} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
+        "node", "frames/s/core", "ratio", "CPU us", "p50 ms", "p99 ms", "p99.9 ms", "lost", "cores"
+    );
+    for row in rows {
+        let l = &row["latency"];
+        eprintln!(
+            "{:<30} {:>14} {:>8} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
+            row["name"].as_str().unwrap_or(""),
+            number(&row["frames_per_second_and_core"], 0),
+            number(&row["ratio"], 1),
+            number(&row["cpu_us_per_frame"], 1),
+            number(&l["p50_ms"], 3),
+            number(&l["p99_ms"], 3),
+            number(&l["p999_ms"], 3),
+            number(&l["lost"], 0),
+            number(&l["cores"], 3),
+        );
+    }
+    eprintln!(
+        "\nLatency at {} Hz, from the last byte of a frame to the decoded message at a subscriber in another process.",
+        options.rate
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_nearest_ranks() {
+        let numbers: Vec<f64> = (1..=100).map(f64::from).collect();
+        assert_eq!(percentile(&numbers, 50.0), 50.0);
+        assert_eq!(percentile(&numbers, 99.0), 99.0);
+        assert_eq!(percentile(&numbers, 100.0), 100.0);
+        assert!(percentile(&[], 50.0).is_nan());
+    }
+}

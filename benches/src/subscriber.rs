@@ -1,0 +1,188 @@
+//! The subscriber process: says of each message which frame it is of and when it was here.
+
+use std::io::{Read, Write};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use dermis_msgs::msg::ContactArray;
+use dermis_node::{Backend, HirozBackend, Node, NodeOptions, Qos};
+use dermis_transport::now_ns;
+
+/// ROS 2 implementation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Choice {
+    /// The embedded one.
+    Hiroz,
+    /// The one that is sourced.
+    Ros2,
+}
+
+impl Choice {
+    /// As the command line of our programs calls it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Hiroz => "hiroz",
+            Self::Ros2 => "ros2",
+        }
+    }
+
+    /// The implementation.
+    ///
+    /// # Errors
+    ///
+    /// Where this program was built without it.
+    pub fn open(self) -> Result<Arc<dyn Backend>> {
+        match self {
+            Self::Hiroz => Ok(Arc::new(HirozBackend::default())),
+            #[cfg(feature = "ros2")]
+            Self::Ros2 => Ok(Arc::new(dermis_node_r2r::R2rBackend)),
+            #[cfg(not(feature = "ros2"))]
+            Self::Ros2 => bail!("this program was built without the feature `ros2`"),
+        }
+    }
+}
+
+/// How to listen.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// ROS 2 implementation.
+    #[arg(long, value_enum)]
+    backend: Choice,
+    /// Topic of contact arrays.
+    #[arg(long, default_value = "contacts")]
+    topic: String,
+}
+
+/// One message that arrived.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Arrival {
+    /// Of the frame that it was computed from.
+    pub sequence: u64,
+    /// When it had been decoded, ns since the epoch.
+    pub received_ns: i64,
+    /// `ContactArray::STATUS_*`.
+    pub status: u8,
+    /// Number of contacts, at most 255.
+    pub contacts: u8,
+}
+
+impl Arrival {
+    const BYTES: usize = 24;
+
+    fn to_bytes(self) -> [u8; Self::BYTES] {
+        let mut bytes = [0; Self::BYTES];
+        bytes[..8].copy_from_slice(&self.sequence.to_le_bytes());
+        bytes[8..16].copy_from_slice(&self.received_ns.to_le_bytes());
+        bytes[16] = self.status;
+        bytes[17] = self.contacts;
+        bytes
+    }
+
+    fn from_bytes(bytes: &[u8; Self::BYTES]) -> Self {
+        let number = |at: usize| {
+            let mut word = [0; 8];
+            word.copy_from_slice(&bytes[at..at + 8]);
+            word
+        };
+        Self {
+            sequence: u64::from_le_bytes(number(0)),
+            received_ns: i64::from_le_bytes(number(8)),
+            status: bytes[16],
+            contacts: bytes[17],
+        }
+    }
+}
+
+/// Prints arrivals until its output is closed.
+///
+/// # Errors
+///
+/// Where ROS refuses.
+pub fn run(options: &Options) -> Result<()> {
+    let backend = options.backend.open()?;
+    let node = Node::open(NodeOptions::new("bench_subscriber"), backend.as_ref())?;
+    let waiting = Arc::new(Mutex::new(Vec::<u8>::new()));
+    let sink = Arc::clone(&waiting);
+    let qos = Qos { history: dermis_node::History::KeepLast(8192), ..Qos::sensor_data() };
+    let _subscription = node.subscribe::<ContactArray>(&options.topic, qos, move |array, _| {
+        let arrival = Arrival {
+            sequence: array.sequence,
+            received_ns: now_ns(),
+            status: array.status,
+            contacts: u8::try_from(array.contacts.len()).unwrap_or(u8::MAX),
+        };
+        sink.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(&arrival.to_bytes());
+    })?;
+    let mut out = std::io::stdout().lock();
+    loop {
+        std::thread::sleep(Duration::from_micros(300));
+        let bytes = std::mem::take(&mut *waiting.lock().unwrap_or_else(PoisonError::into_inner));
+        if !bytes.is_empty() && out.write_all(&bytes).and_then(|()| out.flush()).is_err() {
+            return Ok(());
+        }
+    }
+}
+
+/// Reads what such a process prints.
+pub fn arrivals(mut pipe: impl Read + Send + 'static) -> Receiver<Arrival> {
+    let (tx, rx) = channel();
+    std::thread::spawn(move || {
+        let mut bytes = [0; Arrival::BYTES];
+        while pipe.read_exact(&mut bytes).is_ok() {
+            if tx.send(Arrival::from_bytes(&bytes)).is_err() {
+                return;
+            }
+        }
+    });
+    rx
+}
+
+/// Starts such a process.
+///
+/// # Errors
+///
+/// Where it cannot be started.
+pub fn start(backend: Choice, domain: u16) -> Result<(Process, Receiver<Arrival>)> {
+    let this = std::env::current_exe().context("this program has no path")?;
+    let mut child = isolated(&mut std::process::Command::new(this), domain)
+        .args(["subscriber", "--backend", backend.name()])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .context("the subscriber cannot be started")?;
+    let Some(pipe) = child.stdout.take() else { bail!("the subscriber has no output") };
+    Ok((Process(child), arrivals(pipe)))
+}
+
+/// A command in a ROS domain of its own, on this machine only.
+pub fn isolated(command: &mut std::process::Command, domain: u16) -> &mut std::process::Command {
+    command.env("ROS_DOMAIN_ID", domain.to_string()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+}
+
+/// A child that does not outlive the measurement.
+#[derive(Debug)]
+pub struct Process(pub std::process::Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrivals_come_back_as_they_went() {
+        let arrival = Arrival { sequence: u64::MAX - 3, received_ns: -7, status: 3, contacts: 255 };
+        assert_eq!(Arrival::from_bytes(&arrival.to_bytes()), arrival);
+        let twice = [arrival.to_bytes(), arrival.to_bytes()].concat();
+        assert_eq!(arrivals(std::io::Cursor::new(twice)).iter().count(), 2);
+    }
+}
