@@ -1,0 +1,51 @@
+//! What can go wrong with a launch.
+
+use std::path::PathBuf;
+
+/// What can go wrong with a launch, with the file and the field that it is about.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LaunchError {
+    /// A file cannot be read, or is neither TOML nor YAML.
+    #[error("launch file {path}: {reason}")]
+    Read {
+        /// File that was asked for.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A field cannot be used.
+    #[error("launch file {path}: field `{field}`: {reason}")]
+    Field {
+        /// File that holds it.
+        path: PathBuf,
+        /// Path of the field in the file, e.g. `processes[2].parameters.rate`.
+        field: String,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// An argument that was given from outside cannot be used.
+    #[error("launch file {path}: argument `{argument}`: {reason}")]
+    Argument {
+        /// File that it was given to.
+        path: PathBuf,
+        /// The argument as given.
+        argument: String,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// The system refused something that a launch needs.
+    #[error("{what}: {source}")]
+    System {
+        /// What was tried.
+        what: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+impl LaunchError {
+    pub(crate) fn system(what: impl Into<String>, source: impl Into<std::io::Error>) -> Self {
+        Self::System { what: what.into(), source: source.into() }
+    }
+}

@@ -1,0 +1,872 @@
+//! From launch files to what is started.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use regex::Regex;
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+
+use crate::backoff::{Backoff, bad_seconds};
+use crate::error::LaunchError;
+use crate::file::{self, Argument, Entry, File, Include, Text, loose};
+use crate::substitute::Scope;
+
+/// Files within files, so that two that include each other end with a sentence.
+const DEEPEST: usize = 16;
+/// What `${…}` gives in every file.
+const FOLDERS: [&str; 3] = ["here", "cwd", "tmp"];
+
+/// What the program that launches knows and this crate does not: its own nodes and commands.
+pub trait Host {
+    /// The program's own file, which runs its nodes and commands.
+    fn program(&self) -> &Path;
+
+    /// Whether the program takes these arguments.
+    ///
+    /// # Errors
+    ///
+    /// One sentence on what it does not take.
+    fn check(&self, arguments: &[String]) -> Result<(), String>;
+
+    /// The configuration of a node, checked as far as can be without starting it, with absolute paths.
+    ///
+    /// # Errors
+    ///
+    /// The field that cannot be used, and why.
+    fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Refusal>;
+}
+
+/// A node that a launch file asks for.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct NodeRequest<'a> {
+    /// Which node, as the command that runs it.
+    pub kind: &'a str,
+    /// Node name.
+    pub name: &'a str,
+    /// Full namespace.
+    pub namespace: &'a str,
+    /// ROS domain, where the file names one.
+    pub domain_id: Option<u16>,
+    /// Remappings `from:=to`.
+    pub remap: &'a [String],
+    /// Start values of parameters.
+    pub parameters: &'a Map<String, Value>,
+    /// The rest of its configuration: a table, or the path of a file; null where absent.
+    pub config: &'a Value,
+    /// Launch file that asks.
+    pub file: &'a Path,
+    /// Folder that relative paths start at.
+    pub folder: &'a Path,
+}
+
+/// A field of a process that cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    /// Path of the field within the process, e.g. `config.skin`.
+    pub field: String,
+    /// What is wrong, and what to do.
+    pub reason: String,
+}
+
+/// When a process that ended by itself is started again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Restart {
+    /// Never.
+    #[default]
+    Never,
+    /// Where it ended with another exit code than 0, by a signal, or was not ready in time.
+    OnFailure,
+    /// However it ended.
+    Always,
+}
+
+/// How a process is stopped: an interrupt (as Ctrl-C), then SIGTERM, then SIGKILL.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Stop {
+    /// \[s\] from the interrupt to SIGTERM.
+    #[serde(deserialize_with = "loose")]
+    pub interrupt: f64,
+    /// \[s\] from SIGTERM to SIGKILL.
+    #[serde(deserialize_with = "loose")]
+    pub terminate: f64,
+}
+
+impl Default for Stop {
+    fn default() -> Self {
+        Self { interrupt: 5.0, terminate: 2.0 }
+    }
+}
+
+/// What shows that a process can be used.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub enum Ready {
+    /// A file, link or folder that was not there before its start, or is another one since.
+    File {
+        /// Where.
+        path: PathBuf,
+        /// Longest wait.
+        within: Duration,
+    },
+    /// A line that it prints.
+    Line {
+        /// What is found in it.
+        pattern: Regex,
+        /// Longest wait.
+        within: Duration,
+    },
+}
+
+/// One process.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Process {
+    /// Namespace and name, as logs and `after` call it: `left/pad`.
+    pub label: String,
+    /// Launch file that asks for it.
+    pub file: PathBuf,
+    /// Path of its entry in that file.
+    pub field: String,
+    /// Whether it is this program itself.
+    pub own: bool,
+    /// Program file.
+    pub program: PathBuf,
+    /// Arguments.
+    pub arguments: Vec<String>,
+    /// Variables on top of the environment of the launch.
+    pub environment: BTreeMap<String, String>,
+    /// Working directory.
+    pub directory: PathBuf,
+    /// Processes of the plan that must be ready before.
+    pub after: Vec<usize>,
+    /// What shows that it can be used; at once where absent.
+    pub ready: Option<Ready>,
+    /// When it is started again.
+    pub restart: Restart,
+    /// How long after.
+    pub backoff: Backoff,
+    /// Whether its end is the end of the launch.
+    pub required: bool,
+    /// How it is stopped.
+    pub stop: Stop,
+}
+
+/// An argument of a launch file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Declared {
+    /// Name.
+    pub name: String,
+    /// Its value in this launch.
+    pub value: String,
+    /// What it is for.
+    pub about: String,
+}
+
+/// What is started, in this order.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Plan {
+    /// The launch file.
+    pub file: PathBuf,
+    /// Its arguments.
+    pub arguments: Vec<Declared>,
+    /// Its processes.
+    pub processes: Vec<Process>,
+}
+
+/// Reads a launch file with these arguments (`name:=value`); configurations of nodes, and what files call `${tmp}`, go
+/// to the folder `tmp`, which must last as long as the processes.
+///
+/// # Errors
+///
+/// [`LaunchError`] names the file and the field or argument.
+pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> Result<Plan, LaunchError> {
+    let cwd = std::env::current_dir()
+        .map_err(|e| LaunchError::system("the working directory cannot be found out", e))?;
+    let mut given = BTreeMap::new();
+    for argument in arguments {
+        let refuse = |reason: &str| LaunchError::Argument {
+            path: path.to_owned(),
+            argument: argument.clone(),
+            reason: reason.to_owned(),
+        };
+        let (name, value) =
+            argument.split_once(":=").ok_or_else(|| refuse("is none; write `name:=value`"))?;
+        if given.insert(name.to_owned(), value.to_owned()).is_some() {
+            return Err(refuse("is given twice; leave one"));
+        }
+    }
+    let mut loader = Loader { host, cwd, tmp: tmp.to_owned(), processes: Vec::new(), open: Vec::new() };
+    let outer = Around { folder: loader.cwd.clone(), ..Around::default() };
+    let declared = loader.file(path, given, &outer)?;
+    let processes = loader.linked()?;
+    Ok(Plan { file: path.to_owned(), arguments: declared, processes })
+}
+
+/// What groups and files around an entry say.
+#[derive(Debug, Clone, Default)]
+struct Around {
+    namespace: String,
+    environment: BTreeMap<String, String>,
+    domain_id: Option<u16>,
+    log: Option<String>,
+    /// Folder of the file.
+    folder: PathBuf,
+}
+
+struct Pending {
+    process: Process,
+    namespace: String,
+    after: Vec<String>,
+}
+
+struct Loader<'a> {
+    host: &'a dyn Host,
+    cwd: PathBuf,
+    tmp: PathBuf,
+    processes: Vec<Pending>,
+    open: Vec<PathBuf>,
+}
+
+/// Errors of one field of a file.
+struct At<'a> {
+    file: &'a Path,
+    field: &'a str,
+}
+
+impl At<'_> {
+    fn refuse(&self, field: &str, reason: impl Into<String>) -> LaunchError {
+        let field = match (self.field, field) {
+            ("", field) => field.to_owned(),
+            (at, "") => at.to_owned(),
+            (at, field) => format!("{at}.{field}"),
+        };
+        LaunchError::Field { path: self.file.to_owned(), field, reason: reason.into() }
+    }
+}
+
+impl Loader<'_> {
+    fn file(
+        &mut self,
+        path: &Path,
+        given: BTreeMap<String, String>,
+        around: &Around,
+    ) -> Result<Vec<Declared>, LaunchError> {
+        let mut tree = file::read(path)?;
+        let real = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        if self.open.len() >= DEEPEST || self.open.contains(&real) {
+            return Err(LaunchError::Read {
+                path: path.to_owned(),
+                reason: "is included by itself, directly or through others; remove that `include`".to_owned(),
+            });
+        }
+        self.open.push(real);
+        let absolute = std::path::absolute(path).unwrap_or_else(|_| self.cwd.join(path));
+        let folder = absolute.parent().unwrap_or(Path::new("/")).to_owned();
+
+        let mut values: BTreeMap<String, String> =
+            [("here", &folder), ("cwd", &self.cwd), ("tmp", &self.tmp)]
+                .map(|(name, folder)| (name.to_owned(), folder.display().to_string()))
+                .into();
+        let declared = arguments(&tree, given, path, &Scope { values: values.clone() }, around, &folder)?;
+        values.extend(declared.iter().map(|a| (a.name.clone(), a.value.clone())));
+        if let Value::Object(fields) = &mut tree {
+            fields.remove("arguments");
+        }
+        Scope { values }.tree(&mut tree, "", false).map_err(|(field, reason)| LaunchError::Field {
+            path: path.to_owned(),
+            field,
+            reason,
+        })?;
+        alone(&tree, "", path)?;
+        let file: File = file::typed(tree, path, "")?;
+        let at = At { file: path, field: "" };
+        let mut inner = around.inside(
+            &at,
+            file.namespace.as_ref(),
+            &file.environment,
+            file.domain_id,
+            file.log.as_ref(),
+        )?;
+        inner.folder = folder;
+        self.entries(&file.processes, &at, &inner)?;
+        self.open.pop();
+        Ok(declared)
+    }
+
+    fn entries(&mut self, entries: &[Entry], at: &At, around: &Around) -> Result<(), LaunchError> {
+        if entries.is_empty() {
+            return Err(at.refuse("processes", "is empty; give at least one process"));
+        }
+        for (i, entry) in entries.iter().enumerate() {
+            let field = At { file: at.file, field: "" };
+            let prefix = if at.field.is_empty() { String::new() } else { format!("{}.", at.field) };
+            let path = format!("{prefix}processes[{i}]");
+            let here = At { field: &path, ..field };
+            if let Some(group) = &entry.group {
+                let path = format!("{path}.group");
+                let at = At { field: &path, ..here };
+                let inner = around.inside(
+                    &at,
+                    group.namespace.as_ref(),
+                    &group.environment,
+                    group.domain_id,
+                    group.log.as_ref(),
+                )?;
+                self.entries(&group.processes, &at, &inner)?;
+            } else if let Some(include) = &entry.include {
+                self.include(include, &At { field: &format!("{path}.include"), ..here }, around)?;
+            } else {
+                self.process(entry, &here, around)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn include(&mut self, include: &Include, at: &At, around: &Around) -> Result<(), LaunchError> {
+        let inner = around.inside(
+            at,
+            include.namespace.as_ref(),
+            &include.environment,
+            include.domain_id,
+            include.log.as_ref(),
+        )?;
+        let path = around.folder.join(&include.file.0);
+        if !path.is_file() {
+            return Err(at.refuse("file", format!("{} is no file; check the path", path.display())));
+        }
+        let given = include.arguments.iter().map(|(name, value)| (name.clone(), value.0.clone())).collect();
+        self.file(&path, given, &inner).map(drop)
+    }
+
+    fn process(&mut self, entry: &Entry, at: &At, around: &Around) -> Result<(), LaunchError> {
+        let inner = around.inside(
+            at,
+            entry.namespace.as_ref(),
+            &entry.environment,
+            entry.domain_id,
+            entry.log.as_ref(),
+        )?;
+        let Some(name) = &entry.name else {
+            return Err(at.refuse("name", "is missing; logs and `after` call the process by it"));
+        };
+        let name = name.0.as_str();
+        let ros_name = entry.node.is_some() || entry.ros_args;
+        if !is_name(name, !ros_name) {
+            let more = if ros_name { "" } else { ", `-` or `.`" };
+            return Err(at.refuse(
+                "name",
+                format!(
+                    "`{name}` is no name; it begins with a letter and goes on with letters, digits, `_`{more}"
+                ),
+            ));
+        }
+        let label = format!("{}/{name}", inner.namespace).trim_start_matches('/').to_owned();
+        if let Some(other) = self.processes.iter().find(|p| p.process.label == label) {
+            return Err(at.refuse(
+                "name",
+                format!(
+                    "`{label}` is the name of {} in {} too; give one of them another name or namespace",
+                    other.process.field,
+                    other.process.file.display()
+                ),
+            ));
+        }
+        let (own, program, arguments) = self.command(entry, name, &label, at, &inner)?;
+
+        let mut environment = inner.environment.clone();
+        let mut preset = |name: &str, value: String| {
+            environment.entry(name.to_owned()).or_insert(value);
+        };
+        if let Some(domain) = inner.domain_id {
+            preset("ROS_DOMAIN_ID", domain.to_string());
+        }
+        if own {
+            // So that levels and fields survive the way through the pipe.
+            preset("DERMIS_LOG_FORMAT", "json".to_owned());
+            if let Some(log) = &inner.log {
+                preset("DERMIS_LOG", log.clone());
+            }
+        }
+        let directory = match &entry.directory {
+            None => inner.folder.clone(),
+            Some(directory) => {
+                let directory = inner.folder.join(&directory.0);
+                if !directory.is_dir() {
+                    return Err(at.refuse("directory", format!("{} is no folder", directory.display())));
+                }
+                directory
+            }
+        };
+        if let Some((field, reason)) = entry.backoff.fault() {
+            return Err(at.refuse(&format!("backoff.{field}"), reason));
+        }
+        for (field, seconds) in [("interrupt", entry.stop.interrupt), ("terminate", entry.stop.terminate)] {
+            if let Some(reason) = bad_seconds(seconds) {
+                return Err(at.refuse(&format!("stop.{field}"), reason));
+            }
+        }
+        let ready = entry.ready.as_ref().map(|ready| readiness(ready, at, &inner.folder)).transpose()?;
+        self.processes.push(Pending {
+            process: Process {
+                label,
+                file: at.file.to_owned(),
+                field: at.field.to_owned(),
+                own,
+                program,
+                arguments,
+                environment,
+                directory,
+                after: Vec::new(),
+                ready,
+                restart: entry.restart,
+                backoff: entry.backoff.clone(),
+                required: entry.required,
+                stop: entry.stop.clone(),
+            },
+            namespace: inner.namespace,
+            after: texts(&entry.after),
+        });
+        Ok(())
+    }
+
+    /// Whether it is this program, its file, and its arguments.
+    fn command(
+        &self,
+        entry: &Entry,
+        name: &str,
+        label: &str,
+        at: &At,
+        inner: &Around,
+    ) -> Result<(bool, PathBuf, Vec<String>), LaunchError> {
+        let remap = texts(&entry.remap);
+        if let Some(i) = remap.iter().position(|rule| !rule.contains(":=")) {
+            return Err(at.refuse(&format!("remap[{i}]"), format!("`{}` is no `from:=to`", remap[i])));
+        }
+        if entry.node.is_none() {
+            let only = "only a `node` takes this";
+            if entry.config.is_some() {
+                return Err(at.refuse("config", only));
+            }
+            if !entry.flags.is_empty() {
+                return Err(at.refuse("flags", only));
+            }
+            for (field, given) in [("parameters", !entry.parameters.is_empty()), ("remap", !remap.is_empty())]
+            {
+                if given && !entry.ros_args {
+                    return Err(
+                        at.refuse(field, "only a `node`, or a `program` with `ros_args: true`, takes this")
+                    );
+                }
+            }
+        }
+        if entry.ros_args && entry.program.is_none() {
+            return Err(at.refuse("ros_args", "only a `program` takes this"));
+        }
+        match (&entry.node, &entry.dermis, &entry.program) {
+            (Some(kind), None, None) => {
+                let namespace = if inner.namespace.is_empty() { "/" } else { &inner.namespace };
+                let request = NodeRequest {
+                    kind: &kind.0,
+                    name,
+                    namespace,
+                    domain_id: inner.domain_id,
+                    remap: &remap,
+                    parameters: &entry.parameters,
+                    config: entry.config.as_ref().unwrap_or(&Value::Null),
+                    file: at.file,
+                    folder: &inner.folder,
+                };
+                let config = self.host.node(&request).map_err(|r| at.refuse(&r.field, r.reason))?;
+                // JSON is YAML too.
+                let file = self.tmp.join(format!("{}.yaml", label.replace('/', ".")));
+                std::fs::write(&file, format!("{config:#}\n"))
+                    .map_err(|e| LaunchError::system(format!("{} cannot be written", file.display()), e))?;
+                let mut arguments = vec![kind.0.clone(), "--config".to_owned(), file.display().to_string()];
+                arguments.extend(texts(&entry.flags));
+                self.host.check(&arguments).map_err(|reason| at.refuse("flags", reason))?;
+                Ok((true, self.host.program().to_owned(), arguments))
+            }
+            (None, Some(arguments), None) => {
+                let arguments = texts(arguments);
+                self.host.check(&arguments).map_err(|reason| at.refuse("dermis", reason))?;
+                Ok((true, self.host.program().to_owned(), arguments))
+            }
+            (None, None, Some(words)) => {
+                let words = texts(words);
+                let Some((program, rest)) = words.split_first() else {
+                    return Err(at.refuse("program", "is empty; give a program and its arguments"));
+                };
+                let file = find_program(program, inner).map_err(|reason| at.refuse("program[0]", reason))?;
+                let mut arguments = rest.to_vec();
+                if entry.ros_args {
+                    arguments.extend(ros_args(name, inner, &remap, &entry.parameters));
+                }
+                Ok((false, file, arguments))
+            }
+            (None, None, None) => Err(at.refuse(
+                "",
+                "says not what to start; give one of `node`, `dermis`, `program`, `group`, `include`",
+            )),
+            _ => Err(at.refuse("", "says twice what to start; leave one of `node`, `dermis`, `program`")),
+        }
+    }
+
+    /// The processes, with what they wait for found.
+    fn linked(self) -> Result<Vec<Process>, LaunchError> {
+        let labels: Vec<String> = self.processes.iter().map(|p| p.process.label.clone()).collect();
+        let mut processes = Vec::new();
+        for Pending { mut process, namespace, after } in self.processes {
+            for (i, wanted) in after.iter().enumerate() {
+                let refuse = |reason: String| LaunchError::Field {
+                    path: process.file.clone(),
+                    field: format!("{}.after[{i}]", process.field),
+                    reason,
+                };
+                let near = format!("{namespace}/{wanted}");
+                let found = [near.trim_start_matches('/'), wanted.trim_start_matches('/')]
+                    .into_iter()
+                    .find_map(|name| labels.iter().position(|label| label == name));
+                let Some(found) = found else {
+                    return Err(refuse(format!(
+                        "there is no process `{wanted}`; there are {}",
+                        labels.join(", ")
+                    )));
+                };
+                process.after.push(found);
+            }
+            processes.push(process);
+        }
+        for process in &processes {
+            for (i, wanted) in process.after.iter().enumerate() {
+                let refuse = |reason: String| LaunchError::Field {
+                    path: process.file.clone(),
+                    field: format!("{}.after[{i}]", process.field),
+                    reason,
+                };
+                let other = &processes[*wanted];
+                if other.ready.is_none() {
+                    return Err(refuse(format!(
+                        "`{}` says not when it is ready; give it `ready: {{file: …}}` or `ready: {{line: …}}`",
+                        other.label
+                    )));
+                }
+                if waits_for(&processes, *wanted, &process.label) {
+                    return Err(refuse(format!(
+                        "`{}` waits for `{}` itself, so that neither would start",
+                        other.label, process.label
+                    )));
+                }
+            }
+        }
+        Ok(processes)
+    }
+}
+
+/// Whether a process waits for the one with this label, or is it.
+fn waits_for(processes: &[Process], from: usize, label: &str) -> bool {
+    let mut seen = vec![false; processes.len()];
+    let mut open = vec![from];
+    while let Some(i) = open.pop() {
+        if processes[i].label == label {
+            return true;
+        }
+        if !std::mem::replace(&mut seen[i], true) {
+            open.extend(&processes[i].after);
+        }
+    }
+    false
+}
+
+/// The arguments that a file declares, with their values.
+fn arguments(
+    tree: &Value,
+    mut given: BTreeMap<String, String>,
+    path: &Path,
+    scope: &Scope,
+    around: &Around,
+    folder: &Path,
+) -> Result<Vec<Declared>, LaunchError> {
+    let at = At { file: path, field: "arguments" };
+    let empty = Map::new();
+    let declarations = match tree.get("arguments") {
+        None | Some(Value::Null) => &empty,
+        Some(Value::Object(declarations)) => declarations,
+        Some(_) => {
+            return Err(LaunchError::Field {
+                path: path.to_owned(),
+                field: "arguments".to_owned(),
+                reason: "is no table; write `name: default`, or `name: {default: …, about: …}`".to_owned(),
+            });
+        }
+    };
+    let mut declared = Vec::new();
+    for (name, declaration) in declarations {
+        if FOLDERS.contains(&name.as_str()) || !is_name(name, true) {
+            return Err(at.refuse(
+                name,
+                format!(
+                    "cannot be the name of an argument: it begins with a letter, goes on with letters, digits, `_`, `-` or `.`, and is none of {}",
+                    FOLDERS.join(", ")
+                ),
+            ));
+        }
+        let field = format!("arguments.{name}");
+        let argument: Argument = match declaration {
+            Value::Object(_) => file::typed(declaration.clone(), path, &field)?,
+            Value::Null => Argument { default: None, about: String::new(), path: false },
+            scalar => {
+                let default: Text = file::typed(scalar.clone(), path, &field)?;
+                Argument { default: Some(default), about: String::new(), path: false }
+            }
+        };
+        let (value, base) = match (given.remove(name), argument.default) {
+            // What is given is relative to where it is given.
+            (Some(value), _) => (value, &around.folder),
+            (None, Some(Text(default))) => {
+                (scope.text(&default).map_err(|reason| at.refuse(name, reason))?, &folder.to_owned())
+            }
+            (None, None) => {
+                return Err(at.refuse(name, format!("has no default; give it: `{name}:=VALUE`")));
+            }
+        };
+        let value =
+            if argument.path && !value.is_empty() { base.join(value).display().to_string() } else { value };
+        declared.push(Declared { name: name.clone(), value, about: argument.about });
+    }
+    if let Some((name, value)) = given.pop_first() {
+        let known: Vec<&str> = declarations.keys().map(String::as_str).collect();
+        let known =
+            if known.is_empty() { "it has none".to_owned() } else { format!("it has {}", known.join(", ")) };
+        return Err(LaunchError::Argument {
+            path: path.to_owned(),
+            argument: format!("{name}:={value}"),
+            reason: format!("the file declares no argument `{name}`; {known}"),
+        });
+    }
+    Ok(declared)
+}
+
+/// Refuses what stands beside `group` or `include`, where it would do nothing.
+fn alone(tree: &Value, at: &str, path: &Path) -> Result<(), LaunchError> {
+    let Some(Value::Array(entries)) = tree.get("processes") else { return Ok(()) };
+    for (i, entry) in entries.iter().enumerate() {
+        let Value::Object(fields) = entry else { continue };
+        for key in ["group", "include"] {
+            let Some(inside) = fields.get(key) else { continue };
+            if let Some(other) = fields.keys().find(|k| *k != key) {
+                return Err(LaunchError::Field {
+                    path: path.to_owned(),
+                    field: format!("{at}processes[{i}].{other}"),
+                    reason: format!("stands beside `{key}`; move it into the `{key}`, or remove it"),
+                });
+            }
+            alone(inside, &format!("{at}processes[{i}].{key}."), path)?;
+        }
+    }
+    Ok(())
+}
+
+impl Around {
+    fn inside(
+        &self,
+        at: &At,
+        namespace: Option<&Text>,
+        environment: &BTreeMap<String, Text>,
+        domain_id: Option<u16>,
+        log: Option<&Text>,
+    ) -> Result<Self, LaunchError> {
+        let mut inner = self.clone();
+        if let Some(Text(namespace)) = namespace {
+            let joined = match namespace.strip_prefix('/') {
+                Some(absolute) => absolute.to_owned(),
+                None => format!("{}/{namespace}", self.namespace),
+            };
+            let tokens: Vec<&str> = joined.split('/').filter(|t| !t.is_empty()).collect();
+            if let Some(bad) = tokens.iter().find(|token| !is_name(token, false)) {
+                return Err(at.refuse(
+                    "namespace",
+                    format!("`{bad}` is no part of a namespace; it begins with a letter and goes on with letters, digits or `_`"),
+                ));
+            }
+            inner.namespace = tokens.iter().fold(String::new(), |all, token| all + "/" + token);
+        }
+        for (name, Text(value)) in environment {
+            if name.is_empty() || name.contains(['=', '\0']) || value.contains('\0') {
+                return Err(at.refuse(&format!("environment.{name}"), "is no environment variable"));
+            }
+            inner.environment.insert(name.clone(), value.clone());
+        }
+        if let Some(domain) = domain_id {
+            if domain > 232 {
+                return Err(at.refuse("domain_id", format!("{domain} is no ROS domain; give 0 to 232")));
+            }
+            inner.domain_id = Some(domain);
+        }
+        if let Some(Text(log)) = log {
+            inner.log = Some(log.clone());
+        }
+        Ok(inner)
+    }
+}
+
+fn texts(texts: &[Text]) -> Vec<String> {
+    texts.iter().map(|text| text.0.clone()).collect()
+}
+
+fn is_name(name: &str, free: bool) -> bool {
+    let more = |c: char| c.is_ascii_alphanumeric() || c == '_' || (free && (c == '-' || c == '.'));
+    name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_') && name.chars().all(more)
+}
+
+fn readiness(ready: &file::Ready, at: &At, folder: &Path) -> Result<Ready, LaunchError> {
+    if let Some(reason) = bad_seconds(ready.within) {
+        return Err(at.refuse("ready.within", reason));
+    }
+    let within = Duration::from_secs_f64(ready.within);
+    match (&ready.file, &ready.line) {
+        (Some(Text(path)), None) => Ok(Ready::File { path: folder.join(path), within }),
+        (None, Some(Text(line))) => {
+            let pattern = Regex::new(line).map_err(|e| {
+                at.refuse(
+                    "ready.line",
+                    format!("is no regular expression: {}", file::one_line(&e.to_string())),
+                )
+            })?;
+            Ok(Ready::Line { pattern, within })
+        }
+        _ => Err(at.refuse("ready", "needs one of `file` and `line`")),
+    }
+}
+
+/// The file of a program: a path with `/` relative to the launch file, or a name on PATH.
+fn find_program(program: &str, around: &Around) -> Result<PathBuf, String> {
+    let runs =
+        |path: &Path| path.is_file() && nix::unistd::access(path, nix::unistd::AccessFlags::X_OK).is_ok();
+    if program.contains('/') {
+        let path = around.folder.join(program);
+        return if runs(&path) {
+            Ok(path)
+        } else {
+            Err(format!("{} is no program; check the path and its permissions", path.display()))
+        };
+    }
+    let search = around.environment.get("PATH").cloned().or_else(|| std::env::var("PATH").ok());
+    std::env::split_paths(&search.unwrap_or_default())
+        .map(|folder| folder.join(program))
+        .find(|path| runs(path))
+        .ok_or_else(|| format!("`{program}` is not on PATH; install it, or give its path"))
+}
+
+/// How a program of ROS 2 is told its name, namespace, remappings and parameters.
+fn ros_args(name: &str, around: &Around, remap: &[String], parameters: &Map<String, Value>) -> Vec<String> {
+    let mut all = vec!["--ros-args".to_owned()];
+    let mut rule = |flag: &str, rule: String| all.extend([flag.to_owned(), rule]);
+    rule("-r", format!("__node:={name}"));
+    if !around.namespace.is_empty() {
+        rule("-r", format!("__ns:={}", around.namespace));
+    }
+    for remapping in remap {
+        rule("-r", remapping.clone());
+    }
+    for (name, value) in parameters {
+        // JSON is YAML, which is what ROS reads here.
+        rule("-p", format!("{name}:={value}"));
+    }
+    if let Some(log) = &around.log {
+        rule("--log-level", log.clone());
+    }
+    all
+}
+
+impl Plan {
+    /// The plan for people, one process after the other.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        // Writing to a text cannot fail.
+        let _ = writeln!(out, "{}: {} process(es)", self.file.display(), self.processes.len());
+        for Declared { name, value, about } in &self.arguments {
+            let about = if about.is_empty() { String::new() } else { format!("   # {about}") };
+            let _ = writeln!(out, "  {name}:={value}{about}");
+        }
+        for (i, p) in self.processes.iter().enumerate() {
+            let _ = writeln!(out, "{:>3}  {}", i + 1, p.label);
+            let _ = writeln!(out, "       {}", p.command_line());
+            let mut notes = Vec::new();
+            if !p.after.is_empty() {
+                let after: Vec<&str> = p.after.iter().map(|a| self.processes[*a].label.as_str()).collect();
+                notes.push(format!("after {}", after.join(", ")));
+            }
+            match &p.ready {
+                Some(Ready::File { path, .. }) => notes.push(format!("ready with {}", path.display())),
+                Some(Ready::Line { pattern, .. }) => notes.push(format!("ready with a line /{pattern}/")),
+                None => {}
+            }
+            match p.restart {
+                Restart::Never => {}
+                Restart::OnFailure => notes.push("started again where it fails".to_owned()),
+                Restart::Always => notes.push("started again whenever it ends".to_owned()),
+            }
+            if p.required {
+                notes.push("required".to_owned());
+            }
+            if !notes.is_empty() {
+                let _ = writeln!(out, "       {}", notes.join("; "));
+            }
+        }
+        out
+    }
+
+    /// The plan for programs.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let processes: Vec<Value> = self
+            .processes
+            .iter()
+            .map(|p| {
+                json!({
+                    "name": p.label,
+                    "file": p.file,
+                    "field": p.field,
+                    "program": p.program,
+                    "arguments": p.arguments,
+                    "environment": p.environment,
+                    "directory": p.directory,
+                    "after": p.after.iter().map(|a| &self.processes[*a].label).collect::<Vec<_>>(),
+                    "required": p.required,
+                })
+            })
+            .collect();
+        let arguments: Map<String, Value> =
+            self.arguments.iter().map(|a| (a.name.clone(), a.value.clone().into())).collect();
+        json!({ "file": self.file, "arguments": arguments, "processes": processes })
+    }
+}
+
+impl Process {
+    /// The command as a person would type it.
+    #[must_use]
+    pub fn command_line(&self) -> String {
+        let program = if self.own { "dermis".into() } else { self.program.display().to_string() };
+        std::iter::once(&program)
+            .chain(&self.arguments)
+            .map(|word| {
+                let plain = |c: char| c.is_ascii_alphanumeric() || "/._-:=?&,@%+".contains(c);
+                if !word.is_empty() && word.chars().all(plain) {
+                    word.clone()
+                } else {
+                    format!("'{}'", word.replace('\'', r"'\''"))
+                }
+            })
+            .collect::<Vec<_>>()
+            .join(" ")
+    }
+}

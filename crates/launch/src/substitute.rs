@@ -1,0 +1,159 @@
+//! `${…}` in the texts of a launch file.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+/// What `${…}` can stand for in one file.
+#[derive(Debug, Default)]
+pub(crate) struct Scope {
+    /// Arguments and the folders `here`, `cwd`, `tmp`.
+    pub values: BTreeMap<String, String>,
+}
+
+/// Keys whose value is a command: a text there is cut at its spaces before anything is put in, so that what is put in
+/// stays one word.
+const COMMANDS: [&str; 2] = ["dermis", "program"];
+/// Keys below which a text that is one `${…}` takes the type of what is put in, as if it had been written there.
+const TYPED: [&str; 2] = ["parameters", "config"];
+
+impl Scope {
+    /// One text.
+    pub(crate) fn text(&self, text: &str) -> Result<String, String> {
+        let mut out = String::with_capacity(text.len());
+        let mut rest = text;
+        while let Some(at) = rest.find('$') {
+            out.push_str(&rest[..at]);
+            rest = &rest[at + 1..];
+            if let Some(after) = rest.strip_prefix('$') {
+                out.push('$');
+                rest = after;
+            } else if let Some(after) = rest.strip_prefix('{') {
+                let end = after.find('}').ok_or_else(|| {
+                    format!("`${{{after}` has no closing `}}`; write `$$` for a dollar sign")
+                })?;
+                out.push_str(&self.value(&after[..end])?);
+                rest = &after[end + 1..];
+            } else {
+                out.push('$');
+            }
+        }
+        out.push_str(rest);
+        Ok(out)
+    }
+
+    fn value(&self, name: &str) -> Result<String, String> {
+        let Some(variable) = name.strip_prefix("env:") else {
+            return self.values.get(name).cloned().ok_or_else(|| {
+                let known: Vec<&str> = self.values.keys().map(String::as_str).collect();
+                format!(
+                    "`${{{name}}}` is not known; declare it under `arguments`, or use one of {}, env:NAME",
+                    known.join(", ")
+                )
+            });
+        };
+        let (variable, default) = match variable.split_once(":-") {
+            Some((variable, default)) => (variable, Some(default)),
+            None => (variable, None),
+        };
+        match (std::env::var(variable), default) {
+            (Ok(value), _) => Ok(value),
+            (Err(_), Some(default)) => Ok(default.to_owned()),
+            (Err(std::env::VarError::NotPresent), None) => Err(format!(
+                "environment variable {variable} is not set; set it, or give a default: `${{env:{variable}:-…}}`"
+            )),
+            (Err(error), None) => Err(format!("environment variable {variable}: {error}")),
+        }
+    }
+
+    /// All texts of a tree, in place. An error names the path of its field.
+    pub(crate) fn tree(&self, value: &mut Value, path: &str, typed: bool) -> Result<(), (String, String)> {
+        match value {
+            Value::String(text) => {
+                let whole = typed && text.starts_with("${") && text.find('}') == Some(text.len() - 1);
+                let put_in = self.text(text).map_err(|reason| (path.to_owned(), reason))?;
+                *value = if whole { scalar(put_in) } else { Value::String(put_in) };
+            }
+            Value::Array(items) => {
+                for (i, item) in items.iter_mut().enumerate() {
+                    self.tree(item, &format!("{path}[{i}]"), typed)?;
+                }
+            }
+            Value::Object(fields) => {
+                for (key, field) in fields {
+                    if !typed
+                        && COMMANDS.contains(&key.as_str())
+                        && let Value::String(text) = field
+                    {
+                        *field = text.split_whitespace().collect();
+                    }
+                    let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                    self.tree(field, &path, typed || TYPED.contains(&key.as_str()))?;
+                }
+            }
+            Value::Null | Value::Bool(_) | Value::Number(_) => {}
+        }
+        Ok(())
+    }
+}
+
+/// A text with the type that it would have in a file.
+fn scalar(text: String) -> Value {
+    match serde_json::from_str(&text) {
+        Ok(value @ (Value::Bool(_) | Value::Number(_))) => value,
+        _ => Value::String(text),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use serde_json::json;
+
+    fn scope() -> Scope {
+        let values = [("skin", "a b.toml"), ("rate", "50.0"), ("on", "true"), ("here", "/robot")];
+        Scope { values: values.map(|(k, v)| (k.to_owned(), v.to_owned())).into() }
+    }
+
+    #[test]
+    fn values_are_put_in() {
+        let scope = scope();
+        assert_eq!(scope.text("${here}/x/${skin}").unwrap(), "/robot/x/a b.toml");
+        assert_eq!(scope.text("5 $ and $${skin} $").unwrap(), "5 $ and ${skin} $");
+        assert_eq!(scope.text("${env:DERMIS_SURELY_NOT_SET:-x:-y}").unwrap(), "x:-y");
+        assert_eq!(scope.text("${env:PATH}").unwrap(), std::env::var("PATH").unwrap());
+        insta::assert_snapshot!(scope.text("${skim}").unwrap_err(), @"");
+        insta::assert_snapshot!(scope.text("a ${skin").unwrap_err(), @"");
+        insta::assert_snapshot!(scope.text("${env:DERMIS_SURELY_NOT_SET}").unwrap_err(), @"");
+    }
+
+    #[test]
+    fn commands_are_cut_first_and_parameters_keep_their_type() {
+        let mut tree = json!({
+            "dermis": "device simulate ${skin}  --seed 3",
+            "parameters": {"rate": "${rate}", "text": "x${rate}", "list": ["${on}"], "program": "a b"},
+            "log": "${rate}",
+        });
+        scope().tree(&mut tree, "", false).unwrap();
+        assert_eq!(
+            tree,
+            json!({
+                "dermis": ["device", "simulate", "a b.toml", "--seed", "3"],
+                "parameters": {"rate": 50.0, "text": "x50.0", "list": [true], "program": "a b"},
+                "log": "50.0",
+            })
+        );
+        let mut tree = json!({"processes": [{"dermis": "skin ${none}"}]});
+        let (field, _) = scope().tree(&mut tree, "", false).unwrap_err();
+        assert_eq!(field, "processes[0].dermis[1]");
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_panics_and_what_is_escaped_comes_back(text in ".{0,40}") {
+            let _ = scope().text(&text);
+            prop_assert_eq!(scope().text(&text.replace('$', "$$")).unwrap(), text);
+        }
+    }
+}

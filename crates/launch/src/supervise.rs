@@ -1,0 +1,502 @@
+//! Starting, watching, starting again, stopping.
+
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, killpg};
+use nix::unistd::Pid;
+use regex::Regex;
+use tokio::io::{AsyncRead, AsyncReadExt};
+use tokio::process::Child;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+use crate::backoff::Restarts;
+use crate::error::LaunchError;
+use crate::guard::Guard;
+use crate::lines::Lines;
+use crate::log::{Level, LogOptions, Record, Tap, Writer};
+use crate::plan::{Plan, Process, Ready, Restart};
+
+/// How often a file is looked for.
+const LOOK: Duration = Duration::from_millis(20);
+/// Longest wait for the rest of what a process printed, after its end: what it started may hold the pipe open.
+const LAST_WORDS: Duration = Duration::from_millis(500);
+/// Wait between SIGTERM and SIGKILL where the launch is told to hurry.
+const HURRY: Duration = Duration::from_secs(1);
+
+/// How a launch ended.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Ended {
+    /// One sentence for each process that failed for good.
+    pub failures: Vec<String>,
+}
+
+/// Runs a plan until it is stopped (Ctrl-C, SIGTERM, SIGHUP), until a required process ends, or until all have ended.
+///
+/// Every process gets a group of its own, so that Ctrl-C at a terminal reaches it once, through here. They are stopped
+/// in the reverse order of their start, one after the other; a second signal hurries. `guard` starts a program that
+/// calls [`crate::guard()`](fn@crate::guard) on its standard input, for the case that the launch itself is killed.
+///
+/// # Errors
+///
+/// [`LaunchError::System`] where logs cannot be written or signals not be listened to. Processes that fail are no
+/// error of the launch: they are told in [`Ended`].
+pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Result<Ended, LaunchError> {
+    let listen = |kind| signal(kind).map_err(|e| LaunchError::system("signals cannot be listened to", e));
+    let mut interrupt = listen(SignalKind::interrupt())?;
+    let mut terminate = listen(SignalKind::terminate())?;
+    let mut hang_up = listen(SignalKind::hangup())?;
+    let guard = guard
+        .map(|mut command| Guard::start(&mut command))
+        .transpose()
+        .map_err(|e| LaunchError::system("the guard of the launch cannot be started", e))?;
+    let mut names: Vec<String> = plan.processes.iter().map(|p| p.label.clone()).collect();
+    names.push("launch".to_owned());
+    let writer = Writer::start(log, names)?;
+    let launch = Arc::new(Launch {
+        processes: plan.processes.clone(),
+        states: plan.processes.iter().map(|_| watch::Sender::new(State::default())).collect(),
+        stops: plan.processes.iter().map(|_| watch::Sender::new(false)).collect(),
+        phase: watch::Sender::new(Phase::Run),
+        started: Mutex::default(),
+        ended: Mutex::default(),
+        guard,
+        taps: (0..plan.processes.len()).map(|i| writer.tap(i)).collect(),
+        tap: writer.tap(plan.processes.len()),
+    });
+
+    let work = tokio::spawn(Arc::clone(&launch).work());
+    let mut work = std::pin::pin!(work);
+    let done = loop {
+        let name = tokio::select! {
+            done = &mut work => break done,
+            _ = interrupt.recv() => "Ctrl-C",
+            _ = terminate.recv() => "SIGTERM",
+            _ = hang_up.recv() => "SIGHUP",
+        };
+        if *launch.phase.borrow() == Phase::Run {
+            launch.tap.say(Level::Info, format!("{name}: stopping; once more to hurry"));
+            launch.phase.send_replace(Phase::Stop);
+        } else {
+            launch.tap.say(Level::Warn, format!("{name} once more: not waiting any longer"));
+            launch.phase.send_replace(Phase::Hurry);
+        }
+    };
+    let failures = std::mem::take(&mut *lock(&launch.ended));
+    drop(launch);
+    writer.finish();
+    done.map_err(|e| LaunchError::system("the launch itself failed", io::Error::other(e)))?;
+    Ok(Ended { failures })
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Phase {
+    Run,
+    Stop,
+    Hurry,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct State {
+    /// It was started once, or waits for another.
+    met: bool,
+    /// It was ready once.
+    ready: bool,
+    /// It is not started any more.
+    over: bool,
+}
+
+struct Launch {
+    processes: Vec<Process>,
+    states: Vec<watch::Sender<State>>,
+    /// Whether a process is to stop.
+    stops: Vec<watch::Sender<bool>>,
+    phase: watch::Sender<Phase>,
+    /// Order of the first starts.
+    started: Mutex<Vec<usize>>,
+    ended: Mutex<Vec<String>>,
+    guard: Option<Guard>,
+    taps: Vec<Tap>,
+    tap: Tap,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Waits until a watched value holds. The senders live as long as the launch.
+async fn until<T>(watched: &watch::Sender<T>, holds: impl FnMut(&T) -> bool) {
+    let _ = watched.subscribe().wait_for(holds).await;
+}
+
+impl Launch {
+    async fn work(self: Arc<Self>) {
+        let mut tasks = Vec::new();
+        for index in 0..self.processes.len() {
+            tasks.push(tokio::spawn(Arc::clone(&self).keep(index)));
+            // One that waits for others holds nobody up.
+            until(&self.states[index], |state| state.met || state.over).await;
+        }
+        let all_over = async {
+            for state in &self.states {
+                until(state, |state| state.over).await;
+            }
+        };
+        tokio::select! {
+            () = all_over => {}
+            () = self.stop_all() => {}
+        }
+        for task in tasks {
+            if let Err(error) = task.await {
+                lock(&self.ended).push(format!("the launch itself failed: {error}"));
+            }
+        }
+    }
+
+    /// Once it is time, stops one process after the other, the last one first.
+    async fn stop_all(&self) {
+        until(&self.phase, |phase| *phase > Phase::Run).await;
+        loop {
+            let open = |index: &usize| !self.states[*index].borrow().over;
+            let started = lock(&self.started).clone();
+            let next =
+                started.into_iter().rev().find(open).or_else(|| (0..self.states.len()).rev().find(open));
+            let Some(index) = next else { return };
+            self.stops[index].send_replace(true);
+            let hurried = *self.phase.borrow() == Phase::Hurry;
+            if hurried {
+                for stop in &self.stops {
+                    stop.send_replace(true);
+                }
+            }
+            tokio::select! {
+                () = until(&self.states[index], |state| state.over) => {}
+                () = until(&self.phase, |phase| *phase == Phase::Hurry), if !hurried => {}
+            }
+        }
+    }
+
+    fn say(&self, level: Level, text: impl Into<String>) {
+        self.tap.say(level, text);
+    }
+
+    fn fail(&self, sentence: String) {
+        self.say(Level::Error, sentence.clone());
+        lock(&self.ended).push(sentence);
+    }
+
+    /// Starts a process, again and again where its policy says so.
+    async fn keep(self: Arc<Self>, index: usize) {
+        self.keep_running(index).await;
+        let process = &self.processes[index];
+        if process.required && *self.phase.borrow() == Phase::Run {
+            self.say(Level::Warn, format!("{} is required: stopping the others", process.label));
+            self.phase.send_if_modified(|phase| {
+                let first = *phase == Phase::Run;
+                if first {
+                    *phase = Phase::Stop;
+                }
+                first
+            });
+        }
+        self.states[index].send_modify(|state| state.over = true);
+    }
+
+    async fn keep_running(&self, index: usize) {
+        let process = &self.processes[index];
+        let label = &process.label;
+        if !self.others_are_ready(index).await {
+            return;
+        }
+        let mut restarts = Restarts::default();
+        loop {
+            if *self.phase.borrow() > Phase::Run {
+                return;
+            }
+            let begin = Instant::now();
+            let end = match self.run_once(index).await {
+                Ok(end) => end,
+                Err(error) => {
+                    let what = process.program.display();
+                    return self.fail(format!("{label} cannot be started ({what}): {error}"));
+                }
+            };
+            let ran = begin.elapsed();
+            let how = match &end {
+                End::Stopped => return,
+                End::NotReady(status) => format!("{label} was not ready in time, and {}", told(*status)),
+                End::Itself(status) => format!("{label} {} after {:.1} s", told(*status), ran.as_secs_f64()),
+            };
+            let failed = !matches!(&end, End::Itself(status) if status.success());
+            let again =
+                process.restart == Restart::Always || (failed && process.restart == Restart::OnFailure);
+            if *self.phase.borrow() > Phase::Run || !again {
+                if failed {
+                    self.fail(how);
+                } else {
+                    self.say(Level::Info, how);
+                }
+                return;
+            }
+            let Some(wait) = restarts.next(&process.backoff, ran) else {
+                let limit = process.backoff.limit;
+                return self.fail(format!("{how}; given up after {limit} restarts in a row"));
+            };
+            let count = restarts.in_a_row();
+            self.say(
+                Level::Warn,
+                format!(
+                    "{how}; starting it again in {:.2} s (restart {count} of at most {})",
+                    wait.as_secs_f64(),
+                    process.backoff.limit
+                ),
+            );
+            tokio::select! {
+                () = tokio::time::sleep(wait) => {}
+                () = until(&self.phase, |phase| *phase > Phase::Run) => return,
+            }
+        }
+    }
+
+    async fn others_are_ready(&self, index: usize) -> bool {
+        let process = &self.processes[index];
+        if process.after.is_empty() {
+            return true;
+        }
+        self.states[index].send_modify(|state| state.met = true);
+        for &other in &process.after {
+            tokio::select! {
+                () = until(&self.states[other], |state| state.ready || state.over) => {}
+                () = until(&self.phase, |phase| *phase > Phase::Run) => return false,
+            }
+            if !self.states[other].borrow().ready {
+                let other = &self.processes[other].label;
+                let label = &process.label;
+                self.fail(
+                    index,
+                    format!("{label} is not started: {other}, which it waits for, was never ready"),
+                );
+                return false;
+            }
+        }
+        true
+    }
+
+    async fn run_once(&self, index: usize) -> io::Result<End> {
+        let process = &self.processes[index];
+        let before = match &process.ready {
+            Some(Ready::File { path, .. }) => identity(path),
+            _ => None,
+        };
+        let mut command = Command::new(&process.program);
+        command
+            .args(&process.arguments)
+            .envs(&process.environment)
+            .current_dir(&process.directory)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut child = tokio::process::Command::from(command).spawn()?;
+        let group = child.id().and_then(|id| i32::try_from(id).ok()).map(Group);
+        if let (Some(guard), Some(Group(id))) = (&self.guard, group) {
+            guard.tell(id, true);
+        }
+        self.say(Level::Info, format!("{} started, process {}", process.label, group.map_or(0, |g| g.0)));
+        {
+            let mut started = lock(&self.started);
+            if !started.contains(&index) {
+                started.push(index);
+            }
+        }
+        self.states[index].send_modify(|state| state.met = true);
+
+        let seen = Arc::new(watch::Sender::new(false));
+        let pattern = match &process.ready {
+            Some(Ready::Line { pattern, .. }) => Some(pattern.clone()),
+            _ => None,
+        };
+        let mut readers = Vec::new();
+        if let Some(pipe) = child.stdout.take() {
+            readers.push(gather(pipe, self.taps[index].clone(), pattern.clone(), Arc::clone(&seen)));
+        }
+        if let Some(pipe) = child.stderr.take() {
+            readers.push(gather(pipe, self.taps[index].clone(), pattern, Arc::clone(&seen)));
+        }
+
+        let ready = async {
+            let within = match &process.ready {
+                None => return true,
+                Some(Ready::File { within, .. } | Ready::Line { within, .. }) => *within,
+            };
+            tokio::time::timeout(within, async {
+                match &process.ready {
+                    Some(Ready::File { path, .. }) => loop {
+                        let now = identity(path);
+                        if now.is_some() && now != before {
+                            return;
+                        }
+                        tokio::time::sleep(LOOK).await;
+                    },
+                    _ => until(&seen, |seen| *seen).await,
+                }
+            })
+            .await
+            .is_ok()
+        };
+        let mut ready = std::pin::pin!(ready);
+        let mut waiting = true;
+        let end = loop {
+            tokio::select! {
+                biased;
+                in_time = &mut ready, if waiting => {
+                    waiting = false;
+                    if in_time {
+                        self.states[index].send_modify(|state| state.ready = true);
+                        if process.ready.is_some() {
+                            self.say(Level::Info, format!("{} is ready", process.label));
+                        }
+                    } else {
+                        break self.end(index, &mut child, group).await.map(End::NotReady);
+                    }
+                }
+                status = child.wait() => break status.map(End::Itself),
+                () = until(&self.stops[index], |stop| *stop) => {
+                    break self.end(index, &mut child, group).await.map(|status| {
+                        self.say(Level::Info, format!("{} {}", process.label, told(status)));
+                        End::Stopped
+                    });
+                }
+            }
+        };
+        if let Some(group) = group {
+            // What it started ends with it.
+            group.signal(Signal::SIGKILL);
+            if let Some(guard) = &self.guard {
+                guard.tell(group.0, false);
+            }
+        }
+        let rest = tokio::time::Instant::now() + LAST_WORDS;
+        for mut reader in readers {
+            if tokio::time::timeout_at(rest, &mut reader).await.is_err() {
+                reader.abort();
+            }
+        }
+        self.taps[index].confess();
+        // It may have said so with its last words.
+        let left = match &process.ready {
+            Some(Ready::File { path, .. }) => identity(path).is_some_and(|now| Some(now) != before),
+            _ => *seen.borrow(),
+        };
+        if left {
+            self.states[index].send_modify(|state| state.ready = true);
+        }
+        end
+    }
+
+    /// Asks a process to end, less and less politely.
+    async fn end(&self, index: usize, child: &mut Child, group: Option<Group>) -> io::Result<ExitStatus> {
+        let Process { label, stop, .. } = &self.processes[index];
+        let Some(group) = group else { return child.wait().await };
+        if *self.phase.borrow() < Phase::Hurry {
+            group.signal(Signal::SIGINT);
+            let patience = Duration::from_secs_f64(stop.interrupt);
+            tokio::select! {
+                status = child.wait() => return status,
+                () = tokio::time::sleep(patience) => {
+                    self.say(Level::Warn, format!("{label} ignores the interrupt for {} s: SIGTERM", stop.interrupt));
+                }
+                () = until(&self.phase, |phase| *phase == Phase::Hurry) => {}
+            }
+        }
+        group.signal(Signal::SIGTERM);
+        let patience = Duration::from_secs_f64(stop.terminate);
+        let hurry = async {
+            until(&self.phase, |phase| *phase == Phase::Hurry).await;
+            tokio::time::sleep(HURRY).await;
+        };
+        tokio::select! {
+            status = child.wait() => return status,
+            () = tokio::time::sleep(patience) => {}
+            () = hurry => {}
+        }
+        self.say(Level::Warn, format!("{label} ignores SIGTERM too: SIGKILL"));
+        group.signal(Signal::SIGKILL);
+        child.wait().await
+    }
+}
+
+/// How one run of a process ended.
+enum End {
+    Stopped,
+    NotReady(ExitStatus),
+    Itself(ExitStatus),
+}
+
+/// A process and what it started.
+#[derive(Debug, Clone, Copy)]
+struct Group(i32);
+
+impl Group {
+    fn signal(self, signal: Signal) {
+        // It may have ended already.
+        let _ = killpg(Pid::from_raw(self.0), signal);
+    }
+}
+
+fn told(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(0), _) => "ended".to_owned(),
+        (Some(code), _) => format!("ended with exit code {code}"),
+        (None, Some(number)) => {
+            let name = Signal::try_from(number).map_or("an unknown signal", Signal::as_str);
+            format!("was ended by signal {number} ({name})")
+        }
+        (None, None) => "ended".to_owned(),
+    }
+}
+
+/// What tells a file from another one that had its name before.
+fn identity(path: &Path) -> Option<(u64, u64, i64, i64)> {
+    let found = std::fs::symlink_metadata(PathBuf::from(path)).ok()?;
+    Some((found.dev(), found.ino(), found.ctime(), found.ctime_nsec()))
+}
+
+/// Reads a pipe to its end, faster than anything can fill it.
+fn gather(
+    mut pipe: impl AsyncRead + Unpin + Send + 'static,
+    tap: Tap,
+    mut pattern: Option<Regex>,
+    seen: Arc<watch::Sender<bool>>,
+) -> JoinHandle<()> {
+    tokio::spawn(async move {
+        let mut lines = Lines::default();
+        let mut block = vec![0; 64 * 1024];
+        let mut each = |line: &[u8]| {
+            let room = tap.has_room();
+            if !room && pattern.is_none() {
+                return;
+            }
+            let record = Record::parse(line);
+            if pattern.as_ref().is_some_and(|pattern| pattern.is_match(&record.message)) {
+                pattern = None;
+                seen.send_replace(true);
+            }
+            if room {
+                tap.take(record);
+            }
+        };
+        while let Ok(count @ 1..) = pipe.read(&mut block).await {
+            lines.push(&block[..count], &mut each);
+        }
+        lines.finish(each);
+    })
+}
