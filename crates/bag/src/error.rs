@@ -164,6 +164,14 @@ pub enum BagError {
         /// Why.
         problem: String,
     },
+    /// A bag that cannot be repaired where it is.
+    #[error("cannot repair {path}: {problem}")]
+    Repair {
+        /// The bag or file.
+        path: PathBuf,
+        /// Why, and what to do.
+        problem: String,
+    },
     /// There is no room for more.
     #[error(
         "cannot write {path}: {reason}; what was written before stays readable: make room, then complete the bag with `dermis bag check --repair`"

@@ -27,17 +27,23 @@
 //! # }
 //! ```
 
+mod ament;
+mod check;
 mod definition;
 mod error;
 mod info;
 mod metadata;
+mod order;
 mod qos;
 mod reader;
 mod recorder;
 mod writer;
 
+pub use ament::definition_of;
+pub use check::{BagReport, Finding, Repaired, Severity, check, copy, repair};
 pub use error::BagError;
 pub use info::{BagInfo, TopicInfo};
+pub use order::MessagesByTime;
 pub use qos::{BagQos, Durability, Reliability};
 pub use reader::{BagMessage, BagReader, Filter, Messages, Topic, Typed, TypedMessages};
 pub use recorder::{Recorded, Recorder, RecorderOptions, RecorderState, TopicSink, TopicState};

@@ -16,10 +16,12 @@ use mcap::{
 };
 use yaml_rust2::Yaml;
 
-use crate::{BagError, BagInfo, BagQos, TopicInfo, definition, error::say, metadata::Metadata};
+use crate::{
+    BagError, BagInfo, BagQos, TopicInfo, definition, error::say, metadata::Metadata, order::MessagesByTime,
+};
 
 /// Largest record or decompressed chunk that is held in memory; recorders make chunks of about 1 MB.
-const RECORD_LIMIT: usize = 512 << 20;
+pub(crate) const RECORD_LIMIT: usize = 512 << 20;
 
 /// A topic of a bag.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -136,9 +138,13 @@ impl Filter {
         self
     }
 
-    fn takes(&self, topic: &str, type_name: &str, log_time: i64) -> bool {
+    pub(crate) fn takes_topic(&self, topic: &str, type_name: &str) -> bool {
         self.topics.as_ref().is_none_or(|topics| topics.contains(topic))
             && self.types.as_ref().is_none_or(|types| types.contains(type_name))
+    }
+
+    fn takes(&self, topic: &str, type_name: &str, log_time: i64) -> bool {
+        self.takes_topic(topic, type_name)
             && self.start.is_none_or(|start| log_time >= start)
             && self.end.is_none_or(|end| log_time < end)
     }
@@ -149,6 +155,8 @@ impl Filter {
 pub struct BagReader {
     path: PathBuf,
     files: Vec<Arc<Path>>,
+    /// What is known of each file.
+    parts: Vec<Part>,
     topics: Vec<Topic>,
     bytes: u64,
     span: Option<(i64, i64)>,
@@ -156,6 +164,31 @@ pub struct BagReader {
     custom: BTreeMap<String, String>,
     complete: bool,
     recover: bool,
+}
+
+/// One file at a glance.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Part {
+    /// First and last log time [ns]; `None` where it holds no message.
+    pub(crate) span: Option<(i64, i64)>,
+    /// How much earlier [ns] than one stored before it a message may be.
+    pub(crate) disorder: i64,
+}
+
+/// Of files without an index: what arrives on several threads is stored out of order by no more than this.
+const DISORDER: i64 = 1_000_000_000;
+
+/// The largest disorder that the chunks allow: none of a chunk's messages is before its start.
+fn disorder(summary: &Summary) -> i64 {
+    let mut chunks: Vec<_> = summary.chunk_indexes.iter().filter(|c| c.message_end_time > 0).collect();
+    chunks.sort_by_key(|chunk| chunk.chunk_start_offset);
+    let mut newest = 0;
+    let mut largest = 0;
+    for chunk in chunks {
+        newest = newest.max(chunk.message_end_time);
+        largest = largest.max(newest.saturating_sub(chunk.message_start_time));
+    }
+    if summary.chunk_indexes.is_empty() { DISORDER } else { nanos(largest) }
 }
 
 /// What the files themselves say, before `metadata.yaml` is laid over it.
@@ -236,7 +269,7 @@ impl Contents {
     }
 }
 
-fn nanos(time: u64) -> i64 {
+pub(crate) fn nanos(time: u64) -> i64 {
     i64::try_from(time).unwrap_or(i64::MAX)
 }
 
@@ -283,9 +316,16 @@ impl BagReader {
 
         let mut contents = Contents::default();
         let mut bytes = 0;
+        let mut parts = Vec::new();
         for file in &files {
             bytes += std::fs::metadata(file).map_err(BagError::io("open", file))?.len();
-            complete &= scan(file, recover, &mut contents)?;
+            let before = contents.span.take();
+            let (whole, disorder) = scan(file, recover, &mut contents)?;
+            complete &= whole;
+            parts.push(Part { span: contents.span, disorder });
+            if let Some((first, last)) = before {
+                contents.widen(first, last);
+            }
         }
         let mut custom = BTreeMap::new();
         if let Some(metadata) = metadata {
@@ -300,6 +340,7 @@ impl BagReader {
         Ok(Self {
             path: path.into(),
             files: files.into_iter().map(Arc::from).collect(),
+            parts,
             topics: contents.topics.into_values().collect(),
             bytes,
             span: contents.span,
@@ -320,6 +361,23 @@ impl BagReader {
     #[must_use]
     pub fn topics(&self) -> &[Topic] {
         &self.topics
+    }
+
+    /// Its `.mcap` files.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.files.iter().map(|file| &**file)
+    }
+
+    /// First and last log time [ns since the epoch]; `None` where there is no message.
+    #[must_use]
+    pub fn span(&self) -> Option<(i64, i64)> {
+        self.span
+    }
+
+    /// False where the recording was interrupted.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.complete
     }
 
     /// Custom data of `metadata.yaml`.
@@ -457,14 +515,17 @@ impl BagReader {
     /// The messages that a filter takes, in the order in which they were stored.
     #[must_use]
     pub fn messages_where(&self, filter: Filter) -> Messages {
-        Messages {
-            waiting: self.files.clone().into_iter(),
-            current: None,
-            names: BTreeMap::new(),
-            filter,
-            recover: self.recover,
-            failed: false,
-        }
+        Messages::of(self.files.clone(), filter, self.recover)
+    }
+
+    /// The messages that a filter takes, in the order of their log times over all files.
+    #[must_use]
+    pub fn messages_by_time(&self, filter: Filter) -> MessagesByTime {
+        let files = self.files.iter().zip(&self.parts).map(|(file, part)| {
+            let messages = Messages::of(vec![Arc::clone(file)], filter.clone(), self.recover);
+            (messages, *part)
+        });
+        MessagesByTime::new(files)
     }
 
     /// Decoded messages of one topic, which is found as in [`topic`](Self::topic) and checked as in
@@ -490,7 +551,7 @@ impl BagReader {
     }
 }
 
-fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
+pub(crate) fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(BagError::io("open", dir))? {
         let file = entry.map_err(BagError::io("read", dir))?.path();
@@ -508,8 +569,8 @@ fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
 }
 
 /// Collects topics and counts of a file: from its summary, or message by message where it has none.
-/// Returns whether the file is complete.
-fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<bool, BagError> {
+/// Returns whether the file is complete, and its disorder.
+fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<(bool, i64), BagError> {
     let mut file = File::open(path).map_err(BagError::io("open", path))?;
     let length = file.metadata().map_err(BagError::io("read", path))?.len();
     let mut start = Vec::new();
@@ -529,7 +590,7 @@ fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<bool, Bag
         Ok(Some(summary)) => {
             if let Some(stats) = &summary.stats {
                 contents.take_summary(path, &summary, stats)?;
-                return Ok(true);
+                return Ok((true, disorder(&summary)));
             }
         }
         Ok(None) => {}
@@ -549,12 +610,12 @@ fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<bool, Bag
         Some(error) if !recover => Err(error),
         damaged => {
             contents.take_messages(FileMessages::open(&Arc::from(path), recover)?)?;
-            Ok(damaged.is_none())
+            Ok((damaged.is_none(), DISORDER))
         }
     }
 }
 
-fn read_summary(file: &mut File, length: u64) -> Result<Option<Summary>, McapError> {
+pub(crate) fn read_summary(file: &mut File, length: u64) -> Result<Option<Summary>, McapError> {
     let options =
         SummaryReaderOptions::default().with_file_size(length).with_record_length_limit(RECORD_LIMIT);
     let mut reader = SummaryReader::new_with_options(options);
@@ -649,6 +710,17 @@ impl std::fmt::Debug for Messages {
 }
 
 impl Messages {
+    fn of(files: Vec<Arc<Path>>, filter: Filter, recover: bool) -> Self {
+        Self {
+            waiting: files.into_iter(),
+            current: None,
+            names: BTreeMap::new(),
+            filter,
+            recover,
+            failed: false,
+        }
+    }
+
     fn step(&mut self) -> Option<Result<BagMessage, BagError>> {
         loop {
             let Some(current) = &mut self.current else {
