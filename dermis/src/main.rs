@@ -8,17 +8,21 @@ mod demo;
 mod device;
 mod doctor;
 mod evaluate;
+mod foreign;
+mod launch;
+mod log;
 mod nodes;
+mod play;
+mod quantity;
+mod record;
 mod registry;
 mod skins;
 mod stats;
 mod train;
 
-use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use tracing_subscriber::EnvFilter;
 
 #[derive(Parser)]
 #[command(
@@ -27,6 +31,9 @@ use tracing_subscriber::EnvFilter;
     about = "Tactile skins for ROS 2: where, how hard and in which direction a robot is touched"
 )]
 struct Cli {
+    /// How log lines are written; `DERMIS_LOG_FORMAT` says it where this does not.
+    #[arg(long, global = true, value_enum)]
+    log_format: Option<log::Format>,
     #[command(subcommand)]
     command: Command,
 }
@@ -37,6 +44,10 @@ enum Command {
     Demo(demo::Options),
     /// Run the node of a skin of taxels in an elastic medium: raw bytes in, contacts out.
     Barodome(Box<nodes::Barodome>),
+    /// Start what a launch file names, keep it running, and gather what it says.
+    Launch(launch::Options),
+    #[command(name = launch::GUARD, hide = true)]
+    LaunchGuard,
     /// Offer every skin in the ROS domain as JSON over zenoh, for clients that know no ROS.
     Bridge(bridge::Options),
     /// Put a simulated skin, or a recorded one, behind a pseudo-terminal.
@@ -51,7 +62,11 @@ enum Command {
     Train(train::Options),
     /// Measure model bundles on labelled bags; exits with 1 where a requirement is missed.
     Evaluate(evaluate::Options),
-    /// Look into a bag.
+    /// Record what is published into a bag.
+    Record(Box<record::Options>),
+    /// Publish what a bag holds.
+    Play(Box<play::Options>),
+    /// Look into a bag, check, mend and cut it.
     #[command(subcommand)]
     Bag(bags::Bag),
     /// Check a skin description and say what it describes.
@@ -66,23 +81,30 @@ fn main() -> ExitCode {
         Command::Barodome(_) | Command::Bridge(_) | Command::Device(_) => "info",
         _ => "warn",
     };
-    // zenoh reports every peer that comes and goes as a warning of its own.
-    let filter = std::env::var("DERMIS_LOG")
-        .unwrap_or_else(|_| format!("{level},zenoh=error,zenoh_transport=error,hiroz=warn"));
-    tracing_subscriber::fmt()
-        .with_env_filter(EnvFilter::try_new(&filter).unwrap_or_else(|_| EnvFilter::new(level)))
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
+    let format = match log::Format::choose(cli.log_format) {
+        Ok(format) => format,
+        Err(sentence) => {
+            eprintln!("dermis: {sentence}");
+            return ExitCode::FAILURE;
+        }
+    };
+    log::start(format, level);
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
         Command::Barodome(options) => block_on(nodes::barodome(*options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),
+        Command::Launch(options) => block_on(launch::run(&options, format)),
+        Command::LaunchGuard => {
+            launch::guard();
+            Ok(())
+        }
         Command::Import(import) => bags::import(&import),
         Command::Collect(options) => collect::run(&options),
         Command::Train(options) => train::run(&options),
         Command::Evaluate(options) => evaluate::run(&options),
+        Command::Record(options) => block_on(record::run(*options)),
+        Command::Play(options) => block_on(play::run(*options)),
         Command::Bag(bag) => bags::run(&bag),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
@@ -90,22 +112,24 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            report(&error);
+            report(&error, format);
             ExitCode::FAILURE
         }
     }
 }
 
 /// One sentence, then its causes, each once: a cause that its effect already quotes is not repeated.
-fn report(error: &anyhow::Error) {
-    let mut said = error.to_string();
-    eprintln!("dermis: {said}");
+fn report(error: &anyhow::Error, format: log::Format) {
+    let mut sentences = vec![error.to_string()];
     for cause in error.chain().skip(1) {
         let text = cause.to_string();
-        if !said.contains(&text) {
-            eprintln!("  because {text}");
-            said = text;
+        if sentences.last().is_some_and(|said| !said.contains(&text)) {
+            sentences.push(text);
         }
+    }
+    match format {
+        log::Format::Human => eprintln!("dermis: {}", sentences.join("\n  because ")),
+        log::Format::Json => tracing::error!("{}", sentences.join(", because ")),
     }
 }
 

@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use anyhow::{Result, bail};
 use dermis_inference::{Runtime, RuntimeConfig};
+use dermis_launch::{NodeRequest, Refusal};
 use dermis_skin::{Estimator, ForwardModel, SkinDescription};
+use serde_json::Value;
 
 /// What the program needs of a sensor family.
 pub struct Family {
@@ -15,8 +17,11 @@ pub struct Family {
     pub model: fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>>,
     /// Frame → contacts, with these model bundles.
     pub estimator: MakeEstimator,
+    /// What a launch file says of a node of this family → its configuration, checked.
+    pub node: MakeConfig,
 }
 
+type MakeConfig = fn(&NodeRequest<'_>) -> Result<Value, Refusal>;
 type MakeEstimator = fn(&SkinDescription, &[PathBuf]) -> Result<Box<dyn Estimator>>;
 
 /// All families.
@@ -27,6 +32,7 @@ pub const FAMILIES: &[Family] = &[Family {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         Ok(dermis_barodome::estimator(skin, bundles, &[], runtime)?)
     },
+    node: crate::nodes::barodome_config,
 }];
 
 /// The family that reads a skin.

@@ -792,7 +792,7 @@ impl Plan {
     pub fn text(&self) -> String {
         let mut out = String::new();
         // Writing to a text cannot fail.
-        let _ = writeln!(out, "{}: {} process(es)", self.file.display(), self.processes.len());
+        let _ = writeln!(out, "{}: {} to start", self.file.display(), counted(self.processes.len()));
         for Declared { name, value, about } in &self.arguments {
             let about = if about.is_empty() { String::new() } else { format!("   # {about}") };
             let _ = writeln!(out, "  {name}:={value}{about}");
@@ -869,4 +869,8 @@ impl Process {
             .collect::<Vec<_>>()
             .join(" ")
     }
+}
+
+fn counted(count: usize) -> String {
+    if count == 1 { "1 process".to_owned() } else { format!("{count} processes") }
 }

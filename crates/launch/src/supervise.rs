@@ -30,6 +30,9 @@ const LOOK: Duration = Duration::from_millis(20);
 const LAST_WORDS: Duration = Duration::from_millis(500);
 /// Wait between SIGTERM and SIGKILL where the launch is told to hurry.
 const HURRY: Duration = Duration::from_secs(1);
+/// A signal this soon after the first one is the same one: `timeout`, `cargo run` and others give it to a process and
+/// to its group.
+const SAME_SIGNAL: Duration = Duration::from_millis(300);
 
 /// How a launch ended.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -75,6 +78,7 @@ pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Resul
 
     let work = tokio::spawn(Arc::clone(&launch).work());
     let mut work = std::pin::pin!(work);
+    let mut asked: Option<Instant> = None;
     let done = loop {
         let name = tokio::select! {
             done = &mut work => break done,
@@ -85,7 +89,8 @@ pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Resul
         if *launch.phase.borrow() == Phase::Run {
             launch.tap.say(Level::Info, format!("{name}: stopping; once more to hurry"));
             launch.phase.send_replace(Phase::Stop);
-        } else {
+            asked = Some(Instant::now());
+        } else if asked.is_none_or(|asked| asked.elapsed() > SAME_SIGNAL) {
             launch.tap.say(Level::Warn, format!("{name} once more: not waiting any longer"));
             launch.phase.send_replace(Phase::Hurry);
         }
@@ -280,10 +285,7 @@ impl Launch {
             if !self.states[other].borrow().ready {
                 let other = &self.processes[other].label;
                 let label = &process.label;
-                self.fail(
-                    index,
-                    format!("{label} is not started: {other}, which it waits for, was never ready"),
-                );
+                self.fail(format!("{label} is not started: {other}, which it waits for, was never ready"));
                 return false;
             }
         }

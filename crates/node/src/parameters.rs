@@ -361,7 +361,9 @@ struct Store {
 pub struct Parameters(Arc<Store>);
 
 impl Parameters {
-    pub(crate) fn new(overrides: BTreeMap<String, ParameterValue>) -> Self {
+    /// Parameters with these start values that no node offers: for checking start values before a node is made.
+    #[must_use]
+    pub fn new(overrides: BTreeMap<String, ParameterValue>) -> Self {
         Self(Arc::new(Store { overrides, ..Store::default() }))
     }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use dermis_inference::RuntimeConfig;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// A configuration that cannot be used, and why.
 #[derive(Debug, thiserror::Error)]
@@ -29,7 +29,7 @@ pub enum ConfigError {
         reason: String,
     },
     /// A key that the node does not know: most often a misspelt one.
-    #[error("configuration {path}: unknown key `{key}`; remove it or correct its spelling (known here: {})", KEYS.join(", "))]
+    #[error("configuration {path}: unknown key `{key}`; remove it or correct its spelling (known here: {})", Config::KEYS.join(", "))]
     UnknownKey {
         /// File that it came from.
         path: PathBuf,
@@ -37,25 +37,6 @@ pub enum ConfigError {
         key: String,
     },
 }
-
-const KEYS: [&str; 16] = [
-    "skin",
-    "source",
-    "name",
-    "namespace",
-    "models",
-    "masked",
-    "runtime",
-    "force_threshold",
-    "strict",
-    "autostart",
-    "domain_id",
-    "localhost_only",
-    "use_sim_time",
-    "device_time",
-    "remap",
-    "parameters",
-];
 
 /// What the node is told when it starts; a file of it is TOML or YAML.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -119,6 +100,26 @@ fn yes() -> bool {
 }
 
 impl Config {
+    /// Every key of a file.
+    pub const KEYS: [&str; 16] = [
+        "skin",
+        "source",
+        "name",
+        "namespace",
+        "models",
+        "masked",
+        "runtime",
+        "force_threshold",
+        "strict",
+        "autostart",
+        "domain_id",
+        "localhost_only",
+        "use_sim_time",
+        "device_time",
+        "remap",
+        "parameters",
+    ];
+
     /// A node for this skin and source, with everything else as it is by default.
     #[must_use]
     pub fn new(skin: impl Into<PathBuf>, source: impl Into<String>) -> Self {
@@ -155,12 +156,27 @@ impl Config {
         })?;
         let yaml = path.extension().is_some_and(|e| e == "yaml" || e == "yml");
         let mut config = Self::parse(&text, yaml, path)?;
-        let folder = path.parent().unwrap_or(Path::new(""));
-        config.skin = folder.join(&config.skin);
-        for model in &mut config.models {
+        config.place(path.parent().unwrap_or(Path::new("")));
+        Ok(config)
+    }
+
+    /// Reads a part of another file: `tree` as it stands in `path`, with paths relative to `folder`.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] names the file and the field or key within `tree`.
+    pub fn from_json(tree: serde_json::Value, path: &Path, folder: &Path) -> Result<Self, ConfigError> {
+        let mut config = Self::read(tree, path)?;
+        config.place(folder);
+        Ok(config)
+    }
+
+    /// Makes its paths relative to a folder.
+    fn place(&mut self, folder: &Path) {
+        self.skin = folder.join(&self.skin);
+        for model in &mut self.models {
             *model = folder.join(&model);
         }
-        Ok(config)
     }
 
     fn parse(text: &str, yaml: bool, path: &Path) -> Result<Self, ConfigError> {
@@ -169,9 +185,13 @@ impl Config {
             .add_source(::config::File::from_str(text, format))
             .build()
             .map_err(|e| ConfigError::Read { path: path.to_owned(), reason: one_line(&e.to_string()) })?;
+        Self::read(tree, path)
+    }
+
+    fn read<'de, D: Deserializer<'de>>(tree: D, path: &Path) -> Result<Self, ConfigError> {
         let mut unknown = None;
         let mut track = serde_path_to_error::Track::new();
-        let parsed: Result<Self, ::config::ConfigError> = {
+        let parsed: Result<Self, D::Error> = {
             let path_aware = serde_path_to_error::Deserializer::new(tree, &mut track);
             serde_ignored::deserialize(path_aware, |key| {
                 unknown.get_or_insert_with(|| key.to_string());

@@ -31,7 +31,7 @@ pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
 pub use contacts::{TaxelShares, Tracker};
 pub use estimator::{BarodomeEstimator, Models, Quality, SetupError, Verdict};
 pub use frame::FrameReader;
-pub use node::{BarodomeNode, RunError, run};
+pub use node::{BarodomeNode, RunError, check, run};
 
 /// What a skin description names in `sensor` for this family.
 pub const SENSOR: &str = "barodome";

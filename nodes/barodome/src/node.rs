@@ -15,8 +15,8 @@ use dermis_msgs::srv::{LoadModel, LoadModelResponse};
 use dermis_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
 use dermis_msgs::visualization_msgs::msg::MarkerArray;
 use dermis_node::{
-    Backend, Level, Node, NodeError, NodeOptions, ParameterDescriptor, ParameterValue, Publisher, Qos,
-    ServiceServer, State, Status, Transition, parse_remapping,
+    Backend, Level, Node, NodeError, NodeOptions, ParameterDescriptor, ParameterValue, Parameters, Publisher,
+    Qos, ServiceServer, State, Status, Transition, parse_remapping,
 };
 use dermis_skin::{ChannelFlags, Estimate, Estimator, Frame, SkinDescription, SkinError, Surface, TareState};
 use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, TransportError, now_ns};
@@ -128,11 +128,7 @@ impl BarodomeNode {
     ///
     /// [`RunError`] says in one sentence what is wrong: file, field or channel, and what to do.
     pub fn start(config: Config, backend: &dyn Backend) -> Result<Self, RunError> {
-        let skin = SkinDescription::load(&config.skin)?;
-        if skin.sensor != SENSOR {
-            return Err(RunError::Sensor { path: config.skin, found: skin.sensor });
-        }
-        let url = SourceUrl::parse(&config.source)?;
+        let (skin, url) = skin_and_source(&config)?;
         let mut estimator = BarodomeEstimator::new(&skin, &config.masked)?;
         estimator.set_least_force(config.force_threshold);
         let surface = skin.surface();
@@ -149,7 +145,7 @@ impl BarodomeNode {
         }
 
         let node = Node::open(options(&config, &skin)?, backend)?;
-        declare(&node, &config, &skin, &mut estimator)?;
+        declare(node.parameters(), &config, &skin, &mut estimator)?;
         let publishers = Publishers::new(&node, estimator.gives_force_map())?;
         let slow = slow_lane().map_err(|source| RunError::Thread { skin: skin.name.clone(), source })?;
         let shared = Arc::new(Shared {
@@ -288,14 +284,39 @@ fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunEr
     Ok(options)
 }
 
+/// Whether a node would start with this configuration, as far as can be told without starting it: skin, source,
+/// masked channels and parameters. Models are looked for, not loaded; the device is not opened.
+///
+/// # Errors
+///
+/// [`RunError`], as the node itself would say.
+pub fn check(config: &Config) -> Result<(), RunError> {
+    let (skin, _) = skin_and_source(config)?;
+    let mut estimator = BarodomeEstimator::new(&skin, &config.masked)?;
+    for folder in &config.models {
+        Bundle::load(folder, &skin).map_err(SetupError::from)?;
+    }
+    let parameters = Parameters::new(options(config, &skin)?.parameters);
+    // Of every node.
+    parameters.declare("use_sim_time", config.use_sim_time, ParameterDescriptor::default())?;
+    declare(&parameters, config, &skin, &mut estimator)
+}
+
+fn skin_and_source(config: &Config) -> Result<(SkinDescription, SourceUrl), RunError> {
+    let skin = SkinDescription::load(&config.skin)?;
+    if skin.sensor != SENSOR {
+        return Err(RunError::Sensor { path: config.skin.clone(), found: skin.sensor });
+    }
+    Ok((skin, SourceUrl::parse(&config.source)?))
+}
+
 /// Declares the parameters and takes their start values over into the estimator.
 fn declare(
-    node: &Node,
+    parameters: &Parameters,
     config: &Config,
     skin: &SkinDescription,
     estimator: &mut BarodomeEstimator,
 ) -> Result<(), RunError> {
-    let parameters = node.parameters();
     let fixed = |text: &str| ParameterDescriptor::new(text).read_only();
     parameters.declare("skin", skin.name.as_str(), fixed("name of the skin"))?;
     parameters.declare("source", config.source.as_str(), fixed("where the bytes come from"))?;

@@ -1,0 +1,107 @@
+//! Starting a robot's skins from one file.
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, Parser};
+use dermis_launch::{Host, LogOptions, NodeRequest, Refusal};
+use serde_json::Value;
+
+use crate::log::Format;
+use crate::registry::FAMILIES;
+
+/// What to start.
+#[derive(Args)]
+pub struct Options {
+    /// Launch file (YAML or TOML).
+    file: PathBuf,
+    /// Arguments that the file declares, `name:=value`.
+    #[arg(value_name = "NAME:=VALUE")]
+    arguments: Vec<String>,
+    /// Check the file and show what it would start, without starting it.
+    #[arg(long)]
+    check: bool,
+    /// With --check: show it as JSON.
+    #[arg(long, requires = "check")]
+    json: bool,
+    /// Write what each process prints to a file of its own in this folder too.
+    #[arg(long)]
+    log_dir: Option<PathBuf>,
+}
+
+/// The command that is the guard of a launch.
+pub const GUARD: &str = "launch-guard";
+
+/// Ends what a launch has left, once the launch is gone.
+pub fn guard() {
+    dermis_launch::guard(std::io::stdin());
+}
+
+/// Runs until Ctrl-C, until a required process ends, or until all have ended.
+pub async fn run(options: &Options, format: Format) -> Result<()> {
+    let program = std::env::current_exe().context("the file of this program cannot be found out")?;
+    let host = Dermis { program };
+    let tmp = tempfile::Builder::new()
+        .prefix("dermis-launch-")
+        .tempdir()
+        .context("no temporary folder for the launch")?;
+    let plan = dermis_launch::load(&options.file, &options.arguments, tmp.path(), &host)?;
+    if options.check {
+        if options.json {
+            println!("{:#}", plan.json());
+        } else {
+            print!("{}", plan.text());
+        }
+        return Ok(());
+    }
+    let log = LogOptions {
+        format: match format {
+            Format::Human => dermis_launch::Format::Human,
+            Format::Json => dermis_launch::Format::Json,
+        },
+        colours: std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
+        folder: options.log_dir.clone(),
+    };
+    let mut guard = Command::new(&host.program);
+    guard.arg(GUARD);
+    let ended = dermis_launch::run(&plan, &log, Some(guard)).await?;
+    if !ended.failures.is_empty() {
+        bail!("{}: {}", options.file.display(), ended.failures.join("; "));
+    }
+    Ok(())
+}
+
+/// This program, as launch files know it.
+struct Dermis {
+    program: PathBuf,
+}
+
+impl Host for Dermis {
+    fn program(&self) -> &Path {
+        &self.program
+    }
+
+    fn check(&self, arguments: &[String]) -> Result<(), String> {
+        let all = std::iter::once("dermis").chain(arguments.iter().map(String::as_str));
+        crate::Cli::try_parse_from(all).map(drop).map_err(|error| {
+            let text = error.to_string();
+            let sentence = text.split("\nUsage:").next().unwrap_or_default();
+            let sentence = sentence.split_whitespace().collect::<Vec<_>>().join(" ");
+            let sentence = sentence.trim_start_matches("error: ");
+            format!("`dermis {}`: {sentence}", arguments.join(" "))
+        })
+    }
+
+    fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Refusal> {
+        let family = FAMILIES.iter().find(|family| family.name == request.kind).ok_or_else(|| {
+            let known: Vec<&str> = FAMILIES.iter().map(|family| family.name).collect();
+            Refusal {
+                field: "node".to_owned(),
+                reason: format!("there is no node `{}`; there is {}", request.kind, known.join(", ")),
+            }
+        })?;
+        (family.node)(request)
+    }
+}
