@@ -1,13 +1,24 @@
 //! Devices that are not there, for trying nodes without hardware.
 
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
+use dermis_learn::LabelMap;
+use dermis_msgs::geometry_msgs::msg::{TransformStamped, WrenchStamped};
+use dermis_msgs::msg::Indentation;
+use dermis_node::{Node, NodeOptions, Qos};
 use dermis_skin::SkinDescription;
 use dermis_testbed::{Outlet, Plan, ReplayDevice, ReplayOptions, VirtualDevice};
+use nalgebra::Vector3;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use tokio::time::MissedTickBehavior;
+
+use crate::backend::Choice;
 
 /// A device on a pseudo-terminal.
 #[derive(Subcommand)]
@@ -25,6 +36,9 @@ pub enum Device {
         /// Where it is plugged in.
         #[command(flatten)]
         outlet: Plug,
+        /// What is told on the bus of what really touches it.
+        #[command(flatten)]
+        told: Told,
     },
     /// The recorded frames of a bag, byte by byte.
     Replay {
@@ -50,6 +64,23 @@ pub struct Plug {
     link: Option<PathBuf>,
 }
 
+/// What a testbed tells on the bus beside the bytes of its skin, for recordings that a model learns from.
+#[derive(Args)]
+pub struct Told {
+    /// Publish what is true as dermis_msgs/msg/Indentation on this topic, e.g. `ground_truth`.
+    #[arg(long, value_name = "TOPIC")]
+    ground_truth: Option<String>,
+    /// Publish what a robot and a force sensor would that are mounted as this map of labels says, on its topics.
+    #[arg(long, value_name = "MAP")]
+    rig: Option<PathBuf>,
+    /// ROS namespace of the topics.
+    #[arg(long, default_value = "")]
+    namespace: String,
+    /// ROS 2 implementation.
+    #[arg(long, value_enum, default_value_t)]
+    backend: Choice,
+}
+
 impl Plug {
     fn outlet(&self) -> Outlet {
         self.link.clone().map_or(Outlet::Pty, Outlet::PtyLink)
@@ -61,15 +92,19 @@ pub fn run(device: &Device) -> Result<()> {
     let stop = crate::collect::stop_on_interrupt()?;
     let wait = Duration::from_millis(50);
     match device {
-        Device::Simulate { skin, plan, seed, outlet } => {
+        Device::Simulate { skin, plan, seed, outlet, told } => {
             let skin = SkinDescription::load(skin)?;
             let model = (crate::registry::family(&skin)?.model)(&skin)?;
             let plan = match plan {
                 Some(path) => Plan::load(path)?,
                 None => Plan::random_touches(0.004, [0.1, 1.0]),
             };
+            let rig = told.rig.as_deref().map(LabelMap::load).transpose()?;
             let device = VirtualDevice::start(model, &skin, &plan, *seed, &outlet.outlet())?;
             println!("{}", device.url());
+            if told.ground_truth.is_some() || rig.is_some() {
+                crate::block_on(tell(&device, &skin, told, rig.as_ref(), *seed, &stop))?;
+            }
             while device.running() && !stop.load(Ordering::Acquire) {
                 std::thread::sleep(wait);
             }
@@ -89,5 +124,58 @@ pub fn run(device: &Device) -> Result<()> {
             eprintln!("{} frames sent", stats.frames);
         }
     }
+    Ok(())
+}
+
+/// \[Hz\] at which robots and force sensors report, at least.
+const RIG_RATE: f64 = 250.0;
+/// \[N\] offset of the rig's force sensor in its axes: force cells have one.
+const RIG_OFFSET: [f64; 3] = [0.31, -0.12, 0.54];
+/// \[N\] standard deviation of a reading of it.
+const RIG_NOISE: f64 = 0.004;
+
+/// Publishes what is true until the device ends or is stopped.
+async fn tell(
+    device: &VirtualDevice,
+    skin: &SkinDescription,
+    told: &Told,
+    rig: Option<&LabelMap>,
+    seed: u64,
+    stop: &AtomicBool,
+) -> Result<()> {
+    let options = NodeOptions::new("dermis_testbed").namespace(told.namespace.clone());
+    let node = Node::open(options, told.backend.open()?.as_ref())?;
+    let qos = Qos::sensor_data();
+    let truth =
+        told.ground_truth.as_ref().map(|topic| node.publisher::<Indentation>(topic, qos)).transpose()?;
+    let rig = match rig {
+        Some(map) => Some((
+            map,
+            node.publisher::<TransformStamped>(&map.robot.topic, qos)?,
+            node.publisher::<WrenchStamped>(&map.force.topic, qos)?,
+        )),
+        None => None,
+    };
+    let surface = skin.surface();
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0003);
+    let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / skin.rate.max(RIG_RATE)));
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    while device.running() && !stop.load(Ordering::Acquire) && !node.is_shut_down() {
+        ticks.tick().await;
+        let stamp = dermis_transport::now_ns();
+        if let (Some(publisher), Some(message)) = (&truth, device.truth_message(stamp)) {
+            publisher.publish(&message)?;
+        }
+        let Some((map, poses, wrenches)) = &rig else { continue };
+        let Some(moment) = device.truth(stamp) else { continue };
+        let Some(tip) = moment.tip else { continue };
+        let mut offset = Vector3::from(RIG_OFFSET);
+        offset.iter_mut().for_each(|v| *v += RIG_NOISE * rng.sample::<f64, _>(StandardNormal));
+        let force = moment.stimulus.contacts.iter().map(|c| c.force).sum();
+        let (pose, wrench) = map.report(&surface, (&tip.place, tip.gap), &force, &offset, stamp);
+        poses.publish(&pose)?;
+        wrenches.publish(&wrench)?;
+    }
+    node.shutdown();
     Ok(())
 }

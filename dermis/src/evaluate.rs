@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::Args;
-use dermis_learn::{Dataset, DatasetOptions, Requirement, SplitConfig, SplitKind, Verdict, evaluate};
+use dermis_learn::cli::Labels;
+use dermis_learn::{Dataset, Requirement, SplitConfig, SplitKind, Verdicts, evaluate};
 use dermis_skin::SkinDescription;
 use serde_json::json;
 
@@ -27,6 +28,8 @@ pub struct Options {
     /// bag says that nothing touches for long enough.
     #[arg(long)]
     unattended: bool,
+    #[command(flatten)]
+    labels: Labels,
     /// A figure that must be reached, in SI units, e.g. `position_rms<=0.0005`; may be repeated.
     #[arg(long)]
     require: Vec<Requirement>,
@@ -43,8 +46,9 @@ pub fn run(options: &Options) -> Result<()> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
     let mut estimator = (family.estimator)(&skin, &options.model)?;
-    let how = DatasetOptions { tare_when_idle: !options.unattended, ..DatasetOptions::default() };
-    let data = Dataset::from_bags(&options.bags, &skin, how)?;
+    let mut how = options.labels.options()?;
+    how.tare_when_idle = !options.unattended;
+    let data = Dataset::from_bags(&options.bags, &skin, &how)?;
     for notice in data.notices() {
         eprintln!("note: {notice}");
     }
@@ -56,7 +60,7 @@ pub fn run(options: &Options) -> Result<()> {
     let test = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
     let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
     let evaluation = evaluate(estimator.as_mut(), &data, test.as_deref(), name)?;
-    let verdicts: Vec<Verdict> = options.require.iter().map(|r| r.check(&evaluation)).collect();
+    let verdicts = Verdicts::of(&options.require, &evaluation);
     if options.json {
         let mut value = evaluation.to_json();
         if let Some(object) = value.as_object_mut() {
@@ -66,15 +70,9 @@ pub fn run(options: &Options) -> Result<()> {
         println!("{value}");
     } else {
         print!("{evaluation}");
-        for verdict in &verdicts {
-            println!("{verdict}");
-        }
+        print!("{verdicts}");
     }
-    let missed = verdicts.iter().filter(|v| !v.met).count();
-    if missed > 0 {
-        bail!("{missed} of {} requirements missed", verdicts.len());
-    }
-    Ok(())
+    Ok(verdicts.require()?)
 }
 
 /// The split that a model was trained with.

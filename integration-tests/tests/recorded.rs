@@ -83,7 +83,7 @@ fn online_equals_offline(
     let data = Dataset::from_bags(
         &[bag],
         skin,
-        DatasetOptions { tare_when_idle: false, ..DatasetOptions::default() },
+        &DatasetOptions { tare_when_idle: false, ..DatasetOptions::default() },
     )
     .unwrap();
     let held_out: std::collections::BTreeSet<SampleId> =

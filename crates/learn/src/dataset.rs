@@ -7,13 +7,19 @@ use dermis_bag::{BagReader, Filter};
 use dermis_inference::{Baseline, FeatureConfig, Features};
 use dermis_msgs::Message;
 use dermis_msgs::TypeSupport;
+use dermis_msgs::geometry_msgs::msg::{TransformStamped, WrenchStamped};
 use dermis_msgs::msg::{Contact as ContactMsg, Indentation, SkinGeometry, TaxelFrame};
+use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_skin::{ForceComponents, Frame, SkinDescription, Stamp, ZeroTracker};
 use nalgebra::{Point3, Vector3};
 use sha2::{Digest, Sha256};
 
-use crate::LearnError;
+use crate::findings::{self, Findings};
+use crate::map::{self, Bias, LabelMap, Places, Readings};
+use crate::{LearnError, SplitConfig, SplitKind};
 
+/// Contact locations below which an interval over held-out ones says little.
+const FEW_LOCATIONS: usize = 20;
 /// Frames that a tare takes at least.
 const FEWEST_TARE_FRAMES: usize = 3;
 
@@ -134,6 +140,8 @@ pub struct Run {
     pub samples: Vec<Sample>,
     /// Frames that the device sent and the bag lacks.
     pub lost: u64,
+    /// What the rig's force sensor does when nothing touches; `None` where the ground truth is ours.
+    pub bias: Option<Bias>,
 }
 
 /// Which frame of which run.
@@ -146,7 +154,7 @@ pub struct SampleId {
 }
 
 /// How bags become a data set.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DatasetOptions {
     /// \[s\] between a frame and its ground truth that still counts as the same instant; `None`: half a frame
     /// period of the skin, at least 10 ms.
@@ -154,11 +162,16 @@ pub struct DatasetOptions {
     /// Takes the zero anew whenever the ground truth says that the testbed stands by for as long as a tare takes, as
     /// a robot does that knows it is touching nothing. Otherwise the zero is taken once and follows drift.
     pub tare_when_idle: bool,
+    /// Topic of the frames, where several skins of one description are in a bag; a map has its own.
+    pub taxels: Option<String>,
+    /// Takes the ground truth from a robot's and a force sensor's topics, instead of from
+    /// `dermis_msgs/msg/Indentation`.
+    pub map: Option<LabelMap>,
 }
 
 impl Default for DatasetOptions {
     fn default() -> Self {
-        Self { tolerance: None, tare_when_idle: true }
+        Self { tolerance: None, tare_when_idle: true, taxels: None, map: None }
     }
 }
 
@@ -167,34 +180,128 @@ impl Default for DatasetOptions {
 pub struct Dataset {
     skin: SkinDescription,
     runs: Vec<Run>,
-    notices: Vec<String>,
+    findings: Findings,
+    map: Option<LabelMap>,
 }
 
 impl Dataset {
     /// Reads bags of one skin: its frames, joined with the ground truth by acquisition time. Where the ground
     /// truth is sampled on both sides of a frame during one press, it is interpolated; otherwise the nearest
-    /// within tolerance counts.
+    /// within tolerance counts. Readings of a rig ([`DatasetOptions::map`]) are always interpolated.
     ///
     /// # Errors
     ///
-    /// [`LearnError`] names the bag and says what is missing in it.
+    /// [`LearnError::Unfit`] says all that the bags lack; [`LearnError::Bag`] where one cannot be read.
     pub fn from_bags<P: AsRef<Path>>(
         paths: &[P],
         skin: &SkinDescription,
-        options: DatasetOptions,
+        options: &DatasetOptions,
     ) -> Result<Self, LearnError> {
-        let mut notices = Vec::new();
-        let runs = paths
-            .iter()
-            .map(|path| read_run(path.as_ref(), skin, options, &mut notices))
-            .collect::<Result<_, _>>()?;
-        Ok(Self { skin: skin.clone(), runs, notices })
+        let data = Self::survey(paths, skin, options)?;
+        if data.findings.is_fatal() {
+            return Err(LearnError::Unfit(data.findings));
+        }
+        Ok(data)
+    }
+
+    /// Reads bags as [`from_bags`](Self::from_bags), but keeps for [`check`](Self::check) what they lack: a bag that
+    /// cannot be used is left out.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Bag`] where one cannot be read.
+    pub fn survey<P: AsRef<Path>>(
+        paths: &[P],
+        skin: &SkinDescription,
+        options: &DatasetOptions,
+    ) -> Result<Self, LearnError> {
+        let (mut findings, mut places) = (Findings::default(), Places::default());
+        let mut runs = Vec::new();
+        for path in paths {
+            runs.extend(read_run(path.as_ref(), skin, options, &mut places, &mut findings)?);
+        }
+        Ok(Self { skin: skin.clone(), runs, findings, map: options.map.clone() })
     }
 
     /// A data set of runs that were made elsewhere; their samples must be tared.
     #[must_use]
     pub fn from_runs(skin: &SkinDescription, runs: Vec<Run>) -> Self {
-        Self { skin: skin.clone(), runs, notices: Vec::new() }
+        Self { skin: skin.clone(), runs, findings: Findings::default(), map: None }
+    }
+
+    /// Says what of the data stands in the way of learning `targets` with this split, and what else there is to know:
+    /// all of it, before anything is learned. What was found on reading the bags comes first.
+    #[must_use]
+    pub fn check(&self, targets: &[&str], baseline: Baseline, split: &SplitConfig) -> Findings {
+        let mut findings = self.findings.clone();
+        if self.runs.is_empty() {
+            return findings;
+        }
+        let place = match self.runs.as_slice() {
+            [run] => findings::bag(&run.path),
+            _ => "the data".to_owned(),
+        };
+        let known = self.targets();
+        let list =
+            known.iter().map(|(name, n)| format!("{name} ({n} samples)")).collect::<Vec<_>>().join(", ");
+        let list = if list.is_empty() {
+            "nothing is known of a touched skin".to_owned()
+        } else {
+            format!("known are {list}")
+        };
+        let unknown: Vec<String> =
+            targets.iter().filter(|t| !known.contains_key(**t)).map(|t| format!("`{t}`")).collect();
+        if !unknown.is_empty() {
+            findings.fatal(
+                &place,
+                format!("{} is never known while the skin is touched; {list}", unknown.join(", ")),
+                "it cannot be learned; name other targets or record them",
+            );
+        }
+        if targets.contains(&"contact") && self.labelled().all(|(_, _, t)| t.touched()) {
+            findings.fatal(
+                &place,
+                "holds touched samples only",
+                "`contact` cannot be learned; leave it out or record idle frames",
+            );
+        }
+        if baseline == Baseline::Tared {
+            for run in &self.runs {
+                let mut labelled =
+                    run.samples.iter().filter(|s| s.truth.as_ref().is_some_and(Truth::touched)).peekable();
+                if labelled.peek().is_some() && labelled.all(|s| s.tared.iter().all(|v| v.is_nan())) {
+                    findings.fatal(
+                        findings::bag(&run.path),
+                        format!(
+                            "no stretch of {} s (and {FEWEST_TARE_FRAMES} frames) before the touched frames is labelled \
+                             untouched",
+                            self.skin.condition.tare_duration
+                        ),
+                        "the zero is unknown; record idle frames first, or train with `baseline = \"raw\"`",
+                    );
+                }
+            }
+        }
+        if unknown.len() < targets.len()
+            && let Err(error) = split.apply(self)
+        {
+            findings.fatal(&place, error.to_string(), "nothing would be measured on what was not trained on");
+        }
+        let locations = self.locations();
+        if split.kind == SplitKind::Location && (2..FEW_LOCATIONS).contains(&locations) {
+            findings.notice(
+                &place,
+                format!("was pressed at {locations} locations only"),
+                "figures of the held-out ones say little; press at more places",
+            );
+        }
+        findings
+    }
+
+    /// How a rig's topics became ground truth; `None` where the bags hold ours.
+    #[must_use]
+    pub fn map(&self) -> Option<&LabelMap> {
+        self.map.as_ref()
     }
 
     /// The skin.
@@ -211,8 +318,8 @@ impl Dataset {
 
     /// What someone who trains on it should know: a sentence each.
     #[must_use]
-    pub fn notices(&self) -> &[String] {
-        &self.notices
+    pub fn notices(&self) -> Vec<String> {
+        self.findings.notices()
     }
 
     /// One sample; `None` where there is none of this identity.
@@ -307,120 +414,316 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
     format!("sha256:{digits}")
 }
 
+/// What one bag holds for a skin, before it is joined.
+#[derive(Default)]
+struct Contents {
+    frames: Vec<Frame>,
+    truths: Vec<(Stamp, Truth)>,
+    rig: Readings,
+    /// Frames of the skin by topic.
+    topics: BTreeMap<String, usize>,
+    /// Other skins that the bag holds.
+    others: BTreeSet<String>,
+    sessions: BTreeSet<String>,
+    geometry: Option<String>,
+    /// Frames and ground truth without a stamp.
+    unstamped: [u64; 2],
+    /// First frame that is not as the skin's description says.
+    unlike: Option<String>,
+}
+
+impl Contents {
+    fn read(
+        path: &Path,
+        skin: &SkinDescription,
+        options: &DatasetOptions,
+        hasher: &mut Sha256,
+    ) -> Result<Self, LearnError> {
+        let bag = BagReader::open(path)?;
+        let mut found = Self::default();
+        let mut wanted = vec![
+            TypeSupport::of::<TaxelFrame>(),
+            TypeSupport::of::<SkinGeometry>(),
+            TypeSupport::of::<Indentation>(),
+        ];
+        if options.map.is_some() {
+            wanted.truncate(2);
+            wanted.extend([
+                TypeSupport::of::<WrenchStamped>(),
+                TypeSupport::of::<TransformStamped>(),
+                TypeSupport::of::<TFMessage>(),
+            ]);
+        }
+        for support in &wanted {
+            for topic in bag.topics().iter().filter(|t| t.type_name == support.name) {
+                bag.check_type(topic, support)?;
+            }
+        }
+        let named = options.map.as_ref().and_then(|m| m.skin.taxels.as_ref()).or(options.taxels.as_ref());
+        for message in bag.messages_where(Filter::default().types(wanted.iter().map(|s| s.name))) {
+            let message = message?;
+            if *message.type_name == *TaxelFrame::TYPE_NAME {
+                let frame: TaxelFrame = message.decode()?;
+                if frame.skin != skin.name {
+                    found.others.insert(frame.skin);
+                } else if named.is_none_or(|topic| **topic == *message.topic) {
+                    hasher.update(&message.data);
+                    *found.topics.entry(message.topic.to_string()).or_insert(0) += 1;
+                    if found.unlike.is_none() {
+                        found.unlike = unlike(skin, &frame);
+                    }
+                    if frame.header.stamp.as_nanos() == 0 {
+                        found.unstamped[0] += 1;
+                    } else {
+                        found.frames.push(Frame::from(&frame));
+                    }
+                }
+            } else if *message.type_name == *Indentation::TYPE_NAME {
+                let truth: Indentation = message.decode()?;
+                if truth.skin == skin.name {
+                    hasher.update(&message.data);
+                    found.sessions.insert(truth.session.clone());
+                    if truth.header.stamp.as_nanos() == 0 {
+                        found.unstamped[1] += 1;
+                    } else {
+                        found.truths.push((truth.header.stamp.as_nanos(), truth_of(&truth)));
+                    }
+                }
+            } else if *message.type_name == *SkinGeometry::TYPE_NAME {
+                if let Ok(message) = message.decode::<SkinGeometry>()
+                    && message.skin == skin.name
+                {
+                    found.geometry = Some(message.skin_hash);
+                }
+            } else if let Some(map) = &options.map {
+                if *message.topic == *map.robot.topic || *message.topic == *map.force.topic {
+                    hasher.update(&message.data);
+                }
+                found.rig.take(map, &message)?;
+            }
+        }
+        found.frames.sort_by_key(|f| f.stamp);
+        found.truths.sort_by_key(|(stamp, _)| *stamp);
+        Ok(found)
+    }
+
+    /// Says what is wrong with the frames themselves.
+    fn check_frames(&self, skin: &SkinDescription, place: &str, findings: &mut Findings) {
+        if let Some(reason) = &self.unlike {
+            findings.fatal(
+                place,
+                reason.clone(),
+                "the readings cannot be told apart; check the skin description",
+            );
+        }
+        if self.unstamped[0] > 0 {
+            findings.fatal(
+                place,
+                format!("{} frames have no stamp (header.stamp is 0)", self.unstamped[0]),
+                "nothing can be joined by acquisition time; let the driver stamp its frames",
+            );
+        }
+        if self.topics.len() > 1 {
+            let topics: Vec<&str> = self.topics.keys().map(String::as_str).collect();
+            findings.fatal(
+                place,
+                format!("frames of skin `{}` come on several topics: {}", skin.name, topics.join(", ")),
+                "two skins would be taken for one; name one of them with `--taxels`, or skin.taxels of the map",
+            );
+        }
+        let others = self.others.iter().map(|s| format!("`{s}`")).collect::<Vec<_>>().join(", ");
+        if self.frames.is_empty() && self.unstamped[0] == 0 {
+            let has =
+                if others.is_empty() { "no frames at all".to_owned() } else { format!("those of {others}") };
+            findings.fatal(
+                place,
+                format!("holds no frames of skin `{}`; it has {has}", skin.name),
+                "there is nothing to learn from",
+            );
+        } else if !others.is_empty() {
+            findings.notice(place, format!("also holds frames of {others}"), "they are not used");
+        }
+        if let Some(hash) = self.geometry.as_ref().filter(|hash| !hash.is_empty() && **hash != skin.hash()) {
+            findings.notice(
+                place,
+                format!(
+                    "was recorded with another description of skin `{}` ({hash}, here {})",
+                    skin.name,
+                    skin.hash()
+                ),
+                "a model of one does not load for the other",
+            );
+        }
+        self.check_channels(skin, place, findings);
+    }
+
+    fn check_channels(&self, skin: &SkinDescription, place: &str, findings: &mut Findings) {
+        if self.frames.len() < 10 || self.unlike.is_some() {
+            return;
+        }
+        let (mut silent, mut constant) = (Vec::new(), Vec::new());
+        for (i, channel) in skin.channels().iter().enumerate() {
+            let mut values = self.frames.iter().filter_map(|f| f.values.get(i)).filter(|v| v.is_finite());
+            match values.next() {
+                None => silent.push(channel.name.as_str()),
+                Some(first) if values.all(|v| v == first) => constant.push(channel.name.as_str()),
+                Some(_) => {}
+            }
+        }
+        let all = silent.len() + constant.len() == skin.channels().len();
+        for (names, what) in [(silent, "never give a number"), (constant, "never change")] {
+            if names.is_empty() {
+                continue;
+            }
+            let what =
+                format!("{} of {} channels {what}: {}", names.len(), skin.channels().len(), listed(&names));
+            if all {
+                findings.fatal(place, what, "there is nothing to learn from");
+            } else {
+                findings.notice(
+                    place,
+                    what,
+                    "a model will not know them; check the wiring before it is trained",
+                );
+            }
+        }
+    }
+}
+
+/// The first few of many names.
+fn listed(names: &[&str]) -> String {
+    let mut text = names.iter().take(8).copied().collect::<Vec<_>>().join(", ");
+    if names.len() > 8 {
+        text.push_str(&format!(" and {} more", names.len() - 8));
+    }
+    text
+}
+
+/// One bag, joined; `None` where it cannot be.
 fn read_run(
     path: &Path,
     skin: &SkinDescription,
-    options: DatasetOptions,
-    notices: &mut Vec<String>,
-) -> Result<Run, LearnError> {
-    let bag = BagReader::open(path)?;
-    let (mut frames, mut truths) = (Vec::new(), Vec::new());
-    let mut others = BTreeSet::new();
-    let mut sessions = BTreeSet::new();
+    options: &DatasetOptions,
+    places: &mut Places,
+    findings: &mut Findings,
+) -> Result<Option<Run>, LearnError> {
+    let place = &findings::bag(path);
+    let mut own = Findings::default();
     let mut hasher = Sha256::new();
-    let mut geometry = None;
-    for support in [TypeSupport::of::<TaxelFrame>(), TypeSupport::of::<Indentation>()] {
-        for topic in bag.topics().iter().filter(|t| t.type_name == support.name) {
-            bag.check_type(topic, support)?;
-        }
+    let mut found = Contents::read(path, skin, options, &mut hasher)?;
+    found.check_frames(skin, place, &mut own);
+    let frames = std::mem::take(&mut found.frames);
+    let (mut lost, mut gap) = (0_u64, 0);
+    for w in frames.windows(2) {
+        lost = lost.saturating_add(w[1].sequence.saturating_sub(w[0].sequence).saturating_sub(1));
+        gap = gap.max(w[1].stamp.saturating_sub(w[0].stamp));
     }
-    let wanted = [TaxelFrame::TYPE_NAME, Indentation::TYPE_NAME, SkinGeometry::TYPE_NAME];
-    for message in bag.messages_where(Filter::default().types(wanted)) {
-        let message = message?;
-        if *message.type_name == *TaxelFrame::TYPE_NAME {
-            let frame: TaxelFrame = message.decode()?;
-            if frame.skin == skin.name {
-                check_frame(path, skin, &frame)?;
-                hasher.update(&message.data);
-                frames.push(Frame::from(&frame));
-            } else {
-                others.insert(frame.skin);
-            }
-        } else if *message.type_name == *Indentation::TYPE_NAME {
-            let truth: Indentation = message.decode()?;
-            if truth.skin == skin.name {
-                hasher.update(&message.data);
-                sessions.insert(truth.session.clone());
-                truths.push((truth.header.stamp.as_nanos(), truth_of(&truth)));
-            }
-        } else if let Ok(message) = message.decode::<SkinGeometry>()
-            && message.skin == skin.name
-        {
-            geometry = Some(message.skin_hash);
-        }
-    }
-    let shown = path.display();
-    if frames.is_empty() {
-        let found = match others.len() {
-            0 => "no frames at all".to_owned(),
-            _ => {
-                format!("those of {}", others.iter().map(|s| format!("`{s}`")).collect::<Vec<_>>().join(", "))
-            }
-        };
-        return Err(LearnError::NoFrames { bag: path.into(), skin: skin.name.clone(), found });
-    }
-    if truths.is_empty() {
-        return Err(LearnError::NoTruth { bag: path.into(), skin: skin.name.clone(), frames: frames.len() });
-    }
-    if !others.is_empty() {
-        notices.push(format!(
-            "bag {shown}: also holds frames of {}, which are not used",
-            others.iter().map(|s| format!("`{s}`")).collect::<Vec<_>>().join(", ")
-        ));
-    }
-    if let Some(hash) = geometry.filter(|hash| !hash.is_empty() && *hash != skin.hash()) {
-        notices.push(format!(
-            "bag {shown}: was recorded with another description of skin `{}` ({hash}, here {})",
-            skin.name,
-            skin.hash()
-        ));
-    }
-    if sessions.len() > 1 {
-        notices.push(format!("bag {shown}: holds {} sessions, which count as one run", sessions.len()));
-    }
-    frames.sort_by_key(|f| f.stamp);
-    truths.sort_by_key(|(stamp, _)| *stamp);
-    let lost = frames
-        .windows(2)
-        .map(|w| w[1].sequence.saturating_sub(w[0].sequence).saturating_sub(1))
-        .fold(0, u64::saturating_add);
     if lost > 0 {
-        notices.push(format!("bag {shown}: {lost} frames were lost between device and bag"));
+        own.notice(
+            place,
+            format!(
+                "{lost} frames ({:.1} %) were lost between device and bag, the longest gap is {:.2} s",
+                100.0 * lost as f64 / (lost as f64 + frames.len() as f64),
+                gap as f64 * 1e-9
+            ),
+            "a model that looks back sees steps there",
+        );
     }
-    let tolerance = options.tolerance.unwrap_or_else(|| (0.5 / skin.rate).max(0.01));
-    let samples = join(&frames, &truths, skin, tolerance, options.tare_when_idle);
+    let tolerance = options.map.as_ref().map_or_else(
+        || options.tolerance.unwrap_or_else(|| (0.5 / skin.rate).max(0.01)),
+        |map| map.join.max_gap,
+    );
+    let (mut labels, mut bias) = (Vec::new(), None);
+    let mut span = found.rig.span();
+    if let Some(map) = &options.map {
+        (labels, bias) = map::label(&frames, &mut found.rig, map, skin, places, place, &mut own);
+        hasher.update(serde_json::to_vec(map).unwrap_or_default());
+        found.sessions.insert(path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned());
+    } else {
+        span = found.truths.first().zip(found.truths.last()).map(|((a, _), (b, _))| (*a, *b));
+        if found.unstamped[1] > 0 {
+            own.fatal(
+                place,
+                format!("{} ground truth messages have no stamp (header.stamp is 0)", found.unstamped[1]),
+                "nothing can be joined by acquisition time",
+            );
+        } else if found.truths.is_empty() {
+            own.fatal(
+                place,
+                format!(
+                    "holds {} frames of skin `{}` but no ground truth (dermis_msgs/msg/Indentation) for it",
+                    frames.len(),
+                    skin.name
+                ),
+                "nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled \
+                 recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`",
+            );
+        }
+        if found.sessions.len() > 1 {
+            own.notice(place, format!("holds {} sessions, which count as one run", found.sessions.len()), "");
+        }
+        labels.extend(frames.iter().map(|f| truth_at(&found.truths, f.stamp, (tolerance * 1e9) as i64)));
+    }
+    if own.is_fatal() {
+        findings.extend(own);
+        return Ok(None);
+    }
+    let samples = join(&frames, labels, skin, options.tare_when_idle);
     let labelled = samples.iter().filter(|s| s.truth.is_some()).count();
     if labelled == 0 {
-        return Err(LearnError::NeverMeet { bag: path.into(), frames: samples.len(), tolerance });
+        let begin = frames.first().map_or(0, |f| f.stamp);
+        let relative = |t: Stamp| t.saturating_sub(begin) as f64 * 1e-9;
+        let (from, to) = span.unwrap_or_default();
+        own.fatal(
+            place,
+            format!(
+                "none of {} frames has ground truth within {tolerance} s of its stamp: frames reach from 0 to {:.2} s, \
+                 the ground truth from {:.2} to {:.2} s after the first frame",
+                samples.len(),
+                relative(frames.last().map_or(begin, |f| f.stamp)),
+                relative(from),
+                relative(to)
+            ),
+            "check that both were stamped by the same clock",
+        );
+        findings.extend(own);
+        return Ok(None);
     }
     if labelled < samples.len() {
-        notices.push(format!(
-            "bag {shown}: {} of {} frames have no ground truth within {tolerance} s and are used as history only",
-            samples.len() - labelled,
-            samples.len()
-        ));
+        own.notice(
+            place,
+            format!(
+                "{} of {} frames have no ground truth within {tolerance} s",
+                samples.len() - labelled,
+                samples.len()
+            ),
+            "they are used as history only",
+        );
     }
     let several = samples.iter().filter(|s| s.truth.as_ref().is_some_and(|t| t.contacts.len() > 1)).count();
     if several > 0 {
-        notices.push(format!(
-            "bag {shown}: {several} frames have several contacts; they only count for the target `contact`"
-        ));
+        own.notice(
+            place,
+            format!("{several} frames have several contacts"),
+            "they only count for the target `contact`",
+        );
     }
     let invalid = samples.iter().filter(|s| s.frame.healthy_channels() < s.frame.values.len()).count();
     if invalid > 0 {
-        notices.push(format!("bag {shown}: {invalid} frames have channels that are not healthy"));
+        own.notice(place, format!("{invalid} frames have channels that are not healthy"), "");
     }
-    let session = sessions.into_iter().collect::<Vec<_>>().join("+");
-    Ok(Run { path: path.into(), session, hash: hex(&hasher.finalize()), samples, lost })
+    findings.extend(own);
+    let session = found.sessions.into_iter().collect::<Vec<_>>().join("+");
+    Ok(Some(Run { path: path.into(), session, hash: hex(&hasher.finalize()), samples, lost, bias }))
 }
 
-fn check_frame(path: &Path, skin: &SkinDescription, frame: &TaxelFrame) -> Result<(), LearnError> {
-    let wrong =
-        |reason: String| Err(LearnError::Frame { bag: path.into(), sequence: frame.sequence, reason });
+/// How a frame differs from what the skin's description says.
+fn unlike(skin: &SkinDescription, frame: &TaxelFrame) -> Option<String> {
     let channels = skin.channels();
+    let sequence = frame.sequence;
     if frame.values.len() != channels.len() {
-        return wrong(format!(
-            "has {} values where the skin has {} channels",
+        return Some(format!(
+            "frame {sequence} has {} values where the skin has {} channels",
             frame.values.len(),
             channels.len()
         ));
@@ -428,12 +731,13 @@ fn check_frame(path: &Path, skin: &SkinDescription, frame: &TaxelFrame) -> Resul
     if let Some((i, (got, _))) =
         frame.channels.iter().zip(channels).enumerate().find(|(_, (got, expected))| **got != expected.name)
     {
-        return wrong(format!("channel {i} is `{got}` where the skin has `{}`", channels[i].name));
+        return Some(format!(
+            "frame {sequence}: channel {i} is `{got}` where the skin has `{}`",
+            channels[i].name
+        ));
     }
-    if frame.unit != skin.unit {
-        return wrong(format!("is in \"{}\" where the skin is in \"{}\"", frame.unit, skin.unit));
-    }
-    Ok(())
+    (frame.unit != skin.unit)
+        .then(|| format!("frame {sequence} is in \"{}\" where the skin is in \"{}\"", frame.unit, skin.unit))
 }
 
 fn truth_of(message: &Indentation) -> Truth {
@@ -455,19 +759,16 @@ fn truth_of(message: &Indentation) -> Truth {
     Truth { press: message.press, location: message.location, idle, contacts }
 }
 
-/// Labels frames and subtracts their zero. Both inputs are in order of their stamps.
+/// Subtracts the zero of frames. Frames are in order of their stamps, with a label each.
 fn join(
     frames: &[Frame],
-    truths: &[(Stamp, Truth)],
+    labels: Vec<Option<Truth>>,
     skin: &SkinDescription,
-    tolerance: f64,
     tare_when_idle: bool,
 ) -> Vec<Sample> {
-    let labels: Vec<Option<Truth>> =
-        frames.iter().map(|f| truth_at(truths, f.stamp, (tolerance * 1e9) as i64)).collect();
     let idle = |k: usize| labels[k].as_ref().is_some_and(|t| t.idle);
     let mut zero = ZeroTracker::labelled(skin);
-    let mut samples = Vec::with_capacity(frames.len());
+    let mut samples: Vec<Sample> = Vec::with_capacity(frames.len());
     for (k, frame) in frames.iter().enumerate() {
         let begins = tare_when_idle && idle(k) && (k == 0 || !idle(k - 1));
         let tare = begins && {
@@ -482,7 +783,10 @@ fn join(
         zero.push(frame, labels[k].as_ref().is_none_or(Truth::touched));
         let mut tared = frame.clone();
         zero.subtract(&mut tared);
-        samples.push(Sample { frame: frame.clone(), tared: tared.values, tare, truth: labels[k].clone() });
+        samples.push(Sample { frame: frame.clone(), tared: tared.values, tare, truth: None });
+    }
+    for (sample, truth) in samples.iter_mut().zip(labels) {
+        sample.truth = truth;
     }
     samples
 }

@@ -6,6 +6,8 @@ use dermis_bag::BagError;
 use dermis_inference::{BundleError, FeatureError, ModelError, OutputError};
 use dermis_skin::EstimateError;
 
+use crate::Findings;
+
 /// Why there is no data set, split, model or evaluation.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -13,62 +15,16 @@ pub enum LearnError {
     /// A bag cannot be read.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// A bag holds no frames of the skin.
-    #[error("bag {bag}: holds no frames of skin `{skin}`; it has {found}")]
-    NoFrames {
-        /// The bag.
-        bag: PathBuf,
-        /// Skin that was asked for.
-        skin: String,
-        /// Skins that the bag has.
-        found: String,
-    },
-    /// A bag holds frames but no ground truth.
-    #[error(
-        "bag {bag}: holds {frames} frames of skin `{skin}` but no ground truth (dermis_msgs/msg/Indentation) for it; \
-         record one with `dermis collect`, or `dermis import` a labelled recording"
-    )]
-    NoTruth {
-        /// The bag.
-        bag: PathBuf,
-        /// Skin that was asked for.
-        skin: String,
-        /// Number of its frames.
-        frames: usize,
-    },
-    /// Ground truth and frames never meet.
-    #[error(
-        "bag {bag}: none of {frames} frames has ground truth within {tolerance} s of its stamp; check that both were \
-         stamped by the same clock"
-    )]
-    NeverMeet {
-        /// The bag.
-        bag: PathBuf,
-        /// Number of frames.
-        frames: usize,
-        /// \[s\] largest distance in time that counts as the same instant.
-        tolerance: f64,
-    },
-    /// The frames are not those that the skin description says.
-    #[error("bag {bag}: frame {sequence}: {reason}; check the skin description")]
-    Frame {
-        /// The bag.
-        bag: PathBuf,
-        /// Sequence number of the frame.
-        sequence: u64,
-        /// What does not fit.
+    /// The data cannot be used as asked; all reasons at once.
+    #[error("{0}")]
+    Unfit(Findings),
+    /// A file of other people's formats cannot be written.
+    #[error("{path} cannot be written: {reason}")]
+    Export {
+        /// The file.
+        path: PathBuf,
+        /// What the writer said.
         reason: String,
-    },
-    /// No untouched reading to take the zero from.
-    #[error(
-        "bag {bag}: the zero is unknown for every labelled frame, since no stretch of {tare} s (and 3 frames) before \
-         them is labelled untouched; record idle frames first, or train with `baseline = \"raw\"`"
-    )]
-    NoZero {
-        /// The bag.
-        bag: PathBuf,
-        /// \[s\] of untouched readings that a tare averages.
-        tare: f64,
     },
     /// A split that leaves one part empty.
     #[error("split by {kind}: {reason}")]
@@ -77,16 +33,6 @@ pub enum LearnError {
         kind: &'static str,
         /// Why it cannot be, and what to do.
         reason: String,
-    },
-    /// A quantity that the ground truth does not hold.
-    #[error("target `{target}`: {reason}; the ground truth holds {known}")]
-    Target {
-        /// Name of the target.
-        target: String,
-        /// What is wrong with it.
-        reason: String,
-        /// Targets that there are.
-        known: String,
     },
     /// A configuration that cannot be.
     #[error("{file}: field `{field}`: {reason}")]
@@ -105,6 +51,14 @@ pub enum LearnError {
         text: String,
         /// What is wrong and what would be right.
         reason: String,
+    },
+    /// Bounds that are not reached.
+    #[error("{missed} of {of} requirements missed")]
+    Missed {
+        /// Number of them.
+        missed: usize,
+        /// Number of all.
+        of: usize,
     },
     /// Features refuse their configuration or a frame.
     #[error(transparent)]
@@ -162,11 +116,20 @@ pub enum LearnError {
     },
 }
 
-#[cfg(feature = "train")]
 impl LearnError {
     /// Maps an I/O error at a path.
     pub(crate) fn io(path: impl Into<PathBuf>, action: &'static str) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         move |source| Self::Io { path, action, source }
+    }
+
+    /// What is wrong with a file of TOML, and in which line.
+    pub(crate) fn toml(text: &str, file: &str, error: &toml::de::Error) -> Self {
+        let before = error.span().and_then(|s| text.get(..s.start)).unwrap_or_default();
+        Self::Config {
+            file: file.to_owned(),
+            field: format!("(line {})", before.matches('\n').count() + 1),
+            reason: error.message().to_owned(),
+        }
     }
 }

@@ -282,6 +282,37 @@ pub struct Verdict {
     pub met: bool,
 }
 
+/// What an evaluation says to all requirements.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Verdicts(Vec<Verdict>);
+
+impl Verdicts {
+    /// Holds every requirement against an evaluation.
+    #[must_use]
+    pub fn of(requirements: &[Requirement], evaluation: &Evaluation) -> Self {
+        Self(requirements.iter().map(|r| r.check(evaluation)).collect())
+    }
+
+    /// Whether all are met.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Missed`] counts those that are not.
+    pub fn require(&self) -> Result<(), LearnError> {
+        match self.0.iter().filter(|v| !v.met).count() {
+            0 => Ok(()),
+            missed => Err(LearnError::Missed { missed, of: self.0.len() }),
+        }
+    }
+}
+
+impl fmt::Display for Verdicts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|verdict| writeln!(f, "{verdict}"))
+    }
+}
+
 impl std::str::FromStr for Requirement {
     type Err = LearnError;
 

@@ -3,6 +3,9 @@
 //! | word | type | what it is |
 //! |---|---|---|
 //! | data set | [`Dataset`] | frames of labelled bags, tared as a node tares them, joined with the ground truth |
+//! | map | [`LabelMap`] | how a robot's and a force sensor's topics become ground truth |
+//! | export | [`export`] | Parquet and NPZ, for people who train elsewhere |
+//! | finding | [`Findings`] | what data lack, and what that blocks |
 //! | split | [`SplitConfig`], [`Split`] | which samples are held out; by default whole contact locations |
 //! | metrics | [`Scores`], [`Summary`] | errors per quantity and force, with intervals over locations |
 //! | evaluation | [`evaluate`], [`Evaluation`] | what an estimator makes of a data set |
@@ -12,9 +15,13 @@
 //!
 //! Feature `train` adds training and the program `dermis-train`; everything else builds without it.
 
+pub mod cli;
 mod dataset;
 mod error;
 mod evaluate;
+pub mod export;
+mod findings;
+mod map;
 mod metrics;
 pub mod plot;
 mod split;
@@ -23,6 +30,8 @@ pub mod train;
 
 pub use dataset::{Dataset, DatasetOptions, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;
-pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, evaluate};
+pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate};
+pub use findings::{Finding, Findings};
+pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
 pub use metrics::{Answer, Bin, FORCE_BINS, Scores, Summary};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::LearnError;
-use crate::dataset::{Dataset, Run, SampleId};
+use crate::dataset::{Dataset, Run, Sample, SampleId, Truth};
 
 /// What a split holds out whole.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -128,14 +128,7 @@ impl SplitConfig {
         let mut split = Split::default();
         let mut touched = [0_usize; 2];
         for (id, sample, truth) in data.labelled() {
-            let session = &data.runs()[id.run].session;
-            let held_out = match self.kind {
-                SplitKind::Time => sample.frame.stamp >= ends[id.run],
-                SplitKind::Location if truth.touched() => {
-                    self.draws("location", "", u64::from(truth.location))
-                }
-                SplitKind::Location | SplitKind::Press => self.draws("press", session, truth.press),
-            };
+            let held_out = self.holds_out(&data.runs()[id.run].session, ends[id.run], sample, truth);
             touched[usize::from(held_out)] += usize::from(truth.touched());
             if held_out { &mut split.test } else { &mut split.train }.push(id);
         }
@@ -154,6 +147,23 @@ impl SplitConfig {
             });
         }
         Ok(split)
+    }
+
+    /// Whether each sample of a run is held out; `None` without ground truth. Unlike [`apply`](Self::apply), one of
+    /// the parts may be empty.
+    #[must_use]
+    pub fn mark(&self, run: &Run) -> Vec<Option<bool>> {
+        let end = self.time_bound(run);
+        let mark = |s: &Sample| s.truth.as_ref().map(|t| self.holds_out(&run.session, end, s, t));
+        run.samples.iter().map(mark).collect()
+    }
+
+    fn holds_out(&self, session: &str, end: i64, sample: &Sample, truth: &Truth) -> bool {
+        match self.kind {
+            SplitKind::Time => sample.frame.stamp >= end,
+            SplitKind::Location if truth.touched() => self.draws("location", "", u64::from(truth.location)),
+            SplitKind::Location | SplitKind::Press => self.draws("press", session, truth.press),
+        }
     }
 
     /// Stamp from which on a run is held out: the last share of the time in which it is labelled.

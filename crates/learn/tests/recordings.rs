@@ -29,7 +29,7 @@ fn runs(kind: &str, names: [&str; 2], scratch: &Path, skin: &SkinDescription) ->
     Some(names.map(|name| {
         let bag = scratch.join(name);
         dermis_testbed::import::auto(&source.join(name), &bag).unwrap();
-        Dataset::from_bags(&[bag], skin, DatasetOptions::default()).unwrap()
+        Dataset::from_bags(&[bag], skin, &DatasetOptions::default()).unwrap()
     }))
 }
 

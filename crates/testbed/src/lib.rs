@@ -23,4 +23,4 @@ pub use device::{DeviceStats, Outlet, ReplayDevice, ReplayOptions, VirtualDevice
 pub use error::TestbedError;
 pub use plan::{ForceDistribution, Plan, Step, Timing};
 pub use sampler::Sampler;
-pub use timeline::{Moment, Phase, Timeline};
+pub use timeline::{Moment, Phase, Timeline, Tip};

@@ -60,7 +60,21 @@ pub struct Moment {
     pub repeat: u32,
     /// What touches the skin.
     pub stimulus: Stimulus,
+    /// Where the (first) indenter is; `None` where it has no place to go.
+    pub tip: Option<Tip>,
 }
+
+/// The tip of an indenter over a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tip {
+    /// Point of the surface below it, in the frame of the skin's link.
+    pub place: Point3<f64>,
+    /// \[m\] between tip and surface; 0 while it touches.
+    pub gap: f64,
+}
+
+/// \[m\] that an indenter keeps from the skin between two presses.
+const RETREAT: f64 = 0.01;
 
 impl Moment {
     /// As the ground truth message of a labelled bag. The depth is NaN: a testbed of prescribed forces does not
@@ -305,9 +319,8 @@ impl Timeline {
     /// What the testbed does at `t` \[s\]; idle before the start and after the end.
     #[must_use]
     pub fn at(&self, t: f64) -> Moment {
-        let Some(press) =
-            self.presses.partition_point(|p| p.start <= t).checked_sub(1).and_then(|i| self.presses.get(i))
-        else {
+        let index = self.presses.partition_point(|p| p.start <= t).saturating_sub(1);
+        let Some(press) = self.presses.get(index).filter(|p| p.start <= t) else {
             return Moment::default();
         };
         let since = t - press.start;
@@ -344,6 +357,17 @@ impl Timeline {
                 })
                 .collect();
         }
+        let gap = match phase {
+            Phase::Idle => RETREAT,
+            Phase::Approach => RETREAT * (1.0 - smooth(since / approach)),
+            _ => 0.0,
+        };
+        // Between presses it waits above the place that it has left, before the first above that to come.
+        let at = self.presses[index..].iter().chain(&self.presses[..index]).find_map(|p| p.touches.first());
+        moment.tip = at.map(|touch| {
+            let (place, _) = self.surface.project(&(touch.from + (touch.to - touch.from) * way));
+            Tip { place, gap }
+        });
         moment
     }
 }
@@ -509,6 +533,9 @@ mod tests {
             }
             // 0.5 N in 30 ms along a cosine is at most 26 N/s.
             assert!((force(&moment) - force(&last)).abs() < 0.03, "{last:?} then {moment:?}");
+            let tip = moment.tip.unwrap();
+            assert_eq!(tip.gap > 0.0, matches!(moment.phase, Phase::Idle | Phase::Approach), "{moment:?}");
+            assert!(moment.stimulus.contacts.first().is_none_or(|c| c.position == tip.place));
             let touches = matches!(moment.phase, Phase::Hold | Phase::Slide);
             assert!(!touches || force(&moment) > 0.0);
             assert!(

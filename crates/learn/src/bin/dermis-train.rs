@@ -1,14 +1,15 @@
 //! Learns contacts from labelled bags and writes a model bundle.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Parser;
 use dermis_inference::{Runtime, RuntimeConfig};
+use dermis_learn::cli::Labels;
 use dermis_learn::train::{Outcome, Progress, Request, TrainConfig, run};
-use dermis_learn::{Dataset, DatasetOptions, LearnError, Requirement, SplitKind, Verdict};
+use dermis_learn::{Dataset, LearnError, Requirement, SplitKind, Verdicts};
 use dermis_skin::SkinDescription;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -27,8 +28,8 @@ struct Options {
     #[arg(long)]
     skin: PathBuf,
     /// Folder of the bundle; an older bundle is replaced.
-    #[arg(long)]
-    out: PathBuf,
+    #[arg(long, required_unless_present = "check")]
+    out: Option<PathBuf>,
     /// Bags of other runs to report on; may be repeated.
     #[arg(long)]
     test: Vec<PathBuf>,
@@ -56,9 +57,11 @@ struct Options {
     /// Networks fitted at the same time; all cores where absent.
     #[arg(long)]
     threads: Option<usize>,
-    /// Seconds between a frame and its ground truth that still count as the same instant.
+    #[command(flatten)]
+    labels: Labels,
+    /// Say what the data lack, and train nothing.
     #[arg(long)]
-    tolerance: Option<f64>,
+    check: bool,
     /// Go on from where an interrupted call with the same data and configuration stopped.
     #[arg(long)]
     resume: bool,
@@ -76,8 +79,7 @@ struct Options {
 fn main() -> ExitCode {
     let options = Options::parse();
     match train(&options) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
+        Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error}");
             ExitCode::FAILURE
@@ -113,17 +115,24 @@ fn configuration(options: &Options) -> Result<TrainConfig, LearnError> {
     Ok(config)
 }
 
-fn train(options: &Options) -> Result<bool, Box<dyn std::error::Error>> {
+fn train(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     let config = configuration(options)?;
     let skin = SkinDescription::load(&options.skin)?;
-    let join = DatasetOptions { tolerance: options.tolerance, ..DatasetOptions::default() };
-    let data = Dataset::from_bags(&options.bags, &skin, join)?;
+    let how = options.labels.options()?;
+    let data = Dataset::survey(&options.bags, &skin, &how)?;
+    let findings = data.check(&config.outputs(), config.baseline, &config.split);
+    if findings.is_fatal() {
+        return Err(LearnError::Unfit(findings).into());
+    }
+    let mut notices = findings.notices();
     let mut others = Vec::new();
     for path in &options.test {
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        others.push((name, Dataset::from_bags(&[path], &skin, join)?));
+        let other = Dataset::from_bags(&[path], &skin, &how)?;
+        notices.extend(other.notices());
+        others.push((name, other));
     }
-    for notice in data.notices().iter().chain(others.iter().flat_map(|(_, d)| d.notices())) {
+    for notice in notices {
         eprintln!("note: {notice}");
     }
     eprintln!(
@@ -133,6 +142,7 @@ fn train(options: &Options) -> Result<bool, Box<dyn std::error::Error>> {
         data.locations(),
         config.split.describe()
     );
+    let Some(out) = options.out.as_deref().filter(|_| !options.check) else { return Ok(()) };
 
     let stop = Arc::new(AtomicBool::new(false));
     let asked = Arc::clone(&stop);
@@ -144,7 +154,7 @@ fn train(options: &Options) -> Result<bool, Box<dyn std::error::Error>> {
         data: &data,
         others: &others,
         config: &config,
-        out: &options.out,
+        out,
         resume: options.resume,
         threads,
         runtime: Runtime::load(&RuntimeConfig::default())?,
@@ -159,7 +169,7 @@ fn train(options: &Options) -> Result<bool, Box<dyn std::error::Error>> {
     for bar in &bars {
         bar.finish_and_clear();
     }
-    Ok(report(options, &outcome))
+    Ok(report(options, out, &outcome)?)
 }
 
 /// A progress bar for each network; they hide themselves where no one watches.
@@ -177,14 +187,14 @@ fn bars(config: &TrainConfig) -> Result<Vec<ProgressBar>, Box<dyn std::error::Er
         .collect())
 }
 
-/// Prints the figures; whether all requirements are met.
-fn report(options: &Options, outcome: &Outcome) -> bool {
-    let verdicts: Vec<Verdict> = options.require.iter().map(|r| r.check(&outcome.held_out)).collect();
+/// Prints the figures, and fails where a requirement is missed.
+fn report(options: &Options, out: &Path, outcome: &Outcome) -> Result<(), LearnError> {
+    let verdicts = Verdicts::of(&options.require, &outcome.held_out);
     if options.json {
         let others: serde_json::Map<String, serde_json::Value> =
             outcome.others.iter().map(|(name, e)| (name.clone(), e.to_json())).collect();
         let result = json!({
-            "bundle": options.out,
+            "bundle": out,
             "samples": outcome.samples,
             "seconds": outcome.seconds,
             "held_out": outcome.held_out.to_json(),
@@ -197,15 +207,13 @@ fn report(options: &Options, outcome: &Outcome) -> bool {
         for (_, evaluation) in &outcome.others {
             print!("{evaluation}");
         }
-        for verdict in &verdicts {
-            println!("{verdict}");
-        }
+        print!("{verdicts}");
         println!(
             "{} samples in {:.0} s; bundle and report in {}",
             outcome.samples,
             outcome.seconds,
-            options.out.display()
+            out.display()
         );
     }
-    verdicts.iter().all(|v| v.met)
+    verdicts.require()
 }

@@ -65,21 +65,33 @@ pub(crate) fn presses(places: u32, repeats: u32) -> Dataset {
             }
         }
     }
-    let samples = join(&frames, &truths, &skin, 1e-3, true);
-    let run = Run { path: "made.bag".into(), session: "made".into(), hash: hex(&[0; 32]), samples, lost: 0 };
+    let samples = join(&frames, labels(&frames, &truths), &skin, true);
+    let run = Run {
+        path: "made.bag".into(),
+        session: "made".into(),
+        hash: hex(&[0; 32]),
+        samples,
+        lost: 0,
+        bias: None,
+    };
     Dataset::from_runs(&skin, vec![run])
 }
 
+fn labels(frames: &[Frame], truths: &[(Stamp, Truth)]) -> Vec<Option<Truth>> {
+    frames.iter().map(|f| truth_at(truths, f.stamp, 1_000_000)).collect()
+}
+
+/// Stamps of the tests count from here: 0 means that there is none.
+const BEGIN: i64 = 1_700_000_000_000_000_000;
+
 fn frame(stamp: i64, sequence: u64, values: Vec<f32>) -> TaxelFrame {
     let skin = skin();
-    let mut message = skin.frame_message(&Frame::new(stamp, sequence, values));
-    message.header.stamp = Time::from_nanos(stamp);
-    message
+    skin.frame_message(&Frame::new(BEGIN + stamp, sequence, values))
 }
 
 fn truth(stamp: i64, press: u64, contacts: &[(f64, f64)]) -> Indentation {
     Indentation {
-        header: Header { stamp: Time::from_nanos(stamp), frame_id: "pad_link".into() },
+        header: Header { stamp: Time::from_nanos(BEGIN + stamp), frame_id: "pad_link".into() },
         skin: "pad".into(),
         session: "s1".into(),
         press,
@@ -132,7 +144,7 @@ fn frames_meet_their_ground_truth() {
     truths.push(truth(11 * STEP, 4, &[(0.002, 1.0), (0.004, 1.0)]));
     let path = bag(dir.path(), &frames, &truths);
     let options = DatasetOptions { tolerance: Some(0.005), ..DatasetOptions::default() };
-    let data = Dataset::from_bags(&[&path], &skin(), options).unwrap();
+    let data = Dataset::from_bags(&[&path], &skin(), &options).unwrap();
     let run = &data.runs()[0];
     assert_eq!((run.samples.len(), run.lost, run.session.as_str()), (12, 1, "s1"));
 
@@ -151,9 +163,9 @@ fn frames_meet_their_ground_truth() {
     assert_eq!(data.targets()["position.x"], 2);
     let notices = data.notices().join("\n").replace(&path.display().to_string(), "BAG");
     insta::assert_snapshot!(notices, @r"
-    bag BAG: 1 frames were lost between device and bag
-    bag BAG: 3 of 12 frames have no ground truth within 0.005 s and are used as history only
-    bag BAG: 1 frames have several contacts; they only count for the target `contact`
+    bag BAG: 1 frames (7.7 %) were lost between device and bag, the longest gap is 0.01 s: a model that looks back sees steps there
+    bag BAG: 3 of 12 frames have no ground truth within 0.005 s: they are used as history only
+    bag BAG: 1 frames have several contacts: they only count for the target `contact`
     ");
 }
 
@@ -162,24 +174,25 @@ fn what_a_bag_lacks_is_said() {
     let dir = tempfile::tempdir().unwrap();
     let told = |frames: &[TaxelFrame], truths: &[Indentation]| {
         let path = bag(dir.path(), frames, truths);
-        let error = Dataset::from_bags(&[&path], &skin(), DatasetOptions::default()).unwrap_err().to_string();
+        let error =
+            Dataset::from_bags(&[&path], &skin(), &DatasetOptions::default()).unwrap_err().to_string();
         std::fs::remove_dir_all(&path).unwrap();
         error.replace(&path.display().to_string(), "BAG")
     };
     let good = frame(0, 7, vec![1.0, 2.0]);
-    insta::assert_snapshot!(told(std::slice::from_ref(&good), &[]), @"bag BAG: holds 1 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it; record one with `dermis collect`, or `dermis import` a labelled recording");
+    insta::assert_snapshot!(told(std::slice::from_ref(&good), &[]), @"bag BAG: holds 1 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it: nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`");
     let mut other = good.clone();
     other.skin = "arm".into();
-    insta::assert_snapshot!(told(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm`");
-    insta::assert_snapshot!(told(std::slice::from_ref(&good), &[truth(STEP * 5, 0, &[])]), @"bag BAG: none of 1 frames has ground truth within 0.01 s of its stamp; check that both were stamped by the same clock");
+    insta::assert_snapshot!(told(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm`: there is nothing to learn from");
+    insta::assert_snapshot!(told(std::slice::from_ref(&good), &[truth(STEP * 5, 0, &[])]), @"bag BAG: none of 1 frames has ground truth within 0.01 s of its stamp: frames reach from 0 to 0.00 s, the ground truth from 0.05 to 0.05 s after the first frame: check that both were stamped by the same clock");
     let mut swapped = good.clone();
     swapped.channels.swap(0, 1);
-    insta::assert_snapshot!(told(&[swapped], &[truth(0, 0, &[])]), @"bag BAG: frame 7: channel 0 is `right` where the skin has `left`; check the skin description");
+    insta::assert_snapshot!(told(&[swapped], &[truth(0, 0, &[])]), @"bag BAG: frame 7: channel 0 is `right` where the skin has `left`: the readings cannot be told apart; check the skin description");
     let mut unit = good.clone();
     unit.unit = "V".into();
-    insta::assert_snapshot!(told(&[unit], &[truth(0, 0, &[])]), @r#"bag BAG: frame 7: is in "V" where the skin is in "Pa"; check the skin description"#);
+    insta::assert_snapshot!(told(&[unit], &[truth(0, 0, &[])]), @r#"bag BAG: frame 7 is in "V" where the skin is in "Pa": the readings cannot be told apart; check the skin description"#);
     let short = frame(0, 7, vec![1.0]);
-    insta::assert_snapshot!(told(&[short], &[truth(0, 0, &[])]), @"bag BAG: frame 7: has 1 values where the skin has 2 channels; check the skin description");
+    insta::assert_snapshot!(told(&[short], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has 1 values where the skin has 2 channels: the readings cannot be told apart; check the skin description");
 }
 
 #[test]
@@ -200,11 +213,11 @@ fn the_zero_is_taken_anew_in_every_idle_stretch() {
         let contacts = if idle { Vec::new() } else { vec![contact(0.0, 0.0, 1.0)] };
         truths.push((stamp, Truth { press: 0, location: 0, idle, contacts }));
     }
-    let anew = join(&frames, &truths, &skin, 1e-3, true);
+    let anew = join(&frames, labels(&frames, &truths), &skin, true);
     let marks: Vec<usize> = anew.iter().enumerate().filter(|(_, s)| s.tare).map(|(k, _)| k).collect();
     assert_eq!(marks, [0, 7]);
     assert_eq!((anew[6].tared[0], anew[13].tared[0]), (20.0, 20.0));
-    let once = join(&frames, &truths, &skin, 1e-3, false);
+    let once = join(&frames, labels(&frames, &truths), &skin, false);
     assert!(once[13].tared[0] > 24.9);
 }
 

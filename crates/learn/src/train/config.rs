@@ -209,14 +209,7 @@ impl TrainConfig {
     ///
     /// [`LearnError::Config`] names the field, or line and column.
     pub fn from_toml(text: &str, file: &str) -> Result<Self, LearnError> {
-        let config: Self = toml::from_str(text).map_err(|e: toml::de::Error| {
-            let before = e.span().and_then(|s| text.get(..s.start)).unwrap_or_default();
-            LearnError::Config {
-                file: file.to_owned(),
-                field: format!("(line {})", before.matches('\n').count() + 1),
-                reason: e.message().to_owned(),
-            }
-        })?;
+        let config: Self = toml::from_str(text).map_err(|e| LearnError::toml(text, file, &e))?;
         config.validate(file)?;
         Ok(config)
     }

@@ -20,6 +20,7 @@ use super::prepare::Preparation;
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId, Truth, hex};
 use crate::evaluate::Evaluation;
+use crate::findings::Findings;
 use crate::metrics::{Answer, Bin, Scores};
 use crate::plot::{Point, Report};
 use crate::split::Split;
@@ -81,7 +82,10 @@ pub fn run(
 ) -> Result<Outcome, LearnError> {
     let (data, config) = (request.data, request.config);
     let outputs = config.outputs();
-    check_targets(data, &outputs)?;
+    let findings = data.check(&outputs, config.baseline, &config.split);
+    if findings.is_fatal() {
+        return Err(LearnError::Unfit(findings));
+    }
     let split = config.split.apply(data)?;
     let features = measure_features(data, config, &split)?;
     let (ids, rows) = data.inputs(&features, config.baseline)?;
@@ -105,7 +109,7 @@ pub fn run(
         }
     }
     if batch.is_empty() {
-        return Err(no_rows(data, config));
+        return Err(no_rows());
     }
     let noise = data.skin().channel_noise();
     let preparation = Preparation::measure(config.network.input, &features, &noise, &batch.inputs);
@@ -152,36 +156,7 @@ pub fn run(
     Ok(outcome)
 }
 
-fn check_targets(data: &Dataset, outputs: &[&'static str]) -> Result<(), LearnError> {
-    let known = data.targets();
-    for target in outputs {
-        if !known.contains_key(target) {
-            let list: Vec<String> = known.iter().map(|(name, n)| format!("{name} ({n} samples)")).collect();
-            return Err(LearnError::Target {
-                target: (*target).to_owned(),
-                reason: "is never known while the skin is touched".into(),
-                known: if list.is_empty() { "no touched sample".into() } else { list.join(", ") },
-            });
-        }
-    }
-    if outputs.contains(&"contact") && data.labelled().all(|(_, _, t)| t.touched()) {
-        return Err(LearnError::Target {
-            target: "contact".into(),
-            reason: "cannot be learned without untouched samples; leave it out or record idle frames".into(),
-            known: "touched samples only".into(),
-        });
-    }
-    Ok(())
-}
-
-fn no_rows(data: &Dataset, config: &TrainConfig) -> LearnError {
-    let tared = data.labelled().any(|(_, s, _)| s.tared.iter().any(|v| v.is_finite()));
-    if config.baseline == Baseline::Tared && !tared {
-        return LearnError::NoZero {
-            bag: data.runs().first().map(|r| r.path.clone()).unwrap_or_default(),
-            tare: data.skin().condition.tare_duration,
-        };
-    }
+fn no_rows() -> LearnError {
     LearnError::Training {
         reason: "no sample of the training part has a long enough history; shorten `features` or raise \
                  `features.max_gap`"
@@ -253,7 +228,7 @@ fn measure_features(
         }
     }
     if moments.iter().all(|m| m.count == 0.0) {
-        return Err(no_rows(data, config));
+        return Err(no_rows());
     }
     let mean = moments.iter().map(|m| m.mean as f32).collect();
     let common = (moments.iter().map(|m| m.deviation().powi(2)).sum::<f64>() / moments.len() as f64).sqrt();
@@ -304,15 +279,13 @@ fn measure_outputs(
             .map(|(_, m)| m.deviation())
             .fold(0.0, f64::max);
         if scale <= 0.0 {
-            return Err(LearnError::Target {
-                target: (*name).to_owned(),
-                reason: "is the same in all training samples, so nothing can be learned".into(),
-                known: format!(
-                    "{} of {} samples",
-                    moments.get(name).map_or(0.0, |m| m.count),
-                    split.train.len()
-                ),
-            });
+            let mut findings = Findings::default();
+            findings.fatal(
+                "the training part",
+                format!("`{name}` is the same in all {} samples", moments.get(name).map_or(0.0, |m| m.count)),
+                "it cannot be learned; leave it out or record other presses",
+            );
+            return Err(LearnError::Unfit(findings));
         }
         let mean = moments.get(name).map_or(0.0, |m| m.mean);
         let unit = if family == "position." { "m" } else { "N" };

@@ -109,7 +109,7 @@ fn what_cannot_be_learned_is_refused_before_training() {
     };
     let mut depth = config();
     depth.targets = vec!["position.z".into()];
-    insta::assert_snapshot!(told(&data, &depth), @"target `position.z`: is the same in all training samples, so nothing can be learned; the ground truth holds 34 of 164 samples");
+    insta::assert_snapshot!(told(&data, &depth), @"the training part: `position.z` is the same in all 34 samples: it cannot be learned; leave it out or record other presses");
 
     let mut unknown = data.clone();
     let mut runs = unknown.runs().to_vec();
@@ -122,12 +122,12 @@ fn what_cannot_be_learned_is_refused_before_training() {
         contact.components = dermis_skin::ForceComponents::None;
     }
     unknown = Dataset::from_runs(unknown.skin(), runs.clone());
-    insta::assert_snapshot!(told(&unknown, &config()), @"target `force.normal`: is never known while the skin is touched; the ground truth holds contact (40 samples), position.x (40 samples), position.y (40 samples), position.z (40 samples)");
+    insta::assert_snapshot!(told(&unknown, &config()), @"bag made.bag: `force.normal` is never known while the skin is touched; known are contact (40 samples), position.x (40 samples), position.y (40 samples), position.z (40 samples): it cannot be learned; name other targets or record them");
 
     for sample in runs.iter_mut().flat_map(|r| &mut r.samples) {
         sample.tared.fill(f32::NAN);
     }
     let mut place = config();
     place.targets = vec!["position.x".into(), "position.y".into()];
-    insta::assert_snapshot!(told(&Dataset::from_runs(unknown.skin(), runs), &place), @r#"bag made.bag: the zero is unknown for every labelled frame, since no stretch of 0.03 s (and 3 frames) before them is labelled untouched; record idle frames first, or train with `baseline = "raw"`"#);
+    insta::assert_snapshot!(told(&Dataset::from_runs(unknown.skin(), runs), &place), @r#"bag made.bag: no stretch of 0.03 s (and 3 frames) before the touched frames is labelled untouched: the zero is unknown; record idle frames first, or train with `baseline = "raw"`"#);
 }

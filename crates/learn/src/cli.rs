@@ -1,0 +1,38 @@
+//! Options that every command which reads labelled bags has.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::{DatasetOptions, LabelMap, LearnError};
+
+/// How bags are read.
+#[derive(Debug, Clone, Args)]
+pub struct Labels {
+    /// Take the ground truth from a robot's pose and a force sensor's wrench, as this file maps them; see
+    /// `launch/labels/`.
+    #[arg(long)]
+    map: Option<PathBuf>,
+    /// Topic of the frames, where a bag holds several skins of one description.
+    #[arg(long, value_name = "TOPIC")]
+    taxels: Option<String>,
+    /// Seconds between a frame and its ground truth that still count as the same instant; a map has its own.
+    #[arg(long)]
+    tolerance: Option<f64>,
+}
+
+impl Labels {
+    /// How to read the bags.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError`] where the map cannot be used.
+    pub fn options(&self) -> Result<DatasetOptions, LearnError> {
+        Ok(DatasetOptions {
+            tolerance: self.tolerance,
+            taxels: self.taxels.clone(),
+            map: self.map.as_ref().map(LabelMap::load).transpose()?,
+            ..DatasetOptions::default()
+        })
+    }
+}

@@ -1,0 +1,445 @@
+//! Data sets as tables, for people who train elsewhere: Parquet and NPZ, one row a frame.
+//!
+//! | column (Parquet) | array (NPZ) | unit | what it is |
+//! |---|---|---|---|
+//! | `stamp` | `stamp` \[n\] | ns | when the frame was acquired, since 1970 |
+//! | `sequence` | `sequence` \[n\] | 1 | counts every frame of the device; a step > 1 is a loss |
+//! | `channel.NAME` | `values` \[n, channels\] | the skin's | readings as the device gave them, NaN where invalid |
+//! | `tared.NAME` | `tared` \[n, channels\] | the skin's | readings minus their zero; only where asked for |
+//! | `flags.NAME` | `flags` \[n, channels\] | bits | `dermis_msgs/TaxelFrame` FLAG_*; 0 is healthy |
+//! | `temperature` | `temperature` \[n\] | K | of the skin, NaN where unknown |
+//! | `contacts` | `contacts` \[n\] | 1 | true contacts, −1 without ground truth |
+//! | `idle` | `idle` \[n\] | 0, 1 | 1 where it is known that nothing is near |
+//! | `press`, `location` | the same | 1 | identity of press and place, −1 without ground truth |
+//! | `position.x` …, `normal.x` … | `position`, `normal` \[n, 3\] | m, 1 | of the only contact, in the skin's link; NaN otherwise |
+//! | `force.x` … | `force` \[n, 3\] | N | exerted on the skin, 0 where it is untouched, NaN where unknown |
+//! | `force_normal` | the same | N | pressing force, positive |
+//! | `split` | `split` \[n\] | | `train`, `held_out`, or empty without ground truth |
+//!
+//! The same in JSON is in the file: key `dermis` of the Parquet metadata, `schema.json` in the NPZ.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use dermis_skin::SkinDescription;
+use npyz::WriterBuilder;
+use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical, ZstdLevel};
+use parquet::column::writer::ColumnWriter;
+use parquet::data_type::ByteArray;
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::Type;
+use serde_json::json;
+
+use crate::dataset::{Dataset, Run, Sample, Truth};
+use crate::{LearnError, SplitConfig};
+
+/// Rows that are encoded together; what is held in memory beside the data set is one column of them.
+const ROW_GROUP: usize = 16_384;
+
+/// What is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Format {
+    /// Apache Parquet, compressed with zstd.
+    Parquet,
+    /// NumPy's archive of arrays, compressed.
+    Npz,
+}
+
+impl Format {
+    /// As it is written in flags and as the end of file names.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Parquet => "parquet",
+            Self::Npz => "npz",
+        }
+    }
+}
+
+impl std::str::FromStr for Format {
+    type Err = LearnError;
+
+    fn from_str(text: &str) -> Result<Self, LearnError> {
+        [Self::Parquet, Self::Npz].into_iter().find(|f| f.name() == text).ok_or_else(|| LearnError::Config {
+            file: "flags".into(),
+            field: "--format".into(),
+            reason: format!("is `{text}` and must be `parquet` or `npz`"),
+        })
+    }
+}
+
+/// How tables are written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExportOptions {
+    /// Which files.
+    pub formats: Vec<Format>,
+    /// Adds readings minus their zero.
+    pub tared: bool,
+    /// Which rows are held out.
+    pub split: SplitConfig,
+}
+
+/// Writes the run of a data set with this index as `DIR/STEM.parquet` and `DIR/STEM.npz`; the files that were written.
+///
+/// # Errors
+///
+/// [`LearnError`] names the file that cannot be written.
+pub fn export(
+    data: &Dataset,
+    run: usize,
+    dir: &Path,
+    stem: &str,
+    options: &ExportOptions,
+) -> Result<Vec<PathBuf>, LearnError> {
+    let Some(recorded) = data.runs().get(run) else { return Ok(Vec::new()) };
+    std::fs::create_dir_all(dir).map_err(LearnError::io(dir, "written"))?;
+    let table = Table::new(data, recorded, options);
+    let mut written = Vec::new();
+    for format in &options.formats {
+        let path = dir.join(format!("{stem}.{}", format.name()));
+        // A file that is cut short must not be taken for a whole one.
+        let partial = dir.join(format!("{stem}.{}.partial", format.name()));
+        match format {
+            Format::Parquet => table.parquet(&partial)?,
+            Format::Npz => table.npz(&partial)?,
+        }
+        std::fs::rename(&partial, &path).map_err(LearnError::io(&path, "written"))?;
+        written.push(path);
+    }
+    Ok(written)
+}
+
+/// One column or array: how it is called, what it is in, what it says.
+struct Column {
+    name: &'static str,
+    unit: String,
+    meaning: &'static str,
+    /// Names of the parts of an array with several columns.
+    parts: Vec<String>,
+    values: Values,
+}
+
+type Get<T> = Box<dyn Fn(&Sample, usize) -> T>;
+
+enum Values {
+    Whole(Get<i64>),
+    Byte(Get<u8>),
+    Single(Get<f32>),
+    Double(Get<f64>),
+    /// Name of the part of the split.
+    Text(fn(Option<bool>) -> &'static str),
+}
+
+struct Table<'a> {
+    run: &'a Run,
+    /// Whether each sample is held out; `None` without ground truth.
+    held_out: Vec<Option<bool>>,
+    columns: Vec<Column>,
+    schema: String,
+}
+
+fn number(truth: Option<&Truth>, name: &str) -> f64 {
+    truth.and_then(|t| t.value(name)).unwrap_or(f64::NAN)
+}
+
+impl<'a> Table<'a> {
+    fn new(data: &Dataset, run: &'a Run, options: &ExportOptions) -> Self {
+        let columns = columns(data.skin(), options.tared);
+        let described: Vec<_> = columns
+            .iter()
+            .map(|c| json!({ "name": c.name, "parts": c.parts, "unit": c.unit, "meaning": c.meaning }))
+            .collect();
+        let skin = data.skin();
+        let schema = json!({
+            "schema": "dermis-table/1",
+            "skin": { "name": skin.name, "hash": skin.hash(), "unit": skin.unit, "frame_id": skin.frame_id,
+                      "rate_hz": skin.rate },
+            "bag": run.path.file_name().map(|n| n.to_string_lossy()),
+            "session": run.session,
+            "hash": run.hash,
+            "lost": run.lost,
+            "split": options.split,
+            "split_in_words": options.split.describe(),
+            "map": data.map(),
+            "columns": described,
+        });
+        Self { run, held_out: options.split.mark(run), columns, schema: schema.to_string() }
+    }
+
+    fn parquet(&self, path: &Path) -> Result<(), LearnError> {
+        let failed = |e: parquet::errors::ParquetError| LearnError::Export {
+            path: path.to_owned(),
+            reason: e.to_string(),
+        };
+        let mut fields = Vec::new();
+        for column in &self.columns {
+            let physical = match column.values {
+                Values::Whole(_) => Physical::INT64,
+                Values::Byte(_) => Physical::INT32,
+                Values::Single(_) => Physical::FLOAT,
+                Values::Double(_) => Physical::DOUBLE,
+                Values::Text(_) => Physical::BYTE_ARRAY,
+            };
+            let names = column.parts.iter().map(|part| format!("{}.{part}", parquet_name(column.name)));
+            let names: Vec<String> =
+                if column.parts.is_empty() { vec![column.name.to_owned()] } else { names.collect() };
+            for name in names {
+                let text = matches!(column.values, Values::Text(_)).then_some(LogicalType::String);
+                let field = Type::primitive_type_builder(&name, physical)
+                    .with_repetition(Repetition::REQUIRED)
+                    .with_logical_type(text);
+                fields.push(Arc::new(field.build().map_err(failed)?));
+            }
+        }
+        let schema = Type::group_type_builder("frames").with_fields(fields).build().map_err(failed)?;
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::ZSTD(ZstdLevel::default()))
+            .set_key_value_metadata(Some(vec![KeyValue::new("dermis".to_owned(), self.schema.clone())]))
+            .build();
+        let file = File::create(path).map_err(LearnError::io(path, "written"))?;
+        let mut writer =
+            SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties)).map_err(failed)?;
+        for (group, samples) in self.run.samples.chunks(ROW_GROUP).enumerate() {
+            let held_out = &self.held_out[group * ROW_GROUP..][..samples.len()];
+            let mut rows = writer.next_row_group().map_err(failed)?;
+            for column in &self.columns {
+                for part in 0..column.parts.len().max(1) {
+                    let Some(mut out) = rows.next_column().map_err(failed)? else { continue };
+                    column.fill(samples, held_out, part, out.untyped()).map_err(failed)?;
+                    out.close().map_err(failed)?;
+                }
+            }
+            rows.close().map_err(failed)?;
+        }
+        let file = writer.into_inner().map_err(failed)?;
+        file.sync_all().map_err(LearnError::io(path, "written"))
+    }
+
+    fn npz(&self, path: &Path) -> Result<(), LearnError> {
+        let io = |e: std::io::Error| LearnError::io(path, "written")(e);
+        let failed =
+            |e: zip::result::ZipError| LearnError::Export { path: path.to_owned(), reason: e.to_string() };
+        let file = File::create(path).map_err(io)?;
+        let mut archive = zip::ZipWriter::new(BufWriter::new(file));
+        let entry = zip::write::SimpleFileOptions::default().large_file(true);
+        archive.start_file("schema.json", entry).map_err(failed)?;
+        archive.write_all(self.schema.as_bytes()).map_err(io)?;
+        for column in &self.columns {
+            archive.start_file(format!("{}.npy", column.name), entry).map_err(failed)?;
+            self.array(column, &mut archive).map_err(io)?;
+        }
+        let file = archive.finish().map_err(failed)?.into_inner().map_err(|e| io(e.into_error()))?;
+        file.sync_all().map_err(io)
+    }
+
+    fn array(&self, column: &Column, out: &mut impl Write) -> std::io::Result<()> {
+        let rows = self.run.samples.len() as u64;
+        let parts = column.parts.len();
+        let shape = if parts == 0 { vec![rows] } else { vec![rows, parts as u64] };
+        let cells = || self.run.samples.iter().flat_map(|s| (0..parts.max(1)).map(move |part| (s, part)));
+        macro_rules! write {
+            ($kind:ty, $get:expr) => {{
+                let options = npyz::WriteOptions::<$kind>::new().default_dtype().shape(&shape);
+                let mut writer = options.writer(out).begin_nd()?;
+                writer.extend(cells().map(|(sample, part)| $get(sample, part)))?;
+                writer.finish()
+            }};
+        }
+        match &column.values {
+            Values::Whole(get) => write!(i64, get),
+            Values::Byte(get) => write!(u8, get),
+            Values::Single(get) => write!(f32, get),
+            Values::Double(get) => write!(f64, get),
+            Values::Text(name) => {
+                let wide = npyz::DType::Plain("|S8".parse().map_err(std::io::Error::other)?);
+                let options = npyz::WriteOptions::<[u8]>::new().dtype(wide).shape(&shape);
+                let mut writer = options.writer(out).begin_nd()?;
+                self.held_out.iter().try_for_each(|held_out| writer.push(name(*held_out).as_bytes()))?;
+                writer.finish()
+            }
+        }
+    }
+}
+
+/// What the columns of an array are called in a flat table.
+fn parquet_name(name: &str) -> &str {
+    if name == "values" { "channel" } else { name }
+}
+
+impl Column {
+    fn fill(
+        &self,
+        samples: &[Sample],
+        held_out: &[Option<bool>],
+        part: usize,
+        out: &mut ColumnWriter<'_>,
+    ) -> Result<(), parquet::errors::ParquetError> {
+        match (&self.values, out) {
+            (Values::Whole(get), ColumnWriter::Int64ColumnWriter(out)) => {
+                let values: Vec<i64> = samples.iter().map(|s| get(s, part)).collect();
+                out.write_batch(&values, None, None)?;
+            }
+            (Values::Byte(get), ColumnWriter::Int32ColumnWriter(out)) => {
+                let values: Vec<i32> = samples.iter().map(|s| i32::from(get(s, part))).collect();
+                out.write_batch(&values, None, None)?;
+            }
+            (Values::Single(get), ColumnWriter::FloatColumnWriter(out)) => {
+                let values: Vec<f32> = samples.iter().map(|s| get(s, part)).collect();
+                out.write_batch(&values, None, None)?;
+            }
+            (Values::Double(get), ColumnWriter::DoubleColumnWriter(out)) => {
+                let values: Vec<f64> = samples.iter().map(|s| get(s, part)).collect();
+                out.write_batch(&values, None, None)?;
+            }
+            (Values::Text(name), ColumnWriter::ByteArrayColumnWriter(out)) => {
+                let values: Vec<ByteArray> = held_out.iter().map(|h| ByteArray::from(name(*h))).collect();
+                out.write_batch(&values, None, None)?;
+            }
+            _ => {
+                return Err(parquet::errors::ParquetError::General(format!(
+                    "column {} has another type than its schema",
+                    self.name
+                )));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn columns(skin: &SkinDescription, tared: bool) -> Vec<Column> {
+    let channels: Vec<String> = skin.channels().iter().map(|c| c.name.clone()).collect();
+    let axes = || ["x", "y", "z"].map(str::to_owned).to_vec();
+    let one = |name, unit: &str, meaning, values| Column {
+        name,
+        unit: unit.to_owned(),
+        meaning,
+        parts: Vec::new(),
+        values,
+    };
+    let many = |name, unit: &str, meaning, parts, values| Column {
+        name,
+        unit: unit.to_owned(),
+        meaning,
+        parts,
+        values,
+    };
+    let nan = |values: &[f32], i: usize| values.get(i).copied().unwrap_or(f32::NAN);
+    let mut all = vec![
+        one(
+            "stamp",
+            "ns",
+            "when the frame was acquired, since 1970",
+            Values::Whole(Box::new(|s, _| s.frame.stamp)),
+        ),
+        one(
+            "sequence",
+            "1",
+            "counts every frame of the device; a step > 1 is a loss",
+            Values::Whole(Box::new(|s, _| s.frame.sequence.cast_signed())),
+        ),
+        many(
+            "values",
+            &skin.unit,
+            "readings as the device gave them, NaN where invalid; channel.* in Parquet",
+            channels.clone(),
+            Values::Single(Box::new(move |s, i| nan(&s.frame.values, i))),
+        ),
+    ];
+    if tared {
+        all.push(many(
+            "tared",
+            &skin.unit,
+            "readings minus their zero, NaN where it is unknown",
+            channels.clone(),
+            Values::Single(Box::new(move |s, i| nan(&s.tared, i))),
+        ));
+    }
+    let along =
+        |name: [&'static str; 3]| Values::Double(Box::new(move |s, i| number(s.truth.as_ref(), name[i])));
+    all.extend([
+        many(
+            "flags",
+            "bits",
+            "FLAG_* of dermis_msgs/TaxelFrame; 0 is healthy",
+            channels,
+            Values::Byte(Box::new(|s, i| s.frame.flags.get(i).map_or(0, |f| f.bits()))),
+        ),
+        one(
+            "temperature",
+            "K",
+            "of the skin, NaN where unknown",
+            Values::Single(Box::new(|s, _| s.frame.temperature)),
+        ),
+        one(
+            "contacts",
+            "1",
+            "true contacts, -1 without ground truth",
+            Values::Whole(Box::new(|s, _| s.truth.as_ref().map_or(-1, |t| t.contacts.len() as i64))),
+        ),
+        one(
+            "idle",
+            "1",
+            "1 where it is known that nothing is near",
+            Values::Byte(Box::new(|s, _| u8::from(s.truth.as_ref().is_some_and(|t| t.idle)))),
+        ),
+        one(
+            "press",
+            "1",
+            "identity of the press within its session, -1 without ground truth",
+            Values::Whole(Box::new(|s, _| s.truth.as_ref().map_or(-1, |t| t.press.cast_signed()))),
+        ),
+        one(
+            "location",
+            "1",
+            "identity of the place, -1 without ground truth",
+            Values::Whole(Box::new(|s, _| s.truth.as_ref().map_or(-1, |t| i64::from(t.location)))),
+        ),
+        many(
+            "position",
+            "m",
+            "first point of the only contact on the undeformed surface, in the skin's link",
+            axes(),
+            along(["position.x", "position.y", "position.z"]),
+        ),
+        many(
+            "normal",
+            "1",
+            "out of the skin at the only contact",
+            axes(),
+            Values::Double(Box::new(|s, i| {
+                s.truth.as_ref().and_then(Truth::single).map_or(f64::NAN, |c| c.normal[i])
+            })),
+        ),
+        many(
+            "force",
+            "N",
+            "exerted on the skin in its link, 0 where it is untouched",
+            axes(),
+            along(["force.x", "force.y", "force.z"]),
+        ),
+        one(
+            "force_normal",
+            "N",
+            "pressing force, positive; 0 where it is untouched",
+            Values::Double(Box::new(|s, _| number(s.truth.as_ref(), "force.normal"))),
+        ),
+        one(
+            "split",
+            "",
+            "train, held_out, or empty without ground truth",
+            Values::Text(|held_out| match held_out {
+                Some(true) => "held_out",
+                Some(false) => "train",
+                None => "",
+            }),
+        ),
+    ]);
+    all
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,720 @@
+//! Ground truth of a rig that knows nothing of skins: a robot's pose and a force sensor's wrench, mapped by a file.
+//!
+//! The robot tells where its tool is in its base (`geometry_msgs/msg/TransformStamped`, or `tf2_msgs/msg/TFMessage`),
+//! the force sensor what it feels (`geometry_msgs/msg/WrenchStamped`). A [`LabelMap`] says how tool, tip, skin and
+//! sensor are mounted, and makes of both what [`Truth`] is: a contact at the first point of the undeformed surface,
+//! and a force on the skin, in the frame of the skin's link. `launch/labels/` has an example to copy.
+
+use std::path::Path;
+
+use dermis_bag::BagMessage;
+use dermis_msgs::Message;
+use dermis_msgs::builtin_interfaces::msg::Time;
+use dermis_msgs::geometry_msgs::msg::{
+    Transform, TransformStamped, Vector3 as VectorMsg, Wrench, WrenchStamped,
+};
+use dermis_msgs::std_msgs::msg::Header;
+use dermis_msgs::tf2_msgs::msg::TFMessage;
+use dermis_skin::{ForceComponents, Frame, SkinDescription, Stamp, Surface};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::LearnError;
+use crate::dataset::{Truth, TruthContact};
+use crate::findings::Findings;
+
+const SCHEMA: &str = "dermis-labels/1";
+
+/// Where something is mounted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Mount {
+    /// \[m\] x, y, z.
+    pub position: [f64; 3],
+    /// Unit quaternion x, y, z, w.
+    pub orientation: [f64; 4],
+}
+
+impl Default for Mount {
+    fn default() -> Self {
+        Self { position: [0.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] }
+    }
+}
+
+impl Mount {
+    fn isometry(&self) -> Isometry3<f64> {
+        Isometry3::from_parts(Translation3::from(self.position), rotation(self.orientation))
+    }
+}
+
+fn rotation([x, y, z, w]: [f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
+}
+
+/// The skin that is pressed.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SkinSide {
+    /// Topic of its frames; needed where several skins of one description are in a bag.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub taxels: Option<String>,
+    /// Pose of the skin's link in the robot's base.
+    pub pose: Mount,
+}
+
+/// The robot that moves the indenter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotSide {
+    /// Topic of its pose.
+    pub topic: String,
+    /// `child_frame_id` of the tool; needed where the topic carries several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tool: Option<String>,
+    /// `frame_id` of the base; checked where it is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base: Option<String>,
+    /// \[m\] centre of the tip's sphere in the frame of the tool.
+    #[serde(default)]
+    pub tip: [f64; 3],
+    /// \[m\] radius of the tip.
+    #[serde(default)]
+    pub tip_radius: f64,
+    /// \[s\] added to its stamps.
+    #[serde(default)]
+    pub time_offset: f64,
+}
+
+/// What the axes of the force sensor keep their direction to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Carrier {
+    /// The sensor moves with the tool.
+    Tool,
+    /// The sensor stands still, e.g. below the skin.
+    Base,
+}
+
+/// Whose force a wrench is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Exerted {
+    /// What pushes on the tip, as a sensor between robot and tip reports it.
+    Tip,
+    /// What the tip exerts on the skin.
+    Skin,
+}
+
+/// The force sensor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ForceSide {
+    /// Topic of its wrench.
+    pub topic: String,
+    /// What it is mounted to.
+    pub mounted: Carrier,
+    /// Orientation of its axes in the frame of what it is mounted to: unit quaternion x, y, z, w.
+    #[serde(default = "upright")]
+    pub orientation: [f64; 4],
+    /// On what the reported force is exerted.
+    pub exerted_on: Exerted,
+    /// \[s\] added to its stamps.
+    #[serde(default)]
+    pub time_offset: f64,
+    /// Whether its readings while the tip is away are subtracted: a force cell has an offset that drifts.
+    #[serde(default = "yes")]
+    pub remove_bias: bool,
+}
+
+fn upright() -> [f64; 4] {
+    Mount::default().orientation
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// When the skin counts as touched.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ContactRule {
+    /// \[N\] pressing force from which on it is touched.
+    pub on: f64,
+    /// \[N\] pressing force below which it is untouched again.
+    pub off: f64,
+    /// \[m\] between tip and surface from which on nothing can touch: there the force sensor's bias and the skin's
+    /// zero are taken.
+    pub clearance: f64,
+}
+
+impl Default for ContactRule {
+    fn default() -> Self {
+        Self { on: 0.05, off: 0.03, clearance: 0.002 }
+    }
+}
+
+/// How readings of different clocks and rates meet, and what counts as one place.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Join {
+    /// \[s\] between two readings that are still interpolated.
+    pub max_gap: f64,
+    /// \[m\] within which presses are at the same location; data are split by it.
+    pub location_size: f64,
+}
+
+impl Default for Join {
+    fn default() -> Self {
+        Self { max_gap: 0.1, location_size: 0.001 }
+    }
+}
+
+/// How a rig's topics become ground truth. A file is TOML; unknown keys are errors.
+///
+/// ```
+/// let map = dermis_learn::LabelMap::from_toml(
+///     r#"
+///     schema = "dermis-labels/1"
+///     [robot]
+///     topic = "/tool_pose"
+///     tip = [0.0, 0.0, 0.05]
+///     tip_radius = 0.002
+///     [force]
+///     topic = "/wrench"
+///     mounted = "tool"
+///     exerted_on = "tip"
+///     "#,
+///     "labels.toml",
+/// )?;
+/// assert_eq!(map.contact.on, 0.05);
+/// # Ok::<(), dermis_learn::LearnError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LabelMap {
+    schema: String,
+    /// The skin that is pressed.
+    #[serde(default)]
+    pub skin: SkinSide,
+    /// The robot that moves the indenter.
+    pub robot: RobotSide,
+    /// The force sensor.
+    pub force: ForceSide,
+    /// When the skin counts as touched.
+    #[serde(default)]
+    pub contact: ContactRule,
+    /// How readings meet.
+    #[serde(default)]
+    pub join: Join,
+}
+
+impl LabelMap {
+    /// Reads a map.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError`] names the file and line or field.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, LearnError> {
+        let path = path.as_ref();
+        let text = std::fs::read_to_string(path).map_err(LearnError::io(path, "read"))?;
+        Self::from_toml(&text, &path.display().to_string())
+    }
+
+    /// Reads a map; `file` is what errors call it.
+    ///
+    /// # Errors
+    ///
+    /// As [`load`](Self::load).
+    pub fn from_toml(text: &str, file: &str) -> Result<Self, LearnError> {
+        let map: Self = toml::from_str(text).map_err(|e| LearnError::toml(text, file, &e))?;
+        let wrong = |field: &str, reason: String| {
+            Err(LearnError::Config { file: file.to_owned(), field: field.to_owned(), reason })
+        };
+        if map.schema != SCHEMA {
+            return wrong("schema", format!("is \"{}\" where this program reads \"{SCHEMA}\"", map.schema));
+        }
+        for (field, topic) in [("robot.topic", &map.robot.topic), ("force.topic", &map.force.topic)] {
+            if topic.is_empty() {
+                return wrong(field, "is empty: name the topic as it is in the bag".into());
+            }
+        }
+        let numbers = [
+            ("skin.pose.position", &map.skin.pose.position[..]),
+            ("robot.tip", &map.robot.tip[..]),
+            ("robot.time_offset", std::slice::from_ref(&map.robot.time_offset)),
+            ("force.time_offset", std::slice::from_ref(&map.force.time_offset)),
+        ];
+        for (field, values) in numbers {
+            if values.iter().any(|v| !(v.abs() < 1e4)) {
+                return wrong(
+                    field,
+                    format!("is {values:?}: metres and seconds of a rig are finite and small"),
+                );
+            }
+        }
+        for (field, q) in [
+            ("skin.pose.orientation", map.skin.pose.orientation),
+            ("force.orientation", map.force.orientation),
+        ] {
+            let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+            // Four digits are what people type.
+            if !((norm - 1.0).abs() < 1e-3) {
+                return wrong(
+                    field,
+                    format!("is {q:?} of length {norm:.4} and must be a unit quaternion x, y, z, w"),
+                );
+            }
+        }
+        if !(0.0..1.0).contains(&map.robot.tip_radius) {
+            return wrong(
+                "robot.tip_radius",
+                format!("is {} m and must be 0 or positive", map.robot.tip_radius),
+            );
+        }
+        let c = map.contact;
+        if !(c.off > 0.0 && c.off <= c.on && c.on.is_finite()) {
+            return wrong("contact.off", format!("is {} N with contact.on {} N: 0 < off ≤ on", c.off, c.on));
+        }
+        for (field, v) in [
+            ("contact.clearance", c.clearance),
+            ("join.max_gap", map.join.max_gap),
+            ("join.location_size", map.join.location_size),
+        ] {
+            if !(v > 0.0 && v.is_finite()) {
+                return wrong(field, format!("is {v} and must be positive"));
+            }
+        }
+        Ok(map)
+    }
+
+    /// What a rig that is mounted as this map says would report of a tip whose sphere is `gap` \[m\] away from the
+    /// surface above `place` (frame of the skin's link), while `force` \[N\] acts on the skin. The sensor's own
+    /// offset is added in its axes.
+    #[must_use]
+    pub fn report(
+        &self,
+        surface: &Surface,
+        (place, gap): (&Point3<f64>, f64),
+        force: &Vector3<f64>,
+        offset: &Vector3<f64>,
+        stamp: Stamp,
+    ) -> (TransformStamped, WrenchStamped) {
+        let (on_surface, normal) = surface.project(place);
+        let centre = on_surface + normal * (gap + self.robot.tip_radius);
+        let skin = self.skin.pose.isometry();
+        // The tool looks along the normal into the skin.
+        let down = UnitQuaternion::rotation_between(&Vector3::z(), &-normal)
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        let turn = skin.rotation * down;
+        let tool = skin * centre - turn * Vector3::from(self.robot.tip);
+        let moved = |seconds: f64| Time::from_nanos(stamp - (seconds * 1e9) as i64);
+        let q = turn.quaternion();
+        let name =
+            |given: &Option<String>, otherwise: &str| given.clone().unwrap_or_else(|| otherwise.to_owned());
+        let base = name(&self.robot.base, "base");
+        let pose = TransformStamped {
+            header: Header { stamp: moved(self.robot.time_offset), frame_id: base.clone() },
+            child_frame_id: name(&self.robot.tool, "tool"),
+            transform: Transform {
+                translation: vector(&tool.coords),
+                rotation: dermis_msgs::geometry_msgs::msg::Quaternion { x: q.i, y: q.j, z: q.k, w: q.w },
+            },
+        };
+        let axes = self.sensor_axes(&turn);
+        let felt = axes.inverse() * (skin.rotation * force) * self.sign() + offset;
+        let frame_id = match self.force.mounted {
+            Carrier::Tool => pose.child_frame_id.clone(),
+            Carrier::Base => base,
+        };
+        let wrench = WrenchStamped {
+            header: Header { stamp: moved(self.force.time_offset), frame_id },
+            wrench: Wrench { force: vector(&felt), torque: VectorMsg::default() },
+        };
+        (pose, wrench)
+    }
+
+    /// Orientation of the sensor's axes in the base.
+    fn sensor_axes(&self, tool: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+        match self.force.mounted {
+            Carrier::Tool => tool * rotation(self.force.orientation),
+            Carrier::Base => rotation(self.force.orientation),
+        }
+    }
+
+    fn sign(&self) -> f64 {
+        match self.force.exerted_on {
+            Exerted::Tip => -1.0,
+            Exerted::Skin => 1.0,
+        }
+    }
+}
+
+fn vector(v: &Vector3<f64>) -> VectorMsg {
+    VectorMsg { x: v.x, y: v.y, z: v.z }
+}
+
+/// Something that is sampled over time.
+trait Sampled: Copy {
+    fn between(&self, other: &Self, weight: f64) -> Self;
+}
+
+impl Sampled for Vector3<f64> {
+    fn between(&self, other: &Self, weight: f64) -> Self {
+        self.lerp(other, weight)
+    }
+}
+
+impl Sampled for Isometry3<f64> {
+    fn between(&self, other: &Self, weight: f64) -> Self {
+        // Opposite orientations have no way between them.
+        self.try_lerp_slerp(other, weight, 1e-9).unwrap_or(*self)
+    }
+}
+
+/// Value at `stamp` between the two readings around it, where these are no more than `max_gap` \[ns\] apart.
+fn at<T: Sampled>(samples: &[(Stamp, T)], stamp: Stamp, max_gap: i64) -> Option<T> {
+    let after = samples.partition_point(|(t, _)| *t < stamp);
+    let (t1, b) = samples.get(after)?;
+    if *t1 == stamp {
+        return Some(*b);
+    }
+    let (t0, a) = after.checked_sub(1).and_then(|i| samples.get(i))?;
+    let apart = t1.saturating_sub(*t0);
+    (apart <= max_gap).then(|| a.between(b, (stamp - t0) as f64 / apart as f64))
+}
+
+/// What a bag says on a rig's topics.
+#[derive(Debug, Default)]
+pub(crate) struct Readings {
+    poses: Vec<(Stamp, Isometry3<f64>)>,
+    forces: Vec<(Stamp, Vector3<f64>)>,
+    unstamped: [u64; 2],
+    broken: [u64; 2],
+    tools: std::collections::BTreeSet<String>,
+    bases: std::collections::BTreeSet<String>,
+}
+
+impl Readings {
+    /// Takes a message of one of the map's topics.
+    pub(crate) fn take(&mut self, map: &LabelMap, message: &BagMessage) -> Result<(), LearnError> {
+        let topic = &*message.topic;
+        if topic == map.robot.topic {
+            if &*message.type_name == TFMessage::TYPE_NAME {
+                message.decode::<TFMessage>()?.transforms.iter().for_each(|t| self.pose(map, t));
+            } else {
+                self.pose(map, &message.decode::<TransformStamped>()?);
+            }
+        } else if topic == map.force.topic {
+            let wrench: WrenchStamped = message.decode()?;
+            let f = &wrench.wrench.force;
+            let force = Vector3::new(f.x, f.y, f.z);
+            let stamp = wrench.header.stamp.as_nanos();
+            if stamp == 0 {
+                self.unstamped[1] += 1;
+            } else if force.iter().all(|v| v.is_finite()) {
+                self.forces.push((stamp + (map.force.time_offset * 1e9) as i64, force));
+            } else {
+                self.broken[1] += 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn pose(&mut self, map: &LabelMap, message: &TransformStamped) {
+        if map.robot.tool.as_ref().is_some_and(|tool| *tool != message.child_frame_id) {
+            self.tools.insert(message.child_frame_id.clone());
+            return;
+        }
+        let stamp = message.header.stamp.as_nanos();
+        if stamp == 0 {
+            self.unstamped[0] += 1;
+            return;
+        }
+        let (t, q) = (&message.transform.translation, &message.transform.rotation);
+        let quaternion = Quaternion::new(q.w, q.x, q.y, q.z);
+        let place = Vector3::new(t.x, t.y, t.z);
+        if !((quaternion.norm() - 1.0).abs() < 1e-2 && place.iter().all(|v| v.is_finite())) {
+            self.broken[0] += 1;
+            return;
+        }
+        self.tools.insert(message.child_frame_id.clone());
+        self.bases.insert(message.header.frame_id.clone());
+        let pose = Isometry3::from_parts(place.into(), UnitQuaternion::from_quaternion(quaternion));
+        self.poses.push((stamp + (map.robot.time_offset * 1e9) as i64, pose));
+    }
+
+    /// First and last stamp of what tells a force.
+    pub(crate) fn span(&self) -> Option<(Stamp, Stamp)> {
+        self.forces.iter().map(|(t, _)| *t).min().zip(self.forces.iter().map(|(t, _)| *t).max())
+    }
+
+    /// Brings both into order, and says what is wrong with them.
+    fn check(&mut self, map: &LabelMap, place: &str, findings: &mut Findings) {
+        self.poses.sort_by_key(|(t, _)| *t);
+        self.poses.dedup_by_key(|(t, _)| *t);
+        self.forces.sort_by_key(|(t, _)| *t);
+        self.forces.dedup_by_key(|(t, _)| *t);
+        let sides =
+            [("robot", &map.robot.topic, self.poses.len()), ("force", &map.force.topic, self.forces.len())];
+        for (i, (side, topic, left)) in sides.into_iter().enumerate() {
+            if self.unstamped[i] > 0 {
+                findings.fatal(
+                    place,
+                    format!("{} messages on {topic} have no stamp (header.stamp is 0)", self.unstamped[i]),
+                    "nothing can be joined by acquisition time; let the driver stamp its messages",
+                );
+            }
+            if self.broken[i] > 0 {
+                findings.notice(
+                    place,
+                    format!("{} messages on {topic} hold numbers that are no {side}", self.broken[i]),
+                    "they are left out",
+                );
+            }
+            if left == 0 && self.unstamped[i] == 0 {
+                let tools = quoted(&self.tools);
+                let what = match (&map.robot.tool, i, self.tools.is_empty()) {
+                    (Some(tool), 0, false) => {
+                        format!("{topic} never tells of the tool `{tool}` (map: robot.tool), but of {tools}")
+                    }
+                    _ => format!("holds nothing usable on {topic} (map: {side}.topic)"),
+                };
+                findings.fatal(place, what, "without it there is no ground truth");
+            }
+        }
+        if map.robot.tool.is_none() && self.tools.len() > 1 {
+            findings.fatal(
+                place,
+                format!("{} carries several frames: {}", map.robot.topic, quoted(&self.tools)),
+                "which of them is the tool must be said (map: robot.tool)",
+            );
+        }
+        let base = map.robot.base.as_ref();
+        if self.bases.len() > 1 || self.bases.iter().any(|found| base.is_some_and(|b| b != found)) {
+            findings.fatal(
+                place,
+                format!(
+                    "poses on {} are in the frame {} where one base is needed{}",
+                    map.robot.topic,
+                    quoted(&self.bases),
+                    base.map_or_else(String::new, |b| format!(" (map: robot.base is `{b}`)"))
+                ),
+                "positions would be meaningless",
+            );
+        }
+    }
+}
+
+fn quoted(names: &std::collections::BTreeSet<String>) -> String {
+    names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ")
+}
+
+/// Places that were pressed, over all bags of a data set: where the same place was pressed again is the same location,
+/// whichever cell of a grid its scatter falls into.
+#[derive(Debug, Default)]
+pub(crate) struct Places(Vec<(Point3<f64>, u32)>);
+
+impl Places {
+    fn identify(&mut self, point: &Point3<f64>, size: f64) -> u32 {
+        let near = self.0.iter().find(|(p, _)| (p - point).norm() <= size / 2.0);
+        if let Some((_, id)) = near {
+            return *id;
+        }
+        // The identity depends on the place only, so that other bags of the same places are split alike.
+        let mut id = 0x811c_9dc5_u32;
+        for v in point.iter() {
+            for byte in ((v / size).round() as i64).to_le_bytes() {
+                id = (id ^ u32::from(byte)).wrapping_mul(0x0100_0193);
+            }
+        }
+        self.0.push((*point, id));
+        id
+    }
+}
+
+/// What the rig's force sensor does when nothing touches.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Bias {
+    /// Stretches in which it was measured.
+    pub stretches: usize,
+    /// \[N\] mean over them, in the sensor's axes.
+    pub mean: [f64; 3],
+    /// \[N\] standard deviation of one reading of one axis around it.
+    pub noise: f64,
+}
+
+/// Readings without contact that a bias is taken of at least.
+const FEWEST_FREE: usize = 5;
+
+/// Offset of the force sensor over time: a mean for each stretch in which the tip is away.
+struct Offsets {
+    stretches: Vec<(Stamp, Vector3<f64>)>,
+    squares: f64,
+    readings: usize,
+}
+
+impl Offsets {
+    fn measure(forces: &[(Stamp, Vector3<f64>)], away: &[bool]) -> Self {
+        let mut offsets = Self { stretches: Vec::new(), squares: 0.0, readings: 0 };
+        let mut k = 0;
+        while k < forces.len() {
+            let end = (k..forces.len()).find(|&i| !away[i]).unwrap_or(forces.len());
+            let stretch = &forces[k..end];
+            if stretch.len() >= FEWEST_FREE {
+                let mean = stretch.iter().map(|(_, f)| f).sum::<Vector3<f64>>() / stretch.len() as f64;
+                offsets.squares += stretch.iter().map(|(_, f)| (f - mean).norm_squared()).sum::<f64>();
+                offsets.readings += stretch.len();
+                offsets.stretches.push((stretch[stretch.len() / 2].0, mean));
+            }
+            k = end.max(k + 1);
+        }
+        offsets
+    }
+
+    fn at(&self, stamp: Stamp) -> Vector3<f64> {
+        let (Some(first), Some(last)) = (self.stretches.first(), self.stretches.last()) else {
+            return Vector3::zeros();
+        };
+        let held = if stamp <= first.0 { first.1 } else { last.1 };
+        at(&self.stretches, stamp, i64::MAX).unwrap_or(held)
+    }
+
+    fn figures(&self) -> Bias {
+        let count = self.stretches.len().max(1) as f64;
+        let mean = self.stretches.iter().map(|(_, m)| m).sum::<Vector3<f64>>() / count;
+        let free = (3 * (self.readings.saturating_sub(self.stretches.len()))).max(1) as f64;
+        Bias { stretches: self.stretches.len(), mean: mean.into(), noise: (self.squares / free).sqrt() }
+    }
+}
+
+/// Where the tip is relative to a surface.
+struct Approach {
+    point: Point3<f64>,
+    normal: Vector3<f64>,
+    /// \[m\] between tip and surface, negative where it sinks in.
+    gap: f64,
+    /// Whether the tip is beyond the rim.
+    beside: bool,
+}
+
+fn approach(map: &LabelMap, surface: &Surface, tool: &Isometry3<f64>) -> Approach {
+    let centre = map.skin.pose.isometry().inverse() * (tool * Point3::from(map.robot.tip));
+    let (point, normal) = surface.project(&centre);
+    let offset = centre - point;
+    let along = offset.dot(&normal);
+    let aside = (offset - normal * along).norm();
+    let beside = aside > map.robot.tip_radius.max(1e-6);
+    let distance = if beside { offset.norm() } else { along };
+    Approach { point, normal, gap: distance - map.robot.tip_radius, beside }
+}
+
+/// Ground truth of every frame; `None` where the rig does not tell.
+pub(crate) fn label(
+    frames: &[Frame],
+    readings: &mut Readings,
+    map: &LabelMap,
+    skin: &SkinDescription,
+    places: &mut Places,
+    place: &str,
+    findings: &mut Findings,
+) -> (Vec<Option<Truth>>, Option<Bias>) {
+    readings.check(map, place, findings);
+    let nothing = vec![None; frames.len()];
+    if findings.is_fatal() {
+        return (nothing, None);
+    }
+    let surface = skin.surface();
+    let max_gap = (map.join.max_gap * 1e9) as i64;
+    let away: Vec<bool> = readings
+        .forces
+        .iter()
+        .map(|(t, _)| {
+            at(&readings.poses, *t, max_gap)
+                .is_some_and(|tool| approach(map, &surface, &tool).gap >= map.contact.clearance)
+        })
+        .collect();
+    let offsets = Offsets::measure(&readings.forces, &away);
+    let clearance = map.contact.clearance * 1e3;
+    if offsets.stretches.is_empty() && map.force.remove_bias {
+        findings.fatal(
+            place,
+            format!(
+                "the tip is never {clearance} mm or more away from the skin for {FEWEST_FREE} readings of {}",
+                map.force.topic
+            ),
+            "the force sensor's bias is unknown; check robot.tip and skin.pose of the map, record the tip in the air, \
+             or set force.remove_bias to false",
+        );
+        return (nothing, None);
+    }
+    let figures = offsets.figures();
+    if figures.noise * 3.0 > map.contact.off {
+        findings.notice(
+            place,
+            format!(
+                "the force sensor's noise without contact is {:.3} N, and contact.off of the map {} N",
+                figures.noise, map.contact.off
+            ),
+            "noise will be taken for contacts; raise contact.on and contact.off to five times the noise",
+        );
+    }
+    let (mut touched, mut press, mut location) = (false, 0, 0);
+    let (mut elsewhere, mut beside) = (0_usize, 0_usize);
+    let to_link = map.skin.pose.isometry().rotation.inverse();
+    let mut labels = Vec::with_capacity(frames.len());
+    for frame in frames {
+        let (Some(tool), Some(raw)) =
+            (at(&readings.poses, frame.stamp, max_gap), at(&readings.forces, frame.stamp, max_gap))
+        else {
+            touched = false;
+            labels.push(None);
+            continue;
+        };
+        let tip = approach(map, &surface, &tool);
+        let bias = if map.force.remove_bias { offsets.at(frame.stamp) } else { Vector3::zeros() };
+        let force = to_link * (map.sensor_axes(&tool.rotation) * (raw - bias)) * map.sign();
+        let pressing = -force.dot(&tip.normal);
+        let was = touched;
+        touched = pressing >= if was { map.contact.off } else { map.contact.on };
+        let far = tip.gap >= map.contact.clearance;
+        if touched && (far || tip.beside) {
+            // Something is pushed, but not this skin where it has a surface.
+            *(if far { &mut elsewhere } else { &mut beside }) += 1;
+            touched = false;
+            labels.push(None);
+            continue;
+        }
+        if touched && !was {
+            press += 1;
+            location = places.identify(&tip.point, map.join.location_size);
+        }
+        let contact = TruthContact {
+            position: tip.point,
+            normal: tip.normal,
+            force,
+            components: ForceComponents::Full,
+        };
+        labels.push(Some(Truth {
+            press,
+            location: if touched { location } else { 0 },
+            idle: !touched && far,
+            contacts: if touched { vec![contact] } else { Vec::new() },
+        }));
+    }
+    for (count, what) in [
+        (elsewhere, format!("with the tip {clearance} mm or more away from the skin")),
+        (beside, "with the tip beyond the rim of the skin".to_owned()),
+    ] {
+        if count > 0 {
+            findings.notice(
+                place,
+                format!("in {count} of {} frames the force sensor feels a push {what}", frames.len()),
+                "they are not used; check robot.tip, skin.pose and the time offsets of the map",
+            );
+        }
+    }
+    (labels, Some(figures))
+}
+
+#[cfg(test)]
+mod tests;
