@@ -8,8 +8,9 @@ use dermis_skin::SkinDescription;
 use sha2::{Digest, Sha256};
 
 use crate::features::Features;
+use crate::interface::Interface;
 use crate::manifest::{Manifest, ManifestError, SkinSection};
-use crate::model::{Interface, Model, ModelError};
+use crate::model::{Model, ModelError};
 use crate::onnx;
 use crate::outputs::Outputs;
 use crate::runtime::Runtime;

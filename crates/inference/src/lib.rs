@@ -13,15 +13,19 @@
 
 mod bundle;
 mod features;
+mod interface;
 mod manifest;
 mod model;
 pub mod onnx;
 mod outputs;
 mod runtime;
+mod runtime_config;
 
 pub use bundle::{Bundle, BundleError, BundleWriter, SkinMismatch};
 pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
+pub use interface::Interface;
 pub use manifest::{Baseline, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection};
-pub use model::{Interface, Model, ModelError};
+pub use model::{Model, ModelError};
 pub use outputs::{Link, OutputConfig, OutputError, OutputSpec, Outputs, SigmaBin};
-pub use runtime::{Runtime, RuntimeChoice, RuntimeConfig, RuntimeError, RuntimeKind, RuntimeReport, Tried};
+pub use runtime::{Runtime, RuntimeError, RuntimeKind, RuntimeReport, Tried};
+pub use runtime_config::{RuntimeChoice, RuntimeConfig};

@@ -6,7 +6,7 @@ use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize};
 
 use crate::features::{FeatureConfig, FeatureError};
-use crate::model::Interface;
+use crate::interface::Interface;
 use crate::outputs::{OutputConfig, OutputError};
 
 const SCHEMA_STEM: &str = "dermis-bundle/";

@@ -7,30 +7,9 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 
 use ort::environment::Environment;
 use ort::sys::{OrtApi, OrtApiBase};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
-/// Which runtime to use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum RuntimeChoice {
-    /// ONNX Runtime's native library where one is found, otherwise the embedded runtime.
-    #[default]
-    Auto,
-    /// The embedded runtime, even where a native library is installed.
-    Embedded,
-    /// ONNX Runtime's native library; an error where none is usable.
-    Native,
-}
-
-/// What may be configured about the runtime.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(default)]
-pub struct RuntimeConfig {
-    /// Which runtime to use.
-    pub choice: RuntimeChoice,
-    /// ONNX Runtime's library, tried before any other place.
-    pub library: Option<PathBuf>,
-}
+use crate::runtime_config::{RuntimeChoice, RuntimeConfig};
 
 /// What evaluates graphs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

@@ -3,7 +3,8 @@
 //! `onnx-rs` can parse a graph too, but follows nested subgraphs to any depth, so a crafted file overflows its
 //! stack. What is needed here lies at a fixed depth.
 
-use crate::model::{Interface, ModelError};
+use crate::interface::Interface;
+use crate::model::ModelError;
 
 const FLOAT: u64 = 1;
 
