@@ -127,6 +127,6 @@ mod tests {
             assert!(Backoff { stable: bad, ..Backoff::default() }.fault().is_some(), "{bad}");
         }
         let (field, reason) = Backoff { first: 2.0, most: 1.0, ..Backoff::default() }.fault().unwrap();
-        insta::assert_snapshot!(format!("{field}: {reason}"), @"");
+        insta::assert_snapshot!(format!("{field}: {reason}"), @"most: 1 s is less than the first wait of 2 s; raise it");
     }
 }

@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn a_line_without_end_does_not_grow() {
         let block = vec![b'x'; 10_000];
-        let found = cut(&[&block; 5]);
+        let found = cut(&[block.as_slice(); 5]);
         assert_eq!(found.iter().map(String::len).collect::<Vec<_>>(), [16384, 16384, 16384, 848]);
     }
 }

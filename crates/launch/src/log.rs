@@ -364,8 +364,8 @@ mod tests {
     fn lines_of_our_programs_keep_level_and_fields() {
         let line = br#"{"timestamp":"2026-11-21T12:34:56.789012Z","level":"WARN","fields":{"message":"no frame","seconds":2.5,"node":"/pad"},"target":"dermis_node"}"#;
         let record = Record::parse(line);
-        insta::assert_snapshot!(record.json("left/pad"), @"");
-        insta::assert_snapshot!(record.human(Some(("pad", 6, 0)), false), @"");
+        insta::assert_snapshot!(record.json("left/pad"), @r#"{"fields":{"node":"/pad","seconds":2.5},"level":"WARN","message":"no frame","process":"left/pad","target":"dermis_node","time":"2026-11-21T12:34:56.789012Z"}"#);
+        insta::assert_snapshot!(record.human(Some(("pad", 6, 0)), false), @"12:34:56.789 pad    WARN  no frame node=/pad seconds=2.5");
     }
 
     #[test]
@@ -411,7 +411,7 @@ mod tests {
         let left_out: u64 = text
             .lines()
             .filter_map(|line| {
-                line.split_once("WARN ")?.1.split_once(" lines left out")?.0.parse::<u64>().ok()
+                line.split_once("WARN ")?.1.split_once(" lines left out")?.0.trim().parse::<u64>().ok()
             })
             .sum();
         let written = text.lines().filter(|line| line.ends_with(" y")).count() as u64;

@@ -874,3 +874,6 @@ impl Process {
 fn counted(count: usize) -> String {
     if count == 1 { "1 process".to_owned() } else { format!("{count} processes") }
 }
+
+#[cfg(test)]
+mod tests;

@@ -123,9 +123,9 @@ mod tests {
         assert_eq!(scope.text("5 $ and $${skin} $").unwrap(), "5 $ and ${skin} $");
         assert_eq!(scope.text("${env:DERMIS_SURELY_NOT_SET:-x:-y}").unwrap(), "x:-y");
         assert_eq!(scope.text("${env:PATH}").unwrap(), std::env::var("PATH").unwrap());
-        insta::assert_snapshot!(scope.text("${skim}").unwrap_err(), @"");
-        insta::assert_snapshot!(scope.text("a ${skin").unwrap_err(), @"");
-        insta::assert_snapshot!(scope.text("${env:DERMIS_SURELY_NOT_SET}").unwrap_err(), @"");
+        insta::assert_snapshot!(scope.text("${skim}").unwrap_err(), @"`${skim}` is not known; declare it under `arguments`, or use one of here, on, rate, skin, env:NAME");
+        insta::assert_snapshot!(scope.text("a ${skin").unwrap_err(), @"`${skin` has no closing `}`; write `$$` for a dollar sign");
+        insta::assert_snapshot!(scope.text("${env:DERMIS_SURELY_NOT_SET}").unwrap_err(), @"environment variable DERMIS_SURELY_NOT_SET is not set; set it, or give a default: `${env:DERMIS_SURELY_NOT_SET:-…}`");
     }
 
     #[test]
