@@ -241,10 +241,13 @@ impl Player<'_> {
     }
 
     fn once(&mut self, reader: &BagReader, filter: &Filter, start: i64, played: &mut Played) -> Result<()> {
-        let began = Instant::now();
         let mut told: Option<Instant> = None;
         let mut now = start;
-        for message in reader.messages_by_time(filter.clone()) {
+        let mut messages = reader.messages_by_time(filter.clone()).peekable();
+        // Until the first message is read, no time passes.
+        messages.peek();
+        let began = Instant::now();
+        for message in messages {
             let message = message?;
             if self.rate > 0.0 {
                 let since = (message.log_time - start).max(0) as f64 * 1e-9 / self.rate;
