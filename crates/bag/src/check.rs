@@ -19,7 +19,7 @@ use crate::{
     BagError, BagInfo, BagOptions, BagReader, BagWriter, Filter, TopicId,
     error::say,
     metadata::Metadata,
-    reader::{RECORD_LIMIT, mcap_files, nanos, read_summary},
+    reader::{mcap_files, nanos, read_summary, record_limit},
 };
 
 /// Findings of one kind are listed up to this many; the rest is counted.
@@ -321,7 +321,7 @@ impl FileCheck<'_> {
             .with_validate_data_section_crc(true)
             .with_validate_summary_section_crc(true)
             .with_check_finishes_after_end_magic(true)
-            .with_record_length_limit(RECORD_LIMIT);
+            .with_record_length_limit(record_limit(length));
         let mut reader = LinearReader::new_with_options(options);
         let mut input = BufReader::with_capacity(1 << 20, &mut file);
         let mut failure = None;

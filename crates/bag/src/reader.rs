@@ -21,7 +21,16 @@ use crate::{
 };
 
 /// Largest record or decompressed chunk that is held in memory; recorders make chunks of about 1 MB.
-pub(crate) const RECORD_LIMIT: usize = 512 << 20;
+const RECORD_LIMIT: usize = 512 << 20;
+/// What a byte of a file may become when chunks are decompressed: what a damaged file claims beyond is refused before
+/// memory is made for it. Recordings stay far below; a fuzzer, which tries little else, gets less.
+#[allow(unexpected_cfgs, reason = "cargo-fuzz sets it")]
+const EXPANSION: usize = if cfg!(fuzzing) { 16 } else { 4096 };
+
+/// Largest record or decompressed chunk of a file of so many bytes.
+pub(crate) fn record_limit(length: u64) -> usize {
+    usize::try_from(length).unwrap_or(usize::MAX).saturating_mul(EXPANSION).clamp(1 << 16, RECORD_LIMIT)
+}
 
 /// A topic of a bag.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -617,7 +626,7 @@ fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<(bool, i6
 
 pub(crate) fn read_summary(file: &mut File, length: u64) -> Result<Option<Summary>, McapError> {
     let options =
-        SummaryReaderOptions::default().with_file_size(length).with_record_length_limit(RECORD_LIMIT);
+        SummaryReaderOptions::default().with_file_size(length).with_record_length_limit(record_limit(length));
     let mut reader = SummaryReader::new_with_options(options);
     while let Some(event) = reader.next_event() {
         match event? {
@@ -646,10 +655,11 @@ struct FileMessages {
 impl FileMessages {
     fn open(path: &Arc<Path>, recover: bool) -> Result<Self, BagError> {
         let file = File::open(path).map_err(BagError::io("open", &**path))?;
+        let length = file.metadata().map_err(BagError::io("read", &**path))?.len();
         let options = LinearReaderOptions::default()
             .with_prevalidate_chunk_crcs(true)
             .with_skip_end_magic(recover)
-            .with_record_length_limit(RECORD_LIMIT);
+            .with_record_length_limit(record_limit(length));
         Ok(Self {
             file: Arc::clone(path),
             reader: mcap::io::MessageReader::new_with_options(BufReader::new(file), options),
