@@ -110,8 +110,6 @@ impl DeviceClock {
             self.restart(device, received_ns);
             return self.finish(device, received_ns, received_ns);
         }
-        self.judge_rate(device, received_ns);
-
         let offset = received_ns.saturating_sub(device);
         let late = offset.saturating_sub(self.offset_at(device));
         if late < -JUMP_NS {
@@ -130,6 +128,7 @@ impl DeviceClock {
             }
         } else {
             self.late_since = None;
+            self.judge_rate(device, received_ns);
             self.observe(device, offset);
         }
         let mapped = device.saturating_add(self.offset_at(device));
@@ -374,6 +373,35 @@ mod tests {
             }
             assert!((stamp - received).abs() <= MS, "step {step}: {} off", stamp - received);
             assert!(clock.resets() >= 1, "step {step}");
+        }
+    }
+
+    #[test]
+    fn a_device_clock_that_wraps_or_is_set_is_followed() {
+        // Microseconds in 32 bits, microseconds up to the end of 64 bits, and a device whose clock is set ahead and back.
+        let set =
+            |i: u64| 5_000_000_000 + i * 10_000 + if (200..300).contains(&i) { 3_600_000_000 } else { 0 };
+        let wraps = |bits: u32| move |i: u64| (1_u128 << bits).wrapping_sub(2_000_000) as u64;
+        let clocks: [(&str, Box<dyn Fn(u64) -> u64>); 3] = [
+            ("32 bits", Box::new(move |i| (wraps(32)(i) + i * 10_000) & u64::from(u32::MAX))),
+            ("64 bits", Box::new(move |i| wraps(64)(i).wrapping_add(i * 10_000))),
+            ("set", Box::new(set)),
+        ];
+        for (name, device) in clocks {
+            let mut clock = DeviceClock::new();
+            let mut last = i64::MIN;
+            for i in 0..500 {
+                let received = START + i * 10 * MS + MS;
+                let stamp = clock.stamp(Some(device(i as u64)), received);
+                assert!(
+                    stamp <= received && received - stamp <= 2 * MS,
+                    "{name}: frame {i} is {} ns off",
+                    received - stamp
+                );
+                assert!(stamp >= last, "{name}: frame {i}");
+                last = stamp;
+            }
+            assert_eq!(clock.state(), ClockState::Device, "{name}");
         }
     }
 

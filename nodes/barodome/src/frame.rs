@@ -83,6 +83,13 @@ impl FrameReader {
         self.decoder.stats()
     }
 
+    /// Times that the device started again, or that its clock and this machine's jumped against each other.
+    #[must_use]
+    pub fn clock_jumps(&self) -> u64 {
+        // A device that starts again mostly does both.
+        self.clock.resets().max(self.stats().restarts)
+    }
+
     /// Where stamps come from.
     #[must_use]
     pub fn clock(&self) -> ClockState {

@@ -35,6 +35,8 @@ const TICK: Duration = Duration::from_millis(50);
 const BLIND_PERIOD: Duration = Duration::from_millis(500);
 /// Shortest time between two marker messages: viewers draw 30 times a second.
 const MARKER_PERIOD: Duration = Duration::from_millis(33);
+/// Shortest time between two warnings about a clock: a broken one jumps with every frame.
+const JUMP_PERIOD: Duration = Duration::from_secs(10);
 /// \[s\] beyond its duration that a tare may take before its caller hears that it did not end.
 const TARE_PATIENCE: f64 = 2.0;
 
@@ -165,6 +167,7 @@ impl BarodomeNode {
                 figures: Figures::default(),
                 source: SourceStats::default(),
                 blind: None,
+                jumps: (0, None),
             }),
             progress: Condvar::new(),
             active: AtomicBool::new(false),
@@ -485,6 +488,8 @@ struct Core {
     source: SourceStats,
     /// Why the skin is blind, if it is: status and sentence.
     blind: Option<(u8, String)>,
+    /// Jumps of the device's clock that were warned of, and when that was.
+    jumps: (u64, Option<Instant>),
 }
 
 /// Rates and delays since the diagnostics asked last.
@@ -545,7 +550,11 @@ impl Shared {
             }
             if source.is_none() {
                 let reader = FrameReader::new(&self.skin);
-                self.lock().reader = Some(if self.device_time { reader.with_device_time() } else { reader });
+                let reader = if self.device_time { reader.with_device_time() } else { reader };
+                let mut core = self.lock();
+                core.reader = Some(reader);
+                core.jumps = (0, None);
+                drop(core);
                 let message = self.skin.geometry_message(&self.surface, self.node.clock().now());
                 let publisher = self.lock().publishers.geometry.clone();
                 self.slowly(move || publisher.publish(&message));
@@ -562,6 +571,7 @@ impl Shared {
                     if let Some(reader) = &mut core.reader {
                         reader.push(&data, received_ns, &mut frames);
                     }
+                    self.warn_of_jumps(&mut core);
                     if !frames.is_empty() {
                         last_frame = Instant::now();
                         if core.enabled {
@@ -613,6 +623,20 @@ impl Shared {
             }
             drop(core);
             self.progress.notify_all();
+        }
+    }
+
+    /// Says that stamps begin anew, because what computes with them takes a gap for a movement.
+    fn warn_of_jumps(&self, core: &mut Core) {
+        let jumps = core.reader.as_ref().map_or(0, FrameReader::clock_jumps);
+        let (warned, at) = core.jumps;
+        if jumps > warned && at.is_none_or(|at| at.elapsed() >= JUMP_PERIOD) {
+            core.jumps = (jumps, Some(Instant::now()));
+            tracing::warn!(
+                "skin `{}`: the device started again, or one of the clocks was set ({jumps} times so far): stamps \
+                 follow its clock anew",
+                self.skin.name
+            );
         }
     }
 
@@ -845,6 +869,7 @@ impl Shared {
             status.value("other rejected frames", rejected.total() - rejected.crc);
             status.value("resynchronisations", stats.resyncs);
             status.value("device restarts", stats.restarts);
+            status.value("clock jumps", reader.clock_jumps());
             status.value("stamps from", format!("{:?}", reader.clock()));
             if let Some(last) = &stats.last_rejection {
                 status.value("last rejection", last);
