@@ -163,6 +163,12 @@ impl Peer {
         panic!("it did not end within {within:?}; it printed:\n{}", self.seen.join("\n"));
     }
 
+    /// Process id.
+    #[must_use]
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Asks it to end, as Ctrl-C does.
     ///
     /// # Panics
