@@ -52,6 +52,8 @@ pub enum Bag {
     Check(Check),
     /// Copy a part of a bag into a new one.
     Slice(Slice),
+    /// Write labelled bags as tables (Parquet, NPZ), one row a frame, for people who train elsewhere.
+    Export(Box<crate::export::Options>),
 }
 
 /// What to check, and whether to mend it.
@@ -113,6 +115,7 @@ pub fn run(command: &Bag) -> Result<()> {
     match command {
         Bag::Info { bag, recover, json } => print(&open(bag, *recover)?.info(), *json),
         Bag::Check(options) => check(options),
+        Bag::Export(options) => crate::export::run(options),
         Bag::Slice(options) => slice(options),
     }
 }

@@ -3,11 +3,13 @@
 mod backend;
 mod bags;
 mod bridge;
+mod bundle;
 mod collect;
 mod demo;
 mod device;
 mod doctor;
 mod evaluate;
+mod export;
 mod foreign;
 mod launch;
 mod log;
@@ -62,6 +64,9 @@ enum Command {
     Train(train::Options),
     /// Measure model bundles on labelled bags; exits with 1 where a requirement is missed.
     Evaluate(evaluate::Options),
+    /// Make model bundles of models that were trained elsewhere.
+    #[command(subcommand)]
+    Bundle(bundle::Bundle),
     /// Record what is published into a bag.
     Record(Box<record::Options>),
     /// Publish what a bag holds.
@@ -103,6 +108,7 @@ fn main() -> ExitCode {
         Command::Collect(options) => collect::run(&options),
         Command::Train(options) => train::run(&options),
         Command::Evaluate(options) => evaluate::run(&options),
+        Command::Bundle(bundle) => bundle::run(&bundle),
         Command::Record(options) => block_on(record::run(*options)),
         Command::Play(options) => block_on(play::run(*options)),
         Command::Bag(bag) => bags::run(&bag),

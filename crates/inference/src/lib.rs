@@ -25,7 +25,7 @@ pub use bundle::{Bundle, BundleError, BundleWriter, SkinMismatch};
 pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
 pub use interface::Interface;
 pub use manifest::{Baseline, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection};
-pub use model::{Model, ModelError};
+pub use model::{Model, ModelError, rehearse_embedded};
 pub use outputs::{Link, OutputConfig, OutputError, OutputSpec, Outputs, SigmaBin};
 pub use runtime::{Runtime, RuntimeError, RuntimeKind, RuntimeReport, Tried};
 pub use runtime_config::{RuntimeChoice, RuntimeConfig};

@@ -87,7 +87,9 @@ impl Model {
             return Err(refused("a declared shape has no elements, or far too many".into()));
         };
         if runtime.report().kind == RuntimeKind::Embedded {
-            rehearse(bytes, &interface.input_shape).map_err(refused)?;
+            let zeros = tract_onnx::prelude::Tensor::zero::<f32>(&interface.input_shape)
+                .map_err(|e| refused(e.to_string()))?;
+            rehearse(bytes, zeros).map_err(refused)?;
         }
         let session = (|| {
             let builder = Session::builder(runtime.environment())?
@@ -172,15 +174,32 @@ impl Model {
     }
 }
 
+/// Runs a graph once in the embedded runtime, whichever runtime the process has chosen; what comes out.
+///
+/// # Errors
+///
+/// [`ModelError`] where the bytes are no graph of this interface, or the runtime refuses them.
+pub fn rehearse_embedded(bytes: &[u8], interface: &Interface, input: &[f32]) -> Result<Vec<f32>, ModelError> {
+    onnx::check(bytes, interface)?;
+    let tensor = tract_onnx::prelude::Tensor::from_shape(&interface.input_shape, input).map_err(|_| {
+        ModelError::InputLength { got: input.len(), expected: interface.input_len().unwrap_or_default() }
+    })?;
+    rehearse(bytes, tensor).map_err(|reason| ModelError::Refused {
+        runtime: "the embedded runtime".into(),
+        reason: reason.split_whitespace().collect::<Vec<_>>().join(" "),
+    })
+}
+
 /// Loads, optimises and runs a graph where a panic can be caught.
 ///
 /// The embedded runtime may panic on a graph that parses but makes no sense, and a panic behind the C interface
 /// that `ort` speaks ends the process. Here it becomes a refusal.
-fn rehearse(bytes: &[u8], input_shape: &[usize]) -> Result<(), String> {
+fn rehearse(bytes: &[u8], input: tract_onnx::prelude::Tensor) -> Result<Vec<f32>, String> {
     let rehearsal = || {
         let graph = tract_onnx::onnx().model_for_read(&mut &*bytes)?.into_optimized()?.into_runnable()?;
-        let zeros = tract_onnx::prelude::Tensor::zero::<f32>(input_shape)?;
-        graph.run(tvec!(zeros.into())).map(drop)
+        let outputs = graph.run(tvec!(input.into()))?;
+        let first = outputs.first().map(|o| Ok(o.to_plain_array_view::<f32>()?.iter().copied().collect()));
+        first.transpose().map(Option::unwrap_or_default)
     };
     match catch_unwind(AssertUnwindSafe(rehearsal)) {
         Ok(result) => result.map_err(|e: tract_onnx::prelude::TractError| format!("{e:#}")),

@@ -1,12 +1,13 @@
-//! Writing ONNX graphs.
+//! Writing ONNX graphs, and looking into those of others.
 //!
-//! Opset 17 and IR version 8, which every supported runtime reads; operators of the core domain only.
+//! What is written has opset 17 and IR version 8, which every supported runtime reads; operators of the core domain only.
 
 mod check;
 
 use onnx_rs::ast;
 
 pub(crate) use check::check;
+pub use check::{GraphTensor, Signature, listed, with_batch_of_one};
 
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 8;

@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | data set | [`Dataset`] | frames of labelled bags, tared as a node tares them, joined with the ground truth |
 //! | map | [`LabelMap`] | how a robot's and a force sensor's topics become ground truth |
+//! | adopt | [`adopt`](adopt::adopt) | an ONNX graph that was trained elsewhere becomes a bundle |
 //! | export | [`export`] | Parquet and NPZ, for people who train elsewhere |
 //! | finding | [`Findings`] | what data lack, and what that blocks |
 //! | split | [`SplitConfig`], [`Split`] | which samples are held out; by default whole contact locations |
@@ -15,12 +16,15 @@
 //!
 //! Feature `train` adds training and the program `dermis-train`; everything else builds without it.
 
+pub mod adopt;
+mod card;
 pub mod cli;
 mod dataset;
 mod error;
 mod evaluate;
 pub mod export;
 mod findings;
+mod judge;
 mod map;
 mod metrics;
 pub mod plot;

@@ -1,10 +1,12 @@
 //! A report that a browser shows without anything else: tables, error map, truth against estimate.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use crate::dataset::Truth;
+use crate::dataset::{Dataset, Truth};
 use crate::evaluate::Evaluation;
 use crate::metrics::Answer;
+use crate::{SplitConfig, card};
 
 /// Most points drawn in one picture; more are thinned out evenly.
 const MOST_POINTS: usize = 4000;
@@ -65,6 +67,59 @@ impl Report {
         self.body.push_str("</div>\n");
     }
 
+    /// Adds what the data are: a table of the recordings, where and how hard the skin was pressed, what was noticed.
+    pub fn data(&mut self, data: &Dataset, split: Option<&SplitConfig>) {
+        let skin = data.skin();
+        let _ = write!(
+            self.body,
+            "<h2>Data</h2>\n<p>Skin {} ({} channels in {}, {} Hz), {} locations. Data hash <code>{}</code>.{}</p>\n\
+             <table><tr><th>recording</th><th>session</th><th>frames</th><th>with truth</th><th>lost</th>\
+             <th>zero taken</th><th>noise, median of channels [{}]</th><th>force sensor bias and noise [N]</th></tr>\n",
+            escape(&skin.name),
+            skin.channels().len(),
+            escape(&skin.unit),
+            skin.rate,
+            data.locations(),
+            data.hash(),
+            split.map_or_else(String::new, |s| format!(" Held out: {}.", escape(&s.describe()))),
+            escape(&skin.unit)
+        );
+        for run in data.runs() {
+            let noise = card::noise(run).and_then(|n| n["median"].as_f64());
+            let bias = run
+                .bias
+                .map(|b| format!("{:.3}, {:.3}, {:.3}; {:.4}", b.mean[0], b.mean[1], b.mean[2], b.noise));
+            let _ = writeln!(
+                self.body,
+                "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+                escape(&run.path.file_name().unwrap_or_default().to_string_lossy()),
+                escape(&run.session),
+                run.samples.len(),
+                run.samples.iter().filter(|s| s.truth.is_some()).count(),
+                run.lost,
+                run.samples.iter().filter(|s| s.tare).count(),
+                noise.map_or_else(|| "unknown".to_owned(), |n| format!("{n:.3}")),
+                bias.unwrap_or_else(|| "ground truth is ours".to_owned()),
+            );
+        }
+        self.body.push_str("</table>\n<div>");
+        self.body.push_str(&location_map(data, split));
+        self.body.push_str(&force_histogram(data));
+        self.body.push_str("</div>\n");
+        let notices = data.notices();
+        if !notices.is_empty() {
+            let items: String = notices.iter().map(|n| format!("<li>{}</li>", escape(n))).collect();
+            let _ = writeln!(self.body, "<ul>{items}</ul>");
+        }
+        if let Some(map) = data.map().and_then(|m| serde_json::to_string_pretty(m).ok()) {
+            let _ = writeln!(
+                self.body,
+                "<details><summary>Map of the labels</summary><pre>{}</pre></details>",
+                escape(&map)
+            );
+        }
+    }
+
     /// The file.
     #[must_use]
     pub fn html(&self) -> String {
@@ -72,7 +127,8 @@ impl Report {
             "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\n\
              <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;\
              color:#222;background:#fff}}pre{{background:#f4f4f2;padding:1rem;overflow-x:auto;font-size:12px}}\
-             svg{{max-width:100%}}svg text{{font:11px system-ui,sans-serif;fill:#444}}</style></head>\n\
+             table{{border-collapse:collapse;font-size:13px}}td,th{{border:1px solid #ccc;padding:.2rem .5rem;\
+             text-align:left}}svg{{max-width:100%}}svg text{{font:11px system-ui,sans-serif;fill:#444}}</style></head>\n\
              <body><h1>{title}</h1>\n{body}</body></html>\n",
             title = escape(&self.title),
             body = self.body
@@ -118,6 +174,9 @@ impl Axis {
 
     /// About five round numbers in the range.
     fn ticks(self) -> Vec<f64> {
+        if self.high <= self.low {
+            return Vec::new();
+        }
         let rough = (self.high - self.low) / 5.0;
         let power = 10.0_f64.powf(rough.log10().floor());
         let step =
@@ -168,6 +227,72 @@ fn frame(svg: &mut String, x: Axis, y: Axis, labels: [&str; 2]) {
 fn number(value: f64) -> String {
     let rounded = (value * 1e6).round() / 1e6;
     format!("{}", if rounded == 0.0 { 0.0 } else { rounded })
+}
+
+/// Every pressed location once, larger where it was pressed harder; those that are held out in another colour.
+fn location_map(data: &Dataset, split: Option<&SplitConfig>) -> String {
+    let mut places: BTreeMap<(u32, bool), ([f64; 2], f64)> = BTreeMap::new();
+    for run in data.runs() {
+        let marks = split.map(|s| s.mark(run));
+        for (i, truth) in run.samples.iter().enumerate().filter_map(|(i, s)| Some((i, s.truth.as_ref()?))) {
+            let Some((x, y)) = truth.value("position.x").zip(truth.value("position.y")) else { continue };
+            let held_out = marks.as_ref().is_some_and(|m| m[i] == Some(true));
+            let force = truth.value("force.normal").unwrap_or(0.0);
+            let place = places.entry((truth.location, held_out)).or_insert(([x * 1e3, y * 1e3], force));
+            place.1 = place.1.max(force);
+        }
+    }
+    if places.is_empty() {
+        return String::new();
+    }
+    let half = |axis: usize| {
+        let all = Axis::over(places.values().map(|(p, _)| p[axis]));
+        ((all.low + all.high) / 2.0, (all.high - all.low) / 2.0)
+    };
+    let ((cx, hx), (cy, hy)) = (half(0), half(1));
+    let reach = hx.max(hy);
+    let (x, y) = (Axis { low: cx - reach, high: cx + reach }, Axis { low: cy - reach, high: cy + reach });
+    let most = places.values().map(|(_, f)| *f).fold(1e-9, f64::max);
+    let mut svg = String::new();
+    frame(&mut svg, x, y, ["x [mm]", "y [mm]: pressed locations, held-out ones red"]);
+    for ((_, held_out), (at, force)) in places.iter().step_by(places.len().div_ceil(MOST_POINTS).max(1)) {
+        let _ = write!(
+            svg,
+            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{}\" fill-opacity=\"0.6\"/>",
+            x.at(at[0]),
+            y.up(at[1]),
+            1.2 + 2.5 * (force / most).sqrt(),
+            if *held_out { "#c0392b" } else { "#4682b4" }
+        );
+    }
+    svg + "</svg>\n"
+}
+
+/// Touched frames by normal force, a bar for each range.
+fn force_histogram(data: &Dataset) -> String {
+    let bins = card::histogram(data);
+    let most = bins.iter().filter_map(|b| b["frames"].as_f64()).fold(0.0, f64::max);
+    if most == 0.0 {
+        return String::new();
+    }
+    let y = Axis { low: 0.0, high: most * 1.05 };
+    let mut svg = String::new();
+    frame(&mut svg, Axis { low: 0.0, high: 0.0 }, y, ["normal force [N], from", "touched frames"]);
+    let width = (SIZE - 2.0 * MARGIN) / bins.len() as f64;
+    for (i, bin) in bins.iter().enumerate() {
+        let (left, top) = (MARGIN + i as f64 * width, y.up(bin["frames"].as_f64().unwrap_or(0.0)));
+        let _ = write!(
+            svg,
+            "<rect x=\"{:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"#4682b4\"/>\
+             <text x=\"{left:.1}\" y=\"{:.1}\">{}</text>",
+            left + 1.0,
+            width - 2.0,
+            SIZE - MARGIN - top,
+            SIZE - MARGIN + 16.0,
+            bin["from"]
+        );
+    }
+    svg + "</svg>\n"
 }
 
 /// A line from each true position to its estimate; darker where the error is larger.
@@ -242,6 +367,12 @@ mod tests {
         let html = report.html();
         assert_eq!(html.matches("<svg").count(), 2);
         assert_eq!(html.matches("<circle").count(), 5);
+        let data = crate::dataset::tests::presses(20, 2);
+        report.data(&data, Some(&SplitConfig::default()));
+        let html = report.html();
+        assert_eq!(html.matches("<svg").count(), 4);
+        assert_eq!(html.matches("<circle").count(), 5 + 20, "one for each location");
+        assert!(html.matches("#c0392b").count() > 0 && html.contains("<rect"));
         assert!(html.contains("a &lt; b") && !html.contains("NaN"));
     }
 

@@ -14,39 +14,59 @@ const FLOAT: u64 = 1;
 ///
 /// [`ModelError::NotOnnx`] and [`ModelError::Interface`].
 pub(crate) fn check(bytes: &[u8], interface: &Interface) -> Result<(), ModelError> {
-    let signature = Signature::read(bytes).map_err(|reason| ModelError::NotOnnx { reason })?;
+    let signature = Signature::read(bytes)?;
     let sides = [
         ("input", &signature.inputs, &interface.input, &interface.input_shape),
         ("output", &signature.outputs, &interface.output, &interface.output_shape),
     ];
     for (what, found, name, shape) in sides {
-        let expected = Port {
+        let expected = GraphTensor {
             name: name.clone(),
             element: FLOAT,
             shape: shape.iter().map(|d| i64::try_from(*d).ok()).collect(),
         };
         if found.as_slice() != [expected.clone()] {
-            let found = match found.as_slice() {
-                [] => "nothing".to_owned(),
-                ports => ports.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and "),
-            };
-            return Err(ModelError::Interface { what, found, expected: expected.to_string() });
+            return Err(ModelError::Interface { what, found: listed(found), expected: expected.to_string() });
         }
     }
     Ok(())
 }
 
-/// A tensor that goes in or out.
-#[derive(Debug, Clone, PartialEq)]
-struct Port {
-    name: String,
-    /// `TensorProto.DataType`.
-    element: u64,
-    /// `None` where a dimension is symbolic.
-    shape: Vec<Option<i64>>,
+/// Tensors in words.
+#[must_use]
+pub fn listed(ports: &[GraphTensor]) -> String {
+    match ports {
+        [] => "nothing".to_owned(),
+        ports => ports.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and "),
+    }
 }
 
-impl std::fmt::Display for Port {
+/// A tensor that goes into a graph or comes out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GraphTensor {
+    /// Its name.
+    pub name: String,
+    /// `TensorProto.DataType`.
+    element: u64,
+    /// Its shape, `None` where a dimension is free.
+    pub shape: Vec<Option<i64>>,
+}
+
+impl GraphTensor {
+    /// Whether it holds 32-bit floats.
+    #[must_use]
+    pub fn is_float(&self) -> bool {
+        self.element == FLOAT
+    }
+
+    /// Its shape, where no dimension is free or empty.
+    #[must_use]
+    pub fn fixed(&self) -> Option<Vec<usize>> {
+        self.shape.iter().map(|d| d.and_then(|d| usize::try_from(d).ok()).filter(|d| *d > 0)).collect()
+    }
+}
+
+impl std::fmt::Display for GraphTensor {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let shape: Vec<String> =
             self.shape.iter().map(|d| d.map_or_else(|| "?".to_owned(), |d| d.to_string())).collect();
@@ -60,19 +80,35 @@ impl std::fmt::Display for Port {
     }
 }
 
-struct Signature {
-    inputs: Vec<Port>,
-    outputs: Vec<Port>,
+/// What a graph of unknown origin takes and gives.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Signature {
+    /// What goes in.
+    pub inputs: Vec<GraphTensor>,
+    /// What comes out.
+    pub outputs: Vec<GraphTensor>,
+    /// Operator sets that it is written in: domain (empty for the core) and version.
+    pub opsets: Vec<(String, u64)>,
 }
 
 impl Signature {
+    /// Reads it from the bytes of an `.onnx` file.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::NotOnnx`].
+    pub fn read(bytes: &[u8]) -> Result<Self, ModelError> {
+        Self::parse(bytes).map_err(|reason| ModelError::NotOnnx { reason })
+    }
+
     /// Field numbers are those of `onnx.proto`.
-    fn read(bytes: &[u8]) -> Result<Self, String> {
-        let (mut version, mut graph) = (0, None);
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let (mut version, mut graph, mut opsets) = (0, None, Vec::new());
         for field in Fields(bytes) {
             match field? {
                 (1, Value::Number(n)) => version = n,
                 (7, Value::Bytes(b)) => graph = Some(b),
+                (8, Value::Bytes(b)) => opsets.push(opset(b)?),
                 _ => {}
             }
         }
@@ -88,8 +124,69 @@ impl Signature {
         }
         // Old exporters list weights among the inputs, too.
         inputs.retain(|input| !constants.contains(&input.name));
-        Ok(Self { inputs, outputs })
+        Ok(Self { inputs, outputs, opsets })
     }
+}
+
+fn opset(bytes: &[u8]) -> Result<(String, u64), String> {
+    let mut opset = (String::new(), 0);
+    for field in Fields(bytes) {
+        match field? {
+            (1, Value::Bytes(b)) => opset.0 = text(b)?,
+            (2, Value::Number(n)) => opset.1 = n,
+            _ => {}
+        }
+    }
+    Ok(opset)
+}
+
+/// From a graph to the dimensions of what goes in and comes out.
+const DIMENSIONS: [&[u64]; 6] = [&[7], &[11, 12], &[2], &[1], &[2], &[1]];
+
+/// The same graph with a batch of 1, where its inputs and outputs leave the first dimension free.
+///
+/// # Errors
+///
+/// [`ModelError::NotOnnx`].
+pub fn with_batch_of_one(bytes: &[u8]) -> Result<Vec<u8>, ModelError> {
+    fixed(bytes, &DIMENSIONS).map_err(|reason| ModelError::NotOnnx { reason })
+}
+
+fn fixed(bytes: &[u8], path: &[&[u64]]) -> Result<Vec<u8>, String> {
+    let Some((wanted, rest)) = path.split_first() else {
+        // A dimension: 1 is its value, 2 the name of a free one.
+        let mut known = false;
+        for field in Fields(bytes) {
+            known |= matches!(field?, (1, _));
+        }
+        return Ok(if known { bytes.to_vec() } else { vec![8, 1] });
+    };
+    let mut fields = Fields(bytes);
+    let mut out = Vec::with_capacity(bytes.len() + 8);
+    let mut first = true;
+    loop {
+        let before = fields.0;
+        let Some(field) = fields.next() else { return Ok(out) };
+        match field? {
+            // Of the dimensions only the first is the batch.
+            (number, Value::Bytes(inner)) if wanted.contains(&number) && (first || !rest.is_empty()) => {
+                first = false;
+                let inner = fixed(inner, rest)?;
+                varint(number << 3 | 2, &mut out);
+                varint(inner.len() as u64, &mut out);
+                out.extend_from_slice(&inner);
+            }
+            _ => out.extend_from_slice(&before[..before.len() - fields.0.len()]),
+        }
+    }
+}
+
+fn varint(mut value: u64, out: &mut Vec<u8>) {
+    while value > 0x7f {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
 }
 
 fn constant_name(bytes: &[u8]) -> Result<String, String> {
@@ -104,8 +201,8 @@ fn constant_name(bytes: &[u8]) -> Result<String, String> {
     Ok(name)
 }
 
-fn port(bytes: &[u8]) -> Result<Port, String> {
-    let mut port = Port { name: String::new(), element: 0, shape: Vec::new() };
+fn port(bytes: &[u8]) -> Result<GraphTensor, String> {
+    let mut port = GraphTensor { name: String::new(), element: 0, shape: Vec::new() };
     for field in Fields(bytes) {
         match field? {
             (1, Value::Bytes(b)) => port.name = text(b)?,
@@ -122,7 +219,7 @@ fn port(bytes: &[u8]) -> Result<Port, String> {
     Ok(port)
 }
 
-fn tensor_type(bytes: &[u8], port: &mut Port) -> Result<(), String> {
+fn tensor_type(bytes: &[u8], port: &mut GraphTensor) -> Result<(), String> {
     for field in Fields(bytes) {
         match field? {
             (1, Value::Number(n)) => port.element = n,
@@ -237,6 +334,26 @@ mod tests {
     }
 
     #[test]
+    fn a_free_batch_becomes_one() {
+        let whole = doubler();
+        assert_eq!(with_batch_of_one(&whole).unwrap(), whole);
+        // Both first dimensions, {dim_value: 1}, become {dim_param: "N"}, which is a byte longer on every level.
+        let free: Vec<u8> = {
+            let needle: &[u8] = &[0x0a, 2, 8, 1];
+            let mut free = whole.clone();
+            while let Some(at) = free.windows(4).position(|w| w == needle) {
+                // A name of no letters keeps all lengths.
+                free[at + 2..at + 4].copy_from_slice(&[0x12, 0]);
+            }
+            free
+        };
+        let signature = Signature::read(&free).unwrap();
+        assert_eq!(signature.inputs[0].shape, [None, Some(3)]);
+        assert_eq!(signature.opsets, [(String::new(), 17)]);
+        assert_eq!(with_batch_of_one(&free).unwrap(), whole);
+    }
+
+    #[test]
     fn every_truncation_is_refused() {
         let bytes = doubler();
         for length in 0..bytes.len() {
@@ -248,6 +365,7 @@ mod tests {
         #[test]
         fn no_bytes_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..400)) {
             let _ = check(&bytes, &Interface::flat(3, 3));
+            let _ = with_batch_of_one(&bytes);
         }
 
         #[test]

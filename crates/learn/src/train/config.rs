@@ -41,6 +41,11 @@ pub struct TrainConfig {
     /// it, as the error of a position grows with the inverse of the force. 0: all count the same.
     #[serde(default)]
     pub position_full_force: f64,
+    /// Whether every range of normal force ([`FORCE_BINS`](crate::FORCE_BINS), and untouched) counts alike for the
+    /// forces, however many samples it has. Helps where some forces are rare and matter; readings that are plenty, an
+    /// untouched skin mostly, are then fitted less closely.
+    #[serde(default)]
+    pub balance_force: bool,
     /// How frames become inputs.
     #[serde(default)]
     pub features: FeatureChoice,

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use dermis_inference::{
     Baseline, BundleWriter, FeatureConfig, Interface, Link, Manifest, Model, OutputConfig, OutputSpec,
-    Outputs, Runtime, SigmaBin, TrainingSection,
+    Outputs, Runtime, TrainingSection,
 };
 use serde_json::json;
 use sha2::{Digest, Sha256};
@@ -17,13 +17,14 @@ use super::checkpoint;
 use super::config::{Scaling, TrainConfig};
 use super::network::{Batch, Mlp, Progress, State, advance, seed_of};
 use super::prepare::Preparation;
-use crate::LearnError;
 use crate::dataset::{Dataset, SampleId, Truth, hex};
 use crate::evaluate::Evaluation;
 use crate::findings::Findings;
-use crate::metrics::{Answer, Bin, Scores};
-use crate::plot::{Point, Report};
+use crate::judge::Judge;
+use crate::metrics::FORCE_BINS;
+use crate::plot::Report;
 use crate::split::Split;
+use crate::{LearnError, card};
 
 /// How often the state is saved.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
@@ -96,6 +97,7 @@ pub fn run(
 
     let mut batch =
         Batch { outputs: outputs.len(), logit: outputs.last() == Some(&"contact"), ..Batch::default() };
+    let mut balance = Balance::default();
     for (id, row) in ids.iter().zip(rows.chunks_exact(width)) {
         if held_out.contains(id) {
             continue;
@@ -106,7 +108,11 @@ pub fn run(
             batch.inputs.extend_from_slice(row);
             batch.targets.extend(targets);
             batch.weights.extend(outputs.iter().map(|name| weight(truth, name, config)));
+            balance.push(truth);
         }
+    }
+    if config.balance_force {
+        balance.apply(&outputs, &mut batch.weights);
     }
     if batch.is_empty() {
         return Err(no_rows());
@@ -144,6 +150,7 @@ pub fn run(
         seconds,
     };
     let mut report = Report::new(format!("Model for skin {}", data.skin().name));
+    report.data(data, Some(&config.split));
     report.section(&format!("Held out: {}", config.split.describe()), &outcome.held_out, &points);
     for (name, evaluation, points) in &others {
         report.section(&format!("Other run: {name}"), evaluation, points);
@@ -183,6 +190,46 @@ fn weight(truth: &Truth, name: &str, config: &TrainConfig) -> f32 {
     match truth.value("force.normal").filter(|_| name.starts_with("position.") && full > 0.0) {
         Some(force) => (force / full).clamp(0.0, 1.0).powi(2) as f32,
         None => 1.0,
+    }
+}
+
+/// Largest factor between the weights of two samples of different force: a range of few samples must not become the
+/// noise of every step.
+const MOST_BALANCE: f32 = 10.0;
+
+/// How many samples each range of force has.
+#[derive(Default)]
+struct Balance {
+    /// Range of every sample; `None` where its force is unknown.
+    ranges: Vec<Option<usize>>,
+    counts: [usize; FORCE_BINS.len() + 1],
+}
+
+impl Balance {
+    fn push(&mut self, truth: &Truth) {
+        let range = match truth.value("force.normal") {
+            Some(_) if !truth.touched() => Some(0),
+            Some(force) => Some(FORCE_BINS.iter().filter(|from| force >= **from).count().max(1)),
+            None => None,
+        };
+        if let Some(range) = range {
+            self.counts[range] += 1;
+        }
+        self.ranges.push(range);
+    }
+
+    /// Makes every range count alike for the forces; the mean weight stays what it was.
+    fn apply(&self, outputs: &[&'static str], weights: &mut [f32]) {
+        let most = self.counts.iter().copied().max().unwrap_or(0) as f32;
+        let factor = |range: usize| (most / self.counts[range] as f32).min(MOST_BALANCE);
+        let total: f32 = self.ranges.iter().map(|r| r.map_or(1.0, factor)).sum();
+        let mean = total / self.ranges.len().max(1) as f32;
+        for (range, row) in self.ranges.iter().zip(weights.chunks_exact_mut(outputs.len())) {
+            let factor = range.map_or(1.0, factor) / mean;
+            for (weight, _) in row.iter_mut().zip(outputs).filter(|(_, o)| o.starts_with("force.")) {
+                *weight *= factor;
+            }
+        }
     }
 }
 
@@ -380,84 +427,15 @@ fn fit_member(
     Ok(state)
 }
 
-/// Runs the finished graph.
-struct Judge<'a> {
-    model: Model,
-    outputs: Outputs,
-    features: &'a FeatureConfig,
-    baseline: Baseline,
-}
-
-impl Judge<'_> {
-    fn evaluate(
-        &mut self,
-        data: &Dataset,
-        only: Option<&BTreeSet<SampleId>>,
-        name: String,
-    ) -> Result<(Evaluation, Vec<Point>), LearnError> {
-        let (ids, rows) = data.inputs(self.features, self.baseline)?;
-        let wanted = |id: &SampleId| only.is_none_or(|only| only.contains(id));
-        let mut scores = Scores::new();
-        let (mut points, mut raw, mut frames) = (Vec::new(), Vec::new(), 0);
-        for (id, row) in ids.iter().zip(rows.chunks_exact(self.features.input_len())) {
-            let Some(truth) = data.sample(*id).and_then(|s| s.truth.as_ref()).filter(|_| wanted(id)) else {
-                continue;
-            };
-            self.model.run(row, &mut raw)?;
-            self.outputs.decode(&raw)?;
-            let answer = self.answer();
-            scores.push(id.run, truth, &answer);
-            points.push(Point::new(truth, &answer));
-            frames += 1;
-        }
-        let answered: BTreeSet<&SampleId> = ids.iter().collect();
-        let unanswered =
-            data.labelled().filter(|(id, _, t)| wanted(id) && t.touched() && !answered.contains(id)).count();
-        let tares = data.runs().iter().flat_map(|r| &r.samples).filter(|s| s.tare).count();
-        Ok((Evaluation::of(&scores, name, frames, unanswered, tares), points))
-    }
-
-    fn answer(&self) -> Answer {
-        let get = |name: &str| self.outputs.get(name);
-        let position = get("position.x").zip(get("position.y"));
-        let depth = get("position.z");
-        Answer {
-            position: position.map(|(x, y)| [x, y, depth.unwrap_or(0.0)]),
-            depth: depth.is_some(),
-            force: self.outputs.force(),
-            normal_force: self.outputs.normal_force(),
-            contact: self.outputs.contact().map(|p| p > 0.5),
-        }
-    }
-}
-
 fn write_bundle(
     request: &Request<'_>,
     split: &Split,
     features: FeatureConfig,
-    mut outputs: OutputConfig,
+    outputs: OutputConfig,
     graph: &[u8],
     outcome: &Outcome,
 ) -> Result<(), LearnError> {
     let (data, config) = (request.data, request.config);
-    for spec in &mut outputs.values {
-        spec.sigma = outcome.held_out.quantities.get(&spec.name).map(|s| s.rms).filter(|s| *s > 0.0);
-        if let Some(bins) = outcome.held_out.by_force.get(&spec.name) {
-            spec.sigma_by_force = sigma_bins(bins);
-        }
-    }
-    let touched = |ids: &[SampleId]| {
-        ids.iter().filter_map(|id| data.sample(*id)?.truth.as_ref()).filter(|t| t.touched()).count()
-    };
-    let forces: Vec<f64> = split
-        .train
-        .iter()
-        .filter_map(|id| data.sample(*id)?.truth.as_ref()?.single()?.normal_force())
-        .collect();
-    let range = [
-        forces.iter().copied().fold(f64::INFINITY, f64::min).max(0.0),
-        forces.iter().copied().fold(f64::NEG_INFINITY, f64::max),
-    ];
     let training = TrainingSection {
         data_hash: data.hash(),
         seed: config.training.seed,
@@ -467,34 +445,15 @@ fn write_bundle(
     let mut manifest =
         Manifest::new(data.skin().name.clone(), data.skin(), config.baseline, features, outputs, training);
     manifest.description.clone_from(&config.description);
-    manifest.force_range = (range[0] < range[1]).then_some(range);
-    manifest.metrics = outcome
-        .held_out
-        .quantities
-        .iter()
-        .flat_map(|(name, s)| {
-            let name = name.replace(['.', ' '], "_");
-            let unit = s.unit.to_lowercase();
-            [(format!("{name}_rmse_{unit}"), s.rms), (format!("{name}_mean_{unit}"), s.mean)]
-        })
-        .collect();
+    card::measured(&mut manifest, &outcome.held_out);
+    manifest.force_range = card::force_range(data, &split.train);
 
+    let touched = |ids: &[SampleId]| {
+        ids.iter().filter_map(|id| data.sample(*id)?.truth.as_ref()).filter(|t| t.touched()).count()
+    };
     let mut writer = BundleWriter::new(manifest);
+    writer.card = card::of_data(data);
     let card = [
-        ("bags", {
-            let bags = data.runs().iter().map(|run| {
-                json!({
-                    "name": run.path.file_name().map(|n| n.to_string_lossy()),
-                    "session": run.session,
-                    "hash": run.hash,
-                    "frames": run.samples.len(),
-                    "labelled": run.samples.iter().filter(|s| s.truth.is_some()).count(),
-                    "lost": run.lost,
-                })
-            });
-            bags.collect()
-        }),
-        ("locations", json!(data.locations())),
         (
             "samples",
             json!({
@@ -505,26 +464,17 @@ fn write_bundle(
         ("split", json!(config.split)),
         ("split_in_words", json!(config.split.describe())),
         ("config", json!(config)),
-        ("notices", json!(data.notices())),
+        ("seed", json!(config.training.seed)),
         ("held_out", outcome.held_out.to_json()),
         (
             "other_runs",
             outcome.others.iter().map(|(name, e)| json!({ "name": name, "result": e.to_json() })).collect(),
         ),
         ("fit_seconds", json!(outcome.seconds)),
-        ("program", json!(format!("dermis {}", env!("CARGO_PKG_VERSION")))),
     ];
     writer.card.extend(card.into_iter().map(|(key, value)| (key.to_owned(), value)));
     writer.write(request.out, graph)?;
     Ok(())
-}
-
-/// A bundle's bins ascend without gaps; one with too few samples to tell is covered by the next.
-fn sigma_bins(bins: &[Bin]) -> Vec<SigmaBin> {
-    bins.iter()
-        .filter(|b| b.rms > 0.0 && b.samples >= 10)
-        .map(|b| SigmaBin { up_to: b.to.unwrap_or(b.from * 2.0), sigma: b.rms })
-        .collect()
 }
 
 #[cfg(test)]

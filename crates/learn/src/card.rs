@@ -1,0 +1,126 @@
+//! What a bundle says of the data behind it: `card.json` for programs; [`Report`](crate::plot::Report) shows the same.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use dermis_inference::{Manifest, SigmaBin};
+use serde_json::{Value, json};
+
+use crate::dataset::{Dataset, Run, SampleId, Truth};
+use crate::evaluate::Evaluation;
+use crate::metrics::{Bin, FORCE_BINS};
+
+/// Everything that is true of the data, whatever is learned from it.
+pub(crate) fn of_data(data: &Dataset) -> BTreeMap<String, Value> {
+    let skin = data.skin();
+    let bags = data.runs().iter().map(|run| {
+        let stamps = || run.samples.iter().map(|s| s.frame.stamp);
+        json!({
+            "name": run.path.file_name().map(|n| n.to_string_lossy()),
+            "session": run.session,
+            "hash": run.hash,
+            "frames": run.samples.len(),
+            "labelled": run.samples.iter().filter(|s| s.truth.is_some()).count(),
+            "lost": run.lost,
+            "seconds": stamps().max().zip(stamps().min()).map(|(last, first)| (last - first) as f64 * 1e-9),
+            "tares": run.samples.iter().filter(|s| s.tare).count(),
+            "noise": noise(run),
+            "force_sensor": run.bias,
+        })
+    });
+    let presses: BTreeSet<(usize, u64)> =
+        data.labelled().filter(|(_, _, t)| t.touched()).map(|(id, _, t)| (id.run, t.press)).collect();
+    let sessions: BTreeSet<&str> = data.runs().iter().map(|r| r.session.as_str()).collect();
+    let card = [
+        ("skin", json!({ "name": skin.name, "hash": skin.hash(), "unit": skin.unit, "rate_hz": skin.rate })),
+        ("bags", bags.collect()),
+        ("data_hash", json!(data.hash())),
+        ("sessions", json!(sessions)),
+        ("locations", json!(data.locations())),
+        ("presses", json!(presses.len())),
+        ("where", reach(data)),
+        ("forces", json!(histogram(data))),
+        ("map", json!(data.map())),
+        ("notices", json!(data.notices())),
+        ("program", json!(format!("dermis {}", env!("CARGO_PKG_VERSION")))),
+    ];
+    card.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+}
+
+/// Standard deviation of an untouched reading minus its zero, in the unit of the skin: the median and the largest of
+/// the channels; `None` where nothing is known to be untouched.
+pub(crate) fn noise(run: &Run) -> Option<Value> {
+    let channels = run.samples.first()?.tared.len();
+    let mut all: Vec<f64> = (0..channels)
+        .filter_map(|i| {
+            let idle = run.samples.iter().filter(|s| s.truth.as_ref().is_some_and(|t| t.idle));
+            let values: Vec<f64> = idle.map(|s| f64::from(s.tared[i])).filter(|v| v.is_finite()).collect();
+            let count = values.len() as f64;
+            let mean = values.iter().sum::<f64>() / count;
+            let squares = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+            (values.len() > 1).then(|| (squares / (count - 1.0)).sqrt())
+        })
+        .collect();
+    all.sort_by(f64::total_cmp);
+    Some(json!({ "median": all.get(all.len() / 2)?, "max": all.last()? }))
+}
+
+/// \[m\] least and largest coordinate that was pressed.
+fn reach(data: &Dataset) -> Value {
+    let mut axes = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
+    for contact in data.labelled().filter_map(|(_, _, t)| t.single()) {
+        for (axis, v) in axes.iter_mut().zip(contact.position.iter()).filter(|(_, v)| v.is_finite()) {
+            *axis = [axis[0].min(*v), axis[1].max(*v)];
+        }
+    }
+    let known = |axis: [f64; 2]| (axis[0] <= axis[1]).then_some(axis);
+    json!({ "x": known(axes[0]), "y": known(axes[1]), "z": known(axes[2]) })
+}
+
+/// Touched frames by normal force.
+pub(crate) fn histogram(data: &Dataset) -> Vec<Value> {
+    let mut counts = [0_usize; FORCE_BINS.len()];
+    for force in
+        data.labelled().filter(|(_, _, t)| t.touched()).filter_map(|(_, _, t)| t.value("force.normal"))
+    {
+        counts[FORCE_BINS.iter().filter(|from| force >= **from).count().max(1) - 1] += 1;
+    }
+    let bin = |(i, frames): (usize, &usize)| json!({ "from": FORCE_BINS[i], "to": FORCE_BINS.get(i + 1), "frames": frames });
+    counts.iter().enumerate().filter(|(_, n)| **n > 0).map(bin).collect()
+}
+
+/// \[N\] least and largest normal force of these samples; `None` where there are not two.
+pub(crate) fn force_range(data: &Dataset, ids: &[SampleId]) -> Option<[f64; 2]> {
+    let forces = || {
+        let truth = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref());
+        ids.iter().filter_map(truth).filter_map(Truth::single).filter_map(crate::TruthContact::normal_force)
+    };
+    let range = [forces().fold(f64::INFINITY, f64::min).max(0.0), forces().fold(f64::NEG_INFINITY, f64::max)];
+    (range[0] < range[1]).then_some(range)
+}
+
+/// Writes measured errors into a manifest, as metrics and as the sigma of its outputs.
+pub(crate) fn measured(manifest: &mut Manifest, evaluation: &Evaluation) {
+    for spec in &mut manifest.output.values {
+        spec.sigma = evaluation.quantities.get(&spec.name).map(|s| s.rms).filter(|s| *s > 0.0);
+        if let Some(bins) = evaluation.by_force.get(&spec.name) {
+            spec.sigma_by_force = sigma_bins(bins);
+        }
+    }
+    manifest.metrics = evaluation
+        .quantities
+        .iter()
+        .flat_map(|(name, s)| {
+            let name = name.replace(['.', ' '], "_");
+            let unit = s.unit.to_lowercase();
+            [(format!("{name}_rmse_{unit}"), s.rms), (format!("{name}_mean_{unit}"), s.mean)]
+        })
+        .collect();
+}
+
+/// A bundle's bins ascend without gaps; one with too few samples to tell is covered by the next.
+fn sigma_bins(bins: &[Bin]) -> Vec<SigmaBin> {
+    bins.iter()
+        .filter(|b| b.rms > 0.0 && b.samples >= 10)
+        .map(|b| SigmaBin { up_to: b.to.unwrap_or(b.from * 2.0), sigma: b.rms })
+        .collect()
+}

@@ -1,0 +1,67 @@
+//! What a graph makes of a data set, without the estimator of a sensor family around it.
+
+use std::collections::BTreeSet;
+
+use dermis_inference::{Baseline, FeatureConfig, Model, Outputs};
+
+use crate::LearnError;
+use crate::dataset::{Dataset, SampleId};
+use crate::evaluate::Evaluation;
+use crate::metrics::{Answer, Scores};
+use crate::plot::Point;
+
+/// Runs the finished graph.
+pub(crate) struct Judge<'a> {
+    /// The graph.
+    pub(crate) model: Model,
+    /// What its output means.
+    pub(crate) outputs: Outputs,
+    /// How frames become its input.
+    pub(crate) features: &'a FeatureConfig,
+    /// Which readings it takes.
+    pub(crate) baseline: Baseline,
+}
+
+impl Judge<'_> {
+    /// Compares its answers with the truth, on `only` or on all labelled frames.
+    pub(crate) fn evaluate(
+        &mut self,
+        data: &Dataset,
+        only: Option<&BTreeSet<SampleId>>,
+        name: String,
+    ) -> Result<(Evaluation, Vec<Point>), LearnError> {
+        let (ids, rows) = data.inputs(self.features, self.baseline)?;
+        let wanted = |id: &SampleId| only.is_none_or(|only| only.contains(id));
+        let mut scores = Scores::new();
+        let (mut points, mut raw, mut frames) = (Vec::new(), Vec::new(), 0);
+        for (id, row) in ids.iter().zip(rows.chunks_exact(self.features.input_len())) {
+            let Some(truth) = data.sample(*id).and_then(|s| s.truth.as_ref()).filter(|_| wanted(id)) else {
+                continue;
+            };
+            self.model.run(row, &mut raw)?;
+            self.outputs.decode(&raw)?;
+            let answer = self.answer();
+            scores.push(id.run, truth, &answer);
+            points.push(Point::new(truth, &answer));
+            frames += 1;
+        }
+        let answered: BTreeSet<&SampleId> = ids.iter().collect();
+        let unanswered =
+            data.labelled().filter(|(id, _, t)| wanted(id) && t.touched() && !answered.contains(id)).count();
+        let tares = data.runs().iter().flat_map(|r| &r.samples).filter(|s| s.tare).count();
+        Ok((Evaluation::of(&scores, name, frames, unanswered, tares), points))
+    }
+
+    fn answer(&self) -> Answer {
+        let get = |name: &str| self.outputs.get(name);
+        let position = get("position.x").zip(get("position.y"));
+        let depth = get("position.z");
+        Answer {
+            position: position.map(|(x, y)| [x, y, depth.unwrap_or(0.0)]),
+            depth: depth.is_some(),
+            force: self.outputs.force(),
+            normal_force: self.outputs.normal_force(),
+            contact: self.outputs.contact().map(|p| p > 0.5),
+        }
+    }
+}
