@@ -607,11 +607,12 @@ impl Shared {
                 } else {
                     (ContactArray::STATUS_STALE, "switched off by ~/set_enabled".to_owned())
                 };
-                if last_blind.is_none_or(|at| at.elapsed() >= BLIND_PERIOD) {
+                let news = core.blind.as_ref().is_none_or(|(before, _)| *before != status);
+                if news {
+                    tracing::warn!("skin `{}`: {text}", self.skin.name);
+                }
+                if news || last_blind.is_none_or(|at| at.elapsed() >= BLIND_PERIOD) {
                     last_blind = Some(Instant::now());
-                    if core.blind.as_ref().is_none_or(|(before, _)| *before != status) {
-                        tracing::warn!("skin `{}`: {text}", self.skin.name);
-                    }
                     let stamp = self.node.clock().now();
                     let c = &*core;
                     send(&c.publishers.contacts, || {
