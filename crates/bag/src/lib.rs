@@ -37,6 +37,7 @@ mod order;
 mod qos;
 mod reader;
 mod recorder;
+mod salvage;
 mod writer;
 
 pub use ament::definition_of;

@@ -18,6 +18,7 @@ use yaml_rust2::Yaml;
 
 use crate::{
     BagError, BagInfo, BagQos, TopicInfo, definition, error::say, metadata::Metadata, order::MessagesByTime,
+    salvage::Salvage,
 };
 
 /// Largest record or decompressed chunk that is held in memory; recorders make chunks of about 1 MB.
@@ -646,24 +647,34 @@ pub(crate) fn read_summary(file: &mut File, length: u64) -> Result<Option<Summar
 /// Messages of one file, with errors in our words.
 struct FileMessages {
     file: Arc<Path>,
-    reader: mcap::io::MessageReader<BufReader<File>>,
-    recover: bool,
+    reader: Reader,
     count: u64,
     last_topic: String,
 }
 
+enum Reader {
+    /// Ends at the first damage.
+    Strict(mcap::io::MessageReader<BufReader<File>>),
+    /// Passes over damaged chunks.
+    Lenient(Box<Salvage>),
+}
+
 impl FileMessages {
     fn open(path: &Arc<Path>, recover: bool) -> Result<Self, BagError> {
-        let file = File::open(path).map_err(BagError::io("open", &**path))?;
+        let mut file = File::open(path).map_err(BagError::io("open", &**path))?;
         let length = file.metadata().map_err(BagError::io("read", &**path))?.len();
         let options = LinearReaderOptions::default()
             .with_prevalidate_chunk_crcs(true)
-            .with_skip_end_magic(recover)
             .with_record_length_limit(record_limit(length));
+        let summary = if recover { read_summary(&mut file, length).ok().flatten() } else { None };
+        let file = BufReader::new(file);
         Ok(Self {
             file: Arc::clone(path),
-            reader: mcap::io::MessageReader::new_with_options(BufReader::new(file), options),
-            recover,
+            reader: if recover {
+                Reader::Lenient(Box::new(Salvage::new(file, length, summary)))
+            } else {
+                Reader::Strict(mcap::io::MessageReader::new_with_options(file, options))
+            },
             count: 0,
             last_topic: String::new(),
         })
@@ -675,7 +686,11 @@ impl Iterator for FileMessages {
 
     fn next(&mut self) -> Option<Self::Item> {
         let path = || self.file.to_path_buf();
-        match self.reader.next()? {
+        let next = match &mut self.reader {
+            Reader::Strict(reader) => reader.next()?,
+            Reader::Lenient(salvage) => salvage.next()?.map_err(McapError::Io),
+        };
+        match next {
             Ok(message) => {
                 self.count += 1;
                 if self.last_topic != message.channel.topic {
@@ -688,7 +703,6 @@ impl Iterator for FileMessages {
             {
                 Some(Err(BagError::Io { action: "read", path: path(), source }))
             }
-            Err(_) if self.recover => None,
             Err(McapError::UnexpectedEof) => {
                 Some(Err(BagError::Truncated { path: path(), messages: self.count }))
             }
