@@ -334,10 +334,8 @@ impl BagWriter {
         if let Some(hash) = &topic.type_hash {
             channel_metadata.insert("topic_type_hash".to_owned(), hash.clone());
         }
-        // What rosbag2 writes where it has no definition.
-        let encoding = if topic.definition.is_empty() { "" } else { "ros2msg" };
         let mcap = &mut self.part.mcap;
-        mcap.add_schema(&topic.type_name, encoding, topic.definition.as_bytes())
+        mcap.add_schema(&topic.type_name, "ros2msg", topic.definition.as_bytes())
             .and_then(|schema| mcap.add_channel(schema, &topic.name, "cdr", &channel_metadata))
             .map_err(|error| write_error(&self.part.path, &error))
     }

@@ -30,8 +30,9 @@ def plain(value):
     if isinstance(value, (str, bool, int)):
         return value
     names = getattr(value, "__slots__", None) or vars(value)
-    # Constants of a message stand beside its fields; ROS writes them, and only them, in capitals.
-    return {name: plain(getattr(value, name)) for name in names if not name.startswith("__") and not name.isupper()}
+    # Constants of a message stand beside its fields; ROS writes them, and only them, in capitals. What has no field gets one.
+    fields = (name for name in names if not name.isupper() and name != "structure_needs_at_least_one_member")
+    return {name: plain(getattr(value, name)) for name in fields if not name.startswith("__")}
 
 
 def differ(ours, theirs, path):
