@@ -16,6 +16,8 @@ use crate::substitute::Scope;
 
 /// Files within files, so that two that include each other end with a sentence.
 const DEEPEST: usize = 16;
+/// What `log` may say, beside filters.
+const LEVELS: [&str; 6] = ["off", "error", "warn", "info", "debug", "trace"];
 /// What `${…}` gives in every file.
 const FOLDERS: [&str; 3] = ["here", "cwd", "tmp"];
 
@@ -139,6 +141,8 @@ pub struct Process {
     pub program: PathBuf,
     /// Arguments.
     pub arguments: Vec<String>,
+    /// Configuration of a node, as it is written to the file that `arguments` names.
+    pub config: Option<Value>,
     /// Variables on top of the environment of the launch.
     pub environment: BTreeMap<String, String>,
     /// Working directory.
@@ -225,6 +229,14 @@ struct Pending {
     process: Process,
     namespace: String,
     after: Vec<String>,
+}
+
+/// What is run.
+struct Command {
+    own: bool,
+    program: PathBuf,
+    arguments: Vec<String>,
+    config: Option<Value>,
 }
 
 struct Loader<'a> {
@@ -379,7 +391,7 @@ impl Loader<'_> {
                 ),
             ));
         }
-        let (own, program, arguments) = self.command(entry, name, &label, at, &inner)?;
+        let Command { own, program, arguments, config } = self.command(entry, name, &label, at, &inner)?;
 
         let mut environment = inner.environment.clone();
         let mut preset = |name: &str, value: String| {
@@ -422,6 +434,7 @@ impl Loader<'_> {
                 own,
                 program,
                 arguments,
+                config,
                 environment,
                 directory,
                 after: Vec::new(),
@@ -437,7 +450,6 @@ impl Loader<'_> {
         Ok(())
     }
 
-    /// Whether it is this program, its file, and its arguments.
     fn command(
         &self,
         entry: &Entry,
@@ -445,7 +457,7 @@ impl Loader<'_> {
         label: &str,
         at: &At,
         inner: &Around,
-    ) -> Result<(bool, PathBuf, Vec<String>), LaunchError> {
+    ) -> Result<Command, LaunchError> {
         let remap = texts(&entry.remap);
         if let Some(i) = remap.iter().position(|rule| !rule.contains(":=")) {
             return Err(at.refuse(&format!("remap[{i}]"), format!("`{}` is no `from:=to`", remap[i])));
@@ -492,12 +504,13 @@ impl Loader<'_> {
                 let mut arguments = vec![kind.0.clone(), "--config".to_owned(), file.display().to_string()];
                 arguments.extend(texts(&entry.flags));
                 self.host.check(&arguments).map_err(|reason| at.refuse("flags", reason))?;
-                Ok((true, self.host.program().to_owned(), arguments))
+                let program = self.host.program().to_owned();
+                Ok(Command { own: true, program, arguments, config: Some(config) })
             }
             (None, Some(arguments), None) => {
                 let arguments = texts(arguments);
                 self.host.check(&arguments).map_err(|reason| at.refuse("dermis", reason))?;
-                Ok((true, self.host.program().to_owned(), arguments))
+                Ok(Command { own: true, program: self.host.program().to_owned(), arguments, config: None })
             }
             (None, None, Some(words)) => {
                 let words = texts(words);
@@ -509,7 +522,7 @@ impl Loader<'_> {
                 if entry.ros_args {
                     arguments.extend(ros_args(name, inner, &remap, &entry.parameters));
                 }
-                Ok((false, file, arguments))
+                Ok(Command { own: false, program: file, arguments, config: None })
             }
             (None, None, None) => Err(at.refuse(
                 "",
@@ -711,6 +724,15 @@ impl Around {
             inner.domain_id = Some(domain);
         }
         if let Some(Text(log)) = log {
+            if !LEVELS.contains(&log.as_str()) && !log.contains(['=', ',']) {
+                return Err(at.refuse(
+                    "log",
+                    format!(
+                        "`{log}` is no level; give one of {}, or a filter such as `info,dermis_node=debug`",
+                        LEVELS.join(", ")
+                    ),
+                ));
+            }
             inner.log = Some(log.clone());
         }
         Ok(inner)
@@ -780,8 +802,12 @@ fn ros_args(name: &str, around: &Around, remap: &[String], parameters: &Map<Stri
         // JSON is YAML, which is what ROS reads here.
         rule("-p", format!("{name}:={value}"));
     }
-    if let Some(log) = &around.log {
-        rule("--log-level", log.clone());
+    // ROS has no word for the ends of our scale, and does not know our filters.
+    match around.log.as_deref() {
+        Some("trace") => rule("--log-level", "debug".to_owned()),
+        Some("off") => rule("--log-level", "fatal".to_owned()),
+        Some(level) if LEVELS.contains(&level) => rule("--log-level", level.to_owned()),
+        _ => {}
     }
     all
 }
@@ -800,6 +826,9 @@ impl Plan {
         for (i, p) in self.processes.iter().enumerate() {
             let _ = writeln!(out, "{:>3}  {}", i + 1, p.label);
             let _ = writeln!(out, "       {}", p.command_line());
+            if let Some(config) = &p.config {
+                let _ = writeln!(out, "       {}", said(config));
+            }
             let mut notes = Vec::new();
             if !p.after.is_empty() {
                 let after: Vec<&str> = p.after.iter().map(|a| self.processes[*a].label.as_str()).collect();
@@ -838,6 +867,7 @@ impl Plan {
                     "field": p.field,
                     "program": p.program,
                     "arguments": p.arguments,
+                    "config": p.config,
                     "environment": p.environment,
                     "directory": p.directory,
                     "after": p.after.iter().map(|a| &self.processes[*a].label).collect::<Vec<_>>(),
@@ -868,6 +898,24 @@ impl Process {
             })
             .collect::<Vec<_>>()
             .join(" ")
+    }
+}
+
+/// What a configuration says, without what it leaves open.
+fn said(config: &Value) -> Value {
+    let open = |value: &Value| match value {
+        Value::Null | Value::Bool(false) => true,
+        Value::Array(items) => items.is_empty(),
+        Value::Object(fields) => fields.is_empty(),
+        _ => false,
+    };
+    match config {
+        Value::Object(fields) => fields
+            .iter()
+            .filter(|(_, value)| !open(value))
+            .map(|(key, value)| (key.clone(), value.clone()))
+            .collect(),
+        other => other.clone(),
     }
 }
 

@@ -53,6 +53,8 @@ pub struct Ended {
 /// [`LaunchError::System`] where logs cannot be written or signals not be listened to. Processes that fail are no
 /// error of the launch: they are told in [`Ended`].
 pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Result<Ended, LaunchError> {
+    // Whoever started it with `nohup` wants it to go on; listening changes that.
+    let heed_hang_up = !is_ignored(Signal::SIGHUP);
     let listen = |kind| signal(kind).map_err(|e| LaunchError::system("signals cannot be listened to", e));
     let mut interrupt = listen(SignalKind::interrupt())?;
     let mut terminate = listen(SignalKind::terminate())?;
@@ -84,7 +86,7 @@ pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Resul
             done = &mut work => break done,
             _ = interrupt.recv() => "Ctrl-C",
             _ = terminate.recv() => "SIGTERM",
-            _ = hang_up.recv() => "SIGHUP",
+            _ = hang_up.recv(), if heed_hang_up => "SIGHUP",
         };
         if *launch.phase.borrow() == Phase::Run {
             launch.tap.say(Level::Info, format!("{name}: stopping; once more to hurry"));
@@ -243,8 +245,10 @@ impl Launch {
             let failed = !matches!(&end, End::Itself(status) if status.success());
             let again =
                 process.restart == Restart::Always || (failed && process.restart == Restart::OnFailure);
-            if *self.phase.borrow() > Phase::Run || !again {
-                if failed {
+            let stopping = *self.phase.borrow() > Phase::Run;
+            if stopping || !again {
+                // While all are stopped, somebody else may stop some of them too, as service managers do.
+                if failed && !stopping {
                     self.fail(how);
                 } else {
                     self.say(Level::Info, how);
@@ -464,6 +468,13 @@ fn told(status: ExitStatus) -> String {
         }
         (None, None) => "ended".to_owned(),
     }
+}
+
+/// Whether this process was started with a signal ignored.
+fn is_ignored(signal: Signal) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap_or_default();
+    u64::from_str_radix(mask.trim(), 16).is_ok_and(|mask| mask >> (signal as i32 - 1) & 1 == 1)
 }
 
 /// What tells a file from another one that had its name before.

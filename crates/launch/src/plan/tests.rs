@@ -209,6 +209,7 @@ fn refusals_name_file_and_field() {
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, ready: {line: '('}}]"), @"launch file /robot.yaml: field `processes[0].ready.line`: is no regular expression: regex parse error: ( ^ error: unclosed group");
     insta::assert_snapshot!(refusal("namespace: 3a\nprocesses: [{name: a, dermis: device}]"), @"launch file /robot.yaml: field `namespace`: `3a` is no part of a namespace; it begins with a letter and goes on with letters, digits or `_`");
     insta::assert_snapshot!(refusal("domain_id: 500\nprocesses: [{name: a, dermis: device}]"), @"launch file /robot.yaml: field `domain_id`: 500 is no ROS domain; give 0 to 232");
+    insta::assert_snapshot!(refusal("log: debg\nprocesses: [{name: a, dermis: device}]"), @"launch file /robot.yaml: field `log`: `debg` is no level; give one of off, error, warn, info, debug, trace, or a filter such as `info,dermis_node=debug`");
     insta::assert_snapshot!(refusal("arguments: {tmp: 3}\nprocesses: [{name: a, dermis: device}]"), @"launch file /robot.yaml: field `arguments.tmp`: cannot be the name of an argument: it begins with a letter, goes on with letters, digits, `_`, `-` or `.`, and is none of here, cwd, tmp");
     insta::assert_snapshot!(refusal("arguments: {a: {defualt: 3}}\nprocesses: [{name: a, dermis: device}]"), @"launch file /robot.yaml: field `arguments.a.defualt`: unknown field `defualt`, expected one of `default`, `about`, `path`");
     insta::assert_snapshot!(refusal("namespace: a"), @"launch file /robot.yaml: field `(top level)`: missing field `processes`");
@@ -238,5 +239,27 @@ proptest! {
     #[test]
     fn no_file_panics(text in "(processes|name|dermis|group|include|arguments|after|ready|config|: |- |\\[|\\]|\\{|\\}|,|\n|  |\\$\\{|a|3|\"|'|&|\\*){0,40}") {
         let _ = Folder::new().load(&text, &[]);
+    }
+}
+
+#[test]
+fn every_key_is_explained() {
+    let guide = include_str!("../../../../launch/README.md");
+    let keys = [
+        "unknown: 1\nprocesses: []",
+        "processes: [{unknown: 1}]",
+        "processes: [{group: {unknown: 1}}]",
+        "processes: [{include: {unknown: 1}}]",
+        "processes: [{name: a, dermis: device, ready: {unknown: 1}}]",
+        "processes: [{name: a, dermis: device, backoff: {unknown: 1}}]",
+        "processes: [{name: a, dermis: device, stop: {unknown: 1}}]",
+        "arguments: {a: {unknown: 1}}\nprocesses: []",
+    ]
+    .map(refusal);
+    for sentence in keys {
+        let (_, known) = sentence.split_once("expected ").unwrap_or_else(|| panic!("{sentence}"));
+        for key in known.split('`').skip(1).step_by(2) {
+            assert!(guide.contains(&format!("`{key}`")), "launch/README.md does not explain `{key}`");
+        }
     }
 }
