@@ -100,7 +100,7 @@ async fn play(
 
     let mut config = Config::new(skin_path, device.url());
     config.models = vec![bundle.to_path_buf()];
-    let node = BarodomeNode::start(config, backend.as_ref())?;
+    let node = BarodomeNode::start(&config, backend.as_ref())?;
 
     let watcher = Node::open(NodeOptions::new("dermis_demo"), backend.as_ref())?;
     let seen = Arc::new(Mutex::new(Seen::default()));

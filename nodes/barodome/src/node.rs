@@ -103,7 +103,7 @@ pub enum RunError {
 ///
 /// [`RunError`] says in one sentence why it does not start.
 pub async fn run(config: Config, backend: &dyn Backend) -> Result<(), RunError> {
-    let running = BarodomeNode::start(config, backend)?;
+    let running = BarodomeNode::start(&config, backend)?;
     running.node().wait_for_shutdown().await?;
     running.stop();
     Ok(())
@@ -129,8 +129,8 @@ impl BarodomeNode {
     /// # Errors
     ///
     /// [`RunError`] says in one sentence what is wrong: file, field or channel, and what to do.
-    pub fn start(config: Config, backend: &dyn Backend) -> Result<Self, RunError> {
-        let (skin, url) = skin_and_source(&config)?;
+    pub fn start(config: &Config, backend: &dyn Backend) -> Result<Self, RunError> {
+        let (skin, url) = skin_and_source(config)?;
         let mut estimator = BarodomeEstimator::new(&skin, &config.masked)?;
         estimator.set_least_force(config.force_threshold);
         let surface = skin.surface();
@@ -146,8 +146,8 @@ impl BarodomeNode {
             }
         }
 
-        let node = Node::open(options(&config, &skin)?, backend)?;
-        declare(node.parameters(), &config, &skin, &mut estimator)?;
+        let node = Node::open(options(config, &skin)?, backend)?;
+        declare(node.parameters(), config, &skin, &mut estimator)?;
         let publishers = Publishers::new(&node, estimator.gives_force_map())?;
         let slow = slow_lane().map_err(|source| RunError::Thread { skin: skin.name.clone(), source })?;
         let shared = Arc::new(Shared {

@@ -107,13 +107,13 @@ impl Bench {
     }
 
     fn start(&self, config: Config) -> BarodomeNode {
-        BarodomeNode::start(config, &Self::backend()).unwrap()
+        BarodomeNode::start(&config, &Self::backend()).unwrap()
     }
 
     fn refusal(&self, change: impl FnOnce(&mut Config)) -> String {
         let mut config = self.config();
         change(&mut config);
-        let text = BarodomeNode::start(config, &Self::backend()).err().unwrap().to_string();
+        let text = BarodomeNode::start(&config, &Self::backend()).err().unwrap().to_string();
         text.replace(&self.folder.path().display().to_string(), "DIR")
     }
 
