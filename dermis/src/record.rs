@@ -1,7 +1,7 @@
 //! `dermis record`: what nodes publish, into a bag.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -394,21 +394,22 @@ impl Progress {
 
 fn report(recorded: &Recorded, seconds: f64, as_json: bool) {
     let Recorded { bag, state } = recorded;
-    if as_json {
-        println!(
-            "{}",
-            json!({
-                "bag": bag.path, "seconds": seconds, "messages": state.messages, "dropped": state.dropped,
-                "payload_bytes": state.payload_bytes, "stored_bytes": bag.bytes, "files": bag.files,
-                "topics": state.topics,
-            })
-        );
+    let text = if as_json {
+        let report = json!({
+            "bag": bag.path, "seconds": seconds, "messages": state.messages, "dropped": state.dropped,
+            "payload_bytes": state.payload_bytes, "stored_bytes": bag.bytes, "files": bag.files,
+            "topics": state.topics,
+        });
+        report.to_string()
     } else {
-        println!("{bag}");
-    }
+        bag.to_string()
+    };
+    // The bag is complete, whether or not somebody still reads what is printed.
+    let _ = writeln!(std::io::stdout(), "{text}");
     for topic in state.topics.iter().filter(|topic| topic.dropped > 0) {
-        eprintln!(
-            "{}: {} of {} messages were dropped, because the disk was slower than they came: give --buffer more, or --compression another level",
+        let _ = writeln!(
+            std::io::stderr(),
+            "{}: {} of {} messages were dropped, because they came faster than they were written: give --buffer more, or --compression less",
             topic.name,
             topic.dropped,
             topic.dropped + topic.recorded
