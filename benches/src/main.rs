@@ -4,6 +4,8 @@ mod device;
 mod machine;
 mod node;
 mod publish;
+mod recording;
+mod soak;
 mod subscriber;
 
 use std::path::PathBuf;
@@ -29,6 +31,13 @@ enum Command {
     Node(node::Options),
     /// What publishing costs, with and without a subscriber.
     Publish(publish::Options),
+    /// A long run of four skins and a recorder: memory, losses, latency.
+    Soak(soak::Options),
+    /// What the disk takes, and the recorder on it: from its queue to the file, and over the bus.
+    Recording(recording::Options),
+    /// Used by the others: a process that publishes.
+    #[command(hide = true)]
+    RecordingSource(recording::SourceOptions),
     /// Used by the others: a subscriber process.
     #[command(hide = true)]
     Subscriber(subscriber::Options),
@@ -39,6 +48,9 @@ fn main() -> Result<()> {
     let result = match cli.command {
         Command::Node(options) => node::run(&options)?,
         Command::Publish(options) => publish::run(&options)?,
+        Command::Soak(options) => soak::run(&options)?,
+        Command::Recording(options) => recording::run(&options)?,
+        Command::RecordingSource(options) => return recording::source(&options),
         Command::Subscriber(options) => return subscriber::run(&options),
     };
     let result = machine::stamp(result);

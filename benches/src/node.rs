@@ -32,6 +32,9 @@ pub struct Options {
     /// Python with rclpy, our messages and ONNX Runtime; leaves the peer out where absent.
     #[arg(long)]
     ros_python: Option<PathBuf>,
+    /// Folder of Python packages that the peer needs beside those of ROS: ONNX Runtime.
+    #[arg(long)]
+    peer_packages: Option<PathBuf>,
     /// Root of the repository.
     #[arg(long, default_value = ".")]
     root: PathBuf,
@@ -76,7 +79,9 @@ pub fn run(options: &Options) -> Result<Value> {
         backend: Choice::Hiroz,
         kind: ours(&options.programs, None),
     });
-    if let Some(library) = &options.onnxruntime {
+    // The peer's library serves us, too, so that the runtimes can be told from the rest.
+    let library = options.onnxruntime.clone().or_else(|| library_in(options.peer_packages.as_deref()?));
+    if let Some(library) = &library {
         let kind = ours(&options.programs, Some(library));
         candidates.push(Candidate { name: "dermis, hiroz, ONNX Runtime", backend: Choice::Hiroz, kind });
     }
@@ -108,10 +113,18 @@ pub fn run(options: &Options) -> Result<Value> {
         "rate_hz": options.rate,
         "seconds": options.seconds,
         "hiroz": of("dermis, hiroz"),
+        "hiroz_native": of("dermis, hiroz, ONNX Runtime"),
         "r2r": of("dermis, r2r"),
         "peer": of("rclpy + onnxruntime"),
         "rows": rows,
     }))
+}
+
+/// ONNX Runtime's library in a folder of Python packages.
+fn library_in(packages: &Path) -> Option<PathBuf> {
+    std::fs::read_dir(packages.join("onnxruntime/capi")).ok()?.flatten().map(|entry| entry.path()).find(
+        |path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("libonnxruntime.so")),
+    )
 }
 
 fn command(options: &Options, candidate: &Candidate, device: &Device) -> Command {
@@ -134,6 +147,9 @@ fn command(options: &Options, candidate: &Candidate, device: &Device) -> Command
             let mut c = Command::new(python);
             c.arg(options.root.join("benches/python/rclpy_node.py"));
             c.arg(skin).arg(model).arg(device.path());
+            if let Some(packages) = &options.peer_packages {
+                c.env("PYTHONPATH", packages);
+            }
             c
         }
     }
@@ -144,9 +160,10 @@ fn measure(options: &Options, candidate: &Candidate, domain: u16) -> Result<Valu
     let mut device = Device::new(&skin, 1)?;
     let (subscriber, arrivals) = start(candidate.backend, domain)?;
     let mut command = command(options, candidate, &device);
-    let node = isolated(&mut command, domain).stdout(Stdio::null()).spawn().with_context(|| {
-        format!("{} cannot be started", command.get_program().display())
-    })?;
+    let node = isolated(&mut command, domain)
+        .stdout(Stdio::null())
+        .spawn()
+        .with_context(|| format!("{} cannot be started", command.get_program().display()))?;
     let node = Process(node);
 
     // The zero is taken from untouched frames.
@@ -275,7 +292,7 @@ fn rate(
 }
 
 /// Nearest-rank percentile of sorted numbers; NaN where there are none.
-fn percentile(sorted: &[f64], p: f64) -> f64 {
+pub fn percentile(sorted: &[f64], p: f64) -> f64 {
     let rank = (p / 100.0 * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.clamp(1, sorted.len().max(1)) - 1).copied().unwrap_or(f64::NAN)
 }

@@ -91,7 +91,7 @@ pub fn ros(root: &Path) -> Result<Ros> {
     // Python must find the real message libraries, Rust programs the stand-ins that do not need an interpreter.
     let python = home.join(if sourced.is_some() { "ros-python-sourced" } else { "ros-python" });
     let script = format!(
-        "#!/bin/sh\nexport AMENT_PREFIX_PATH='{ament}'\nexport PYTHONPATH='{}'\nexport LD_LIBRARY_PATH='{}'\nexec '{}' \"$@\"\n",
+        "#!/bin/sh\nexport AMENT_PREFIX_PATH='{ament}'\nexport PYTHONPATH='{}'\"${{PYTHONPATH:+:$PYTHONPATH}}\"\nexport LD_LIBRARY_PATH='{}'\nexec '{}' \"$@\"\n",
         join(&[&site.display().to_string(), &base.python_path]),
         join(&[&overlay_lib, &base.python_library_path]),
         base.python.display(),
@@ -237,7 +237,7 @@ fn make_shim(venv: &Path, shim: &Path) -> Result<()> {
     Ok(())
 }
 
-fn site_packages(prefix: &Path) -> Result<PathBuf> {
+pub fn site_packages(prefix: &Path) -> Result<PathBuf> {
     for entry in
         fs::read_dir(prefix.join("lib")).with_context(|| format!("{} has no lib", prefix.display()))?
     {

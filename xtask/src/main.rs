@@ -1,6 +1,8 @@
 //! Developer commands: `cargo xtask test` passes every test, `cargo xtask targets` measures every figure.
 
+mod bench;
 mod environment;
+mod fuzz;
 mod layers;
 mod measure;
 mod run;
@@ -36,9 +38,13 @@ enum Command {
     },
     /// Measure the figures of targets.toml again; exits with 1 where a bound is missed.
     Targets(targets::Options),
+    /// Measure speed against named peers: `benches/`.
+    Bench(bench::Options),
     /// Take one measurement and print it as JSON; targets.toml names these.
     #[command(subcommand)]
     Measure(measure::Measurement),
+    /// Try any bytes on what reads frames, messages, bags and configuration; see `fuzz/`.
+    Fuzz(fuzz::Options),
     /// Check that imports between crates run one way.
     Layers,
 }
@@ -67,7 +73,9 @@ fn main() -> Result<()> {
             std::process::exit(status.code().unwrap_or(1));
         }
         Command::Targets(options) => targets::run(&root, &options),
+        Command::Bench(options) => bench::run(&root, &options),
         Command::Measure(measurement) => measure::run(&root, &measurement),
+        Command::Fuzz(options) => fuzz::run(&root, &options),
         Command::Layers => layers::check(&root),
     }
 }

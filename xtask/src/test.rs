@@ -28,11 +28,11 @@ pub const WITHOUT_ROS: [&str; 3] =
     ["--workspace", "--exclude=dermis-node-r2r", "--features=dermis-learn/train,dermis-node/test-suite"];
 
 /// Everything; the program still without ROS 2, as it ships.
-const WITH_ROS: [&str; 2] =
+pub const WITH_ROS: [&str; 2] =
     ["--workspace", "--features=dermis-learn/train,dermis-node/test-suite,dermis-node-r2r/test-suite"];
 
 /// Everything, with ROS 2 in the program, too. The selection is that of [`WITH_ROS`], so that no dependency is built twice.
-const ROS_IN_PROGRAM: [&str; 2] = [
+pub const ROS_IN_PROGRAM: [&str; 2] = [
     "--workspace",
     "--features=dermis-learn/train,dermis-node/test-suite,dermis-node-r2r/test-suite,dermis/ros2",
 ];
@@ -115,7 +115,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
 
 /// Builds programs and puts them into a folder of their own. Those that were there stay: the program with ROS 2 in it does
 /// not start where ROS 2 is not sourced.
-fn build_aside(release: &Path, programs: &[&str], build: impl FnOnce() -> Result<()>) -> Result<PathBuf> {
+pub fn build_aside(release: &Path, programs: &[&str], build: impl FnOnce() -> Result<()>) -> Result<PathBuf> {
     let (aside, kept) = (release.join("with-ros2"), release.join("without-ros2"));
     for folder in [&aside, &kept] {
         fs::create_dir_all(folder)?;

@@ -1,0 +1,80 @@
+//! Measurements of speed, each against a named peer in the same run; results lie in `benches/results/`.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+
+use crate::environment;
+use crate::run::{cargo, run as execute, target_dir};
+use crate::test::{ROS_IN_PROGRAM, WITH_ROS, build_aside};
+
+/// What can be measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Name {
+    /// Bytes on a line → message at a subscriber in another process, against rclpy and ONNX Runtime.
+    Node,
+    /// Publishing with and without a subscriber.
+    Publish,
+    /// Recording, against the disk.
+    Recording,
+    /// Half an hour of four skins and a recorder.
+    Soak,
+}
+
+/// Which, and how.
+#[derive(Args)]
+pub struct Options {
+    /// Measurements; all but the long one where none is named.
+    names: Vec<Name>,
+    /// Arguments for the measurement, after `--`; `cargo xtask bench NAME -- --help` lists them.
+    #[arg(last = true)]
+    arguments: Vec<String>,
+}
+
+const PROGRAMS: [&str; 3] = ["dermis", "dermis-train", "dermis-bench"];
+
+/// Builds what is measured, measures, and keeps the results.
+pub fn run(root: &Path, options: &Options) -> Result<()> {
+    let names = match options.names.as_slice() {
+        [] => vec![Name::Node, Name::Publish, Name::Recording],
+        names => names.to_vec(),
+    };
+    let clients = environment::clients(root)?;
+    let ros = environment::ros(root)?;
+    let build = |selection: &[&str]| {
+        let mut c = cargo(root);
+        execute(c.args(["build", "--release", "--bins"]).args(selection).envs(ros.variables()))
+    };
+    build(&WITH_ROS)?;
+    let programs = target_dir(root).join("release");
+    let results = root.join("benches/results");
+    for name in names {
+        let value = name.to_possible_value();
+        let text = value.as_ref().map_or("", |v| v.get_name());
+        let mut command = Command::new(programs.join("dermis-bench"));
+        if name == Name::Node {
+            let aside = build_aside(&programs, &PROGRAMS, || {
+                let mut c = cargo(root);
+                let mut features = ROS_IN_PROGRAM.map(str::to_owned);
+                features[1].push_str(",dermis-benches/ros2");
+                execute(c.args(["build", "--release", "--bins"]).args(features).envs(ros.variables()))
+            })?;
+            // The interpreter lies in `bin` of its environment.
+            let venv = clients.ancestors().nth(2).unwrap_or(root);
+            let packages = environment::site_packages(venv)?;
+            command = Command::new(aside.join("dermis-bench"));
+            command.envs(ros.variables()).arg("node");
+            command.arg("--programs").arg(&programs).arg("--ros-programs").arg(&aside);
+            command.arg("--ros-python").arg(&ros.variables()["DERMIS_ROS_PYTHON"]);
+            command.arg("--peer-packages").arg(packages);
+        } else {
+            command.arg(text);
+        }
+        command.current_dir(root).env("DERMIS_BIN", &programs);
+        command.arg("--out").arg(results.join(format!("{text}.json")));
+        execute(command.args(&options.arguments))?;
+    }
+    Ok(())
+}
