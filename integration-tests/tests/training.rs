@@ -78,14 +78,14 @@ fn a_recording_beside_a_rig_trains_as_well_as_one_beside_our_ground_truth() {
             .arg(&link),
     );
     device.expect("", SOON);
-    let _node = Peer::start(dermis().args(["barodome", "--skin", SKIN, "--source"]).arg(serial(&link)));
+    let node = Peer::start(dermis().args(["barodome", "--skin", SKIN, "--source"]).arg(serial(&link)));
     // Long enough for a hundred places.
     finish(
         dermis()
             .args(["record", "taxels", "ground_truth", "/tool_pose", "/wrench", "--duration", "24s", "--out"])
             .arg(&bag),
     );
-    drop(device);
+    drop((node, device));
 
     // The rig tells the same as the ground truth, but for the noise of its force sensor.
     let skin = SkinDescription::load(root().join(SKIN)).unwrap();
@@ -106,6 +106,7 @@ fn a_recording_beside_a_rig_trains_as_well_as_one_beside_our_ground_truth() {
         }
     }
     assert!(count > 300.0, "{count} frames have both");
+    println!("{count} frames: {} N and {worst} m apart", f64::sqrt(squares / count));
     // 4 mN of noise, and as much again for what changes between two readings of 250 Hz.
     assert!(f64::sqrt(squares / count) < 0.012, "{} N apart", f64::sqrt(squares / count));
     assert!(worst < 2e-5, "{worst} m apart");

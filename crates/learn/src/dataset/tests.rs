@@ -237,3 +237,57 @@ fn inputs_are_those_of_a_node() {
     }
     assert_eq!(features.input().unwrap(), &rows[rows.len() - 4..]);
 }
+
+#[test]
+fn frames_that_cannot_be_told_apart_or_joined_are_named_together() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bag");
+    let mut writer = BagWriter::create(&path).unwrap();
+    for k in 0..20 {
+        let mut message = frame(k * STEP, k as u64, vec![k as f32, 7.0]);
+        let log = message.header.stamp.as_nanos();
+        writer.write("/left/taxels", &message, log).unwrap();
+        writer.write("/right/taxels", &message, log).unwrap();
+        if k > 15 {
+            message.header.stamp = Time::default();
+            writer.write("/left/taxels", &message, log).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let told = |options: &DatasetOptions| {
+        let error = Dataset::from_bags(&[&path], &skin(), options).unwrap_err();
+        error.to_string().replace(&path.display().to_string(), "BAG")
+    };
+    insta::assert_snapshot!(told(&DatasetOptions::default()), @r"
+    3 things are in the way
+      1. bag BAG: 4 frames have no stamp (header.stamp is 0): nothing can be joined by acquisition time; let the driver stamp its frames
+      2. bag BAG: frames of skin `pad` come on several topics: /left/taxels, /right/taxels: two skins would be taken for one; name one of them with `--taxels`, or skin.taxels of the map
+      3. bag BAG: holds 40 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it: nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`
+      note: bag BAG: 1 of 2 channels never change: right: a model will not know them; check the wiring before it is trained
+    ");
+    let one = DatasetOptions { taxels: Some("/right/taxels".into()), ..DatasetOptions::default() };
+    insta::assert_snapshot!(told(&one), @r"
+    bag BAG: holds 20 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it: nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`
+      note: bag BAG: 1 of 2 channels never change: right: a model will not know them; check the wiring before it is trained
+    ");
+}
+
+#[test]
+fn what_blocks_training_is_said_beside_what_bags_lack() {
+    let dir = tempfile::tempdir().unwrap();
+    let frames: Vec<TaxelFrame> = (0..12).map(|k| frame(k * STEP, k as u64, vec![k as f32, 1.0])).collect();
+    let truths: Vec<Indentation> = (0..12).map(|k| truth(k * STEP, 1, &[(0.001, f64::NAN)])).collect();
+    let path = bag(dir.path(), &frames, &truths);
+    let data = Dataset::survey(&[&path], &skin(), &DatasetOptions::default()).unwrap();
+    let findings = data.check(&["force.normal", "contact"], Baseline::Tared, &SplitConfig::default());
+    assert!(findings.is_fatal());
+    let told = findings.to_string().replace(&path.display().to_string(), "BAG");
+    insta::assert_snapshot!(told, @r#"
+    4 things are in the way
+      1. bag BAG: `force.normal` is never known while the skin is touched; known are contact (12 samples), position.x (12 samples), position.y (12 samples), position.z (12 samples): it cannot be learned; name other targets or record them
+      2. bag BAG: holds touched samples only: `contact` cannot be learned; leave it out or record idle frames
+      3. bag BAG: no stretch of 0.03 s (and 3 frames) before the touched frames is labelled untouched: the zero is unknown; record idle frames first, or train with `baseline = "raw"`
+      4. bag BAG: split by location: the data has 1 contact locations; hold out the end of each run instead (`--split time`): nothing would be measured on what was not trained on
+      note: bag BAG: 1 of 2 channels never change: right: a model will not know them; check the wiring before it is trained
+    "#);
+}

@@ -134,6 +134,32 @@ fn a_rigs_readings_become_what_was_done() {
 }
 
 #[test]
+fn poses_may_come_as_one_of_many_transforms() {
+    let (dir, map, act) = (tempfile::tempdir().unwrap(), map(&[]), two_presses());
+    let single = record(dir.path(), &map, &act, |_, _, _| {});
+    let path = dir.path().join("tf");
+    let mut writer = BagWriter::create(&path).unwrap();
+    for message in dermis_bag::BagReader::open(&single).unwrap().messages() {
+        let message = message.unwrap();
+        let time = message.log_time;
+        if &*message.topic == "/tool_pose" {
+            let tool: TransformStamped = message.decode().unwrap();
+            let other = TransformStamped { child_frame_id: "camera".into(), ..tool.clone() };
+            writer.write(&message.topic, &TFMessage { transforms: vec![other, tool] }, time).unwrap();
+        } else if &*message.topic == "/wrench" {
+            writer.write(&message.topic, &message.decode::<WrenchStamped>().unwrap(), time).unwrap();
+        } else {
+            writer.write(&message.topic, &message.decode::<TaxelFrame>().unwrap(), time).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let read = |path| Dataset::from_bags(&[path], &skin(), &options(&map)).unwrap();
+    let (one, many) = (read(&single), read(&path));
+    assert!(one.labelled().count() > 400);
+    assert!(one.labelled().map(|(_, _, t)| t).eq(many.labelled().map(|(_, _, t)| t)));
+}
+
+#[test]
 fn pressed_places_have_identities_that_scatter_does_not_change() {
     let (mut here, mut there) = (Places::default(), Places::default());
     let at = |x: f64| Point3::new(x, 0.0, 0.0);
@@ -197,6 +223,14 @@ fn a_push_somewhere_else_is_no_ground_truth() {
     bag BAG: in 50 of 500 frames the force sensor feels a push with the tip 2 mm or more away from the skin: they are not used; check robot.tip, skin.pose and the time offsets of the map
     bag BAG: 51 of 500 frames have no ground truth within 0.1 s: they are used as history only
     ");
+}
+
+#[test]
+fn maps_that_ship_are_valid() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/labels");
+    let maps: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
+    assert!(!maps.is_empty());
+    maps.iter().for_each(|path| drop(LabelMap::load(path).unwrap()));
 }
 
 #[test]

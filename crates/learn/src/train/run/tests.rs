@@ -131,3 +131,29 @@ fn what_cannot_be_learned_is_refused_before_training() {
     place.targets = vec!["position.x".into(), "position.y".into()];
     insta::assert_snapshot!(told(&Dataset::from_runs(unknown.skin(), runs), &place), @r#"bag made.bag: no stretch of 0.03 s (and 3 frames) before the touched frames is labelled untouched: the zero is unknown; record idle frames first, or train with `baseline = "raw"`"#);
 }
+
+#[test]
+fn rare_forces_count_as_much_as_plenty() {
+    let outputs = ["position.x", "force.normal"];
+    let mut balance = Balance::default();
+    let pressed = |force| Truth {
+        press: 1,
+        location: 1,
+        idle: false,
+        contacts: vec![crate::dataset::tests::contact(0.0, 0.0, force)],
+    };
+    let untouched = Truth { contacts: Vec::new(), ..pressed(1.0) };
+    let truths = [(90, untouched), (30, pressed(0.3)), (3, pressed(3.0))];
+    for (count, truth) in &truths {
+        (0..*count).for_each(|_| balance.push(truth));
+    }
+    let mut weights = vec![1.0; 2 * 123];
+    balance.apply(&outputs, &mut weights);
+    let forces: Vec<f32> = weights.iter().skip(1).step_by(2).copied().collect();
+    assert!(weights.iter().step_by(2).all(|w| *w == 1.0), "positions are weighted otherwise");
+    let sums = [&forces[..90], &forces[90..120], &forces[120..]].map(|part| part.iter().sum::<f32>());
+    approx::assert_relative_eq!(sums[0], sums[1], max_relative = 1e-4);
+    // Thirty times as rare as the untouched: as much as a weight may grow.
+    approx::assert_relative_eq!(sums[2], sums[0] / 3.0, max_relative = 1e-4);
+    approx::assert_relative_eq!(forces.iter().sum::<f32>(), 123.0, max_relative = 1e-4);
+}
