@@ -243,7 +243,7 @@ impl Player<'_> {
     fn once(&mut self, reader: &BagReader, filter: &Filter, start: i64, played: &mut Played) -> Result<()> {
         let mut told: Option<Instant> = None;
         let mut now = start;
-        let mut messages = reader.messages_by_time(filter.clone()).peekable();
+        let mut messages = reader.messages_by_time(filter).peekable();
         // Until the first message is read, no time passes.
         messages.peek();
         let began = Instant::now();

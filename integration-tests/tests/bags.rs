@@ -1,5 +1,7 @@
 //! Recording and playing across processes, and bags in the hands of libraries that others wrote.
 
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
+
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};

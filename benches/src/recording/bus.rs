@@ -83,6 +83,17 @@ pub fn source(options: &SourceOptions) -> Result<()> {
     Ok(())
 }
 
+/// A process that does not outlive the measurement.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// Records large and small messages at the rate, then small ones at a twentieth of it.
 pub(super) fn run(dermis: &Path, folder: &Path, rate: f64, seconds: f64) -> Result<Value> {
     let large = record(dermis, &folder.join("large"), rate, seconds, false)?;
@@ -92,13 +103,13 @@ pub(super) fn run(dermis: &Path, folder: &Path, rate: f64, seconds: f64) -> Resu
 
 fn record(dermis: &Path, bag: &Path, rate: f64, seconds: f64, small: bool) -> Result<Value> {
     let domain = (100 + std::process::id() % 20).to_string();
-    let start = |command: &mut Command| -> Result<Child> {
+    let start = |command: &mut Command| -> Result<Running> {
         command
             .env("ROS_DOMAIN_ID", &domain)
             .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped());
-        command.spawn().with_context(|| format!("{command:?} does not start"))
+        command.spawn().map(Running).with_context(|| format!("{command:?} does not start"))
     };
     let mut recorder =
         start(Command::new(dermis).args(["record", "--regex", "^/load/", "--json", "--out"]).arg(bag))?;
@@ -108,8 +119,8 @@ fn record(dermis: &Path, bag: &Path, rate: f64, seconds: f64, small: bool) -> Re
         command.arg("--small");
     }
     let mut source = start(&mut command)?;
-    let sent = line(&mut source).context("the source ended without a word")?;
-    let cpu = [cpu_time(&recorder)?, cpu_time(&source)?].map(|time| time.as_secs_f64());
+    let sent = line(&mut source.0).context("the source ended without a word")?;
+    let cpu = [cpu_time(&recorder.0)?, cpu_time(&source.0)?].map(|time| time.as_secs_f64());
     // All has arrived when what is written stops growing.
     let size = || {
         std::fs::read_dir(bag).map_or(0, |files| {
@@ -121,11 +132,11 @@ fn record(dermis: &Path, bag: &Path, rate: f64, seconds: f64, small: bool) -> Re
         last = size();
         std::thread::sleep(Duration::from_millis(1500));
     }
-    interrupt(&recorder)?;
-    let said = line(&mut recorder).context("the recorder ended without a word")?;
-    wait(&mut recorder, PATIENCE)?;
-    drop(source.stdin.take());
-    wait(&mut source, PATIENCE)?;
+    interrupt(&recorder.0)?;
+    let said = line(&mut recorder.0).context("the recorder ended without a word")?;
+    wait(&mut recorder.0, PATIENCE)?;
+    drop(source.0.stdin.take());
+    wait(&mut source.0, PATIENCE)?;
     std::fs::remove_dir_all(bag)?;
 
     let number = |value: &Value, key: &str| value[key].as_f64().unwrap_or(f64::NAN);

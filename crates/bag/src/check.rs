@@ -18,6 +18,7 @@ use mcap::{
 use crate::{
     BagError, BagInfo, BagOptions, BagReader, BagWriter, Filter, TopicId,
     error::say,
+    guard::{guarded, parse_record},
     metadata::Metadata,
     reader::{mcap_files, nanos, read_summary, record_limit},
 };
@@ -325,13 +326,13 @@ impl FileCheck<'_> {
         let mut reader = LinearReader::new_with_options(options);
         let mut input = BufReader::with_capacity(1 << 20, &mut file);
         let mut failure = None;
-        while let Some(event) = reader.next_event() {
-            match event {
+        while let Some(event) = guarded(|| reader.next_event()).transpose() {
+            match event.and_then(|event| event) {
                 Ok(LinearReadEvent::ReadRequest(size)) => {
                     let read = input.read(reader.insert(size)).map_err(BagError::io("read", self.file))?;
                     reader.notify_read(read);
                 }
-                Ok(LinearReadEvent::Record { data, opcode }) => match mcap::parse_record(opcode, data) {
+                Ok(LinearReadEvent::Record { data, opcode }) => match parse_record(opcode, data) {
                     Ok(record) => self.record(&record, &mut schemas, &mut channels),
                     Err(error) => failure = Some(error),
                 },

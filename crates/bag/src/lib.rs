@@ -31,6 +31,7 @@ mod ament;
 mod check;
 mod definition;
 mod error;
+mod guard;
 mod info;
 mod metadata;
 mod order;

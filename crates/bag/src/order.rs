@@ -133,14 +133,11 @@ impl Iterator for MessagesByTime {
             let done = |source: &Source| matches!(source.ended, Some(Ok(()))) && source.waiting.is_empty();
             self.open.retain(|source| !done(source));
         };
-        let at = match next {
-            Some((at, _)) => at,
+        let Some((at, _)) = next else {
             // What is open has nothing left: an error ended it, or it is done.
-            None => {
-                let error = self.open.drain(..).find_map(|source| source.ended?.err());
-                self.failed = true;
-                return error.map(Err);
-            }
+            let error = self.open.drain(..).find_map(|source| source.ended?.err());
+            self.failed = true;
+            return error.map(Err);
         };
         let source = &mut self.open[at];
         let message = source.waiting.pop().map(|waiting| waiting.message)?;

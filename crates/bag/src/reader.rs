@@ -17,8 +17,8 @@ use mcap::{
 use yaml_rust2::Yaml;
 
 use crate::{
-    BagError, BagInfo, BagQos, TopicInfo, definition, error::say, metadata::Metadata, order::MessagesByTime,
-    salvage::Salvage,
+    BagError, BagInfo, BagQos, TopicInfo, definition, error::say, guard::guarded, metadata::Metadata,
+    order::MessagesByTime, salvage::Salvage,
 };
 
 /// Largest record or decompressed chunk that is held in memory; recorders make chunks of about 1 MB.
@@ -530,7 +530,7 @@ impl BagReader {
 
     /// The messages that a filter takes, in the order of their log times over all files.
     #[must_use]
-    pub fn messages_by_time(&self, filter: Filter) -> MessagesByTime {
+    pub fn messages_by_time(&self, filter: &Filter) -> MessagesByTime {
         let files = self.files.iter().zip(&self.parts).map(|(file, part)| {
             let messages = Messages::of(vec![Arc::clone(file)], filter.clone(), self.recover);
             (messages, *part)
@@ -629,7 +629,7 @@ pub(crate) fn read_summary(file: &mut File, length: u64) -> Result<Option<Summar
     let options =
         SummaryReaderOptions::default().with_file_size(length).with_record_length_limit(record_limit(length));
     let mut reader = SummaryReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
+    while let Some(event) = guarded(|| reader.next_event())? {
         match event? {
             SummaryReadEvent::SeekRequest(to) => {
                 let position = file.seek(to)?;
@@ -654,7 +654,7 @@ struct FileMessages {
 
 enum Reader {
     /// Ends at the first damage.
-    Strict(mcap::io::MessageReader<BufReader<File>>),
+    Strict(Box<mcap::io::MessageReader<BufReader<File>>>),
     /// Passes over damaged chunks.
     Lenient(Box<Salvage>),
 }
@@ -673,7 +673,7 @@ impl FileMessages {
             reader: if recover {
                 Reader::Lenient(Box::new(Salvage::new(file, length, summary)))
             } else {
-                Reader::Strict(mcap::io::MessageReader::new_with_options(file, options))
+                Reader::Strict(Box::new(mcap::io::MessageReader::new_with_options(file, options)))
             },
             count: 0,
             last_topic: String::new(),
@@ -687,7 +687,7 @@ impl Iterator for FileMessages {
     fn next(&mut self) -> Option<Self::Item> {
         let path = || self.file.to_path_buf();
         let next = match &mut self.reader {
-            Reader::Strict(reader) => reader.next()?,
+            Reader::Strict(reader) => guarded(|| reader.next()).transpose()?.and_then(|message| message),
             Reader::Lenient(salvage) => salvage.next()?.map_err(McapError::Io),
         };
         match next {

@@ -13,7 +13,10 @@ use mcap::{
     sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
-use crate::reader::record_limit;
+use crate::{
+    guard::{guarded, parse_record},
+    reader::record_limit,
+};
 
 /// Opcode and length of a record.
 const HEAD: u64 = 9;
@@ -87,7 +90,7 @@ impl Salvage {
 
     fn take(&mut self, head: &[u8], bytes: &[u8], limit: usize) {
         if head[0] != op::CHUNK {
-            if let Ok(record) = mcap::parse_record(head[0], bytes) {
+            if let Ok(record) = parse_record(head[0], bytes) {
                 self.keep(record.into_owned());
             }
             return;
@@ -100,14 +103,14 @@ impl Salvage {
             .with_record_length_limit(limit);
         let mut reader = LinearReader::new_with_options(options);
         let mut input = head.chain(bytes);
-        while let Some(Ok(event)) = reader.next_event() {
+        while let Ok(Some(Ok(event))) = guarded(|| reader.next_event()) {
             match event {
                 LinearReadEvent::ReadRequest(size) => {
                     let read = input.read(reader.insert(size)).unwrap_or(0);
                     reader.notify_read(read);
                 }
                 LinearReadEvent::Record { data, opcode } => {
-                    if let Ok(record) = mcap::parse_record(opcode, data) {
+                    if let Ok(record) = parse_record(opcode, data) {
                         self.keep(record.into_owned());
                     }
                 }

@@ -169,7 +169,7 @@ fn filled(definitions: &BTreeMap<String, String>, type_name: &str, count: &mut u
         let mut one = || {
             *count = *count % 100 + 1;
             match base.split("<=").next().unwrap_or_default() {
-                "bool" => json!(*count % 2 == 0),
+                "bool" => json!(count.is_multiple_of(2)),
                 "string" => json!(format!("text {count} µ")),
                 "float32" | "float64" => json!(f64::from(*count) * 0.25),
                 number

@@ -25,6 +25,7 @@ fn frame(index: u64) -> TaxelFrame {
     }
 }
 
+#[expect(clippy::unwrap_used, reason = "a helper of tests")]
 fn at(index: u64) -> i64 {
     START + i64::try_from(index).unwrap() * 10_000_000
 }
@@ -303,7 +304,7 @@ proptest! {
             .collect();
         prop_assert_eq!(&stored, &given);
         let played: Vec<_> =
-            reader.messages_by_time(Filter::default()).map(|message| key(message.unwrap())).collect();
+            reader.messages_by_time(&Filter::default()).map(|message| key(message.unwrap())).collect();
         prop_assert!(played.is_sorted_by_key(|(time, ..)| *time));
         given.sort();
         let mut played = played;
