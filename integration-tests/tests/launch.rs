@@ -1,5 +1,7 @@
 //! `dermis launch`: order, readiness, restarts, stopping, logs, and what is left when the launch itself is killed.
 
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
