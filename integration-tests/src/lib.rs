@@ -89,6 +89,11 @@ pub fn domain() -> u16 {
     TAKEN.get_or_init(take).0
 }
 
+fn signal(process: u32, name: &str) {
+    let done = Command::new("kill").args([&format!("-{name}"), &process.to_string()]).status();
+    assert!(done.is_ok_and(|s| s.success()), "it cannot be sent {name}");
+}
+
 /// Another program, read line by line; killed when dropped.
 #[derive(Debug)]
 pub struct Peer {
@@ -175,8 +180,30 @@ impl Peer {
     ///
     /// Where it cannot be signalled.
     pub fn interrupt(&self) {
-        let done = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status();
-        assert!(done.is_ok_and(|s| s.success()), "it cannot be interrupted");
+        self.signal("INT");
+    }
+
+    /// Sends it a signal by its name, e.g. `STOP`.
+    ///
+    /// # Panics
+    ///
+    /// Where it cannot be signalled.
+    pub fn signal(&self, name: &str) {
+        signal(self.child.id(), name);
+    }
+
+    /// \[bytes\] of memory that it holds.
+    ///
+    /// # Panics
+    ///
+    /// Where it has ended.
+    #[must_use]
+    pub fn memory(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id()))
+            .unwrap_or_else(|e| panic!("it has ended: {e}"));
+        let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap_or_default();
+        let kilobytes: u64 = line.trim().trim_end_matches(" kB").parse().unwrap_or_default();
+        kilobytes * 1024
     }
 
     /// Ends it at once, as a crash does.

@@ -56,6 +56,15 @@ impl Rclpy {
         Some(peer)
     }
 
+    /// Sends it a signal by its name, e.g. `STOP`.
+    ///
+    /// # Panics
+    ///
+    /// Where it cannot be signalled.
+    pub fn signal(&self, name: &str) {
+        crate::signal(self.child.id(), name);
+    }
+
     /// Sends a command.
     ///
     /// # Panics
