@@ -1,4 +1,5 @@
 //! From a recording to a model: recorded on the bus with ground truth of both kinds, trained here, and trained elsewhere.
+#![expect(clippy::unwrap_used, reason = "a test whose preparation fails should fail")]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -245,7 +245,7 @@ impl LabelMap {
             ("force.time_offset", std::slice::from_ref(&map.force.time_offset)),
         ];
         for (field, values) in numbers {
-            if values.iter().any(|v| !(v.abs() < 1e4)) {
+            if !values.iter().all(|v| v.abs() < 1e4) {
                 return wrong(
                     field,
                     format!("is {values:?}: metres and seconds of a rig are finite and small"),
@@ -258,7 +258,7 @@ impl LabelMap {
         ] {
             let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
             // Four digits are what people type.
-            if !((norm - 1.0).abs() < 1e-3) {
+            if !(0.999..1.001).contains(&norm) {
                 return wrong(
                     field,
                     format!("is {q:?} of length {norm:.4} and must be a unit quaternion x, y, z, w"),
