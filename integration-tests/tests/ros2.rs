@@ -2,7 +2,7 @@
 //! and is skipped, with a printed line, where no ROS 2 is set up for tests.
 
 use std::process::Command;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use dermis_integration_tests::{Peer, Rclpy, Recorded, program, root, ros_python};
 use serde_json::{Value, json};
@@ -155,4 +155,53 @@ fn rclpy_feels_a_recorded_skin() {
     for axis in ["x", "y"] {
         assert!(place[axis].as_f64().unwrap().abs() < 0.016, "the robot pressed a square of 30 mm: {array}");
     }
+}
+
+/// Messages on a topic for so many seconds: how many a second, and the last of them.
+fn listen(rclpy: &mut Rclpy, topic: &str, seconds: f64) -> (f64, Value) {
+    let begun = Instant::now();
+    let (mut count, mut last) = (0_u32, Value::Null);
+    rclpy.wait("messages", |said| {
+        if said["event"] == "message" && said["topic"] == topic {
+            count += 1;
+            last = said["value"].clone();
+        }
+        (begun.elapsed().as_secs_f64() >= seconds).then_some(())
+    });
+    (f64::from(count) / begun.elapsed().as_secs_f64(), last)
+}
+
+#[test]
+fn an_rclpy_node_that_stops_reading_holds_nobody_up() {
+    let Some(mut planner) = Rclpy::start("planner") else { return };
+    let Some(mut hanging) = Rclpy::start("hanging") else { return };
+    let _demo = demo();
+    let qos = json!({"reliable": false, "depth": 5});
+    for topic in [("/contacts", "dermis_msgs/msg/ContactArray"), ("/taxels", "dermis_msgs/msg/TaxelFrame")] {
+        for rclpy in [&mut planner, &mut hanging] {
+            rclpy.tell(&json!({"do": "subscribe", "topic": topic.0, "type": topic.1, "qos": qos}));
+        }
+    }
+    for rclpy in [&mut planner, &mut hanging] {
+        rclpy.wait("frames", |said| (said["topic"] == "/contacts").then_some(()));
+    }
+    // What starts is not yet at its rate.
+    listen(&mut planner, "/contacts", 3.0);
+    let (before, _) = listen(&mut planner, "/contacts", 5.0);
+    hanging.signal("STOP");
+    let mut rates = Vec::new();
+    let mut last = Value::Null;
+    for _ in 0..6 {
+        let (rate, message) = listen(&mut planner, "/contacts", 5.0);
+        rates.push(rate);
+        last = message;
+    }
+    hanging.signal("CONT");
+    println!("{before} messages a second, then {rates:?}");
+    assert!(before > 30.0, "{before} messages a second: this machine is too slow to tell anything");
+    assert!(rates.iter().all(|rate| *rate > 0.8 * before), "{before} messages a second, then {rates:?}");
+    let newest = last["sequence"].as_u64().unwrap();
+    hanging.wait("what was sent since", |said| {
+        (said["topic"] == "/contacts" && said["value"]["sequence"].as_u64() > Some(newest)).then_some(())
+    });
 }

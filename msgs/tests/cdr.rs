@@ -116,6 +116,16 @@ proptest! {
     }
 
     #[test]
+    fn json_gives_the_same_message_back(message in contact_arrays()) {
+        let support = type_support(ContactArray::TYPE_NAME).unwrap();
+        let json = (support.cdr_to_json)(&message.to_cdr()).unwrap();
+        // Through text, as the bridge sends it.
+        let text = serde_json::to_string(&json).unwrap();
+        let again = (support.json_to_cdr)(&serde_json::from_str(&text).unwrap()).unwrap();
+        prop_assert_eq!((support.cdr_to_json)(&again).unwrap(), json);
+    }
+
+    #[test]
     fn any_bytes_are_decoded_or_refused(bytes in vec(any::<u8>(), 0..400), little_endian: bool) {
         let bytes = [&[0, u8::from(little_endian), 0, 0], &bytes[..]].concat();
         for support in type_supports() {
