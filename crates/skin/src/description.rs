@@ -519,6 +519,32 @@ taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", positio
 
     proptest::proptest! {
         #[test]
+        fn what_is_written_reads_back(
+            name in "[a-z0-9_-]{1,12}",
+            description in ".{0,30}",
+            rate in 1e-3..1e5f64,
+            noise in 1e-9..1e9f64,
+            scale in 1e-9..1e9f64,
+            offset in -1e9..1e9f64,
+            ascii in proptest::bool::ANY,
+            positions in proptest::collection::vec(proptest::array::uniform3(-1.0..1.0f64), 1..8),
+            stuck in 0.0..1e3f64,
+        ) {
+            let mut skin = SkinDescription::from_toml(include_str!("../../../launch/skins/baro-grid.toml"), "grid").unwrap();
+            skin.name = name;
+            skin.description = description;
+            (skin.rate, skin.noise, skin.condition.stuck_time) = (rate, noise, stuck);
+            skin.wire.protocol = if ascii { WireProtocol::Ascii } else { WireProtocol::Native };
+            (skin.wire.scale, skin.wire.offset) = (scale, offset);
+            let taxels = positions.iter().enumerate();
+            skin.taxels = taxels.map(|(i, p)| Taxel { name: format!("t{i}"), position: *p, normal: up() }).collect();
+            skin.channels.clear();
+            skin.finish("written").unwrap();
+            let text = toml::to_string(&skin).unwrap();
+            proptest::prop_assert_eq!(SkinDescription::from_toml(&text, "written").unwrap(), skin);
+        }
+
+        #[test]
         fn no_text_panics(text in ".{0,200}") {
             let _ = SkinDescription::from_toml(&text, "x");
         }
