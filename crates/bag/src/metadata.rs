@@ -53,6 +53,15 @@ fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }
 
+/// The first line whose content stands further right than any file of ours has it: block nesting is read recursively, and
+/// thousands of levels would end the program.
+fn nested_too_deeply(text: &str) -> Option<usize> {
+    const DEEPEST: usize = 200;
+    let column =
+        |line: &str| line.find(|c: char| !matches!(c, ' ' | '\t' | '-' | '?' | ':')).unwrap_or(line.len());
+    text.lines().position(|line| column(line) > DEEPEST).map(|at| at + 1)
+}
+
 impl Metadata {
     pub(crate) fn to_yaml(&self) -> String {
         let times =
@@ -135,6 +144,9 @@ impl Metadata {
 
     pub(crate) fn parse(path: &Path, text: &str) -> Result<Self, BagError> {
         let wrong = |problem: String| BagError::Metadata { path: path.into(), problem };
+        if let Some(line) = nested_too_deeply(text) {
+            return Err(wrong(format!("line {line} is nested too deeply")));
+        }
         let documents = YamlLoader::load_from_str(text).map_err(|error| wrong(error.to_string()))?;
         let root = documents.first().ok_or_else(|| wrong("it is empty".into()))?;
         let info = &root["rosbag2_bagfile_information"];
@@ -311,5 +323,12 @@ mod tests {
             say(&good.replace("      message_count: 3\n  compression", "      message_count: -3\n  compression")),
             @"bag/metadata.yaml is not rosbag2 metadata: field message_count is missing or not a count"
         );
+    }
+
+    #[test]
+    fn what_is_nested_without_end_is_refused() {
+        for text in ["- ".repeat(100_000), (0..5000).map(|i| " ".repeat(i) + "a:\n").collect()] {
+            assert!(Metadata::parse(Path::new("metadata.yaml"), &text).is_err());
+        }
     }
 }

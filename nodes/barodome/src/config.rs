@@ -180,6 +180,12 @@ impl Config {
     }
 
     fn parse(text: &str, yaml: bool, path: &Path) -> Result<Self, ConfigError> {
+        if let Some(line) = nested_too_deeply(text).filter(|_| yaml) {
+            return Err(ConfigError::Read {
+                path: path.to_owned(),
+                reason: format!("line {line} is nested too deeply"),
+            });
+        }
         let format = if yaml { ::config::FileFormat::Yaml } else { ::config::FileFormat::Toml };
         let tree = ::config::Config::builder()
             .add_source(::config::File::from_str(text, format))
@@ -210,6 +216,15 @@ impl Config {
             reason: one_line(&e.to_string()),
         })
     }
+}
+
+/// The first line whose content stands further right than any file of ours has it: block nesting is read recursively, and
+/// thousands of levels would end the program.
+fn nested_too_deeply(text: &str) -> Option<usize> {
+    const DEEPEST: usize = 200;
+    let column =
+        |line: &str| line.find(|c: char| !matches!(c, ' ' | '\t' | '-' | '?' | ':')).unwrap_or(line.len());
+    text.lines().position(|line| column(line) > DEEPEST).map(|at| at + 1)
 }
 
 fn one_line(text: &str) -> String {
@@ -267,5 +282,13 @@ mod tests {
         assert_eq!(config.models, [folder.path().join("m"), PathBuf::from("/abs")]);
         let missing = Config::load(folder.path().join("none.toml")).unwrap_err().to_string();
         assert!(missing.contains("none.toml: cannot be read"), "{missing}");
+    }
+
+    #[test]
+    fn what_is_nested_without_end_is_refused() {
+        for text in ["- ".repeat(100_000), (0..5000).map(|i| " ".repeat(i) + "a:\n").collect()] {
+            let error = Config::parse(&text, true, Path::new("palm.yaml")).unwrap_err().to_string();
+            assert!(error.contains("nested too deeply"), "{error}");
+        }
     }
 }
