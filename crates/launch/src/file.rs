@@ -170,6 +170,9 @@ pub(crate) fn read(path: &Path) -> Result<Value, LaunchError> {
 }
 
 pub(crate) fn parse(text: &str, yaml: bool) -> Result<Value, String> {
+    if let Some(line) = nested_too_deeply(text).filter(|_| yaml) {
+        return Err(format!("line {line} is nested too deeply"));
+    }
     let format = if yaml { config::FileFormat::Yaml } else { config::FileFormat::Toml };
     config::Config::builder()
         .add_source(config::File::from_str(text, format))
@@ -190,6 +193,15 @@ pub(crate) fn typed<T: DeserializeOwned>(value: Value, path: &Path, at: &str) ->
         };
         LaunchError::Field { path: path.to_owned(), field, reason: one_line(&e.inner().to_string()) }
     })
+}
+
+/// The first line whose content stands further right than any launch file has it: block nesting is read recursively, and
+/// thousands of levels would end the program.
+fn nested_too_deeply(text: &str) -> Option<usize> {
+    const DEEPEST: usize = 200;
+    let column =
+        |line: &str| line.find(|c: char| !matches!(c, ' ' | '\t' | '-' | '?' | ':')).unwrap_or(line.len());
+    text.lines().position(|line| column(line) > DEEPEST).map(|at| at + 1)
 }
 
 pub(crate) fn one_line(text: &str) -> String {
