@@ -1,5 +1,6 @@
 //! Fuzzing what reads bytes from outside: `fuzz/`.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -48,9 +49,11 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     let arguments = ["fuzz", "build", "-O", "--sanitizer", "none", "--fuzz-dir"];
     execute(cargo(root).args(arguments).arg(&fuzz).args(&options.target))?;
     let programs = programs(root, &fuzz)?;
+    let mut rates = BTreeMap::new();
     for target in targets {
-        one(&fuzz, &programs, target, options)?;
+        rates.insert(target, one(&fuzz, &programs, target, options)?);
     }
+    println!("{}", serde_json::json!({ "runs": options.runs, "runs_per_second": rates }));
     Ok(())
 }
 
@@ -65,7 +68,8 @@ fn programs(root: &Path, fuzz: &Path) -> Result<PathBuf> {
     Ok(target.join(host).join("release"))
 }
 
-fn one(fuzz: &Path, programs: &Path, target: &str, options: &Options) -> Result<()> {
+/// Runs one target; returns how many inputs it tried a second.
+fn one(fuzz: &Path, programs: &Path, target: &str, options: &Options) -> Result<f64> {
     let corpus = fuzz.join("corpus").join(target);
     let found = fuzz.join("artifacts").join(target);
     let grown = fuzz.join("target/corpus").join(target);
@@ -89,17 +93,14 @@ fn one(fuzz: &Path, programs: &Path, target: &str, options: &Options) -> Result<
             .args([&grown, &corpus]),
     );
     let seconds = begun.elapsed().as_secs_f64();
+    let rate = options.runs as f64 / seconds;
     let done = done.and_then(|()| {
-        println!(
-            "{target}: {} runs in {seconds:.0} s, {:.0} a second",
-            options.runs,
-            options.runs as f64 / seconds
-        );
+        println!("{target}: {} runs in {seconds:.0} s, {rate:.0} a second", options.runs);
         if options.minimise { minimise(&program, &corpus, &grown) } else { Ok(()) }
     });
     // Nothing but files of one input lies there.
     let _ = fs::remove_dir_all(&scratch);
-    done.with_context(|| {
+    done.map(|()| rate).with_context(|| {
         format!(
             "target `{target}` found an input in {}; put it into {} with its fix, so that it stays fixed",
             found.display(),
