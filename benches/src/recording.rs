@@ -72,8 +72,8 @@ pub fn run(options: &Options) -> Result<Value> {
                 measured.stored
             );
             writer.push(json!({
-                "compression": name, "paced": paced, "mb_s": measured.rate, "messages": measured.messages,
-                "dropped": measured.dropped, "cores": measured.cores, "stored_share": measured.stored,
+                "compression": name, "paced": paced, "mb_s": measured.rate, "synced_mb_s": measured.synced_rate,
+                "messages": measured.messages, "dropped": measured.dropped, "cores": measured.cores, "stored_share": measured.stored,
             }));
         }
     }
@@ -114,7 +114,10 @@ fn disk(path: &Path, bytes: u64) -> Result<(f64, f64)> {
 }
 
 struct Measured {
+    /// While messages came, or, where they came as fast as they went, until the end \[MB/s\].
     rate: f64,
+    /// Until all lies on the disk \[MB/s\].
+    synced_rate: f64,
     messages: u64,
     dropped: u64,
     /// Processor time over real time, the maker of messages included.
@@ -160,11 +163,13 @@ fn through_writer(folder: &Path, compression: Compression, rate: f64, seconds: f
         }
         count += 1;
     }
+    let came = begun.elapsed().as_secs_f64();
     let recorded = recorder.finish([])?;
     let wall = begun.elapsed().as_secs_f64();
     let payload = recorded.state.payload_bytes as f64;
     let measured = Measured {
-        rate: payload * 1e-6 / wall,
+        rate: payload * 1e-6 / if rate.is_finite() { came } else { wall },
+        synced_rate: payload * 1e-6 / wall,
         messages: recorded.state.messages,
         dropped: recorded.state.dropped,
         cores: (own_cpu()? - cpu).as_secs_f64() / wall,
