@@ -246,7 +246,7 @@ fn summary(seconds: &[Second], received: &[u64], lost: &[u64], check: &Value) ->
 fn failures(summary: &Value) -> Vec<String> {
     let mut found = Vec::new();
     let growth = summary["memory"]["growth"].as_f64().unwrap_or(f64::NAN);
-    if !(growth.abs() <= MEMORY_BOUND) {
+    if growth.is_nan() || growth.abs() > MEMORY_BOUND {
         found.push(format!("memory changed by {:.1} %", growth * 100.0));
     }
     let lost = summary["lost"].as_u64().unwrap_or(u64::MAX);
@@ -254,7 +254,7 @@ fn failures(summary: &Value) -> Vec<String> {
         found.push(format!("{lost} messages did not reach the subscriber"));
     }
     let drift = summary["latency_ms"]["drift"].as_f64().unwrap_or(f64::NAN);
-    if !(drift <= DRIFT_BOUND) {
+    if drift.is_nan() || drift > DRIFT_BOUND {
         found.push(format!("the median latency grew by {drift:.3} ms"));
     }
     if summary["bag"]["findings"] != json!([]) {

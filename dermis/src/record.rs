@@ -224,7 +224,7 @@ impl Recording {
     fn look_around(&mut self, progress: &Progress) {
         let topics = match self.node.topics() {
             Ok(topics) => topics,
-            Err(error) => return self.tell(progress, "the ROS graph", error.to_string()),
+            Err(error) => return self.tell(progress, "the ROS graph", &error.to_string()),
         };
         let mut by_name: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for (name, type_name) in topics {
@@ -236,13 +236,13 @@ impl Recording {
                 continue;
             }
             if let Err(why) = self.take(&name, &types) {
-                self.tell(progress, &name, format!("{why:#}"));
+                self.tell(progress, &name, &format!("{why:#}"));
             }
         }
     }
 
-    fn tell(&mut self, progress: &Progress, what: &str, why: String) {
-        if self.told.insert((what.to_owned(), why.clone())) {
+    fn tell(&mut self, progress: &Progress, what: &str, why: &str) {
+        if self.told.insert((what.to_owned(), why.to_owned())) {
             progress.say(&format!("{what} is not recorded: {why}"));
         }
     }

@@ -379,13 +379,14 @@ mod tests {
     #[test]
     fn a_device_clock_that_wraps_or_is_set_is_followed() {
         // Microseconds in 32 bits, microseconds up to the end of 64 bits, and a device whose clock is set ahead and back.
-        let set =
-            |i: u64| 5_000_000_000 + i * 10_000 + if (200..300).contains(&i) { 3_600_000_000 } else { 0 };
-        let wraps = |bits: u32| move |i: u64| (1_u128 << bits).wrapping_sub(2_000_000) as u64;
-        let clocks: [(&str, Box<dyn Fn(u64) -> u64>); 3] = [
-            ("32 bits", Box::new(move |i| (wraps(32)(i) + i * 10_000) & u64::from(u32::MAX))),
-            ("64 bits", Box::new(move |i| wraps(64)(i).wrapping_add(i * 10_000))),
-            ("set", Box::new(set)),
+        fn set(i: u64) -> u64 {
+            5_000_000_000 + i * 10_000 + if (200..300).contains(&i) { 3_600_000_000 } else { 0 }
+        }
+        type DeviceTime = fn(u64) -> u64;
+        let clocks: [(&str, DeviceTime); 3] = [
+            ("32 bits", |i| ((1 << 32) - 2_000_000 + i * 10_000) & u64::from(u32::MAX)),
+            ("64 bits", |i| (u64::MAX - 2_000_000).wrapping_add(i * 10_000)),
+            ("set", set),
         ];
         for (name, device) in clocks {
             let mut clock = DeviceClock::new();

@@ -106,8 +106,8 @@ impl Bench {
         HirozBackend::new(HirozConfig { local_router: false, scouting_port, ..HirozConfig::default() })
     }
 
-    fn start(&self, config: Config) -> BarodomeNode {
-        BarodomeNode::start(&config, &Self::backend()).unwrap()
+    fn start(&self, config: &Config) -> BarodomeNode {
+        BarodomeNode::start(config, &Self::backend()).unwrap()
     }
 
     fn refusal(&self, change: impl FnOnce(&mut Config)) -> String {
@@ -156,7 +156,7 @@ fn untouched(m: &ContactArray) -> bool {
 fn frames_become_contacts() {
     let bench = Bench::new();
     let device = Device::plug(&bench.path("tty"));
-    let running = bench.start(bench.config());
+    let running = bench.start(&bench.config());
     let observer = bench.observer();
     let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
     expect(&contacts, "untouched", untouched);
@@ -233,7 +233,7 @@ fn frames_become_contacts() {
 fn an_unplugged_skin_is_stale_and_comes_back() {
     let bench = Bench::new();
     let device = Device::plug(&bench.path("tty"));
-    let running = bench.start(bench.config());
+    let running = bench.start(&bench.config());
     let observer = bench.observer();
     let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
     expect(&contacts, "untouched", untouched);
@@ -252,7 +252,7 @@ fn an_unplugged_skin_is_stale_and_comes_back() {
 #[test]
 fn a_foreign_device_is_a_fault_with_one_sentence() {
     let bench = Bench::new();
-    let running = bench.start(bench.config());
+    let running = bench.start(&bench.config());
     let observer = bench.observer();
     let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
     let nothing = expect(&contacts, "no device yet", |m| m.status == ContactArray::STATUS_STALE);
@@ -289,7 +289,7 @@ fn a_model_that_does_not_fit_leaves_the_readings() {
     let graph = bench.path("model/model.onnx");
     let bytes = std::fs::read(&graph).unwrap();
     std::fs::write(&graph, &bytes[..bytes.len() / 2]).unwrap();
-    let running = bench.start(bench.config());
+    let running = bench.start(&bench.config());
     let observer = bench.observer();
     let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
     let (_taxels, taxels) = listen::<TaxelFrame>(&observer, "taxels", Qos::sensor_data());
@@ -307,7 +307,7 @@ fn a_model_that_does_not_fit_leaves_the_readings() {
 fn a_lifecycle_manager_decides_where_asked() {
     let bench = Bench::new();
     let _device = Device::plug(&bench.path("tty"));
-    let running = bench.start(Config { autostart: false, ..bench.config() });
+    let running = bench.start(&Config { autostart: false, ..bench.config() });
     let observer = bench.observer();
     let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
     let life = running.node().lifecycle().unwrap();
