@@ -5,9 +5,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::Args;
 use dermis_learn::cli::Labels;
-use dermis_learn::{Dataset, Requirement, SplitConfig, SplitKind, Verdicts, evaluate};
+use dermis_learn::{
+    Bounds, Dataset, Evaluation, Requirement, SampleId, SplitConfig, SplitKind, Verdicts, bounds, evaluate,
+};
 use dermis_skin::SkinDescription;
+use dermis_theory::Unknowns;
 use serde_json::json;
+
+use crate::registry::Family;
 
 /// What to measure on what.
 #[derive(Args)]
@@ -60,19 +65,38 @@ pub fn run(options: &Options) -> Result<()> {
     let test = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
     let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
     let evaluation = evaluate(estimator.as_mut(), &data, test.as_deref(), name)?;
+    let bound = bound(family, &skin, &data, test.as_deref(), &evaluation)?;
     let verdicts = Verdicts::of(&options.require, &evaluation);
     if options.json {
         let mut value = evaluation.to_json();
         if let Some(object) = value.as_object_mut() {
             object.insert("figures".to_owned(), json!(evaluation.figures()));
             object.insert("requirements".to_owned(), json!(verdicts));
+            object.insert("bound".to_owned(), json!(bound));
         }
         println!("{value}");
     } else {
         print!("{evaluation}");
+        if let Some(bound) = &bound {
+            print!("{bound}");
+        }
         print!("{verdicts}");
     }
     Ok(verdicts.require()?)
+}
+
+/// What any estimator without bias could reach at best on the same contacts, where the skin has a forward model.
+fn bound(
+    family: &Family,
+    skin: &SkinDescription,
+    data: &Dataset,
+    only: Option<&[SampleId]>,
+    evaluation: &Evaluation,
+) -> Result<Option<Bounds>> {
+    let Ok(model) = (family.model)(skin) else { return Ok(None) };
+    let full = evaluation.quantities.contains_key("force.x");
+    let unknowns = if full { Unknowns::Full } else { Unknowns::Normal };
+    Ok(bounds(model.as_ref(), data, only, unknowns)?)
 }
 
 /// The split that a model was trained with.

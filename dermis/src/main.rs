@@ -20,6 +20,7 @@ mod record;
 mod registry;
 mod skins;
 mod stats;
+mod theory;
 mod train;
 
 use std::process::ExitCode;
@@ -74,6 +75,8 @@ enum Command {
     /// Look into a bag, check, mend and cut it.
     #[command(subcommand)]
     Bag(bags::Bag),
+    /// How well a skin can know a contact at best, from its forward model.
+    Theory(theory::Options),
     /// Check a skin description and say what it describes.
     Skin(skins::Options),
     /// What this machine offers: inference runtimes, serial devices, ROS 2.
@@ -112,6 +115,7 @@ fn main() -> ExitCode {
         Command::Record(options) => block_on(record::run(*options)),
         Command::Play(options) => block_on(play::run(*options)),
         Command::Bag(bag) => bags::run(&bag),
+        Command::Theory(options) => theory::run(&options),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
     };

@@ -34,6 +34,8 @@ pub struct TruthContact {
     pub force: Vector3<f64>,
     /// Which components of `force` are known.
     pub components: ForceComponents,
+    /// \[m\] diameter of the tip.
+    pub diameter: f64,
 }
 
 impl TruthContact {
@@ -753,6 +755,7 @@ fn truth_of(message: &Indentation) -> Truth {
                 ContactMsg::FORCE_NORMAL => ForceComponents::Normal,
                 _ => ForceComponents::None,
             },
+            diameter: c.diameter,
         })
         .collect();
     let idle = message.phase == Indentation::PHASE_IDLE && contacts.is_empty();

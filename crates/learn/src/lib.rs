@@ -17,6 +17,7 @@
 //! Feature `train` adds training and the program `dermis-train`; everything else builds without it.
 
 pub mod adopt;
+mod bounds;
 mod card;
 pub mod cli;
 mod dataset;
@@ -32,6 +33,7 @@ mod split;
 #[cfg(feature = "train")]
 pub mod train;
 
+pub use bounds::{Bounds, bounds};
 pub use dataset::{Dataset, DatasetOptions, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;
 pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate};

@@ -693,6 +693,7 @@ pub(crate) fn label(
             normal: tip.normal,
             force,
             components: ForceComponents::Full,
+            diameter: 2.0 * map.robot.tip_radius,
         };
         labels.push(Some(Truth {
             press,

@@ -1,0 +1,384 @@
+//! The Cramér–Rao bound of the contacts that one frame shows.
+
+use dermis_skin::{ForwardModel, Indentation, Stimulus, Surface};
+use nalgebra::{DMatrix, Vector3};
+use serde::Serialize;
+
+use crate::TheoryError;
+
+/// \[m\] by which a contact is moved for its derivative: far below any pitch of taxels, far above what a table resolves.
+const MOVE: f64 = 5e-5;
+/// Share of a force by which it is changed for its derivative.
+const CHANGE: f64 = 1e-3;
+/// \[N\] by which a force is changed at least.
+const LEAST_CHANGE: f64 = 1e-6;
+/// \[m\] and \[N\] that are of the same order in touch: the scale on which unknowns are compared.
+const SCALE: (f64, f64) = (1e-3, 1.0);
+/// Singular values below this share of the largest count as 0: what they stand for cannot be told at all.
+const BLIND: f64 = 1e-9;
+
+/// What is not known of a contact.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Unknowns {
+    /// Where it is along the first direction of the surface (x on a flat one), and how hard it presses: taxels in a row.
+    Line,
+    /// Where it is on the surface, and how hard it presses; it is known to press along the normal.
+    Normal,
+    /// Where it is on the surface, and all three components of its force.
+    Full,
+}
+
+/// One number that is not known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Unknown {
+    /// A coordinate along one of both directions of the surface.
+    Along(usize),
+    Pressing,
+    /// The force along one of both directions.
+    Shear(usize),
+}
+
+impl Unknowns {
+    fn list(self) -> &'static [Unknown] {
+        use Unknown::{Along, Pressing, Shear};
+        match self {
+            Self::Line => &[Along(0), Pressing],
+            Self::Normal => &[Along(0), Along(1), Pressing],
+            Self::Full => &[Along(0), Along(1), Pressing, Shear(0), Shear(1)],
+        }
+    }
+}
+
+/// Least standard deviations that an estimator without bias can have for one contact, from one frame. Infinite where the
+/// channels do not tell the quantity at all.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ContactBound {
+    /// \[m\] root of the sum of both variances along the surface.
+    pub position: f64,
+    /// \[N\] of the pressing force.
+    pub normal_force: f64,
+    /// \[N\] root of the sum of both variances along the surface; `None` where shear is not an unknown.
+    pub shear: Option<f64>,
+}
+
+/// Least standard deviations of all contacts of a stimulus, in their order, when all of them are estimated from the same
+/// frame: the inverse of the Fisher information JᵀR⁻¹J, with the derivatives J of the model by every unknown and the
+/// variances R of the channels (S. M. Kay, *Fundamentals of Statistical Signal Processing* I, 3.9, Gaussian noise of
+/// constant variance).
+///
+/// # Errors
+///
+/// [`TheoryError::Model`] where the model has no answer near the stimulus, [`TheoryError::Noise`] where a channel has no
+/// noise.
+pub fn cramer_rao(
+    model: &dyn ForwardModel,
+    stimulus: &Stimulus,
+    unknowns: Unknowns,
+) -> Result<Vec<ContactBound>, TheoryError> {
+    let noise = model.noise();
+    if let Some((channel, &noise)) = noise.iter().enumerate().find(|(_, n)| !(n.is_finite() && **n > 0.0)) {
+        return Err(TheoryError::Noise { channel, noise });
+    }
+    let list = unknowns.list();
+    let per_contact = list.len();
+    let mut whitened = DMatrix::zeros(noise.len(), per_contact * stimulus.contacts.len());
+    let mut scales = Vec::with_capacity(whitened.ncols());
+    let (mut more, mut less) = (vec![0.0; noise.len()], vec![0.0; noise.len()]);
+    for (i, contact) in stimulus.contacts.iter().enumerate() {
+        for (k, unknown) in list.iter().enumerate() {
+            let (plus, minus, step) = neighbours(model.surface(), contact, unknowns, *unknown);
+            let scale = if matches!(unknown, Unknown::Along(_)) { SCALE.0 } else { SCALE.1 };
+            scales.push(scale);
+            if step == 0.0 {
+                continue;
+            }
+            for (neighbour, out) in [(plus, &mut more), (minus, &mut less)] {
+                let mut moved = stimulus.clone();
+                moved.contacts[i] = neighbour;
+                model.response(&moved, out)?;
+            }
+            for (channel, ((a, b), sigma)) in more.iter().zip(&less).zip(noise).enumerate() {
+                whitened[(channel, i * per_contact + k)] = (a - b) / step / sigma * scale;
+            }
+        }
+    }
+    let variances = variances(whitened, &scales);
+    Ok(variances
+        .chunks_exact(per_contact)
+        .map(|v| {
+            let root = |of: fn(&Unknown) -> bool| {
+                list.iter().zip(v).filter(|(unknown, _)| of(unknown)).map(|(_, v)| v).sum::<f64>().sqrt()
+            };
+            ContactBound {
+                position: root(|u| matches!(u, Unknown::Along(_))),
+                normal_force: root(|u| *u == Unknown::Pressing),
+                shear: (unknowns == Unknowns::Full).then(|| root(|u| matches!(u, Unknown::Shear(_)))),
+            }
+        })
+        .collect())
+}
+
+/// Unit vectors along the surface, so that with the normal they form a right-handed frame.
+pub(crate) fn tangents(normal: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+    let start = if normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
+    let first = (start - normal * normal.dot(&start)).normalize();
+    (first, normal.cross(&first))
+}
+
+/// A contact with one unknown a little more and a little less, and how far they are apart: 0 where the surface leaves no
+/// room.
+fn neighbours(
+    surface: &Surface,
+    contact: &Indentation,
+    unknowns: Unknowns,
+    unknown: Unknown,
+) -> (Indentation, Indentation, f64) {
+    let (place, normal) = surface.project(&contact.position);
+    let (first, second) = tangents(&normal);
+    if let Unknown::Along(direction) = unknown {
+        let along = [first, second][direction];
+        let moved = |by: f64| {
+            let (position, turned) = surface.project(&(place + along * by));
+            let force = match unknowns {
+                Unknowns::Full => contact.force,
+                // It goes on pressing along the normal.
+                _ => turned * contact.force.dot(&normal),
+            };
+            Indentation { position, force, ..contact.clone() }
+        };
+        let (plus, minus) = (moved(MOVE), moved(-MOVE));
+        // Less than twice the step at an edge.
+        let step = (plus.position - minus.position).dot(&along);
+        return (plus, minus, step);
+    }
+    let change = (contact.force.norm() * CHANGE).max(LEAST_CHANGE);
+    let (axis, down) = match unknown {
+        Unknown::Shear(0) => (first, change),
+        Unknown::Shear(_) => (second, change),
+        // Nothing presses with less than nothing.
+        _ => (-normal, change.min((-contact.force.dot(&normal)).max(0.0))),
+    };
+    let with = |by: f64| Indentation { force: contact.force + axis * by, ..contact.clone() };
+    (with(change), with(-down), change + down)
+}
+
+/// Variances of all unknowns from their whitened and scaled derivatives.
+fn variances(whitened: DMatrix<f64>, scales: &[f64]) -> Vec<f64> {
+    let svd = whitened.svd(false, true);
+    let Some(v) = svd.v_t else { return vec![f64::INFINITY; scales.len()] };
+    let largest = svd.singular_values.iter().copied().fold(0.0, f64::max);
+    scales
+        .iter()
+        .enumerate()
+        .map(|(k, scale)| {
+            let mut seen = 0.0;
+            let mut sum = 0.0;
+            for (j, s) in svd.singular_values.iter().enumerate() {
+                if *s > BLIND * largest {
+                    seen += v[(j, k)] * v[(j, k)];
+                    sum += (v[(j, k)] / s).powi(2);
+                }
+            }
+            // What lies in the directions that no channel tells is unbounded.
+            if seen < 1.0 - 1e-9 { f64::INFINITY } else { sum * scale * scale }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::{ModelError, SurfaceSpec};
+    use nalgebra::Point3;
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+
+    /// Point taxels at depth h under a plane: force · h / (r² + h²), and shear along x tilts the field.
+    struct Toy {
+        surface: Surface,
+        taxels: Vec<(f64, f64)>,
+        noise: Vec<f64>,
+    }
+
+    const DEPTH: f64 = 0.005;
+
+    impl Toy {
+        fn new(taxels: &[(f64, f64)]) -> Self {
+            let spec = SurfaceSpec::Rectangle { size: [0.04, 0.04], spacing: 0.005 };
+            Self {
+                surface: Surface::from_spec(&spec),
+                taxels: taxels.to_vec(),
+                noise: vec![2.0; taxels.len()],
+            }
+        }
+
+        fn grid() -> Self {
+            let at = |i: usize| (i as f64 - 1.0) * 0.008;
+            let taxels: Vec<_> = (0..9).map(|i| (at(i % 3), at(i / 3))).collect();
+            Self::new(&taxels)
+        }
+    }
+
+    impl ForwardModel for Toy {
+        fn channels(&self) -> usize {
+            self.taxels.len()
+        }
+
+        fn surface(&self) -> &Surface {
+            &self.surface
+        }
+
+        fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+            out.fill(0.0);
+            for c in &stimulus.contacts {
+                for (value, (x, y)) in out.iter_mut().zip(&self.taxels) {
+                    let (dx, dy) = (c.position.x - x, c.position.y - y);
+                    let r = dx * dx + dy * dy + DEPTH * DEPTH;
+                    *value += (-c.force.z + 0.3 * c.force.x * dx / DEPTH) * DEPTH / r;
+                }
+            }
+            Ok(())
+        }
+
+        fn noise(&self) -> &[f64] {
+            &self.noise
+        }
+    }
+
+    fn press(x: f64, y: f64, newtons: f64) -> Indentation {
+        Indentation {
+            position: Point3::new(x, y, 0.0),
+            force: Vector3::new(0.0, 0.0, -newtons),
+            diameter: 0.004,
+        }
+    }
+
+    fn one(model: &Toy, contact: Indentation) -> ContactBound {
+        let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+        cramer_rao(model, &stimulus, Unknowns::Normal).unwrap()[0]
+    }
+
+    #[test]
+    fn it_is_what_a_known_case_gives() {
+        // Above the middle of the grid position and force decouple by symmetry; the derivatives are written down.
+        let model = Toy::grid();
+        let (force, mut by_x, mut by_force) = (0.7, 0.0, 0.0);
+        for (x, y) in &model.taxels {
+            let r = x * x + y * y + DEPTH * DEPTH;
+            by_x += (force * DEPTH * 2.0 * x / (r * r) / 2.0).powi(2);
+            by_force += (DEPTH / r / 2.0).powi(2);
+        }
+        let bound = one(&model, press(0.0, 0.0, force));
+        approx::assert_relative_eq!(bound.position, (2.0 / by_x).sqrt(), max_relative = 1e-4);
+        approx::assert_relative_eq!(bound.normal_force, (1.0 / by_force).sqrt(), max_relative = 1e-6);
+        assert_eq!(bound.shear, None);
+    }
+
+    #[test]
+    fn least_squares_reaches_it_where_the_noise_is_small() {
+        // Gauss–Newton from the truth, on a thousand noisy frames.
+        let mut model = Toy::grid();
+        model.noise.fill(0.05);
+        let (truth, steps) = ([0.002, -0.003, 0.8], 4);
+        let bound = one(&model, press(truth[0], truth[1], truth[2]));
+        let read = |p: &[f64; 3]| {
+            let mut out = vec![0.0; 9];
+            let stimulus = Stimulus { contacts: vec![press(p[0], p[1], p[2])], ..Stimulus::default() };
+            model.response(&stimulus, &mut out).unwrap();
+            out
+        };
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        let (mut position, mut force) = (0.0, 0.0);
+        let frames = 1000;
+        for _ in 0..frames {
+            let noisy: Vec<f64> = read(&truth)
+                .iter()
+                .map(|v| {
+                    let noise: f64 = StandardNormal.sample(&mut random);
+                    v + 0.05 * noise
+                })
+                .collect();
+            let mut p = truth;
+            for _ in 0..steps {
+                let now = read(&p);
+                let jacobian = DMatrix::from_fn(9, 3, |i, k| {
+                    let h = if k < 2 { 1e-6 } else { 1e-5 };
+                    let (mut a, mut b) = (p, p);
+                    a[k] += h;
+                    b[k] -= h;
+                    (read(&a)[i] - read(&b)[i]) / (2.0 * h)
+                });
+                let residual = DMatrix::from_fn(9, 1, |i, _| noisy[i] - now[i]);
+                let step = jacobian.svd(true, true).solve(&residual, 0.0).unwrap();
+                (0..3).for_each(|k| p[k] += step[k]);
+            }
+            position += (p[0] - truth[0]).powi(2) + (p[1] - truth[1]).powi(2);
+            force += (p[2] - truth[2]).powi(2);
+        }
+        let (position, force) = ((position / f64::from(frames)).sqrt(), (force / f64::from(frames)).sqrt());
+        approx::assert_relative_eq!(position, bound.position, max_relative = 0.08);
+        approx::assert_relative_eq!(force, bound.normal_force, max_relative = 0.08);
+    }
+
+    #[test]
+    fn what_no_channel_tells_is_unbounded() {
+        // Two taxels on a line cannot tell to which side of it a touch lies, nor three unknowns at all.
+        let bound = one(&Toy::new(&[(-0.004, 0.0), (0.004, 0.0)]), press(0.001, 0.0, 0.5));
+        assert!(bound.position.is_infinite());
+        // Where it is known to lie on the line, they can.
+        let row = Toy::new(&[(-0.004, 0.0), (0.004, 0.0)]);
+        let stimulus = Stimulus { contacts: vec![press(0.001, 0.0, 0.5)], ..Stimulus::default() };
+        let line = cramer_rao(&row, &stimulus, Unknowns::Line).unwrap()[0];
+        assert!(line.position.is_finite() && line.normal_force.is_finite());
+        // A touch without force is nowhere.
+        let bound = one(&Toy::grid(), press(0.001, 0.002, 0.0));
+        assert!(bound.position.is_infinite() && bound.normal_force.is_finite());
+        // Shear along y moves no taxel of this skin.
+        let stimulus = Stimulus { contacts: vec![press(0.001, 0.002, 0.5)], ..Stimulus::default() };
+        let full = cramer_rao(&Toy::grid(), &stimulus, Unknowns::Full).unwrap()[0];
+        assert!(full.shear.unwrap().is_infinite() && full.position.is_finite());
+    }
+
+    #[test]
+    fn at_the_edge_it_looks_inwards() {
+        let (edge, near) =
+            (one(&Toy::grid(), press(0.02, 0.0, 0.5)), one(&Toy::grid(), press(0.0199, 0.0, 0.5)));
+        approx::assert_relative_eq!(edge.position, near.position, max_relative = 0.05);
+    }
+
+    #[test]
+    fn a_channel_without_noise_is_refused() {
+        let mut model = Toy::grid();
+        model.noise[4] = 0.0;
+        let error = cramer_rao(&model, &Stimulus::default(), Unknowns::Normal).unwrap_err();
+        insta::assert_snapshot!(error, @"channel 4: its noise is 0 and must be a positive number; set `noise` in the skin description");
+    }
+
+    proptest! {
+        #[test]
+        fn more_unknowns_never_help(x in -0.015..0.015f64, y in -0.015..0.015f64, f in 0.05..2.0f64) {
+            let model = Toy::grid();
+            let alone = one(&model, press(x, y, f));
+            let pair = Stimulus { contacts: vec![press(x, y, f), press(-y, x + 0.001, f)], ..Stimulus::default() };
+            let both = cramer_rao(&model, &pair, Unknowns::Normal).unwrap()[0];
+            prop_assert!(both.position >= alone.position * (1.0 - 1e-6));
+            prop_assert!(both.normal_force >= alone.normal_force * (1.0 - 1e-6));
+        }
+
+        #[test]
+        fn it_scales_as_it_must(x in -0.015..0.015f64, y in -0.015..0.015f64, f in 0.05..2.0f64) {
+            let model = Toy::grid();
+            let (a, b) = (one(&model, press(x, y, f)), one(&model, press(x, y, 2.0 * f)));
+            // The field is linear in the force: twice the force halves the error of the position.
+            prop_assert!((a.position / b.position - 2.0).abs() < 1e-3);
+            prop_assert!((a.normal_force / b.normal_force - 1.0).abs() < 1e-3);
+            let mut louder = Toy::grid();
+            louder.noise.fill(6.0);
+            let c = one(&louder, press(x, y, f));
+            prop_assert!((c.position / a.position - 3.0).abs() < 1e-6);
+        }
+    }
+}

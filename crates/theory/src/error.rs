@@ -1,0 +1,28 @@
+use dermis_skin::ModelError;
+
+/// Why there is no bound.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TheoryError {
+    /// The forward model has no answer.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// A channel without noise would know everything.
+    #[error(
+        "channel {channel}: its noise is {noise} and must be a positive number; set `noise` in the skin description"
+    )]
+    Noise {
+        /// Which channel.
+        channel: usize,
+        /// Its standard deviation, in the unit of the skin.
+        noise: f64,
+    },
+    /// A quantity that must be positive.
+    #[error("{quantity} is {value} and must be positive")]
+    NotPositive {
+        /// What, with its unit.
+        quantity: &'static str,
+        /// Its value.
+        value: f64,
+    },
+}

@@ -1,0 +1,173 @@
+//! The bound over a whole skin, and of two contacts that come ever closer.
+
+use dermis_skin::{ForwardModel, Indentation, Stimulus};
+use nalgebra::Point3;
+use serde::Serialize;
+
+use crate::bound::tangents;
+use crate::{ContactBound, TheoryError, Unknowns, cramer_rao};
+
+/// Bound of one contact at every point of a skin.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SurfaceBound {
+    /// \[N\] pressing force.
+    pub force: f64,
+    /// \[m\] diameter of the tip.
+    pub diameter: f64,
+    /// One for each point of the surface, in their order.
+    pub bounds: Vec<ContactBound>,
+    /// Of the position \[m\].
+    pub position: Summary,
+    /// Of the pressing force \[N\].
+    pub normal_force: Summary,
+}
+
+/// Bounds over a surface, each weighted with its area.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Summary {
+    /// Root mean square: what an estimator that reaches the bound everywhere would report.
+    pub rms: f64,
+    /// Half of the skin is better.
+    pub median: f64,
+    /// 95 % of the skin are better.
+    pub p95: f64,
+    /// At the worst point.
+    pub max: f64,
+}
+
+impl Summary {
+    fn of(values: impl Iterator<Item = f64>, areas: &[f64]) -> Self {
+        let mut weighted: Vec<(f64, f64)> = values.zip(areas.iter().copied()).collect();
+        weighted.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let total: f64 = weighted.iter().map(|(_, area)| area).sum();
+        let quantile = |share: f64| {
+            let mut reached = 0.0;
+            let found = weighted.iter().find(|(_, area)| {
+                reached += area;
+                reached >= share * total
+            });
+            found.or(weighted.last()).map_or(f64::NAN, |(value, _)| *value)
+        };
+        let squares: f64 = weighted.iter().map(|(value, area)| value * value * area).sum();
+        Self {
+            rms: (squares / total).sqrt(),
+            median: quantile(0.5),
+            p95: quantile(0.95),
+            max: weighted.last().map_or(f64::NAN, |(value, _)| *value),
+        }
+    }
+}
+
+fn positive(quantity: &'static str, value: f64) -> Result<f64, TheoryError> {
+    if value.is_finite() && value > 0.0 {
+        Ok(value)
+    } else {
+        Err(TheoryError::NotPositive { quantity, value })
+    }
+}
+
+/// Bounds one contact that presses with `force` \[N\] and a tip of `diameter` \[m\], at every point of the skin.
+///
+/// # Errors
+///
+/// As [`cramer_rao`], and where force or diameter are not positive.
+pub fn over_surface(
+    model: &dyn ForwardModel,
+    force: f64,
+    diameter: f64,
+    unknowns: Unknowns,
+) -> Result<SurfaceBound, TheoryError> {
+    positive("force [N]", force)?;
+    positive("diameter of the tip [m]", diameter)?;
+    let surface = model.surface();
+    let bounds = surface
+        .points
+        .iter()
+        .zip(&surface.normals)
+        .map(|(position, normal)| {
+            let contact = Indentation { position: *position, force: -normal * force, diameter };
+            let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+            Ok(cramer_rao(model, &stimulus, unknowns)?[0])
+        })
+        .collect::<Result<Vec<_>, TheoryError>>()?;
+    Ok(SurfaceBound {
+        force,
+        diameter,
+        position: Summary::of(bounds.iter().map(|b| b.position), &surface.areas),
+        normal_force: Summary::of(bounds.iter().map(|b| b.normal_force), &surface.areas),
+        bounds,
+    })
+}
+
+/// Two equal contacts at a distance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TwoContacts {
+    /// \[m\] between them.
+    pub distance: f64,
+    /// \[m\] bound of the position of one of them, the worse.
+    pub position: f64,
+    /// \[N\] bound of its pressing force.
+    pub normal_force: f64,
+    /// Whether they can be told apart: the bound of the position is below half of their distance.
+    pub resolved: bool,
+}
+
+/// Bounds two equal contacts on either side of `centre`, along the first direction of the surface, at these distances
+/// \[m\], each pressing with `force` \[N\].
+///
+/// # Errors
+///
+/// As [`over_surface`].
+pub fn two_contacts(
+    model: &dyn ForwardModel,
+    centre: &Point3<f64>,
+    distances: &[f64],
+    force: f64,
+    diameter: f64,
+    unknowns: Unknowns,
+) -> Result<Vec<TwoContacts>, TheoryError> {
+    positive("force [N]", force)?;
+    positive("diameter of the tip [m]", diameter)?;
+    let surface = model.surface();
+    let (middle, normal) = surface.project(centre);
+    let (along, _) = tangents(&normal);
+    distances
+        .iter()
+        .map(|&distance| {
+            positive("distance of two contacts [m]", distance)?;
+            let contacts = [0.5, -0.5].map(|side| {
+                let (position, normal) = surface.project(&(middle + along * (side * distance)));
+                Indentation { position, force: -normal * force, diameter }
+            });
+            let stimulus = Stimulus { contacts: contacts.to_vec(), ..Stimulus::default() };
+            let bounds = cramer_rao(model, &stimulus, unknowns)?;
+            let worst = |of: fn(&ContactBound) -> f64| bounds.iter().map(of).fold(0.0, f64::max);
+            let position = worst(|b| b.position);
+            Ok(TwoContacts {
+                distance,
+                position,
+                normal_force: worst(|b| b.normal_force),
+                resolved: position < distance / 2.0,
+            })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn summaries_weigh_by_area() {
+        let summary = Summary::of([1.0, 2.0, 10.0].into_iter(), &[1.0, 8.0, 1.0]);
+        assert_eq!((summary.median, summary.max), (2.0, 10.0));
+        assert!((summary.rms - (133.0f64 / 10.0).sqrt()).abs() < 1e-12);
+        assert_eq!(Summary::of([f64::INFINITY, 1.0].into_iter(), &[1.0, 1.0]).rms, f64::INFINITY);
+    }
+
+    #[test]
+    fn impossible_presses_are_refused() {
+        assert!(positive("force [N]", f64::NAN).is_err() && positive("force [N]", 0.0).is_err());
+        insta::assert_snapshot!(positive("force [N]", -1.0).unwrap_err(), @"force [N] is -1 and must be positive");
+    }
+}
