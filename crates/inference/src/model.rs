@@ -5,11 +5,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::Tensor;
-use tract_onnx::prelude::{Framework, InferenceModelExt, IntoRunnable, tvec};
+use tract_onnx::prelude::{Framework, InferenceModelExt, IntoRunnable, TractError, TypedSimpleState, tvec};
 
 use crate::interface::Interface;
 use crate::onnx;
-use crate::runtime::{Runtime, RuntimeKind};
+use crate::runtime::Runtime;
 
 /// A graph that cannot be loaded or run.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -64,11 +64,18 @@ pub enum ModelError {
 /// One loaded graph; runs on the calling thread.
 #[derive(Debug)]
 pub struct Model {
-    session: Session,
-    input: Tensor<f32>,
+    engine: Engine,
     input_len: usize,
-    output: String,
     output_len: usize,
+}
+
+/// What evaluates it.
+#[derive(Debug)]
+enum Engine {
+    Native { session: Session, input: Tensor<f32>, output: String },
+    // One state for all runs: a new one for each costs as much again as the arithmetic, and what operators keep for a
+    // state that has gone is not all given back.
+    Embedded { state: TypedSimpleState, shape: Vec<usize>, output: usize },
 }
 
 impl Model {
@@ -79,34 +86,30 @@ impl Model {
     /// [`ModelError`] where the bytes are no graph, the graph has another interface, or the runtime refuses it.
     pub fn load(runtime: &Runtime, bytes: &[u8], interface: &Interface) -> Result<Self, ModelError> {
         onnx::check(bytes, interface)?;
-        let refused = |reason: String| ModelError::Refused {
-            runtime: runtime.report().to_string(),
-            reason: reason.split_whitespace().collect::<Vec<_>>().join(" "),
-        };
+        let refused = |reason: String| refusal(runtime.report().to_string(), &reason);
         let (Some(input_len), Some(output_len)) = (interface.input_len(), interface.output_len()) else {
             return Err(refused("a declared shape has no elements, or far too many".into()));
         };
-        if runtime.report().kind == RuntimeKind::Embedded {
-            let zeros = tract_onnx::prelude::Tensor::zero::<f32>(&interface.input_shape)
-                .map_err(|e| refused(e.to_string()))?;
-            rehearse(bytes, zeros).map_err(refused)?;
-        }
-        let session = (|| {
-            let builder = Session::builder(runtime.environment())?
-                .with_optimization_level(GraphOptimizationLevel::All)?;
-            let mut builder = match runtime.report().kind {
-                RuntimeKind::Native => builder.with_intra_threads(1)?.with_inter_threads(1)?,
-                // It has one thread and no such option.
-                RuntimeKind::Embedded => builder,
-            };
-            builder.commit_from_memory(bytes)
-        })()
-        .map_err(|e: ort::Error| refused(e.to_string()))?;
-        let input = Tensor::from_array((interface.input_shape.clone(), vec![0.0_f32; input_len]))
-            .map_err(|e| refused(e.to_string()))?;
-        let mut model = Self { session, input, input_len, output: interface.output.clone(), output_len };
+        let engine = match runtime.environment() {
+            Some(environment) => {
+                let session = (|| {
+                    Session::builder(environment)?
+                        .with_optimization_level(GraphOptimizationLevel::All)?
+                        .with_intra_threads(1)?
+                        .with_inter_threads(1)?
+                        .commit_from_memory(bytes)
+                })()
+                .map_err(|e: ort::Error| refused(e.to_string()))?;
+                let input = Tensor::from_array((interface.input_shape.clone(), vec![0.0_f32; input_len]))
+                    .map_err(|e| refused(e.to_string()))?;
+                Engine::Native { session, input, output: interface.output.clone() }
+            }
+            None => embedded(bytes, interface).map_err(refused)?,
+        };
+        let mut model = Self { engine, input_len, output_len };
         // Shapes inside of a graph are only known to fit once it has run.
-        model.run(&vec![0.0; input_len], &mut Vec::new()).map_err(|e| refused(e.to_string()))?;
+        let first = || model.run(&vec![0.0; input_len], &mut Vec::new());
+        caught(first).map_err(refused)?.map_err(|e| refused(e.to_string()))?;
         Ok(model)
     }
 
@@ -157,21 +160,64 @@ impl Model {
         if let Some(index) = input.iter().position(|x| !x.is_finite()) {
             return Err(ModelError::InputNotFinite { index });
         }
-        self.input.extract_tensor_mut().1.copy_from_slice(input);
-        let run = |e: ort::Error| ModelError::Run { reason: e.to_string() };
-        let outputs = self.session.run(ort::inputs![&self.input]).map_err(run)?;
-        let values = outputs
-            .get(self.output.as_str())
-            .ok_or_else(|| ModelError::Run { reason: format!("no output `{}` came out", self.output) })?;
-        let (_, values) = values.try_extract_tensor::<f32>().map_err(run)?;
-        if values.len() != self.output_len {
-            return Err(ModelError::Run {
-                reason: format!("{} numbers came out where {} are declared", values.len(), self.output_len),
-            });
+        match &mut self.engine {
+            Engine::Native { session, input: tensor, output: name } => {
+                tensor.extract_tensor_mut().1.copy_from_slice(input);
+                let run = |e: ort::Error| ModelError::Run { reason: e.to_string() };
+                let outputs = session.run(ort::inputs![&*tensor]).map_err(run)?;
+                let values = outputs
+                    .get(name.as_str())
+                    .ok_or_else(|| ModelError::Run { reason: format!("no output `{name}` came out") })?;
+                let (_, values) = values.try_extract_tensor::<f32>().map_err(run)?;
+                check_len(values.len(), self.output_len)?;
+                output.extend_from_slice(values);
+            }
+            Engine::Embedded { state, shape, output: index } => {
+                let run = |e: TractError| ModelError::Run { reason: format!("{e:#}") };
+                let tensor = tract_onnx::prelude::Tensor::from_shape(shape, input).map_err(run)?;
+                let outputs = caught(|| state.run(tvec!(tensor.into())))
+                    .map_err(|reason| ModelError::Run { reason })?
+                    .map_err(run)?;
+                let values = outputs
+                    .get(*index)
+                    .ok_or_else(|| ModelError::Run { reason: format!("no output {index} came out") })?;
+                let values = values.to_plain_array_view::<f32>().map_err(run)?;
+                check_len(values.len(), self.output_len)?;
+                output.extend(values.iter());
+            }
         }
-        output.extend_from_slice(values);
         Ok(())
     }
+}
+
+fn check_len(got: usize, declared: usize) -> Result<(), ModelError> {
+    if got == declared {
+        return Ok(());
+    }
+    Err(ModelError::Run { reason: format!("{got} numbers came out where {declared} are declared") })
+}
+
+fn refusal(runtime: String, reason: &str) -> ModelError {
+    ModelError::Refused { runtime, reason: reason.split_whitespace().collect::<Vec<_>>().join(" ") }
+}
+
+/// A graph in the embedded runtime, ready to run.
+fn embedded(bytes: &[u8], interface: &Interface) -> Result<Engine, String> {
+    let signature = onnx::Signature::read(bytes).map_err(|e| e.to_string())?;
+    let output = signature
+        .outputs
+        .iter()
+        .position(|tensor| tensor.name == interface.output)
+        .ok_or_else(|| format!("it has no output `{}`", interface.output))?;
+    let prepare =
+        || tract_onnx::onnx().model_for_read(&mut &*bytes)?.into_optimized()?.into_runnable()?.spawn();
+    let state = caught(prepare)?.map_err(|e: TractError| format!("{e:#}"))?;
+    Ok(Engine::Embedded { state, shape: interface.input_shape.clone(), output })
+}
+
+/// The embedded runtime may panic on a graph that parses but makes no sense; here that becomes a refusal.
+fn caught<R>(work: impl FnOnce() -> R) -> Result<R, String> {
+    catch_unwind(AssertUnwindSafe(work)).map_err(|_| "it cannot be evaluated".into())
 }
 
 /// Runs a graph once in the embedded runtime, whichever runtime the process has chosen; what comes out.
@@ -181,28 +227,12 @@ impl Model {
 /// [`ModelError`] where the bytes are no graph of this interface, or the runtime refuses them.
 pub fn rehearse_embedded(bytes: &[u8], interface: &Interface, input: &[f32]) -> Result<Vec<f32>, ModelError> {
     onnx::check(bytes, interface)?;
-    let tensor = tract_onnx::prelude::Tensor::from_shape(&interface.input_shape, input).map_err(|_| {
-        ModelError::InputLength { got: input.len(), expected: interface.input_len().unwrap_or_default() }
-    })?;
-    rehearse(bytes, tensor).map_err(|reason| ModelError::Refused {
-        runtime: "the embedded runtime".into(),
-        reason: reason.split_whitespace().collect::<Vec<_>>().join(" "),
-    })
-}
-
-/// Loads, optimises and runs a graph where a panic can be caught.
-///
-/// The embedded runtime may panic on a graph that parses but makes no sense, and a panic behind the C interface
-/// that `ort` speaks ends the process. Here it becomes a refusal.
-fn rehearse(bytes: &[u8], input: tract_onnx::prelude::Tensor) -> Result<Vec<f32>, String> {
-    let rehearsal = || {
-        let graph = tract_onnx::onnx().model_for_read(&mut &*bytes)?.into_optimized()?.into_runnable()?;
-        let outputs = graph.run(tvec!(input.into()))?;
-        let first = outputs.first().map(|o| Ok(o.to_plain_array_view::<f32>()?.iter().copied().collect()));
-        first.transpose().map(Option::unwrap_or_default)
+    let refused = |reason: String| refusal("the embedded runtime".into(), &reason);
+    let (Some(input_len), Some(output_len)) = (interface.input_len(), interface.output_len()) else {
+        return Err(refused("a declared shape has no elements, or far too many".into()));
     };
-    match catch_unwind(AssertUnwindSafe(rehearsal)) {
-        Ok(result) => result.map_err(|e: tract_onnx::prelude::TractError| format!("{e:#}")),
-        Err(_) => Err("it cannot be evaluated".into()),
-    }
+    let mut model = Model { engine: embedded(bytes, interface).map_err(refused)?, input_len, output_len };
+    let mut output = Vec::new();
+    caught(|| model.run(input, &mut output)).map_err(refused)??;
+    Ok(output)
 }

@@ -99,7 +99,8 @@ const EMBEDDED_VERSION: &str = "0.23";
 /// What evaluates ONNX graphs in this process.
 #[derive(Debug)]
 pub struct Runtime {
-    environment: Environment,
+    /// Of the native library; the embedded runtime needs none.
+    environment: Option<Environment>,
     report: RuntimeReport,
     /// Never unloaded: the function table points into it.
     _library: Option<libloading::Library>,
@@ -137,8 +138,9 @@ impl Runtime {
         &self.report
     }
 
-    pub(crate) fn environment(&self) -> &Environment {
-        &self.environment
+    /// Where the native library works; `None` for the embedded runtime.
+    pub(crate) fn environment(&self) -> Option<&Environment> {
+        self.environment.as_ref()
     }
 
     fn choose(config: &RuntimeConfig) -> Result<Self, RuntimeError> {
@@ -165,21 +167,12 @@ impl Runtime {
             tracing::warn!(library = %configured.display(), reason = %miss.reason,
                 "the configured ONNX Runtime library cannot be used; the embedded runtime takes over");
         }
-        let (api, report, library) = match native {
-            Some(Native { api, version, path, library }) => {
-                let report = RuntimeReport { kind: RuntimeKind::Native, version, path: Some(path), tried };
-                (api, report, Some(library))
-            }
-            None => {
-                let report = RuntimeReport {
-                    kind: RuntimeKind::Embedded,
-                    version: EMBEDDED_VERSION.to_owned(),
-                    path: None,
-                    tried,
-                };
-                (ort_tract::api(), report, None)
-            }
+        let Some(Native { api, version, path, library }) = native else {
+            let version = EMBEDDED_VERSION.to_owned();
+            let report = RuntimeReport { kind: RuntimeKind::Embedded, version, path: None, tried };
+            return Ok(Self { environment: None, report, _library: None });
         };
+        let report = RuntimeReport { kind: RuntimeKind::Native, version, path: Some(path), tried };
         let start = |report: &RuntimeReport, reason: String| RuntimeError::Start {
             runtime: Box::new(report.clone()),
             reason,
@@ -192,7 +185,7 @@ impl Runtime {
             .with_telemetry(false)
             .build()
             .map_err(|e| start(&report, e.to_string()))?;
-        Ok(Self { environment, report, _library: library })
+        Ok(Self { environment: Some(environment), report, _library: Some(library) })
     }
 }
 
