@@ -366,10 +366,11 @@ impl Launch {
                 in_time = &mut ready, if waiting => {
                     waiting = false;
                     if in_time {
-                        self.states[index].send_modify(|state| state.ready = true);
+                        // Said before those that wait for it hear of it, so that the log is in order.
                         if process.ready.is_some() {
                             self.say(Level::Info, format!("{} is ready", process.label));
                         }
+                        self.states[index].send_modify(|state| state.ready = true);
                     } else {
                         break self.end(index, &mut child, group).await.map(End::NotReady);
                     }
