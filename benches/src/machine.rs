@@ -34,6 +34,18 @@ pub fn stamp(mut result: Value) -> Value {
     result
 }
 
+/// A child that does not outlive the measurement.
+#[derive(Debug)]
+pub struct Process(pub Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// CPU time that a process has used in all its threads.
 ///
 /// # Errors

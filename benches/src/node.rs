@@ -12,8 +12,8 @@ use dermis_skin::SkinDescription;
 use serde_json::{Value, json};
 
 use crate::device::Device;
-use crate::machine::cpu_time;
-use crate::subscriber::{Arrival, Choice, Process, isolated, start};
+use crate::machine::{Process, cpu_time};
+use crate::subscriber::{Arrival, Choice, isolated, start};
 
 /// Frames under way at most while the rate is measured: as many as a line of 4 KiB holds, several times over.
 const WINDOW: u64 = 256;

@@ -16,9 +16,9 @@ use dermis_node::{HirozBackend, History, Node, NodeOptions, Qos};
 use dermis_transport::now_ns;
 use serde_json::{Value, json};
 
-use crate::machine;
+use crate::machine::{self, Process};
 use crate::node::percentile;
-use crate::subscriber::{Process, isolated};
+use crate::subscriber::isolated;
 
 /// Share of the run that is warm-up: caches fill, buffers find their size.
 const WARM_UP: f64 = 0.1;
@@ -75,8 +75,7 @@ struct Heard {
 
 impl Heard {
     fn take(&mut self, skin: usize, array: &ContactArray) {
-        let stamp = i64::from(array.header.stamp.sec) * 1_000_000_000 + i64::from(array.header.stamp.nanosec);
-        self.latencies.push((now_ns() - stamp) as f64 * 1e-6);
+        self.latencies.push((now_ns() - array.header.stamp.as_nanos()) as f64 * 1e-6);
         // While a skin says that it is blind, no frame stands behind its message.
         if array.status == ContactArray::STATUS_STALE {
             return;

@@ -11,6 +11,8 @@ use dermis_msgs::msg::ContactArray;
 use dermis_node::{Backend, HirozBackend, Node, NodeOptions, Qos};
 use dermis_transport::now_ns;
 
+use crate::machine::Process;
+
 /// ROS 2 implementation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Choice {
@@ -160,18 +162,6 @@ pub fn start(backend: Choice, domain: u16) -> Result<(Process, Receiver<Arrival>
 /// A command in a ROS domain of its own, on this machine only.
 pub fn isolated(command: &mut std::process::Command, domain: u16) -> &mut std::process::Command {
     command.env("ROS_DOMAIN_ID", domain.to_string()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-}
-
-/// A child that does not outlive the measurement.
-#[derive(Debug)]
-pub struct Process(pub std::process::Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 #[cfg(test)]

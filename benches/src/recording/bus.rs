@@ -14,7 +14,8 @@ use dermis_node::{HirozBackend, History, Node, NodeOptions, Qos, RawPublisher};
 use serde_json::{Value, json};
 
 use super::{FRAMES, cloud, frame};
-use crate::machine::{cpu_time, interrupt, wait};
+use crate::machine::{Process, cpu_time, interrupt, wait};
+use crate::subscriber::isolated;
 
 /// Bytes of a large message.
 const LARGE: usize = 900_000;
@@ -83,17 +84,6 @@ pub fn source(options: &SourceOptions) -> Result<()> {
     Ok(())
 }
 
-/// A process that does not outlive the measurement.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// Records large and small messages at the rate, then small ones at a twentieth of it.
 pub(super) fn run(dermis: &Path, folder: &Path, rate: f64, seconds: f64) -> Result<Value> {
     let large = record(dermis, &folder.join("large"), rate, seconds, false)?;
@@ -102,14 +92,10 @@ pub(super) fn run(dermis: &Path, folder: &Path, rate: f64, seconds: f64) -> Resu
 }
 
 fn record(dermis: &Path, bag: &Path, rate: f64, seconds: f64, small: bool) -> Result<Value> {
-    let domain = (100 + std::process::id() % 20).to_string();
-    let start = |command: &mut Command| -> Result<Running> {
-        command
-            .env("ROS_DOMAIN_ID", &domain)
-            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped());
-        command.spawn().map(Running).with_context(|| format!("{command:?} does not start"))
+    let domain = 100 + (std::process::id() % 20) as u16;
+    let start = |command: &mut Command| -> Result<Process> {
+        isolated(command, domain).stdin(Stdio::piped()).stdout(Stdio::piped());
+        command.spawn().map(Process).with_context(|| format!("{command:?} does not start"))
     };
     let mut recorder =
         start(Command::new(dermis).args(["record", "--regex", "^/load/", "--json", "--out"]).arg(bag))?;

@@ -8,7 +8,7 @@ use dermis_theory::{ContactBound, TheoryError, Unknowns, cramer_rao};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Dataset, SampleId, Truth};
-use crate::metrics::{Bin, FORCE_BINS};
+use crate::metrics::{Bin, bins};
 
 /// Samples that are bounded at most; of more, every n-th is taken.
 const MOST: usize = 2000;
@@ -77,23 +77,8 @@ pub fn bounds(
             Err(error) => return Err(error),
         }
     }
-    let bins = |value: fn(&ContactBound) -> f64| -> Vec<Bin> {
-        FORCE_BINS
-            .iter()
-            .enumerate()
-            .filter_map(|(i, &from)| {
-                let to = FORCE_BINS.get(i + 1).copied();
-                let inside = |force: f64| force.max(0.0) >= from && to.is_none_or(|to| force < to);
-                let squares: Vec<f64> = found
-                    .iter()
-                    .filter(|(force, _)| inside(*force))
-                    .map(|(_, bound)| value(bound).powi(2))
-                    .collect();
-                let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
-                (!squares.is_empty()).then_some(Bin { from, to, samples: squares.len(), rms })
-            })
-            .collect()
-    };
+    let bins =
+        |value: fn(&ContactBound) -> f64| bins(found.iter().map(|(force, bound)| (*force, value(bound))));
     Ok((!found.is_empty()).then(|| Bounds {
         samples: found.len(),
         position: bins(|b| b.position),

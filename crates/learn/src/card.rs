@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::dataset::{Dataset, Run, SampleId, Truth};
 use crate::evaluate::Evaluation;
-use crate::metrics::{Bin, FORCE_BINS};
+use crate::metrics::{Bin, FORCE_BINS, bin_of};
 
 /// Everything that is true of the data, whatever is learned from it.
 pub(crate) fn of_data(data: &Dataset) -> BTreeMap<String, Value> {
@@ -82,7 +82,7 @@ pub(crate) fn histogram(data: &Dataset) -> Vec<Value> {
     for force in
         data.labelled().filter(|(_, _, t)| t.touched()).filter_map(|(_, _, t)| t.value("force.normal"))
     {
-        counts[FORCE_BINS.iter().filter(|from| force >= **from).count().max(1) - 1] += 1;
+        counts[bin_of(force)] += 1;
     }
     let bin = |(i, frames): (usize, &usize)| json!({ "from": FORCE_BINS[i], "to": FORCE_BINS.get(i + 1), "frames": frames });
     counts.iter().enumerate().filter(|(_, n)| **n > 0).map(bin).collect()

@@ -77,6 +77,29 @@ pub struct Bin {
     pub rms: f64,
 }
 
+/// Index in [`FORCE_BINS`] of the bin of a normal force \[N\]; what pulls counts as the lightest.
+pub(crate) fn bin_of(force: f64) -> usize {
+    FORCE_BINS.iter().filter(|from| force >= **from).count().max(1) - 1
+}
+
+/// Root mean squares of values by the true normal force \[N\] of each, of pairs of force and value; empty bins and values of
+/// unknown force are left out.
+pub(crate) fn bins(values: impl Iterator<Item = (f64, f64)>) -> Vec<Bin> {
+    let mut sums = [(0_usize, 0.0); FORCE_BINS.len()];
+    for (force, value) in values.filter(|(force, _)| force.is_finite()) {
+        let (samples, squares) = &mut sums[bin_of(force)];
+        *samples += 1;
+        *squares += value * value;
+    }
+    let bin = |(i, (samples, squares)): (usize, (usize, f64))| Bin {
+        from: FORCE_BINS[i],
+        to: FORCE_BINS.get(i + 1).copied(),
+        samples,
+        rms: (squares / samples as f64).sqrt(),
+    };
+    sums.into_iter().enumerate().filter(|(_, (samples, _))| *samples > 0).map(bin).collect()
+}
+
 #[derive(Debug, Clone, Copy)]
 struct Error {
     value: f64,
@@ -172,25 +195,7 @@ impl Scores {
     pub fn by_force(&self) -> BTreeMap<String, Vec<Bin>> {
         let mut all = BTreeMap::new();
         for (name, errors) in &self.errors {
-            let bins: Vec<Bin> = FORCE_BINS
-                .iter()
-                .enumerate()
-                .filter_map(|(i, from)| {
-                    let to = FORCE_BINS.get(i + 1).copied();
-                    let inside = |e: &&Error| e.force.max(0.0) >= *from && to.is_none_or(|to| e.force < to);
-                    let (mut samples, mut squares) = (0, 0.0);
-                    for e in errors.iter().filter(|e| e.force.is_finite()).filter(inside) {
-                        samples += 1;
-                        squares += e.value * e.value;
-                    }
-                    (samples > 0).then(|| Bin {
-                        from: *from,
-                        to,
-                        samples,
-                        rms: (squares / samples as f64).sqrt(),
-                    })
-                })
-                .collect();
+            let bins = bins(errors.iter().map(|e| (e.force, e.value)));
             if !bins.is_empty() {
                 all.insert((*name).to_owned(), bins);
             }

@@ -21,7 +21,7 @@ use crate::dataset::{Dataset, SampleId, Truth, hex};
 use crate::evaluate::Evaluation;
 use crate::findings::Findings;
 use crate::judge::Judge;
-use crate::metrics::FORCE_BINS;
+use crate::metrics::{FORCE_BINS, bin_of};
 use crate::plot::Report;
 use crate::split::Split;
 use crate::{LearnError, card};
@@ -209,7 +209,7 @@ impl Balance {
     fn push(&mut self, truth: &Truth) {
         let range = match truth.value("force.normal") {
             Some(_) if !truth.touched() => Some(0),
-            Some(force) => Some(FORCE_BINS.iter().filter(|from| force >= **from).count().max(1)),
+            Some(force) => Some(bin_of(force) + 1),
             None => None,
         };
         if let Some(range) = range {
