@@ -7,7 +7,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{SkinError, Surface};
+use crate::{Effect, SkinError, Surface};
 
 const SCHEMA: &str = "dermis-skin/1";
 
@@ -199,6 +199,9 @@ pub struct SkinDescription {
     /// What lies between surface and taxels: read by the sensor family's forward model.
     #[serde(default)]
     pub medium: toml::Table,
+    /// What the nominal model leaves out and this device has: read by the sensor family's forward model.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub effects: Vec<Effect>,
 }
 
 impl SkinDescription {
@@ -332,6 +335,9 @@ impl SkinDescription {
         if self.taxels.is_empty() {
             return wrong("taxels".into(), "is empty: a skin has at least one".into());
         }
+        if let Some((field, reason)) = crate::effect::impossible(&self.effects) {
+            return wrong(field, reason);
+        }
         let mut names = BTreeSet::new();
         for (i, taxel) in self.taxels.iter_mut().enumerate() {
             if !names.insert(taxel.name.clone()) {
@@ -416,7 +422,8 @@ impl SkinDescription {
 
     /// Identity of the physical skin: `sha256:` and 64 hex digits over name, sensor family, unit, surface,
     /// taxels, channels and medium. What does not change the physics (text, rate, wire, cleaning, link) does
-    /// not change the hash, nor do comments and formatting.
+    /// not change the hash, nor do comments and formatting; nor do effects, which say what a device of this design is
+    /// really like, so that a model that was trained on the design can be tried on the device.
     #[must_use]
     pub fn hash(&self) -> String {
         let identity = serde_json::json!({
@@ -435,7 +442,7 @@ impl SkinDescription {
     }
 }
 
-const KNOWN_KEYS: [&str; 14] = [
+const KNOWN_KEYS: [&str; 15] = [
     "schema",
     "name",
     "sensor",
@@ -450,6 +457,7 @@ const KNOWN_KEYS: [&str; 14] = [
     "condition",
     "surface, taxels, channels",
     "medium",
+    "effects",
 ];
 
 fn join<'a>(names: impl ExactSizeIterator<Item = &'a String>, most: usize) -> String {
@@ -510,10 +518,12 @@ taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", positio
     fn refusals_name_file_field_and_remedy() {
         insta::assert_snapshot!(refused("noise = 20.0", "noise = -1.0"), @"skin file pad.toml: field `noise`: is -1 and must be a positive number");
         insta::assert_snapshot!(refused("rate = 100.0", "rate = \"fast\""), @r#"skin file pad.toml: field `rate`: invalid type: string "fast", expected f64"#);
-        insta::assert_snapshot!(refused("rate = 100.0", "rate = 100.0\nrat = 3"), @"skin file pad.toml: unknown key `rat`; remove it or correct its spelling (known here: schema, name, sensor, description, kind, frame_id, unit, rate, noise, range, wire, condition, surface, taxels, channels, medium)");
+        insta::assert_snapshot!(refused("rate = 100.0", "rate = 100.0\nrat = 3"), @"skin file pad.toml: unknown key `rat`; remove it or correct its spelling (known here: schema, name, sensor, description, kind, frame_id, unit, rate, noise, range, wire, condition, surface, taxels, channels, medium, effects)");
         insta::assert_snapshot!(refused("size = [0.02, 0.01]", "size = [0.02, -0.01]"), @"skin file pad.toml: field `surface.size[1]`: is -0.01 m and must be a positive length");
         insta::assert_snapshot!(refused("\"t1\"", "\"t0\""), @r#"skin file pad.toml: field `taxels[1].name`: "t0" is already taken"#);
         insta::assert_snapshot!(refused("dermis-skin/1", "dermis-skin/9"), @r#"skin file pad.toml: field `schema`: is "dermis-skin/9" where this program reads "dermis-skin/1""#);
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\neffects = [{ name = \"gain\", strength = -1.0 }]"), @"skin file pad.toml: field `effects[0].strength`: is -1 and must be 0 (off) or positive");
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\neffects = [{ name = \"gain\" }, { name = \"gain\", by = 0.2 }]"), @r#"skin file pad.toml: field `effects[1].name`: "gain" is already there"#);
         insta::assert_snapshot!(refused("name = \"pad\"\n", ""), @"skin file pad.toml: field `(whole file)`: missing field `name`");
     }
 

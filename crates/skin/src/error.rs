@@ -44,4 +44,22 @@ pub enum SkinError {
         /// Why it cannot be, and what would be right.
         reason: String,
     },
+    /// The file of effects cannot be read.
+    #[error("effects file {path}: cannot be read: {source}; check the path and its permissions")]
+    ReadEffects {
+        /// File that was asked for.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The text is not TOML, or says something impossible.
+    #[error("effects file {file}: field `{field}`: {reason}")]
+    Effects {
+        /// File that the text came from.
+        file: String,
+        /// Path of the field, e.g. `effects[2].strength`.
+        field: String,
+        /// What is wrong with it.
+        reason: String,
+    },
 }

@@ -42,6 +42,7 @@
 mod contact;
 mod convert;
 mod description;
+mod effect;
 mod error;
 mod frame;
 mod surface;
@@ -53,6 +54,7 @@ pub use convert::contact_array;
 pub use description::{
     Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
 };
+pub use effect::{Effect, EffectInfo, Memoryless, ParameterInfo, Trajectory};
 pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};
 pub use surface::Surface;

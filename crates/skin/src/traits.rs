@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use crate::{Estimate, Frame, Surface};
+use crate::{Estimate, Frame, Memoryless, Surface, Trajectory};
 
 /// One indenter on the skin.
 #[derive(Debug, Clone, PartialEq)]
@@ -75,6 +75,26 @@ pub trait ForwardModel: Send + Sync {
 
     /// Standard deviation of each channel's noise, in the unit of the skin description.
     fn noise(&self) -> &[f64];
+
+    /// What the effects of the skin remember from frame to frame, at its beginning: a device that has never been touched.
+    /// [`response`](Self::response) holds the effects that remember nothing; this holds the others.
+    fn trajectory(&self) -> Box<dyn Trajectory> {
+        Box::new(Memoryless)
+    }
+
+    /// \[N\] that press a spherical tip of `diameter` \[m\] in by `depth` \[m\] at the point `at` of the surface; `None` where
+    /// the model does not know, or where no force does.
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        let _ = (at, diameter, depth);
+        None
+    }
+
+    /// \[m\] that a spherical tip of `diameter` \[m\] sinks in at the point `at` of the surface when it presses with `force`
+    /// \[N\]: the inverse of [`force_at`](Self::force_at).
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        let _ = (at, diameter, force);
+        None
+    }
 }
 
 /// Why an estimator has no answer.
