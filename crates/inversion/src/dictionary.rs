@@ -1,0 +1,96 @@
+//! Responses of single contacts at places all over a surface: where a search begins, and what a weak signal can mean.
+
+use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface};
+use nalgebra::{Point3, Vector3};
+
+/// Shares of the largest force at which responses are kept: a soft medium is not quite linear in it.
+const LEVELS: [f64; 4] = [0.05, 0.2, 0.5, 1.0];
+
+/// One place of the surface.
+#[derive(Debug, Clone)]
+pub(crate) struct Place {
+    pub position: Point3<f64>,
+    pub normal: Vector3<f64>,
+    /// \[m²\] of the surface that it stands for.
+    pub area: f64,
+}
+
+/// Responses of a normal press at places × levels.
+#[derive(Debug)]
+pub(crate) struct Dictionary {
+    pub places: Vec<Place>,
+    /// \[N\] of the levels.
+    pub forces: Vec<f64>,
+    channels: usize,
+    /// places × levels × channels, in the unit of the skin.
+    responses: Vec<f32>,
+}
+
+impl Dictionary {
+    /// Places about `spacing` \[m\] apart, out of the points of the model's surface.
+    pub fn new(
+        model: &dyn ForwardModel,
+        spacing: f64,
+        diameter: f64,
+        force_max: f64,
+    ) -> Result<Self, ModelError> {
+        let places = thin(model.surface(), spacing);
+        let forces: Vec<f64> = LEVELS.iter().map(|share| share * force_max).collect();
+        let channels = model.channels();
+        let mut rest = vec![0.0; channels];
+        model.response(&Stimulus::default(), &mut rest)?;
+        let mut responses = Vec::with_capacity(places.len() * forces.len() * channels);
+        let mut out = vec![0.0; channels];
+        for place in &places {
+            for force in &forces {
+                let contact = Indentation {
+                    position: place.position,
+                    force: -place.normal * *force,
+                    diameter,
+                };
+                model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
+                responses.extend(out.iter().zip(&rest).map(|(o, r)| (o - r) as f32));
+            }
+        }
+        Ok(Self { places, forces, channels, responses })
+    }
+
+    /// Response of a place at a level, in the unit of the skin.
+    pub fn response(&self, place: usize, level: usize) -> &[f32] {
+        let start = (place * self.forces.len() + level) * self.channels;
+        &self.responses[start..start + self.channels]
+    }
+}
+
+/// Points of a surface with their normals, so that none is nearer than `spacing` to another; each stands for the area of
+/// the points that are nearest to it.
+fn thin(surface: &Surface, spacing: f64) -> Vec<Place> {
+    let cell = |p: &Point3<f64>| p.coords.map(|v| (v / spacing).floor() as i64);
+    let mut cells = std::collections::BTreeMap::<[i64; 3], Vec<usize>>::new();
+    let mut places: Vec<Place> = Vec::new();
+    for ((point, normal), area) in surface.points.iter().zip(&surface.normals).zip(&surface.areas) {
+        let at = cell(point);
+        let mut nearest: Option<(f64, usize)> = None;
+        for dx in -1..=1 {
+            for dy in -1..=1 {
+                for dz in -1..=1 {
+                    for &other in cells.get(&[at.x + dx, at.y + dy, at.z + dz]).into_iter().flatten() {
+                        let distance = (places[other].position - point).norm();
+                        if nearest.is_none_or(|(d, _)| distance < d) {
+                            nearest = Some((distance, other));
+                        }
+                    }
+                }
+            }
+        }
+        match nearest {
+            // A hair less, so that rounding does not thin out a grid whose pitch is the spacing.
+            Some((distance, other)) if distance < spacing * 0.999 => places[other].area += area,
+            _ => {
+                cells.entry([at.x, at.y, at.z]).or_default().push(places.len());
+                places.push(Place { position: *point, normal: *normal, area: *area });
+            }
+        }
+    }
+    places
+}

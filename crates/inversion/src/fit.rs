@@ -1,0 +1,255 @@
+//! Least squares: contacts near a start that explain readings best.
+
+use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface};
+use nalgebra::{DMatrix, DVector, Vector3};
+
+use crate::inverter::Unknowns;
+
+/// \[m\] by which a place is moved for its derivative.
+const MOVE: f64 = 2e-5;
+/// Share of a force by which it is changed for its derivative.
+const CHANGE: f64 = 1e-3;
+/// \[N\] by which a force is changed at least.
+const LEAST_CHANGE: f64 = 1e-5;
+/// \[N\] of the lightest press.
+const LIGHTEST: f64 = 1e-4;
+/// \[m\] farthest that a place moves in one step.
+const STRIDE: f64 = 3e-3;
+/// Steps at most.
+const STEPS: usize = 25;
+
+/// What one channel says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Datum {
+    /// Its signal, and one over its standard deviation.
+    Exact(f64, f64),
+    /// The signal is this or more: the channel is at the upper end of its range.
+    AtLeast(f64, f64),
+    /// The signal is this or less.
+    AtMost(f64, f64),
+    /// Nothing.
+    None,
+}
+
+impl Datum {
+    /// Deviation of the reading from `model` in standard deviations, and its derivative by the model's value.
+    fn residual(self, model: f64) -> (f64, f64) {
+        match self {
+            Self::Exact(value, weight) => ((value - model) * weight, -weight),
+            Self::AtLeast(value, weight) if model < value => ((value - model) * weight, -weight),
+            Self::AtMost(value, weight) if model > value => ((value - model) * weight, -weight),
+            _ => (0.0, 0.0),
+        }
+    }
+}
+
+/// One number that is not known of a contact.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Unknown {
+    Along(usize),
+    Pressing,
+    Shear(usize),
+}
+
+fn list(unknowns: Unknowns) -> &'static [Unknown] {
+    use Unknown::{Along, Pressing, Shear};
+    match unknowns {
+        Unknowns::Line => &[Along(0), Pressing],
+        Unknowns::Normal => &[Along(0), Along(1), Pressing],
+        Unknowns::Full => &[Along(0), Along(1), Pressing, Shear(0), Shear(1)],
+    }
+}
+
+/// Unit vectors along the surface that form a right-handed frame with the normal.
+pub(crate) fn tangents(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let start = if normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
+    let first = (start - normal * normal.dot(&start)).normalize();
+    [first, normal.cross(&first)]
+}
+
+/// A least-squares problem.
+pub(crate) struct Problem<'a> {
+    pub model: &'a dyn ForwardModel,
+    pub unknowns: Unknowns,
+    pub data: &'a [Datum],
+    /// Reading of the device per reading of the model, one a channel.
+    pub gains: &'a [f64],
+    /// Untouched readings of the model.
+    pub rest: &'a [f64],
+    pub force_max: f64,
+}
+
+/// A minimum.
+#[derive(Debug, Clone)]
+pub(crate) struct Minimum {
+    pub contacts: Vec<Indentation>,
+    pub chi2: f64,
+    /// Inverse of JᵀJ over all unknowns, contact by contact; `None` where the readings do not fix them.
+    pub covariance: Option<DMatrix<f64>>,
+    /// Signal of the model, one a channel.
+    pub signal: Vec<f64>,
+}
+
+impl Problem<'_> {
+    /// Signal (gains included) of these contacts.
+    pub fn signal(&self, contacts: &[Indentation], out: &mut [f64]) -> Result<(), ModelError> {
+        let stimulus = Stimulus { contacts: contacts.to_vec(), ..Stimulus::default() };
+        self.model.response(&stimulus, out)?;
+        for ((value, rest), gain) in out.iter_mut().zip(self.rest).zip(self.gains) {
+            *value = (*value - rest) * gain;
+        }
+        Ok(())
+    }
+
+    fn chi2(&self, signal: &[f64]) -> f64 {
+        self.data.iter().zip(signal).map(|(datum, model)| datum.residual(*model).0.powi(2)).sum()
+    }
+
+    /// Moves `contact` by `by` in one unknown; what became of the step (0 at an edge that lets nothing move).
+    fn moved(&self, contact: &Indentation, unknown: Unknown, by: f64) -> (Indentation, f64) {
+        let surface = self.model.surface();
+        let (place, normal) = surface.project(&contact.position);
+        let [first, second] = tangents(&normal);
+        match unknown {
+            Unknown::Along(k) => {
+                let along = [first, second][k];
+                let step = self.shifted(surface, contact, &(along * by));
+                let done = (step.position - place).dot(&along);
+                (step, done)
+            }
+            Unknown::Pressing => {
+                let pressing = -contact.force.dot(&normal);
+                let after = (pressing + by).clamp(LIGHTEST, self.force_max);
+                let force = contact.force - normal * (after - pressing);
+                (Indentation { force, ..contact.clone() }, after - pressing)
+            }
+            Unknown::Shear(k) => {
+                let force = contact.force + [first, second][k] * by;
+                (Indentation { force, ..contact.clone() }, by)
+            }
+        }
+    }
+
+    /// The contact elsewhere: its force turns with the surface.
+    fn shifted(&self, surface: &Surface, contact: &Indentation, by: &Vector3<f64>) -> Indentation {
+        let (place, normal) = surface.project(&contact.position);
+        let (position, turned) = surface.project(&(place + by));
+        let force = if (turned - normal).norm() < 1e-12 {
+            contact.force
+        } else {
+            let [a, b] = tangents(&normal);
+            let [c, d] = tangents(&turned);
+            let f = contact.force;
+            turned * f.dot(&normal) + c * f.dot(&a) + d * f.dot(&b)
+        };
+        Indentation { position, force, ..contact.clone() }
+    }
+
+    /// Levenberg–Marquardt from `start` (K. Levenberg 1944, D. W. Marquardt 1963), every step kept on the surface and
+    /// between no force and the largest.
+    pub fn minimise(&self, start: Vec<Indentation>, extra: usize) -> Result<Minimum, ModelError> {
+        let list = list(self.unknowns);
+        let channels = self.data.len();
+        let mut contacts = start;
+        let mut signal = vec![0.0; channels];
+        self.signal(&contacts, &mut signal)?;
+        let mut chi2 = self.chi2(&signal);
+        let size = list.len() * contacts.len();
+        let (mut plus, mut minus) = (vec![0.0; channels], vec![0.0; channels]);
+        let mut damping = 1e-3;
+        let mut normal_matrix = DMatrix::zeros(size, size);
+        for step in 0..STEPS + extra {
+            // Derivatives of the residuals by every unknown.
+            let mut jacobian = DMatrix::zeros(channels, size);
+            let mut residuals = DVector::zeros(channels);
+            let mut weights = vec![0.0; channels];
+            for (i, (datum, model)) in self.data.iter().zip(&signal).enumerate() {
+                (residuals[i], weights[i]) = datum.residual(*model);
+            }
+            for c in 0..contacts.len() {
+                for (k, unknown) in list.iter().enumerate() {
+                    let by = match unknown {
+                        Unknown::Along(_) => MOVE,
+                        _ => (contacts[c].force.norm() * CHANGE).max(LEAST_CHANGE),
+                    };
+                    let here = contacts[c].clone();
+                    let (more, up) = self.moved(&here, *unknown, by);
+                    let (less, down) = self.moved(&here, *unknown, -by);
+                    let span = up - down;
+                    if span.abs() < by * 1e-3 {
+                        continue;
+                    }
+                    contacts[c] = more;
+                    self.signal(&contacts, &mut plus)?;
+                    contacts[c] = less;
+                    self.signal(&contacts, &mut minus)?;
+                    contacts[c] = here;
+                    let column = c * list.len() + k;
+                    for i in 0..channels {
+                        jacobian[(i, column)] = weights[i] * (plus[i] - minus[i]) / span;
+                    }
+                }
+            }
+            normal_matrix = jacobian.tr_mul(&jacobian);
+            let gradient = jacobian.tr_mul(&residuals);
+            if step + 1 == STEPS + extra {
+                break;
+            }
+            let mut better = false;
+            for _ in 0..8 {
+                let mut damped = normal_matrix.clone();
+                for d in 0..size {
+                    let diagonal = damped[(d, d)];
+                    damped[(d, d)] = diagonal * (1.0 + damping) + 1e-30;
+                }
+                let Some(factor) = damped.cholesky() else {
+                    damping *= 10.0;
+                    continue;
+                };
+                let change = -factor.solve(&gradient);
+                let tried: Vec<Indentation> = contacts
+                    .iter()
+                    .enumerate()
+                    .map(|(c, contact)| self.stepped(contact, list, change.rows(c * list.len(), list.len()).as_slice()))
+                    .collect();
+                self.signal(&tried, &mut plus)?;
+                let now = self.chi2(&plus);
+                if now < chi2 {
+                    let gain = chi2 - now;
+                    contacts = tried;
+                    std::mem::swap(&mut signal, &mut plus);
+                    chi2 = now;
+                    damping = (damping * 0.1).max(1e-9);
+                    // What is left to gain is far below what noise does.
+                    better = gain > 1e-4;
+                    break;
+                }
+                damping *= 10.0;
+            }
+            if !better {
+                break;
+            }
+        }
+        let covariance = normal_matrix.cholesky().map(|f| f.inverse());
+        Ok(Minimum { contacts, chi2, covariance, signal })
+    }
+
+    /// A contact after one step in all of its unknowns.
+    fn stepped(&self, contact: &Indentation, list: &[Unknown], change: &[f64]) -> Indentation {
+        let (_, normal) = self.model.surface().project(&contact.position);
+        let axes = tangents(&normal);
+        let mut way = Vector3::zeros();
+        let mut force = contact.clone();
+        for (unknown, by) in list.iter().zip(change) {
+            match unknown {
+                Unknown::Along(k) => way += axes[*k] * *by,
+                _ => force = self.moved(&force, *unknown, *by).0,
+            }
+        }
+        let length = way.norm();
+        if length > STRIDE {
+            way *= STRIDE / length;
+        }
+        self.shifted(self.model.surface(), &force, &way)
+    }
+}

@@ -1,0 +1,14 @@
+//! From readings to contacts by maximum likelihood on a forward model.
+//!
+//! A learned model answers in one step and knows what it was trained on. A forward model can be asked the other way round:
+//! which contacts would have made these readings? [`Inverter`] finds them, one or several, with the error that the noise
+//! leaves, for any [`ForwardModel`](dermis_skin::ForwardModel). [`Calibration`] measures on labelled readings how far a
+//! device and its forward model are apart, so that the answer does not believe the model more than it deserves.
+
+mod calibrate;
+mod dictionary;
+mod fit;
+mod inverter;
+
+pub use calibrate::{Calibration, CalibrationError};
+pub use inverter::{Found, Inverter, InverterError, Reading, Settings, Solution, Unknowns};
