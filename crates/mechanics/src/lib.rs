@@ -8,7 +8,8 @@
 //!   displacement of the surface;
 //! - [`Load`]: point, disc and Hertz-like surface loads;
 //! - [`SphereContact`]: a rigid sphere pressed into the medium: contact radius, indentation, pressure;
-//! - [`PressureTable`]: what a sensor at one depth reads for a sphere, tabulated over force and distance.
+//! - [`PressureTable`]: what a sensor at one depth reads for a sphere, tabulated over force and distance;
+//! - [`Case`]: a figure and the reference that it is checked against.
 //!
 //! All quantities are in SI units. z points into the medium, its surface is z = 0. Strains are small and the
 //! material is linear throughout.
@@ -23,12 +24,14 @@
 //! # Ok::<(), dermis_mechanics::MechanicsError>(())
 //! ```
 
+mod case;
 mod contact;
 mod error;
 mod medium;
 mod quadrature;
 mod table;
 
+pub use case::Case;
 pub use contact::SphereContact;
 pub use error::MechanicsError;
 pub use medium::{Base, Load, Medium};

@@ -17,6 +17,7 @@ mod frame;
 pub mod messages;
 pub mod model;
 mod node;
+mod parameters;
 #[cfg(test)]
 mod testing;
 

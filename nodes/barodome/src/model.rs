@@ -1,183 +1,140 @@
-//! Forward model: what barometers in a flat elastic layer read when spheres press on it.
+//! Forward model: what barometers in an elastomer read when spheres press on it.
 //!
-//! A barometer molded into an elastomer reads the mean compressive stress at its port. The layer is linear
-//! elastic, of uniform thickness on a rigid base, and as wide as it likes: what its edges do to a press within
-//! about one thickness of them is left out. Each press is solved as the contact of a rigid sphere with the layer
-//! ([`dermis_mechanics::SphereContact`]); several presses add up, and the part of a force along the surface is not
-//! felt. Strains are taken as small, which a soft pad outgrows: at 1 N a 4 mm tip already sinks 3 mm into 10 mm of
-//! a 70 kPa elastomer, where a real one stiffens. Readings are gauge pressures: 0 when untouched at one standard
-//! atmosphere.
+//! A barometer molded into an elastomer reads the mean compressive stress at its port. What is computed here is linear
+//! elastic: several presses add up, and every shape of skin has its own [`Field`]. What all of them share stands here: which
+//! contacts there can be, gauge pressure (0 when untouched at one standard atmosphere), the gain of a sensing element, and
+//! what its package does to a contact above it.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, PoisonError, RwLock};
+mod flat;
 
-use dermis_mechanics::{Base, Medium, PressureTable};
-use dermis_skin::{ForwardModel, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec};
-use serde::Deserialize;
+use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec};
+use nalgebra::{Point3, Vector3};
+
+use crate::parameters::{Edge, Parameters};
 
 /// \[Pa\] that gauge pressures are relative to.
 const STANDARD_ATMOSPHERE: f64 = 101_325.0;
-/// \[N\] up to which contacts are solved; readings grow in proportion to the force beyond.
-const FORCE_MAX: f64 = 5.0;
 /// \[m\] off the surface that a contact may lie: rounding of single precision, with room to spare.
 const OFF_SURFACE: f64 = 1e-4;
 /// \[m\] diameters of a tip that the theory can speak of.
 const DIAMETERS: std::ops::RangeInclusive<f64> = 1e-4..=0.1;
-/// Diameters whose tables are kept.
-const TABLES_MAX: usize = 32;
 
-/// `medium` of a skin description.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct MediumSpec {
-    /// \[m\].
-    thickness: f64,
-    /// \[Pa\].
-    young_modulus: f64,
-    poisson_ratio: f64,
-    #[serde(default)]
-    base: Base,
+/// Mean compressive stress that one contact makes at every sensing element.
+trait Field: std::fmt::Debug + Send + Sync {
+    /// Adds the stress \[Pa\] under `contact` to `out`, one number a channel. The contact has been checked: its numbers are
+    /// finite, it lies on the surface and presses, and the theory can speak of its diameter. `index` is its place in the
+    /// stimulus.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Stimulus`] for a contact that this field has no answer to.
+    fn add(&self, index: usize, contact: &Indentation, out: &mut [f64]) -> Result<(), ModelError>;
 }
 
-/// Channels at one depth.
-#[derive(Debug, Clone)]
-struct Layer {
-    depth: f64,
-    /// Channel and where it lies along the surface \[m\].
-    channels: Vec<(usize, f64, f64)>,
+/// Packages under the surface, each of which makes the elastomer above it stiffer.
+#[derive(Debug)]
+struct Packages {
+    /// Where each lies \[m\] and what is up for it.
+    places: Vec<(Point3<f64>, Vector3<f64>)>,
+    stiffening: f64,
+    reach: f64,
 }
 
-/// Barometers in a flat elastic layer: readings \[Pa\] for spherical tips that press on it.
+impl Packages {
+    /// Modulus that a contact at `point` feels, relative to the elastomer's own.
+    fn stiffness(&self, point: &Point3<f64>) -> f64 {
+        let rise = |(place, up): &(Point3<f64>, Vector3<f64>)| {
+            let offset = point - place;
+            let above = offset.dot(up);
+            // What lies below a package is the other side of a skin that is not flat.
+            if above < 0.0 {
+                0.0
+            } else {
+                (-(offset - up * above).norm_squared() / (2.0 * self.reach.powi(2))).exp()
+            }
+        };
+        1.0 + self.stiffening * self.places.iter().map(rise).sum::<f64>()
+    }
+}
+
+/// Barometers in an elastomer: readings \[Pa\] for spherical tips that press on it.
 ///
 /// The field of each tip's diameter is tabulated when it first presses (a fraction of a second) and kept; after
 /// that a press costs a few nanoseconds a channel.
 #[derive(Debug)]
 pub struct BarometerModel {
-    medium: Medium,
     surface: Surface,
-    layers: Vec<Layer>,
+    field: Box<dyn Field>,
+    gains: Vec<f64>,
     noise: Vec<f64>,
-    /// Largest distance along the surface between a place that can be pressed and a taxel \[m\].
-    reach: f64,
-    /// Bits of a diameter → one table a layer.
-    tables: RwLock<BTreeMap<u64, Arc<[PressureTable]>>>,
+    diameter_scale: f64,
+    /// Where they stiffen anything.
+    packages: Option<Packages>,
 }
 
 impl BarometerModel {
-    /// The model of a skin whose `surface` is a rectangle and whose `medium` names `thickness` \[m\],
-    /// `young_modulus` \[Pa\], `poisson_ratio` and `base` (`"bonded"`, the default, or `"slip"`).
+    /// The model of a skin whose `medium` names `thickness` \[m\], `young_modulus` \[Pa\], `poisson_ratio`, `base`
+    /// (`"bonded"`, the default, `"slip"`, or a share of slip from 0 to 1) and `edge` (`"wide"`, the default).
     ///
     /// # Errors
     ///
     /// [`ModelError::Description`] names the field that is missing, unknown or impossible.
     pub fn new(skin: &SkinDescription) -> Result<Self, ModelError> {
-        let wrong = |field: &str, reason: String| ModelError::Description {
-            skin: skin.name.clone(),
-            field: field.to_owned(),
-            reason,
-        };
-        let SurfaceSpec::Rectangle { size, .. } = skin.surface else {
-            return Err(wrong("surface.type", "this model knows a flat `rectangle` only".into()));
-        };
-        if skin.unit != "Pa" {
-            return Err(wrong("unit", format!("is \"{}\" where barometers read \"Pa\"", skin.unit)));
-        }
-        let spec: MediumSpec = serde_path_to_error::deserialize(toml::Value::Table(skin.medium.clone()))
-            .map_err(|e| {
-                let field = match e.path().to_string() {
-                    p if p == "." => "medium".to_owned(),
-                    p => format!("medium.{p}"),
-                };
-                wrong(&field, e.inner().message().trim().replace('\n', " "))
-            })?;
-        // One number at a time, so that the refusal names its field.
-        let impossible = |field| move |e: dermis_mechanics::MechanicsError| wrong(field, e.to_string());
-        Medium::half_space(1.0, spec.poisson_ratio).map_err(impossible("medium.poisson_ratio"))?;
-        Medium::half_space(spec.young_modulus, 0.0).map_err(impossible("medium.young_modulus"))?;
-        let medium = Medium::layer(spec.young_modulus, spec.poisson_ratio, spec.thickness, spec.base)
-            .map_err(impossible("medium.thickness"))?;
+        let parameters = Parameters::nominal(skin)?;
+        Self::from_parameters(skin, &parameters)
+    }
 
-        let [half_x, half_y] = size.map(|s| s / 2.0);
-        let (mut layers, mut reach): (Vec<Layer>, f64) = (Vec::new(), 0.0);
-        for (i, taxel) in skin.taxels.iter().enumerate() {
-            let [x, y, z] = taxel.position;
-            let field = format!("taxels[{i}].position");
-            if !(z < 0.0 && -z <= spec.thickness) {
-                let reason = format!(
-                    "z of `{}` is {z} m and must lie in the medium: below 0 and not below -{} m",
-                    taxel.name, spec.thickness
-                );
-                return Err(wrong(&field, reason));
+    fn from_parameters(skin: &SkinDescription, parameters: &Parameters) -> Result<Self, ModelError> {
+        let field: Box<dyn Field> = match (&parameters.surface, parameters.edge) {
+            (&SurfaceSpec::Rectangle { size, .. }, Edge::Wide) => {
+                Box::new(flat::Flat::new(skin, parameters, size)?)
             }
-            if x.abs() > half_x || y.abs() > half_y {
-                let reason = format!(
-                    "`{}` lies at ({x}, {y}) m, beside the surface of {} m by {} m",
-                    taxel.name, size[0], size[1]
-                );
-                return Err(wrong(&field, reason));
+            (SurfaceSpec::Rectangle { .. }, Edge::Free) => {
+                return Err(refusal(skin, "medium.edge", "this model knows a `wide` medium only".into()));
             }
-            let far = (half_x + x.abs()).hypot(half_y + y.abs());
-            if far > 100.0 * -z {
-                let reason = format!(
-                    "`{}` is too near to the surface: it must be at least {:.6} m deep",
-                    taxel.name,
-                    far / 100.0
-                );
-                return Err(wrong(&field, reason));
+            (SurfaceSpec::Dome { .. }, _) => {
+                return Err(refusal(skin, "surface.type", "this model knows a flat `rectangle` only".into()));
             }
-            reach = reach.max(far);
-        }
-        for (channel, taxel) in skin.channel_taxels().into_iter().enumerate() {
-            let [x, y, z] = skin.taxels[taxel].position;
-            // A micrometre is far below what a table resolves, and one table fewer.
-            match layers.iter_mut().find(|l| (l.depth + z).abs() < 1e-6) {
-                Some(layer) => layer.channels.push((channel, x, y)),
-                None => layers.push(Layer { depth: -z, channels: vec![(channel, x, y)] }),
+        };
+        let packages = (parameters.stiffening != 0.0).then(|| {
+            let mut places: Vec<(Point3<f64>, Vector3<f64>)> = Vec::new();
+            for element in &parameters.elements {
+                // Channels of one taxel share its package.
+                if places.iter().all(|(place, _)| *place != element.position) {
+                    places.push((element.position, element.normal));
+                }
             }
-        }
+            Packages { places, stiffening: parameters.stiffening, reach: parameters.stiffening_reach }
+        });
         Ok(Self {
-            medium,
-            surface: skin.surface(),
-            layers,
+            surface: Surface::from_spec(&parameters.surface),
+            field,
+            gains: parameters.elements.iter().map(|e| e.gain).collect(),
             noise: skin.channel_noise(),
-            reach: reach + OFF_SURFACE,
-            tables: RwLock::default(),
+            diameter_scale: parameters.diameter_scale,
+            packages,
         })
     }
 
-    /// The medium.
-    #[must_use]
-    pub fn medium(&self) -> &Medium {
-        &self.medium
+    /// Adds what one contact that has been checked does to the stress at every element.
+    fn add(&self, index: usize, contact: &Indentation, out: &mut [f64]) -> Result<(), ModelError> {
+        let Some(packages) = &self.packages else { return self.field.add(index, contact, out) };
+        // All is linear in stress: under the force F, a medium that is c times as stiff has c times the field that this one
+        // has under F/c.
+        let stiffness = packages.stiffness(&contact.position);
+        let softer = Indentation { force: contact.force / stiffness, ..contact.clone() };
+        let mut field = vec![0.0; out.len()];
+        self.field.add(index, &softer, &mut field)?;
+        for (o, f) in out.iter_mut().zip(&field) {
+            *o += stiffness * f;
+        }
+        Ok(())
     }
+}
 
-    fn tables(&self, index: usize, diameter: f64) -> Result<Arc<[PressureTable]>, ModelError> {
-        let key = diameter.to_bits();
-        // A table is inserted whole: a panic elsewhere leaves none half-made.
-        if let Some(tables) = self.tables.read().unwrap_or_else(PoisonError::into_inner).get(&key) {
-            return Ok(Arc::clone(tables));
-        }
-        let tables = self
-            .layers
-            .iter()
-            .map(|l| {
-                PressureTable::sphere(
-                    &self.medium,
-                    diameter,
-                    l.depth,
-                    self.reach.min(100.0 * l.depth),
-                    FORCE_MAX,
-                )
-            })
-            .collect::<Result<Arc<[_]>, _>>()
-            .map_err(|e| ModelError::Stimulus { index, reason: e.to_string() })?;
-        let mut kept = self.tables.write().unwrap_or_else(PoisonError::into_inner);
-        if kept.len() >= TABLES_MAX {
-            kept.clear();
-        }
-        kept.insert(key, Arc::clone(&tables));
-        Ok(tables)
-    }
+/// Refuses a skin: which field, and what is wrong with it.
+fn refusal(skin: &SkinDescription, field: &str, reason: String) -> ModelError {
+    ModelError::Description { skin: skin.name.clone(), field: field.to_owned(), reason }
 }
 
 impl ForwardModel for BarometerModel {
@@ -192,18 +149,19 @@ impl ForwardModel for BarometerModel {
     /// Mean compressive stress at each taxel plus what the ambient pressure is above one standard atmosphere.
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
         debug_assert_eq!(out.len(), self.channels());
-        out.fill(stimulus.ambient_pressure - STANDARD_ATMOSPHERE);
+        out.fill(0.0);
         for (index, contact) in stimulus.contacts.iter().enumerate() {
             let wrong = |reason: String| Err(ModelError::Stimulus { index, reason });
             let p = contact.position;
             if !p.iter().chain(contact.force.iter()).all(|v| v.is_finite()) {
                 return wrong("its position or force is not a number".into());
             }
-            let off = self.surface.distance(&p);
+            let (nearest, normal) = self.surface.project(&p);
+            let off = (p - nearest).norm();
             if off > OFF_SURFACE {
                 return wrong(format!("({}, {}, {}) m lies {off:.6} m off the surface", p.x, p.y, p.z));
             }
-            let pressing = -contact.force.z;
+            let pressing = -contact.force.dot(&normal);
             if pressing < 0.0 {
                 return wrong(format!("it pulls with {} N, and this model knows no adhesion", -pressing));
             }
@@ -217,14 +175,16 @@ impl ForwardModel for BarometerModel {
             if pressing == 0.0 {
                 continue;
             }
-            let tables = self.tables(index, contact.diameter)?;
-            for (layer, table) in self.layers.iter().zip(tables.iter()) {
-                let profile = table.under(pressing);
-                for &(channel, x, y) in &layer.channels {
-                    let (dx, dy) = (p.x - x, p.y - y);
-                    out[channel] += profile.pressure((dx * dx + dy * dy).sqrt());
-                }
+            if self.diameter_scale == 1.0 {
+                self.add(index, contact, out)?;
+            } else {
+                let diameter = contact.diameter * self.diameter_scale;
+                self.add(index, &Indentation { diameter, ..contact.clone() }, out)?;
             }
+        }
+        let ambient = stimulus.ambient_pressure - STANDARD_ATMOSPHERE;
+        for (value, gain) in out.iter_mut().zip(&self.gains) {
+            *value = *value * gain + ambient;
         }
         Ok(())
     }
@@ -296,10 +256,13 @@ mod tests {
     fn impossible_skins_are_refused_by_field() {
         let refused = |from: &str, to: &str| BarometerModel::new(&skin(from, to)).unwrap_err().to_string();
         insta::assert_snapshot!(refused("thickness = 0.010", "thickness = 0.004"), @"skin `baro-grid`: field `taxels[0].position`: z of `b00` is -0.005 m and must lie in the medium: below 0 and not below -0.004 m");
-        insta::assert_snapshot!(refused("thickness = 0.010", "thicknes = 0.010"), @"skin `baro-grid`: field `medium.thicknes`: unknown field `thicknes`, expected one of `thickness`, `young_modulus`, `poisson_ratio`, `base`");
+        insta::assert_snapshot!(refused("thickness = 0.010", "thicknes = 0.010"), @"skin `baro-grid`: field `medium.thicknes`: unknown field `thicknes`, expected one of `thickness`, `young_modulus`, `poisson_ratio`, `base`, `edge`");
         insta::assert_snapshot!(refused("poisson_ratio = 0.49", ""), @"skin `baro-grid`: field `medium`: missing field `poisson_ratio`");
         insta::assert_snapshot!(refused("poisson_ratio = 0.49", "poisson_ratio = 0.5"), @"skin `baro-grid`: field `medium.poisson_ratio`: Poisson's ratio is 0.5 and must be between 0 and 0.4999");
-        insta::assert_snapshot!(refused("base = \"bonded\"", "base = \"glued\""), @"skin `baro-grid`: field `medium.base`: unknown variant `glued`, expected `bonded` or `slip`");
+        insta::assert_snapshot!(refused("base = \"bonded\"", "base = \"glued\""), @"skin `baro-grid`: field `medium.base`: must be \"bonded\", \"slip\", or a share of slip from 0 to 1");
+        insta::assert_snapshot!(refused("base = \"bonded\"", "base = 1.5"), @r#"skin `baro-grid`: field `medium.base`: is 1.5 and must be "bonded", "slip", or a share of slip from 0 to 1"#);
+        insta::assert_snapshot!(refused("base = \"bonded\"", "edge = \"free\""), @"skin `baro-grid`: field `medium.edge`: this model knows a `wide` medium only");
+        insta::assert_snapshot!(refused("thickness = 0.010", "thickness = -0.010"), @"skin `baro-grid`: field `medium.thickness`: is -0.01 m and must be a positive length");
         insta::assert_snapshot!(refused("[-0.0130, -0.0130, -0.005]", "[-0.0230, -0.0130, -0.005]"), @"skin `baro-grid`: field `taxels[0].position`: `b00` lies at (-0.023, -0.013) m, beside the surface of 0.034 m by 0.034 m");
         insta::assert_snapshot!(refused("[-0.0130, -0.0130, -0.005]", "[-0.0130, -0.0130, 0.005]"), @"skin `baro-grid`: field `taxels[0].position`: z of `b00` is 0.005 m and must lie in the medium: below 0 and not below -0.01 m");
         insta::assert_snapshot!(refused("[-0.0130, -0.0130, -0.005]", "[-0.0130, -0.0130, -0.0001]"), @"skin `baro-grid`: field `taxels[0].position`: `b00` is too near to the surface: it must be at least 0.000424 m deep");
@@ -320,15 +283,6 @@ mod tests {
         insta::assert_snapshot!(refused(|c| c.force.z = f64::NAN), @"contact 1: its position or force is not a number");
         insta::assert_snapshot!(refused(|c| c.force.z = 0.5), @"contact 1: it pulls with 0.5 N, and this model knows no adhesion");
         insta::assert_snapshot!(refused(|c| c.diameter = 0.0), @"contact 1: its diameter is 0 m and must be 0.0001 to 0.1 m");
-    }
-
-    #[test]
-    fn a_diameter_is_tabulated_once() {
-        let model = BarometerModel::new(&skin("", "")).unwrap();
-        for diameter in [0.002, 0.003, 0.002] {
-            read(&model, vec![Indentation { diameter, ..press(0.0, 0.0, 0.3) }]);
-        }
-        assert_eq!(model.tables.read().unwrap().len(), 2);
     }
 
     proptest! {
