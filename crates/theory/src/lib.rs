@@ -6,6 +6,7 @@
 
 mod bound;
 mod error;
+pub mod normalised;
 mod surface;
 
 pub use bound::{ContactBound, Unknowns, cramer_rao};

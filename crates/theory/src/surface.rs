@@ -58,7 +58,7 @@ impl Summary {
     }
 }
 
-fn positive(quantity: &'static str, value: f64) -> Result<f64, TheoryError> {
+pub(crate) fn positive(quantity: &'static str, value: f64) -> Result<f64, TheoryError> {
     if value.is_finite() && value > 0.0 {
         Ok(value)
     } else {
