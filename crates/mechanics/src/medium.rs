@@ -1,6 +1,6 @@
 //! A layered elastic medium in Hankel space.
 
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix2, Matrix4, Matrix4x2};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use crate::MechanicsError;
@@ -9,6 +9,8 @@ use crate::quadrature::panels;
 
 /// Beyond this exponent a kernel is below the resolution of f64.
 const EXPONENT_MAX: f64 = 40.0;
+/// kh below which the system of a layer loses its digits, while its kernels have long reached their limits.
+const LONGEST: f64 = 1e-3;
 
 /// What holds the lower side of a layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -21,24 +23,25 @@ pub enum Base {
     Slip,
 }
 
-/// A normal load on the surface, axisymmetric about its centre.
+/// A load on the surface whose distribution is axisymmetric about its centre: a pressure, or a shear traction that
+/// points in one direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Load {
     /// All of it in one point.
     Point {
-        /// \[N\] pressing in.
+        /// \[N\] pressing in, or along the surface.
         force: f64,
     },
     /// Uniform pressure on a disc.
     Disc {
-        /// \[N\] pressing in.
+        /// \[N\] pressing in, or along the surface.
         force: f64,
         /// \[m\] of the disc.
         radius: f64,
     },
     /// The pressure p₀ √(1 − r²/a²) that a sphere makes on a half-space at small indentation (Hertz).
     Hertz {
-        /// \[N\] pressing in.
+        /// \[N\] pressing in, or along the surface.
         force: f64,
         /// \[m\] of the contact.
         radius: f64,
@@ -46,7 +49,7 @@ pub enum Load {
 }
 
 impl Load {
-    /// \[N\] pressing in.
+    /// \[N\] pressing in, or along the surface.
     #[must_use]
     pub fn force(&self) -> f64 {
         match *self {
@@ -98,7 +101,8 @@ impl Load {
 pub struct Medium {
     young_modulus: f64,
     poisson_ratio: f64,
-    layer: Option<(f64, Base)>,
+    /// Thickness \[m\] and share of slip.
+    layer: Option<(f64, f64)>,
 }
 
 impl Medium {
@@ -114,8 +118,34 @@ impl Medium {
         thickness: f64,
         base: Base,
     ) -> Result<Self, MechanicsError> {
+        let slip = match base {
+            Base::Bonded => 0.0,
+            Base::Slip => 1.0,
+        };
+        Self::mixed(young_modulus, poisson_ratio, thickness, slip)
+    }
+
+    /// A layer whose base is neither glued nor free to slip: its kernels are `slip` (0 to 1) parts of those of a
+    /// slipping base and 1 − `slip` of those of a bonded one.
+    ///
+    /// # Errors
+    ///
+    /// As [`layer`](Self::layer), and where `slip` is not a share.
+    pub fn mixed(
+        young_modulus: f64,
+        poisson_ratio: f64,
+        thickness: f64,
+        slip: f64,
+    ) -> Result<Self, MechanicsError> {
         positive("thickness [m]", thickness)?;
-        Ok(Self { layer: Some((thickness, base)), ..Self::half_space(young_modulus, poisson_ratio)? })
+        if !(0.0..=1.0).contains(&slip) {
+            return Err(MechanicsError::Value {
+                quantity: "share of slip at the base",
+                value: slip,
+                expected: "between 0 and 1",
+            });
+        }
+        Ok(Self { layer: Some((thickness, slip)), ..Self::half_space(young_modulus, poisson_ratio)? })
     }
 
     /// An infinitely deep medium with `young_modulus` \[Pa\] and `poisson_ratio`.
@@ -153,6 +183,12 @@ impl Medium {
         self.layer.map_or(f64::INFINITY, |(h, _)| h)
     }
 
+    /// Share of slip at the base; 0 for a half-space, which has none.
+    #[must_use]
+    pub fn slip(&self) -> f64 {
+        self.layer.map_or(0.0, |(_, slip)| slip)
+    }
+
     /// 2 (1 − ν²) / E \[1/Pa\]: the half-space's surface displacement is this over k, per transformed pressure.
     pub(crate) fn compliance(&self) -> f64 {
         2.0 * (1.0 - self.poisson_ratio * self.poisson_ratio) / self.young_modulus
@@ -168,19 +204,39 @@ impl Medium {
     /// I. N. Sneddon, *Fourier Transforms*, ch. 10.)
     #[must_use]
     pub fn pressure_kernel(&self, k: f64, depth: f64) -> f64 {
+        self.kernels(k, depth)[0]
+    }
+
+    /// Mean compressive stress −σₖₖ/3 at `depth` \[m\] per shear traction on the surface, at the wavenumber `k`
+    /// [1/m]: under a traction along x whose magnitude has the Hankel transform T̂ of order 0, the stress at the
+    /// distance r and the angle θ from x is cos θ ∫ S(k) T̂(k) J₁(kr) k dk. Dimensionless, finite for every k > 0; where
+    /// the base slips it grows as 1/k towards long waves.
+    ///
+    /// The traction's part along the wave vector is the plane problem that Love's function solves, with σ_rz = τ in
+    /// place of σ_zz = −p on the surface; its part across the wave vector shears without any change of volume. On a
+    /// half-space this is Cerruti's solution, (1+ν) Q x / (3πR³).
+    #[must_use]
+    pub fn shear_kernel(&self, k: f64, depth: f64) -> f64 {
+        self.kernels(k, depth)[1]
+    }
+
+    /// [`pressure_kernel`](Self::pressure_kernel) and [`shear_kernel`](Self::shear_kernel).
+    pub(crate) fn kernels(&self, k: f64, depth: f64) -> [f64; 2] {
         let nu = self.poisson_ratio;
-        let Some((h, base)) = self.layer else {
-            return 2.0 * (1.0 + nu) / 3.0 * (-k * depth).exp();
+        let Some((h, slip)) = self.layer.filter(|(h, _)| k * h <= EXPONENT_MAX) else {
+            return [2.0 * (1.0 + nu) / 3.0 * (-k * depth).exp(); 2];
         };
-        let alpha = k * h;
-        if alpha > EXPONENT_MAX {
-            return 2.0 * (1.0 + nu) / 3.0 * (-k * depth).exp();
-        }
-        // Below this the 4×4 system loses its digits while the kernel has long reached its limit.
-        let alpha = alpha.max(1e-3);
-        let (b, d) = love_constants(alpha, nu, base);
+        let alpha = (k * h).max(LONGEST);
         let s = alpha * depth / h;
-        -(1.0 + nu) / 3.0 * 2.0 * (b * (-s).exp() + d * (s - alpha).exp())
+        let (down, up) = ((-s).exp(), (s - alpha).exp());
+        // What shear does vanishes with kh where the base holds, and grows as its inverse where it slips.
+        let long = k * h / alpha;
+        let of = |base, long: f64| {
+            let constants = love_constants(alpha, nu, base);
+            let kernel = |i| -(1.0 + nu) / 3.0 * 2.0 * (constants[(0, i)] * down + constants[(1, i)] * up);
+            [kernel(0), long * kernel(1)]
+        };
+        mix(slip, || of(Base::Bonded, long), || of(Base::Slip, 1.0 / long))
     }
 
     /// 1 − g: displacement of the layer's surface relative to that of the half-space at the wavenumber `k`.
@@ -188,21 +244,20 @@ impl Medium {
     /// Bonded: (2κ sinh 2α − 4α) / (2κ cosh 2α + 4α² + 1 + κ²) with κ = 3 − 4ν, α = kh; slip:
     /// (cosh 2α − 1) / (sinh 2α + 2α). (K. L. Johnson, *Contact Mechanics*, §5.8.)
     pub(crate) fn relative_displacement(&self, k: f64) -> f64 {
-        let Some((h, base)) = self.layer else { return 1.0 };
+        let Some((h, slip)) = self.layer else { return 1.0 };
         let a = k * h;
         if a > EXPONENT_MAX {
             return 1.0;
         }
-        match base {
-            Base::Bonded => {
-                let kappa = 3.0 - 4.0 * self.poisson_ratio;
-                let numerator = 2.0 * kappa * (2.0 * a).sinh() - 4.0 * a;
-                numerator / (2.0 * kappa * (2.0 * a).cosh() + 4.0 * a * a + 1.0 + kappa * kappa)
-            }
-            // cosh 2α − 1 = 2 sinh² α keeps the digits of a small α.
-            Base::Slip if a < 1e-8 => a / 2.0,
-            Base::Slip => 2.0 * a.sinh().powi(2) / ((2.0 * a).sinh() + 2.0 * a),
-        }
+        let bonded = || {
+            let kappa = 3.0 - 4.0 * self.poisson_ratio;
+            let numerator = 2.0 * kappa * (2.0 * a).sinh() - 4.0 * a;
+            [numerator / (2.0 * kappa * (2.0 * a).cosh() + 4.0 * a * a + 1.0 + kappa * kappa)]
+        };
+        // cosh 2α − 1 = 2 sinh² α keeps the digits of a small α.
+        let slipping =
+            || [if a < 1e-8 { a / 2.0 } else { 2.0 * a.sinh().powi(2) / ((2.0 * a).sinh() + 2.0 * a) }];
+        mix(slip, bonded, slipping)[0]
     }
 
     /// Displacement of the surface into the medium per surface pressure, both Hankel-transformed, at the
@@ -222,22 +277,42 @@ impl Medium {
         }
     }
 
-    /// Mean compressive stress −σₖₖ/3 \[Pa\] at `depth` \[m\] and distance `r` \[m\] from the axis of `load`.
+    /// Mean compressive stress −σₖₖ/3 \[Pa\] at `depth` \[m\] and distance `r` \[m\] from the axis of `load`, which
+    /// presses.
     ///
     /// # Errors
     ///
     /// [`MechanicsError`] where the depth lies outside of the medium or a number cannot be.
     pub fn pressure(&self, load: &Load, depth: f64, r: f64) -> Result<f64, MechanicsError> {
+        self.integrate(load, depth, r, |k, x| self.pressure_kernel(k, depth) * libm::j0(x))
+    }
+
+    /// Mean compressive stress −σₖₖ/3 \[Pa\] at `depth` \[m\] and distance `r` \[m\] straight ahead of `load`, which is
+    /// exerted on the surface along it. At the angle θ from its direction it is cos θ of that: what lies ahead is
+    /// compressed, what lies behind is stretched.
+    ///
+    /// # Errors
+    ///
+    /// As [`pressure`](Self::pressure).
+    pub fn pressure_of_shear(&self, load: &Load, depth: f64, r: f64) -> Result<f64, MechanicsError> {
+        let ahead = self.integrate(load, depth, r, |k, x| self.shear_kernel(k, depth) * libm::j1(x))?;
+        Ok(if r < 0.0 { -ahead } else { ahead })
+    }
+
+    fn integrate(
+        &self,
+        load: &Load,
+        depth: f64,
+        r: f64,
+        kernel: impl Fn(f64, f64) -> f64,
+    ) -> Result<f64, MechanicsError> {
         self.check_depth(depth)?;
         let a = load.check()?;
         let r = distance(r)?;
         // Both Bessel functions oscillate: a panel spans about one and a half of their periods.
         let panel = (6.0 / (r + a)).min(3.0 / depth);
         let nodes = panels(EXPONENT_MAX / depth, panel);
-        Ok(nodes
-            .iter()
-            .map(|&(k, w)| w * k * self.pressure_kernel(k, depth) * load.transform(k) * libm::j0(k * r))
-            .sum())
+        Ok(nodes.iter().map(|&(k, w)| w * k * kernel(k, k * r) * load.transform(k)).sum())
     }
 
     /// Displacement of the surface into the medium \[m\] at the distance `r` \[m\] from the axis of `load`;
@@ -294,9 +369,25 @@ fn distance(r: f64) -> Result<f64, MechanicsError> {
     }
 }
 
-/// k²B and k²D of Love's function for unit surface pressure; lengths are scaled by k, so that f k³ has the
-/// derivatives below and every entry stays of order α e^0.
-fn love_constants(alpha: f64, nu: f64, base: Base) -> (f64, f64) {
+/// `slip` parts of one kernel and the rest of the other; a part that is not there is not computed.
+fn mix<const N: usize>(
+    slip: f64,
+    bonded: impl Fn() -> [f64; N],
+    slipping: impl Fn() -> [f64; N],
+) -> [f64; N] {
+    if slip <= 0.0 {
+        bonded()
+    } else if slip >= 1.0 {
+        slipping()
+    } else {
+        let (b, s) = (bonded(), slipping());
+        std::array::from_fn(|i| (1.0 - slip) * b[i] + slip * s[i])
+    }
+}
+
+/// k²B and k²D (rows) of Love's function for unit surface pressure and for unit shear stress (columns); lengths are scaled
+/// by k, so that f k³ has the derivatives below and every entry stays of order α e^0.
+fn love_constants(alpha: f64, nu: f64, base: Base) -> Matrix2<f64> {
     // f and its first three derivatives with respect to s = kz, for each of the four constants.
     let derivatives = |s: f64| -> [[f64; 4]; 4] {
         let (down, up) = ((-s).exp(), (s - alpha).exp());
@@ -322,8 +413,10 @@ fn love_constants(alpha: f64, nu: f64, base: Base) -> (f64, f64) {
     let rows =
         [row(&top, normal_stress), row(&top, shear_stress), row(&bottom, vertical), row(&bottom, held)];
     let system = Matrix4::from_fn(|i, j| rows[i][j]);
-    let constants = system.lu().solve(&Vector4::new(-1.0, 0.0, 0.0, 0.0)).unwrap_or_default();
-    (constants[1], constants[3])
+    let mut sides = Matrix4x2::zeros();
+    (sides[(0, 0)], sides[(1, 1)]) = (-1.0, 1.0);
+    let constants = system.lu().solve(&sides).unwrap_or_default();
+    Matrix2::new(constants[(1, 0)], constants[(1, 1)], constants[(3, 0)], constants[(3, 1)])
 }
 
 /// Complete elliptic integrals of the first and second kind of the modulus `m` in \[0, 1\], by the
@@ -417,6 +510,98 @@ mod tests {
     }
 
     #[test]
+    fn shear_on_half_space_is_cerruti() {
+        let medium = Medium::half_space(E, NU).unwrap();
+        let load = Load::Point { force: 1.0 };
+        for r in [0.0f64, 0.002, 0.005, 0.020, -0.020] {
+            let z = 0.005f64;
+            let exact = (1.0 + NU) / (3.0 * PI) * r / (r * r + z * z).powf(1.5);
+            let found = medium.pressure_of_shear(&load, z, r).unwrap();
+            assert_relative_eq!(found, exact, max_relative = 1e-9, epsilon = 1e-12);
+        }
+    }
+
+    /// [`Medium::kernels`] by another way: the plane wave's displacements and tractions (U, W, T, Σ) obey y' = Ay
+    /// through the layer, so that expm(Ah) takes them from the surface to the base, where two of them vanish.
+    fn by_transfer(k: f64, h: f64, depth: f64, base: Base) -> [f64; 2] {
+        use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
+        // Lengths in 1/k, stresses in the shear modulus.
+        let (mu, lambda) = (1.0, 2.0 * NU / (1.0 - 2.0 * NU));
+        let m = lambda + 2.0 * mu;
+        // U' = T + W, W' = (Σ − λU)/m, T' = mU + λW', Σ' = −T.
+        let a = Matrix4::new(
+            0.0,
+            1.0,
+            1.0 / mu,
+            0.0,
+            -lambda / m,
+            0.0,
+            0.0,
+            1.0 / m,
+            m - lambda * lambda / m,
+            0.0,
+            0.0,
+            lambda / m,
+            0.0,
+            0.0,
+            -1.0,
+            0.0,
+        );
+        let through = (a * (k * h)).exp();
+        let held = if base == Base::Bonded { [0, 1] } else { [1, 2] };
+        let block = |c: [usize; 2]| Matrix2::from_fn(|i, j| through[(held[i], c[j])]);
+        [(Vector2::new(0.0, -1.0), 1.0), (Vector2::new(-1.0, 0.0), -1.0)].map(|(tractions, sign)| {
+            let top = block([0, 1]).lu().solve(&(-(block([2, 3]) * tractions))).unwrap();
+            let y = (a * (k * depth)).exp() * Vector4::new(top[0], top[1], tractions[0], tractions[1]);
+            let sxx = m * y[0] + lambda * (y[3] - lambda * y[0]) / m;
+            // The stress under a shear that goes as a sine goes as minus a cosine.
+            -sign * (1.0 + NU) / 3.0 * (sxx + y[3])
+        })
+    }
+
+    #[test]
+    fn kernels_agree_with_the_transfer_matrix() {
+        for base in [Base::Bonded, Base::Slip] {
+            for k in [5.0, 20.0, 70.0, 200.0, 500.0] {
+                for depth in [0.001, 0.005, 0.010] {
+                    let (found, expected) = (pad(base).kernels(k, depth), by_transfer(k, 0.010, depth, base));
+                    for i in 0..2 {
+                        assert_relative_eq!(found[i], expected[i], max_relative = 1e-6, epsilon = 1e-7);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn long_waves_of_shear_have_their_limits() {
+        for (base, power) in [(Base::Bonded, 1.0), (Base::Slip, -1.0)] {
+            let at = |alpha: f64| pad(base).shear_kernel(alpha / 0.010, 0.005);
+            for alpha in [1e-5, 9.99e-4, 1.001e-3, 3e-3] {
+                assert_relative_eq!(at(alpha), at(0.01) * (alpha / 0.01).powf(power), max_relative = 1e-2);
+            }
+        }
+    }
+
+    #[test]
+    fn a_base_between_is_that_mixture() {
+        let load = Load::Hertz { force: 1.0, radius: 0.001 };
+        for slip in [0.0, 0.3, 1.0] {
+            let medium = Medium::mixed(E, NU, 0.010, slip).unwrap();
+            for r in [0.0, 0.004, 0.020] {
+                let normal = |m: &Medium| m.pressure(&load, 0.005, r).unwrap();
+                let shear = |m: &Medium| m.pressure_of_shear(&load, 0.005, r).unwrap();
+                let ends = |f: &dyn Fn(&Medium) -> f64| {
+                    (1.0 - slip) * f(&pad(Base::Bonded)) + slip * f(&pad(Base::Slip))
+                };
+                assert_relative_eq!(normal(&medium), ends(&normal), max_relative = 1e-9);
+                assert_relative_eq!(shear(&medium), ends(&shear), max_relative = 1e-9);
+            }
+        }
+        assert_eq!(Medium::mixed(E, NU, 0.010, 0.0), Medium::layer(E, NU, 0.010, Base::Bonded));
+    }
+
+    #[test]
     fn kernels_stay_finite_from_the_longest_to_the_shortest_wave() {
         for base in [Base::Bonded, Base::Slip] {
             for exponent in -120..=80 {
@@ -424,6 +609,7 @@ mod tests {
                 let p = pad(base).pressure_kernel(k, 0.005);
                 let w = pad(base).displacement_kernel(k);
                 assert!(p.is_finite() && p.abs() < 2.0, "{base:?} k={k}: {p}");
+                assert!((k * pad(base).shear_kernel(k, 0.005)).is_finite(), "{base:?} k={k}");
                 assert!(w.is_finite() && w > 0.0, "{base:?} k={k}: {w}");
             }
         }
@@ -435,6 +621,7 @@ mod tests {
         insta::assert_snapshot!(refused(Medium::half_space(-1.0, NU)), @"Young's modulus [Pa] is -1 and must be a positive number");
         insta::assert_snapshot!(refused(Medium::half_space(E, 0.5)), @"Poisson's ratio is 0.5 and must be between 0 and 0.4999");
         insta::assert_snapshot!(refused(Medium::layer(E, NU, f64::NAN, Base::Slip)), @"thickness [m] is NaN and must be a positive number");
+        insta::assert_snapshot!(refused(Medium::mixed(E, NU, 0.01, 1.1)), @"share of slip at the base is 1.1 and must be between 0 and 1");
         let deep = pad(Base::Bonded).pressure(&Load::Point { force: 1.0 }, 0.011, 0.0).unwrap_err();
         insta::assert_snapshot!(deep, @"depth is 0.011 m and must lie between the surface and the base of the layer at 0.01 m");
     }
