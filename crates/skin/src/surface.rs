@@ -1,5 +1,7 @@
 //! Triangulated outside of a skin.
 
+use std::f64::consts::{PI, TAU};
+
 use nalgebra::{Point3, Vector3};
 
 use crate::description::SurfaceSpec;
@@ -59,6 +61,43 @@ impl Surface {
         }
     }
 
+    /// Length \[m\] of the shortest way along the ideal surface between two points; what lies off it is projected first.
+    #[must_use]
+    pub fn geodesic(&self, from: &Point3<f64>, to: &Point3<f64>) -> f64 {
+        let (a, b) = (self.project(from).0, self.project(to).0);
+        let SurfaceSpec::Dome { radius, cylinder, .. } = self.spec else { return (a - b).norm() };
+        let centre = Point3::new(0.0, 0.0, cylinder);
+        let azimuth = |p: &Point3<f64>| p.y.atan2(p.x);
+        let arc = |p: &Point3<f64>, q: &Point3<f64>| {
+            let (u, v) = (p - centre, q - centre);
+            radius * u.cross(&v).norm().atan2(u.dot(&v))
+        };
+        let turn = |by: f64| (by + PI).rem_euclid(TAU) - PI;
+        match (a.z > cylinder, b.z > cylinder) {
+            (true, true) => arc(&a, &b),
+            // Unrolled. The way over the hemisphere is never shorter: it meets the equator, which is straight on both.
+            (false, false) => (radius * turn(azimuth(&b) - azimuth(&a))).hypot(b.z - a.z),
+            (low_is_b, _) => {
+                let (low, high) = if low_is_b { (b, a) } else { (a, b) };
+                let across = turn(azimuth(&high) - azimuth(&low));
+                let through = |share: f64| {
+                    let angle = share * across;
+                    let (sin, cos) = (azimuth(&low) + angle).sin_cos();
+                    let equator = Point3::new(radius * cos, radius * sin, cylinder);
+                    (radius * angle).hypot(cylinder - low.z) + arc(&equator, &high)
+                };
+                // Where the way crosses the equator: the best of some places, then ever finer around it.
+                let (mut best, mut step) = (0.0, 0.05);
+                for _ in 0..12 {
+                    let near = (-20..=20).map(|i| (best + f64::from(i) * step).clamp(0.0, 1.0));
+                    best = near.min_by(|p, q| through(*p).total_cmp(&through(*q))).unwrap_or(best);
+                    step /= 8.0;
+                }
+                through(best)
+            }
+        }
+    }
+
     /// Distance of `point` from the ideal surface \[m\].
     #[must_use]
     pub fn distance(&self, point: &Point3<f64>) -> f64 {
@@ -93,7 +132,7 @@ fn rectangle([lx, ly]: [f64; 2], spacing: f64) -> Triangulation {
 }
 
 fn dome(radius: f64, cylinder: f64, spacing: f64) -> Triangulation {
-    use std::f64::consts::{FRAC_PI_2, TAU};
+    use std::f64::consts::FRAC_PI_2;
     let around = (TAU * radius / spacing).round().max(8.0) as u32;
     let up = (cylinder / spacing).round().max(1.0) as u32;
     let over = (FRAC_PI_2 * radius / spacing).round().max(2.0) as u32;
@@ -157,7 +196,7 @@ mod tests {
     fn areas_approach_the_dome() {
         let (r, h) = (0.010, 0.016);
         let s = Surface::from_spec(&SurfaceSpec::Dome { radius: r, cylinder: h, spacing: 0.0005 });
-        let exact = std::f64::consts::TAU * r * (h + r);
+        let exact = TAU * r * (h + r);
         approx::assert_relative_eq!(s.areas.iter().sum::<f64>(), exact, max_relative = 2e-3);
         assert!(outward(&s));
         for (p, n) in s.points.iter().zip(&s.normals) {
@@ -166,7 +205,49 @@ mod tests {
         }
     }
 
+    #[test]
+    fn ways_along_a_dome() {
+        let s = Surface::from_spec(&SurfaceSpec::Dome { radius: 0.010, cylinder: 0.016, spacing: 0.002 });
+        let cylinder = |angle: f64, z: f64| Point3::new(0.010 * angle.cos(), 0.010 * angle.sin(), z);
+        let tip = Point3::new(0.0, 0.0, 0.026);
+        let way = |a: Point3<f64>, b: Point3<f64>| {
+            approx::assert_relative_eq!(s.geodesic(&a, &b), s.geodesic(&b, &a), max_relative = 1e-6);
+            s.geodesic(&a, &b)
+        };
+        // Straight up and over a quarter of the sphere; along a helix; along the shorter side of the equator.
+        approx::assert_relative_eq!(
+            way(cylinder(0.3, 0.004), tip),
+            0.012 + 0.010 * PI / 2.0,
+            max_relative = 1e-9
+        );
+        approx::assert_relative_eq!(
+            way(cylinder(0.0, 0.0), cylinder(1.0, 0.012)),
+            0.010f64.hypot(0.012),
+            max_relative = 1e-9
+        );
+        approx::assert_relative_eq!(
+            way(cylinder(-3.0, 0.016), cylinder(3.0, 0.016)),
+            0.010 * (TAU - 6.0),
+            max_relative = 1e-9
+        );
+    }
+
     proptest! {
+        #[test]
+        fn ways_are_a_metric(
+            p in proptest::array::uniform3((-0.02..0.02f64, -0.02..0.02f64, -0.01..0.04f64)), dome in any::<bool>(),
+        ) {
+            let spec = if dome {
+                SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 }
+            } else {
+                SurfaceSpec::Rectangle { size: [0.034, 0.02], spacing: 0.002 }
+            };
+            let s = Surface::from_spec(&spec);
+            let [a, b, c] = p.map(|(x, y, z)| s.project(&Point3::new(x, y, z)).0);
+            prop_assert!(s.geodesic(&a, &b) + 1e-9 >= (a - b).norm());
+            prop_assert!(s.geodesic(&a, &c) <= s.geodesic(&a, &b) + s.geodesic(&b, &c) + 1e-7);
+        }
+
         #[test]
         fn projection_is_idempotent_and_closest(
             x in -0.05..0.05f64, y in -0.05..0.05f64, z in -0.05..0.05f64, dome in any::<bool>(),
