@@ -9,6 +9,9 @@ use crate::{MechanicsError, Medium};
 
 /// Points along the contact radius. The solution is smooth except for the logarithm of the sphere's slope.
 const POINTS: usize = 40;
+/// artanh(a/R) up to which contacts are solved: there the contact is as wide as its sphere to seven digits, and the
+/// indentation on a half-space eight times as deep.
+pub(crate) const DEEPEST: f64 = 8.0;
 /// ka up to which a Gauss rule of that many points integrates cos kt.
 const RESOLVED: f64 = 60.0;
 
@@ -88,6 +91,42 @@ impl SphereContact {
         Ok(Self { contact_radius: a, indentation, force, density })
     }
 
+    /// The contact of a sphere of `sphere_radius` \[m\] whose lowest point lies `indentation` \[m\] below the undeformed
+    /// surface.
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Value`] where a length is not positive, or the sphere would be in so deep that no contact
+    /// smaller than itself carries it.
+    pub fn at_indentation(
+        medium: &Medium,
+        sphere_radius: f64,
+        indentation: f64,
+    ) -> Result<Self, MechanicsError> {
+        positive("indentation [m]", indentation)?;
+        // The indentation grows without bound with artanh(a/R).
+        let contact = |u: f64| Self::new(medium, sphere_radius, sphere_radius * u.tanh());
+        let (mut low, mut high) = (0.0, DEEPEST);
+        let mut found = contact(high)?;
+        if found.indentation < indentation {
+            return Err(MechanicsError::Value {
+                quantity: "indentation [m]",
+                value: indentation,
+                expected: "of the order of the sphere's radius at most",
+            });
+        }
+        while high - low > 1e-12 * high {
+            let middle = (low + high) / 2.0;
+            let tried = contact(middle)?;
+            if tried.indentation < indentation {
+                low = middle;
+            } else {
+                (high, found) = (middle, tried);
+            }
+        }
+        Ok(found)
+    }
+
     /// \[m\] of the circle within which sphere and medium touch.
     #[must_use]
     pub fn contact_radius(&self) -> f64 {
@@ -129,19 +168,8 @@ mod tests {
     const NU: f64 = 0.49;
     const R: f64 = 0.002;
 
-    /// The contact whose indentation is `depth`, by bisection on its radius.
     fn at_indentation(medium: &Medium, depth: f64) -> SphereContact {
-        let contact = |u: f64| SphereContact::new(medium, R, R * u.tanh()).unwrap();
-        let (mut low, mut high) = (1e-3, 8.0);
-        for _ in 0..60 {
-            let middle = (low + high) / 2.0;
-            if contact(middle).indentation() < depth {
-                low = middle;
-            } else {
-                high = middle;
-            }
-        }
-        contact(low)
+        SphereContact::at_indentation(medium, R, depth).unwrap()
     }
 
     #[test]
@@ -178,7 +206,9 @@ mod tests {
         let half = Medium::half_space(E, NU).unwrap();
         let pad = Medium::layer(E, NU, 0.010, Base::Bonded).unwrap();
         for (depth, ratio) in [(0.0002, 1.074), (0.0005, 1.120), (0.0012, 1.185), (0.0024, 1.241)] {
-            let found = at_indentation(&pad, depth).force() / at_indentation(&half, depth).force();
+            let contact = at_indentation(&pad, depth);
+            assert_relative_eq!(contact.indentation(), depth, max_relative = 1e-9);
+            let found = contact.force() / at_indentation(&half, depth).force();
             assert_relative_eq!(found, ratio, max_relative = 0.01);
         }
     }
@@ -205,5 +235,7 @@ mod tests {
         let pad = Medium::layer(E, NU, 0.004, Base::Bonded).unwrap();
         let error = SphereContact::new(&pad, R, R).unwrap_err();
         insta::assert_snapshot!(error, @"radius of the contact [m] is 0.002 and must be smaller than that of the sphere");
+        let error = SphereContact::at_indentation(&pad, R, 1.0).unwrap_err();
+        insta::assert_snapshot!(error, @"indentation [m] is 1 and must be of the order of the sphere's radius at most");
     }
 }

@@ -1,5 +1,8 @@
 //! Readings of a sensor in a medium under a sphere, tabulated.
 
+use nalgebra::DMatrix;
+
+use crate::contact::DEEPEST;
 use crate::error::positive;
 use crate::quadrature::panels;
 use crate::{MechanicsError, Medium, SphereContact};
@@ -7,7 +10,7 @@ use crate::{MechanicsError, Medium, SphereContact};
 /// Contacts along the force axis.
 const CONTACTS: usize = 48;
 /// Distances per depth of the sensor: the field varies on the scale of its depth.
-const PER_DEPTH: f64 = 16.0;
+const PER_DEPTH: f64 = 20.0;
 /// A layer's field has vanished at this many thicknesses (below 10⁻⁵ of its peak).
 const REACH: f64 = 12.0;
 /// Largest distance in depths: the table's size and the time to fill it grow with it and its square.
@@ -15,15 +18,20 @@ const SPAN: f64 = 100.0;
 
 /// Mean compressive stress at one depth under a rigid sphere, over the distance from its axis and the force.
 ///
+/// The shear traction under a sphere that is dragged along the surface is taken as its pressure times the ratio of both
+/// forces: full friction, up to where the sphere slides. That traction is taken to leave the contact as it is.
+///
 /// Values are stored per force, so that the table is nearly flat in force; they are interpolated by cubics over
 /// distance and linearly over the contact's artanh(a/R). Above the largest tabulated force the reading grows in
-/// proportion to the force; beyond twelve thicknesses of the layer it is 0.
+/// proportion to the force; beyond twelve thicknesses of a layer on a base that holds it is 0.
 #[derive(Debug, Clone)]
 pub struct PressureTable {
     /// Cube roots of the forces \[N^(1/3)\], ascending from 0: the contact radius is linear in them at first.
     roots: Vec<f64>,
-    /// \[Pa/N\], `roots.len()` rows of `columns`.
-    values: Vec<f64>,
+    /// \[Pa/N\] of pressing force, `roots.len()` rows of `columns`.
+    normal: Vec<f64>,
+    /// \[Pa/N\] of shear force, straight ahead; as many.
+    shear: Vec<f64>,
     columns: usize,
     step: f64,
 }
@@ -45,9 +53,18 @@ pub struct Profile<'a> {
 
 impl Profile<'_> {
     /// Mean compressive stress \[Pa\] at the distance `r` \[m\] from the axis.
+    #[inline]
     #[must_use]
     pub fn pressure(&self, r: f64) -> f64 {
-        self.table.at(self.place, r)
+        self.place.force * self.table.at(&self.table.normal, 1.0, self.place, r)
+    }
+
+    /// Mean compressive stress \[Pa\] per newton of shear force on the surface, at the distance `r` \[m\] from the axis
+    /// straight ahead; at the angle θ from the force's direction it is cos θ of that.
+    #[inline]
+    #[must_use]
+    pub fn shear(&self, r: f64) -> f64 {
+        self.table.at(&self.table.shear, -1.0, self.place, r)
     }
 }
 
@@ -72,16 +89,17 @@ impl PressureTable {
 
         let contact = |u: f64| SphereContact::new(medium, radius, radius * u.tanh());
         // u = artanh(a/R) grows with the force without bound; find the one that reaches the largest force.
-        // At 8 the contact radius is the sphere's to seven digits and the indentation eight times that.
         let mut u_max = 0.05;
-        while u_max < 8.0 && contact(u_max)?.force() < force_max {
+        while u_max < DEEPEST && contact(u_max)?.force() < force_max {
             u_max *= 1.25;
         }
         let contacts = (1..=CONTACTS)
             .map(|i| contact(u_max * i as f64 / CONTACTS as f64))
             .collect::<Result<Vec<_>, _>>()?;
 
-        let reach = distance_max.min(REACH * medium.thickness());
+        // What shear does to a layer that slips falls off as 1/r only: the layer is a sheet that is pulled.
+        let reach =
+            if medium.slip() > 0.0 { distance_max } else { distance_max.min(REACH * medium.thickness()) };
         if reach > SPAN * depth {
             return Err(MechanicsError::Value {
                 quantity: "depth of the sensor [m]",
@@ -94,27 +112,24 @@ impl PressureTable {
         let columns = (reach / step).ceil() as usize + 3;
         let r_end = step * columns as f64;
         let nodes = panels(40.0 / depth, (6.0 / (r_end + radius)).min(3.0 / depth));
-        let kernel: Vec<f64> = nodes.iter().map(|&(k, w)| w * k * medium.pressure_kernel(k, depth)).collect();
-
         // Row 0 is the point load that a vanishing contact is.
-        let mut transforms = vec![vec![1.0 / std::f64::consts::TAU; nodes.len()]];
-        transforms.extend(
-            contacts.iter().map(|c| nodes.iter().map(|n| c.transform(n.0) / c.force()).collect::<Vec<_>>()),
-        );
-        let rows = transforms.len();
-        let mut values = vec![0.0; rows * columns];
-        let mut wave = vec![0.0; nodes.len()];
-        for column in 0..columns {
-            let r = step * column as f64;
-            for ((v, &(k, _)), weight) in wave.iter_mut().zip(&nodes).zip(&kernel) {
-                *v = weight * libm::j0(k * r);
-            }
-            for (row, transform) in transforms.iter().enumerate() {
-                values[row * columns + column] = wave.iter().zip(transform).map(|(a, b)| a * b).sum();
-            }
-        }
+        let rows = 1 + contacts.len();
+        let transform = DMatrix::from_fn(rows, nodes.len(), |row, q| match row.checked_sub(1) {
+            None => 1.0 / std::f64::consts::TAU,
+            Some(i) => contacts[i].transform(nodes[q].0) / contacts[i].force(),
+        });
+        let kernels: Vec<[f64; 2]> =
+            nodes.iter().map(|&(k, w)| medium.kernels(k, depth).map(|kernel| w * k * kernel)).collect();
+        let field = |part: usize, bessel: fn(f64) -> f64| {
+            let waves = DMatrix::from_fn(nodes.len(), columns, |q, column| {
+                kernels[q][part] * bessel(nodes[q].0 * step * column as f64)
+            });
+            // Column-major of the transpose is row-major.
+            (&transform * waves).transpose().as_slice().to_vec()
+        };
+        let (normal, shear) = (field(0, libm::j0), field(1, libm::j1));
         let roots = std::iter::once(0.0).chain(contacts.iter().map(|c| c.force().cbrt())).collect();
-        Ok(Self { roots, values, columns, step })
+        Ok(Self { roots, normal, shear, columns, step })
     }
 
     /// Mean compressive stress \[Pa\] at the distance `r` \[m\] from the axis of a sphere that presses with
@@ -146,7 +161,9 @@ impl PressureTable {
         ForcePlace { row, fraction, force }
     }
 
-    fn at(&self, place: ForcePlace, r: f64) -> f64 {
+    /// Value of `values` per newton at the distance `r`; `parity` is 1 for a field that is even in r, −1 for an odd one.
+    #[inline]
+    fn at(&self, values: &[f64], parity: f64, place: ForcePlace, r: f64) -> f64 {
         let x = r / self.step;
         // Also what is not a number, or negative, has no place in the table.
         if !(0.0..(self.columns - 2) as f64).contains(&x) {
@@ -154,20 +171,24 @@ impl PressureTable {
         }
         let i = x as usize;
         let t = x - i as f64;
-        // Catmull-Rom weights; the field is even in r, which gives the neighbour left of the axis.
-        let weights = [
+        // Catmull-Rom weights; the parity gives the neighbour left of the axis.
+        let mut weights = [
             ((2.0 - t) * t - 1.0) * t * 0.5,
             ((3.0 * t - 5.0) * t * t + 2.0) * 0.5,
             ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5,
             (t - 1.0) * t * t * 0.5,
         ];
-        let left = if i == 0 { 1 } else { i - 1 };
+        let mut left = i.wrapping_sub(1);
+        if i == 0 {
+            left = 1;
+            weights[0] *= parity;
+        }
         let along = |row: usize| {
-            let v = &self.values[row * self.columns..(row + 1) * self.columns];
+            let v = &values[row * self.columns..(row + 1) * self.columns];
             weights[0] * v[left] + weights[1] * v[i] + weights[2] * v[i + 1] + weights[3] * v[i + 2]
         };
         let (low, high) = (along(place.row), along(place.row + 1));
-        place.force * (low + place.fraction * (high - low))
+        low + place.fraction * (high - low)
     }
 }
 
@@ -184,20 +205,49 @@ mod tests {
 
     #[test]
     fn table_agrees_with_the_integral() {
-        let (depth, medium) = (0.005, *PAD);
-        for u in [0.111, 0.4, 0.93, 1.7] {
-            let contact = SphereContact::new(&medium, 0.002, 0.002 * f64::tanh(u)).unwrap();
-            let peak = TABLE.pressure(contact.force(), 0.0);
-            for r in [0.0, 0.00117, 0.0052, 0.0131, 0.0333] {
-                let exact: f64 = panels(40.0 / depth, 50.0)
-                    .iter()
-                    .map(|&(k, w)| {
-                        w * k * medium.pressure_kernel(k, depth) * contact.transform(k) * libm::j0(k * r)
-                    })
-                    .sum();
-                let found = TABLE.pressure(contact.force(), r);
-                assert!((found - exact).abs() < 5e-4 * peak, "u={u} r={r}: {found} for {exact}");
+        let depth = 0.005;
+        for (diameter, slip) in [(0.002, 0.0), (0.004, 0.0), (0.012, 0.0), (0.004, 0.3)] {
+            let medium = Medium::mixed(70e3, 0.49, 0.010, slip).unwrap();
+            let table = PressureTable::sphere(&medium, diameter, depth, 0.05, 5.0).unwrap();
+            let waves: Vec<(f64, [f64; 2])> = panels(40.0 / depth, 120.0)
+                .iter()
+                .map(|&(k, w)| (k, medium.kernels(k, depth).map(|s| w * k * s)))
+                .collect();
+            // Contacts that are not rows.
+            for u in [0.029f64, 0.211, 0.47, 0.86, 1.31, 2.17] {
+                let radius = diameter / 2.0;
+                let contact = SphereContact::new(&medium, radius, radius * u.tanh()).unwrap();
+                if contact.force() > table.force_max() {
+                    break;
+                }
+                let profile = table.under(contact.force());
+                let loads: Vec<f64> = waves.iter().map(|(k, _)| contact.transform(*k)).collect();
+                let (mut peaks, mut errors) = ([0.0f64; 2], [0.0f64; 2]);
+                for r in (0..60).map(|i| 0.000_577 * f64::from(i)) {
+                    let exact = waves.iter().zip(&loads).fold([0.0; 2], |sum, (&(k, s), load)| {
+                        [sum[0] + s[0] * load * libm::j0(k * r), sum[1] + s[1] * load * libm::j1(k * r)]
+                    });
+                    let found = [profile.pressure(r), profile.shear(r) * contact.force()];
+                    for i in 0..2 {
+                        peaks[i] = peaks[i].max(exact[i].abs());
+                        errors[i] = errors[i].max((found[i] - exact[i]).abs());
+                    }
+                }
+                for i in 0..2 {
+                    let share = errors[i] / peaks[i];
+                    assert!(share < 5e-4, "{diameter} m, slip {slip}, {} N, {i}: {share}", contact.force());
+                }
             }
+        }
+    }
+
+    #[test]
+    fn shear_of_a_light_touch_is_that_of_a_point() {
+        let one = Load::Point { force: 1.0 };
+        let light = TABLE.under(1e-6);
+        for r in [0.0, 0.0001, 0.002, 0.010, 0.020] {
+            let exact = PAD.pressure_of_shear(&one, 0.005, r).unwrap();
+            assert!((light.shear(r) - exact).abs() < 2.0, "r={r}: {} for {exact} Pa/N", light.shear(r));
         }
     }
 
