@@ -35,4 +35,4 @@ pub use case::Case;
 pub use contact::SphereContact;
 pub use error::MechanicsError;
 pub use medium::{Base, Load, Medium};
-pub use table::{PressureTable, Profile};
+pub use table::{PressureTable, Profile, SphereContacts};

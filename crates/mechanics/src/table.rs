@@ -16,6 +16,36 @@ const REACH: f64 = 12.0;
 /// Largest distance in depths: the table's size and the time to fill it grow with it and its square.
 const SPAN: f64 = 100.0;
 
+/// Contacts of one rigid sphere with a medium, from the lightest touch up: what tables at any depth are computed from.
+#[derive(Debug, Clone)]
+pub struct SphereContacts {
+    medium: Medium,
+    radius: f64,
+    contacts: Vec<SphereContact>,
+}
+
+impl SphereContacts {
+    /// Solves the contacts of a sphere of `diameter` \[m\] that is pressed with up to `force_max` \[N\].
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Value`] where a number is not positive.
+    pub fn new(medium: &Medium, diameter: f64, force_max: f64) -> Result<Self, MechanicsError> {
+        let radius = positive("diameter of the sphere [m]", diameter)? / 2.0;
+        positive("largest force [N]", force_max)?;
+        let contact = |u: f64| SphereContact::new(medium, radius, radius * u.tanh());
+        // u = artanh(a/R) grows with the force without bound; find the one that reaches the largest force.
+        let mut u_max = 0.05;
+        while u_max < DEEPEST && contact(u_max)?.force() < force_max {
+            u_max *= 1.25;
+        }
+        let contacts = (1..=CONTACTS)
+            .map(|i| contact(u_max * i as f64 / CONTACTS as f64))
+            .collect::<Result<Vec<_>, _>>()?;
+        Ok(Self { medium: *medium, radius, contacts })
+    }
+}
+
 /// Mean compressive stress at one depth under a rigid sphere, over the distance from its axis and the force.
 ///
 /// The shear traction under a sphere that is dragged along the surface is taken as its pressure times the ratio of both
@@ -82,21 +112,18 @@ impl PressureTable {
         distance_max: f64,
         force_max: f64,
     ) -> Result<Self, MechanicsError> {
-        let radius = positive("diameter of the sphere [m]", diameter)? / 2.0;
+        Self::new(&SphereContacts::new(medium, diameter, force_max)?, depth, distance_max)
+    }
+
+    /// Tabulates what a sensor at `depth` \[m\] feels of `contacts` at distances up to `distance_max` \[m\].
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError`] where the depth lies outside of the medium or the distance is not positive.
+    pub fn new(contacts: &SphereContacts, depth: f64, distance_max: f64) -> Result<Self, MechanicsError> {
+        let SphereContacts { medium, radius, contacts } = contacts;
         positive("largest distance [m]", distance_max)?;
-        positive("largest force [N]", force_max)?;
         medium.check_depth(depth)?;
-
-        let contact = |u: f64| SphereContact::new(medium, radius, radius * u.tanh());
-        // u = artanh(a/R) grows with the force without bound; find the one that reaches the largest force.
-        let mut u_max = 0.05;
-        while u_max < DEEPEST && contact(u_max)?.force() < force_max {
-            u_max *= 1.25;
-        }
-        let contacts = (1..=CONTACTS)
-            .map(|i| contact(u_max * i as f64 / CONTACTS as f64))
-            .collect::<Result<Vec<_>, _>>()?;
-
         // What shear does to a layer that slips falls off as 1/r only: the layer is a sheet that is pulled.
         let reach =
             if medium.slip() > 0.0 { distance_max } else { distance_max.min(REACH * medium.thickness()) };
