@@ -7,9 +7,12 @@
 
 mod flat;
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec};
+use dermis_skin::{
+    ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Trajectory,
+};
 use nalgebra::{Point3, Vector3};
 
+use crate::effects::{self, Dynamics};
 use crate::parameters::{Edge, Parameters};
 
 /// \[Pa\] that gauge pressures are relative to.
@@ -70,6 +73,7 @@ pub struct BarometerModel {
     diameter_scale: f64,
     /// Where they stiffen anything.
     packages: Option<Packages>,
+    dynamics: Dynamics,
 }
 
 impl BarometerModel {
@@ -78,9 +82,10 @@ impl BarometerModel {
     ///
     /// # Errors
     ///
-    /// [`ModelError::Description`] names the field that is missing, unknown or impossible.
+    /// [`ModelError::Description`] names the field that is missing, unknown or impossible, effects included.
     pub fn new(skin: &SkinDescription) -> Result<Self, ModelError> {
-        let parameters = Parameters::nominal(skin)?;
+        let mut parameters = Parameters::nominal(skin)?;
+        effects::shape(skin, &mut parameters)?;
         Self::from_parameters(skin, &parameters)
     }
 
@@ -113,6 +118,7 @@ impl BarometerModel {
             noise: skin.channel_noise(),
             diameter_scale: parameters.diameter_scale,
             packages,
+            dynamics: Dynamics::new(skin)?,
         })
     }
 
@@ -191,6 +197,10 @@ impl ForwardModel for BarometerModel {
 
     fn noise(&self) -> &[f64] {
         &self.noise
+    }
+
+    fn trajectory(&self) -> Box<dyn Trajectory> {
+        self.dynamics.begin()
     }
 }
 

@@ -64,9 +64,11 @@ impl Flat {
                     "z of `{name}` is {z} m and must lie in the medium: below 0 and not below -{thickness} m"
                 )));
             }
-            if x.abs() > half_x || y.abs() > half_y {
+            // As designed: an effect may move it beyond a surface that is only what is pressed of the elastomer.
+            let [x0, y0, _] = skin.taxels[taxel].position;
+            if x0.abs() > half_x || y0.abs() > half_y {
                 return Err(wrong(format!(
-                    "`{name}` lies at ({x}, {y}) m, beside the surface of {} m by {} m",
+                    "`{name}` lies at ({x0}, {y0}) m, beside the surface of {} m by {} m",
                     size[0], size[1]
                 )));
             }

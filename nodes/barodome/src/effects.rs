@@ -1,0 +1,33 @@
+//! What a device has that its design has not: the effects of barometers in an elastomer.
+//!
+//! [`EFFECTS`] lists them. Those that change what the model is computed from act in [`shape`]; those that remember, and the
+//! electronics, act along a [`Walk`], whatever their order in the file, in the order of the signal: what touches
+//! (`friction`), the elastomer (`mullins`, `hysteresis`, `relaxation`), the port (`trapped-air`), the air around
+//! (`ambient-pressure`), the bus (`read-skew`), the noise, the converter (`saturation`, `resolution`).
+//!
+//! Each is the identity at strength 0, bit for bit, and its deviation from the nominal readings grows with the strength. What
+//! is drawn at random has a stream of its own for each effect and channel, so that another effect, or another channel, changes
+//! nothing of it.
+
+mod shape;
+mod table;
+mod walk;
+
+use dermis_skin::Effect;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+pub(crate) use shape::shape;
+pub use table::EFFECTS;
+pub(crate) use walk::Dynamics;
+
+/// The random numbers of one effect on one channel (or taxel).
+fn stream(effect: &Effect, index: usize) -> ChaCha8Rng {
+    // FNV-1a: the name says which stream, not the place in a table that may grow.
+    let name = effect.name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    let mut rng = ChaCha8Rng::seed_from_u64(effect.seed.unwrap_or(0));
+    rng.set_stream((name << 20) | index as u64);
+    rng
+}

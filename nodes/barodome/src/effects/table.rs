@@ -1,0 +1,293 @@
+//! The effects that this family knows.
+
+use dermis_skin::{EffectInfo, ParameterInfo};
+
+const fn parameter(
+    name: &'static str,
+    unit: &'static str,
+    what: &'static str,
+    typical: f64,
+    range: [f64; 2],
+    limits: [f64; 2],
+) -> ParameterInfo {
+    ParameterInfo { name, unit, what, typical, range, limits }
+}
+
+/// Data sheet of the barometers that the thesis molds in.
+const CHIP: &str = "data sheet of the MPL3115A2";
+const ASSUMED: &str = "assumed; to be calibrated on a device";
+
+/// Every effect of barometers in an elastomer. Names are part of the file format.
+pub const EFFECTS: &[EffectInfo] = &[
+    EffectInfo {
+        name: "modulus",
+        what: "The elastomer is stiffer, or softer, than its data sheet says.",
+        source: ASSUMED,
+        parameters: &[parameter(
+            "change",
+            "1",
+            "relative change of Young's modulus",
+            0.15,
+            [-0.15, 0.15],
+            [-0.9, 10.0],
+        )],
+        stateful: false,
+        random: false,
+    },
+    EffectInfo {
+        name: "thickness",
+        what: "The elastomer is thicker, or thinner, than designed; the taxels keep their distance from the surface.",
+        source: ASSUMED,
+        parameters: &[parameter(
+            "change",
+            "m",
+            "change of the thickness",
+            3e-4,
+            [-3e-4, 3e-4],
+            [-0.05, 0.05],
+        )],
+        stateful: false,
+        random: false,
+    },
+    EffectInfo {
+        name: "base-bonding",
+        what: "The elastomer is not bonded everywhere: a share of the base slips.",
+        source: "mixture of the bonded and the slipping layer; the thesis sees the negative wings of a base that slips",
+        parameters: &[parameter(
+            "slip",
+            "1",
+            "share of what is bonded by design that slips",
+            0.5,
+            [0.0, 1.0],
+            [0.0, 1.0],
+        )],
+        stateful: false,
+        random: false,
+    },
+    EffectInfo {
+        name: "misplacement",
+        what: "Taxels do not lie where they were designed to.",
+        source: ASSUMED,
+        parameters: &[
+            parameter("lateral", "m", "most along each axis of the surface", 3e-4, [0.0, 5e-4], [0.0, 5e-3]),
+            parameter("depth", "m", "most across the surface", 5e-4, [0.0, 1e-3], [0.0, 5e-3]),
+        ],
+        stateful: false,
+        random: true,
+    },
+    EffectInfo {
+        name: "tilt",
+        what: "Packages are tilted: the port moves aside, and a footprint lies askew.",
+        source: ASSUMED,
+        parameters: &[
+            parameter("angle", "rad", "most, about a random axis", 0.087, [0.035, 0.26], [0.0, 0.785]),
+            parameter("lever", "m", "from the axis up to the port", 1.1e-3, [5e-4, 2e-3], [0.0, 0.01]),
+        ],
+        stateful: false,
+        random: true,
+    },
+    EffectInfo {
+        name: "footprint",
+        what: "A taxel reads the mean over its lid instead of the stress at a point.",
+        source: CHIP,
+        parameters: &[
+            parameter("length", "m", "of the averaging rectangle", 5e-3, [1e-3, 6e-3], [0.0, 0.02]),
+            parameter("width", "m", "of the averaging rectangle", 3e-3, [1e-3, 4e-3], [0.0, 0.02]),
+        ],
+        stateful: false,
+        random: false,
+    },
+    EffectInfo {
+        name: "inclusion-gain",
+        what: "A stiff chip in a soft medium gathers more stress than the medium alone, each a little differently.",
+        source: "stress concentration at a stiff inclusion (Eshelby); spread assumed",
+        parameters: &[
+            parameter("mean", "1", "mean factor", 1.3, [1.0, 1.6], [0.1, 10.0]),
+            parameter(
+                "spread",
+                "1",
+                "most by which a channel's factor differs from it",
+                0.15,
+                [0.0, 0.15],
+                [0.0, 0.9],
+            ),
+        ],
+        stateful: false,
+        random: true,
+    },
+    EffectInfo {
+        name: "package-stiffening",
+        what: "The medium above a package is stiffer for a tip than the medium between packages.",
+        source: ASSUMED,
+        parameters: &[
+            parameter("rise", "1", "of the modulus, straight above", 0.3, [0.0, 1.0], [0.0, 100.0]),
+            parameter("reach", "m", "at which it has fallen to e^(-1/2)", 2.5e-3, [1e-3, 5e-3], [1e-4, 0.05]),
+        ],
+        stateful: false,
+        random: false,
+    },
+    EffectInfo {
+        name: "indenter-size",
+        what: "The tip is larger, or smaller, than the plan says.",
+        source: ASSUMED,
+        parameters: &[parameter(
+            "scale",
+            "1",
+            "real diameter per planned one",
+            1.25,
+            [0.5, 2.0],
+            [0.05, 20.0],
+        )],
+        stateful: false,
+        random: false,
+    },
+    EffectInfo {
+        name: "friction",
+        what: "A tip that slides drags the surface along with Coulomb's friction.",
+        source: "Coulomb; silicone on metal or skin",
+        parameters: &[parameter(
+            "coefficient",
+            "1",
+            "tangential per normal force",
+            0.8,
+            [0.3, 1.5],
+            [0.0, 10.0],
+        )],
+        stateful: true,
+        random: false,
+    },
+    EffectInfo {
+        name: "mullins",
+        what: "Where it was stretched before, the medium has become softer and hands stress on to what surrounds it.",
+        source: "Mullins' softening of filled rubber, in the form of Ogden and Roxburgh; what of it shows is assumed",
+        parameters: &[
+            parameter(
+                "loss",
+                "1",
+                "of stiffness, far below the largest stretch so far",
+                0.15,
+                [0.1, 0.25],
+                [0.0, 0.95],
+            ),
+            parameter("share", "1", "of the loss that a channel's stress shows", 0.5, [0.2, 1.0], [0.0, 1.0]),
+            parameter(
+                "onset",
+                "Pa",
+                "largest stress so far at which half of it has come",
+                1e3,
+                [1e2, 5e3],
+                [1.0, 1e6],
+            ),
+        ],
+        stateful: true,
+        random: false,
+    },
+    EffectInfo {
+        name: "hysteresis",
+        what: "Loading reads less than unloading: inner friction.",
+        source: "Prandtl-Ishlinskii: four play operators at 5, 10, 20 and 40 % of the scale",
+        parameters: &[
+            parameter("width", "1", "of the loop, per scale", 0.1, [0.05, 0.2], [0.0, 0.375]),
+            parameter("scale", "Pa", "a large signal", 5e3, [1e3, 2e4], [1.0, 1e7]),
+        ],
+        stateful: true,
+        random: false,
+    },
+    EffectInfo {
+        name: "relaxation",
+        what: "A signal that is held fades, and one that has gone leaves its negative behind for a while.",
+        source: "Prony series of two terms",
+        parameters: &[
+            parameter("fast", "1", "share that fades first", 0.05, [0.0, 0.1], [0.0, 0.9]),
+            parameter("fast_time", "s", "with which it does", 0.5, [0.1, 2.0], [1e-3, 1e6]),
+            parameter("slow", "1", "share that fades later", 0.03, [0.0, 0.1], [0.0, 0.9]),
+            parameter("slow_time", "s", "with which it does", 20.0, [5.0, 300.0], [1e-3, 1e6]),
+        ],
+        stateful: true,
+        random: false,
+    },
+    EffectInfo {
+        name: "trapped-air",
+        what: "Air in the port gives way, so that less stress arrives, and it expands with the temperature.",
+        source: "ideal gas: 0.35 kPa/K where all of the port is air",
+        parameters: &[
+            parameter(
+                "share",
+                "1",
+                "mean share of air; a channel has 0 to twice that",
+                0.1,
+                [0.0, 0.1],
+                [0.0, 0.5],
+            ),
+            parameter(
+                "self_heating",
+                "K",
+                "by which the chips warm up after they were switched on",
+                0.5,
+                [0.0, 3.0],
+                [0.0, 50.0],
+            ),
+            parameter("heating_time", "s", "with which they do", 60.0, [10.0, 600.0], [1e-3, 1e6]),
+            parameter(
+                "room",
+                "K",
+                "standard deviation of the room's temperature",
+                0.3,
+                [0.0, 2.0],
+                [0.0, 50.0],
+            ),
+            parameter("room_time", "s", "in which it wanders", 600.0, [60.0, 7200.0], [1e-3, 1e8]),
+        ],
+        stateful: true,
+        random: true,
+    },
+    EffectInfo {
+        name: "ambient-pressure",
+        what: "All barometers read the weather.",
+        source: "weather: 2 kPa from day to day, tens of pascals in minutes",
+        parameters: &[
+            parameter(
+                "deviation",
+                "Pa",
+                "standard deviation of the pressure around",
+                1e3,
+                [0.0, 2e3],
+                [0.0, 2e4],
+            ),
+            parameter("time", "s", "in which it wanders", 86_400.0, [3600.0, 4e5], [1.0, 1e8]),
+        ],
+        stateful: true,
+        random: true,
+    },
+    EffectInfo {
+        name: "read-skew",
+        what: "Barometers are read one after another: at a frame's time the last one is, all others were before.",
+        source: "conversion time of the MPL3115A2 without oversampling",
+        parameters: &[parameter("delay", "s", "from one channel to the next", 6e-3, [0.0, 6e-3], [0.0, 1.0])],
+        stateful: true,
+        random: false,
+    },
+    EffectInfo {
+        name: "saturation",
+        what: "The converter ends: nothing reads more than its limit, divided by the strength.",
+        source: CHIP,
+        parameters: &[parameter(
+            "limit",
+            "Pa",
+            "above one standard atmosphere; 110 kPa in all",
+            8700.0,
+            [5000.0, 9000.0],
+            [1.0, 1e7],
+        )],
+        stateful: false,
+        random: false,
+    },
+    EffectInfo {
+        name: "resolution",
+        what: "The converter counts in steps.",
+        source: CHIP,
+        parameters: &[parameter("step", "Pa", "of one count", 0.25, [0.25, 1.5], [0.0, 1e5])],
+        stateful: false,
+        random: false,
+    },
+];

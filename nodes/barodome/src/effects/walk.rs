@@ -1,0 +1,390 @@
+//! Effects that act along a trajectory, and those of the electronics.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use dermis_skin::{Effect, Indentation, ModelError, SkinDescription, Stimulus, Surface, Trajectory};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::{EFFECTS, stream};
+
+/// \[Pa\] that gauge pressures are relative to.
+const STANDARD_ATMOSPHERE: f64 = 101_325.0;
+/// \[K\] at which trapped air is neutral.
+const STANDARD_TEMPERATURE: f64 = 293.15;
+/// Thresholds of the play operators, per scale.
+const PLAYS: [f64; 4] = [0.05, 0.1, 0.2, 0.4];
+/// \[m/s\] above which a contact that moves is another contact.
+const SLIDE_MAX: f64 = 1.0;
+/// \[m\] from frame to frame below which a contact stands still: rounding.
+const STILL: f64 = 1e-9;
+
+/// What a device that was just switched on will remember: the effects of a skin that act along a trajectory.
+#[derive(Debug, Clone)]
+pub struct Dynamics {
+    start: Walk,
+}
+
+impl Dynamics {
+    /// The effects of `skin` that act along a trajectory.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Description`] with the field `effects[i].…` where an effect or one of its parameters is unknown, has a
+    /// value that cannot be, or leaves a device that cannot be.
+    pub fn new(skin: &SkinDescription) -> Result<Self, ModelError> {
+        Effect::check(&skin.effects, EFFECTS, &skin.name)?;
+        let channels = skin.channels().len();
+        let mut walk = Walk { channels, ..Walk::default() };
+        for (i, effect) in skin.effects.iter().enumerate().filter(|(_, e)| e.strength > 0.0) {
+            let Some(info) = EFFECTS.iter().find(|info| info.name == effect.name) else { continue };
+            let (strength, value) = (effect.strength, |name: &str| info.value(effect, name));
+            // What an effect takes away is at most all there is.
+            let all = |taken: f64| {
+                if taken <= 1.0 {
+                    return Ok(());
+                }
+                Err(ModelError::Description {
+                    skin: skin.name.clone(),
+                    field: format!("effects[{i}].strength"),
+                    reason: format!("is {strength}, and takes {taken} of a signal away: at most 1"),
+                })
+            };
+            match info.name {
+                "friction" => {
+                    walk.friction = Some(Friction {
+                        coefficient: strength * value("coefficient"),
+                        surface: Arc::new(skin.surface()),
+                        before: None,
+                    });
+                }
+                "mullins" => {
+                    let loss = strength * value("loss") * value("share");
+                    all(loss)?;
+                    walk.mullins =
+                        Some(Mullins { loss, onset: value("onset"), largest: vec![0.0; channels] });
+                }
+                "hysteresis" => {
+                    let weight = strength * value("width") / (2.0 * PLAYS.iter().sum::<f64>());
+                    all(weight * PLAYS.len() as f64)?;
+                    walk.hysteresis = Some(Hysteresis {
+                        weight,
+                        thresholds: PLAYS.map(|p| p * value("scale")),
+                        plays: vec![[0.0; PLAYS.len()]; channels],
+                    });
+                }
+                "relaxation" => {
+                    let terms = [("fast", "fast_time"), ("slow", "slow_time")];
+                    let terms = terms.map(|(share, time)| (strength * value(share), value(time)));
+                    all(terms.iter().map(|t| t.0).sum())?;
+                    walk.relaxation = Some(Relaxation {
+                        terms,
+                        held: vec![[0.0; 2]; channels],
+                        before: vec![0.0; channels],
+                    });
+                }
+                "trapped-air" => {
+                    all(2.0 * strength * value("share"))?;
+                    let mean = strength * value("share");
+                    walk.air = Some(Air {
+                        shares: (0..channels)
+                            .map(|c| mean * stream(effect, c).random_range(0.0..=2.0))
+                            .collect(),
+                        self_heating: value("self_heating"),
+                        heating_time: value("heating_time"),
+                        room: Wander::new(value("room"), value("room_time"), stream(effect, channels)),
+                    });
+                }
+                "ambient-pressure" => {
+                    let deviation = strength * value("deviation");
+                    walk.weather = Some(Wander::new(deviation, value("time"), stream(effect, 0)));
+                }
+                "read-skew" => {
+                    walk.skew = Some(Skew { delay: strength * value("delay"), frames: VecDeque::new() });
+                }
+                "saturation" => walk.limit = Some(value("limit") / strength),
+                "resolution" => walk.step = Some(strength * value("step")).filter(|s| *s > 0.0),
+                _ => {}
+            }
+        }
+        Ok(Self { start: walk })
+    }
+
+    /// Switches the device on.
+    #[must_use]
+    pub fn begin(&self) -> Box<dyn Trajectory> {
+        Box::new(self.start.clone())
+    }
+}
+
+/// One device from when it was switched on.
+#[derive(Debug, Clone, Default)]
+pub struct Walk {
+    channels: usize,
+    friction: Option<Friction>,
+    mullins: Option<Mullins>,
+    hysteresis: Option<Hysteresis>,
+    relaxation: Option<Relaxation>,
+    air: Option<Air>,
+    weather: Option<Wander>,
+    skew: Option<Skew>,
+    limit: Option<f64>,
+    step: Option<f64>,
+    /// \[s\] of the first and of the last frame.
+    times: Option<(f64, f64)>,
+}
+
+impl Trajectory for Walk {
+    fn touch(&mut self, time: f64, stimulus: &mut Stimulus) {
+        if let Some(friction) = &mut self.friction {
+            friction.touch(time, stimulus);
+        }
+    }
+
+    fn transduce(&mut self, time: f64, stimulus: &Stimulus, readings: &mut [f64]) {
+        debug_assert_eq!(readings.len(), self.channels);
+        let (first, last) = self.times.unwrap_or((time, time));
+        self.times = Some((first, time));
+        // A clock that jumps back makes no time.
+        let dt = (time - last).max(0.0);
+
+        // The elastomer knows nothing of the air around: its own stress is the reading without it.
+        let ambient = stimulus.ambient_pressure - STANDARD_ATMOSPHERE;
+        let medium = self.mullins.is_some()
+            || self.hysteresis.is_some()
+            || self.relaxation.is_some()
+            || self.air.is_some();
+        if medium {
+            for (channel, reading) in readings.iter_mut().enumerate() {
+                let mut stress = *reading - ambient;
+                if let Some(mullins) = &mut self.mullins {
+                    stress = mullins.next(channel, stress);
+                }
+                if let Some(hysteresis) = &mut self.hysteresis {
+                    stress = hysteresis.next(channel, stress);
+                }
+                if let Some(relaxation) = &mut self.relaxation {
+                    stress = relaxation.next(channel, dt, stress);
+                }
+                if let Some(air) = &self.air {
+                    stress *= 1.0 - air.shares[channel];
+                }
+                *reading = stress + ambient;
+            }
+        }
+        if let Some(air) = &mut self.air {
+            let warm = air.warmth(time - first, dt) + stimulus.temperature - STANDARD_TEMPERATURE;
+            // A sealed port: the pressure of its air follows the absolute temperature.
+            let pressure = STANDARD_ATMOSPHERE * warm / STANDARD_TEMPERATURE;
+            for (reading, share) in readings.iter_mut().zip(&air.shares) {
+                *reading += share * pressure;
+            }
+        }
+        if let Some(weather) = &mut self.weather {
+            let offset = weather.next(dt);
+            readings.iter_mut().for_each(|r| *r += offset);
+        }
+        if let Some(skew) = &mut self.skew {
+            skew.next(time, readings);
+        }
+    }
+
+    fn convert(&mut self, readings: &mut [f64]) {
+        if let Some(limit) = self.limit {
+            readings.iter_mut().for_each(|r| *r = r.min(limit));
+        }
+        if let Some(step) = self.step {
+            readings.iter_mut().for_each(|r| *r = (*r / step).round() * step);
+        }
+    }
+}
+
+/// Coulomb's friction at tips that slide. What a plan asks for beside it stays.
+#[derive(Debug, Clone)]
+struct Friction {
+    coefficient: f64,
+    surface: Arc<Surface>,
+    /// Time of the last frame, and what touched then.
+    before: Option<(f64, Vec<Indentation>)>,
+}
+
+impl Friction {
+    fn touch(&mut self, time: f64, stimulus: &mut Stimulus) {
+        let contacts = stimulus.contacts.clone();
+        if let Some((then, before)) = &self.before
+            && before.len() == contacts.len()
+        {
+            let far = SLIDE_MAX * (time - then);
+            for (contact, before) in stimulus.contacts.iter_mut().zip(before) {
+                let (_, normal) = self.surface.project(&contact.position);
+                let way = contact.position - before.position;
+                let along = way - normal * way.dot(&normal);
+                let moved = along.norm();
+                if moved > STILL && moved <= far {
+                    let pressing = (-contact.force.dot(&normal)).max(0.0);
+                    contact.force += along * (self.coefficient * pressing / moved);
+                }
+            }
+        }
+        self.before = Some((time, contacts));
+    }
+}
+
+/// Softening where the medium was stretched before.
+///
+/// Under a prescribed force the mean stress in any plane must balance that force, however soft the medium is: softening
+/// everywhere changes nothing but the size of the contact. What is seen is that the softening is local. Above a taxel that has
+/// felt much, the medium has lost part of its stiffness, its surroundings have not, and they take over a share of the load, for
+/// every stress below the largest so far. On the virgin curve, at the largest stress so far, nothing is lost (Ogden and
+/// Roxburgh's pseudo-elasticity, here linear in the distance from that curve).
+#[derive(Debug, Clone)]
+struct Mullins {
+    /// Of the stress, far below the largest.
+    loss: f64,
+    onset: f64,
+    largest: Vec<f64>,
+}
+
+impl Mullins {
+    fn next(&mut self, channel: usize, stress: f64) -> f64 {
+        let largest = &mut self.largest[channel];
+        *largest = largest.max(stress.abs());
+        if *largest == 0.0 {
+            return stress;
+        }
+        let below = 1.0 - stress.abs() / *largest;
+        let come = *largest / (*largest + self.onset);
+        stress * (1.0 - self.loss * below * come)
+    }
+}
+
+/// Prandtl and Ishlinskii: a sum of play operators of equal weight.
+#[derive(Debug, Clone)]
+struct Hysteresis {
+    weight: f64,
+    thresholds: [f64; PLAYS.len()],
+    plays: Vec<[f64; PLAYS.len()]>,
+}
+
+impl Hysteresis {
+    fn next(&mut self, channel: usize, stress: f64) -> f64 {
+        let mut lag = 0.0;
+        for (play, threshold) in self.plays[channel].iter_mut().zip(self.thresholds) {
+            *play = play.clamp(stress - threshold, stress + threshold);
+            lag += stress - *play;
+        }
+        stress - self.weight * lag
+    }
+}
+
+/// Prony series: each change of the stress fades by the shares of the terms, with their times. Exact where the stress is linear
+/// between frames, however long the time between them.
+#[derive(Debug, Clone)]
+struct Relaxation {
+    /// Share and time \[s\].
+    terms: [(f64, f64); 2],
+    /// What of each term has not faded yet \[Pa\].
+    held: Vec<[f64; 2]>,
+    before: Vec<f64>,
+}
+
+impl Relaxation {
+    fn next(&mut self, channel: usize, dt: f64, stress: f64) -> f64 {
+        let change = stress - self.before[channel];
+        self.before[channel] = stress;
+        let mut faded = 0.0;
+        for ((share, time), held) in self.terms.iter().zip(&mut self.held[channel]) {
+            let steps = dt / time;
+            // Mean of e^(-t/time) over the frame's time: what is left of a change that came evenly.
+            let left = if steps > 0.0 { -(-steps).exp_m1() / steps } else { 1.0 };
+            *held = *held * (-steps).exp() + change * left;
+            faded += share * (stress - *held);
+        }
+        stress - faded
+    }
+}
+
+/// Air in the ports.
+#[derive(Debug, Clone)]
+struct Air {
+    /// Of the port that is air, one a channel.
+    shares: Vec<f64>,
+    self_heating: f64,
+    heating_time: f64,
+    room: Wander,
+}
+
+impl Air {
+    /// \[K\] of chips and room above their standard, `on` \[s\] after they were switched on and `dt` \[s\] after the last frame.
+    fn warmth(&mut self, on: f64, dt: f64) -> f64 {
+        self.self_heating * -(-on / self.heating_time).exp_m1() + self.room.next(dt)
+    }
+}
+
+/// A slow random walk that comes back: Ornstein and Uhlenbeck's process, exact for any time between frames.
+#[derive(Debug, Clone)]
+struct Wander {
+    deviation: f64,
+    time: f64,
+    /// In deviations.
+    value: Option<f64>,
+    rng: ChaCha8Rng,
+}
+
+impl Wander {
+    fn new(deviation: f64, time: f64, rng: ChaCha8Rng) -> Self {
+        Self { deviation, time, value: None, rng }
+    }
+
+    fn next(&mut self, dt: f64) -> f64 {
+        let draw: f64 = self.rng.sample(StandardNormal);
+        let value = match self.value {
+            None => draw,
+            Some(before) => {
+                let steps = dt / self.time;
+                before * (-steps).exp() + draw * (-(-2.0 * steps).exp_m1()).sqrt()
+            }
+        };
+        self.value = Some(value);
+        self.deviation * value
+    }
+}
+
+/// Channels that are read one after another. The last one is read at the frame's time, channel i so many delays before as
+/// there are channels after it; linear between frames, and before the first frame as in it. So nothing needs the future.
+#[derive(Debug, Clone)]
+struct Skew {
+    delay: f64,
+    /// Time and readings, as far back as the first channel needs.
+    frames: VecDeque<(f64, Vec<f64>)>,
+}
+
+impl Skew {
+    fn next(&mut self, time: f64, readings: &mut [f64]) {
+        let last = readings.len().saturating_sub(1);
+        let oldest = time - self.delay * last as f64;
+        let mut frame = Vec::new();
+        while self.frames.len() > 1 && self.frames[1].0 <= oldest {
+            frame = self.frames.pop_front().map(|f| f.1).unwrap_or_default();
+        }
+        frame.clear();
+        frame.extend_from_slice(readings);
+        self.frames.push_back((time, frame));
+        for (channel, reading) in readings.iter_mut().enumerate() {
+            let at = time - self.delay * (last - channel) as f64;
+            let after = self.frames.partition_point(|(t, _)| *t < at);
+            *reading = match (after.checked_sub(1), self.frames.get(after)) {
+                (Some(before), Some((t1, next))) => {
+                    let (t0, ago) = &self.frames[before];
+                    let part = (at - t0) / (t1 - t0);
+                    ago[channel] + (next[channel] - ago[channel]) * part
+                }
+                (None, Some((_, next))) => next[channel],
+                // The frame's own time, but for rounding.
+                (_, None) => *reading,
+            };
+        }
+    }
+}
