@@ -22,6 +22,17 @@ pub enum MechanicsError {
         /// \[m\]; infinite for a half-space.
         thickness: f64,
     },
+    /// A cell of a mesh has no volume, or its corners are in the wrong order.
+    #[error("cell {cell} of the mesh is turned inside out")]
+    Mesh {
+        /// Which cell.
+        cell: usize,
+    },
+    /// A body that nothing holds.
+    #[error(
+        "the body can move without being deformed, or its numbers are too far apart to be solved: hold it somewhere"
+    )]
+    Singular,
 }
 
 /// `value`, if it is a positive finite number.

@@ -27,6 +27,7 @@
 mod case;
 mod contact;
 mod error;
+pub mod fem;
 mod medium;
 mod quadrature;
 mod table;

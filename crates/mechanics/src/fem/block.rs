@@ -1,0 +1,193 @@
+//! A layer that ends somewhere.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::{HexMesh, Probe, Solid};
+use crate::quadrature::gauss_legendre;
+use crate::{Base, MechanicsError};
+
+/// Radius of the ball over which a sensor's stress is averaged, in widths of its cell.
+const BALL: f64 = 2.5;
+/// Points of integration along each edge of a cell, for its share of a ball.
+const PARTS: usize = 3;
+
+/// An elastic block on a rigid base, its sides and its top free.
+#[derive(Debug)]
+pub struct Block {
+    axes: [Vec<f64>; 3],
+    solid: Solid,
+}
+
+impl Block {
+    /// A block with cells between the planes at `axes` \[m\], each strictly ascending; the last plane along z is the
+    /// surface, the first the base.
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Value`] where a number cannot be, [`MechanicsError::Mesh`] where planes do not ascend.
+    pub fn new(axes: [Vec<f64>; 3], poisson_ratio: f64, base: Base) -> Result<Self, MechanicsError> {
+        if axes.iter().any(|a| a.len() < 2) {
+            return Err(MechanicsError::Mesh { cell: 0 });
+        }
+        let mesh = HexMesh::block([&axes[0], &axes[1], &axes[2]]);
+        let bottom = axes[2][0];
+        // Influences do not depend on Young's modulus.
+        let solid = Solid::new(mesh, 1.0, poisson_ratio, |_, p| {
+            let below = p.z == bottom;
+            match base {
+                Base::Bonded => [below; 3],
+                Base::Slip => [false, false, below],
+            }
+        })?;
+        Ok(Self { axes, solid })
+    }
+
+    /// Mean compressive stress \[Pa\] that each of `probes` reads per \[N\] of a force in x, y and z at each node of the
+    /// top: one list a probe, nodes along x first.
+    ///
+    /// Mean stress is a harmonic function, so that its average over a ball is its value in the centre. Balls of four cells'
+    /// width, or as wide as the block allows, are averaged over: a single cell of a nearly incompressible material would
+    /// also show the alternating pressures that trilinear displacements cannot resist.
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Value`] where a point does not lie in the block.
+    pub fn influence(&self, probes: &[Probe]) -> Result<Vec<Vec<Vector3<f64>>>, MechanicsError> {
+        let loads = probes
+            .iter()
+            .map(|probe| {
+                let mut cells = Vec::new();
+                for (point, weight) in probe {
+                    cells.extend(self.ball(point)?.into_iter().map(|(cell, share)| (cell, weight * share)));
+                }
+                Ok(self.solid.pressure_load(&cells))
+            })
+            .collect::<Result<Vec<_>, MechanicsError>>()?;
+        let counts = self.axes.each_ref().map(Vec::len);
+        let top = counts[0] * counts[1] * (counts[2] - 1);
+        Ok(self.solid.displacements(&loads).into_iter().map(|u| u[top..].to_vec()).collect())
+    }
+
+    /// Cells around a point, with weights that sum to 1 and whose centre is the point.
+    fn ball(&self, centre: &Point3<f64>) -> Result<Vec<(usize, f64)>, MechanicsError> {
+        let mut radius = f64::INFINITY;
+        for (planes, &at) in self.axes.iter().zip(centre.iter()) {
+            let (first, last) = (planes[0], planes[planes.len() - 1]);
+            // Also refuses what is not a number.
+            if !(at > first && at < last) {
+                return Err(MechanicsError::Value {
+                    quantity: "coordinate of a sensor [m]",
+                    value: at,
+                    expected: "inside of the block",
+                });
+            }
+            let above = planes.partition_point(|p| *p <= at).min(planes.len() - 1);
+            let width = planes[above] - planes[above - 1];
+            radius = radius.min(BALL * width).min((at - first).max(width)).min((last - at).max(width));
+        }
+        let counts = self.axes.each_ref().map(|a| a.len() - 1);
+        let range = |k: usize| {
+            let planes = &self.axes[k];
+            let low = planes.partition_point(|p| *p <= centre[k] - radius).saturating_sub(1);
+            low..planes.partition_point(|p| *p < centre[k] + radius).min(counts[k])
+        };
+        let parts = gauss_legendre(PARTS);
+        // Where the points of integration of a cell lie from the ball's centre along an axis, and their weights.
+        let along = |k: usize, cell: usize| {
+            let (low, high) = (self.axes[k][cell], self.axes[k][cell + 1]);
+            parts
+                .iter()
+                .map(|(x, w)| (low + x * (high - low) - centre[k], w * (high - low)))
+                .collect::<Vec<_>>()
+        };
+        let mut cells: Vec<(usize, f64, Vector3<f64>)> = Vec::new();
+        for k in range(2) {
+            for j in range(1) {
+                for i in range(0) {
+                    let [xs, ys, zs] = [along(0, i), along(1, j), along(2, k)];
+                    let mut weight = 0.0;
+                    for (x, wx) in &xs {
+                        for (y, wy) in &ys {
+                            for (z, wz) in &zs {
+                                let near = (1.0 - (x * x + y * y + z * z) / (radius * radius)).max(0.0);
+                                weight += wx * wy * wz * near * near;
+                            }
+                        }
+                    }
+                    let middle = |k: usize, cell: usize| {
+                        (self.axes[k][cell] + self.axes[k][cell + 1]) / 2.0 - centre[k]
+                    };
+                    let offset = Vector3::new(middle(0, i), middle(1, j), middle(2, k));
+                    cells.push(((k * counts[1] + j) * counts[0] + i, weight, offset));
+                }
+            }
+        }
+        // A cell's pressure counts for its middle: tilt the weights until that of all cells is the ball's centre.
+        let first: Vector3<f64> = cells.iter().map(|(_, w, o)| o * *w).sum();
+        let second: Matrix3<f64> = cells.iter().map(|(_, w, o)| o * o.transpose() * *w).sum();
+        let tilt = second.try_inverse().map_or_else(Vector3::zeros, |inverse| -(inverse * first));
+        for (_, weight, offset) in &mut cells {
+            *weight *= 1.0 + tilt.dot(offset);
+        }
+        let sum: f64 = cells.iter().map(|c| c.1).sum();
+        Ok(cells.into_iter().map(|(cell, weight, _)| (cell, weight / sum)).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Load, Medium};
+
+    const NU: f64 = 0.49;
+    const DEPTH: f64 = 0.010;
+
+    /// Cells of `width` out to 15 mm, wider ones out to 40 mm.
+    fn wide(width: f64) -> Vec<f64> {
+        let cells = (0.015 / width).round() as i32;
+        let mut half = Vec::new();
+        let (mut at, mut step) = (0.015, width);
+        while at < 0.040 {
+            step *= 1.35;
+            at += step;
+            half.push(at);
+        }
+        let mut axis: Vec<f64> = half.iter().rev().map(|x| -x).collect();
+        axis.extend((-cells..=cells).map(|i| f64::from(i) * width));
+        axis.extend(half);
+        axis
+    }
+
+    #[test]
+    fn wide_block_is_the_layer() {
+        for base in [Base::Bonded, Base::Slip] {
+            let time = std::time::Instant::now();
+            let layers = 8;
+            let z: Vec<f64> =
+                (0..=layers).map(|k| DEPTH * (f64::from(k) / f64::from(layers) - 1.0)).collect();
+            let axis = wide(0.00125);
+            let block = Block::new([axis.clone(), axis.clone(), z], NU, base).unwrap();
+            eprintln!("{} nodes, {:?}", block.solid.mesh().nodes.len(), time.elapsed());
+            let sensor = Point3::new(0.0, 0.0, -0.005);
+            let time = std::time::Instant::now();
+            let field = block.influence(&[vec![(sensor, 1.0)]]).unwrap().remove(0);
+            eprintln!("{:?}", time.elapsed());
+            let layer = Medium::layer(1.0, NU, DEPTH, base).unwrap();
+            let exact = |x: f64| layer.pressure(&Load::Point { force: 1.0 }, 0.005, x).unwrap();
+            let peak = exact(0.0);
+            let n = axis.len();
+            for (i, x) in axis.iter().enumerate() {
+                if x.abs() < 0.0151 {
+                    let at = field[(n / 2) * n + i];
+                    eprintln!(
+                        "{x:8.5} {:9.2} {:9.2} {:7.4} {:9.2}",
+                        -at.z,
+                        exact(*x),
+                        (-at.z - exact(*x)) / peak,
+                        at.x
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! Meshes of 8-node hexahedra.
+
+use std::f64::consts::FRAC_PI_4;
+
+use nalgebra::{Point3, Vector3};
+
+use crate::MechanicsError;
+use crate::error::positive;
+
+/// Points and the hexahedra between them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HexMesh {
+    /// \[m\].
+    pub nodes: Vec<Point3<f64>>,
+    /// Corners of each cell: the four of one side counter-clockwise seen from the opposite one, then those opposite.
+    pub cells: Vec<[u32; 8]>,
+}
+
+impl HexMesh {
+    /// Boxes between the planes at `axes` \[m\], each ascending. Nodes follow x first, then y, then z.
+    #[must_use]
+    pub fn block(axes: [&[f64]; 3]) -> Self {
+        let [nx, ny, nz] = axes.map(<[f64]>::len);
+        let nodes = axes[2]
+            .iter()
+            .flat_map(|&z| {
+                axes[1].iter().flat_map(move |&y| axes[0].iter().map(move |&x| Point3::new(x, y, z)))
+            })
+            .collect();
+        let index = |i: usize, j: usize, k: usize| ((k * ny + j) * nx + i) as u32;
+        let mut cells =
+            Vec::with_capacity(nx.saturating_sub(1) * ny.saturating_sub(1) * nz.saturating_sub(1));
+        for k in 1..nz {
+            for j in 1..ny {
+                for i in 1..nx {
+                    let layer =
+                        |k| [index(i - 1, j - 1, k), index(i, j - 1, k), index(i, j, k), index(i - 1, j, k)];
+                    let ([a, b, c, d], [e, f, g, h]) = (layer(k - 1), layer(k));
+                    cells.push([a, b, c, d, e, f, g, h]);
+                }
+            }
+        }
+        Self { nodes, cells }
+    }
+
+    /// An elastomer of `thickness` \[m\] that covers a core: both are a hemisphere on a cylinder about z, the outer
+    /// one of `radius` \[m\]; the cylinder of height `cylinder` \[m\] stands on z = 0, the tip is up. The hemisphere is
+    /// divided like a cube's upper half, into `4 around` quads at its equator, and the cylinder into rings of the same
+    /// width; there are `layers` of cells from the core (the nodes' first layer) to the outside (their last).
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Value`] where a length is not positive, or the elastomer leaves no room for the core.
+    pub fn dome(
+        radius: f64,
+        cylinder: f64,
+        thickness: f64,
+        around: usize,
+        layers: usize,
+    ) -> Result<Self, MechanicsError> {
+        positive("radius of the dome [m]", radius)?;
+        positive("height of the cylinder [m]", cylinder)?;
+        positive("thickness [m]", thickness)?;
+        if thickness >= radius {
+            return Err(MechanicsError::Value {
+                quantity: "thickness [m]",
+                value: thickness,
+                expected: "smaller than the radius of the dome",
+            });
+        }
+        // Whole halves of the cube's sides.
+        let n = around.max(2).next_multiple_of(2);
+        let layers = layers.max(1);
+        let angle = |i: usize| ((i as f64 / n as f64) * 2.0 - 1.0) * FRAC_PI_4;
+        // Directions of the surface's points, and how far down the cylinder they lie.
+        let mut rays: Vec<(Vector3<f64>, f64)> = Vec::new();
+        let mut quads: Vec<[usize; 4]> = Vec::new();
+        for j in 0..=n {
+            for i in 0..=n {
+                rays.push((Vector3::new(angle(i).tan(), angle(j).tan(), 1.0).normalize(), cylinder));
+            }
+        }
+        for j in 0..n {
+            for i in 0..n {
+                let a = j * (n + 1) + i;
+                quads.push([a, a + 1, a + n + 2, a + n + 1]);
+            }
+        }
+        // The patch's rim, counter-clockwise from above.
+        let side = n + 1;
+        let mut ring: Vec<usize> = (0..n).collect();
+        ring.extend((0..n).map(|j| j * side + n));
+        ring.extend((0..n).map(|i| n * side + n - i));
+        ring.extend((0..n).map(|j| (n - j) * side));
+        let rim: Vec<Vector3<f64>> = ring.iter().map(|&i| rays[i].0).collect();
+        let mut next_ring = |ring: &mut Vec<usize>, ray: &dyn Fn(usize) -> (Vector3<f64>, f64)| {
+            let below: Vec<usize> = (0..4 * n)
+                .map(|k| {
+                    rays.push(ray(k));
+                    rays.len() - 1
+                })
+                .collect();
+            for k in 0..4 * n {
+                let next = (k + 1) % (4 * n);
+                quads.push([ring[k], below[k], below[next], ring[next]]);
+            }
+            *ring = below;
+        };
+        for row in 1..=n / 2 {
+            // On a side of the cube, the height of the ray falls from that of its upper edge to none.
+            let height = (FRAC_PI_4 * (1.0 - 2.0 * row as f64 / n as f64)).tan();
+            next_ring(&mut ring, &|k| {
+                let edge = rim[k] / rim[k].z;
+                (Vector3::new(edge.x, edge.y, height).normalize(), cylinder)
+            });
+        }
+        let flat: Vec<Vector3<f64>> = rim.iter().map(|r| Vector3::new(r.x, r.y, 0.0).normalize()).collect();
+        let rows = (cylinder / (std::f64::consts::TAU * radius / (4 * n) as f64)).round().max(1.0) as usize;
+        for row in 1..=rows {
+            let z = cylinder * (1.0 - row as f64 / rows as f64);
+            next_ring(&mut ring, &|k| (flat[k], z));
+        }
+
+        let count = rays.len();
+        let mut nodes = Vec::with_capacity(count * (layers + 1));
+        for layer in 0..=layers {
+            let r = radius - thickness * (1.0 - layer as f64 / layers as f64);
+            nodes.extend(rays.iter().map(|(ray, z)| Point3::new(0.0, 0.0, *z) + ray * r));
+        }
+        let mut cells = Vec::with_capacity(quads.len() * layers);
+        for layer in 0..layers {
+            for quad in &quads {
+                let [a, b, c, d] = quad.map(|i| (i + layer * count) as u32);
+                let up = count as u32;
+                cells.push([a, b, c, d, a + up, b + up, c + up, d + up]);
+            }
+        }
+        Ok(Self { nodes, cells })
+    }
+
+    /// Corners of a cell.
+    pub(crate) fn corners(&self, cell: &[u32; 8]) -> [Point3<f64>; 8] {
+        cell.map(|i| self.nodes[i as usize])
+    }
+}
+
+/// Corners of the reference cell, as [`HexMesh`] orders them.
+pub(crate) const CORNERS: [[f64; 3]; 8] = [
+    [-1.0, -1.0, -1.0],
+    [1.0, -1.0, -1.0],
+    [1.0, 1.0, -1.0],
+    [-1.0, 1.0, -1.0],
+    [-1.0, -1.0, 1.0],
+    [1.0, -1.0, 1.0],
+    [1.0, 1.0, 1.0],
+    [-1.0, 1.0, 1.0],
+];

@@ -1,0 +1,129 @@
+//! Symmetric positive definite systems: assembly from elements, sparse Cholesky factors by faer.
+
+use faer::linalg::solvers::Solve;
+use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::{Mat, Side};
+
+use crate::MechanicsError;
+
+/// In place of an unknown's number: its value is given.
+pub(crate) const HELD: usize = usize::MAX;
+/// Right-hand sides that are solved at once: more, or one by one, take longer.
+const BLOCK: usize = 64;
+
+/// The lower half of a symmetric matrix, by columns.
+#[derive(Debug, Clone)]
+pub(crate) struct Symmetric {
+    starts: Vec<usize>,
+    rows: Vec<usize>,
+    values: Vec<f64>,
+}
+
+/// Order of elimination, and where the factor has entries: the same for all matrices of one pattern.
+#[derive(Debug, Clone)]
+pub(crate) struct Ordering(SymbolicLlt<usize>);
+
+/// A factor.
+#[derive(Debug)]
+pub(crate) struct Factor(Llt<usize, f64>);
+
+impl Symmetric {
+    /// Zeros for `size` unknowns, of which each element of `elements` joins those that it names; [`HELD`] ones are not
+    /// in the matrix.
+    pub fn new<'a>(size: usize, elements: impl Iterator<Item = &'a [usize]> + Clone) -> Self {
+        // Entries of each column before repetitions are removed.
+        let mut counts = vec![0usize; size + 1];
+        let joined = |dofs: &'a [usize]| {
+            dofs.iter().flat_map(move |&c| {
+                dofs.iter().filter(move |&&r| c != HELD && r != HELD && r >= c).map(move |&r| (r, c))
+            })
+        };
+        for dofs in elements.clone() {
+            for (_, c) in joined(dofs) {
+                counts[c + 1] += 1;
+            }
+        }
+        for c in 0..size {
+            counts[c + 1] += counts[c];
+        }
+        let mut all = vec![0usize; counts[size]];
+        let mut ends = counts.clone();
+        for dofs in elements {
+            for (r, c) in joined(dofs) {
+                all[ends[c]] = r;
+                ends[c] += 1;
+            }
+        }
+        let (mut starts, mut rows) = (vec![0], Vec::new());
+        for c in 0..size {
+            let column = &mut all[counts[c]..counts[c + 1]];
+            column.sort_unstable();
+            for i in 0..column.len() {
+                if i == 0 || column[i] != column[i - 1] {
+                    rows.push(column[i]);
+                }
+            }
+            starts.push(rows.len());
+        }
+        let values = vec![0.0; rows.len()];
+        Self { starts, rows, values }
+    }
+
+    /// Sets every entry to 0.
+    pub fn clear(&mut self) {
+        self.values.fill(0.0);
+    }
+
+    /// Adds an element's square `matrix` (by rows) to the entries of its unknowns.
+    pub fn add(&mut self, dofs: &[usize], matrix: &[f64]) {
+        let n = dofs.len();
+        for (j, &c) in dofs.iter().enumerate() {
+            if c == HELD {
+                continue;
+            }
+            let (start, end) = (self.starts[c], self.starts[c + 1]);
+            let rows = &self.rows[start..end];
+            for (i, &r) in dofs.iter().enumerate() {
+                if r == HELD || r < c {
+                    continue;
+                }
+                if let Ok(at) = rows.binary_search(&r) {
+                    self.values[start + at] += matrix[i * n + j];
+                }
+            }
+        }
+    }
+
+    fn pattern(&self) -> SymbolicSparseColMatRef<'_, usize> {
+        let n = self.starts.len() - 1;
+        SymbolicSparseColMatRef::new_checked(n, n, &self.starts, None, &self.rows)
+    }
+
+    /// Finds an order of elimination that keeps the factor sparse.
+    pub fn order(&self) -> Result<Ordering, MechanicsError> {
+        SymbolicLlt::try_new(self.pattern(), Side::Lower).map(Ordering).map_err(|_| MechanicsError::Singular)
+    }
+
+    /// Factors the matrix.
+    pub fn factor(&self, ordering: &Ordering) -> Result<Factor, MechanicsError> {
+        let matrix = SparseColMatRef::new(self.pattern(), &self.values[..]);
+        Llt::try_new_with_symbolic(ordering.0.clone(), matrix, Side::Lower)
+            .map(Factor)
+            .map_err(|_| MechanicsError::Singular)
+    }
+}
+
+impl Factor {
+    /// Puts the solution in the place of each column.
+    pub fn solve(&self, columns: &mut [Vec<f64>]) {
+        for block in columns.chunks_mut(BLOCK) {
+            let n = block[0].len();
+            let mut right = Mat::from_fn(n, block.len(), |i, j| block[j][i]);
+            self.0.solve_in_place(right.as_mut());
+            for (j, column) in block.iter_mut().enumerate() {
+                column.copy_from_slice(right.col_as_slice(j));
+            }
+        }
+    }
+}
