@@ -36,4 +36,5 @@ pub use case::Case;
 pub use contact::SphereContact;
 pub use error::MechanicsError;
 pub use medium::{Base, Load, Medium};
+pub use quadrature::gauss_legendre;
 pub use table::{PressureTable, Profile, SphereContacts};

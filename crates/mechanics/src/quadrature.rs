@@ -6,7 +6,8 @@ const POINTS: usize = 16;
 /// Nodes and weights of the n-point Gauss-Legendre rule on \[0, 1\].
 ///
 /// Newton's iteration on the Legendre polynomial from Tricomi's initial guess.
-pub(crate) fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
+#[must_use]
+pub fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
     let count = n as f64;
     (0..n)
         .map(|i| {

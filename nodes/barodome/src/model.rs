@@ -251,6 +251,57 @@ mod tests {
         assert_eq!(out, [-2000.0; 25]);
     }
 
+    fn changed(change: impl FnOnce(&mut Parameters)) -> BarometerModel {
+        let skin = skin("", "");
+        let mut parameters = Parameters::nominal(&skin).unwrap();
+        change(&mut parameters);
+        BarometerModel::from_parameters(&skin, &parameters).unwrap()
+    }
+
+    #[test]
+    fn gain_multiplies_stress_but_not_the_weather() {
+        let model = changed(|p| p.elements[12].gain = 1.3);
+        let contacts = vec![press(0.0, 0.0, 0.4), press(0.01, 0.0, 0.2)];
+        let (plain, gained) = (read(&MODEL, contacts.clone()), read(&model, contacts.clone()));
+        approx::assert_relative_eq!(gained[12], 1.3 * plain[12], max_relative = 1e-12);
+        assert_eq!(gained[11], plain[11]);
+        let mut stormy = [0.0; 25];
+        model
+            .response(&Stimulus { contacts, ambient_pressure: 101_225.0, ..Stimulus::default() }, &mut stormy)
+            .unwrap();
+        approx::assert_relative_eq!(stormy[12], gained[12] - 100.0, max_relative = 1e-12);
+    }
+
+    #[test]
+    fn stiffening_all_over_is_a_stiffer_medium() {
+        // Packages that reach everywhere: 25 of them make it twice as stiff.
+        let packages = changed(|p| (p.stiffening, p.stiffening_reach) = (1.0 / 25.0, 1e3));
+        let medium = changed(|p| p.young_modulus *= 2.0);
+        let contacts = vec![Indentation { force: Vector3::new(0.2, 0.1, -1.0), ..press(0.004, -0.009, 1.0) }];
+        let (a, b) = (read(&packages, contacts.clone()), read(&medium, contacts.clone()));
+        for (a, b) in a.iter().zip(&b) {
+            // Their tables have other rows.
+            approx::assert_relative_eq!(a, b, max_relative = 2e-4);
+        }
+        assert!(a[12] > 1.001 * read(&MODEL, contacts)[12]);
+    }
+
+    #[test]
+    fn stiffening_fades_beside_a_package() {
+        let model = changed(|p| (p.stiffening, p.stiffening_reach) = (0.5, 0.001));
+        let ratio =
+            |x: f64| read(&model, vec![press(x, 0.0, 2.0)])[12] / read(&MODEL, vec![press(x, 0.0, 2.0)])[12];
+        let [above, beside] = [0.0, 0.00325].map(ratio);
+        assert!(above > 1.005 && (beside - 1.0).abs() < 0.1 * (above - 1.0), "{above}, {beside}");
+    }
+
+    #[test]
+    fn scaled_tips_are_other_tips() {
+        let model = changed(|p| p.diameter_scale = 1.5);
+        let tip = |diameter: f64| vec![Indentation { diameter, ..press(0.001, 0.002, 0.7) }];
+        assert_eq!(read(&model, tip(0.004)), read(&MODEL, tip(0.006)));
+    }
+
     #[test]
     fn base_decides_the_sign_of_the_wings() {
         let wing = |base: &str| {
