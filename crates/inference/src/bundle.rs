@@ -203,6 +203,33 @@ impl Bundle {
         &self.manifest
     }
 
+    /// Writes another manifest into the folder, whole or not at all; the graph stays.
+    ///
+    /// # Errors
+    ///
+    /// [`BundleError`] where the manifest contradicts itself or the file cannot be written.
+    pub fn amend(&mut self, manifest: Manifest) -> Result<(), BundleError> {
+        let path = self.path.join(MANIFEST);
+        manifest.validate(&path.display().to_string())?;
+        let text = toml::to_string(&manifest).map_err(|e| BundleError::Encode {
+            path: self.path.clone(),
+            file: MANIFEST,
+            reason: e.to_string(),
+        })?;
+        let failed = |source| BundleError::Io { path: path.clone(), action: "written", source };
+        let mut scratch = tempfile::Builder::new().prefix(".manifest-").tempfile_in(&self.path).map_err(failed)?;
+        scratch.write_all(text.as_bytes()).and_then(|()| scratch.as_file().sync_all()).map_err(failed)?;
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let readable = std::fs::Permissions::from_mode(0o644);
+            scratch.as_file().set_permissions(readable).map_err(failed)?;
+        }
+        scratch.persist(&path).map_err(|e| failed(e.error))?;
+        self.manifest = manifest;
+        Ok(())
+    }
+
     /// Turns frames into its input; starts with an empty history.
     #[must_use]
     pub fn features(&self) -> Features {

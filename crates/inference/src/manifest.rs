@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use dermis_inversion::Settings;
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize};
 
@@ -97,6 +98,9 @@ pub struct Manifest {
     pub output: OutputConfig,
     /// Where it comes from.
     pub training: TrainingSection,
+    /// Refines the model's answer on the skin's forward model, with these settings; the model only where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inversion: Option<Settings>,
     /// Measured on what was held out; names end in their unit, e.g. `position_rmse_m`.
     #[serde(default)]
     pub metrics: BTreeMap<String, f64>,
@@ -170,6 +174,7 @@ impl Manifest {
             input,
             output,
             training,
+            inversion: None,
             metrics: BTreeMap::new(),
         }
     }
@@ -260,6 +265,11 @@ impl Manifest {
             && !(low.is_finite() && high.is_finite() && low < high)
         {
             return wrong("force_range", format!("[{low}, {high}] is empty: low must be below high"));
+        }
+        if let Some(settings) = &self.inversion
+            && let Err(error) = settings.check(self.skin.channels.len())
+        {
+            return wrong("inversion", error.to_string());
         }
         if self.training.seed > i64::MAX.cast_unsigned() {
             return wrong("training.seed", "is beyond 2^63 - 1, the largest number that TOML has".into());

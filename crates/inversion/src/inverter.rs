@@ -88,6 +88,40 @@ impl Settings {
             distance: apart(),
         }
     }
+
+    /// Says what is impossible for a skin of `channels`.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Setting`] names the field.
+    pub fn check(&self, channels: usize) -> Result<(), InverterError> {
+        let wrong = |field, value: String, expected: &str| {
+            Err(InverterError::Setting { field, value, expected: expected.into() })
+        };
+        if !(1..=10).contains(&self.contacts) {
+            return wrong("contacts", self.contacts.to_string(), "1 to 10");
+        }
+        let positive =
+            [("diameter", self.diameter), ("force_max", self.force_max), ("evidence", self.evidence)];
+        for (field, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return wrong(field, value.to_string(), "a positive number");
+            }
+        }
+        for (field, value) in [("model_error", self.model_error), ("distance", self.distance)] {
+            if !(value.is_finite() && value >= 0.0) {
+                return wrong(field, value.to_string(), "0 or positive");
+            }
+        }
+        if !(self.gains.is_empty() || self.gains.len() == channels) {
+            let expected = format!("one number for each of {channels} channels");
+            return wrong("gains", format!("{} long", self.gains.len()), &expected);
+        }
+        if let Some(gain) = self.gains.iter().find(|g| !g.is_finite()) {
+            return wrong("gains", gain.to_string(), "finite");
+        }
+        Ok(())
+    }
 }
 
 /// Why contacts cannot be looked for.
@@ -213,32 +247,10 @@ impl Inverter {
     ///
     /// [`InverterError::Setting`] names what cannot be; [`InverterError::Model`] where the model has no answer.
     pub fn new(model: Arc<dyn ForwardModel>, settings: Settings) -> Result<Self, InverterError> {
-        let wrong = |field, value: String, expected: &str| {
-            Err(InverterError::Setting { field, value, expected: expected.into() })
-        };
-        let s = &settings;
-        if !(1..=10).contains(&s.contacts) {
-            return wrong("contacts", s.contacts.to_string(), "1 to 10");
-        }
-        for (field, value) in [("diameter", s.diameter), ("force_max", s.force_max), ("evidence", s.evidence)] {
-            if !(value.is_finite() && value > 0.0) {
-                return wrong(field, value.to_string(), "a positive number");
-            }
-        }
-        for (field, value) in [("model_error", s.model_error), ("distance", s.distance)] {
-            if !(value.is_finite() && value >= 0.0) {
-                return wrong(field, value.to_string(), "0 or positive");
-            }
-        }
         let channels = model.channels();
+        settings.check(channels)?;
+        let s = &settings;
         let gains = if s.gains.is_empty() { vec![1.0; channels] } else { s.gains.clone() };
-        if gains.len() != channels {
-            let expected = format!("one number for each of {channels} channels");
-            return Err(InverterError::Setting { field: "gains", value: format!("{} long", gains.len()), expected });
-        }
-        if let Some(gain) = gains.iter().find(|g| !g.is_finite()) {
-            return wrong("gains", gain.to_string(), "finite");
-        }
         let mut rest = vec![0.0; channels];
         model.response(&Stimulus::default(), &mut rest)?;
         let area: f64 = model.surface().areas.iter().sum();
@@ -500,7 +512,7 @@ impl Inverter {
         }
         let mean = place / total;
         let (position, normal) = self.model.0.surface().project(&Point3::from(mean));
-        let pressing = force / total;
+        let pressing = (force / total).min(self.settings.force_max * 1.5);
         let variance = (force_square / total - pressing * pressing).max(0.0);
         Found {
             position,
@@ -551,4 +563,160 @@ fn truncated(mean: f64, deviation: f64) -> (f64, f64, f64) {
     let ratio = (-z * z / 2.0).exp() / (std::f64::consts::TAU.sqrt() * mass);
     let variance = deviation * deviation * (1.0 - ratio * (z + ratio));
     (mass, mean + deviation * ratio, variance.max(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_theory::cramer_rao;
+    use proptest::prelude::*;
+    use rand::Rng;
+
+    use super::*;
+    use crate::testing::{Toy, press, random};
+
+    fn inverter(noise: f64, change: impl FnOnce(&mut Settings)) -> (Inverter, Arc<Toy>) {
+        let model = Arc::new(Toy::grid(noise));
+        let mut settings = Settings::new(0.004, 2.0);
+        change(&mut settings);
+        let shared: Arc<dyn ForwardModel> = Arc::clone(&model) as _;
+        (Inverter::new(shared, settings).unwrap(), model)
+    }
+
+    #[test]
+    fn one_contact_is_found_to_its_bound() {
+        let (inverter, model) = inverter(20.0, |_| ());
+        let mut random = random(1);
+        for force in [0.2, 1.0] {
+            let (mut error, mut bound, mut expected) = (0.0, 0.0, 0.0);
+            let tries = 300;
+            for _ in 0..tries {
+                let truth = press(random.random_range(-0.012..0.012), random.random_range(-0.012..0.012), force);
+                let stimulus = Stimulus { contacts: vec![truth.clone()], ..Stimulus::default() };
+                let solution = inverter.solve(&model.read(&stimulus.contacts, &mut random), None).unwrap();
+                let [found] = solution.contacts.as_slice() else { panic!("{solution:?}") };
+                error += (found.position - truth.position).norm_squared();
+                expected += found.deviation().powi(2);
+                bound += cramer_rao(model.as_ref(), &stimulus, dermis_theory::Unknowns::Normal).unwrap()[0]
+                    .position
+                    .powi(2);
+            }
+            let (error, bound, expected) = (error.sqrt(), bound.sqrt(), expected.sqrt());
+            assert!((0.9..1.1).contains(&(error / bound)), "{force} N: {error} is not {bound}");
+            assert!((0.85..1.2).contains(&(expected / bound)), "{force} N: {expected} is said, {bound} is true");
+        }
+    }
+
+    #[test]
+    fn a_weak_contact_is_answered_by_its_mean() {
+        // The strongest taxel stands 4 noise deviations out at best.
+        let (inverter, model) = inverter(20.0, |_| ());
+        let mut random = random(2);
+        let (mut error, mut said, mut bound) = (0.0, 0.0, 0.0);
+        for _ in 0..400 {
+            let truth = press(random.random_range(-0.017..0.017), random.random_range(-0.017..0.017), 0.012);
+            let stimulus = Stimulus { contacts: vec![truth.clone()], ..Stimulus::default() };
+            let solution = inverter.solve(&model.read(&stimulus.contacts, &mut random), None).unwrap();
+            error += (solution.contacts[0].position - truth.position).norm_squared();
+            said += solution.contacts[0].deviation().powi(2);
+            let unbiased = cramer_rao(model.as_ref(), &stimulus, dermis_theory::Unknowns::Normal).unwrap();
+            bound += unbiased[0].position.powi(2);
+        }
+        let (error, said, bound) = (error.sqrt(), said.sqrt(), bound.sqrt());
+        assert!(error < bound, "knowing the surface helps: {error}, unbiased {bound}");
+        assert!((0.7..1.4).contains(&(said / error)), "{said} is said, {error} is true");
+    }
+
+    #[test]
+    fn several_contacts_are_told_apart() {
+        let (inverter, model) = inverter(20.0, |s| s.contacts = 3);
+        let mut random = random(3);
+        let (mut right, tries) = (0, 150);
+        for k in 0..tries {
+            let count = 1 + k % 3;
+            let mut truth: Vec<Indentation> = Vec::new();
+            while truth.len() < count {
+                let p = press(random.random_range(-0.015..0.015), random.random_range(-0.015..0.015), random.random_range(0.3..1.5));
+                if truth.iter().all(|t| (t.position - p.position).norm() > 0.011) {
+                    truth.push(p);
+                }
+            }
+            let solution = inverter.solve(&model.read(&truth, &mut random), None).unwrap();
+            let near = |t: &Indentation| solution.contacts.iter().any(|f| (f.position - t.position).norm() < 0.001);
+            right += usize::from(solution.contacts.len() == count && truth.iter().all(near));
+        }
+        assert!(right * 100 >= tries * 95, "{right} of {tries}");
+    }
+
+    #[test]
+    fn noise_makes_no_second_contact() {
+        let (inverter, model) = inverter(20.0, |s| s.contacts = 3);
+        let mut random = random(4);
+        for _ in 0..200 {
+            let truth = [press(random.random_range(-0.017..0.017), random.random_range(-0.017..0.017), 1.0)];
+            assert_eq!(inverter.solve(&model.read(&truth, &mut random), None).unwrap().contacts.len(), 1);
+        }
+    }
+
+    #[test]
+    fn shear_is_found_where_it_is_looked_for() {
+        let (inverter, model) = inverter(20.0, |s| s.unknowns = Unknowns::Full);
+        let mut truth = press(0.003, -0.002, 1.0);
+        truth.force = Vector3::new(0.3, -0.2, -1.0);
+        let found = inverter.solve(&model.read(std::slice::from_ref(&truth), &mut random(5)), None).unwrap();
+        let found = &found.contacts[0];
+        let sigma = found.force_covariance.diagonal().map(f64::sqrt);
+        for k in 0..3 {
+            assert!((found.force[k] - truth.force[k]).abs() < 5.0 * sigma[k] && sigma[k] < 0.05, "{found:?}");
+        }
+        assert!((found.position - truth.position).norm() < 5.0 * found.deviation());
+    }
+
+    #[test]
+    fn channels_at_the_end_of_their_range_and_missing_ones_are_no_lies() {
+        let (inverter, model) = inverter(20.0, |_| ());
+        let truth = press(0.0005, 0.001, 1.2);
+        let mut readings = model.read(std::slice::from_ref(&truth), &mut random(6));
+        // The one below the press is cut off at 3 kPa, two neighbours are gone.
+        readings[12] = Reading::AtLeast(3000.0);
+        readings[11] = Reading::Missing;
+        readings[18] = Reading::Exact(f64::NAN);
+        let solution = inverter.solve(&readings, None).unwrap();
+        assert!((solution.contacts[0].position - truth.position).norm() < 5.0 * solution.contacts[0].deviation());
+        assert_eq!(solution.freedom, 20);
+        let missing = vec![Reading::Missing; 25];
+        assert!(inverter.solve(&missing, None).unwrap().contacts.is_empty());
+        insta::assert_snapshot!(inverter.solve(&missing[1..], None).unwrap_err(), @"24 readings where the model has 25 channels");
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused() {
+        let refused = |change: fn(&mut Settings)| {
+            let mut settings = Settings::new(0.004, 2.0);
+            change(&mut settings);
+            Inverter::new(Arc::new(Toy::grid(20.0)), settings).unwrap_err().to_string()
+        };
+        insta::assert_snapshot!(refused(|s| s.contacts = 0), @"`contacts` is 0 and must be 1 to 10");
+        insta::assert_snapshot!(refused(|s| s.force_max = f64::NAN), @"`force_max` is NaN and must be a positive number");
+        insta::assert_snapshot!(refused(|s| s.gains = vec![1.0; 3]), @"`gains` is 3 long and must be one number for each of 25 channels");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn every_reading_has_an_answer_on_the_surface(
+            values in proptest::collection::vec(-1e5..1e5f64, 25), kinds in proptest::collection::vec(0..4u8, 25),
+        ) {
+            let (inverter, model) = inverter(20.0, |s| s.contacts = 2);
+            let readings: Vec<Reading> = values.iter().zip(&kinds).map(|(v, k)| match k {
+                0 => Reading::AtLeast(*v),
+                1 => Reading::AtMost(*v),
+                2 => Reading::Missing,
+                _ => Reading::Exact(*v),
+            }).collect();
+            for found in inverter.solve(&readings, None).unwrap().contacts {
+                prop_assert!(model.surface().distance(&found.position) < 1e-9);
+                prop_assert!(found.normal_force() > 0.0 && found.normal_force() <= 3.0 + 1e-9);
+            }
+        }
+    }
 }

@@ -9,6 +9,8 @@ mod calibrate;
 mod dictionary;
 mod fit;
 mod inverter;
+#[cfg(test)]
+mod testing;
 
 pub use calibrate::{Calibration, CalibrationError};
 pub use inverter::{Found, Inverter, InverterError, Reading, Settings, Solution, Unknowns};

@@ -16,6 +16,7 @@ pub struct TaxelShares {
     taxel_of: Vec<usize>,
     noise: Vec<f64>,
     amplitude: Vec<f64>,
+    positions: Vec<Point3<f64>>,
 }
 
 impl TaxelShares {
@@ -26,7 +27,19 @@ impl TaxelShares {
             taxel_of: skin.channel_taxels(),
             noise: skin.channel_noise(),
             amplitude: vec![0.0; skin.taxels.len()],
+            positions: skin.taxels.iter().map(dermis_skin::Taxel::point).collect(),
         }
+    }
+
+    /// Indices of the taxels that are nearest to a place, of several contacts that each have their own: those within
+    /// half as far again as the nearest.
+    #[must_use]
+    pub fn near(&self, place: &Point3<f64>) -> Vec<u32> {
+        let mut by_distance: Vec<(f64, u32)> =
+            self.positions.iter().zip(0..).map(|(p, i)| ((p - place).norm(), i)).collect();
+        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let reach = by_distance.first().map_or(0.0, |(d, _)| d * 1.5);
+        by_distance.into_iter().take_while(|(d, _)| *d <= reach).map(|(_, i)| i).collect()
     }
 
     /// Indices of the taxels that stand out of `floor` noise deviations and carry a share of the strongest

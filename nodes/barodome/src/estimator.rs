@@ -4,9 +4,10 @@
 use std::path::PathBuf;
 
 use dermis_inference::{Baseline, Bundle, BundleError, Features, Model, Outputs, Runtime};
+use dermis_inversion::{Found, Inverter, InverterError, Reading, Unknowns};
 use dermis_skin::{
     ChannelFlags, Condition, Contact, Estimate, EstimateError, Estimator, ForceComponents, ForceMap,
-    ForceValues, Frame, SkinDescription, Surface, SurfaceSpec, TareState,
+    ForceValues, Frame, Indentation, ModelError, SkinDescription, Surface, SurfaceSpec, TareState,
 };
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -39,6 +40,22 @@ pub enum SetupError {
         first: PathBuf,
         /// Bundle that came second.
         second: PathBuf,
+    },
+    /// A bundle that wants its answers refined on a forward model, which the skin has not.
+    #[error("model bundle {path}: field `inversion`: {source}")]
+    NoForwardModel {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// Why there is none.
+        source: ModelError,
+    },
+    /// A bundle whose answers cannot be refined as it says.
+    #[error("model bundle {path}: field `inversion`: {source}")]
+    Inversion {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// What cannot be.
+        source: InverterError,
     },
     /// A bundle whose outputs cannot be placed on this skin.
     #[error("model bundle {path}: output `{output}`: {reason}")]
@@ -92,11 +109,25 @@ struct Pipeline {
     raw: Vec<f32>,
     outputs: Outputs,
     fresh: bool,
+    /// Refines what it says on the skin's forward model.
+    inverter: Option<Inverter>,
 }
 
 impl Pipeline {
-    fn new(bundle: &Bundle, runtime: &Runtime) -> Result<Self, BundleError> {
+    fn new(skin: &SkinDescription, bundle: &Bundle, runtime: &Runtime) -> Result<Self, SetupError> {
+        let path = || bundle.path().to_owned();
+        let inverter = match &bundle.manifest().inversion {
+            None => None,
+            Some(settings) => {
+                let model = crate::model(skin)
+                    .map_err(|source| SetupError::NoForwardModel { path: path(), source })?;
+                let inverter = Inverter::new(model, settings.clone())
+                    .map_err(|source| SetupError::Inversion { path: path(), source })?;
+                Some(inverter)
+            }
+        };
         Ok(Self {
+            inverter,
             path: bundle.path().to_owned(),
             name: bundle.manifest().name.clone(),
             baseline: bundle.manifest().baseline,
@@ -130,16 +161,18 @@ impl Pipeline {
 pub struct Models(Vec<Pipeline>);
 
 impl Models {
-    /// Loads bundles into a runtime; takes a moment.
+    /// Loads bundles into a runtime; takes a moment, and seconds where a bundle wants its answers refined on a forward
+    /// model that is computed by finite elements.
     ///
     /// # Errors
     ///
     /// [`SetupError`] where a graph is refused, two bundles give the same output, or a force map does not fit the
     /// surface.
-    pub fn load(surface: &Surface, bundles: &[Bundle], runtime: &Runtime) -> Result<Self, SetupError> {
+    pub fn load(skin: &SkinDescription, bundles: &[Bundle], runtime: &Runtime) -> Result<Self, SetupError> {
         let mut models = Self(Vec::new());
+        let surface = skin.surface();
         for bundle in bundles {
-            let pipeline = Pipeline::new(bundle, runtime)?;
+            let pipeline = Pipeline::new(skin, bundle, runtime)?;
             for other in &models.0 {
                 if let Some(output) = pipeline.names().find(|n| other.names().any(|o| o == *n)) {
                     return Err(SetupError::SameOutput {
@@ -178,9 +211,10 @@ impl Models {
 
 /// Estimator for taxels in an elastic medium.
 ///
-/// One contact at a time: position, force and presence come from learned models. A frame goes through
-/// [`Conditioner`], the models' features, the models, and [`Tracker`]; nothing but the frames and the loaded bundles
-/// goes in, so that a recording gives the same contacts offline as it gave in the node.
+/// Presence, position and force come from learned models, one contact at a time; a bundle whose manifest has `inversion`
+/// has its answer refined on the skin's forward model, which also tells several contacts apart. A frame goes through
+/// [`Conditioner`], the models' features, the models, [`Inverter`] and [`Tracker`]; nothing but the frames and the loaded
+/// bundles goes in, so that a recording gives the same contacts offline as it gave in the node.
 pub struct BarodomeEstimator {
     skin: SkinDescription,
     surface: Surface,
@@ -383,6 +417,61 @@ impl BarodomeEstimator {
             }
         }
         Ok((present, complete))
+    }
+
+    /// What the learned models say, refined on the forward model where a bundle asks for it.
+    fn contacts(&mut self) -> Result<Vec<Contact>, String> {
+        let learned = self.contact();
+        let Some((index, inverter)) =
+            self.pipelines.iter().enumerate().find_map(|(i, p)| Some((i, p.inverter.as_ref()?)))
+        else {
+            return Ok(vec![learned]);
+        };
+        let signal = &self.cleaned.signal;
+        let readings: Vec<Reading> = signal
+            .values
+            .iter()
+            .zip(&signal.flags)
+            .map(|(value, flags)| match f64::from(*value) {
+                v if v.is_nan() || flags.is_invalid() => Reading::Missing,
+                v if flags.contains(ChannelFlags::SATURATED) && v > 0.0 => Reading::AtLeast(v),
+                v if flags.contains(ChannelFlags::SATURATED) => Reading::AtMost(v),
+                v => Reading::Exact(v),
+            })
+            .collect();
+        let settings = inverter.settings();
+        let known = learned.position.iter().chain(&learned.force).all(|v| v.is_finite());
+        let hint = (known && learned.normal_force() > 0.0).then(|| Indentation {
+            position: learned.position,
+            force: learned.force,
+            diameter: settings.diameter,
+        });
+        let solution = inverter
+            .solve(&readings, hint.as_ref())
+            .map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
+        if solution.contacts.is_empty() {
+            return Ok(vec![learned]);
+        }
+        let components = match settings.unknowns {
+            Unknowns::Full => ForceComponents::Full,
+            _ => ForceComponents::Normal,
+        };
+        let single = solution.contacts.len() == 1;
+        Ok(solution
+            .contacts
+            .into_iter()
+            .map(|found| {
+                let Found { position, normal, force, position_covariance, force_covariance } = found;
+                let mut contact = Contact::at(position, normal);
+                contact.force = force;
+                contact.force_components = components;
+                contact.position_covariance = position_covariance;
+                contact.force_covariance = force_covariance;
+                contact.confidence = self.confidence(contact.normal_force()) as f32;
+                contact.taxels = if single { learned.taxels.clone() } else { self.shares.near(&position) };
+                contact
+            })
+            .collect())
     }
 
     fn contact(&mut self) -> Contact {
@@ -589,10 +678,10 @@ impl Estimator for BarodomeEstimator {
         if !present {
             return Ok(Estimate { contacts: Vec::new(), force_map: self.no_force() });
         }
-        let contact = self.contact();
+        let mut contacts =
+            self.contacts().map_err(|reason| EstimateError::Model { sequence: frame.sequence, reason })?;
         // A force that is not known is not too light.
-        let too_light = contact.normal_force() < self.least_force;
-        let mut contacts = if too_light { Vec::new() } else { vec![contact] };
+        contacts.retain(|contact| !(contact.normal_force() < self.least_force));
         self.tracker.assign(&mut contacts, frame.stamp);
         Ok(Estimate { contacts, force_map: self.force_map() })
     }

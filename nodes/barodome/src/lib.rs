@@ -12,6 +12,7 @@ pub mod cli;
 mod condition;
 mod config;
 mod contacts;
+pub mod effects;
 mod estimator;
 mod frame;
 pub mod messages;
@@ -50,7 +51,7 @@ pub fn estimator(
 ) -> Result<Box<dyn Estimator>, SetupError> {
     let bundles = bundles.iter().map(|folder| Bundle::load(folder, skin)).collect::<Result<Vec<_>, _>>()?;
     let mut estimator = BarodomeEstimator::new(skin, masked)?;
-    estimator.set_models(Models::load(&skin.surface(), &bundles, runtime)?);
+    estimator.set_models(Models::load(skin, &bundles, runtime)?);
     Ok(Box::new(estimator))
 }
 

@@ -136,7 +136,7 @@ impl BarodomeNode {
         let surface = skin.surface();
         let runtime = Runtime::load(&config.runtime)?;
         if !config.models.is_empty() {
-            match load_models(&skin, &surface, &config.models, runtime) {
+            match load_models(&skin, &config.models, runtime) {
                 Ok(models) => estimator.set_models(models),
                 Err(error) if config.strict => return Err(error.into()),
                 Err(error) => {
@@ -259,14 +259,9 @@ impl Drop for BarodomeNode {
     }
 }
 
-fn load_models(
-    skin: &SkinDescription,
-    surface: &Surface,
-    folders: &[PathBuf],
-    runtime: &Runtime,
-) -> Result<Models, SetupError> {
+fn load_models(skin: &SkinDescription, folders: &[PathBuf], runtime: &Runtime) -> Result<Models, SetupError> {
     let bundles = folders.iter().map(|f| Bundle::load(f, skin)).collect::<Result<Vec<_>, _>>()?;
-    Models::load(surface, &bundles, runtime)
+    Models::load(skin, &bundles, runtime)
 }
 
 fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunError> {
@@ -802,8 +797,7 @@ impl Shared {
 
     /// Takes a bundle in place of those that give the same outputs.
     fn load_model(&self, folder: PathBuf) -> Result<String, String> {
-        let models =
-            load_models(&self.skin, &self.surface, &[folder], self.runtime).map_err(|e| e.to_string())?;
+        let models = load_models(&self.skin, &[folder], self.runtime).map_err(|e| e.to_string())?;
         let mut core = self.lock();
         if models.gives_force_map() && core.publishers.force_map.is_none() {
             let publisher =

@@ -164,7 +164,7 @@ pub(crate) fn load(skin: &SkinDescription, folders: &[&Path]) -> Result<Barodome
     let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
     let bundles: Vec<Bundle> = folders.iter().map(|f| Bundle::load(f, skin).unwrap()).collect();
     let mut estimator = BarodomeEstimator::new(skin, &[])?;
-    estimator.set_models(Models::load(&skin.surface(), &bundles, runtime)?);
+    estimator.set_models(Models::load(skin, &bundles, runtime)?);
     Ok(estimator)
 }
 
