@@ -86,14 +86,19 @@ impl Surface {
                     let equator = Point3::new(radius * cos, radius * sin, cylinder);
                     (radius * angle).hypot(cylinder - low.z) + arc(&equator, &high)
                 };
-                // Where the way crosses the equator: the best of some places, then ever finer around it.
-                let (mut best, mut step) = (0.0, 0.05);
-                for _ in 0..12 {
-                    let near = (-20..=20).map(|i| (best + f64::from(i) * step).clamp(0.0, 1.0));
-                    best = near.min_by(|p, q| through(*p).total_cmp(&through(*q))).unwrap_or(best);
-                    step /= 8.0;
+                // Where the way crosses the equator: near the best of some places, the length has one minimum.
+                let places = (0..=16).map(|i| f64::from(i) / 16.0);
+                let near = places.min_by(|p, q| through(*p).total_cmp(&through(*q))).unwrap_or(0.0);
+                let (mut from, mut to) = ((near - 1.0 / 16.0).max(0.0), (near + 1.0 / 16.0).min(1.0));
+                for _ in 0..30 {
+                    let third = (to - from) / 3.0;
+                    if through(from + third) < through(to - third) {
+                        to -= third;
+                    } else {
+                        from += third;
+                    }
                 }
-                through(best)
+                through(f64::midpoint(from, to))
             }
         }
     }

@@ -188,65 +188,13 @@ fn variances(whitened: DMatrix<f64>, scales: &[f64]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use dermis_skin::{ModelError, SurfaceSpec};
     use nalgebra::Point3;
     use proptest::prelude::*;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
-
-    /// Point taxels at depth h under a plane: force · h / (r² + h²), and shear along x tilts the field.
-    struct Toy {
-        surface: Surface,
-        taxels: Vec<(f64, f64)>,
-        noise: Vec<f64>,
-    }
-
-    const DEPTH: f64 = 0.005;
-
-    impl Toy {
-        fn new(taxels: &[(f64, f64)]) -> Self {
-            let spec = SurfaceSpec::Rectangle { size: [0.04, 0.04], spacing: 0.005 };
-            Self {
-                surface: Surface::from_spec(&spec),
-                taxels: taxels.to_vec(),
-                noise: vec![2.0; taxels.len()],
-            }
-        }
-
-        fn grid() -> Self {
-            let at = |i: usize| (i as f64 - 1.0) * 0.008;
-            let taxels: Vec<_> = (0..9).map(|i| (at(i % 3), at(i / 3))).collect();
-            Self::new(&taxels)
-        }
-    }
-
-    impl ForwardModel for Toy {
-        fn channels(&self) -> usize {
-            self.taxels.len()
-        }
-
-        fn surface(&self) -> &Surface {
-            &self.surface
-        }
-
-        fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-            out.fill(0.0);
-            for c in &stimulus.contacts {
-                for (value, (x, y)) in out.iter_mut().zip(&self.taxels) {
-                    let (dx, dy) = (c.position.x - x, c.position.y - y);
-                    let r = dx * dx + dy * dy + DEPTH * DEPTH;
-                    *value += (-c.force.z + 0.3 * c.force.x * dx / DEPTH) * DEPTH / r;
-                }
-            }
-            Ok(())
-        }
-
-        fn noise(&self) -> &[f64] {
-            &self.noise
-        }
-    }
+    use crate::testing::{DEPTH, Toy};
 
     fn press(x: f64, y: f64, newtons: f64) -> Indentation {
         Indentation {

@@ -25,4 +25,24 @@ pub enum TheoryError {
         /// Its value.
         value: f64,
     },
+    /// A direction that leads out of the surface.
+    #[error("the direction of a path leads out of the surface there")]
+    Direction,
+    /// Forces of a table.
+    #[error("forces of a table must ascend from 0")]
+    Forces,
+    /// Presses of another skin.
+    #[error("a press has {found} readings where the skin has {expected} channels")]
+    Channels {
+        /// Readings of the press.
+        found: usize,
+        /// Channels of the skin.
+        expected: usize,
+    },
+    /// A line without isolines that could cross.
+    #[error("{taxels} taxels lie on the line where at least two must: their isolines have to cross")]
+    Line {
+        /// Taxels on it.
+        taxels: usize,
+    },
 }

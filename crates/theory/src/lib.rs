@@ -6,9 +6,20 @@
 
 mod bound;
 mod error;
+mod isoline;
+mod line;
 pub mod normalised;
+mod path;
+pub mod resolution;
+mod responses;
 mod surface;
+#[cfg(test)]
+mod testing;
 
 pub use bound::{ContactBound, Unknowns, cramer_rao};
 pub use error::TheoryError;
+pub use isoline::{Isoline, IsolineFit, IsolinePoint};
+pub use line::{Line, LineTaxel};
+pub use path::Path;
+pub use responses::{Press, Responses, force_ladder, noise_of_repeats};
 pub use surface::{Summary, SurfaceBound, TwoContacts, over_surface, two_contacts};

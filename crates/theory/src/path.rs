@@ -1,0 +1,142 @@
+//! A line along a surface.
+
+use dermis_skin::Surface;
+use nalgebra::{Point3, Vector3};
+
+use crate::TheoryError;
+use crate::surface::positive;
+
+/// Places that a path has at most.
+const MOST: usize = 100_000;
+
+/// The straightest line across a surface, as places at equal steps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Path {
+    /// \[m\] on the surface.
+    pub points: Vec<Point3<f64>>,
+    /// Unit, out of the skin, one a place.
+    pub normals: Vec<Vector3<f64>>,
+    /// \[m\] along the path from its first place, ascending from 0.
+    pub arc: Vec<f64>,
+}
+
+impl Path {
+    /// Walks from `through` along `direction` and against it, in steps of `step` \[m\], until the surface ends or the path
+    /// comes back to where it began.
+    ///
+    /// # Errors
+    ///
+    /// [`TheoryError::NotPositive`] for a step that is not; [`TheoryError::Direction`] where `direction` leads out of the
+    /// surface.
+    pub fn across(
+        surface: &Surface,
+        through: &Point3<f64>,
+        direction: &Vector3<f64>,
+        step: f64,
+    ) -> Result<Self, TheoryError> {
+        positive("step of a path [m]", step)?;
+        let (start, normal) = surface.project(through);
+        let along = (direction - normal * normal.dot(direction)).try_normalize(1e-9);
+        let along = along.ok_or(TheoryError::Direction)?;
+        let (ahead, closed) = walk(surface, start, along, step);
+        let behind = if closed { Vec::new() } else { walk(surface, start, -along, step).0 };
+        let points: Vec<Point3<f64>> =
+            behind.into_iter().rev().chain(std::iter::once(start)).chain(ahead).collect();
+        let normals = points.iter().map(|p| surface.project(p).1).collect();
+        let mut arc = Vec::with_capacity(points.len());
+        let mut length = 0.0;
+        for (i, point) in points.iter().enumerate() {
+            if i > 0 {
+                length += surface.geodesic(&points[i - 1], point);
+            }
+            arc.push(length);
+        }
+        Ok(Self { points, normals, arc })
+    }
+
+    /// \[m\] from end to end.
+    #[must_use]
+    pub fn length(&self) -> f64 {
+        self.arc.last().copied().unwrap_or_default()
+    }
+
+    /// Index of the place that is nearest to a point, and how far it is \[m\].
+    #[must_use]
+    pub fn nearest(&self, point: &Point3<f64>) -> (usize, f64) {
+        let distances = self.points.iter().map(|p| (p - point).norm()).enumerate();
+        distances.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::NAN))
+    }
+
+    /// Where a point lies along the path \[m\]: the foot on its nearest piece.
+    #[must_use]
+    pub fn foot(&self, point: &Point3<f64>) -> f64 {
+        let (nearest, _) = self.nearest(point);
+        let around = nearest.saturating_sub(1)..(nearest + 1).min(self.points.len().saturating_sub(1));
+        let feet = around.map(|i| {
+            let piece = self.points[i + 1] - self.points[i];
+            let share = ((point - self.points[i]).dot(&piece) / piece.norm_squared()).clamp(0.0, 1.0);
+            let apart = (self.points[i] + piece * share - point).norm();
+            (apart, self.arc[i] + share * (self.arc[i + 1] - self.arc[i]))
+        });
+        feet.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |f| f.1)
+    }
+}
+
+/// Places ahead of a start, and whether the walk came round.
+fn walk(surface: &Surface, start: Point3<f64>, along: Vector3<f64>, step: f64) -> (Vec<Point3<f64>>, bool) {
+    let (mut at, mut along) = (start, along);
+    let mut places = Vec::new();
+    while places.len() < MOST {
+        let (next, normal) = surface.project(&(at + along * step));
+        let way = next - at;
+        // What is left of a step at the edge is its last.
+        if way.norm() < 1e-3 * step {
+            break;
+        }
+        places.push(next);
+        if places.len() > 3 && (next - start).norm() < 0.75 * step {
+            places.pop();
+            return (places, true);
+        }
+        if way.norm() < 0.5 * step || way.dot(&along) < 0.5 * way.norm() {
+            break;
+        }
+        let Some(turned) = (along - normal * normal.dot(&along)).try_normalize(1e-9) else { break };
+        (at, along) = (next, turned);
+    }
+    (places, false)
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::SurfaceSpec;
+
+    use super::*;
+
+    #[test]
+    fn a_strip_is_crossed_from_end_to_end() {
+        let surface = Surface::from_spec(&SurfaceSpec::Rectangle { size: [0.0325, 0.0002], spacing: 0.0005 });
+        let path = Path::across(&surface, &Point3::origin(), &Vector3::x(), 0.0002).unwrap();
+        approx::assert_relative_eq!(path.length(), 0.0325, max_relative = 1e-9);
+        assert_eq!(path.points[0], Point3::new(-0.01625, 0.0, 0.0));
+        assert!(path.arc.windows(2).all(|w| w[1] > w[0]));
+        approx::assert_relative_eq!(
+            path.foot(&Point3::new(0.00325, 0.0, -0.005)),
+            0.0195,
+            max_relative = 1e-9
+        );
+        assert!(Path::across(&surface, &Point3::origin(), &Vector3::z(), 0.0002).is_err());
+    }
+
+    #[test]
+    fn a_dome_is_crossed_over_its_tip_and_gone_around() {
+        let (radius, cylinder) = (0.010, 0.016);
+        let surface = Surface::from_spec(&SurfaceSpec::Dome { radius, cylinder, spacing: 0.002 });
+        let tip = Point3::new(0.0, 0.0, 0.026);
+        let over = Path::across(&surface, &tip, &Vector3::x(), 0.0002).unwrap();
+        let exact = std::f64::consts::PI * radius + 2.0 * cylinder;
+        approx::assert_relative_eq!(over.length(), exact, max_relative = 1e-3);
+        let around = Path::across(&surface, &Point3::new(0.01, 0.0, 0.008), &Vector3::y(), 0.0002).unwrap();
+        approx::assert_relative_eq!(around.length(), std::f64::consts::TAU * radius, max_relative = 1e-2);
+    }
+}

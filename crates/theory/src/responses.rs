@@ -1,0 +1,397 @@
+//! What the channels of a skin read over places and forces: of a forward model, or of a recording.
+
+use dermis_skin::{ForwardModel, Indentation, Stimulus, Surface};
+use nalgebra::{DMatrix, Point3};
+
+use crate::TheoryError;
+use crate::bound::tangents;
+use crate::surface::positive;
+
+/// Samples that a place and a force need for a curved regression.
+const CURVED: usize = 12;
+/// Samples that they need at all.
+const STRAIGHT: usize = 5;
+/// Share of the trace that is added to the diagonal: what the samples leave open (across a line, say) becomes 0.
+const RIDGE: f64 = 1e-6;
+
+/// One press of a recording: where, how hard, and what the channels read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Press {
+    /// \[m\] on the surface.
+    pub position: Point3<f64>,
+    /// \[N\] pressing.
+    pub force: f64,
+    /// In the unit of the skin with the zero subtracted, one a channel; NaN where a channel is invalid.
+    pub readings: Vec<f64>,
+}
+
+/// Readings at places of a surface over ascending forces that begin at 0. What is not known is NaN.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Responses {
+    points: Vec<Point3<f64>>,
+    forces: Vec<f64>,
+    channels: usize,
+    /// Of a place, of a channel, of a force.
+    values: Vec<f64>,
+    noise: Vec<f64>,
+}
+
+/// `count` forces from 0 to `most` \[N\], closer together where they are small.
+#[must_use]
+pub fn force_ladder(most: f64, count: usize) -> Vec<f64> {
+    (0..count.max(2)).map(|i| most * (i as f64 / (count.max(2) - 1) as f64).powf(1.5)).collect()
+}
+
+impl Responses {
+    /// What a model reads for a tip of `diameter` \[m\] that presses along the normal, at places of its surface.
+    ///
+    /// # Errors
+    ///
+    /// [`TheoryError`] where the model has no answer, or where forces do not ascend from 0.
+    pub fn of_model(
+        model: &dyn ForwardModel,
+        points: &[Point3<f64>],
+        forces: &[f64],
+        diameter: f64,
+    ) -> Result<Self, TheoryError> {
+        positive("diameter of the tip [m]", diameter)?;
+        check(forces)?;
+        let channels = model.channels();
+        let mut values = vec![0.0; points.len() * channels * forces.len()];
+        let mut out = vec![0.0; channels];
+        for (place, point) in points.iter().enumerate() {
+            let normal = model.surface().project(point).1;
+            for (k, force) in forces.iter().enumerate() {
+                let contact = Indentation { position: *point, force: -normal * *force, diameter };
+                model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
+                for (channel, value) in out.iter().enumerate() {
+                    values[(place * channels + channel) * forces.len() + k] = *value;
+                }
+            }
+        }
+        let (points, forces, noise) = (points.to_vec(), forces.to_vec(), model.noise().to_vec());
+        Ok(Self { points, forces, channels, values, noise })
+    }
+
+    /// What a recording says: at every place and force a local regression of the presses within `reach` \[m\] and one step
+    /// of force, quadratic in the place and linear in the force, so that noise averages out and presses at other places than
+    /// these do no harm. `noise` is that of the channels, in the unit of the skin.
+    ///
+    /// # Errors
+    ///
+    /// [`TheoryError`] where forces do not ascend from 0, or the presses belong to another number of channels.
+    pub fn of_presses(
+        presses: &[Press],
+        noise: &[f64],
+        surface: &Surface,
+        points: &[Point3<f64>],
+        forces: &[f64],
+        reach: f64,
+    ) -> Result<Self, TheoryError> {
+        positive("reach of the regression [m]", reach)?;
+        check(forces)?;
+        let channels = noise.len();
+        if let Some(press) = presses.iter().find(|p| p.readings.len() != channels) {
+            return Err(TheoryError::Channels { found: press.readings.len(), expected: channels });
+        }
+        let mut by_x: Vec<&Press> = presses.iter().filter(|p| p.force.is_finite()).collect();
+        by_x.sort_by(|a, b| a.position.x.total_cmp(&b.position.x));
+        let mut values = vec![f64::NAN; points.len() * channels * forces.len()];
+        for (place, point) in points.iter().enumerate() {
+            let (first, second) = tangents(&surface.project(point).1);
+            let begin = by_x.partition_point(|p| p.position.x < point.x - reach);
+            let end = by_x.partition_point(|p| p.position.x <= point.x + reach);
+            let near: Vec<(&Press, [f64; 2])> = by_x[begin..end]
+                .iter()
+                .filter(|p| (p.position - point).norm() <= reach)
+                .map(|p| {
+                    let offset = (p.position - point) / reach;
+                    (*p, [offset.dot(&first), offset.dot(&second)])
+                })
+                .collect();
+            for (k, force) in forces.iter().enumerate() {
+                let out = &mut values[place * channels * forces.len()..(place + 1) * channels * forces.len()];
+                if *force == 0.0 {
+                    (0..channels).for_each(|c| out[c * forces.len() + k] = 0.0);
+                    continue;
+                }
+                let below = force - forces[k - 1];
+                let above = forces.get(k + 1).map_or(below, |f| f - force);
+                let window: Vec<(&Press, [f64; 2], f64)> = near
+                    .iter()
+                    .map(|(p, at)| {
+                        (*p, *at, (p.force - force) / if p.force < *force { below } else { above })
+                    })
+                    .filter(|(_, _, off)| off.abs() < 1.0)
+                    .collect();
+                if let Some(fitted) = regress(&window, channels) {
+                    for (channel, value) in fitted.into_iter().enumerate() {
+                        out[channel * forces.len() + k] = value;
+                    }
+                }
+            }
+        }
+        let (points, forces, noise) = (points.to_vec(), forces.to_vec(), noise.to_vec());
+        Ok(Self { points, forces, channels, values, noise })
+    }
+
+    /// \[m\] places.
+    #[must_use]
+    pub fn points(&self) -> &[Point3<f64>] {
+        &self.points
+    }
+
+    /// \[N\] ascending from 0.
+    #[must_use]
+    pub fn forces(&self) -> &[f64] {
+        &self.forces
+    }
+
+    /// Number of channels.
+    #[must_use]
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Standard deviation of each channel's noise, in the unit of the skin.
+    #[must_use]
+    pub fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+
+    /// Readings of a channel at a place, one a force.
+    #[must_use]
+    pub fn curve(&self, place: usize, channel: usize) -> &[f64] {
+        let at = (place * self.channels + channel) * self.forces.len();
+        &self.values[at..at + self.forces.len()]
+    }
+
+    /// Reading of a channel at a place under `force` \[N\]; NaN where it is not known.
+    #[must_use]
+    pub fn reading(&self, place: usize, channel: usize, force: f64) -> f64 {
+        let curve = self.curve(place, channel);
+        if !(force >= 0.0 && force <= self.forces[self.forces.len() - 1]) {
+            return f64::NAN;
+        }
+        let k = self.forces.partition_point(|f| *f <= force).clamp(1, self.forces.len() - 1);
+        let share = (force - self.forces[k - 1]) / (self.forces[k] - self.forces[k - 1]);
+        curve[k - 1] + share * (curve[k] - curve[k - 1])
+    }
+
+    /// Force \[N\] at which a channel's reading at a place first rises to `value`: one point of a taxel value isoline.
+    #[must_use]
+    pub fn force_for(&self, place: usize, channel: usize, value: f64) -> Option<f64> {
+        let curve = self.curve(place, channel);
+        let mut below: Option<(f64, f64)> = None;
+        for (force, reading) in self.forces.iter().zip(curve) {
+            if reading.is_nan() {
+                continue;
+            }
+            if *reading >= value {
+                return Some(match below {
+                    Some((f, r)) => f + (value - r) / (reading - r) * (force - f),
+                    None => *force,
+                });
+            }
+            below = Some((*force, *reading));
+        }
+        None
+    }
+
+    /// c(d) = dF/dS of a channel at a place, where it reads `value` (5.17): newtons per unit of the skin.
+    #[must_use]
+    pub fn slope(&self, place: usize, channel: usize, value: f64) -> Option<f64> {
+        // Over a span that a table's corners do not show in.
+        let span = (0.05 * value.abs()).max(f64::MIN_POSITIVE);
+        let high = self.force_for(place, channel, value + span)?;
+        let low = self.force_for(place, channel, value - span)?;
+        Some((high - low) / (2.0 * span))
+    }
+
+    /// Place where a channel reads most for a given force, the largest known to all: what lies above its taxel.
+    #[must_use]
+    pub fn peak(&self, channel: usize) -> usize {
+        let strongest = |place: usize| {
+            let force = self.forces[self.forces.len() / 2];
+            self.reading(place, channel, force)
+        };
+        let known = (0..self.points.len()).filter(|p| strongest(*p).is_finite());
+        known.max_by(|a, b| strongest(*a).total_cmp(&strongest(*b))).unwrap_or_default()
+    }
+
+    /// Least force \[N\] at a place from which on at least `needed` channels read `least` or more: F_S, the force from
+    /// which on a contact there can be located (thesis 5.3). Two are needed along a line, three on a surface.
+    #[must_use]
+    pub fn minimum_force(&self, place: usize, least: f64, needed: usize) -> Option<f64> {
+        let mut forces: Vec<f64> =
+            (0..self.channels).filter_map(|c| self.force_for(place, c, least)).collect();
+        forces.sort_by(f64::total_cmp);
+        forces.get(needed.max(1) - 1).copied()
+    }
+
+    /// Channels that read `least` or more at a place under `force` \[N\].
+    #[must_use]
+    pub fn active(&self, place: usize, force: f64, least: f64) -> Vec<usize> {
+        (0..self.channels).filter(|c| self.reading(place, *c, force) >= least).collect()
+    }
+}
+
+fn check(forces: &[f64]) -> Result<(), TheoryError> {
+    let ascend = forces.first() == Some(&0.0) && forces.len() > 1 && forces.windows(2).all(|w| w[1] > w[0]);
+    if ascend { Ok(()) } else { Err(TheoryError::Forces) }
+}
+
+/// Readings at the middle of a window: weighted least squares on (1, u, v, f, u², uv, v²), or on its first four.
+fn regress(window: &[(&Press, [f64; 2], f64)], channels: usize) -> Option<Vec<f64>> {
+    let columns = match window.len() {
+        n if n >= CURVED => 7,
+        n if n >= STRAIGHT => 4,
+        _ => return None,
+    };
+    let mut normal = DMatrix::<f64>::zeros(columns, columns);
+    let mut side = DMatrix::<f64>::zeros(columns, channels);
+    for (press, [u, v], off) in window {
+        let row = [1.0, *u, *v, *off, u * u, u * v, v * v];
+        // Falls to 0 at the window's ends, so that the fit does not jump from place to place.
+        let weight = (1.0 - off.abs()) * (1.0 - (u * u + v * v)).max(0.0) + 1e-9;
+        for i in 0..columns {
+            for j in 0..columns {
+                normal[(i, j)] += weight * row[i] * row[j];
+            }
+            for (channel, reading) in press.readings.iter().enumerate() {
+                side[(i, channel)] += weight * row[i] * reading;
+            }
+        }
+    }
+    let ridge = RIDGE * normal[(0, 0)];
+    // The constant is what is asked for: it must not be drawn to 0.
+    (1..columns).for_each(|i| normal[(i, i)] += ridge);
+    let solved = normal.cholesky()?.solve(&side);
+    Some(solved.row(0).iter().copied().collect())
+}
+
+/// Standard deviation of each channel's noise from stretches of frames in which nothing changes: from the differences of
+/// consecutive frames, so that slow drift does not count. `None` where there are no two frames in a row.
+///
+/// Invalid values are NaN.
+#[must_use]
+pub fn noise_of_repeats<'a>(
+    stretches: impl IntoIterator<Item = &'a [Vec<f64>]>,
+    channels: usize,
+) -> Option<Vec<f64>> {
+    let mut sums = vec![(0.0, 0u64); channels];
+    for stretch in stretches {
+        for pair in stretch.windows(2) {
+            for (channel, (sum, count)) in sums.iter_mut().enumerate() {
+                let (Some(a), Some(b)) = (pair[0].get(channel), pair[1].get(channel)) else { continue };
+                let step = b - a;
+                if step.is_finite() {
+                    *sum += step * step / 2.0;
+                    *count += 1;
+                }
+            }
+        }
+    }
+    sums.into_iter().map(|(sum, count)| (count > 0).then(|| (sum / count as f64).sqrt())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use approx::assert_relative_eq;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal, Uniform};
+
+    use super::*;
+    use crate::testing::Toy;
+
+    #[test]
+    fn a_reading_is_found_again_by_its_force() {
+        let model = Toy::row(6);
+        let points = [Point3::new(0.001, 0.0, 0.0), Point3::new(0.003, 0.0, 0.0)];
+        let responses = Responses::of_model(&model, &points, &force_ladder(2.0, 30), 0.004).unwrap();
+        for place in 0..2 {
+            for channel in 0..6 {
+                for force in [0.03, 0.4, 1.7] {
+                    let value = responses.reading(place, channel, force);
+                    assert_relative_eq!(
+                        responses.force_for(place, channel, value).unwrap(),
+                        force,
+                        max_relative = 1e-9
+                    );
+                    // The toy is linear in the force: c is what it takes for one unit.
+                    let c = responses.slope(place, channel, value * 0.9).unwrap();
+                    assert_relative_eq!(c, force / value, max_relative = 1e-6);
+                }
+                assert_eq!(responses.force_for(place, channel, 1e9), None);
+            }
+        }
+        assert!(responses.reading(0, 0, 2.1).is_nan());
+        assert_relative_eq!(
+            responses.minimum_force(0, 10.0, 2).unwrap(),
+            responses.force_for(0, 3, 10.0).unwrap().max(responses.force_for(0, 2, 10.0).unwrap())
+        );
+    }
+
+    #[test]
+    fn presses_give_what_the_model_does() {
+        // Presses at random places of a row, each with noise.
+        let model = Toy::row(6);
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+        let (place, force) = (Uniform::new(-0.018, 0.018).unwrap(), Uniform::new(0.01, 1.5).unwrap());
+        let presses: Vec<Press> = (0..6000)
+            .map(|_| {
+                let position = Point3::new(place.sample(&mut random), 0.0, 0.0);
+                let force = force.sample(&mut random);
+                let readings = model.read(&position, force).into_iter().map(|v| {
+                    let noise: f64 = StandardNormal.sample(&mut random);
+                    v + model.noise()[0] * noise
+                });
+                Press { position, force, readings: readings.collect() }
+            })
+            .collect();
+        let points: Vec<Point3<f64>> =
+            (-16..=16).map(|i| Point3::new(f64::from(i) * 1e-3, 0.0, 0.0)).collect();
+        let forces = force_ladder(1.4, 14);
+        let exact = Responses::of_model(&model, &points, &forces, 0.004).unwrap();
+        let found = Responses::of_presses(&presses, model.noise(), model.surface(), &points, &forces, 0.0015)
+            .unwrap();
+        let mut errors = Vec::new();
+        for place in 0..points.len() {
+            for channel in 0..6 {
+                for force in [0.3, 0.7, 1.3] {
+                    errors.push(found.reading(place, channel, force) - exact.reading(place, channel, force));
+                }
+            }
+        }
+        let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+        // Some forty presses lie in a window: better than a single one by far.
+        assert!(rms < 0.5 * model.noise()[0], "{rms}");
+        assert!(
+            Responses::of_presses(&presses, &[2.0; 5], model.surface(), &points, &forces, 0.001).is_err()
+        );
+    }
+
+    #[test]
+    fn noise_is_told_from_drift() {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let mut stretch = |sigma: f64| -> Vec<Vec<f64>> {
+            (0..2000)
+                .map(|i| {
+                    let noise: f64 = StandardNormal.sample(&mut random);
+                    vec![sigma * noise + 0.05 * f64::from(i), if i == 7 { f64::NAN } else { 1.0 }]
+                })
+                .collect()
+        };
+        let stretches = [stretch(20.0), stretch(20.0)];
+        let found = noise_of_repeats(stretches.iter().map(Vec::as_slice), 2).unwrap();
+        assert_relative_eq!(found[0], 20.0, max_relative = 0.05);
+        assert_eq!(found[1], 0.0);
+        assert_eq!(noise_of_repeats([&stretches[0][..1]], 2), None);
+    }
+
+    #[test]
+    fn forces_ascend_from_nothing() {
+        let error = Responses::of_model(&Toy::row(2), &[], &[0.1, 0.2], 0.004).unwrap_err();
+        insta::assert_snapshot!(error, @"forces of a table must ascend from 0");
+    }
+}

@@ -1,0 +1,165 @@
+//! Made-up skins with formulas of their own.
+
+use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface, SurfaceSpec};
+use nalgebra::Point3;
+
+/// Point taxels at depth h under a plane: force · h / (r² + h²), and shear along x tilts the field.
+pub struct Toy {
+    surface: Surface,
+    pub taxels: Vec<(f64, f64)>,
+    pub noise: Vec<f64>,
+}
+
+pub const DEPTH: f64 = 0.005;
+
+impl Toy {
+    pub fn new(taxels: &[(f64, f64)]) -> Self {
+        let spec = SurfaceSpec::Rectangle { size: [0.04, 0.04], spacing: 0.005 };
+        Self { surface: Surface::from_spec(&spec), taxels: taxels.to_vec(), noise: vec![2.0; taxels.len()] }
+    }
+
+    pub fn grid() -> Self {
+        let at = |i: usize| (i as f64 - 1.0) * 0.008;
+        let taxels: Vec<_> = (0..9).map(|i| (at(i % 3), at(i / 3))).collect();
+        Self::new(&taxels)
+    }
+
+    /// Taxels 6.5 mm apart along x.
+    pub fn row(count: usize) -> Self {
+        let middle = (count as f64 - 1.0) / 2.0;
+        Self::new(&(0..count).map(|i| ((i as f64 - middle) * 0.0065, 0.0)).collect::<Vec<_>>())
+    }
+
+    pub fn read(&self, position: &Point3<f64>, force: f64) -> Vec<f64> {
+        read(self, position, force)
+    }
+}
+
+/// What a skin reads for one contact that presses along the normal.
+pub fn read(model: &dyn ForwardModel, position: &Point3<f64>, force: f64) -> Vec<f64> {
+    let (position, normal) = model.surface().project(position);
+    let mut out = vec![0.0; model.channels()];
+    let contacts = vec![Indentation { position, force: -normal * force, diameter: 0.004 }];
+    model.response(&Stimulus { contacts, ..Stimulus::default() }, &mut out).unwrap();
+    out
+}
+
+/// Taxels at depth h under a dome: force · h / (d² + h²) with the shortest way d along the surface.
+pub struct Dome {
+    surface: Surface,
+    pub feet: Vec<Point3<f64>>,
+    noise: Vec<f64>,
+}
+
+impl Dome {
+    /// One below the tip, six around the hemisphere, two rings of six around the cylinder.
+    pub fn new() -> Self {
+        let spec = SurfaceSpec::Dome { radius: 0.010, cylinder: 0.016, spacing: 0.001 };
+        let surface = Surface::from_spec(&spec);
+        let mut feet = vec![Point3::new(0.0, 0.0, 0.026)];
+        for (up, turn) in [(0.7, 0.0), (0.0, 0.5), (-0.7, 0.0)] {
+            for i in 0..6 {
+                let angle = (f64::from(i) + turn) * std::f64::consts::TAU / 6.0;
+                feet.push(Point3::new(0.01 * angle.cos(), 0.01 * angle.sin(), 0.016 + 0.01 * up));
+            }
+        }
+        let feet: Vec<_> = feet.iter().map(|p| surface.project(p).0).collect();
+        Self { noise: vec![2.0; feet.len()], surface, feet }
+    }
+}
+
+impl ForwardModel for Dome {
+    fn channels(&self) -> usize {
+        self.feet.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        out.fill(0.0);
+        for c in &stimulus.contacts {
+            let pressing = -c.force.dot(&self.surface.project(&c.position).1);
+            for (value, foot) in out.iter_mut().zip(&self.feet) {
+                let d = self.surface.geodesic(&c.position, foot);
+                *value += pressing * DEPTH / (d * d + DEPTH * DEPTH);
+            }
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+}
+
+impl ForwardModel for Toy {
+    fn channels(&self) -> usize {
+        self.taxels.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        out.fill(0.0);
+        for c in &stimulus.contacts {
+            for (value, (x, y)) in out.iter_mut().zip(&self.taxels) {
+                let (dx, dy) = (c.position.x - x, c.position.y - y);
+                let r = dx * dx + dy * dy + DEPTH * DEPTH;
+                *value += (-c.force.z + 0.3 * c.force.x * dx / DEPTH) * DEPTH / r;
+            }
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+}
+
+/// The thesis' normalised setting with any number of taxels along x: a reading is the force less (|d| / distance)^α, so that
+/// all isolines have the same shape and one σ_S is the same force everywhere.
+pub struct Ideal {
+    surface: Surface,
+    pub feet: Vec<f64>,
+    pub distance: f64,
+    pub alpha: f64,
+    pub noise: Vec<f64>,
+}
+
+impl Ideal {
+    pub fn new(count: usize, alpha: f64, sigma: f64) -> Self {
+        let distance = 0.005;
+        let middle = (count as f64 - 1.0) / 2.0;
+        let spec = SurfaceSpec::Rectangle { size: [0.04, 0.001], spacing: 0.001 };
+        let feet = (0..count).map(|i| (i as f64 - middle) * distance).collect();
+        Self { surface: Surface::from_spec(&spec), feet, distance, alpha, noise: vec![sigma; count] }
+    }
+}
+
+impl ForwardModel for Ideal {
+    fn channels(&self) -> usize {
+        self.feet.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        out.fill(0.0);
+        for c in &stimulus.contacts {
+            for (value, foot) in out.iter_mut().zip(&self.feet) {
+                *value += -c.force.z - ((c.position.x - foot).abs() / self.distance).powf(self.alpha);
+            }
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+}
