@@ -115,7 +115,7 @@ impl SphereContact {
                 expected: "of the order of the sphere's radius at most",
             });
         }
-        while high - low > 1e-12 * high {
+        while high - low > 1e-11 * high {
             let middle = (low + high) / 2.0;
             let tried = contact(middle)?;
             if tried.indentation < indentation {
@@ -155,6 +155,17 @@ impl SphereContact {
             return 0.0;
         }
         self.density.iter().map(|(t, f)| f * (k * t).cos()).sum()
+    }
+
+    /// Mean compressive stress −σₖₖ/3 \[Pa\] at `depth` \[m\] and distance `r` \[m\] from the sphere's axis, integrated;
+    /// [`PressureTable`](crate::PressureTable) looks it up. `medium` is the one that the contact was solved for.
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError`] where the depth lies outside of the medium or the distance is not a number.
+    pub fn pressure(&self, medium: &Medium, depth: f64, r: f64) -> Result<f64, MechanicsError> {
+        let kernel = |k: f64, x: f64| medium.pressure_kernel(k, depth) * self.transform(k) * libm::j0(x);
+        medium.integrate(self.contact_radius, depth, r, kernel)
     }
 }
 

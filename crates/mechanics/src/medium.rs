@@ -284,7 +284,9 @@ impl Medium {
     ///
     /// [`MechanicsError`] where the depth lies outside of the medium or a number cannot be.
     pub fn pressure(&self, load: &Load, depth: f64, r: f64) -> Result<f64, MechanicsError> {
-        self.integrate(load, depth, r, |k, x| self.pressure_kernel(k, depth) * libm::j0(x))
+        let a = load.check()?;
+        let kernel = |k: f64, x: f64| self.pressure_kernel(k, depth) * load.transform(k) * libm::j0(x);
+        self.integrate(a, depth, r, kernel)
     }
 
     /// Mean compressive stress −σₖₖ/3 \[Pa\] at `depth` \[m\] and distance `r` \[m\] straight ahead of `load`, which is
@@ -295,24 +297,26 @@ impl Medium {
     ///
     /// As [`pressure`](Self::pressure).
     pub fn pressure_of_shear(&self, load: &Load, depth: f64, r: f64) -> Result<f64, MechanicsError> {
-        let ahead = self.integrate(load, depth, r, |k, x| self.shear_kernel(k, depth) * libm::j1(x))?;
+        let a = load.check()?;
+        let kernel = |k: f64, x: f64| self.shear_kernel(k, depth) * load.transform(k) * libm::j1(x);
+        let ahead = self.integrate(a, depth, r, kernel)?;
         Ok(if r < 0.0 { -ahead } else { ahead })
     }
 
-    fn integrate(
+    /// ∫ kernel(k, k |r|) k dk for a load of the radius `a` \[m\].
+    pub(crate) fn integrate(
         &self,
-        load: &Load,
+        a: f64,
         depth: f64,
         r: f64,
         kernel: impl Fn(f64, f64) -> f64,
     ) -> Result<f64, MechanicsError> {
         self.check_depth(depth)?;
-        let a = load.check()?;
         let r = distance(r)?;
         // Both Bessel functions oscillate: a panel spans about one and a half of their periods.
         let panel = (6.0 / (r + a)).min(3.0 / depth);
         let nodes = panels(EXPONENT_MAX / depth, panel);
-        Ok(nodes.iter().map(|&(k, w)| w * k * kernel(k, k * r) * load.transform(k)).sum())
+        Ok(nodes.iter().map(|&(k, w)| w * k * kernel(k, k * r)).sum())
     }
 
     /// Displacement of the surface into the medium \[m\] at the distance `r` \[m\] from the axis of `load`;

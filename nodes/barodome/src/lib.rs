@@ -21,6 +21,7 @@ mod node;
 mod parameters;
 #[cfg(test)]
 mod testing;
+pub mod verify;
 
 use std::path::PathBuf;
 use std::sync::Arc;
