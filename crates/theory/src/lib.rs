@@ -12,6 +12,7 @@ pub mod normalised;
 mod path;
 pub mod resolution;
 mod responses;
+mod solver;
 mod surface;
 #[cfg(test)]
 mod testing;
@@ -22,4 +23,5 @@ pub use isoline::{Isoline, IsolineFit, IsolinePoint};
 pub use line::{Line, LineTaxel};
 pub use path::Path;
 pub use responses::{Press, Responses, force_ladder, noise_of_repeats};
+pub use solver::{IsolineSolver, Solution, SolverOptions};
 pub use surface::{Summary, SurfaceBound, TwoContacts, over_surface, two_contacts};

@@ -49,6 +49,8 @@ pub struct Dome {
     surface: Surface,
     pub feet: Vec<Point3<f64>>,
     noise: Vec<f64>,
+    /// The last place that was asked for, and its way to each foot.
+    ways: std::sync::Mutex<(Point3<f64>, Vec<f64>)>,
 }
 
 impl Dome {
@@ -64,7 +66,7 @@ impl Dome {
             }
         }
         let feet: Vec<_> = feet.iter().map(|p| surface.project(p).0).collect();
-        Self { noise: vec![2.0; feet.len()], surface, feet }
+        Self { noise: vec![2.0; feet.len()], surface, feet, ways: std::sync::Mutex::default() }
     }
 }
 
@@ -81,8 +83,12 @@ impl ForwardModel for Dome {
         out.fill(0.0);
         for c in &stimulus.contacts {
             let pressing = -c.force.dot(&self.surface.project(&c.position).1);
-            for (value, foot) in out.iter_mut().zip(&self.feet) {
-                let d = self.surface.geodesic(&c.position, foot);
+            let mut ways = self.ways.lock().unwrap();
+            if ways.0 != c.position || ways.1.is_empty() {
+                *ways =
+                    (c.position, self.feet.iter().map(|f| self.surface.geodesic(&c.position, f)).collect());
+            }
+            for (value, d) in out.iter_mut().zip(&ways.1) {
                 *value += pressing * DEPTH / (d * d + DEPTH * DEPTH);
             }
         }
