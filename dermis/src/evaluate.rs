@@ -6,13 +6,16 @@ use anyhow::{Context, Result};
 use clap::Args;
 use dermis_learn::cli::Labels;
 use dermis_learn::{
-    Bounds, Dataset, Evaluation, Requirement, SampleId, SplitConfig, SplitKind, Verdicts, bounds, evaluate,
+    Bounds, Dataset, Evaluation, Requirement, SampleId, SplitConfig, SplitKind, Verdicts, bounds, evaluate_by,
 };
 use dermis_skin::SkinDescription;
 use dermis_theory::Unknowns;
 use serde_json::json;
 
 use crate::registry::Family;
+
+/// \[m\] of width below which presses lie on a line.
+const LINE: f64 = 1e-3;
 
 /// What to measure on what.
 #[derive(Args)]
@@ -35,6 +38,9 @@ pub struct Options {
     unattended: bool,
     #[command(flatten)]
     labels: Labels,
+    /// Ascending forces [N] at which the bins of errors by force begin, e.g. `0.02,0.14,0.2,0.4,0.6,0.9,1.2,1.5`.
+    #[arg(long, value_delimiter = ',', default_values_t = dermis_learn::FORCE_BINS)]
+    bins: Vec<f64>,
     /// A figure that must be reached, in SI units, e.g. `position_rms<=0.0005`; may be repeated.
     #[arg(long)]
     require: Vec<Requirement>,
@@ -64,8 +70,8 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let test = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
     let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
-    let evaluation = evaluate(estimator.as_mut(), &data, test.as_deref(), name)?;
-    let bound = bound(family, &skin, &data, test.as_deref(), &evaluation)?;
+    let evaluation = evaluate_by(estimator.as_mut(), &data, test.as_deref(), &options.bins, name)?;
+    let bound = bound(family, &skin, &data, test.as_deref(), &evaluation, &options.bins)?;
     let verdicts = Verdicts::of(&options.require, &evaluation);
     if options.json {
         let mut value = evaluation.to_json();
@@ -92,15 +98,25 @@ fn bound(
     data: &Dataset,
     only: Option<&[SampleId]>,
     evaluation: &Evaluation,
+    edges: &[f64],
 ) -> Result<Option<Bounds>> {
     let Ok(model) = (family.model)(skin) else { return Ok(None) };
-    let full = evaluation.quantities.contains_key("force.x");
-    let unknowns = if full { Unknowns::Full } else { Unknowns::Normal };
-    Ok(bounds(model.as_ref(), data, only, unknowns)?)
+    Ok(bounds(model.as_ref(), data, only, unknowns(data, evaluation), edges)?)
+}
+
+/// What was unknown to who was evaluated.
+pub fn unknowns(data: &Dataset, evaluation: &Evaluation) -> Unknowns {
+    if evaluation.quantities.contains_key("force.x") {
+        return Unknowns::Full;
+    }
+    // Presses on a line ask for the place along it.
+    let across = data.labelled().flat_map(|(_, _, t)| t.contacts.iter().map(|c| c.position.y));
+    let (low, high) = across.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), y| (l.min(y), h.max(y)));
+    if high - low < LINE { Unknowns::Line } else { Unknowns::Normal }
 }
 
 /// The split that a model was trained with.
-fn split_of(model: &Path) -> Result<SplitConfig> {
+pub fn split_of(model: &Path) -> Result<SplitConfig> {
     let path = model.join("card.json");
     let text = std::fs::read_to_string(&path).with_context(|| {
         format!("{} cannot be read: `--held-out` needs the data card of the model", path.display())

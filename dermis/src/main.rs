@@ -17,11 +17,13 @@ mod nodes;
 mod play;
 mod quantity;
 mod record;
+mod refine;
 mod registry;
 mod skins;
 mod stats;
 mod theory;
 mod train;
+mod verify;
 
 use std::process::ExitCode;
 
@@ -63,6 +65,8 @@ enum Command {
     /// Learn contacts from labelled bags, and write a model bundle (program dermis-train).
     #[command(disable_help_flag = true)]
     Train(train::Options),
+    /// Have a bundle's answers refined on the skin's forward model, where recordings show that this helps.
+    Refine(refine::Options),
     /// Measure model bundles on labelled bags; exits with 1 where a requirement is missed.
     Evaluate(evaluate::Options),
     /// Make model bundles of models that were trained elsewhere.
@@ -77,6 +81,8 @@ enum Command {
     Bag(bags::Bag),
     /// How well a skin can know a contact at best, from its forward model.
     Theory(theory::Options),
+    /// Check the physics of a sensor family against closed forms and other programs; exits with 1 where a case fails.
+    Verify(verify::Options),
     /// Check a skin description and say what it describes.
     Skin(skins::Options),
     /// What this machine offers: inference runtimes, serial devices, ROS 2.
@@ -110,12 +116,14 @@ fn main() -> ExitCode {
         Command::Import(import) => bags::import(&import),
         Command::Collect(options) => collect::run(&options),
         Command::Train(options) => train::run(&options),
+        Command::Refine(options) => refine::run(&options),
         Command::Evaluate(options) => evaluate::run(&options),
         Command::Bundle(bundle) => bundle::run(&bundle),
         Command::Record(options) => block_on(record::run(*options)),
         Command::Play(options) => block_on(play::run(*options)),
         Command::Bag(bag) => bags::run(&bag),
         Command::Theory(options) => theory::run(&options),
+        Command::Verify(options) => verify::run(&options),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
     };

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ForceComponents, ForwardModel, Indentation, Stimulus};
 use dermis_theory::{ContactBound, TheoryError, Unknowns, cramer_rao};
 use serde::{Deserialize, Serialize};
 
@@ -45,7 +45,8 @@ impl fmt::Display for Bounds {
 }
 
 /// Bounds the touched samples of a data set, or those of `only`, by the forward model of its skin. `None` where no sample
-/// has what a stimulus needs: position, force and diameter of every contact.
+/// has what a stimulus needs: position, force and diameter of every contact. `edges` \[N\] of the bins ascend, the last bin
+/// is open.
 ///
 /// # Errors
 ///
@@ -55,6 +56,7 @@ pub fn bounds(
     data: &Dataset,
     only: Option<&[SampleId]>,
     unknowns: Unknowns,
+    edges: &[f64],
 ) -> Result<Option<Bounds>, TheoryError> {
     let only: Option<BTreeSet<SampleId>> = only.map(|ids| ids.iter().copied().collect());
     let stimuli: Vec<Stimulus> = data
@@ -77,8 +79,9 @@ pub fn bounds(
             Err(error) => return Err(error),
         }
     }
-    let bins =
-        |value: fn(&ContactBound) -> f64| bins(found.iter().map(|(force, bound)| (*force, value(bound))));
+    let bins = |value: fn(&ContactBound) -> f64| {
+        bins(edges, found.iter().map(|(force, bound)| (*force, value(bound))))
+    };
     Ok((!found.is_empty()).then(|| Bounds {
         samples: found.len(),
         position: bins(|b| b.position),
@@ -87,12 +90,14 @@ pub fn bounds(
 }
 
 /// What pressed, where the truth is whole.
-fn stimulus(truth: &Truth) -> Option<Stimulus> {
+pub(crate) fn stimulus(truth: &Truth) -> Option<Stimulus> {
     let contacts = truth
         .contacts
         .iter()
         .map(|c| {
-            let force = -c.normal * c.normal_force()?;
+            let pressing = -c.normal * c.normal_force()?;
+            let full = c.components == ForceComponents::Full && c.force.iter().all(|v| v.is_finite());
+            let force = if full { c.force } else { pressing };
             let known = c.position.iter().chain(&force).all(|v| v.is_finite()) && c.diameter > 0.0;
             known.then_some(Indentation { position: c.position, force, diameter: c.diameter })
         })
@@ -105,6 +110,7 @@ mod tests {
     use dermis_skin::{ModelError, Surface};
 
     use super::*;
+    use crate::FORCE_BINS;
     use crate::dataset::tests::presses;
 
     /// Both channels of the made-up skin: one tells x by the force, the other the force.
@@ -137,14 +143,15 @@ mod tests {
     fn every_touched_sample_counts_in_its_bin() {
         let data = presses(10, 2);
         let model = Made(data.skin().surface());
-        let bounds = bounds(&model, &data, None, Unknowns::Normal).unwrap().unwrap();
+        let bounds = bounds(&model, &data, None, Unknowns::Normal, &FORCE_BINS).unwrap().unwrap();
         assert_eq!(bounds.samples, 40);
         assert_eq!(bounds.normal_force.iter().map(|b| b.samples).sum::<usize>(), 40);
         // 0.5 of noise over 20 a newton; y is told by no channel.
         assert!(bounds.normal_force.iter().all(|b| (b.rms - 0.025).abs() < 1e-9), "{bounds:?}");
         assert!(bounds.position.iter().all(|b| b.rms.is_infinite()));
         let some: Vec<SampleId> = data.labelled().take(30).map(|(id, ..)| id).collect();
-        let fewer = super::bounds(&model, &data, Some(&some), Unknowns::Normal).unwrap().unwrap();
+        let fewer =
+            super::bounds(&model, &data, Some(&some), Unknowns::Normal, &FORCE_BINS).unwrap().unwrap();
         assert!(fewer.samples < 40);
     }
 

@@ -99,7 +99,7 @@ pub(crate) fn force_range(data: &Dataset, ids: &[SampleId]) -> Option<[f64; 2]> 
 }
 
 /// Writes measured errors into a manifest, as metrics and as the sigma of its outputs.
-pub(crate) fn measured(manifest: &mut Manifest, evaluation: &Evaluation) {
+pub fn measured(manifest: &mut Manifest, evaluation: &Evaluation) {
     for spec in &mut manifest.output.values {
         spec.sigma = evaluation.quantities.get(&spec.name).map(|s| s.rms).filter(|s| *s > 0.0);
         if let Some(bins) = evaluation.by_force.get(&spec.name) {

@@ -108,6 +108,14 @@ pub enum LearnError {
         /// Where the state lies.
         path: PathBuf,
     },
+    /// Recordings that do not tell what a refinement on the forward model needs.
+    #[error("skin `{skin}`: cannot be refined on its forward model: {reason}")]
+    Refinement {
+        /// Name of the skin.
+        skin: String,
+        /// What is missing, and what to do.
+        reason: String,
+    },
     /// Training went wrong.
     #[error("training: {reason}")]
     Training {

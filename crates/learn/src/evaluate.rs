@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId};
-use crate::metrics::{Answer, Bin, Scores, Summary};
+use crate::metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, Scores, Summary};
 
 /// Errors of an estimator on labelled frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -28,6 +28,9 @@ pub struct Evaluation {
     /// Share of untouched frames that were taken for touched.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub false_contacts: Option<f64>,
+    /// Share of frames whose number of contacts was right, by true number; where every contact presses clearly.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub count_right: BTreeMap<usize, f64>,
     /// Errors by quantity.
     pub quantities: BTreeMap<String, Summary>,
     /// Errors by quantity and true normal force.
@@ -35,7 +38,7 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// Sums up scores.
+    /// Sums up scores; errors by force in the bins [`FORCE_BINS`].
     #[must_use]
     pub fn of(
         scores: &Scores,
@@ -51,14 +54,15 @@ impl Evaluation {
             tares,
             missed: scores.missed(),
             false_contacts: scores.false_contacts(),
+            count_right: scores.count_right(),
             quantities: scores.summaries(1),
-            by_force: scores.by_force(),
+            by_force: scores.by_force(&FORCE_BINS),
         }
     }
 
     /// Every figure that a [`Requirement`] can name, in SI units: `position_rms`, `position_mean`,
     /// `position_median`, `position_p95`, `position_max`, the same of `position_x` …, `force_normal` …, and
-    /// `missed`, `false_contacts`, `unanswered` as shares.
+    /// `missed`, `false_contacts`, `unanswered`, `count_right_of_1` … as shares.
     #[must_use]
     pub fn figures(&self) -> BTreeMap<String, f64> {
         let mut all = BTreeMap::new();
@@ -72,6 +76,9 @@ impl Evaluation {
         }
         let shares = [("missed", self.missed), ("false_contacts", self.false_contacts)];
         all.extend(shares.into_iter().filter_map(|(name, v)| Some((name.to_owned(), v?))));
+        for (number, share) in &self.count_right {
+            all.insert(format!("count_right_of_{number}"), *share);
+        }
         let asked = self.frames + self.unanswered;
         if asked > 0 {
             all.insert("unanswered".into(), self.unanswered as f64 / asked as f64);
@@ -146,6 +153,13 @@ impl fmt::Display for Evaluation {
             }
             writeln!(f)?;
         }
+        if self.count_right.keys().any(|number| *number > 1) {
+            write!(f, "  right number of contacts (each of {COUNTED_FROM} N or more):")?;
+            for (number, share) in &self.count_right {
+                write!(f, "  {number}: {:.1} %", share * 100.0)?;
+            }
+            writeln!(f)?;
+        }
         Ok(())
     }
 }
@@ -153,7 +167,8 @@ impl fmt::Display for Evaluation {
 /// Compares estimates with the truth one by one, for callers that get their estimates elsewhere, e.g. from a bus.
 #[derive(Debug, Default)]
 pub struct Evaluator {
-    answers: Vec<(usize, crate::Truth, Option<Contact>)>,
+    answers: Vec<(usize, crate::Truth, Vec<Contact>)>,
+    edges: Option<Vec<f64>>,
     unanswered: usize,
     tares: usize,
 }
@@ -165,18 +180,18 @@ impl Evaluator {
         Self::default()
     }
 
-    /// Takes one estimate; of several contacts the one with the largest normal force counts, then that of the
-    /// largest confidence. `run` tells presses of different runs apart.
+    /// Reports errors by force in these bins in place of [`FORCE_BINS`]; `edges` \[N\] ascend, the last bin is open.
+    #[must_use]
+    pub fn by_force(mut self, edges: &[f64]) -> Self {
+        self.edges = Some(edges.to_vec());
+        self
+    }
+
+    /// Takes one estimate. Where one contact is true, of several found the one with the largest normal force counts, then
+    /// that of the largest confidence; where several are true, each is compared with the one that is found for it. `run`
+    /// tells presses of different runs apart.
     pub fn push(&mut self, run: usize, truth: &crate::Truth, estimate: &Estimate) {
-        let strength = |c: &Contact| {
-            let force = c.normal_force();
-            (if force.is_nan() { 0.0 } else { force }, c.confidence)
-        };
-        let strongest = estimate.contacts.iter().max_by(|a, b| {
-            let ((fa, ca), (fb, cb)) = (strength(a), strength(b));
-            fa.total_cmp(&fb).then(ca.total_cmp(&cb))
-        });
-        self.answers.push((run, truth.clone(), strongest.cloned()));
+        self.answers.push((run, truth.clone(), estimate.contacts.clone()));
     }
 
     /// Counts a frame for which there is no answer.
@@ -196,13 +211,27 @@ impl Evaluator {
         let gives = |components: &[ForceComponents]| {
             self.answers
                 .iter()
-                .any(|(_, _, c)| c.as_ref().is_some_and(|c| components.contains(&c.force_components)))
+                .any(|(_, _, found)| found.iter().any(|c| components.contains(&c.force_components)))
         };
         let full = gives(&[ForceComponents::Full]);
         let normal = full || gives(&[ForceComponents::Normal]);
+        // On a curved skin the height says where a contact is, too.
+        let places =
+            || self.answers.iter().flat_map(|(_, truth, _)| truth.contacts.iter().map(|c| c.position.z));
+        let (low, high) = places().fold((f64::INFINITY, -f64::INFINITY), |(l, h), z| (l.min(z), h.max(z)));
+        let curved = high - low > 1e-6;
+        let strength = |c: &Contact| {
+            let force = c.normal_force();
+            (if force.is_nan() { 0.0 } else { force }, c.confidence)
+        };
         let mut scores = Scores::new();
-        for (run, truth, contact) in &self.answers {
-            let mut answer = Answer { contact: Some(contact.is_some()), ..Answer::default() };
+        for (run, truth, found) in &self.answers {
+            scores.push_contacts(*run, truth, found);
+            let contact = found.iter().max_by(|a, b| {
+                let ((fa, ca), (fb, cb)) = (strength(a), strength(b));
+                fa.total_cmp(&fb).then(ca.total_cmp(&cb))
+            });
+            let mut answer = Answer { contact: Some(contact.is_some()), depth: curved, ..Answer::default() };
             if let Some(c) = contact {
                 let p = c.position;
                 answer.position = (p.x.is_finite() && p.y.is_finite()).then_some([p.x, p.y, p.z]);
@@ -217,7 +246,11 @@ impl Evaluator {
             }
             scores.push(*run, truth, &answer);
         }
-        Evaluation::of(&scores, data, self.answers.len(), self.unanswered, self.tares)
+        let mut evaluation = Evaluation::of(&scores, data, self.answers.len(), self.unanswered, self.tares);
+        if let Some(edges) = &self.edges {
+            evaluation.by_force = scores.by_force(edges);
+        }
+        evaluation
     }
 }
 
@@ -237,8 +270,23 @@ pub fn evaluate(
     only: Option<&[SampleId]>,
     name: impl Into<String>,
 ) -> Result<Evaluation, LearnError> {
+    evaluate_by(estimator, data, only, &FORCE_BINS, name)
+}
+
+/// As [`evaluate`], with errors by force in other bins: `edges` \[N\] ascend, the last bin is open.
+///
+/// # Errors
+///
+/// As [`evaluate`].
+pub fn evaluate_by(
+    estimator: &mut dyn Estimator,
+    data: &Dataset,
+    only: Option<&[SampleId]>,
+    edges: &[f64],
+    name: impl Into<String>,
+) -> Result<Evaluation, LearnError> {
     let only: Option<BTreeSet<SampleId>> = only.map(|ids| ids.iter().copied().collect());
-    let mut evaluator = Evaluator::new();
+    let mut evaluator = Evaluator::new().by_force(edges);
     for (run, r) in data.runs().iter().enumerate() {
         estimator.reset();
         for (sample, s) in r.samples.iter().enumerate() {

@@ -18,7 +18,7 @@
 
 pub mod adopt;
 mod bounds;
-mod card;
+pub mod card;
 pub mod cli;
 mod dataset;
 mod error;
@@ -29,6 +29,7 @@ mod judge;
 mod map;
 mod metrics;
 pub mod plot;
+pub mod refine;
 mod split;
 #[cfg(feature = "train")]
 pub mod train;
@@ -36,8 +37,8 @@ pub mod train;
 pub use bounds::{Bounds, bounds};
 pub use dataset::{Dataset, DatasetOptions, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;
-pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate};
+pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate, evaluate_by};
 pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
-pub use metrics::{Answer, Bin, FORCE_BINS, Scores, Summary};
+pub use metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, Scores, Summary, bins};
 pub use split::{Split, SplitConfig, SplitKind};

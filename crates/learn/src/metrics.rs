@@ -6,7 +6,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::Truth;
+use dermis_skin::Contact;
+
+use crate::dataset::{Truth, TruthContact};
 
 /// \[N\] edges of the bins of normal force that errors are reported by; the last bin is open.
 pub const FORCE_BINS: [f64; 9] = [0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
@@ -77,23 +79,31 @@ pub struct Bin {
     pub rms: f64,
 }
 
+/// \[N\] from which on every contact must press for their number to be judged.
+pub const COUNTED_FROM: f64 = 0.2;
+
 /// Index in [`FORCE_BINS`] of the bin of a normal force \[N\]; what pulls counts as the lightest.
 pub(crate) fn bin_of(force: f64) -> usize {
     FORCE_BINS.iter().filter(|from| force >= **from).count().max(1) - 1
 }
 
 /// Root mean squares of values by the true normal force \[N\] of each, of pairs of force and value; empty bins and values of
-/// unknown force are left out.
-pub(crate) fn bins(values: impl Iterator<Item = (f64, f64)>) -> Vec<Bin> {
-    let mut sums = [(0_usize, 0.0); FORCE_BINS.len()];
+/// unknown force are left out. `edges` \[N\] ascend; what lies below the first is left out, the last bin is open.
+pub fn bins(edges: &[f64], values: impl Iterator<Item = (f64, f64)>) -> Vec<Bin> {
+    let mut sums = vec![(0_usize, 0.0); edges.len()];
     for (force, value) in values.filter(|(force, _)| force.is_finite()) {
-        let (samples, squares) = &mut sums[bin_of(force)];
+        // What a noisy force cell says of the lightest press may be below 0.
+        let force = if edges.first() == Some(&0.0) { force.max(0.0) } else { force };
+        let Some(index) = edges.iter().filter(|from| force >= **from).count().checked_sub(1) else {
+            continue;
+        };
+        let (samples, squares) = &mut sums[index];
         *samples += 1;
         *squares += value * value;
     }
     let bin = |(i, (samples, squares)): (usize, (usize, f64))| Bin {
-        from: FORCE_BINS[i],
-        to: FORCE_BINS.get(i + 1).copied(),
+        from: edges[i],
+        to: edges.get(i + 1).copied(),
         samples,
         rms: (squares / samples as f64).sqrt(),
     };
@@ -117,7 +127,16 @@ pub struct Scores {
     missed: usize,
     untouched: usize,
     false_contacts: usize,
+    /// By true number of contacts: frames, and those whose number was found right.
+    counts: BTreeMap<usize, [usize; 2]>,
 }
+
+/// Names of the errors of frames with two, three … contacts.
+const OF_SEVERAL: [(&str, &str); 3] = [
+    ("position of 2", "force.normal of 2"),
+    ("position of 3", "force.normal of 3"),
+    ("position of more", "force.normal of more"),
+];
 
 impl Scores {
     /// Nothing yet.
@@ -144,7 +163,7 @@ impl Scores {
         let mut add = |name: &'static str, value: f64| {
             self.errors.entry(name).or_default().push(Error {
                 value,
-                force: truth.single().and_then(crate::TruthContact::normal_force).unwrap_or(f64::NAN),
+                force: truth.single().and_then(TruthContact::normal_force).unwrap_or(f64::NAN),
                 location: u64::from(truth.location),
                 press,
             });
@@ -183,6 +202,44 @@ impl Scores {
         }
     }
 
+    /// Compares the contacts that were found with those of the truth: their number, and where there are several, each true
+    /// one with the one that is found for it (the assignment whose distances add up to least).
+    pub fn push_contacts(&mut self, run: usize, truth: &Truth, found: &[Contact]) {
+        if !truth.touched() || found.is_empty() {
+            return;
+        }
+        let clear = |c: &TruthContact| c.normal_force().is_none_or(|f| f >= COUNTED_FROM);
+        if truth.contacts.iter().all(clear) {
+            let [frames, right] = self.counts.entry(truth.contacts.len()).or_default();
+            *frames += 1;
+            *right += usize::from(found.len() == truth.contacts.len());
+        }
+        let Some(names) = truth.contacts.len().checked_sub(2).map(|i| OF_SEVERAL[i.min(2)]) else { return };
+        let press = ((run as u64) << 40) ^ truth.press;
+        for (true_one, index) in truth.contacts.iter().zip(assign(truth, found)) {
+            let Some(answer) = index.map(|i| &found[i]) else { continue };
+            let force = true_one.normal_force().unwrap_or(f64::NAN);
+            let mut add = |name: &'static str, value: f64| {
+                if value.is_finite() {
+                    let error = Error { value, force, location: u64::from(truth.location), press };
+                    self.errors.entry(name).or_default().push(error);
+                }
+            };
+            add(names.0, (answer.position - true_one.position).norm());
+            add(names.1, answer.normal_force() - force);
+        }
+    }
+
+    /// Share of frames whose number of contacts was found right, by true number; frames in which a contact presses with
+    /// less than [`COUNTED_FROM`] are left out.
+    #[must_use]
+    pub fn count_right(&self) -> BTreeMap<usize, f64> {
+        self.counts
+            .iter()
+            .map(|(number, [frames, right])| (*number, *right as f64 / *frames as f64))
+            .collect()
+    }
+
     /// Every quantity that was compared: `position` (distance), `position.x` …, `force.normal`,
     /// `force.normal untouched`, `force.x` ….
     #[must_use]
@@ -192,10 +249,10 @@ impl Scores {
 
     /// Errors by true normal force, for quantities whose samples have one; empty bins are left out.
     #[must_use]
-    pub fn by_force(&self) -> BTreeMap<String, Vec<Bin>> {
+    pub fn by_force(&self, edges: &[f64]) -> BTreeMap<String, Vec<Bin>> {
         let mut all = BTreeMap::new();
         for (name, errors) in &self.errors {
-            let bins = bins(errors.iter().map(|e| (e.force, e.value)));
+            let bins = bins(edges, errors.iter().map(|e| (e.force, e.value)));
             if !bins.is_empty() {
                 all.insert((*name).to_owned(), bins);
             }
@@ -216,13 +273,48 @@ impl Scores {
     }
 }
 
+/// Which of `found` belongs to each true contact; none twice.
+fn assign(truth: &Truth, found: &[Contact]) -> Vec<Option<usize>> {
+    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
+    for (t, true_one) in truth.contacts.iter().enumerate() {
+        for (f, contact) in found.iter().enumerate() {
+            pairs.push(((contact.position - true_one.position).norm(), t, f));
+        }
+    }
+    // Nearest first, then every exchange of two that shortens the sum.
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut assigned: Vec<Option<usize>> = vec![None; truth.contacts.len()];
+    for (_, t, f) in pairs {
+        if assigned[t].is_none() && !assigned.contains(&Some(f)) {
+            assigned[t] = Some(f);
+        }
+    }
+    let distance = |t: usize, f: usize| (found[f].position - truth.contacts[t].position).norm();
+    let mut improved = true;
+    while improved {
+        improved = false;
+        for a in 0..assigned.len() {
+            for b in 0..a {
+                if let (Some(x), Some(y)) = (assigned[a], assigned[b])
+                    && distance(a, y) + distance(b, x) + 1e-12 < distance(a, x) + distance(b, y)
+                {
+                    assigned.swap(a, b);
+                    improved = true;
+                }
+            }
+        }
+    }
+    assigned
+}
+
 fn summarise(name: &str, errors: &[Error], seed: u64) -> Summary {
     let count = errors.len() as f64;
     let rms = (errors.iter().map(|e| e.value * e.value).sum::<f64>() / count).sqrt();
     let mean = errors.iter().map(|e| e.value.abs()).sum::<f64>() / count;
     let mut sorted: Vec<f64> = errors.iter().map(|e| e.value.abs()).collect();
     sorted.sort_by(f64::total_cmp);
-    let bias = (name != "position").then(|| errors.iter().map(|e| e.value).sum::<f64>() / count);
+    let bias = (!name.starts_with("position") || name.contains('.'))
+        .then(|| errors.iter().map(|e| e.value).sum::<f64>() / count);
 
     let mut groups = Group::collect(errors, |e| e.location);
     let mut grouped_by = "location";
@@ -304,7 +396,7 @@ mod tests {
     use super::*;
     use crate::dataset::tests::contact;
 
-    fn truth(location: u32, contacts: Vec<crate::TruthContact>) -> Truth {
+    fn truth(location: u32, contacts: Vec<TruthContact>) -> Truth {
         Truth { press: u64::from(location), location, idle: false, contacts }
     }
 
@@ -340,7 +432,7 @@ mod tests {
         let [low, high] = position.rms_interval.unwrap();
         assert!(low < position.rms && position.rms <= high && high <= 0.005 + 1e-12);
 
-        let bins = &scores.by_force()["force.normal"];
+        let bins = &scores.by_force(&FORCE_BINS)["force.normal"];
         let rows: Vec<(f64, usize, f64)> = bins.iter().map(|b| (b.from, b.samples, b.rms)).collect();
         assert_eq!(rows, [(1.0, 1, 1.0), (2.0, 2, 2.0_f64.sqrt())]);
     }
