@@ -11,6 +11,8 @@
 
 mod shape;
 mod table;
+#[cfg(test)]
+mod tests;
 mod walk;
 
 use dermis_skin::Effect;

@@ -125,7 +125,9 @@ fn fits(parameters: &Parameters) -> Result<(), String> {
     for element in &parameters.elements {
         let depth = depth(&parameters.surface, &element.position);
         if !(depth > 0.0 && depth <= thickness) {
-            return Err(format!("moves a taxel to a depth of {depth:.6} m in {thickness:.6} m of elastomer"));
+            return Err(format!(
+                "leaves a taxel at a depth of {depth:.6} m in {thickness:.6} m of elastomer"
+            ));
         }
     }
     Ok(())

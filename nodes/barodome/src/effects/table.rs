@@ -269,7 +269,7 @@ pub const EFFECTS: &[EffectInfo] = &[
     },
     EffectInfo {
         name: "saturation",
-        what: "The converter ends: nothing reads more than its limit, divided by the strength.",
+        what: "The converter ends: above its limit readings grow by 1 minus the strength only, at strength 1 not at all.",
         source: CHIP,
         parameters: &[parameter(
             "limit",

@@ -104,7 +104,7 @@ impl Dynamics {
                 "read-skew" => {
                     walk.skew = Some(Skew { delay: strength * value("delay"), frames: VecDeque::new() });
                 }
-                "saturation" => walk.limit = Some(value("limit") / strength),
+                "saturation" => walk.end = Some((value("limit"), (1.0 - strength).max(0.0))),
                 "resolution" => walk.step = Some(strength * value("step")).filter(|s| *s > 0.0),
                 _ => {}
             }
@@ -130,7 +130,9 @@ pub struct Walk {
     air: Option<Air>,
     weather: Option<Wander>,
     skew: Option<Skew>,
-    limit: Option<f64>,
+    /// \[Pa\] above which readings grow by this share only.
+    end: Option<(f64, f64)>,
+    /// \[Pa\] of a count.
     step: Option<f64>,
     /// \[s\] of the first and of the last frame.
     times: Option<(f64, f64)>,
@@ -192,8 +194,8 @@ impl Trajectory for Walk {
     }
 
     fn convert(&mut self, readings: &mut [f64]) {
-        if let Some(limit) = self.limit {
-            readings.iter_mut().for_each(|r| *r = r.min(limit));
+        if let Some((limit, share)) = self.end {
+            readings.iter_mut().filter(|r| **r > limit).for_each(|r| *r = limit + (*r - limit) * share);
         }
         if let Some(step) = self.step {
             readings.iter_mut().for_each(|r| *r = (*r / step).round() * step);
