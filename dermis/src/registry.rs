@@ -6,6 +6,7 @@ use std::sync::Arc;
 use anyhow::{Result, bail};
 use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_launch::{NodeRequest, Refusal};
+use dermis_mechanics::Case;
 use dermis_skin::{Estimator, ForwardModel, SkinDescription};
 use serde_json::Value;
 
@@ -17,6 +18,8 @@ pub struct Family {
     pub model: fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>>,
     /// Frame → contacts, with these model bundles.
     pub estimator: MakeEstimator,
+    /// Figures of the family's physics beside their references.
+    pub verify: fn() -> Result<Vec<Case>>,
     /// What a launch file says of a node of this family → its configuration, checked.
     pub node: MakeConfig,
 }
@@ -32,6 +35,7 @@ pub const FAMILIES: &[Family] = &[Family {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         Ok(dermis_barodome::estimator(skin, bundles, &[], runtime)?)
     },
+    verify: || Ok(dermis_barodome::verify::cases()?),
     node: crate::nodes::barodome_config,
 }];
 
