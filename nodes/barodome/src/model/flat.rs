@@ -77,7 +77,8 @@ impl Flat {
         for ((channel, element), taxel) in parameters.elements.iter().enumerate().zip(skin.channel_taxels()) {
             let name = &skin.taxels[taxel].name;
             let wrong = |reason: String| refusal(skin, &format!("taxels[{taxel}].position"), reason);
-            let [x, y] = [element.position.x, element.position.y];
+            // As designed: what an effect moves beyond a surface still lies in a wide medium.
+            let [x, y, _] = skin.taxels[taxel].position;
             if x.abs() > half_x || y.abs() > half_y {
                 return Err(wrong(format!(
                     "`{name}` lies at ({x}, {y}) m, beside the surface of {} m by {} m",
