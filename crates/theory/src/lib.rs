@@ -23,5 +23,5 @@ pub use isoline::{Isoline, IsolineFit, IsolinePoint};
 pub use line::{Line, LineTaxel};
 pub use path::Path;
 pub use responses::{Press, Responses, force_ladder, noise_of_repeats};
-pub use solver::{IsolineSolver, Solution, SolverOptions};
+pub use solver::{Averaging, IsolineSolver, Solution, SolverOptions};
 pub use surface::{Summary, SurfaceBound, TwoContacts, over_surface, two_contacts};

@@ -1,5 +1,6 @@
 //! Made-up skins with formulas of their own.
 
+use dermis_mechanics::{Base, Medium, PressureTable};
 use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface, SurfaceSpec};
 use nalgebra::Point3;
 
@@ -160,6 +161,57 @@ impl ForwardModel for Ideal {
         for c in &stimulus.contacts {
             for (value, foot) in out.iter_mut().zip(&self.feet) {
                 *value += -c.force.z - ((c.position.x - foot).abs() / self.distance).powf(self.alpha);
+            }
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+}
+
+/// Six pressure sensors 6.5 mm apart, 5 mm deep in a bonded elastic layer of 10 mm, under a sphere of 4 mm: the row of the
+/// thesis, with its noise of 20 Pa.
+pub struct Row {
+    surface: Surface,
+    table: PressureTable,
+    noise: Vec<f64>,
+    /// Of each taxel's reading.
+    pub gains: [f64; 6],
+    /// \[m\] by which each taxel lies off its place.
+    pub shifts: [f64; 6],
+}
+
+impl Row {
+    pub fn new() -> Self {
+        let spec = SurfaceSpec::Rectangle { size: [0.0325, 0.0002], spacing: 0.0005 };
+        let medium = Medium::layer(70e3, 0.49, 0.010, Base::Bonded).unwrap();
+        let table = PressureTable::sphere(&medium, 0.004, 0.005, 0.034, 5.0).unwrap();
+        let surface = Surface::from_spec(&spec);
+        Self { surface, table, noise: vec![20.0; 6], gains: [1.0; 6], shifts: [0.0; 6] }
+    }
+
+    pub fn feet() -> Vec<Point3<f64>> {
+        (0..6).map(|i| Point3::new((f64::from(i) - 2.5) * 0.0065, 0.0, 0.0)).collect()
+    }
+}
+
+impl ForwardModel for Row {
+    fn channels(&self) -> usize {
+        6
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        out.fill(0.0);
+        for c in &stimulus.contacts {
+            for (i, (value, foot)) in out.iter_mut().zip(Self::feet()).enumerate() {
+                let distance = (c.position.x - foot.x - self.shifts[i]).abs();
+                *value += self.gains[i] * self.table.pressure(-c.force.z, distance);
             }
         }
         Ok(())
