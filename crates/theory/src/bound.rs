@@ -56,6 +56,8 @@ impl Unknowns {
 pub struct ContactBound {
     /// \[m\] root of the sum of both variances along the surface.
     pub position: f64,
+    /// \[m\] along both directions of the surface; on a flat one x and y. The second is 0 along a line.
+    pub along: [f64; 2],
     /// \[N\] of the pressing force.
     pub normal_force: f64,
     /// \[N\] root of the sum of both variances along the surface; `None` where shear is not an unknown.
@@ -76,6 +78,33 @@ pub fn cramer_rao(
     stimulus: &Stimulus,
     unknowns: Unknowns,
 ) -> Result<Vec<ContactBound>, TheoryError> {
+    let (whitened, scales) = derivatives(model, stimulus, unknowns)?;
+    let list = unknowns.list();
+    let per_contact = list.len();
+    let variances = variances(whitened, &scales);
+    Ok(variances
+        .chunks_exact(per_contact)
+        .map(|v| {
+            let root = |of: fn(&Unknown) -> bool| {
+                list.iter().zip(v).filter(|(unknown, _)| of(unknown)).map(|(_, v)| v).sum::<f64>().sqrt()
+            };
+            ContactBound {
+                position: root(|u| matches!(u, Unknown::Along(_))),
+                along: [root(|u| *u == Unknown::Along(0)), root(|u| *u == Unknown::Along(1))],
+                normal_force: root(|u| *u == Unknown::Pressing),
+                shear: (unknowns == Unknowns::Full).then(|| root(|u| matches!(u, Unknown::Shear(_)))),
+            }
+        })
+        .collect())
+}
+
+/// Derivatives of every channel by every unknown of every contact, in units of the channel's noise and of the unknown's
+/// scale; and the scales.
+fn derivatives(
+    model: &dyn ForwardModel,
+    stimulus: &Stimulus,
+    unknowns: Unknowns,
+) -> Result<(DMatrix<f64>, Vec<f64>), TheoryError> {
     let noise = model.noise();
     if let Some((channel, &noise)) = noise.iter().enumerate().find(|(_, n)| !(n.is_finite() && **n > 0.0)) {
         return Err(TheoryError::Noise { channel, noise });
@@ -103,20 +132,47 @@ pub fn cramer_rao(
             }
         }
     }
-    let variances = variances(whitened, &scales);
-    Ok(variances
-        .chunks_exact(per_contact)
-        .map(|v| {
-            let root = |of: fn(&Unknown) -> bool| {
-                list.iter().zip(v).filter(|(unknown, _)| of(unknown)).map(|(_, v)| v).sum::<f64>().sqrt()
-            };
-            ContactBound {
-                position: root(|u| matches!(u, Unknown::Along(_))),
-                normal_force: root(|u| *u == Unknown::Pressing),
-                shear: (unknowns == Unknowns::Full).then(|| root(|u| matches!(u, Unknown::Shear(_)))),
-            }
-        })
-        .collect())
+    Ok((whitened, scales))
+}
+
+/// What the bands of the isolines of as many channels as there are unknowns leave open of a contact, to first order: half
+/// of the box around the volume in which all of them overlap (thesis 5.4; along a line 5.14). The channels are those that
+/// read most, three on a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct BandBox {
+    /// \[m\] along both directions of the surface; the second is 0 along a line. Infinite where the bands do not close.
+    pub along: [f64; 2],
+    /// \[N\] of the pressing force.
+    pub normal_force: f64,
+}
+
+/// The box of a stimulus with one contact.
+///
+/// # Errors
+///
+/// As [`cramer_rao`].
+pub fn strongest_bands(
+    model: &dyn ForwardModel,
+    stimulus: &Stimulus,
+    unknowns: Unknowns,
+) -> Result<BandBox, TheoryError> {
+    let (whitened, scales) = derivatives(model, stimulus, unknowns)?;
+    let mut readings = vec![0.0; model.channels()];
+    model.response(stimulus, &mut readings)?;
+    let mut order: Vec<usize> = (0..readings.len()).collect();
+    order.sort_by(|a, b| readings[*b].total_cmp(&readings[*a]));
+    order.truncate(scales.len());
+    let closes = order.len() == scales.len();
+    let inverse = closes.then(|| whitened.select_rows(&order).try_inverse()).flatten();
+    let half = |unknown: Unknown| {
+        let Some(k) = unknowns.list().iter().position(|u| *u == unknown) else { return 0.0 };
+        // The farthest corner: every band's end pushes the same way.
+        inverse.as_ref().map_or(f64::INFINITY, |m| m.row(k).iter().map(|v| v.abs()).sum::<f64>() * scales[k])
+    };
+    Ok(BandBox {
+        along: [half(Unknown::Along(0)), half(Unknown::Along(1))],
+        normal_force: half(Unknown::Pressing),
+    })
 }
 
 /// Unit vectors along the surface, so that with the normal they form a right-handed frame.
@@ -269,6 +325,35 @@ mod tests {
         let (position, force) = ((position / f64::from(frames)).sqrt(), (force / f64::from(frames)).sqrt());
         approx::assert_relative_eq!(position, bound.position, max_relative = 0.08);
         approx::assert_relative_eq!(force, bound.normal_force, max_relative = 0.08);
+    }
+
+    #[test]
+    fn bands_of_the_strongest_hold_what_the_bound_does() {
+        let stimulus = |x, y| Stimulus { contacts: vec![press(x, y, 0.7)], ..Stimulus::default() };
+        // On a line the box is the closed form: F = S (h + d²/h), as of two taxels.
+        let row = Toy::row(2);
+        let found = strongest_bands(&row, &stimulus(0.001, 0.0), Unknowns::Line).unwrap();
+        let (d1, d2) = (0.001 + 0.00325, 0.001 - 0.00325);
+        let c = |d: f64| DEPTH + d * d / DEPTH;
+        let m = |d: f64| 2.0 * 0.7 / c(d) * d / DEPTH;
+        let exact = 2.0 * (c(d1) + c(d2)) / (m(d1) - m(d2)).abs();
+        approx::assert_relative_eq!(found.along[0], exact, max_relative = 1e-4);
+        assert_eq!(found.along[1], 0.0);
+        // On a surface three bands close, and their box is wider than what the best use of them leaves.
+        let three = Toy::new(&[(0.0, 0.004), (-0.004, -0.003), (0.004, -0.003)]);
+        let contact = stimulus(0.0005, 0.0003);
+        let found = strongest_bands(&three, &contact, Unknowns::Normal).unwrap();
+        let bound = cramer_rao(&three, &contact, Unknowns::Normal).unwrap()[0];
+        assert!((0..2).all(|i| found.along[i] > bound.along[i] && found.along[i] < 2.0 * bound.along[i]));
+        assert!(found.normal_force > bound.normal_force);
+        approx::assert_relative_eq!(
+            bound.along[0].hypot(bound.along[1]),
+            bound.position,
+            max_relative = 1e-9
+        );
+        // Two taxels do not close on a surface.
+        let open = strongest_bands(&row, &stimulus(0.001, 0.0), Unknowns::Normal).unwrap();
+        assert!(open.along[0].is_infinite());
     }
 
     #[test]

@@ -36,7 +36,9 @@ pub struct Summary {
 }
 
 impl Summary {
-    fn of(values: impl Iterator<Item = f64>, areas: &[f64]) -> Self {
+    /// Summarises values with the area that each stands for.
+    #[must_use]
+    pub fn of(values: impl Iterator<Item = f64>, areas: &[f64]) -> Self {
         let mut weighted: Vec<(f64, f64)> = values.zip(areas.iter().copied()).collect();
         weighted.sort_by(|a, b| a.0.total_cmp(&b.0));
         let total: f64 = weighted.iter().map(|(_, area)| area).sum();
