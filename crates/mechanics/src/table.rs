@@ -13,6 +13,8 @@ const CONTACTS: usize = 48;
 const PER_DEPTH: f64 = 20.0;
 /// A layer's field has vanished at this many thicknesses (below 10⁻⁵ of its peak).
 const REACH: f64 = 12.0;
+/// Share of a layer's thickness that a tip may sink in.
+const DEPTH_MAX: f64 = 0.9;
 /// Largest distance in depths: the table's size and the time to fill it grow with it and its square.
 const SPAN: f64 = 100.0;
 
@@ -43,6 +45,40 @@ impl SphereContacts {
             .map(|i| contact(u_max * i as f64 / CONTACTS as f64))
             .collect::<Result<Vec<_>, _>>()?;
         Ok(Self { medium: *medium, radius, contacts })
+    }
+
+    /// \[N\] that press the sphere in by `depth` \[m\], 0 above the surface; `None` beyond the largest force that was asked
+    /// for, and where so little is left of a layer that small strains say nothing.
+    #[must_use]
+    pub fn force_at(&self, depth: f64) -> Option<f64> {
+        if depth.is_nan() || depth > DEPTH_MAX * self.medium.thickness() {
+            return None;
+        }
+        let at = |c: &SphereContact| (c.indentation(), c.force().powf(2.0 / 3.0));
+        self.between(depth, at).map(|root| root.powf(1.5))
+    }
+
+    /// \[m\] that the sphere sinks in when it presses with `force` \[N\]: the inverse of [`force_at`](Self::force_at).
+    #[must_use]
+    pub fn depth_at(&self, force: f64) -> Option<f64> {
+        if force.is_nan() {
+            return None;
+        }
+        let at = |c: &SphereContact| (c.force().powf(2.0 / 3.0), c.indentation());
+        let depth = self.between(force.max(0.0).powf(2.0 / 3.0), at)?;
+        (depth <= DEPTH_MAX * self.medium.thickness()).then_some(depth)
+    }
+
+    /// y at `x` where contacts are points (x, y) of a rising curve from the origin. A light touch is Hertz's, whose depth is
+    /// linear in the force to 2/3: between contacts that is what is interpolated.
+    fn between(&self, x: f64, at: impl Fn(&SphereContact) -> (f64, f64)) -> Option<f64> {
+        if x <= 0.0 {
+            return Some(0.0);
+        }
+        let after = self.contacts.partition_point(|c| at(c).0 < x);
+        let (x1, y1) = at(self.contacts.get(after)?);
+        let (x0, y0) = after.checked_sub(1).map_or((0.0, 0.0), |before| at(&self.contacts[before]));
+        Some(y0 + (y1 - y0) * (x - x0) / (x1 - x0))
     }
 }
 
@@ -285,6 +321,20 @@ mod tests {
             let found = TABLE.pressure(1e-6, r);
             assert!((found - exact).abs() < 2e-3 * exact, "r={r}: {found} for {exact}");
         }
+    }
+
+    #[test]
+    fn depth_and_force_are_each_others_inverse_and_those_of_the_contact() {
+        let contacts = SphereContacts::new(&PAD, 0.004, 2.0).unwrap();
+        for depth in [1e-5, 2e-4, 1.2e-3, 2.4e-3, 3.6e-3] {
+            let force = contacts.force_at(depth).unwrap();
+            let exact = SphereContact::at_indentation(&PAD, 0.002, depth).unwrap().force();
+            assert!((force - exact).abs() < 1e-3 * exact, "{depth} m: {force} N for {exact} N");
+            assert!((contacts.depth_at(force).unwrap() - depth).abs() < 1e-9 * depth);
+        }
+        assert_eq!((contacts.force_at(-1e-3), contacts.depth_at(0.0)), (Some(0.0), Some(0.0)));
+        assert_eq!((contacts.force_at(0.0095), contacts.force_at(f64::NAN)), (None, None));
+        assert_eq!((contacts.depth_at(1e3), contacts.depth_at(f64::NAN)), (None, None));
     }
 
     #[test]

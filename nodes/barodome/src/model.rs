@@ -6,6 +6,7 @@
 //! what its package does to a contact above it.
 
 mod flat;
+mod sink;
 
 use dermis_skin::{
     ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Trajectory,
@@ -73,6 +74,7 @@ pub struct BarometerModel {
     diameter_scale: f64,
     /// Where they stiffen anything.
     packages: Option<Packages>,
+    sink: sink::Sink,
     dynamics: Dynamics,
 }
 
@@ -118,8 +120,14 @@ impl BarometerModel {
             noise: skin.channel_noise(),
             diameter_scale: parameters.diameter_scale,
             packages,
+            sink: sink::Sink::new(skin, parameters)?,
             dynamics: Dynamics::new(skin)?,
         })
+    }
+
+    /// Modulus that a contact at `point` feels, relative to the elastomer's own.
+    fn stiffness(&self, point: &Point3<f64>) -> f64 {
+        self.packages.as_ref().map_or(1.0, |packages| packages.stiffness(point))
     }
 
     /// Adds what one contact that has been checked does to the stress at every element.
@@ -201,6 +209,17 @@ impl ForwardModel for BarometerModel {
 
     fn trajectory(&self) -> Box<dyn Trajectory> {
         self.dynamics.begin()
+    }
+
+    /// Of a layer as wide as it likes, on which the curvature of a skin makes a tip sharper; edges are not felt.
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        let contacts = self.sink.contacts(at, diameter * self.diameter_scale)?;
+        contacts.force_at(depth).map(|force| force * self.stiffness(at))
+    }
+
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        let contacts = self.sink.contacts(at, diameter * self.diameter_scale)?;
+        contacts.depth_at(force / self.stiffness(at))
     }
 }
 

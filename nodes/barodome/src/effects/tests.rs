@@ -400,3 +400,18 @@ fn what_is_not_static_acts_along_a_trajectory() -> Result<(), ModelError> {
     }
     Ok(())
 }
+
+#[test]
+fn what_changes_the_elastomer_changes_how_deep_a_tip_sinks() {
+    let depth = |effect: Effect| {
+        device(effect).0.depth_at(&Point3::new(-0.00325, -0.00325, 0.0), 0.004, 0.5).unwrap()
+    };
+    let nominal = depth(Effect::new("tilt"));
+    for effect in ["modulus", "package-stiffening", "indenter-size"] {
+        assert!(depth(Effect::new(effect)) < nominal, "{effect}");
+    }
+    for effect in ["thickness", "base-bonding"] {
+        assert!(depth(Effect::new(effect)) > nominal, "{effect}");
+    }
+    assert_eq!(NOMINAL.force_at(&Point3::origin(), 0.004, nominal).map(|f| (f * 1e9).round()), Some(5e8));
+}
