@@ -26,6 +26,7 @@
 
 mod case;
 mod contact;
+mod displacement;
 mod error;
 pub mod fem;
 mod medium;
@@ -34,6 +35,7 @@ mod table;
 
 pub use case::Case;
 pub use contact::SphereContact;
+pub use displacement::{Displacement, SphereDisplacement};
 pub use error::MechanicsError;
 pub use medium::{Base, Load, Medium};
 pub use quadrature::gauss_legendre;
