@@ -2,6 +2,7 @@
 
 mod device;
 mod machine;
+mod model;
 mod node;
 mod publish;
 mod recording;
@@ -29,6 +30,8 @@ enum Command {
     /// From the last byte of a frame to the message at a subscriber in another process, and frames/s per core: our node
     /// over each backend, and a node of rclpy and ONNX Runtime with the same model.
     Node(node::Options),
+    /// Samples per second of the forward model with its noise, against numpy and scipy on the same table.
+    Model(model::Options),
     /// What publishing costs, with and without a subscriber.
     Publish(publish::Options),
     /// A long run of four skins and a recorder: memory, losses, latency.
@@ -47,6 +50,7 @@ fn main() -> Result<()> {
     let cli = Cli::parse();
     let result = match cli.command {
         Command::Node(options) => node::run(&options)?,
+        Command::Model(options) => model::run(&options)?,
         Command::Publish(options) => publish::run(&options)?,
         Command::Soak(options) => soak::run(&options)?,
         Command::Recording(options) => recording::run(&options)?,

@@ -15,6 +15,8 @@ use crate::test::{ROS_IN_PROGRAM, WITH_ROS, build_aside};
 pub enum Name {
     /// Bytes on a line → message at a subscriber in another process, against rclpy and ONNX Runtime.
     Node,
+    /// Samples per second of the forward model, against numpy and scipy.
+    Model,
     /// Publishing with and without a subscriber.
     Publish,
     /// Recording, against the disk.
@@ -38,7 +40,7 @@ const PROGRAMS: [&str; 3] = ["dermis", "dermis-train", "dermis-bench"];
 /// Builds what is measured, measures, and keeps the results.
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let names = match options.names.as_slice() {
-        [] => vec![Name::Node, Name::Publish, Name::Recording],
+        [] => vec![Name::Model, Name::Node, Name::Publish, Name::Recording],
         names => names.to_vec(),
     };
     let clients = environment::clients(root)?;
@@ -71,6 +73,9 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             command.arg("--peer-packages").arg(packages);
         } else {
             command.arg(text);
+            if name == Name::Model {
+                command.arg("--peer-python").arg(&clients);
+            }
         }
         command.current_dir(root).env("DERMIS_BIN", &programs);
         command.arg("--out").arg(results.join(format!("{text}.json")));
