@@ -2,6 +2,9 @@
 
 use dermis_skin::{ForwardModel, ModelError, Stimulus};
 
+use crate::fit::{Datum, Problem};
+use crate::inverter::Unknowns;
+
 /// Channel gains and what remains beyond the noise, measured on readings of known stimuli.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
@@ -9,7 +12,7 @@ pub struct Calibration {
     pub gains: Vec<f64>,
     /// Share of a signal by which they still differ (standard deviation).
     pub model_error: f64,
-    /// Readings that were used.
+    /// Frames that were used.
     pub frames: usize,
 }
 
@@ -18,76 +21,192 @@ pub struct Calibration {
 #[non_exhaustive]
 pub enum CalibrationError {
     /// Too little was seen.
-    #[error("channel {channel} was never pressed hard enough to measure its gain; press over all of the skin")]
+    #[error(
+        "channel {channel} was never pressed hard enough to measure its gain; press over all of the skin"
+    )]
     Unseen {
         /// Index of the channel.
         channel: usize,
     },
     /// The model has no answer.
-    #[error("frame {frame}: the forward model has no answer: {source}")]
-    Model {
-        /// Index of the frame.
-        frame: usize,
-        /// What it says.
-        source: ModelError,
-    },
+    #[error("the forward model has no answer: {0}")]
+    Model(#[from] ModelError),
 }
 
 /// Signals count for gains from this many noise deviations on.
 const STRONG: f64 = 5.0;
+/// Least number of such signals of a channel.
+const FEWEST: usize = 10;
+/// Frames that are fitted at most; of more, every n-th is.
+const MOST: usize = 400;
+/// Sum of squared deviations over its expectation up to which the noise explains what remains.
+const CHANCE: f64 = 1.05;
+/// Least and largest error of a model that is looked for, and halvings of the interval.
+const ERRORS: (f64, f64, usize) = (1e-4, 0.5, 12);
+
+/// One labelled frame.
+struct Labelled<'a> {
+    stimulus: &'a Stimulus,
+    signal: &'a [f32],
+    /// Signal of the model for the label.
+    expected: Vec<f64>,
+}
 
 impl Calibration {
-    /// Measures on pairs of a stimulus and what the channels read minus their untouched readings (`NaN`: not known),
-    /// in the unit of the skin.
+    /// Measures on pairs of a stimulus and what the channels read minus their untouched readings (`NaN`: not known), in the
+    /// unit of the skin.
+    ///
+    /// Gains are taken at the labels. A force cell and a stage are off, though, which must not count against the model: its
+    /// error is the one with which the contacts that fit best, near the labelled ones, leave as much as can be expected.
     ///
     /// # Errors
     ///
-    /// [`CalibrationError`] names the channel that was never pressed, or the frame that the model does not know.
+    /// [`CalibrationError`] names the channel that was never pressed.
     pub fn measure<'a>(
         model: &dyn ForwardModel,
-        frames: impl Iterator<Item = (&'a Stimulus, &'a [f32])> + Clone,
+        unknowns: Unknowns,
+        frames: impl Iterator<Item = (&'a Stimulus, &'a [f32])>,
     ) -> Result<Self, CalibrationError> {
         let channels = model.channels();
         let noise = model.noise();
         let mut rest = vec![0.0; channels];
-        let ask = |frame: usize, stimulus: &Stimulus, out: &mut [f64]| {
-            model.response(stimulus, out).map_err(|source| CalibrationError::Model { frame, source })
+        model.response(&Stimulus::default(), &mut rest)?;
+        let mut all = Vec::new();
+        for (stimulus, signal) in frames {
+            if signal.iter().zip(noise).any(|(v, n)| f64::from(*v) > 2.0 * STRONG * n) {
+                let mut expected = vec![0.0; channels];
+                model.response(stimulus, &mut expected)?;
+                expected.iter_mut().zip(&rest).for_each(|(e, r)| *e -= r);
+                all.push(Labelled { stimulus, signal, expected });
+            }
+        }
+        let gains = gains(&all, noise)?;
+        let used: Vec<&Labelled<'_>> = all.iter().step_by(all.len().div_ceil(MOST).max(1)).collect();
+        let force_max =
+            all.iter().flat_map(|f| f.stimulus.contacts.iter().map(|c| c.force.norm())).fold(0.0, f64::max);
+        // Sum of squared deviations over what is expected, if the model is off by `error`.
+        let excess = |error: f64| -> Result<f64, ModelError> {
+            let (mut chi2, mut expected) = (0.0, 0.0);
+            for frame in &used {
+                let datum = |(v, n): (&f32, &f64)| {
+                    let v = f64::from(*v);
+                    if v.is_finite() { Datum::Exact(v, 1.0 / n.hypot(error * v)) } else { Datum::None }
+                };
+                let data: Vec<Datum> = frame.signal.iter().zip(noise).map(datum).collect();
+                let known = data.iter().filter(|d| **d != Datum::None).count();
+                let force_max = force_max * 2.0;
+                let problem = Problem { model, unknowns, data: &data, gains: &gains, rest: &rest, force_max };
+                let fit = problem.minimise(frame.stimulus.contacts.clone(), 0)?;
+                let freedom = known.saturating_sub(unknowns.count() * fit.contacts.len()) as f64;
+                // A frame that nothing explains must not stand for all.
+                chi2 += fit.chi2.min(10.0 * freedom);
+                expected += freedom;
+            }
+            Ok(if expected > 0.0 { chi2 / expected } else { 0.0 })
         };
-        ask(0, &Stimulus::default(), &mut rest)?;
-        let mut out = vec![0.0; channels];
-        let (mut products, mut squares) = (vec![0.0; channels], vec![0.0; channels]);
-        let mut count = 0;
-        for (frame, (stimulus, signal)) in frames.clone().enumerate() {
-            ask(frame, stimulus, &mut out)?;
-            count += 1;
-            for i in 0..channels {
-                let (expected, read) = (out[i] - rest[i], f64::from(signal[i]));
-                if read.is_finite() && expected.abs() > STRONG * noise[i] {
-                    // Errors in proportion to the signal: every strong signal counts the same.
-                    products[i] += read / expected;
-                    squares[i] += 1.0;
+        let mut model_error = 0.0;
+        if excess(0.0)? > CHANCE {
+            let (mut low, mut high) = (ERRORS.0, ERRORS.1);
+            for _ in 0..ERRORS.2 {
+                let middle = f64::sqrt(low * high);
+                if excess(middle)? > 1.0 {
+                    low = middle;
+                } else {
+                    high = middle;
                 }
             }
+            model_error = f64::sqrt(low * high);
         }
-        if let Some(channel) = squares.iter().position(|s| *s < 10.0) {
-            return Err(CalibrationError::Unseen { channel });
-        }
-        let gains: Vec<f64> = products.iter().zip(&squares).map(|(p, s)| p / s).collect();
-        // Squared deviation beyond the noise, over the squared signal.
-        let (mut beyond, mut signal_square) = (0.0, 0.0);
-        for (frame, (stimulus, signal)) in frames.enumerate() {
-            ask(frame, stimulus, &mut out)?;
-            for i in 0..channels {
-                let (expected, read) = ((out[i] - rest[i]) * gains[i], f64::from(signal[i]));
-                if read.is_finite() && expected.abs() > STRONG * noise[i] {
-                    beyond += (read - expected).powi(2) - noise[i] * noise[i];
-                    signal_square += expected * expected;
-                }
+        Ok(Self { gains, model_error, frames: all.len() })
+    }
+}
+
+/// Least squares of what is read over what is expected: strong presses, whose force is known best, count most.
+fn gains(frames: &[Labelled<'_>], noise: &[f64]) -> Result<Vec<f64>, CalibrationError> {
+    let channels = noise.len();
+    let strong = |frame: &Labelled<'_>, i: usize| {
+        frame.signal[i].is_finite() && frame.expected[i].abs() > STRONG * noise[i]
+    };
+    let seen = |i: usize| frames.iter().filter(|f| strong(f, i)).count();
+    if let Some(channel) = (0..channels).find(|i| seen(*i) < FEWEST) {
+        return Err(CalibrationError::Unseen { channel });
+    }
+    Ok((0..channels)
+        .map(|i| {
+            let (mut product, mut square) = (0.0, 0.0);
+            for frame in frames.iter().filter(|f| strong(f, i)) {
+                product += f64::from(frame.signal[i]) * frame.expected[i];
+                square += frame.expected[i].powi(2);
             }
+            product / square
+        })
+        .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::Rng;
+
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+    use crate::testing::{Toy, press, random};
+
+    /// Presses all over the toy, whose device has these gains and an error of its own in proportion to the signal; labels
+    /// are off by what a stage and a force cell are off by.
+    fn recording(gains: &[f64], error: f64) -> Vec<(Stimulus, Vec<f32>)> {
+        let model = Toy::grid(20.0);
+        let mut random = random(7);
+        (0..400)
+            .map(|_| {
+                let (x, y) = (random.random_range(-0.015..0.015), random.random_range(-0.015..0.015));
+                let force: f64 = random.random_range(0.1..1.5);
+                let stimulus = Stimulus { contacts: vec![press(x, y, force)], ..Stimulus::default() };
+                let mut signal = vec![0.0; 25];
+                model.response(&stimulus, &mut signal).unwrap();
+                let signal = signal
+                    .iter()
+                    .zip(gains)
+                    .map(|(v, gain)| {
+                        let noise: f64 = StandardNormal.sample(&mut random);
+                        (v * gain * (1.0 + error * random.random_range(-1.7..1.7)) + 20.0 * noise) as f32
+                    })
+                    .collect();
+                let told = press(x + 1e-5, y - 1e-5, force + random.random_range(-0.007..0.007));
+                (Stimulus { contacts: vec![told], ..Stimulus::default() }, signal)
+            })
+            .collect()
+    }
+
+    fn measured(recording: &[(Stimulus, Vec<f32>)]) -> Calibration {
+        let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
+        Calibration::measure(&Toy::grid(20.0), Unknowns::Normal, frames).unwrap()
+    }
+
+    #[test]
+    fn gains_are_found_although_labels_are_off() {
+        let gains: Vec<f64> = (0..25).map(|i| 1.1 + 0.02 * f64::from(i % 5)).collect();
+        let found = measured(&recording(&gains, 0.0));
+        for (found, gain) in found.gains.iter().zip(&gains) {
+            assert!((found / gain - 1.0).abs() < 0.01, "{found} is not {gain}");
         }
-        let share = if signal_square > 0.0 { (beyond / signal_square).max(0.0).sqrt() } else { 0.0 };
-        // Below this, a sample of readings does not tell an error of the model from chance.
-        let model_error = if share < 1e-3 { 0.0 } else { share };
-        Ok(Self { gains, model_error, frames: count })
+        assert!(found.model_error < 3e-3, "{}", found.model_error);
+    }
+
+    #[test]
+    fn what_the_model_does_not_explain_is_its_error() {
+        let error = measured(&recording(&[1.0; 25], 0.03)).model_error;
+        assert!((0.02..0.04).contains(&error), "{error}");
+    }
+
+    #[test]
+    fn a_channel_that_was_never_pressed_is_named() {
+        let mut recording = recording(&[1.0; 25], 0.0);
+        for (_, signal) in &mut recording {
+            signal[3] = f32::NAN;
+        }
+        let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
+        let error = Calibration::measure(&Toy::grid(20.0), Unknowns::Normal, frames).unwrap_err();
+        insta::assert_snapshot!(error, @"channel 3 was never pressed hard enough to measure its gain; press over all of the skin");
     }
 }

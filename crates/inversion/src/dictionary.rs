@@ -27,14 +27,16 @@ pub(crate) struct Dictionary {
 }
 
 impl Dictionary {
-    /// Places about `spacing` \[m\] apart, out of the points of the model's surface.
+    /// Places about `spacing` \[m\] apart, out of the points of the model's surface; on its middle line along x where only
+    /// x is looked for.
     pub fn new(
         model: &dyn ForwardModel,
+        line: Option<f64>,
         spacing: f64,
         diameter: f64,
         force_max: f64,
     ) -> Result<Self, ModelError> {
-        let places = thin(model.surface(), spacing);
+        let places = thin(model.surface(), line, spacing);
         let forces: Vec<f64> = LEVELS.iter().map(|share| share * force_max).collect();
         let channels = model.channels();
         let mut rest = vec![0.0; channels];
@@ -43,11 +45,8 @@ impl Dictionary {
         let mut out = vec![0.0; channels];
         for place in &places {
             for force in &forces {
-                let contact = Indentation {
-                    position: place.position,
-                    force: -place.normal * *force,
-                    diameter,
-                };
+                let contact =
+                    Indentation { position: place.position, force: -place.normal * *force, diameter };
                 model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
                 responses.extend(out.iter().zip(&rest).map(|(o, r)| (o - r) as f32));
             }
@@ -64,11 +63,12 @@ impl Dictionary {
 
 /// Points of a surface with their normals, so that none is nearer than `spacing` to another; each stands for the area of
 /// the points that are nearest to it.
-fn thin(surface: &Surface, spacing: f64) -> Vec<Place> {
+fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Place> {
     let cell = |p: &Point3<f64>| p.coords.map(|v| (v / spacing).floor() as i64);
     let mut cells = std::collections::BTreeMap::<[i64; 3], Vec<usize>>::new();
     let mut places: Vec<Place> = Vec::new();
     for ((point, normal), area) in surface.points.iter().zip(&surface.normals).zip(&surface.areas) {
+        let point = &line.map_or(*point, |y| Point3::new(point.x, y, point.z));
         let at = cell(point);
         let mut nearest: Option<(f64, usize)> = None;
         for dx in -1..=1 {

@@ -210,7 +210,9 @@ impl Problem<'_> {
                 let tried: Vec<Indentation> = contacts
                     .iter()
                     .enumerate()
-                    .map(|(c, contact)| self.stepped(contact, list, change.rows(c * list.len(), list.len()).as_slice()))
+                    .map(|(c, contact)| {
+                        self.stepped(contact, list, change.rows(c * list.len(), list.len()).as_slice())
+                    })
                     .collect();
                 self.signal(&tried, &mut plus)?;
                 let now = self.chi2(&plus);

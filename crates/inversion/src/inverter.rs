@@ -23,7 +23,7 @@ pub enum Unknowns {
 }
 
 impl Unknowns {
-    fn count(self) -> usize {
+    pub(crate) fn count(self) -> usize {
         match self {
             Self::Line => 2,
             Self::Normal => 3,
@@ -229,6 +229,8 @@ pub struct Inverter {
     gains: Vec<f64>,
     rest: Vec<f64>,
     spacing: f64,
+    /// \[m\] y of the middle line, where only x is looked for.
+    line: Option<f64>,
     dictionary: Dictionary,
 }
 
@@ -257,8 +259,11 @@ impl Inverter {
         // Fine enough to begin at; a row of taxels has a length more than an area.
         let longest = model.surface().points.iter().map(|p| p.coords.amax()).fold(0.0, f64::max);
         let spacing = (area / PLACES).sqrt().max(longest / PLACES).max(5e-4);
-        let dictionary = Dictionary::new(model.as_ref(), spacing, s.diameter, s.force_max)?;
-        Ok(Self { model: ModelBox(model), settings, gains, rest, spacing, dictionary })
+        let points = &model.surface().points;
+        let middle = points.iter().map(|p| p.y).sum::<f64>() / points.len().max(1) as f64;
+        let line = (s.unknowns == Unknowns::Line).then_some(middle);
+        let dictionary = Dictionary::new(model.as_ref(), line, spacing, s.diameter, s.force_max)?;
+        Ok(Self { model: ModelBox(model), settings, gains, rest, spacing, line, dictionary })
     }
 
     /// What it was told.
@@ -367,7 +372,12 @@ impl Inverter {
             all.push(contact);
             all
         };
-        let mut starts: Vec<Vec<Indentation>> = hint.map(|h| with(h.clone())).into_iter().collect();
+        let on_line = |contact: &Indentation| {
+            let mut contact = contact.clone();
+            contact.position.y = self.line.unwrap_or(contact.position.y);
+            contact
+        };
+        let mut starts: Vec<Vec<Indentation>> = hint.map(|h| with(on_line(h))).into_iter().collect();
         starts.extend(self.matches(&left, STARTS).into_iter().map(with));
         // Two contacts that stand close look like one between them.
         if let Some((last, others)) = best.contacts.split_last() {
@@ -531,7 +541,10 @@ fn covariances(
     block: Option<&DMatrix<f64>>,
 ) -> (Matrix3<f64>, Matrix3<f64>) {
     let Some(block) = block else {
-        return (Matrix3::from_diagonal_element(f64::INFINITY), Matrix3::from_diagonal_element(f64::INFINITY));
+        return (
+            Matrix3::from_diagonal_element(f64::INFINITY),
+            Matrix3::from_diagonal_element(f64::INFINITY),
+        );
     };
     let [first, second] = tangents(normal);
     let (along, forces): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = match unknowns {
@@ -590,7 +603,8 @@ mod tests {
             let (mut error, mut bound, mut expected) = (0.0, 0.0, 0.0);
             let tries = 300;
             for _ in 0..tries {
-                let truth = press(random.random_range(-0.012..0.012), random.random_range(-0.012..0.012), force);
+                let truth =
+                    press(random.random_range(-0.012..0.012), random.random_range(-0.012..0.012), force);
                 let stimulus = Stimulus { contacts: vec![truth.clone()], ..Stimulus::default() };
                 let solution = inverter.solve(&model.read(&stimulus.contacts, &mut random), None).unwrap();
                 let [found] = solution.contacts.as_slice() else { panic!("{solution:?}") };
@@ -602,7 +616,10 @@ mod tests {
             }
             let (error, bound, expected) = (error.sqrt(), bound.sqrt(), expected.sqrt());
             assert!((0.9..1.1).contains(&(error / bound)), "{force} N: {error} is not {bound}");
-            assert!((0.85..1.2).contains(&(expected / bound)), "{force} N: {expected} is said, {bound} is true");
+            assert!(
+                (0.85..1.2).contains(&(expected / bound)),
+                "{force} N: {expected} is said, {bound} is true"
+            );
         }
     }
 
@@ -635,13 +652,18 @@ mod tests {
             let count = 1 + k % 3;
             let mut truth: Vec<Indentation> = Vec::new();
             while truth.len() < count {
-                let p = press(random.random_range(-0.015..0.015), random.random_range(-0.015..0.015), random.random_range(0.3..1.5));
+                let p = press(
+                    random.random_range(-0.015..0.015),
+                    random.random_range(-0.015..0.015),
+                    random.random_range(0.3..1.5),
+                );
                 if truth.iter().all(|t| (t.position - p.position).norm() > 0.011) {
                     truth.push(p);
                 }
             }
             let solution = inverter.solve(&model.read(&truth, &mut random), None).unwrap();
-            let near = |t: &Indentation| solution.contacts.iter().any(|f| (f.position - t.position).norm() < 0.001);
+            let near =
+                |t: &Indentation| solution.contacts.iter().any(|f| (f.position - t.position).norm() < 0.001);
             right += usize::from(solution.contacts.len() == count && truth.iter().all(near));
         }
         assert!(right * 100 >= tries * 95, "{right} of {tries}");
@@ -681,7 +703,9 @@ mod tests {
         readings[11] = Reading::Missing;
         readings[18] = Reading::Exact(f64::NAN);
         let solution = inverter.solve(&readings, None).unwrap();
-        assert!((solution.contacts[0].position - truth.position).norm() < 5.0 * solution.contacts[0].deviation());
+        assert!(
+            (solution.contacts[0].position - truth.position).norm() < 5.0 * solution.contacts[0].deviation()
+        );
         assert_eq!(solution.freedom, 20);
         let missing = vec![Reading::Missing; 25];
         assert!(inverter.solve(&missing, None).unwrap().contacts.is_empty());

@@ -62,7 +62,8 @@ impl ForwardModel for Toy {
                 let (dx, dy) = (x - c.position.x, y - c.position.y);
                 let r = (dx * dx + dy * dy + DEPTH * DEPTH).sqrt();
                 let kernel = 1.58e-1 / r.powi(3);
-                *value += kernel * (pressing * DEPTH * (1.0 - 0.05 * pressing) + c.force.x * dx + c.force.y * dy);
+                *value +=
+                    kernel * (pressing * DEPTH * (1.0 - 0.05 * pressing) + c.force.x * dx + c.force.y * dy);
             }
         }
         Ok(())
