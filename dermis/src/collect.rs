@@ -10,6 +10,8 @@ use dermis_skin::SkinDescription;
 use dermis_testbed::{CollectOptions, Plan, collect};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::effects::Chosen;
+
 /// What to press, and where to put it.
 #[derive(Args)]
 pub struct Options {
@@ -18,10 +20,25 @@ pub struct Options {
     /// Plan of the presses.
     #[arg(long)]
     plan: PathBuf,
-    /// Seed of everything random; the plan's own where absent.
+    /// What makes the device differ from its design.
+    #[command(flatten)]
+    chosen: Chosen,
+    /// Seed of everything random, the device's own effects included; the plan's where absent.
     #[arg(long)]
     seed: Option<u64>,
-    /// Folder of the bag to write; must not exist yet.
+    /// Standard deviation of the ground truth's force along each axis [N]; the plan's where absent.
+    #[arg(long, value_name = "N", value_parser = noise)]
+    force_noise: Option<f64>,
+    /// Standard deviation of the ground truth's position along each axis [m]; the plan's where absent.
+    #[arg(long, value_name = "M", value_parser = noise)]
+    stage_noise: Option<f64>,
+    /// Stamp of the first frame [ns since 1970]; now where absent. With it the bag's messages are the same every time.
+    #[arg(long, value_name = "NS", value_parser = clap::value_parser!(i64).range(0..))]
+    start: Option<i64>,
+    /// Go on with a bag that was interrupted, by whatever; the finished bag is the same as one that was not.
+    #[arg(long)]
+    resume: bool,
+    /// Folder of the bag to write; must not exist yet, but for --resume.
     #[arg(short, long)]
     out: PathBuf,
     /// One JSON object.
@@ -29,11 +46,20 @@ pub struct Options {
     json: bool,
 }
 
+/// Reads a standard deviation.
+fn noise(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(sigma) if sigma.is_finite() && sigma >= 0.0 => Ok(sigma),
+        _ => Err(format!("`{text}` is no standard deviation: write 0 or a positive number")),
+    }
+}
+
 /// Collects, and says what was collected. Ctrl-C ends early with a valid bag.
 pub fn run(options: &Options) -> Result<()> {
-    let skin = SkinDescription::load(&options.skin)?;
-    let model = (crate::registry::family(&skin)?.model)(&skin)?;
+    let mut skin = SkinDescription::load(&options.skin)?;
     let plan = Plan::load(&options.plan)?;
+    options.chosen.apply(&mut skin, options.seed.unwrap_or(plan.seed))?;
+    let model = (crate::registry::family(&skin)?.model)(&skin)?;
     let progress = ProgressBar::new(0).with_style(ProgressStyle::with_template(
         "{msg} {wide_bar} {human_pos}/{human_len} frames, {eta} left",
     )?);
@@ -44,27 +70,40 @@ pub fn run(options: &Options) -> Result<()> {
         &skin,
         &plan,
         &options.out,
-        &CollectOptions { seed: options.seed, stop, progress: progress.clone(), ..CollectOptions::default() },
+        &CollectOptions {
+            seed: options.seed,
+            start: options.start,
+            force_noise: options.force_noise,
+            stage_noise: options.stage_noise,
+            resume: options.resume,
+            stop,
+            progress: progress.clone(),
+        },
     )?;
     progress.finish_and_clear();
     if options.json {
         println!(
             "{}",
             serde_json::json!({
-                "bag": report.path, "frames": report.frames, "presses": report.presses,
+                "bag": report.path, "frames": report.frames, "resumed": report.resumed, "presses": report.presses,
                 "duration_s": report.duration, "seed": report.seed, "interrupted": report.interrupted,
             })
         );
     } else {
+        let resumed = match report.resumed {
+            0 => String::new(),
+            n if n == report.frames => "; all of it was there already".to_owned(),
+            n => format!("; {n} frames were there already"),
+        };
         println!(
-            "{}: {} frames, {} presses, {:.0} s of {}, seed {}{}",
+            "{}: {} frames, {} presses, {:.0} s of {}, seed {}{resumed}{}",
             report.path.display(),
             report.frames,
             report.presses,
             report.duration,
             skin.name,
             report.seed,
-            if report.interrupted { "; ended early by Ctrl-C" } else { "" }
+            if report.interrupted { "; ended early by Ctrl-C, --resume goes on" } else { "" }
         );
     }
     Ok(())

@@ -19,6 +19,7 @@ use rand_distr::StandardNormal;
 use tokio::time::MissedTickBehavior;
 
 use crate::backend::Choice;
+use crate::effects::Chosen;
 
 /// A device on a pseudo-terminal.
 #[derive(Subcommand)]
@@ -30,7 +31,10 @@ pub enum Device {
         /// Plan of the presses; random touches where absent.
         #[arg(long)]
         plan: Option<PathBuf>,
-        /// Seed of everything random.
+        /// What makes the device differ from its design.
+        #[command(flatten)]
+        chosen: Chosen,
+        /// Seed of everything random, the device's own effects included.
         #[arg(long, default_value_t = 1)]
         seed: u64,
         /// Where it is plugged in.
@@ -92,8 +96,9 @@ pub fn run(device: &Device) -> Result<()> {
     let stop = crate::collect::stop_on_interrupt()?;
     let wait = Duration::from_millis(50);
     match device {
-        Device::Simulate { skin, plan, seed, outlet, told } => {
-            let skin = SkinDescription::load(skin)?;
+        Device::Simulate { skin, plan, chosen, seed, outlet, told } => {
+            let mut skin = SkinDescription::load(skin)?;
+            chosen.apply(&mut skin, *seed)?;
             let model = (crate::registry::family(&skin)?.model)(&skin)?;
             let plan = match plan {
                 Some(path) => Plan::load(path)?,

@@ -8,6 +8,7 @@ mod collect;
 mod demo;
 mod device;
 mod doctor;
+mod effects;
 mod evaluate;
 mod export;
 mod foreign;
@@ -83,6 +84,8 @@ enum Command {
     Theory(theory::Options),
     /// Check the physics of a sensor family against closed forms and other programs; exits with 1 where a case fails.
     Verify(verify::Options),
+    /// What makes a device differ from its design: the effects that a sensor family knows.
+    Effects(effects::Options),
     /// Check a skin description and say what it describes.
     Skin(skins::Options),
     /// What this machine offers: inference runtimes, serial devices, ROS 2.
@@ -124,6 +127,7 @@ fn main() -> ExitCode {
         Command::Bag(bag) => bags::run(&bag),
         Command::Theory(options) => theory::run(&options),
         Command::Verify(options) => verify::run(&options),
+        Command::Effects(options) => effects::run(&options),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
     };

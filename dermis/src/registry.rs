@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_mechanics::Case;
-use dermis_skin::{Estimator, ForwardModel, SkinDescription};
+use dermis_skin::{EffectInfo, Estimator, ForwardModel, SkinDescription};
 use serde_json::Value;
 
 /// What the program needs of a sensor family.
@@ -16,6 +16,8 @@ pub struct Family {
     pub name: &'static str,
     /// Stimulus → channels, for families and skins that have one.
     pub model: fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>>,
+    /// What the model can leave out and a device may have.
+    pub effects: &'static [EffectInfo],
     /// Frame → contacts, with these model bundles.
     pub estimator: MakeEstimator,
     /// Figures of the family's physics beside their references.
@@ -31,6 +33,7 @@ type MakeEstimator = fn(&SkinDescription, &[PathBuf]) -> Result<Box<dyn Estimato
 pub const FAMILIES: &[Family] = &[Family {
     name: dermis_barodome::SENSOR,
     model: |skin| Ok(dermis_barodome::model(skin)?),
+    effects: dermis_barodome::effects::EFFECTS,
     estimator: |skin, bundles| {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         Ok(dermis_barodome::estimator(skin, bundles, &[], runtime)?)

@@ -1,13 +1,15 @@
 //! A plan carried out on a modelled skin becomes a labelled bag.
 
+mod resume;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_bag::{BagQos, BagWriter};
-use dermis_msgs::TypeSupport;
 use dermis_msgs::msg::{Indentation, SkinGeometry, TaxelFrame};
-use dermis_skin::{ForwardModel, Frame, SkinDescription, Stamp};
+use dermis_msgs::{Message, TypeSupport};
+use dermis_skin::{ForwardModel, Frame, SkinDescription, Stamp, Surface};
 use indicatif::ProgressBar;
 use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
@@ -15,6 +17,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::{Moment, Plan, Sampler, TestbedError, Timeline};
+use resume::Begun;
 
 /// How a plan is carried out and labelled.
 #[derive(Debug, Clone)]
@@ -24,11 +27,13 @@ pub struct CollectOptions {
     /// Stamp of the first frame [ns since the Unix epoch]; now where absent. With a seed and a start the bag's
     /// messages are the same every time.
     pub start: Option<Stamp>,
-    /// \[N\] standard deviation of the ground truth's force: what a force cell of this class adds.
-    pub force_noise: f64,
-    /// \[m\] standard deviation of the ground truth's position along the surface, one draw a press: what a
-    /// positioning stage of this class misses by.
-    pub position_noise: f64,
+    /// \[N\] standard deviation of the ground truth's force along each axis; the plan's own where absent.
+    pub force_noise: Option<f64>,
+    /// \[m\] standard deviation of the ground truth's position along each axis, one draw a press; the plan's own where absent.
+    pub stage_noise: Option<f64>,
+    /// Goes on with a bag that an earlier call began and did not end, whatever ended it. The finished bag is the same, message
+    /// for message, as one that was never interrupted. Where there is none, it is begun; where it is finished, nothing is done.
+    pub resume: bool,
     /// Set it from anywhere (a signal handler, another thread) to end early: the bag holds what was collected
     /// up to then and is finished properly.
     pub stop: Arc<AtomicBool>,
@@ -41,8 +46,9 @@ impl Default for CollectOptions {
         Self {
             seed: None,
             start: None,
-            force_noise: 0.004,
-            position_noise: 7.5e-6,
+            force_noise: None,
+            stage_noise: None,
+            resume: false,
             stop: Arc::default(),
             progress: ProgressBar::hidden(),
         }
@@ -56,6 +62,8 @@ pub struct CollectReport {
     pub path: PathBuf,
     /// Frames in it, each with its ground truth.
     pub frames: u64,
+    /// Of these, frames that were there already.
+    pub resumed: u64,
     /// Presses that were begun.
     pub presses: u64,
     /// \[s\] of recorded time.
@@ -68,14 +76,16 @@ pub struct CollectReport {
 
 /// Frames between two looks at the stop flag and the progress bar.
 const STRIDE: u64 = 64;
+/// Custom data of a bag that was stopped before its plan's end.
+const INTERRUPTED: &str = "interrupted";
 
 /// Carries out `plan` on the modelled skin and writes the labelled bag `dir`: topics `taxels`, `ground_truth`
 /// and `skin_geometry`. As fast as the model answers, not in real time.
 ///
 /// # Errors
 ///
-/// [`TestbedError`] where the plan does not fit the skin, the model has no answer, or the bag cannot be written.
-/// A bag that was begun is finished with what was collected before the error.
+/// [`TestbedError`] where the plan does not fit the skin, the model has no answer, the bag cannot be written, or one that was
+/// begun holds something else than is collected now. A bag that was begun is finished with what was collected before the error.
 pub fn collect(
     model: &Arc<dyn ForwardModel>,
     skin: &SkinDescription,
@@ -83,58 +93,82 @@ pub fn collect(
     dir: impl AsRef<Path>,
     options: &CollectOptions,
 ) -> Result<CollectReport, TestbedError> {
+    let dir = dir.as_ref();
     let seed = options.seed.unwrap_or(plan.seed);
-    let timeline = Timeline::new(plan, model.surface(), seed)?;
+    let timeline = Timeline::new(plan, model, seed)?;
     let mut sampler = Sampler::new(Arc::clone(model), skin, seed ^ 0x5eed_0001)?;
-    let mut truth = Truth {
-        rng: ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0002),
-        force_noise: options.force_noise,
-        position_noise: options.position_noise,
-        press: None,
-        offset: Vector3::zeros(),
-    };
-    let start = options.start.unwrap_or_else(dermis_transport::now_ns);
+    let mut truth = Truth::new(plan, options, seed);
     let session = format!("{}/{seed}", plan.name);
-
-    let mut writer = BagWriter::create(dir.as_ref())?;
-    writer.set_custom("plan", plan.name.clone());
-    writer.set_custom("seed", seed.to_string());
-    writer.set_custom("skin_hash", skin.hash());
-    writer.add_topic("skin_geometry", TypeSupport::of::<SkinGeometry>(), BagQos::latched())?;
-    writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data())?;
-    writer.add_topic("ground_truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data())?;
-    writer.write("skin_geometry", &skin.geometry_message(model.surface(), start), start)?;
-
     let total = (timeline.duration() * skin.rate).ceil() as u64;
-    options.progress.set_length(total);
     let mut report = CollectReport {
-        path: dir.as_ref().to_path_buf(),
+        path: dir.to_path_buf(),
         frames: 0,
+        resumed: 0,
         presses: 0,
         duration: 0.0,
         seed,
         interrupted: false,
     };
+    let json = |value: Result<String, serde_json::Error>| value.unwrap_or_default();
+    let custom = [
+        ("plan", plan.name.clone()),
+        ("plan_json", json(serde_json::to_string(plan))),
+        ("seed", seed.to_string()),
+        ("skin_hash", skin.hash()),
+        ("effects", json(serde_json::to_string(&skin.effects))),
+        ("force_noise", truth.force_noise.to_string()),
+        ("stage_noise", truth.stage_noise.to_string()),
+    ];
+
+    let begun = if options.resume { resume::find(dir, &custom)? } else { resume::Found::Nothing };
+    let begun = match begun {
+        resume::Found::Nothing => None,
+        resume::Found::Begun(begun) => Some(begun),
+        resume::Found::Finished => {
+            (report.frames, report.resumed, report.presses) = (total, total, timeline.presses());
+            report.duration = total as f64 / skin.rate;
+            return Ok(report);
+        }
+    };
+    let start = options.start.or(begun.as_ref().map(Begun::start)).unwrap_or_else(dermis_transport::now_ns);
+    report.resumed = begun.as_ref().map_or(0, Begun::frames);
+
+    let mut writer = BagWriter::create(dir)?;
+    for (key, value) in custom {
+        writer.set_custom(key, value);
+    }
+    writer.add_topic("skin_geometry", TypeSupport::of::<SkinGeometry>(), BagQos::latched())?;
+    writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data())?;
+    writer.add_topic("ground_truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data())?;
+    let mut out = Output { writer, begun };
+    options.progress.set_length(total);
     let mut frame = Frame::default();
-    let mut one = |index: u64, writer: &mut BagWriter| -> Result<u64, TestbedError> {
+    let mut one = |index: u64, out: &mut Output| -> Result<u64, TestbedError> {
         let t = index as f64 / skin.rate;
         let mut moment = timeline.at(t);
         sampler
-            .sample(&moment.stimulus, &mut frame.values, &mut frame.flags)
+            .sample(t, &mut moment.stimulus, &mut frame.values, &mut frame.flags)
             .map_err(|source| TestbedError::Model { press: moment.press, source })?;
         frame.stamp = start + (t * 1e9).round() as Stamp;
         frame.sequence = index;
         // A device clock of 0 would mean that there is none.
         frame.device_time_us = 1 + (t * 1e6).round() as u64;
         frame.temperature = moment.stimulus.temperature as f32;
-        writer.write("taxels", &skin.frame_message(&frame), frame.stamp)?;
+        out.write("taxels", &skin.frame_message(&frame), frame.stamp)?;
         truth.blur(&mut moment, model.surface());
         let label = moment.message(skin, model.surface(), &session, frame.stamp);
-        writer.write("ground_truth", &label, frame.stamp)?;
+        out.write("ground_truth", &label, frame.stamp)?;
         Ok(moment.press)
     };
-    let mut failed = None;
+    let mut failed = out
+        .write("skin_geometry", &skin.geometry_message(model.surface(), start), start)
+        // What the start was is on the disk from here on.
+        .and_then(|()| Ok(out.writer.flush()?))
+        .err();
     for index in 0..total {
+        if failed.is_some() {
+            break;
+        }
         if index % STRIDE == 0 {
             options.progress.set_position(index);
             if options.stop.load(Ordering::Relaxed) {
@@ -142,44 +176,97 @@ pub fn collect(
                 break;
             }
         }
-        match one(index, &mut writer) {
-            Ok(press) => report.presses = press,
-            Err(error) => {
-                failed = Some(error);
-                break;
+        match one(index, &mut out) {
+            Ok(press) => {
+                report.presses = press;
+                report.frames = index + 1;
             }
+            Err(error) => failed = Some(error),
         }
-        report.frames = index + 1;
     }
+    if report.interrupted || failed.is_some() {
+        out.writer.set_custom(INTERRUPTED, "true");
+    }
+    report.frames = report.frames.max(out.finish()?);
     report.duration = report.frames as f64 / skin.rate;
     options.progress.set_position(report.frames);
     options.progress.finish();
-    writer.finish()?;
     failed.map_or(Ok(report), Err)
 }
 
-/// What stage and force cell know of a moment.
+/// The bag that is written, and the one that was begun before.
+struct Output {
+    writer: BagWriter,
+    begun: Option<Begun>,
+}
+
+impl Output {
+    fn write<T: Message>(&mut self, topic: &str, message: &T, stamp: Stamp) -> Result<(), TestbedError> {
+        let cdr = message.to_cdr();
+        if let Some(begun) = &mut self.begun {
+            begun.expect(topic, &cdr, stamp)?;
+        }
+        Ok(self.writer.write_cdr(topic, TypeSupport::of::<T>(), &cdr, stamp)?)
+    }
+
+    /// Finishes the bag. Where it does not hold yet what was begun before, that takes its place again; its frames, otherwise 0.
+    fn finish(self) -> Result<u64, TestbedError> {
+        match self.begun {
+            Some(begun) if !begun.is_passed() => {
+                drop(self.writer);
+                begun.put_back()
+            }
+            begun => {
+                self.writer.finish()?;
+                begun.map_or(Ok(()), Begun::discard)?;
+                Ok(0)
+            }
+        }
+    }
+}
+
+/// What stage and force sensor know of a moment.
 struct Truth {
     rng: ChaCha8Rng,
+    /// For the force along the surface.
+    along: ChaCha8Rng,
     force_noise: f64,
-    position_noise: f64,
+    stage_noise: f64,
     press: Option<u64>,
     offset: Vector3<f64>,
 }
 
 impl Truth {
-    fn blur(&mut self, moment: &mut Moment, surface: &dermis_skin::Surface) {
+    fn new(plan: &Plan, options: &CollectOptions, seed: u64) -> Self {
+        let rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0002);
+        let mut along = rng.clone();
+        along.set_stream(1);
+        Self {
+            rng,
+            along,
+            force_noise: options.force_noise.unwrap_or(plan.force_noise),
+            stage_noise: options.stage_noise.unwrap_or(plan.stage_noise),
+            press: None,
+            offset: Vector3::zeros(),
+        }
+    }
+
+    fn blur(&mut self, moment: &mut Moment, surface: &Surface) {
         if self.press != Some(moment.press) {
             self.press = Some(moment.press);
             self.offset =
-                Vector3::from_fn(|_, _| self.position_noise * self.rng.sample::<f64, _>(StandardNormal));
+                Vector3::from_fn(|_, _| self.stage_noise * self.rng.sample::<f64, _>(StandardNormal));
         }
-        for contact in &mut moment.stimulus.contacts {
+        let depths = moment.depths.iter_mut();
+        for (contact, depth) in moment.stimulus.contacts.iter_mut().zip(depths) {
             let (_, normal) = surface.project(&contact.position);
-            let tangential = self.offset - normal * self.offset.dot(&normal);
-            contact.position = surface.project(&(contact.position + tangential)).0;
+            let across = self.offset.dot(&normal);
+            contact.position = surface.project(&(contact.position + self.offset - normal * across)).0;
+            *depth = depth.map(|depth| depth - across);
             let noise: f64 = self.rng.sample(StandardNormal);
-            contact.force -= normal * (self.force_noise * noise);
+            let along = Vector3::from_fn(|_, _| self.along.sample::<f64, _>(StandardNormal));
+            let noise = along - normal * (along.dot(&normal) + noise);
+            contact.force += noise * self.force_noise;
         }
     }
 }
@@ -216,7 +303,8 @@ mod tests {
         assert_eq!(frames.len() as u64, report.frames);
         assert_eq!(truth.len(), frames.len());
 
-        let timeline = Timeline::new(&testing::plan(), model.surface(), 3).unwrap();
+        let timeline = Timeline::new(&testing::plan(), &model, 3).unwrap();
+        let mut walk = model.trajectory();
         assert_eq!(report.presses, timeline.presses());
         let (mut clean, mut squares, mut forces) = ([0.0; 3], 0.0, 0.0);
         let (mut readings, mut contacts) = (0.0, 0.0);
@@ -224,12 +312,15 @@ mod tests {
             let stamp = START + i as i64 * 5_000_000;
             assert_eq!((frame.header.stamp.as_nanos(), label.header.stamp.as_nanos()), (stamp, stamp));
             assert_eq!(frame.sequence, i as u64);
-            let moment = timeline.at(i as f64 / 200.0);
+            let t = i as f64 / 200.0;
+            let mut moment = timeline.at(t);
             assert_eq!(
                 (label.press, label.location, label.phase),
                 (moment.press, moment.location, moment.phase.code())
             );
+            walk.touch(t, &mut moment.stimulus);
             model.response(&moment.stimulus, &mut clean).unwrap();
+            walk.transduce(t, &moment.stimulus, &mut clean);
             for (value, clean) in frame.values.iter().zip(clean) {
                 squares += (f64::from(*value) - clean).powi(2);
                 readings += 1.0;
@@ -238,14 +329,23 @@ mod tests {
             for (found, real) in label.contacts.iter().zip(&moment.stimulus.contacts) {
                 let off = (found.position.x - real.position.x).hypot(found.position.y - real.position.y);
                 assert!(off < 6.0 * 7.5e-6, "stage is {off} m off");
-                forces += (found.force.z - real.force.z).powi(2);
-                contacts += 1.0;
+                forces += [
+                    found.force.x - real.force.x,
+                    found.force.y - real.force.y,
+                    found.force.z - real.force.z,
+                ]
+                .map(|off| off * off)
+                .iter()
+                .sum::<f64>();
+                contacts += 3.0;
                 assert_eq!(found.diameter, 0.004);
+                let depth = -real.force.z / 500.0;
+                assert!((found.depth - depth).abs() < 6.0 * 7.5e-6, "{} m for {depth} m", found.depth);
             }
         }
         // Standard deviations are those that were asked for: 2 Pa and 4 mN, within their own statistics.
         approx::assert_relative_eq!(f64::sqrt(squares / readings), 2.0, max_relative = 0.1);
-        approx::assert_relative_eq!(f64::sqrt(forces / contacts), 0.004, max_relative = 0.15);
+        approx::assert_relative_eq!(f64::sqrt(forces / contacts), 0.004, max_relative = 0.1);
 
         let reader = BagReader::open(&bag).unwrap();
         let geometry = reader.read_only_topic::<SkinGeometry>().unwrap().next().unwrap().unwrap().message;
@@ -269,8 +369,8 @@ mod tests {
             diameter: 0.004,
         };
         let (mut values, mut flags) = (Vec::new(), Vec::new());
-        let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
-        sampler.sample(&stimulus, &mut values, &mut flags).unwrap();
+        let mut stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+        sampler.sample(0.0, &mut stimulus, &mut values, &mut flags).unwrap();
         assert_eq!((values[1], flags[1]), (900.0, ChannelFlags::SATURATED));
         assert_eq!(flags[0], ChannelFlags::OK);
     }

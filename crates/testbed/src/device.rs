@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use dermis_bag::BagReader;
 use dermis_msgs::msg::{Indentation, TaxelFrame};
-use dermis_skin::{ForwardModel, SkinDescription, Stamp, Surface, WireProtocol};
+use dermis_skin::{ForwardModel, SkinDescription, Stamp, WireProtocol};
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
 use dermis_transport::{Pty, now_ns};
 
@@ -266,7 +266,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// A plan gone through again and again, with another seed each time.
 struct Script {
     plan: Plan,
-    surface: Surface,
+    model: Arc<dyn ForwardModel>,
     seed: u64,
     start: Stamp,
     rounds: Mutex<Rounds>,
@@ -284,11 +284,11 @@ struct Rounds {
 const ROUNDS: usize = 4;
 
 impl Script {
-    fn new(plan: Plan, surface: Surface, seed: u64) -> Result<Self, TestbedError> {
-        let first = Arc::new(Timeline::new(&plan, &surface, seed)?);
+    fn new(plan: Plan, model: Arc<dyn ForwardModel>, seed: u64) -> Result<Self, TestbedError> {
+        let first = Arc::new(Timeline::new(&plan, &model, seed)?);
         Ok(Self {
             plan,
-            surface,
+            model,
             seed,
             start: 0,
             rounds: Mutex::new(Rounds { count: 1, last: VecDeque::from([(0.0, first)]) }),
@@ -307,8 +307,7 @@ impl Script {
                 && t >= begin + last.duration()
             {
                 let next = begin + last.duration();
-                let timeline =
-                    Timeline::new(&self.plan, &self.surface, self.seed.wrapping_add(rounds.count))?;
+                let timeline = Timeline::new(&self.plan, &self.model, self.seed.wrapping_add(rounds.count))?;
                 rounds.count += 1;
                 rounds.last.push_back((next, Arc::new(timeline)));
                 if rounds.last.len() > ROUNDS {
@@ -369,15 +368,14 @@ impl VirtualDevice {
         seed: u64,
         outlet: &Outlet,
     ) -> Result<Self, TestbedError> {
-        let surface = model.surface().clone();
-        let mut sampler = Sampler::new(model, skin, seed ^ 0x5eed_0001)?;
+        let mut sampler = Sampler::new(Arc::clone(&model), skin, seed ^ 0x5eed_0001)?;
         let (mut line, url) = Line::open(outlet, &skin.name)?;
         let mut encoder = Encoder::new(skin);
-        let mut script = Script::new(plan.clone(), surface, seed)?;
+        let mut script = Script::new(plan.clone(), model, seed)?;
         // A model may build tables when it is touched for the first time: not while frames are due.
         let warm_up = script.first_touch();
         sampler
-            .sample(&warm_up.stimulus, &mut Vec::new(), &mut Vec::new())
+            .warm_up(&warm_up.stimulus)
             .map_err(|source| TestbedError::Model { press: warm_up.press, source })?;
         let begin = Instant::now();
         script.start = now_ns();
@@ -405,9 +403,9 @@ impl VirtualDevice {
                         index += missed.max(1);
                         continue;
                     }
-                    let moment = script.at(t)?.unwrap_or_default();
+                    let mut moment = script.at(t)?.unwrap_or_default();
                     sampler
-                        .sample(&moment.stimulus, &mut values, &mut flags)
+                        .sample(t, &mut moment.stimulus, &mut values, &mut flags)
                         .map_err(|source| TestbedError::Model { press: moment.press, source })?;
                     // Device time 0 would mean that there is no clock.
                     let bytes = encoder.encode(index, 1 + (t * 1e6).round() as u64, &values)?;
@@ -441,14 +439,23 @@ impl VirtualDevice {
             return None;
         }
         // The next round may begin before its first frame is due; that it fits was seen in the first.
-        self.script.at(t).ok().flatten()
+        let at = |t: f64| self.script.at(t).ok().flatten();
+        let mut moment = at(t)?;
+        // What effects do to what touches depends on the frame before at most.
+        let mut trajectory = self.script.model.trajectory();
+        let before = t - 1.0 / self.skin.rate;
+        if let Some(mut last) = at(before) {
+            trajectory.touch(before, &mut last.stimulus);
+        }
+        trajectory.touch(t, &mut moment.stimulus);
+        Some(moment)
     }
 
     /// [`truth`](Self::truth) as a message.
     #[must_use]
     pub fn truth_message(&self, stamp: Stamp) -> Option<Indentation> {
         let session = format!("{}/{}", self.script.plan.name, self.script.seed);
-        self.truth(stamp).map(|m| m.message(&self.skin, &self.script.surface, &session, stamp))
+        self.truth(stamp).map(|m| m.message(&self.skin, self.script.model.surface(), &session, stamp))
     }
 
     /// What was sent so far.
@@ -745,7 +752,7 @@ mod tests {
     #[test]
     fn rounds_go_on_for_ever_and_differ() {
         let skin = testing::skin(100.0);
-        let script = Script::new(testing::plan(), skin.surface(), 5).unwrap();
+        let script = Script::new(testing::plan(), Bumps::shared(&skin), 5).unwrap();
         let length = lock(&script.rounds).last[0].1.duration();
         let first = script.at(0.25).unwrap().unwrap();
         let mut t = 0.25;
@@ -755,7 +762,7 @@ mod tests {
         }
         assert_eq!(lock(&script.rounds).last.len(), ROUNDS);
         assert_eq!(script.at(0.25).unwrap(), None, "what is forgotten is not made up");
-        let fresh = Script::new(testing::plan(), skin.surface(), 5).unwrap();
+        let fresh = Script::new(testing::plan(), Bumps::shared(&skin), 5).unwrap();
         assert_eq!(fresh.at(0.25).unwrap().unwrap(), first);
     }
 

@@ -72,4 +72,22 @@ pub enum TestbedError {
         /// What does not fit.
         reason: String,
     },
+    /// A collection cannot go on where another one stopped.
+    #[error("bag {path}: cannot be gone on with: {reason}")]
+    Resume {
+        /// The bag.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A file or folder cannot be moved or removed.
+    #[error("{path}: cannot be {action}: {source}")]
+    Io {
+        /// Which.
+        path: PathBuf,
+        /// What was to be done with it.
+        action: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
 }

@@ -21,6 +21,6 @@ mod timeline;
 pub use collect::{CollectOptions, CollectReport, collect};
 pub use device::{DeviceStats, Outlet, ReplayDevice, ReplayOptions, VirtualDevice};
 pub use error::TestbedError;
-pub use plan::{ForceDistribution, Plan, Step, Timing};
+pub use plan::{Action, ForceDistribution, Level, Levels, Manner, Plan, Step, Timing};
 pub use sampler::Sampler;
 pub use timeline::{Moment, Phase, Timeline, Tip};

@@ -1,10 +1,14 @@
 //! What a testbed does to a skin, as a file says it.
 
+mod step;
+
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use crate::TestbedError;
+pub use step::{Action, Level, Levels, Manner, Step};
+use step::{OneOrMore, StepFile};
 
 const SCHEMA: &str = "dermis-plan/1";
 
@@ -47,63 +51,6 @@ pub enum ForceDistribution {
     Log,
 }
 
-/// One part of a plan; parts follow one another.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Step {
-    /// Nothing touches.
-    Idle {
-        /// \[s\].
-        duration: f64,
-    },
-    /// Single presses at random places.
-    Presses {
-        /// Number of places.
-        count: u32,
-        /// \[N\] range of the largest pressing force of each press.
-        force: [f64; 2],
-        /// Presses at each place, each with a force of its own.
-        #[serde(default = "one")]
-        repeats: u32,
-    },
-    /// Single presses on a grid of places, in random order of the places.
-    Grid {
-        /// \[m\] between places, along the axes of the skin's link.
-        pitch: f64,
-        /// \[N\] largest pressing force of each press, one press after another at each place.
-        forces: Vec<f64>,
-        /// How often the forces are gone through at each place.
-        #[serde(default = "one")]
-        repeats: u32,
-    },
-    /// Presses that slide along the surface at full force.
-    Slides {
-        /// Number of slides.
-        count: u32,
-        /// \[N\] range of the pressing force.
-        force: [f64; 2],
-        /// \[m\] range of the way.
-        length: [f64; 2],
-        /// \[m/s\] range of the speed.
-        speed: [f64; 2],
-    },
-    /// Several contacts at once, at random places.
-    Multi {
-        /// Number of presses.
-        count: u32,
-        /// Range of the number of contacts in a press, both ends included.
-        contacts: [u32; 2],
-        /// \[m\] least distance between the contacts of a press.
-        distance: f64,
-        /// \[N\] range of the largest pressing force of each contact.
-        force: [f64; 2],
-    },
-}
-
-fn one() -> u32 {
-    1
-}
-
 /// What a testbed does to a skin: a list of steps, and what they have in common.
 ///
 /// A file is TOML; see `launch/plans/` for examples to copy. Unknown keys are errors. What is drawn at random
@@ -127,35 +74,71 @@ fn one() -> u32 {
 /// assert_eq!(plan.steps.len(), 1);
 /// # Ok::<(), dermis_testbed::TestbedError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Plan {
-    schema: String,
+    schema: &'static str,
+    /// What errors call it.
+    #[serde(skip)]
+    file: String,
     /// What recordings of it are called.
     pub name: String,
     /// Free text.
-    #[serde(default)]
     pub description: String,
     /// Seed where the caller gives none.
-    #[serde(default)]
     pub seed: u64,
-    /// \[m\] of the indenter's spherical tip.
-    pub diameter: f64,
+    /// \[m\] of the indenter's spherical tip; of several, one is drawn for each place.
+    pub diameter: Vec<f64>,
     /// \[m\] that contacts keep from the rim of the surface.
-    #[serde(default)]
     pub margin: f64,
-    /// How forces are drawn from their ranges.
-    #[serde(default)]
+    /// How forces and depths are drawn from their ranges.
     pub force_distribution: ForceDistribution,
+    /// \[N\] standard deviation of the ground truth's force along each axis: what a force sensor of this class adds.
+    pub force_noise: f64,
+    /// \[m\] standard deviation of the ground truth's position along each axis, one draw a press: what a positioning stage of
+    /// this class misses by.
+    pub stage_noise: f64,
     /// How long the phases of a press last.
-    #[serde(default)]
     pub timing: Timing,
     /// What is done, in order.
     pub steps: Vec<Step>,
 }
 
+/// A plan as files say it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlanFile {
+    schema: String,
+    name: String,
+    #[serde(default)]
+    description: String,
+    #[serde(default)]
+    seed: u64,
+    diameter: OneOrMore,
+    #[serde(default)]
+    margin: f64,
+    #[serde(default)]
+    force_distribution: ForceDistribution,
+    #[serde(default = "force_noise")]
+    force_noise: f64,
+    #[serde(default = "stage_noise")]
+    stage_noise: f64,
+    #[serde(default)]
+    timing: Timing,
+    steps: Vec<StepFile>,
+}
+
+/// The thesis' force sensor \[N\].
+fn force_noise() -> f64 {
+    0.004
+}
+
+/// The thesis' stage \[m\].
+fn stage_noise() -> f64 {
+    7.5e-6
+}
+
 /// Most contacts of a plan: what fits into memory with room to spare.
-const PRESSES_MAX: u64 = 1_000_000;
+pub(crate) const PRESSES_MAX: u64 = 1_000_000;
 
 impl Plan {
     /// An endless walk of a hand over the skin: single presses, slides and pairs of contacts with pauses, for
@@ -164,18 +147,23 @@ impl Plan {
     pub fn random_touches(diameter: f64, force: [f64; 2]) -> Self {
         let mut steps = Vec::new();
         for _ in 0..20 {
-            steps.push(Step::Presses { count: 3, force, repeats: 1 });
-            steps.push(Step::Slides { count: 1, force, length: [0.004, 0.012], speed: [0.005, 0.02] });
-            steps.push(Step::Idle { duration: 0.5 });
+            let (length, speed) = ([0.004, 0.012], [0.005, 0.02]);
+            steps.push(Action::Presses { count: 3, level: Level::Force(force), repeats: 1 }.into());
+            steps.push(Action::Slides { count: 1, force, length, speed }.into());
+            steps.push(Action::Idle { duration: 0.5 }.into());
         }
+        let name = "random-touches".to_owned();
         Self {
-            schema: SCHEMA.to_owned(),
-            name: "random-touches".to_owned(),
+            schema: SCHEMA,
+            file: name.clone(),
+            name,
             description: String::new(),
             seed: 0,
-            diameter,
+            diameter: vec![diameter],
             margin: diameter,
             force_distribution: ForceDistribution::Uniform,
+            force_noise: force_noise(),
+            stage_noise: stage_noise(),
             timing: Timing { hold: [0.4, 1.0], gap: [0.3, 0.6], ..Timing::default() },
             steps,
         }
@@ -209,52 +197,83 @@ impl Plan {
             let line = 1 + text.get(..start).unwrap_or(text).matches('\n').count();
             wrong(&format!("line {line}"), e.message())
         })?;
-        let plan: Self = serde_path_to_error::deserialize(deserializer).map_err(|e| {
+        let read: PlanFile = serde_path_to_error::deserialize(deserializer).map_err(|e| {
             let field = match e.path().to_string() {
                 p if p == "." => "(whole file)".to_owned(),
                 p => p,
             };
             wrong(&field, e.inner().message())
         })?;
-        plan.check(file)?;
+        if read.schema != SCHEMA {
+            let reason = format!("is \"{}\" where this program reads \"{SCHEMA}\"", read.schema);
+            return Err(wrong("schema", &reason));
+        }
+        let mut steps = Vec::with_capacity(read.steps.len());
+        for (i, step) in read.steps.into_iter().enumerate() {
+            let step = step.step().map_err(|(key, reason)| wrong(&format!("steps[{i}].{key}"), &reason))?;
+            steps.push(step);
+        }
+        let plan = Self {
+            schema: SCHEMA,
+            file: file.to_owned(),
+            name: read.name,
+            description: read.description,
+            seed: read.seed,
+            diameter: read.diameter.all(),
+            margin: read.margin,
+            force_distribution: read.force_distribution,
+            force_noise: read.force_noise,
+            stage_noise: read.stage_noise,
+            timing: read.timing,
+            steps,
+        };
+        plan.check()?;
         Ok(plan)
     }
 
-    fn check(&self, file: &str) -> Result<(), TestbedError> {
-        let wrong =
-            |field: String, reason: String| Err(TestbedError::Plan { file: file.to_owned(), field, reason });
-        if self.schema != SCHEMA {
-            return wrong(
-                "schema".into(),
-                format!("is \"{}\" where this program reads \"{SCHEMA}\"", self.schema),
-            );
-        }
+    /// Says what is wrong with the field of a plan.
+    pub(crate) fn wrong(&self, field: impl Into<String>, reason: impl Into<String>) -> TestbedError {
+        TestbedError::Plan { file: self.file.clone(), field: field.into(), reason: reason.into() }
+    }
+
+    fn check(&self) -> Result<(), TestbedError> {
+        let wrong = |field: String, reason: String| Err(self.wrong(field, reason));
         if self.name.is_empty() || self.name.contains(['/', '\0']) {
             return wrong("name".into(), "names a recording: not empty, without slashes".into());
         }
-        if !(self.diameter.is_finite() && self.diameter > 0.0) {
-            return wrong("diameter".into(), format!("is {} m and must be a positive length", self.diameter));
+        if self.diameter.is_empty() {
+            return wrong("diameter".into(), "is empty: a tip has a diameter".into());
         }
-        if !(self.margin.is_finite() && self.margin >= 0.0) {
-            return wrong(
-                "margin".into(),
-                format!("is {} m and must be 0 or a positive length", self.margin),
-            );
+        for (field, value) in
+            [("margin", self.margin), ("force_noise", self.force_noise), ("stage_noise", self.stage_noise)]
+        {
+            if !(value.is_finite() && value >= 0.0) {
+                let unit = if field == "force_noise" { "N" } else { "m" };
+                return wrong(field.into(), format!("is {value} {unit} and must be 0 or positive"));
+            }
         }
+        let tips =
+            |field: &str, diameters: &[f64]| match diameters.iter().find(|d| !(d.is_finite() && **d > 0.0)) {
+                Some(bad) => Err(self.wrong(field, format!("is {bad} m and must be a positive length"))),
+                None => Ok(()),
+            };
+        tips("diameter", &self.diameter)?;
+        let durations = |field: String, [low, high]: [f64; 2]| {
+            if low >= 0.0 && low <= high && high <= 3600.0 {
+                return Ok(());
+            }
+            let reason = format!("[{low}, {high}] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
+            Err(self.wrong(field, reason))
+        };
         let t = &self.timing;
-        for (field, [low, high]) in [
+        for (field, range) in [
             ("approach", t.approach),
             ("load", t.load),
             ("hold", t.hold),
             ("unload", t.unload),
             ("gap", t.gap),
         ] {
-            if !(low >= 0.0 && low <= high && high <= 3600.0) {
-                return wrong(
-                    format!("timing.{field}"),
-                    format!("[{low}, {high}] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s"),
-                );
-            }
+            durations(format!("timing.{field}"), range)?;
         }
         if self.steps.is_empty() {
             return wrong("steps".into(), "is empty: a plan does something".into());
@@ -263,28 +282,42 @@ impl Plan {
         for (i, step) in self.steps.iter().enumerate() {
             let range = |field: &str, [low, high]: [f64; 2], unit: &str| {
                 if low > 0.0 && low <= high && high.is_finite() {
-                    Ok(())
-                } else {
-                    Err(TestbedError::Plan {
-                        file: file.to_owned(),
-                        field: format!("steps[{i}].{field}"),
-                        reason: format!("[{low}, {high}] is not a range: 0 < low ≤ high {unit}"),
-                    })
+                    return Ok(());
                 }
+                let reason = format!("[{low}, {high}] is not a range: 0 < low ≤ high {unit}");
+                Err(self.wrong(format!("steps[{i}].{field}"), reason))
             };
             let at_least_one = |field: &str, number: u32| {
                 if number > 0 {
-                    Ok(())
-                } else {
-                    Err(TestbedError::Plan {
-                        file: file.to_owned(),
-                        field: format!("steps[{i}].{field}"),
-                        reason: "is 0 and must be at least 1".into(),
-                    })
+                    return Ok(());
                 }
+                Err(self.wrong(format!("steps[{i}].{field}"), "is 0 and must be at least 1"))
             };
-            match step {
-                Step::Idle { duration } => {
+            let drawn = |level: &Level<[f64; 2]>| match level {
+                Level::Force(force) => range("force", *force, "N"),
+                Level::Depth(depth) => range("depth", *depth, "m"),
+            };
+            let listed = |levels: &Levels| {
+                at_least_one("repeats", levels.repeats)?;
+                let (field, unit) = match levels.values {
+                    Level::Force(_) => ("forces", "N"),
+                    Level::Depth(_) => ("depths", "m"),
+                };
+                let values = levels.values.value();
+                if values.is_empty() {
+                    return Err(self.wrong(format!("steps[{i}].{field}"), "is empty: name at least one"));
+                }
+                for (j, value) in values.iter().enumerate() {
+                    range(&format!("{field}[{j}]"), [*value, *value], unit)?;
+                    if levels.incremental && j > 0 && *value <= values[j - 1] {
+                        let reason = format!("is {value} {unit}, and an incremental press goes up only");
+                        return Err(self.wrong(format!("steps[{i}].{field}[{j}]"), reason));
+                    }
+                }
+                Ok(levels.presses() as u64 * u64::from(levels.repeats))
+            };
+            match &step.action {
+                Action::Idle { duration } => {
                     if !(*duration > 0.0 && *duration <= 86_400.0) {
                         return wrong(
                             format!("steps[{i}].duration"),
@@ -292,36 +325,33 @@ impl Plan {
                         );
                     }
                 }
-                Step::Presses { count, force, repeats } => {
+                Action::Presses { count, level, repeats } => {
                     at_least_one("count", *count)?;
                     at_least_one("repeats", *repeats)?;
-                    range("force", *force, "N")?;
+                    drawn(level)?;
                     presses += u64::from(*count) * u64::from(*repeats);
                 }
-                Step::Grid { pitch, forces, repeats } => {
-                    at_least_one("repeats", *repeats)?;
-                    range("pitch", [*pitch, *pitch], "m")?;
-                    for (j, f) in forces.iter().enumerate() {
-                        range(&format!("forces[{j}]"), [*f, *f], "N")?;
-                    }
-                    if forces.is_empty() {
-                        return wrong(
-                            format!("steps[{i}].forces"),
-                            "is empty: name at least one force".into(),
-                        );
-                    }
-                    presses += forces.len() as u64 * u64::from(*repeats);
+                Action::Grid { pitch: [x, y], levels } => {
+                    range("pitch", [*x, *x], "m")?;
+                    range("pitch", [*y, *y], "m")?;
+                    presses += listed(levels)?;
                 }
-                Step::Slides { count, force, length, speed } => {
+                Action::Places { at, levels } => {
+                    if at.is_empty() {
+                        return wrong(format!("steps[{i}].at"), "is empty: name at least one place".into());
+                    }
+                    presses += at.len() as u64 * listed(levels)?;
+                }
+                Action::Slides { count, force, length, speed } => {
                     at_least_one("count", *count)?;
                     range("force", *force, "N")?;
                     range("length", *length, "m")?;
                     range("speed", *speed, "m/s")?;
                     presses += u64::from(*count);
                 }
-                Step::Multi { count, contacts: [low, high], distance, force } => {
+                Action::Multi { count, contacts: [low, high], distance, level } => {
                     at_least_one("count", *count)?;
-                    range("force", *force, "N")?;
+                    drawn(level)?;
                     range("distance", [*distance, *distance], "m")?;
                     if !(1 <= *low && low <= high && *high <= 100) {
                         return wrong(
@@ -332,14 +362,38 @@ impl Plan {
                     presses += u64::from(*count) * u64::from(*high);
                 }
             }
+            let manner = &step.manner;
+            tips(&format!("steps[{i}].diameter"), &manner.diameter)?;
+            if let Some([low, high]) = manner.shear
+                && !(low >= 0.0 && low <= high && high.is_finite())
+            {
+                let reason = format!("[{low}, {high}] is not a range: 0 ≤ low ≤ high");
+                return wrong(format!("steps[{i}].shear"), reason);
+            }
+            if let Some(direction) = manner.shear_direction {
+                if !direction.is_finite() {
+                    let reason = format!("is {direction} rad and must be a finite number");
+                    return wrong(format!("steps[{i}].shear_direction"), reason);
+                }
+                if manner.shear.is_none() {
+                    let reason = "says where to without `shear`, which says how much".to_owned();
+                    return wrong(format!("steps[{i}].shear_direction"), reason);
+                }
+            }
+            if let Some(hold) = manner.hold {
+                durations(format!("steps[{i}].hold"), hold)?;
+            }
         }
-        if presses > PRESSES_MAX {
-            return wrong(
-                "steps".into(),
-                format!("make {presses} contacts; {PRESSES_MAX} at most fit a recording"),
-            );
+        self.fits(presses)
+    }
+
+    /// Refuses more contacts than a recording holds.
+    pub(crate) fn fits(&self, contacts: u64) -> Result<(), TestbedError> {
+        if contacts <= PRESSES_MAX {
+            return Ok(());
         }
-        Ok(())
+        let reason = format!("make {contacts} contacts; {PRESSES_MAX} at most fit a recording");
+        Err(self.wrong("steps", reason))
     }
 }
 
@@ -357,14 +411,14 @@ mod tests {
     fn refusals_name_file_field_and_remedy() {
         insta::assert_snapshot!(refused("plan/1", "plan/7"), @r#"plan plan.toml: field `schema`: is "dermis-plan/7" where this program reads "dermis-plan/1""#);
         insta::assert_snapshot!(refused("diameter = 0.004", "diameter = -0.004"), @"plan plan.toml: field `diameter`: is -0.004 m and must be a positive length");
-        insta::assert_snapshot!(refused("margin = 0.002", "margin = nan"), @"plan plan.toml: field `margin`: is NaN m and must be 0 or a positive length");
-        insta::assert_snapshot!(refused("margin = 0.002", "marjin = 0.002"), @"plan plan.toml: field `marjin`: unknown field `marjin`, expected one of `schema`, `name`, `description`, `seed`, `diameter`, `margin`, `force_distribution`, `timing`, `steps`");
+        insta::assert_snapshot!(refused("margin = 0.002", "margin = nan"), @"plan plan.toml: field `margin`: is NaN m and must be 0 or positive");
+        insta::assert_snapshot!(refused("margin = 0.002", "marjin = 0.002"), @"plan plan.toml: field `marjin`: unknown field `marjin`, expected one of `schema`, `name`, `description`, `seed`, `diameter`, `margin`, `force_distribution`, `force_noise`, `stage_noise`, `timing`, `steps`");
         insta::assert_snapshot!(refused("hold = [0.04, 0.06]", "hold = [0.06, 0.04]"), @"plan plan.toml: field `timing.hold`: [0.06, 0.04] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
         insta::assert_snapshot!(refused("duration = 0.2", "duration = 0.0"), @"plan plan.toml: field `steps[0].duration`: is 0 s and must be positive, a day at most");
         insta::assert_snapshot!(refused("force = [0.1, 0.5]", "force = [0.0, 0.5]"), @"plan plan.toml: field `steps[1].force`: [0, 0.5] is not a range: 0 < low ≤ high N");
-        insta::assert_snapshot!(refused("forces = [0.2, 0.4]", "forces = []"), @"plan plan.toml: field `steps[2].forces`: is empty: name at least one force");
+        insta::assert_snapshot!(refused("forces = [0.2, 0.4]", "forces = []"), @"plan plan.toml: field `steps[2].forces`: is empty: name at least one");
         insta::assert_snapshot!(refused("contacts = [2, 3]", "contacts = [0, 3]"), @"plan plan.toml: field `steps[4].contacts`: [0, 3] is not a range: 1 ≤ low ≤ high ≤ 100");
-        insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `slides`, `multi`");
+        insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `places`, `slides`, `multi`");
         insta::assert_snapshot!(refused("count = 4", "count = 4000000000"), @"plan plan.toml: field `steps`: make 8000000016 contacts; 1000000 at most fit a recording");
         insta::assert_snapshot!(refused("repeats = 2", "repeats = 0"), @"plan plan.toml: field `steps[1].repeats`: is 0 and must be at least 1");
         insta::assert_snapshot!(refused("seed = 3", "seed = \"three\""), @r#"plan plan.toml: field `seed`: invalid type: string "three", expected u64"#);

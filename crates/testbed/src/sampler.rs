@@ -1,17 +1,19 @@
-//! What a skin's device would read: the model, its noise and the device's range.
+//! What a skin's device would read: the model, its effects, its noise and the device's range.
 
 use std::sync::Arc;
 
-use dermis_skin::{ChannelFlags, ForwardModel, ModelError, SkinDescription, Stimulus};
+use dermis_skin::{ChannelFlags, ForwardModel, ModelError, SkinDescription, Stimulus, Trajectory};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::TestbedError;
 
-/// Readings of a modelled skin: response plus Gaussian noise, cut off at the range of each channel.
+/// Readings of a modelled skin, frame after frame from when it was switched on: response along the model's trajectory plus
+/// Gaussian noise, converted, and cut off at the range of each channel.
 pub struct Sampler {
     model: Arc<dyn ForwardModel>,
+    trajectory: Box<dyn Trajectory>,
     ranges: Vec<Option<[f64; 2]>>,
     rng: ChaCha8Rng,
     clean: Vec<f64>,
@@ -43,6 +45,7 @@ impl Sampler {
             });
         }
         Ok(Self {
+            trajectory: model.trajectory(),
             model,
             ranges: skin.channels().iter().map(|c| c.range).collect(),
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -50,24 +53,39 @@ impl Sampler {
         })
     }
 
-    /// One reading of every channel, in the unit of the skin, with the flag of those that are saturated.
+    /// Lets the model make ready for a stimulus, which it may do when it meets one of its kind for the first time.
+    ///
+    /// # Errors
+    ///
+    /// What the model says of the stimulus.
+    pub fn warm_up(&mut self, stimulus: &Stimulus) -> Result<(), ModelError> {
+        self.model.response(stimulus, &mut self.clean)
+    }
+
+    /// One reading of every channel at `time` \[s\], in the unit of the skin, with the flag of those that are saturated. What
+    /// is left in `stimulus` is what really touched. Times rise from call to call.
     ///
     /// # Errors
     ///
     /// What the model says of the stimulus.
     pub fn sample(
         &mut self,
-        stimulus: &Stimulus,
+        time: f64,
+        stimulus: &mut Stimulus,
         values: &mut Vec<f32>,
         flags: &mut Vec<ChannelFlags>,
     ) -> Result<(), ModelError> {
+        self.trajectory.touch(time, stimulus);
         self.model.response(stimulus, &mut self.clean)?;
+        self.trajectory.transduce(time, stimulus, &mut self.clean);
+        for (value, sigma) in self.clean.iter_mut().zip(self.model.noise()) {
+            *value += sigma * self.rng.sample::<f64, _>(StandardNormal);
+        }
+        self.trajectory.convert(&mut self.clean);
         values.clear();
         flags.clear();
-        for ((clean, sigma), range) in self.clean.iter().zip(self.model.noise()).zip(&self.ranges) {
-            let noise: f64 = self.rng.sample(StandardNormal);
-            let value = clean + sigma * noise;
-            let cut = range.map_or(value, |[low, high]| value.clamp(low, high));
+        for (value, range) in self.clean.iter().zip(&self.ranges) {
+            let cut = range.map_or(*value, |[low, high]| value.clamp(low, high));
             let saturated = range.is_some_and(|[low, high]| cut <= low || cut >= high);
             values.push(cut as f32);
             flags.push(if saturated { ChannelFlags::SATURATED } else { ChannelFlags::OK });

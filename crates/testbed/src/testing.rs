@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{ForwardModel, ModelError, SkinDescription, Stimulus, Surface};
+use dermis_skin::{
+    ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Trajectory,
+};
+use nalgebra::Point3;
 
 /// Three channels on a pad of 30 mm by 20 mm.
 pub(crate) fn skin(rate: f64) -> SkinDescription {
@@ -32,15 +35,28 @@ pub(crate) fn skin(rate: f64) -> SkinDescription {
 pub(crate) struct Bumps {
     surface: Surface,
     noise: Vec<f64>,
-    centres: Vec<nalgebra::Point3<f64>>,
+    centres: Vec<Point3<f64>>,
     /// Contacts with more force than this are an error.
     pub(crate) limit: f64,
+    /// Whether it knows how deep tips sink in.
+    pub(crate) deep: bool,
 }
 
 impl Bumps {
     pub(crate) fn new(skin: &SkinDescription) -> Self {
         let centres = skin.taxels.iter().map(dermis_skin::Taxel::point).collect();
-        Self { surface: skin.surface(), noise: skin.channel_noise(), centres, limit: f64::INFINITY }
+        Self {
+            surface: skin.surface(),
+            noise: skin.channel_noise(),
+            centres,
+            limit: f64::INFINITY,
+            deep: true,
+        }
+    }
+
+    /// On another surface.
+    pub(crate) fn on(surface: &SurfaceSpec) -> Arc<dyn ForwardModel> {
+        Arc::new(Self { surface: Surface::from_spec(surface), ..Self::new(&skin(100.0)) })
     }
 
     pub(crate) fn drop_channel(&mut self) {
@@ -79,6 +95,44 @@ impl ForwardModel for Bumps {
 
     fn noise(&self) -> &[f64] {
         &self.noise
+    }
+
+    /// A spring of 500 N/m, 5 mm long.
+    fn force_at(&self, _: &Point3<f64>, _: f64, depth: f64) -> Option<f64> {
+        (self.deep && depth <= 0.005).then_some(500.0 * depth)
+    }
+
+    fn depth_at(&self, _: &Point3<f64>, _: f64, force: f64) -> Option<f64> {
+        (self.deep && force <= 2.5).then_some(force / 500.0)
+    }
+
+    fn trajectory(&self) -> Box<dyn Trajectory> {
+        Box::new(Dragged::default())
+    }
+}
+
+/// Drags what moves, and never forgets: each frame reads 0.0001 more, so that a frame left out shows.
+#[derive(Default)]
+struct Dragged {
+    frames: f64,
+    last: Vec<Indentation>,
+}
+
+impl Trajectory for Dragged {
+    fn touch(&mut self, _: f64, stimulus: &mut Stimulus) {
+        let contacts = stimulus.contacts.clone();
+        for (contact, last) in stimulus.contacts.iter_mut().zip(&self.last) {
+            let way = contact.position - last.position;
+            if (1e-9..1e-3).contains(&way.norm()) {
+                contact.force += way.normalize() * 0.05;
+            }
+        }
+        self.last = contacts;
+    }
+
+    fn transduce(&mut self, _: f64, _: &Stimulus, readings: &mut [f64]) {
+        self.frames += 1.0;
+        readings.iter_mut().for_each(|r| *r += 1e-4 * self.frames);
     }
 }
 

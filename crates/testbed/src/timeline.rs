@@ -1,17 +1,18 @@
 //! A plan carried out on a surface: what touches it at every instant.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, IndentationContact};
-use dermis_skin::{Indentation, SkinDescription, Stamp, Stimulus, Surface};
+use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stamp, Stimulus, Surface};
 use nalgebra::{Point3, Vector3};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TestbedError;
-use crate::plan::{ForceDistribution, Plan, Step};
+use crate::plan::{Action, ForceDistribution, Level, Levels, Manner, PRESSES_MAX, Plan};
 
 /// What the testbed is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
@@ -60,6 +61,8 @@ pub struct Moment {
     pub repeat: u32,
     /// What touches the skin.
     pub stimulus: Stimulus,
+    /// \[m\] of each contact's tip below first contact; `None` where the model does not know.
+    pub depths: Vec<Option<f64>>,
     /// Where the (first) indenter is; `None` where it has no place to go.
     pub tip: Option<Tip>,
 }
@@ -73,12 +76,13 @@ pub struct Tip {
     pub gap: f64,
 }
 
+/// \[m\] off the surface that a named place may lie: rounding.
+const OFF_SURFACE: f64 = 1e-4;
 /// \[m\] that an indenter keeps from the skin between two presses.
 const RETREAT: f64 = 0.01;
 
 impl Moment {
-    /// As the ground truth message of a labelled bag. The depth is NaN: a testbed of prescribed forces does not
-    /// know how far the indenter sank in.
+    /// As the ground truth message of a labelled bag.
     #[must_use]
     pub fn message(
         &self,
@@ -87,14 +91,15 @@ impl Moment {
         session: &str,
         stamp: Stamp,
     ) -> msg::Indentation {
-        let contacts = self.stimulus.contacts.iter().map(|c| {
+        let depths = self.depths.iter().copied().chain(std::iter::repeat(None));
+        let contacts = self.stimulus.contacts.iter().zip(depths).map(|(c, depth)| {
             let (_, normal) = surface.project(&c.position);
             IndentationContact {
                 position: Point { x: c.position.x, y: c.position.y, z: c.position.z },
                 normal: vector(&normal),
                 force: vector(&c.force),
                 force_components: msg::Contact::FORCE_FULL,
-                depth: f64::NAN,
+                depth: depth.unwrap_or(f64::NAN),
                 diameter: c.diameter,
             }
         });
@@ -121,7 +126,21 @@ fn vector(v: &Vector3<f64>) -> VectorMsg {
 struct Touch {
     from: Point3<f64>,
     to: Point3<f64>,
-    force: f64,
+    level: Level<f64>,
+    diameter: f64,
+    /// Where the tip is moved sideways to: along the surface at `from`, as long as the ratio of tangential to normal force.
+    shear: Vector3<f64>,
+}
+
+/// Where a part of a press has got to at its end, in shares of what the press goes up to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Key {
+    /// \[s\] from the start of the press.
+    end: f64,
+    phase: Phase,
+    level: f64,
+    shear: f64,
+    way: f64,
 }
 
 /// A press, or a stretch of nothing where it has no touches.
@@ -130,21 +149,27 @@ struct Press {
     number: u64,
     location: u32,
     repeat: u32,
-    slides: bool,
     touches: Vec<Touch>,
     start: f64,
-    /// Ends of approach, load, hold and unload \[s from `start`\].
-    ends: [f64; 4],
+    keys: Vec<Key>,
 }
 
-/// A plan carried out on a surface with one seed. Time runs from 0 to [`duration`](Self::duration).
-#[derive(Debug, Clone)]
+/// A plan carried out on a skin with one seed. Time runs from 0 to [`duration`](Self::duration).
+#[derive(Clone)]
 pub struct Timeline {
     presses: Vec<Press>,
     duration: f64,
-    diameter: f64,
     count: u64,
-    surface: Surface,
+    model: Arc<dyn ForwardModel>,
+}
+
+impl std::fmt::Debug for Timeline {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Timeline")
+            .field("presses", &self.count)
+            .field("duration", &self.duration)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Timeline {
@@ -152,108 +177,139 @@ impl Timeline {
     ///
     /// # Errors
     ///
-    /// [`TestbedError::Plan`] where the plan does not fit the surface: no place keeps the margin, or contacts
-    /// cannot keep their distance.
-    pub fn new(plan: &Plan, surface: &Surface, seed: u64) -> Result<Self, TestbedError> {
+    /// [`TestbedError::Plan`] where the plan does not fit the skin: no place keeps the margin, a place lies off the surface,
+    /// contacts cannot keep their distance, or the model knows no force for a depth.
+    pub fn new(plan: &Plan, model: &Arc<dyn ForwardModel>, seed: u64) -> Result<Self, TestbedError> {
+        let surface = model.surface();
         let sites = Sites::new(surface, plan.margin);
-        let mut draw = Draw { rng: ChaCha8Rng::seed_from_u64(seed), plan, sites: &sites };
-        let mut timeline = Self {
-            presses: Vec::new(),
-            duration: 0.0,
-            diameter: plan.diameter,
-            count: 0,
-            surface: surface.clone(),
-        };
+        let mut more = ChaCha8Rng::seed_from_u64(seed);
+        more.set_stream(1);
+        let mut draw = Draw { rng: ChaCha8Rng::seed_from_u64(seed), more, plan, sites: &sites };
+        let mut timeline = Self { presses: Vec::new(), duration: 0.0, count: 0, model: Arc::clone(model) };
         let mut location = 0;
-        let too_narrow = || TestbedError::Plan {
-            file: plan.name.clone(),
-            field: "margin".into(),
-            reason: format!("no place on the surface is {} m away from its rim", plan.margin),
+        let too_narrow = || {
+            plan.wrong("margin", format!("no place on the surface is {} m away from its rim", plan.margin))
         };
         for (i, step) in plan.steps.iter().enumerate() {
             let place = |draw: &mut Draw<'_>| draw.place().ok_or_else(too_narrow);
-            match step {
-                Step::Idle { duration } => timeline.idle(*duration),
-                Step::Presses { count, force, repeats } => {
+            let manner = &step.manner;
+            let known = |touch: &Touch| timeline_knows(plan, model, i, touch);
+            match &step.action {
+                Action::Idle { duration } => timeline.idle(*duration),
+                Action::Presses { count, level, repeats } => {
                     for _ in 0..*count {
                         let at = place(&mut draw)?;
                         location += 1;
+                        let diameter = draw.diameter(manner);
                         for repeat in 0..*repeats {
-                            let force = draw.force(*force);
-                            timeline.press(
-                                &mut draw,
-                                location,
-                                repeat,
-                                vec![Touch { from: at, to: at, force }],
-                                None,
-                            );
+                            let level = draw.level(level);
+                            let touch = draw.touch(at, level, diameter, manner);
+                            known(&touch)?;
+                            timeline.press(&mut draw, manner, (location, repeat), vec![touch], None);
                         }
                     }
                 }
-                Step::Grid { pitch, forces, repeats } => {
-                    let mut places = sites.grid(*pitch);
+                Action::Grid { pitch, levels } => {
+                    let mut places = sites
+                        .grid(*pitch)
+                        .map_err(|reason| plan.wrong(format!("steps[{i}].pitch"), reason))?;
                     if places.is_empty() {
                         return Err(too_narrow());
                     }
+                    plan.fits(places.len() as u64 * u64::from(levels.repeats) * levels.presses() as u64)?;
                     places.shuffle(&mut draw.rng);
                     for at in places {
                         location += 1;
-                        for repeat in 0..*repeats {
-                            for &force in forces {
-                                let touches = vec![Touch { from: at, to: at, force }];
-                                timeline.press(&mut draw, location, repeat, touches, None);
-                            }
-                        }
+                        timeline.place(&mut draw, manner, (i, location), at, levels)?;
                     }
                 }
-                Step::Slides { count, force, length, speed } => {
+                Action::Places { at, levels } => {
+                    for (j, at) in at.iter().enumerate() {
+                        let (x, y, z) = (at[0], at[1], at[2]);
+                        let at = Point3::from(*at);
+                        let off = surface.distance(&at);
+                        // A place that is not a number is nowhere near.
+                        if off.is_nan() || off > OFF_SURFACE {
+                            let reason = format!("({x}, {y}, {z}) m lies {off:.6} m off the surface");
+                            return Err(plan.wrong(format!("steps[{i}].at[{j}]"), reason));
+                        }
+                        let (at, _) = surface.project(&at);
+                        if !sites.keeps_margin(&at) {
+                            let reason = format!(
+                                "({x}, {y}, {z}) m is nearer to the rim than the margin of {} m",
+                                plan.margin
+                            );
+                            return Err(plan.wrong(format!("steps[{i}].at[{j}]"), reason));
+                        }
+                        location += 1;
+                        timeline.place(&mut draw, manner, (i, location), at, levels)?;
+                    }
+                }
+                Action::Slides { count, force, length, speed } => {
                     for _ in 0..*count {
-                        let (from, to) = draw.way(*length).ok_or_else(|| TestbedError::Plan {
-                            file: plan.name.clone(),
-                            field: format!("steps[{i}].length"),
-                            reason: format!(
-                                "no way of {} m fits on the surface within the margin",
-                                length[0]
-                            ),
+                        let (from, to) = draw.way(*length).ok_or_else(|| {
+                            let reason =
+                                format!("no way of {} m fits on the surface within the margin", length[0]);
+                            plan.wrong(format!("steps[{i}].length"), reason)
                         })?;
                         location += 1;
                         let duration = (to - from).norm() / draw.within(*speed);
-                        let force = draw.force(*force);
-                        timeline.press(
-                            &mut draw,
-                            location,
-                            0,
-                            vec![Touch { from, to, force }],
-                            Some(duration),
-                        );
+                        let level = draw.level(&Level::Force(*force));
+                        let diameter = draw.diameter(manner);
+                        let touch = Touch { from, to, level, diameter, shear: Vector3::zeros() };
+                        timeline.press(&mut draw, manner, (location, 0), vec![touch], Some(duration));
                     }
                 }
-                Step::Multi { count, contacts, distance, force } => {
+                Action::Multi { count, contacts, distance, level } => {
                     for _ in 0..*count {
                         let wanted = draw.rng.random_range(contacts[0]..=contacts[1]) as usize;
-                        let at = draw.apart(wanted, *distance).ok_or_else(|| TestbedError::Plan {
-                            file: plan.name.clone(),
-                            field: format!("steps[{i}].distance"),
-                            reason: format!("{wanted} contacts {distance} m apart do not fit on the surface"),
+                        let at = draw.apart(wanted, *distance).ok_or_else(|| {
+                            let reason =
+                                format!("{wanted} contacts {distance} m apart do not fit on the surface");
+                            plan.wrong(format!("steps[{i}].distance"), reason)
                         })?;
                         location += 1;
-                        let touches = at
-                            .into_iter()
-                            .map(|at| Touch { from: at, to: at, force: draw.force(*force) })
-                            .collect();
-                        timeline.press(&mut draw, location, 0, touches, None);
+                        let diameter = draw.diameter(manner);
+                        let mut touches = Vec::with_capacity(at.len());
+                        for at in at {
+                            let level = draw.level(level);
+                            let touch = draw.touch(at, level, diameter, manner);
+                            known(&touch)?;
+                            touches.push(touch);
+                        }
+                        timeline.press(&mut draw, manner, (location, 0), touches, None);
                     }
                 }
             }
         }
         if timeline.duration <= 0.0 {
-            return Err(TestbedError::Plan {
-                file: plan.name.clone(),
-                field: "timing".into(),
-                reason: "lets the plan last no time at all: lengthen a phase".into(),
-            });
+            return Err(plan.wrong("timing", "lets the plan last no time at all: lengthen a phase"));
         }
         Ok(timeline)
+    }
+
+    /// All presses at one place.
+    fn place(
+        &mut self,
+        draw: &mut Draw<'_>,
+        manner: &Manner,
+        (step, location): (usize, u32),
+        at: Point3<f64>,
+        levels: &Levels,
+    ) -> Result<(), TestbedError> {
+        let diameter = draw.diameter(manner);
+        for repeat in 0..levels.repeats {
+            let values = levels.values.value();
+            let all: &[f64] = if levels.incremental { &values[values.len() - 1..] } else { values };
+            for value in all {
+                let touch = draw.touch(at, levels.values.map(|_| *value), diameter, manner);
+                timeline_knows(draw.plan, &self.model, step, &touch)?;
+                let stairs: Vec<f64> =
+                    if levels.incremental { values.iter().map(|v| v / value).collect() } else { vec![1.0] };
+                self.climb(draw, manner, (location, repeat), vec![touch], None, &stairs);
+            }
+        }
+        Ok(())
     }
 
     fn idle(&mut self, duration: f64) {
@@ -261,10 +317,9 @@ impl Timeline {
             number: self.count,
             location: 0,
             repeat: 0,
-            slides: false,
             touches: Vec::new(),
             start: self.duration,
-            ends: [0.0; 4],
+            keys: Vec::new(),
         });
         self.duration += duration;
     }
@@ -272,28 +327,64 @@ impl Timeline {
     fn press(
         &mut self,
         draw: &mut Draw<'_>,
-        location: u32,
-        repeat: u32,
+        manner: &Manner,
+        whose: (u32, u32),
         touches: Vec<Touch>,
         slide: Option<f64>,
     ) {
+        self.climb(draw, manner, whose, touches, slide, &[1.0]);
+    }
+
+    /// A press that holds at each of `stairs`, in shares of what it goes up to, the last of which is 1.
+    fn climb(
+        &mut self,
+        draw: &mut Draw<'_>,
+        manner: &Manner,
+        (location, repeat): (u32, u32),
+        touches: Vec<Touch>,
+        slide: Option<f64>,
+        stairs: &[f64],
+    ) {
         let t = &draw.plan.timing;
+        let held = manner.hold.unwrap_or(t.hold);
         let [approach, load, hold, unload, gap] =
-            [t.approach, t.load, t.hold, t.unload, t.gap].map(|range| draw.within(range));
-        let mut end = 0.0;
-        let ends = [approach, load, slide.unwrap_or(hold), unload].map(|duration| {
-            end += duration;
-            end
-        });
+            [t.approach, t.load, held, t.unload, t.gap].map(|range| draw.within(range));
+        let mut keys = Vec::with_capacity(4);
+        let mut at = Key { end: approach, phase: Phase::Approach, level: 0.0, shear: 0.0, way: 0.0 };
+        keys.push(at);
+        let mut go = |duration: f64, key: Key| {
+            at = Key { end: at.end + duration, ..key };
+            keys.push(at);
+            at
+        };
+        let sheared = touches.iter().any(|touch| touch.shear != Vector3::zeros());
+        let mut key = Key { end: approach, phase: Phase::Load, level: 0.0, shear: 0.0, way: 0.0 };
+        for (i, stair) in stairs.iter().enumerate() {
+            let [load, hold] = if i == 0 {
+                [load, hold]
+            } else {
+                [t.load, held].map(|[low, high]| draw.more.random_range(low..=high))
+            };
+            key = go(load, Key { phase: Phase::Load, level: *stair, ..key });
+            key = match slide {
+                Some(duration) => go(duration, Key { phase: Phase::Slide, way: 1.0, ..key }),
+                None => go(hold, Key { phase: Phase::Hold, ..key }),
+            };
+            if sheared {
+                let [load, hold] = [t.load, held].map(|[low, high]| draw.more.random_range(low..=high));
+                key = go(load, Key { phase: Phase::Load, shear: *stair, ..key });
+                key = go(hold, Key { phase: Phase::Hold, ..key });
+            }
+        }
+        let end = go(unload, Key { phase: Phase::Unload, level: 0.0, shear: 0.0, ..key }).end;
         self.count += 1;
         self.presses.push(Press {
             number: self.count,
             location,
             repeat,
-            slides: slide.is_some(),
             touches,
             start: self.duration,
-            ends,
+            keys,
         });
         self.duration += end + gap;
     }
@@ -312,8 +403,8 @@ impl Timeline {
 
     /// The first moment of full force; idle where nothing is ever touched.
     pub(crate) fn first_touch(&self) -> Moment {
-        let first = self.presses.iter().find(|p| !p.touches.is_empty());
-        first.map(|p| self.at(p.start + p.ends[1])).unwrap_or_default()
+        let first = self.presses.iter().find_map(|p| p.keys.get(1).map(|key| p.start + key.end));
+        first.map(|t| self.at(t)).unwrap_or_default()
     }
 
     /// What the testbed does at `t` \[s\]; idle before the start and after the end.
@@ -330,51 +421,108 @@ impl Timeline {
             repeat: press.repeat,
             ..Moment::default()
         };
-        let [approach, load, hold, unload] = press.ends;
         // A smooth start and end: a stage does not change its speed in no time.
         let smooth = |x: f64| 0.5 - 0.5 * (std::f64::consts::PI * x.clamp(0.0, 1.0)).cos();
-        let (phase, level, way) = if press.touches.is_empty() || since >= unload {
-            (Phase::Idle, 0.0, 1.0)
-        } else if since < approach {
-            (Phase::Approach, 0.0, 0.0)
-        } else if since < load {
-            (Phase::Load, smooth((since - approach) / (load - approach)), 0.0)
-        } else if since < hold {
-            let phase = if press.slides { Phase::Slide } else { Phase::Hold };
-            (phase, 1.0, (since - load) / (hold - load))
-        } else {
-            (Phase::Unload, smooth((unload - since) / (unload - hold)), 1.0)
+        let next = press.keys.partition_point(|key| key.end <= since);
+        let begin = next
+            .checked_sub(1)
+            .map_or(Key { end: 0.0, phase: Phase::Idle, level: 0.0, shear: 0.0, way: 0.0 }, |before| {
+                press.keys[before]
+            });
+        let mut approached = 0.0;
+        let now = match press.keys.get(next) {
+            None => Key { phase: Phase::Idle, ..begin },
+            Some(key) => {
+                let part = (since - begin.end) / (key.end - begin.end);
+                approached = smooth(part);
+                let along = |from: f64, to: f64| from + (to - from) * approached;
+                Key {
+                    level: along(begin.level, key.level),
+                    shear: along(begin.shear, key.shear),
+                    way: begin.way + (key.way - begin.way) * part,
+                    ..*key
+                }
+            }
         };
-        moment.phase = phase;
-        if level > 0.0 {
-            moment.stimulus.contacts = press
-                .touches
-                .iter()
-                .map(|touch| {
-                    let straight = touch.from + (touch.to - touch.from) * way;
-                    let (position, normal) = self.surface.project(&straight);
-                    Indentation { position, force: -normal * (touch.force * level), diameter: self.diameter }
-                })
-                .collect();
+        moment.phase = now.phase;
+        let surface = self.model.surface();
+        if now.level > 0.0 {
+            for touch in &press.touches {
+                let straight = touch.from + (touch.to - touch.from) * now.way;
+                let (position, normal) = surface.project(&straight);
+                let (pressing, depth) = self.press_of(touch, &position, now.level);
+                let mut force = -normal * pressing;
+                if now.shear > 0.0 && touch.shear != Vector3::zeros() {
+                    force += touch.shear * self.press_of(touch, &position, now.shear).0;
+                }
+                moment.stimulus.contacts.push(Indentation { position, force, diameter: touch.diameter });
+                moment.depths.push(depth);
+            }
         }
-        let gap = match phase {
+        let gap = match now.phase {
             Phase::Idle => RETREAT,
-            Phase::Approach => RETREAT * (1.0 - smooth(since / approach)),
+            Phase::Approach => RETREAT * (1.0 - approached),
             _ => 0.0,
         };
         // Between presses it waits above the place that it has left, before the first above that to come.
         let at = self.presses[index..].iter().chain(&self.presses[..index]).find_map(|p| p.touches.first());
         moment.tip = at.map(|touch| {
-            let (place, _) = self.surface.project(&(touch.from + (touch.to - touch.from) * way));
+            let (place, _) = surface.project(&(touch.from + (touch.to - touch.from) * now.way));
             Tip { place, gap }
         });
         moment
     }
+
+    /// Pressing force \[N\] and depth \[m\] of a touch at a share of what it goes up to.
+    fn press_of(&self, touch: &Touch, at: &Point3<f64>, share: f64) -> (f64, Option<f64>) {
+        match touch.level {
+            Level::Force(force) => {
+                let force = force * share;
+                (force, self.model.depth_at(at, touch.diameter, force))
+            }
+            Level::Depth(depth) => {
+                let depth = depth * share;
+                // That it is known was seen when the plan was drawn.
+                let force = self.model.force_at(at, touch.diameter, depth).unwrap_or_default();
+                (force, Some(depth))
+            }
+        }
+    }
+}
+
+/// Refuses a depth that takes no force that the model knows.
+fn timeline_knows(
+    plan: &Plan,
+    model: &Arc<dyn ForwardModel>,
+    step: usize,
+    touch: &Touch,
+) -> Result<(), TestbedError> {
+    let Level::Depth(depth) = touch.level else { return Ok(()) };
+    let known = |depth| model.force_at(&touch.from, touch.diameter, depth).is_some();
+    if known(depth) {
+        return Ok(());
+    }
+    let field = match plan.steps[step].action {
+        Action::Grid { .. } | Action::Places { .. } => "depths",
+        _ => "depth",
+    };
+    let Point3 { coords } = touch.from;
+    let reason = if known(0.0) {
+        format!(
+            "{depth} m at ({:.6}, {:.6}, {:.6}) m is deeper than a tip of {} m can be pressed into this skin",
+            coords.x, coords.y, coords.z, touch.diameter
+        )
+    } else {
+        "the model of this skin does not know how deep a tip sinks in: name forces instead".to_owned()
+    };
+    Err(plan.wrong(format!("steps[{step}].{field}"), reason))
 }
 
 /// Random choices of one timeline.
 struct Draw<'a> {
     rng: ChaCha8Rng,
+    /// For what not every press draws, so that the others stay what they are without it.
+    more: ChaCha8Rng,
     plan: &'a Plan,
     sites: &'a Sites<'a>,
 }
@@ -387,11 +535,40 @@ impl Draw<'_> {
         self.rng.random_range(low..=high)
     }
 
-    fn force(&mut self, range: [f64; 2]) -> f64 {
-        match self.plan.force_distribution {
-            ForceDistribution::Uniform => self.within(range),
+    fn level(&mut self, range: &Level<[f64; 2]>) -> Level<f64> {
+        range.map(|range| match self.plan.force_distribution {
+            ForceDistribution::Uniform => self.within(*range),
             ForceDistribution::Log => self.within(range.map(f64::ln)).exp(),
+        })
+    }
+
+    fn diameter(&mut self, manner: &Manner) -> f64 {
+        let of = if manner.diameter.is_empty() { &self.plan.diameter } else { &manner.diameter };
+        match of[..] {
+            [diameter] => diameter,
+            _ => of[self.more.random_range(0..of.len())],
         }
+    }
+
+    /// A contact that stays where it is, but for what its shear makes of it.
+    fn touch(&mut self, at: Point3<f64>, level: Level<f64>, diameter: f64, manner: &Manner) -> Touch {
+        let mut shear = Vector3::zeros();
+        if let Some([low, high]) = manner.shear {
+            let ratio = self.more.random_range(low..=high);
+            let turn = match manner.shear_direction {
+                Some(direction) => direction,
+                None => self.more.random_range(0.0..std::f64::consts::TAU),
+            };
+            let (_, normal) = self.sites.surface.project(&at);
+            let from = [Vector3::x(), Vector3::y()]
+                .into_iter()
+                .find_map(|axis| (axis - normal * axis.dot(&normal)).try_normalize(1e-3));
+            if let Some(along) = from {
+                let (sin, cos) = turn.sin_cos();
+                shear = (along * cos + normal.cross(&along) * sin) * ratio;
+            }
+        }
+        Touch { from: at, to: at, level, diameter, shear }
     }
 
     fn place(&mut self) -> Option<Point3<f64>> {
@@ -487,18 +664,67 @@ impl<'a> Sites<'a> {
             })
     }
 
-    /// Points of the surface that keep the margin, at least `pitch` from one another along one of the axes: on
-    /// a flat skin a square grid.
-    fn grid(&self, pitch: f64) -> Vec<Point3<f64>> {
+    /// Points that keep the margin: on a flat skin a centred grid of that pitch along x and y; on a curved one points of its
+    /// triangulation, at least one pitch from one another along one of the axes.
+    ///
+    /// # Errors
+    ///
+    /// Why that pitch cannot be.
+    fn grid(&self, pitch: [f64; 2]) -> Result<Vec<Point3<f64>>, String> {
+        let points = &self.surface.points;
+        let (low, high) =
+            points.iter().fold((points[0], points[0]), |(low, high), p| (low.inf(p), high.sup(p)));
+        if high.z - low.z < 1e-9 {
+            let middle = nalgebra::center(&low, &high);
+            let count = |axis: usize| {
+                let usable = high[axis] - low[axis] - 2.0 * self.margin;
+                // Rounding must not drop a line that just fits.
+                if usable < -1e-12 { 0.0 } else { (usable.max(0.0) / pitch[axis] + 1e-9).floor() + 1.0 }
+            };
+            let [nx, ny] = [count(0), count(1)];
+            if nx * ny > PRESSES_MAX as f64 {
+                return Err(format!(
+                    "makes {:.0} places; {PRESSES_MAX} contacts at most fit a recording",
+                    nx * ny
+                ));
+            }
+            let along = |k: u32, n: f64, pitch: f64| (f64::from(k) - (n - 1.0) / 2.0) * pitch;
+            let mut places = Vec::new();
+            for j in 0..ny as u32 {
+                for i in 0..nx as u32 {
+                    let offset = Vector3::new(along(i, nx, pitch[0]), along(j, ny, pitch[1]), 0.0);
+                    places.push(self.surface.project(&(middle + offset)).0);
+                }
+            }
+            return Ok(places);
+        }
+        let [pitch, other] = pitch;
+        if pitch != other {
+            return Err("is of two numbers, which a flat skin has only".into());
+        }
+        let mut sides: Vec<f64> = self
+            .surface
+            .triangles
+            .iter()
+            .map(|t| (points[t[0] as usize] - points[t[1] as usize]).norm())
+            .collect();
+        sides.sort_by(f64::total_cmp);
+        let spacing = sides.get(sides.len() / 2).copied().unwrap_or_default();
+        if pitch < 0.9 * spacing {
+            return Err(format!(
+                "is {pitch} m, and the points of this curved surface are {spacing:.6} m apart: take a wider pitch, or a \
+                 finer `surface.spacing` in the skin description"
+            ));
+        }
         let mut chosen: Vec<Point3<f64>> = Vec::new();
         // Rounding must not drop a neighbour that is exactly one pitch away.
         let least = pitch * (1.0 - 1e-9);
-        for p in &self.surface.points {
+        for p in points {
             if self.keeps_margin(p) && chosen.iter().all(|q| (p - q).amax() >= least) {
                 chosen.push(*p);
             }
         }
-        chosen
+        Ok(chosen)
     }
 }
 
@@ -518,7 +744,7 @@ mod tests {
     #[test]
     fn a_press_goes_through_its_phases_and_its_force_does_not_jump() {
         let skin = testing::skin(100.0);
-        let timeline = Timeline::new(&testing::plan(), &skin.surface(), 3).unwrap();
+        let timeline = Timeline::new(&testing::plan(), &testing::Bumps::shared(&skin), 3).unwrap();
         let force = |m: &Moment| m.stimulus.contacts.iter().map(|c| -c.force.z).fold(0.0, f64::max);
         let mut last = Moment::default();
         for moment in moments(&timeline) {
@@ -550,7 +776,7 @@ mod tests {
     #[test]
     fn the_plan_is_carried_out_in_full() {
         let skin = testing::skin(100.0);
-        let timeline = Timeline::new(&testing::plan(), &skin.surface(), 3).unwrap();
+        let timeline = Timeline::new(&testing::plan(), &testing::Bumps::shared(&skin), 3).unwrap();
         // 26 mm by 16 mm within the margin: points at 0, 8, 16, 24 by 0, 8, 16 mm.
         let grid = 4 * 3;
         assert_eq!(timeline.presses(), 4 * 2 + grid * 2 * 2 + 3 + 3);
@@ -577,7 +803,7 @@ mod tests {
         let skin = testing::skin(100.0);
         let plan_error = |text: &str| {
             let plan = Plan::from_toml(text, "plan.toml").unwrap();
-            Timeline::new(&plan, &skin.surface(), 1).unwrap_err().to_string()
+            Timeline::new(&plan, &testing::Bumps::shared(&skin), 1).unwrap_err().to_string()
         };
         let refused = |from: &str, to: &str| plan_error(&testing::PLAN.replace(from, to));
         let no_time = r#"
@@ -587,10 +813,10 @@ mod tests {
             timing = { approach = [0, 0], load = [0, 0], hold = [0, 0], unload = [0, 0], gap = [0, 0] }
             steps = [{ kind = "presses", count = 3, force = [0.1, 0.2] }]
         "#;
-        insta::assert_snapshot!(plan_error(no_time), @"plan no-time: field `timing`: lets the plan last no time at all: lengthen a phase");
-        insta::assert_snapshot!(refused("margin = 0.002", "margin = 0.011"), @"plan all-kinds: field `margin`: no place on the surface is 0.011 m away from its rim");
-        insta::assert_snapshot!(refused("length = [0.004, 0.008]", "length = [0.1, 0.2]"), @"plan all-kinds: field `steps[3].length`: no way of 0.1 m fits on the surface within the margin");
-        insta::assert_snapshot!(refused("distance = 0.006", "distance = 0.06"), @"plan all-kinds: field `steps[4].distance`: 2 contacts 0.06 m apart do not fit on the surface");
+        insta::assert_snapshot!(plan_error(no_time), @"plan plan.toml: field `timing`: lets the plan last no time at all: lengthen a phase");
+        insta::assert_snapshot!(refused("margin = 0.002", "margin = 0.011"), @"plan plan.toml: field `margin`: no place on the surface is 0.011 m away from its rim");
+        insta::assert_snapshot!(refused("length = [0.004, 0.008]", "length = [0.1, 0.2]"), @"plan plan.toml: field `steps[3].length`: no way of 0.1 m fits on the surface within the margin");
+        insta::assert_snapshot!(refused("distance = 0.006", "distance = 0.06"), @"plan plan.toml: field `steps[4].distance`: 2 contacts 0.06 m apart do not fit on the surface");
     }
 
     proptest! {
@@ -603,9 +829,10 @@ mod tests {
             } else {
                 SurfaceSpec::Rectangle { size: [0.03, 0.02], spacing: 0.002 }
             };
-            let surface = Surface::from_spec(&spec);
-            let timeline = Timeline::new(&testing::plan(), &surface, seed).unwrap();
-            let again = Timeline::new(&testing::plan(), &surface, seed).unwrap();
+            let model = testing::Bumps::on(&spec);
+            let surface = model.surface();
+            let timeline = Timeline::new(&testing::plan(), &model, seed).unwrap();
+            let again = Timeline::new(&testing::plan(), &model, seed).unwrap();
             for i in 0..200 {
                 let t = timeline.duration() * f64::from(i) / 200.0;
                 let moment = timeline.at(t);
