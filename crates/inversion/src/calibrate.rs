@@ -81,16 +81,20 @@ impl Calibration {
             }
         }
         let gains = gains(&all, noise)?;
-        let used: Vec<&Labelled<'_>> = all.iter().step_by(all.len().div_ceil(MOST).max(1)).collect();
         let force_max =
             all.iter().flat_map(|f| f.stimulus.contacts.iter().map(|c| c.force.norm())).fold(0.0, f64::max);
-        // Sum of squared deviations over what is expected, if the model is off by `error`.
-        let excess = |error: f64| -> Result<f64, ModelError> {
+        // Sum of squared deviations over what is expected, if the noise is `scale` times what it should be and the model is
+        // off by `error`.
+        let excess = |frames: &[&Labelled<'_>], scale: f64, error: f64| -> Result<f64, ModelError> {
             let (mut chi2, mut expected) = (0.0, 0.0);
-            for frame in &used {
+            for frame in frames {
                 let datum = |(v, n): (&f32, &f64)| {
                     let v = f64::from(*v);
-                    if v.is_finite() { Datum::Exact(v, 1.0 / n.hypot(error * v)) } else { Datum::None }
+                    if v.is_finite() {
+                        Datum::Exact(v, 1.0 / (scale * n).hypot(error * v))
+                    } else {
+                        Datum::None
+                    }
                 };
                 let data: Vec<Datum> = frame.signal.iter().zip(noise).map(datum).collect();
                 let known = data.iter().filter(|d| **d != Datum::None).count();
@@ -104,12 +108,18 @@ impl Calibration {
             }
             Ok(if expected > 0.0 { chi2 / expected } else { 0.0 })
         };
+        // A zero that is off shows in weak and strong signals alike; what grows with the signal is the model's error.
+        let strongest = |f: &Labelled<'_>| f.signal.iter().map(|v| v.abs()).fold(0.0f32, f32::max);
+        all.sort_by(|a, b| strongest(a).total_cmp(&strongest(b)));
+        let third = all.len() / 3;
+        let (weak, strong) = (some(&all[..third]), some(&all[all.len() - third..]));
+        let scale = excess(&weak, 1.0, 0.0)?.sqrt().max(1.0);
         let mut model_error = 0.0;
-        if excess(0.0)? > CHANCE {
+        if excess(&strong, scale, 0.0)? > CHANCE {
             let (mut low, mut high) = (ERRORS.0, ERRORS.1);
             for _ in 0..ERRORS.2 {
                 let middle = f64::sqrt(low * high);
-                if excess(middle)? > 1.0 {
+                if excess(&strong, scale, middle)? > 1.0 {
                     low = middle;
                 } else {
                     high = middle;
@@ -119,6 +129,11 @@ impl Calibration {
         }
         Ok(Self { gains, model_error, frames: all.len() })
     }
+}
+
+/// At most [`MOST`] of them, evenly.
+fn some<'b, 'a>(frames: &'b [Labelled<'a>]) -> Vec<&'b Labelled<'a>> {
+    frames.iter().step_by(frames.len().div_ceil(MOST).max(1)).collect()
 }
 
 /// Least squares of what is read over what is expected: strong presses, whose force is known best, count most.

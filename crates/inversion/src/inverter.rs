@@ -207,6 +207,8 @@ pub struct Solution {
 /// A weak contact whose place is known no better than this many spacings of the dictionary is answered by the mean over
 /// all places that it may have.
 const BROAD: f64 = 0.8;
+/// Deviations of its expectation up to which a sum of squared deviations is what noise leaves.
+const PLAUSIBLE: f64 = 2.0;
 /// Starts of a further contact that are tried.
 const STARTS: usize = 2;
 /// \[m\] by which a contact is split in two, to both sides.
@@ -316,10 +318,16 @@ impl Inverter {
             }
             let starts = self.starts(&data, &best, hint.filter(|_| best.contacts.is_empty()));
             let mut found: Option<Minimum> = None;
+            let freedom = counted.saturating_sub(after) as f64;
             for start in starts {
                 let minimum = problem.minimise(start, 0)?;
                 if found.as_ref().is_none_or(|f| minimum.chi2 < f.chi2) {
+                    // What is left is noise: no other start finds anything better.
+                    let enough = minimum.chi2 < freedom + PLAUSIBLE * (2.0 * freedom).sqrt();
                     found = Some(minimum);
+                    if enough {
+                        break;
+                    }
                 }
             }
             let Some(found) = found else { break };
@@ -341,6 +349,27 @@ impl Inverter {
         Ok(Solution { contacts, chi2: best.chi2, freedom })
     }
 
+    /// How surely readings show a contact at all: by how much the best single one of the dictionary lowers the sum of
+    /// squared deviations, and what it leaves per reading. A matched filter, that finds contacts which no channel shows by
+    /// itself; drift, which has another pattern, leaves more than noise does. (0, 0) for readings of another skin.
+    #[must_use]
+    pub fn evidence(&self, readings: &[Reading]) -> (f64, f64) {
+        if readings.len() != self.gains.len() {
+            return (0.0, 0.0);
+        }
+        let data = self.data(readings);
+        let left = residuals(&data, &vec![0.0; data.len()]);
+        let whole: f64 = left.iter().map(|(r, _)| f64::from(*r).powi(2)).sum();
+        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let freedom = counted.saturating_sub(self.settings.unknowns.count());
+        // Nothing can be gained that is not there.
+        if whole < self.settings.evidence || freedom == 0 {
+            return (0.0, whole / counted.max(1) as f64);
+        }
+        let best = f64::from(self.scores(&left).iter().fold(0.0f32, |best, (score, ..)| best.max(*score)));
+        (best, (whole - best) / freedom as f64)
+    }
+
     fn data(&self, readings: &[Reading]) -> Vec<Datum> {
         let weight = |noise: f64, value: f64| 1.0 / noise.hypot(self.settings.model_error * value);
         readings
@@ -357,16 +386,7 @@ impl Inverter {
 
     /// Where to begin with one contact more than `best` has.
     fn starts(&self, data: &[Datum], best: &Minimum, hint: Option<&Indentation>) -> Vec<Vec<Indentation>> {
-        let left: Vec<(f32, f32)> = data
-            .iter()
-            .zip(&best.signal)
-            .map(|(datum, signal)| match *datum {
-                Datum::Exact(v, w) => (((v - signal) * w) as f32, w as f32),
-                Datum::AtLeast(v, w) => (((v - signal).max(0.0) * w) as f32, w as f32),
-                Datum::AtMost(v, w) => (((v - signal).min(0.0) * w) as f32, w as f32),
-                Datum::None => (0.0, 0.0),
-            })
-            .collect();
+        let left = residuals(data, &best.signal);
         let with = |contact: Indentation| {
             let mut all = best.contacts.clone();
             all.push(contact);
@@ -394,8 +414,8 @@ impl Inverter {
         starts
     }
 
-    /// Contacts of the dictionary that explain whitened residuals best, no two of them near to each other.
-    fn matches(&self, left: &[(f32, f32)], most: usize) -> Vec<Indentation> {
+    /// For every place of the dictionary what it explains of whitened residuals, and with which force \[N\].
+    fn scores(&self, left: &[(f32, f32)]) -> Vec<(f32, usize, f64)> {
         let gains: Vec<f32> = self.gains.iter().map(|g| *g as f32).collect();
         let levels = self.dictionary.forces.len();
         let mut scores: Vec<(f32, usize, f64)> = Vec::with_capacity(self.dictionary.places.len());
@@ -419,6 +439,12 @@ impl Inverter {
             }
             scores.push((top.0, place, top.1));
         }
+        scores
+    }
+
+    /// Contacts of the dictionary that explain whitened residuals best, no two of them near to each other.
+    fn matches(&self, left: &[(f32, f32)], most: usize) -> Vec<Indentation> {
+        let mut scores = self.scores(left);
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut chosen: Vec<Indentation> = Vec::new();
         for (_, place, force) in scores {
@@ -532,6 +558,19 @@ impl Inverter {
             force_covariance: normal * normal.transpose() * variance,
         }
     }
+}
+
+/// What a model signal leaves of data, in units of their noise, with the weight of each.
+fn residuals(data: &[Datum], signal: &[f64]) -> Vec<(f32, f32)> {
+    data.iter()
+        .zip(signal)
+        .map(|(datum, signal)| match *datum {
+            Datum::Exact(v, w) => (((v - signal) * w) as f32, w as f32),
+            Datum::AtLeast(v, w) => (((v - signal).max(0.0) * w) as f32, w as f32),
+            Datum::AtMost(v, w) => (((v - signal).min(0.0) * w) as f32, w as f32),
+            Datum::None => (0.0, 0.0),
+        })
+        .collect()
 }
 
 /// Covariances of place and force in the frame of the link from those of the unknowns; unknown where `block` is.

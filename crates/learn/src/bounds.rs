@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use dermis_skin::{ForceComponents, ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ChannelFlags, ForceComponents, ForwardModel, Indentation, ModelError, Stimulus, Surface};
 use dermis_theory::{ContactBound, TheoryError, Unknowns, cramer_rao};
 use serde::{Deserialize, Serialize};
 
@@ -46,7 +46,7 @@ impl fmt::Display for Bounds {
 
 /// Bounds the touched samples of a data set, or those of `only`, by the forward model of its skin. `None` where no sample
 /// has what a stimulus needs: position, force and diameter of every contact. `edges` \[N\] of the bins ascend, the last bin
-/// is open.
+/// is open. A channel that was at an end of its range, or had no valid reading, tells nothing of its sample.
 ///
 /// # Errors
 ///
@@ -59,14 +59,19 @@ pub fn bounds(
     edges: &[f64],
 ) -> Result<Option<Bounds>, TheoryError> {
     let only: Option<BTreeSet<SampleId>> = only.map(|ids| ids.iter().copied().collect());
-    let stimuli: Vec<Stimulus> = data
+    let stimuli: Vec<(Stimulus, &[ChannelFlags])> = data
         .labelled()
         .filter(|(id, _, truth)| truth.touched() && only.as_ref().is_none_or(|ids| ids.contains(id)))
-        .filter_map(|(_, _, truth)| stimulus(truth))
+        .filter_map(|(_, sample, truth)| Some((stimulus(truth)?, sample.frame.flags.as_slice())))
         .collect();
+    let mut heard = Heard { model, noise: model.noise().to_vec() };
     let mut found: Vec<(f64, ContactBound)> = Vec::new();
-    for stimulus in stimuli.iter().step_by(stimuli.len().div_ceil(MOST).max(1)) {
-        match cramer_rao(model, stimulus, unknowns) {
+    for (stimulus, flags) in stimuli.iter().step_by(stimuli.len().div_ceil(MOST).max(1)) {
+        heard.noise.copy_from_slice(model.noise());
+        for (noise, _) in heard.noise.iter_mut().zip(*flags).filter(|(_, f)| !f.is_ok()) {
+            *noise = DEAF;
+        }
+        match cramer_rao(&heard, stimulus, unknowns) {
             Ok(all) => {
                 let surface = model.surface();
                 found.extend(stimulus.contacts.iter().zip(all).map(|(contact, bound)| {
@@ -89,6 +94,33 @@ pub fn bounds(
     }))
 }
 
+/// Noise of a channel that tells nothing, in any unit.
+const DEAF: f64 = 1e30;
+
+/// A model of which some channels tell nothing.
+struct Heard<'a> {
+    model: &'a dyn ForwardModel,
+    noise: Vec<f64>,
+}
+
+impl ForwardModel for Heard<'_> {
+    fn channels(&self) -> usize {
+        self.model.channels()
+    }
+
+    fn surface(&self) -> &Surface {
+        self.model.surface()
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.model.response(stimulus, out)
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+}
+
 /// What pressed, where the truth is whole.
 pub(crate) fn stimulus(truth: &Truth) -> Option<Stimulus> {
     let contacts = truth
@@ -107,8 +139,6 @@ pub(crate) fn stimulus(truth: &Truth) -> Option<Stimulus> {
 
 #[cfg(test)]
 mod tests {
-    use dermis_skin::{ModelError, Surface};
-
     use super::*;
     use crate::FORCE_BINS;
     use crate::dataset::tests::presses;

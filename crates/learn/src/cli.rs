@@ -7,7 +7,7 @@ use clap::Args;
 use crate::{DatasetOptions, LabelMap, LearnError};
 
 /// How bags are read.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Default, Args)]
 pub struct Labels {
     /// Take the ground truth from a robot's pose and a force sensor's wrench, as this file maps them; see
     /// `launch/labels/`.

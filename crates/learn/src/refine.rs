@@ -51,7 +51,7 @@ pub fn settings(
     let most_often = diameters.chunk_by(|a, b| a == b).max_by_key(|run| run.len()).map(|run| run[0]);
     let forces = frames.iter().flat_map(|(s, _)| s.contacts.iter().map(|c| c.force.norm()));
     let force_max = forces.fold(0.0, f64::max) * ROOM;
-    let calibration = Calibration::measure(model, frames.iter().map(|(s, v)| (s, v.as_slice())))
+    let calibration = Calibration::measure(model, unknowns, frames.iter().map(|(s, v)| (s, v.as_slice())))
         .map_err(|e| failed(e.to_string()))?;
     let mut settings = Settings::new(most_often.unwrap_or(0.004), force_max);
     settings.gains = calibration.gains;

@@ -14,6 +14,10 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use crate::condition::{ConditionError, Conditioned, Conditioner, TareRefusal, listed};
 use crate::contacts::{TaxelShares, Tracker};
 
+/// Presence by what a forward model explains (units of squared noise) begins above the first and ends below the second.
+const EXPLAINED: (f64, f64) = (30.0, 15.0);
+/// What a contact leaves unexplained per reading, at most: drift and ambient pressure leave more.
+const UNEXPLAINED: f64 = 2.0;
 /// Presence by probability begins above the first and ends below the second.
 const PRESENT: (f64, f64) = (0.5, 0.4);
 /// Output that gives the pressing force at every point of the surface \[N\].
@@ -227,6 +231,10 @@ pub struct BarodomeEstimator {
     /// Pressing force \[N\] below which contacts are not reported.
     least_force: f64,
     probable: bool,
+    /// A forward model explains the latest signal by a contact.
+    explained: bool,
+    /// The latest signal, as an inverter takes it.
+    readings: Vec<Reading>,
     no_model: String,
 }
 
@@ -248,6 +256,8 @@ impl BarodomeEstimator {
             verdict: Verdict { level: f64::NAN, ..Verdict::default() },
             least_force: 0.0,
             probable: false,
+            explained: false,
+            readings: Vec::new(),
             no_model: "no model is loaded, so that contacts are unknown; train one with `dermis train` and name its \
                        folder in `models`"
                 .into(),
@@ -409,7 +419,8 @@ impl BarodomeEstimator {
         if let Some(p) = probability {
             self.probable = p > if self.probable { PRESENT.1 } else { PRESENT.0 };
         }
-        let present = if probability.is_some() { self.probable } else { self.cleaned.touched };
+        let present =
+            if probability.is_some() { self.probable } else { self.cleaned.touched || self.explains() };
         let mut complete = true;
         for pipeline in &mut self.pipelines {
             if present && !pipeline.fresh {
@@ -417,6 +428,32 @@ impl BarodomeEstimator {
             }
         }
         Ok((present, complete))
+    }
+
+    /// Whether a forward model explains the signal by a contact, light ones included that the level does not show.
+    fn explains(&mut self) -> bool {
+        let Some(inverter) = self.pipelines.iter().find_map(|p| p.inverter.as_ref()) else { return false };
+        let (gain, left) = inverter.evidence(&self.readings);
+        let least = if self.explained { EXPLAINED.1 } else { EXPLAINED.0 };
+        self.explained = gain > least && left < UNEXPLAINED;
+        self.explained
+    }
+
+    /// Takes the signal of the latest frame for an inverter.
+    fn read(&mut self) {
+        if self.pipelines.iter().all(|p| p.inverter.is_none()) {
+            return;
+        }
+        let signal = &self.cleaned.signal;
+        self.readings.clear();
+        self.readings.extend(signal.values.iter().zip(&signal.flags).map(|(value, flags)| {
+            match f64::from(*value) {
+                v if v.is_nan() || flags.is_invalid() => Reading::Missing,
+                v if flags.contains(ChannelFlags::SATURATED) && v > 0.0 => Reading::AtLeast(v),
+                v if flags.contains(ChannelFlags::SATURATED) => Reading::AtMost(v),
+                v => Reading::Exact(v),
+            }
+        }));
     }
 
     /// What the learned models say, refined on the forward model where a bundle asks for it.
@@ -427,18 +464,6 @@ impl BarodomeEstimator {
         else {
             return Ok(vec![learned]);
         };
-        let signal = &self.cleaned.signal;
-        let readings: Vec<Reading> = signal
-            .values
-            .iter()
-            .zip(&signal.flags)
-            .map(|(value, flags)| match f64::from(*value) {
-                v if v.is_nan() || flags.is_invalid() => Reading::Missing,
-                v if flags.contains(ChannelFlags::SATURATED) && v > 0.0 => Reading::AtLeast(v),
-                v if flags.contains(ChannelFlags::SATURATED) => Reading::AtMost(v),
-                v => Reading::Exact(v),
-            })
-            .collect();
         let settings = inverter.settings();
         let known = learned.position.iter().chain(&learned.force).all(|v| v.is_finite());
         let hint = (known && learned.normal_force() > 0.0).then(|| Indentation {
@@ -447,7 +472,7 @@ impl BarodomeEstimator {
             diameter: settings.diameter,
         });
         let solution = inverter
-            .solve(&readings, hint.as_ref())
+            .solve(&self.readings, hint.as_ref())
             .map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
         if solution.contacts.is_empty() {
             return Ok(vec![learned]);
@@ -655,6 +680,7 @@ impl Estimator for BarodomeEstimator {
             touched: self.cleaned.touched,
             probability: None,
         };
+        self.read();
         let inferred = if quality <= Quality::Degraded { self.infer() } else { Ok((false, true)) };
         let (present, complete) = match inferred {
             Ok(answer) => answer,
@@ -701,6 +727,7 @@ impl Estimator for BarodomeEstimator {
         self.cleaned = Conditioned::default();
         self.verdict = Verdict { level: f64::NAN, ..Verdict::default() };
         self.probable = false;
+        self.explained = false;
     }
 }
 
