@@ -210,18 +210,15 @@ impl Output {
     }
 
     /// Finishes the bag. Where it does not hold yet what was begun before, that takes its place again; its frames, otherwise 0.
-    fn finish(self) -> Result<u64, TestbedError> {
-        match self.begun {
-            Some(begun) if !begun.is_passed() => {
-                drop(self.writer);
-                begun.put_back()
-            }
-            begun => {
-                self.writer.finish()?;
-                begun.map_or(Ok(()), Begun::discard)?;
-                Ok(0)
-            }
+    fn finish(mut self) -> Result<u64, TestbedError> {
+        let passed = self.begun.as_mut().is_none_or(Begun::is_passed);
+        if let Some(begun) = self.begun.take_if(|_| !passed) {
+            drop(self.writer);
+            return begun.put_back();
         }
+        self.writer.finish()?;
+        self.begun.map_or(Ok(()), Begun::discard)?;
+        Ok(0)
     }
 }
 
@@ -398,6 +395,12 @@ mod tests {
         fn noise(&self) -> &[f64] {
             self.inner.noise()
         }
+        fn trajectory(&self) -> Box<dyn dermis_skin::Trajectory> {
+            self.inner.trajectory()
+        }
+        fn depth_at(&self, at: &nalgebra::Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+            self.inner.depth_at(at, diameter, force)
+        }
     }
 
     #[test]
@@ -416,6 +419,99 @@ mod tests {
         assert!((300..300 + STRIDE + 1).contains(&report.frames), "{}", report.frames);
         let (frames, truth) = read(&bag);
         assert_eq!((frames.len() as u64, truth.len() as u64), (report.frames, report.frames));
+    }
+
+    /// All messages, as bytes.
+    fn bytes(bag: &Path) -> Vec<(String, i64, Vec<u8>)> {
+        let reader = BagReader::open(bag).unwrap();
+        reader.messages().map(|m| m.unwrap()).map(|m| (m.topic.to_string(), m.log_time, m.data)).collect()
+    }
+
+    #[test]
+    fn an_interrupted_collection_goes_on_to_the_same_bag() {
+        let dir = tempfile::tempdir().unwrap();
+        let skin = testing::skin(200.0);
+        let (whole, bag) = (dir.path().join("whole"), dir.path().join("bag"));
+        let plan = testing::plan();
+        let model = Bumps::shared(&skin);
+        let all = collect(&model, &skin, &plan, &whole, &options()).unwrap();
+
+        // Stopped twice, the second time while it goes through what is there already; then again a little further.
+        let mut frames = 0;
+        for left in [300, 100, 700] {
+            let options = CollectOptions { resume: true, ..options() };
+            let stopping: Arc<dyn ForwardModel> = Arc::new(Interrupted {
+                inner: Bumps::new(&skin),
+                left: left.into(),
+                stop: Arc::clone(&options.stop),
+            });
+            let report = collect(&stopping, &skin, &plan, &bag, &options).unwrap();
+            assert!(report.interrupted && report.resumed == frames && report.frames >= frames, "{report:?}");
+            frames = report.frames;
+            assert_eq!(read(&bag).0.len() as u64, frames);
+        }
+        let resume = CollectOptions { resume: true, ..CollectOptions::default() };
+        let report = collect(&model, &skin, &plan, &bag, &resume).unwrap();
+        assert_eq!(report, CollectReport { path: bag.clone(), resumed: frames, ..all.clone() });
+        assert!(bytes(&bag) == bytes(&whole), "another bag");
+        // What is finished stays as it is.
+        let report = collect(&model, &skin, &plan, &bag, &resume).unwrap();
+        assert_eq!(report, CollectReport { path: bag.clone(), resumed: all.frames, ..all });
+        let mut names: Vec<_> =
+            std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, ["bag", "whole"]);
+    }
+
+    #[test]
+    fn a_torn_bag_goes_on_to_the_same_bag_wherever_it_ends() {
+        let dir = tempfile::tempdir().unwrap();
+        let skin = testing::skin(200.0);
+        let (whole, bag) = (dir.path().join("whole"), dir.path().join("bag"));
+        let model = Bumps::shared(&skin);
+        collect(&model, &skin, &testing::plan(), &whole, &options()).unwrap();
+        let file = std::fs::read(whole.join("whole_0.mcap")).unwrap();
+        // As what is left after power was lost: with and without what an earlier attempt to go on had set aside.
+        for (i, cut) in [0, 5, 60, 2000, file.len() / 2, file.len() - 100, file.len()].into_iter().enumerate()
+        {
+            std::fs::remove_dir_all(&bag).ok();
+            std::fs::create_dir(&bag).unwrap();
+            std::fs::write(bag.join("bag_0.mcap"), &file[..cut]).unwrap();
+            if i % 2 == 1 {
+                let aside = dir.path().join("bag.interrupted");
+                std::fs::create_dir(&aside).unwrap();
+                std::fs::write(aside.join("bag_0.mcap"), &file[..file.len() / 3]).unwrap();
+            }
+            collect(&model, &skin, &testing::plan(), &bag, &CollectOptions { resume: true, ..options() })
+                .unwrap();
+            assert!(bytes(&bag) == bytes(&whole), "another bag after {cut} bytes");
+            assert!(!dir.path().join("bag.interrupted").exists());
+        }
+    }
+
+    #[test]
+    fn a_collection_goes_on_with_its_own_bag_only() {
+        let dir = tempfile::tempdir().unwrap();
+        let skin = testing::skin(200.0);
+        let (whole, bag) = (dir.path().join("whole"), dir.path().join("bag"));
+        let model = Bumps::shared(&skin);
+        collect(&model, &skin, &testing::plan(), &whole, &options()).unwrap();
+        let file = std::fs::read(whole.join("whole_0.mcap")).unwrap();
+        std::fs::create_dir(&bag).unwrap();
+        std::fs::write(bag.join("bag_0.mcap"), &file[..file.len() * 2 / 3]).unwrap();
+
+        let resume = || CollectOptions { resume: true, ..CollectOptions::default() };
+        let refused = |out: &Path, options: &CollectOptions| {
+            let error = collect(&model, &skin, &testing::plan(), out, options).unwrap_err().to_string();
+            error.replace(&*dir.path().display().to_string(), "")
+        };
+        insta::assert_snapshot!(refused(&bag, &CollectOptions { seed: Some(9), ..resume() }), @"bag /bag: cannot be gone on with: its message 2 on /taxels is another one than is collected now: it was begun with another plan, skin, effects, seed, noise or program; give the same, or another --out");
+        insta::assert_snapshot!(refused(&bag, &CollectOptions { start: Some(START + 1), ..resume() }), @"bag /bag: cannot be gone on with: its message 1 on /skin_geometry is another one than is collected now: it was begun with another plan, skin, effects, seed, noise or program; give the same, or another --out");
+        insta::assert_snapshot!(refused(&whole, &CollectOptions { seed: Some(9), ..resume() }), @"bag /whole: cannot be gone on with: its seed is 3, and now it is 9; give the same, or another --out");
+        assert!(std::fs::read(bag.join("bag_0.mcap")).unwrap() == file[..file.len() * 2 / 3]);
+        std::fs::write(bag.join("thesis.tex"), "").unwrap();
+        insta::assert_snapshot!(refused(&bag, &resume()), @"bag /bag: cannot be gone on with: the folder also holds `thesis.tex`: it is no bag that was begun here");
+        assert!(bag.join("thesis.tex").exists() && !dir.path().join("bag.interrupted").exists());
     }
 
     #[test]

@@ -425,6 +425,65 @@ mod tests {
         insta::assert_snapshot!(refused("seed = 3", "seed ="), @"plan plan.toml: field `line 4`: string values must be quoted, expected literal string");
     }
 
+    const MORE: &str = r#"
+        schema = "dermis-plan/1"
+        name = "more"
+        diameter = [0.002, 0.004]
+        force_noise = 0.0
+        stage_noise = 1e-5
+        [[steps]]
+        kind = "grid"
+        pitch = [0.004, 0.002]
+        depths = [0.001, 0.002]
+        incremental = true
+        shear = 0.5
+        shear_direction = 1.5
+        hold = [0.1, 0.2]
+        [[steps]]
+        kind = "places"
+        at = [[0.0, 0.0, 0.0], [0.001, 0.0, 0.0]]
+        forces = [0.1]
+        diameter = 0.008
+        [[steps]]
+        kind = "presses"
+        count = 3
+        depth = [0.001, 0.002]
+        shear = [0.0, 0.7]
+    "#;
+
+    #[test]
+    fn what_is_written_reads_back() {
+        for text in [PLAN, MORE] {
+            let plan = Plan::from_toml(text, "plan.toml").unwrap();
+            let again = toml::to_string(&plan).unwrap();
+            assert_eq!(Plan::from_toml(&again, "plan.toml").unwrap_or_else(|e| panic!("{e}\n{again}")), plan);
+        }
+    }
+
+    #[test]
+    fn steps_refuse_what_does_not_belong_to_them() {
+        let refused = |from: &str, to: &str| {
+            assert!(MORE.contains(from), "{from} is not in the plan");
+            Plan::from_toml(&MORE.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
+        };
+        insta::assert_snapshot!(refused("count = 3", "count = 3\npitch = 0.1"), @"plan plan.toml: field `steps[2].pitch`: is no key of a step of kind `presses`, which has count, force, depth, repeats, diameter, shear, shear_direction, hold");
+        insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `hold`");
+        insta::assert_snapshot!(refused("count = 3", ""), @"plan plan.toml: field `steps[2].count`: is missing: a step of kind `presses` needs it");
+        insta::assert_snapshot!(refused("count = 3", "count = 3\nforce = [0.1, 0.2]"), @"plan plan.toml: field `steps[2].depth`: stands beside `force`: name one of them");
+        insta::assert_snapshot!(refused("forces = [0.1]", ""), @"plan plan.toml: field `steps[1].forces`: is missing: a step of kind `places` needs it, or `depths`");
+        insta::assert_snapshot!(refused("forces = [0.1]", "forces = [0.1]\ndepths = [0.1]"), @"plan plan.toml: field `steps[1].depths`: stands beside `forces`: name one of them");
+        insta::assert_snapshot!(refused("[0.001, 0.002]\n        incremental", "[0.002, 0.002]\n        incremental"), @"plan plan.toml: field `steps[0].depths[1]`: is 0.002 m, and an incremental press goes up only");
+        insta::assert_snapshot!(refused("shear = 0.5\n", ""), @"plan plan.toml: field `steps[0].shear_direction`: says where to without `shear`, which says how much");
+        insta::assert_snapshot!(refused("shear = [0.0, 0.7]", "shear = [0.7, 0.0]"), @"plan plan.toml: field `steps[2].shear`: [0.7, 0] is not a range: 0 ≤ low ≤ high");
+        insta::assert_snapshot!(refused("shear = [0.0, 0.7]", "shear = \"much\""), @"plan plan.toml: field `steps[2].shear`: a number, or two of them in brackets");
+        insta::assert_snapshot!(refused("[0.002, 0.004]", "[]"), @"plan plan.toml: field `diameter`: is empty: a tip has a diameter");
+        insta::assert_snapshot!(refused("diameter = 0.008", "diameter = -0.008"), @"plan plan.toml: field `steps[1].diameter`: is -0.008 m and must be a positive length");
+        insta::assert_snapshot!(refused("hold = [0.1, 0.2]", "hold = [0.1, -0.2]"), @"plan plan.toml: field `steps[0].hold`: [0.1, -0.2] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
+        insta::assert_snapshot!(refused("force_noise = 0.0", "force_noise = -1.0"), @"plan plan.toml: field `force_noise`: is -1 N and must be 0 or positive");
+        insta::assert_snapshot!(refused("[[0.0, 0.0, 0.0], [0.001, 0.0, 0.0]]", "[]"), @"plan plan.toml: field `steps[1].at`: is empty: name at least one place");
+        insta::assert_snapshot!(refused("[0.004, 0.002]", "[0.004, nan]"), @"plan plan.toml: field `steps[0].pitch`: [NaN, NaN] is not a range: 0 < low ≤ high m");
+    }
+
     #[test]
     fn plans_that_ship_are_valid() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/plans");

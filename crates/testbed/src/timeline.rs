@@ -1,6 +1,7 @@
 //! A plan carried out on a surface: what touches it at every instant.
 
-use std::collections::BTreeMap;
+mod sites;
+
 use std::sync::Arc;
 
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg};
@@ -12,7 +13,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TestbedError;
-use crate::plan::{Action, ForceDistribution, Level, Levels, Manner, PRESSES_MAX, Plan};
+use crate::plan::{Action, ForceDistribution, Level, Levels, Manner, Plan};
+use sites::Sites;
 
 /// What the testbed is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
@@ -23,7 +25,7 @@ pub enum Phase {
     Idle,
     /// The indenter comes near; it does not touch yet.
     Approach,
-    /// The force grows.
+    /// The force grows, across or along the surface.
     Load,
     /// The force is constant.
     Hold,
@@ -193,7 +195,7 @@ impl Timeline {
         for (i, step) in plan.steps.iter().enumerate() {
             let place = |draw: &mut Draw<'_>| draw.place().ok_or_else(too_narrow);
             let manner = &step.manner;
-            let known = |touch: &Touch| timeline_knows(plan, model, i, touch);
+            let known = |touch: &Touch| knows(plan, model, i, touch);
             match &step.action {
                 Action::Idle { duration } => timeline.idle(*duration),
                 Action::Presses { count, level, repeats } => {
@@ -303,7 +305,7 @@ impl Timeline {
             let all: &[f64] = if levels.incremental { &values[values.len() - 1..] } else { values };
             for value in all {
                 let touch = draw.touch(at, levels.values.map(|_| *value), diameter, manner);
-                timeline_knows(draw.plan, &self.model, step, &touch)?;
+                knows(draw.plan, &self.model, step, &touch)?;
                 let stairs: Vec<f64> =
                     if levels.incremental { values.iter().map(|v| v / value).collect() } else { vec![1.0] };
                 self.climb(draw, manner, (location, repeat), vec![touch], None, &stairs);
@@ -491,12 +493,7 @@ impl Timeline {
 }
 
 /// Refuses a depth that takes no force that the model knows.
-fn timeline_knows(
-    plan: &Plan,
-    model: &Arc<dyn ForwardModel>,
-    step: usize,
-    touch: &Touch,
-) -> Result<(), TestbedError> {
+fn knows(plan: &Plan, model: &Arc<dyn ForwardModel>, step: usize, touch: &Touch) -> Result<(), TestbedError> {
     let Level::Depth(depth) = touch.level else { return Ok(()) };
     let known = |depth| model.force_at(&touch.from, touch.diameter, depth).is_some();
     if known(depth) {
@@ -509,7 +506,7 @@ fn timeline_knows(
     let Point3 { coords } = touch.from;
     let reason = if known(0.0) {
         format!(
-            "{depth} m at ({:.6}, {:.6}, {:.6}) m is deeper than a tip of {} m can be pressed into this skin",
+            "{depth:.6} m at ({:.6}, {:.6}, {:.6}) m is deeper than a tip of {} m can be pressed into this skin",
             coords.x, coords.y, coords.z, touch.diameter
         )
     } else {
@@ -613,128 +610,13 @@ impl Draw<'_> {
     }
 }
 
-/// Where a surface can be touched.
-struct Sites<'a> {
-    surface: &'a Surface,
-    /// Sum of the areas of the triangles up to and with each.
-    cumulative: Vec<f64>,
-    /// Edges of one triangle only.
-    rim: Vec<[Point3<f64>; 2]>,
-    margin: f64,
-}
-
-impl<'a> Sites<'a> {
-    fn new(surface: &'a Surface, margin: f64) -> Self {
-        let mut sum = 0.0;
-        let mut uses: BTreeMap<[u32; 2], u32> = BTreeMap::new();
-        let mut cumulative = Vec::with_capacity(surface.triangles.len());
-        for t in &surface.triangles {
-            let [a, b, c] = t.map(|i| surface.points[i as usize]);
-            sum += (b - a).cross(&(c - a)).norm() / 2.0;
-            cumulative.push(sum);
-            for [i, j] in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {
-                *uses.entry([i.min(j), i.max(j)]).or_default() += 1;
-            }
-        }
-        let rim = uses.into_iter().filter(|(_, n)| *n == 1);
-        let rim = rim.map(|(edge, _)| edge.map(|i| surface.points[i as usize])).collect();
-        Self { surface, cumulative, rim, margin }
-    }
-
-    fn random(&self, rng: &mut impl Rng) -> Point3<f64> {
-        let total = self.cumulative.last().copied().unwrap_or_default();
-        let pick = rng.random_range(0.0..1.0) * total;
-        let index = self.cumulative.partition_point(|a| *a < pick).min(self.cumulative.len() - 1);
-        let [a, b, c] = self.surface.triangles[index].map(|i| self.surface.points[i as usize]);
-        let (mut u, mut v): (f64, f64) = (rng.random_range(0.0..1.0), rng.random_range(0.0..1.0));
-        if u + v > 1.0 {
-            (u, v) = (1.0 - u, 1.0 - v);
-        }
-        self.surface.project(&(a + (b - a) * u + (c - a) * v)).0
-    }
-
-    fn keeps_margin(&self, p: &Point3<f64>) -> bool {
-        // Rounding must not drop a place that is exactly the margin away.
-        let least = self.margin * (1.0 - 1e-9);
-        least <= 0.0
-            || self.rim.iter().all(|[a, b]| {
-                let edge = b - a;
-                let along = ((p - a).dot(&edge) / edge.norm_squared()).clamp(0.0, 1.0);
-                (p - (a + edge * along)).norm() >= least
-            })
-    }
-
-    /// Points that keep the margin: on a flat skin a centred grid of that pitch along x and y; on a curved one points of its
-    /// triangulation, at least one pitch from one another along one of the axes.
-    ///
-    /// # Errors
-    ///
-    /// Why that pitch cannot be.
-    fn grid(&self, pitch: [f64; 2]) -> Result<Vec<Point3<f64>>, String> {
-        let points = &self.surface.points;
-        let (low, high) =
-            points.iter().fold((points[0], points[0]), |(low, high), p| (low.inf(p), high.sup(p)));
-        if high.z - low.z < 1e-9 {
-            let middle = nalgebra::center(&low, &high);
-            let count = |axis: usize| {
-                let usable = high[axis] - low[axis] - 2.0 * self.margin;
-                // Rounding must not drop a line that just fits.
-                if usable < -1e-12 { 0.0 } else { (usable.max(0.0) / pitch[axis] + 1e-9).floor() + 1.0 }
-            };
-            let [nx, ny] = [count(0), count(1)];
-            if nx * ny > PRESSES_MAX as f64 {
-                return Err(format!(
-                    "makes {:.0} places; {PRESSES_MAX} contacts at most fit a recording",
-                    nx * ny
-                ));
-            }
-            let along = |k: u32, n: f64, pitch: f64| (f64::from(k) - (n - 1.0) / 2.0) * pitch;
-            let mut places = Vec::new();
-            for j in 0..ny as u32 {
-                for i in 0..nx as u32 {
-                    let offset = Vector3::new(along(i, nx, pitch[0]), along(j, ny, pitch[1]), 0.0);
-                    places.push(self.surface.project(&(middle + offset)).0);
-                }
-            }
-            return Ok(places);
-        }
-        let [pitch, other] = pitch;
-        if pitch != other {
-            return Err("is of two numbers, which a flat skin has only".into());
-        }
-        let mut sides: Vec<f64> = self
-            .surface
-            .triangles
-            .iter()
-            .map(|t| (points[t[0] as usize] - points[t[1] as usize]).norm())
-            .collect();
-        sides.sort_by(f64::total_cmp);
-        let spacing = sides.get(sides.len() / 2).copied().unwrap_or_default();
-        if pitch < 0.9 * spacing {
-            return Err(format!(
-                "is {pitch} m, and the points of this curved surface are {spacing:.6} m apart: take a wider pitch, or a \
-                 finer `surface.spacing` in the skin description"
-            ));
-        }
-        let mut chosen: Vec<Point3<f64>> = Vec::new();
-        // Rounding must not drop a neighbour that is exactly one pitch away.
-        let least = pitch * (1.0 - 1e-9);
-        for p in points {
-            if self.keeps_margin(p) && chosen.iter().all(|q| (p - q).amax() >= least) {
-                chosen.push(*p);
-            }
-        }
-        Ok(chosen)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::testing;
     use dermis_skin::SurfaceSpec;
     use proptest::prelude::*;
-    use std::collections::BTreeSet;
+    use std::collections::{BTreeMap, BTreeSet};
 
     fn moments(timeline: &Timeline) -> Vec<Moment> {
         let steps = (timeline.duration() * 1000.0) as u32;
@@ -817,6 +699,146 @@ mod tests {
         insta::assert_snapshot!(refused("margin = 0.002", "margin = 0.011"), @"plan plan.toml: field `margin`: no place on the surface is 0.011 m away from its rim");
         insta::assert_snapshot!(refused("length = [0.004, 0.008]", "length = [0.1, 0.2]"), @"plan plan.toml: field `steps[3].length`: no way of 0.1 m fits on the surface within the margin");
         insta::assert_snapshot!(refused("distance = 0.006", "distance = 0.06"), @"plan plan.toml: field `steps[4].distance`: 2 contacts 0.06 m apart do not fit on the surface");
+    }
+
+    fn carried_out(steps: &str) -> Result<Timeline, String> {
+        let text = format!(
+            r#"
+            schema = "dermis-plan/1"
+            name = "some"
+            diameter = 0.004
+            margin = 0.002
+            timing = {{ approach = [0.02, 0.02], load = [0.04, 0.04], hold = [0.1, 0.1], unload = [0.04, 0.04], gap = [0.02, 0.02] }}
+            {steps}
+            "#
+        );
+        let plan = Plan::from_toml(&text, "some.toml").map_err(|e| e.to_string())?;
+        let model = testing::Bumps::shared(&testing::skin(100.0));
+        Timeline::new(&plan, &model, 1).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn depths_take_the_force_that_the_model_knows() {
+        let steps = "[[steps]]\nkind = \"presses\"\ncount = 20\ndepth = [0.0005, 0.002]\n";
+        let timeline = carried_out(steps).unwrap();
+        let mut deepest = 0.0f64;
+        for moment in moments(&timeline) {
+            assert_eq!(moment.stimulus.contacts.len(), moment.depths.len());
+            for (contact, depth) in moment.stimulus.contacts.iter().zip(&moment.depths) {
+                let depth = depth.unwrap();
+                assert!((-contact.force.z - 500.0 * depth).abs() < 1e-12 && depth <= 0.002);
+                deepest = deepest.max(depth);
+            }
+        }
+        assert!(deepest > 0.0015, "{deepest}");
+        let refused = |from: &str, to: &str| carried_out(&steps.replace(from, to)).unwrap_err();
+        insta::assert_snapshot!(refused("0.002]", "0.02]"), @"plan some.toml: field `steps[0].depth`: 0.009491 m at (-0.003716, -0.005006, 0.000000) m is deeper than a tip of 0.004 m can be pressed into this skin");
+        let mut bumps = testing::Bumps::new(&testing::skin(100.0));
+        bumps.deep = false;
+        let model: Arc<dyn ForwardModel> = Arc::new(bumps);
+        let text = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}");
+        let plan = Plan::from_toml(&text, "some.toml").unwrap();
+        insta::assert_snapshot!(Timeline::new(&plan, &model, 1).unwrap_err(), @"plan some.toml: field `steps[0].depth`: the model of this skin does not know how deep a tip sinks in: name forces instead");
+    }
+
+    #[test]
+    fn an_incremental_press_climbs_and_is_moved_sideways_at_each_level() {
+        let timeline = carried_out(
+            "[[steps]]\nkind = \"places\"\nat = [[0.001, 0.0, 0.0]]\nforces = [0.1, 0.3, 0.4]\nincremental = true\nshear = 0.5\nshear_direction = 1.0",
+        )
+        .unwrap();
+        assert_eq!(timeline.presses(), 1);
+        let mut held = Vec::new();
+        let mut last: Vector3<f64> = Vector3::zeros();
+        for moment in moments(&timeline) {
+            let force = moment.stimulus.contacts.first().map_or(Vector3::zeros(), |c| c.force);
+            let (normal, along) = (-force.z, Vector3::new(force.x, force.y, 0.0));
+            assert!((along - Vector3::new(1f64.cos(), 1f64.sin(), 0.0) * along.norm()).norm() < 1e-12);
+            if moment.phase == Phase::Load {
+                assert!(normal >= -last.z - 1e-12 && along.norm() <= 0.5 * normal + 1e-12);
+            }
+            if moment.phase == Phase::Hold {
+                let level = [normal, along.norm()].map(|f| (f * 1e9).round() / 1e9);
+                if held.last() != Some(&level) {
+                    held.push(level);
+                }
+            }
+            assert!((force - last).norm() < 0.03, "it jumps from {last:?} to {force:?}");
+            last = force;
+        }
+        assert_eq!(held, [[0.1, 0.0], [0.1, 0.05], [0.3, 0.05], [0.3, 0.15], [0.4, 0.15], [0.4, 0.2]]);
+    }
+
+    #[test]
+    fn what_a_step_adds_does_not_change_what_the_others_draw() {
+        let plain = "[[steps]]\nkind = \"presses\"\ncount = 6\nforce = [0.1, 0.5]\n";
+        let of = |steps: &str| {
+            let timeline = carried_out(steps).unwrap();
+            let held = moments(&timeline).into_iter().filter(|m| m.phase == Phase::Hold);
+            let mut places: BTreeMap<u32, (Point3<f64>, f64, BTreeSet<u64>)> = BTreeMap::new();
+            for moment in held {
+                let contact = &moment.stimulus.contacts[0];
+                let entry = places.entry(moment.location).or_insert((
+                    contact.position,
+                    contact.force.z,
+                    BTreeSet::new(),
+                ));
+                entry.2.insert(contact.diameter.to_bits());
+            }
+            places
+        };
+        let (plain, more) = (of(plain), of(&format!("{plain}shear = [0.1, 0.9]\ndiameter = [0.002, 0.008]")));
+        let mut tips: BTreeSet<u64> = BTreeSet::new();
+        for (location, (place, force, _)) in &plain {
+            let (same, strong, diameters) = &more[location];
+            assert_eq!((place, force, diameters.len()), (same, strong, 1));
+            tips.extend(diameters);
+        }
+        assert_eq!(tips.len(), 2);
+    }
+
+    #[test]
+    fn a_grid_has_the_pitch_that_was_asked_for() {
+        let steps = "[[steps]]\nkind = \"grid\"\npitch = [0.0007, 0.004]\nforces = [0.1]\n";
+        let timeline = carried_out(steps).unwrap();
+        let mut places: Vec<_> = timeline.presses.iter().map(|p| p.touches[0].from).collect();
+        places.sort_by(|a, b| (a.y, a.x).partial_cmp(&(b.y, b.x)).unwrap());
+        // 26 mm by 16 mm within the margin.
+        assert_eq!(places.len(), 38 * 5);
+        for pair in places.windows(2) {
+            let way = pair[1] - pair[0];
+            assert!(
+                (way.x - 0.0007).abs() < 1e-12 && way.y == 0.0 || (way.y - 0.004).abs() < 1e-12,
+                "{way:?}"
+            );
+        }
+        assert!((nalgebra::center(&places[0], &places[places.len() - 1]).coords).norm() < 1e-12);
+        let refused = |from: &str, to: &str| carried_out(&steps.replace(from, to)).unwrap_err();
+        insta::assert_snapshot!(refused("[0.0007, 0.004]", "1e-9"), @"plan some.toml: field `steps[0].pitch`: makes 416000026000000 places; 1000000 contacts at most fit a recording");
+        insta::assert_snapshot!(refused("[0.0007, 0.004]\nforces = [0.1]", "0.00003\nforces = [0.1, 0.2, 0.3]"), @"plan some.toml: field `steps`: make 1388934 contacts; 1000000 at most fit a recording");
+        let text = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}");
+        let on_a_dome = |pitch: &str| {
+            let plan = Plan::from_toml(&text.replace("[0.0007, 0.004]", pitch), "some.toml").unwrap();
+            let dome = SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 };
+            Timeline::new(&plan, &testing::Bumps::on(&dome), 1).map_err(|e| e.to_string())
+        };
+        insta::assert_snapshot!(on_a_dome("[0.0007, 0.004]").unwrap_err(), @"plan some.toml: field `steps[0].pitch`: is of two numbers, which a flat skin has only");
+        insta::assert_snapshot!(on_a_dome("0.0005").unwrap_err(), @"plan some.toml: field `steps[0].pitch`: is 0.0005 m, and the points of this curved surface are 0.002023 m apart: take a wider pitch, or a finer `surface.spacing` in the skin description");
+        assert!(on_a_dome("0.004").unwrap().presses() > 50);
+    }
+
+    #[test]
+    fn named_places_lie_on_the_surface() {
+        let refused = |at: &str| {
+            carried_out(&format!(
+                "[[steps]]\nkind = \"places\"\nat = [[0.0, 0.0, 0.0], {at}]\nforces = [0.1]"
+            ))
+            .unwrap_err()
+        };
+        insta::assert_snapshot!(refused("[0.02, 0.0, 0.0]"), @"plan some.toml: field `steps[0].at[1]`: (0.02, 0, 0) m lies 0.005000 m off the surface");
+        insta::assert_snapshot!(refused("[0.0, 0.0, 0.001]"), @"plan some.toml: field `steps[0].at[1]`: (0, 0, 0.001) m lies 0.001000 m off the surface");
+        insta::assert_snapshot!(refused("[0.0, 0.0, nan]"), @"plan some.toml: field `steps[0].at[1]`: (0, 0, NaN) m lies NaN m off the surface");
+        insta::assert_snapshot!(refused("[0.0, 0.0095, 0.0]"), @"plan some.toml: field `steps[0].at[1]`: (0, 0.0095, 0) m is nearer to the rim than the margin of 0.002 m");
     }
 
     proptest! {

@@ -35,6 +35,7 @@ pub(super) struct Begun {
     messages: dermis_bag::Messages,
     met: u64,
     passed: bool,
+    differs: bool,
 }
 
 /// Where a bag is set aside.
@@ -140,6 +141,7 @@ pub(super) fn find(dir: &Path, custom: &[(&str, String)]) -> Result<Found, Testb
             aside,
             met: 0,
             passed: false,
+            differs: false,
         })),
         _ => {
             remove(&aside)?;
@@ -160,7 +162,8 @@ impl Begun {
     }
 
     /// Whether all of it was met again.
-    pub(super) fn is_passed(&self) -> bool {
+    pub(super) fn is_passed(&mut self) -> bool {
+        self.passed = self.passed || !self.differs && self.messages.next().is_none();
         self.passed
     }
 
@@ -180,6 +183,7 @@ impl Begun {
         {
             return Ok(());
         }
+        self.differs = true;
         Err(TestbedError::Resume {
             path: self.dir.clone(),
             reason: format!(
