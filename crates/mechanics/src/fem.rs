@@ -1,7 +1,7 @@
 //! Finite elements, for media that no closed form describes.
 //!
 //! - [`Solid`]: linear elasticity on a mesh of 8-node hexahedra ([`HexMesh`]), locking-free up to ν = 0.4999;
-//! - [`Block`]: a layer that ends somewhere, with free sides;
+//! - [`Block`]: a layer that ends somewhere, and [`free_sides`]: what that changes;
 //! - [`Dome`]: an elastomer over a rigid core, both hemispheres on cylinders: a body of revolution, solved as a Fourier
 //!   series around its axis.
 //!
@@ -12,15 +12,20 @@
 
 mod bicubic;
 mod block;
+mod dome;
 mod mesh;
+mod rim;
 mod solid;
+mod source;
 mod sparse;
 
 use nalgebra::Point3;
 
 pub use bicubic::Bicubic;
-pub use block::Block;
+pub use block::{Block, Sides};
+pub use dome::{Dome, DomeShape};
 pub use mesh::HexMesh;
+pub use rim::free_sides;
 pub use solid::Solid;
 
 /// Where a sensor reads the mean compressive stress: points with weights, whose weighted sum is the reading. One point of

@@ -24,6 +24,7 @@
 //! # Ok::<(), dermis_mechanics::MechanicsError>(())
 //! ```
 
+pub mod calculix;
 mod case;
 mod contact;
 mod displacement;

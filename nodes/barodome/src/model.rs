@@ -5,7 +5,9 @@
 //! contacts there can be, gauge pressure (0 when untouched at one standard atmosphere), the gain of a sensing element, and
 //! what its package does to a contact above it.
 
+mod dome;
 mod flat;
+mod rim;
 mod sink;
 
 use dermis_skin::{
@@ -14,7 +16,7 @@ use dermis_skin::{
 use nalgebra::{Point3, Vector3};
 
 use crate::effects::{self, Dynamics};
-use crate::parameters::{Edge, Parameters};
+use crate::parameters::Parameters;
 
 /// \[Pa\] that gauge pressures are relative to.
 const STANDARD_ATMOSPHERE: f64 = 101_325.0;
@@ -92,15 +94,10 @@ impl BarometerModel {
     }
 
     fn from_parameters(skin: &SkinDescription, parameters: &Parameters) -> Result<Self, ModelError> {
-        let field: Box<dyn Field> = match (&parameters.surface, parameters.edge) {
-            (&SurfaceSpec::Rectangle { size, .. }, Edge::Wide) => {
-                Box::new(flat::Flat::new(skin, parameters, size)?)
-            }
-            (SurfaceSpec::Rectangle { .. }, Edge::Free) => {
-                return Err(refusal(skin, "medium.edge", "this model knows a `wide` medium only".into()));
-            }
-            (SurfaceSpec::Dome { .. }, _) => {
-                return Err(refusal(skin, "surface.type", "this model knows a flat `rectangle` only".into()));
+        let field: Box<dyn Field> = match &parameters.surface {
+            &SurfaceSpec::Rectangle { size, .. } => Box::new(flat::Flat::new(skin, parameters, size)?),
+            &SurfaceSpec::Dome { radius, cylinder, .. } => {
+                Box::new(dome::Dome::new(skin, parameters, radius, cylinder)?)
             }
         };
         let packages = (parameters.stiffening != 0.0).then(|| {
@@ -341,14 +338,11 @@ mod tests {
         insta::assert_snapshot!(refused("poisson_ratio = 0.49", "poisson_ratio = 0.5"), @"skin `baro-grid`: field `medium.poisson_ratio`: Poisson's ratio is 0.5 and must be between 0 and 0.4999");
         insta::assert_snapshot!(refused("base = \"bonded\"", "base = \"glued\""), @"skin `baro-grid`: field `medium.base`: must be \"bonded\", \"slip\", or a share of slip from 0 to 1");
         insta::assert_snapshot!(refused("base = \"bonded\"", "base = 1.5"), @r#"skin `baro-grid`: field `medium.base`: is 1.5 and must be "bonded", "slip", or a share of slip from 0 to 1"#);
-        insta::assert_snapshot!(refused("base = \"bonded\"", "edge = \"free\""), @"skin `baro-grid`: field `medium.edge`: this model knows a `wide` medium only");
         insta::assert_snapshot!(refused("thickness = 0.010", "thickness = -0.010"), @"skin `baro-grid`: field `medium.thickness`: is -0.01 m and must be a positive length");
         insta::assert_snapshot!(refused("[-0.0130, -0.0130, -0.005]", "[-0.0230, -0.0130, -0.005]"), @"skin `baro-grid`: field `taxels[0].position`: `b00` lies at (-0.023, -0.013) m, beside the surface of 0.034 m by 0.034 m");
         insta::assert_snapshot!(refused("[-0.0130, -0.0130, -0.005]", "[-0.0130, -0.0130, 0.005]"), @"skin `baro-grid`: field `taxels[0].position`: z of `b00` is 0.005 m and must lie in the medium: below 0 and not below -0.01 m");
         insta::assert_snapshot!(refused("[-0.0130, -0.0130, -0.005]", "[-0.0130, -0.0130, -0.0001]"), @"skin `baro-grid`: field `taxels[0].position`: `b00` is too near to the surface: it must be at least 0.000424 m deep");
         insta::assert_snapshot!(refused("unit = \"Pa\"", "unit = \"kPa\""), @r#"skin `baro-grid`: field `unit`: is "kPa" where barometers read "Pa""#);
-        let dome = "type = \"dome\", radius = 0.01, cylinder = 0.016, spacing = 0.001";
-        insta::assert_snapshot!(refused("type = \"rectangle\", size = [0.034, 0.034], spacing = 0.001", dome), @"skin `baro-grid`: field `surface.type`: this model knows a flat `rectangle` only");
     }
 
     #[test]

@@ -1,5 +1,8 @@
 //! Smooth interpolation on a regular grid.
 
+/// Points of the grid, along each coordinate, that are looked up at once.
+const WINDOW: usize = 20;
+
 /// Vectors at the points of a regular grid in two coordinates, interpolated by Catmull-Rom cubics: continuous together
 /// with their first derivatives.
 #[derive(Debug, Clone)]
@@ -34,6 +37,18 @@ impl Bicubic {
         Self { start, step, count, width, values }
     }
 
+    /// Moves every value towards that of `other` by `share` of the way.
+    ///
+    /// # Panics
+    ///
+    /// Where the other has not as many values.
+    pub fn mix(&mut self, other: &Self, share: f64) {
+        assert_eq!((self.count, self.width), (other.count, other.width));
+        for (a, b) in self.values.iter_mut().zip(&other.values) {
+            *a += share * (b - *a);
+        }
+    }
+
     /// Numbers at a point.
     #[must_use]
     pub fn width(&self) -> usize {
@@ -48,16 +63,60 @@ impl Bicubic {
     pub fn add(&self, u: f64, v: f64, weight: f64, out: &mut [f64]) {
         let (i, along) = self.place(0, u);
         let (j, across) = self.place(1, v);
-        let columns = self.count[1] + 2;
-        assert_eq!(out.len(), self.width);
         for (di, a) in along.iter().enumerate() {
             for (dj, b) in across.iter().enumerate() {
-                let at = ((i + di) * columns + j + dj) * self.width;
-                let factor = weight * a * b;
-                for (o, value) in out.iter_mut().zip(&self.values[at..at + self.width]) {
-                    *o += factor * value;
+                self.add_point(i + di, j + dj, weight * a * b, out);
+            }
+        }
+    }
+
+    /// Adds the vectors at all of `points` (u, v, weight) to `out`. Where they lie close together, as those of one contact
+    /// do, this takes less time than one by one: every point of the grid is looked up once.
+    ///
+    /// # Panics
+    ///
+    /// As [`add`](Self::add).
+    pub fn add_all(&self, points: &[[f64; 3]], out: &mut [f64]) {
+        let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+        for point in points {
+            for axis in 0..2 {
+                let (first, _) = self.place(axis, point[axis]);
+                low[axis] = low[axis].min(first);
+                high[axis] = high[axis].max(first + 4);
+            }
+        }
+        let mut weights = [0.0; WINDOW * WINDOW];
+        if (0..2).any(|axis| high[axis] > low[axis] + WINDOW) || points.is_empty() {
+            for &[u, v, weight] in points {
+                self.add(u, v, weight, out);
+            }
+            return;
+        }
+        for &[u, v, weight] in points {
+            let (i, along) = self.place(0, u);
+            let (j, across) = self.place(1, v);
+            for (di, a) in along.iter().enumerate() {
+                for (dj, b) in across.iter().enumerate() {
+                    weights[(i + di - low[0]) * WINDOW + j + dj - low[1]] += weight * a * b;
                 }
             }
+        }
+        for i in low[0]..high[0] {
+            for j in low[1]..high[1] {
+                let weight = weights[(i - low[0]) * WINDOW + j - low[1]];
+                if weight != 0.0 {
+                    self.add_point(i, j, weight, out);
+                }
+            }
+        }
+    }
+
+    fn add_point(&self, i: usize, j: usize, weight: f64, out: &mut [f64]) {
+        let at = (i * (self.count[1] + 2) + j) * self.width;
+        let values = &self.values[at..at + self.width];
+        assert_eq!(out.len(), values.len());
+        for (o, value) in out.iter_mut().zip(values) {
+            *o += weight * value;
         }
     }
 
@@ -105,9 +164,25 @@ mod tests {
     }
 
     #[test]
+    fn many_at_once_are_the_same() {
+        for spread in [0.1, 3.0] {
+            let points: Vec<[f64; 3]> = (0..9)
+                .map(|i| {
+                    [-0.9 + spread * f64::from(i % 3), 2.1 + spread * f64::from(i / 3), 0.1 * f64::from(i)]
+                })
+                .collect();
+            let (mut one, mut all) = ([0.0; 2], [0.0; 2]);
+            points.iter().for_each(|p| table().add(p[0], p[1], p[2], &mut one));
+            table().add_all(&points, &mut all);
+            approx::assert_relative_eq!(one[..], all[..], max_relative = 1e-12);
+        }
+    }
+
+    #[test]
     fn no_question_panics() {
         for bad in [f64::NAN, f64::INFINITY, -1e300, 1e300] {
             table().add(bad, bad, 1.0, &mut [0.0; 2]);
+            table().add_all(&[[bad, 0.0, 1.0], [0.0, bad, 1.0]], &mut [0.0; 2]);
         }
     }
 }

@@ -11,11 +11,24 @@ const BALL: f64 = 2.5;
 /// Points of integration along each edge of a cell, for its share of a ball.
 const PARTS: usize = 3;
 
-/// An elastic block on a rigid base, its sides and its top free.
+/// What becomes of a block's sides.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sides {
+    /// Nothing touches them.
+    Free,
+    /// They do not move: the block stands for a layer that goes on.
+    Held,
+}
+
+/// An elastic block on a rigid base, its top free.
 #[derive(Debug)]
 pub struct Block {
     axes: [Vec<f64>; 3],
+    /// Whether nothing keeps it from sliding on its base.
+    slides: bool,
     solid: Solid,
+    /// Sides along x and y of what a sensor may average over, about the origin.
+    within: [f64; 2],
 }
 
 impl Block {
@@ -25,21 +38,40 @@ impl Block {
     /// # Errors
     ///
     /// [`MechanicsError::Value`] where a number cannot be, [`MechanicsError::Mesh`] where planes do not ascend.
-    pub fn new(axes: [Vec<f64>; 3], poisson_ratio: f64, base: Base) -> Result<Self, MechanicsError> {
+    pub fn new(
+        axes: [Vec<f64>; 3],
+        poisson_ratio: f64,
+        base: Base,
+        sides: Sides,
+    ) -> Result<Self, MechanicsError> {
         if axes.iter().any(|a| a.len() < 2) {
             return Err(MechanicsError::Mesh { cell: 0 });
         }
         let mesh = HexMesh::block([&axes[0], &axes[1], &axes[2]]);
-        let bottom = axes[2][0];
+        let end = axes.each_ref().map(|a| (a[0], a[a.len() - 1]));
+        let slides = base == Base::Slip && sides == Sides::Free;
         // Influences do not depend on Young's modulus.
-        let solid = Solid::new(mesh, 1.0, poisson_ratio, |_, p| {
-            let below = p.z == bottom;
+        let solid = Solid::new(mesh, 1.0, poisson_ratio, |node, p| {
+            let below = p.z == end[2].0;
+            let beside = p.x == end[0].0 || p.x == end[0].1 || p.y == end[1].0 || p.y == end[1].1;
             match base {
+                _ if sides == Sides::Held && beside => [true; 3],
                 Base::Bonded => [below; 3],
-                Base::Slip => [false, false, below],
+                // Sources of dilatation push nothing away as a whole: two corners keep it in its place and are not loaded.
+                Base::Slip => {
+                    [slides && node == 0, slides && (node == 0 || node + 1 == axes[0].len()), below]
+                }
             }
         })?;
-        Ok(Self { axes, solid })
+        Ok(Self { axes, slides, solid, within: [f64::INFINITY; 2] })
+    }
+
+    /// The block, its sensors averaging over nothing that lies outside of a rectangle of `size` \[m\] about the origin:
+    /// as they would in a smaller block.
+    #[must_use]
+    pub fn averaging_within(mut self, size: [f64; 2]) -> Self {
+        self.within = size;
+        self
     }
 
     /// Mean compressive stress \[Pa\] that each of `probes` reads per \[N\] of a force in x, y and z at each node of the
@@ -48,6 +80,8 @@ impl Block {
     /// Mean stress is a harmonic function, so that its average over a ball is its value in the centre. Balls of four cells'
     /// width, or as wide as the block allows, are averaged over: a single cell of a nearly incompressible material would
     /// also show the alternating pressures that trilinear displacements cannot resist.
+    ///
+    /// A force along the top of a block that slides is held by friction, spread evenly over its base.
     ///
     /// # Errors
     ///
@@ -65,14 +99,45 @@ impl Block {
             .collect::<Result<Vec<_>, MechanicsError>>()?;
         let counts = self.axes.each_ref().map(Vec::len);
         let top = counts[0] * counts[1] * (counts[2] - 1);
-        Ok(self.solid.displacements(&loads).into_iter().map(|u| u[top..].to_vec()).collect())
+        let fields = self.solid.displacements(&loads).into_iter().map(|u| {
+            let motion = if self.slides { self.motion(&u) } else { Vector3::zeros() };
+            let still = |(p, u): (&Point3<f64>, &Vector3<f64>)| {
+                u - Vector3::new(motion.x - motion.z * p.y, motion.y + motion.z * p.x, 0.0)
+            };
+            self.solid.mesh().nodes[top..].iter().zip(&u[top..]).map(still).collect()
+        });
+        Ok(fields.collect())
+    }
+
+    /// Mean displacement of the base along x and y, and its mean turn about z.
+    fn motion(&self, displacements: &[Vector3<f64>]) -> Vector3<f64> {
+        let width = |planes: &[f64], i: usize| {
+            let next = planes[(i + 1).min(planes.len() - 1)];
+            (next - planes[i.saturating_sub(1)]) / 2.0
+        };
+        let [nx, ny, _] = self.axes.each_ref().map(Vec::len);
+        let mut equations = Matrix3::zeros();
+        let mut sums = Vector3::zeros();
+        for j in 0..ny {
+            for i in 0..nx {
+                let (x, y) = (self.axes[0][i], self.axes[1][j]);
+                let u = displacements[j * nx + i];
+                let area = width(&self.axes[0], i) * width(&self.axes[1], j);
+                for (row, moved) in [(Vector3::new(1.0, 0.0, -y), u.x), (Vector3::new(0.0, 1.0, x), u.y)] {
+                    equations += row * row.transpose() * area;
+                    sums += row * (moved * area);
+                }
+            }
+        }
+        equations.try_inverse().map_or_else(Vector3::zeros, |inverse| inverse * sums)
     }
 
     /// Cells around a point, with weights that sum to 1 and whose centre is the point.
     fn ball(&self, centre: &Point3<f64>) -> Result<Vec<(usize, f64)>, MechanicsError> {
         let mut radius = f64::INFINITY;
-        for (planes, &at) in self.axes.iter().zip(centre.iter()) {
-            let (first, last) = (planes[0], planes[planes.len() - 1]);
+        for (axis, (planes, &at)) in self.axes.iter().zip(centre.iter()).enumerate() {
+            let half = self.within.get(axis).map_or(f64::INFINITY, |size| size / 2.0);
+            let (first, last) = (planes[0].max(-half), planes[planes.len() - 1].min(half));
             // Also refuses what is not a number.
             if !(at > first && at < last) {
                 return Err(MechanicsError::Value {
@@ -166,7 +231,7 @@ mod tests {
             let z: Vec<f64> =
                 (0..=layers).map(|k| DEPTH * (f64::from(k) / f64::from(layers) - 1.0)).collect();
             let axis = wide(0.00125);
-            let block = Block::new([axis.clone(), axis.clone(), z], NU, base).unwrap();
+            let block = Block::new([axis.clone(), axis.clone(), z], NU, base, Sides::Held).unwrap();
             eprintln!("{} nodes, {:?}", block.solid.mesh().nodes.len(), time.elapsed());
             let sensor = Point3::new(0.0, 0.0, -0.005);
             let time = std::time::Instant::now();

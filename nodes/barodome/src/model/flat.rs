@@ -1,7 +1,7 @@
 //! A flat layer of elastomer, as wide as it likes.
 //!
-//! The layer is of uniform thickness on a rigid base, and goes on beyond the surface that can be pressed: what an edge does
-//! to a press within about one thickness of it is left out. Each press is solved as the contact of a rigid sphere with the
+//! The layer is of uniform thickness on a rigid base, and goes on beyond the surface that can be pressed, unless its edges
+//! are free: then what they change is added ([`super::rim`]). Each press is solved as the contact of a rigid sphere with the
 //! layer ([`dermis_mechanics::SphereContact`]); a force along the surface is spread like the pressure. Strains are taken as
 //! small, which a soft pad outgrows: at 1 N a 4 mm tip already sinks 3 mm into 10 mm of a 70 kPa elastomer, where a real one
 //! stiffens.
@@ -13,8 +13,9 @@ use dermis_mechanics::{Medium, PressureTable, SphereContacts, gauss_legendre};
 use dermis_skin::{Indentation, ModelError, SkinDescription};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
+use super::rim::Rim;
 use super::{Field, OFF_SURFACE, refusal};
-use crate::parameters::{Element, Parameters};
+use crate::parameters::{Edge, Element, Parameters};
 
 /// \[N\] up to which contacts are solved; readings grow in proportion to the force beyond.
 const FORCE_MAX: f64 = 5.0;
@@ -55,6 +56,8 @@ pub(super) struct Flat {
     reach: f64,
     /// Bits of a diameter → one table a layer.
     tables: RwLock<BTreeMap<u64, Arc<[PressureTable]>>>,
+    /// What the sides change, where they are free.
+    rim: Option<Rim>,
 }
 
 impl Flat {
@@ -92,6 +95,13 @@ impl Flat {
                         "z of `{name}` is {z} m and must lie in the medium: below 0 and not below -{thickness} m"
                     )));
                 }
+                if parameters.edge == Edge::Free && !(x.abs() < half_x && y.abs() < half_y && -z < thickness)
+                {
+                    return Err(wrong(format!(
+                        "`{name}` reads at ({x}, {y}, {z}) m, where an elastomer with free edges of {} m by {} m has ended",
+                        size[0], size[1]
+                    )));
+                }
                 let far = (half_x + x.abs()).hypot(half_y + y.abs());
                 if far > 100.0 * -z {
                     return Err(wrong(format!(
@@ -104,7 +114,11 @@ impl Flat {
             }
         }
         let layers = exact_layers(&samples).unwrap_or_else(|| grid_layers(&samples, thickness));
-        Ok(Self { medium, layers, reach: reach + OFF_SURFACE, tables: RwLock::default() })
+        let rim = (parameters.edge == Edge::Free).then(|| {
+            let probes = parameters.elements.iter().map(footprint).collect();
+            Rim::new(size, thickness, parameters.poisson_ratio, parameters.slip, probes)
+        });
+        Ok(Self { medium, layers, reach: reach + OFF_SURFACE, tables: RwLock::default(), rim })
     }
 
     fn tables(&self, index: usize, diameter: f64) -> Result<Arc<[PressureTable]>, ModelError> {
@@ -130,7 +144,7 @@ impl Flat {
 }
 
 /// Points that an element reads, with their weights: its port, or Gauss points over the rectangle across its normal.
-fn footprint(element: &Element) -> Vec<(Point3<f64>, f64)> {
+pub(super) fn footprint(element: &Element) -> Vec<(Point3<f64>, f64)> {
     let turn = UnitQuaternion::rotation_between(&Vector3::z(), &element.normal)
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
     let along = |side: f64| match side {
@@ -205,6 +219,9 @@ impl Field for Flat {
                     out[s.channel] += s.weight * ahead * profile.shear(r);
                 }
             }
+        }
+        if let Some(rim) = &self.rim {
+            rim.add(contact, out).map_err(|e| ModelError::Stimulus { index, reason: e.to_string() })?;
         }
         Ok(())
     }

@@ -1,0 +1,314 @@
+//! CalculiX as a judge: finite elements of others, on the same questions.
+//!
+//! CalculiX CrunchiX (`ccx`, <http://www.calculix.de>) is a solver that shares no code, no elements and no way of thinking
+//! with this crate. Where it is installed, [`layer_cases`], [`block_cases`] and [`dome_cases`] ask it what this crate claims
+//! to know, and answer with both figures. All of it takes some seconds.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+use nalgebra::{Point3, Vector3};
+
+use crate::MechanicsError;
+
+mod block;
+mod dome;
+mod layer;
+mod quadratic;
+
+pub use block::block_cases;
+pub use dome::dome_cases;
+pub use layer::layer_cases;
+
+/// Debian's package, and what people are told to install.
+const INSTALL: &str = "install CalculiX (Debian and Ubuntu: apt-get install calculix-ccx)";
+
+/// Why CalculiX has no answer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CalculixError {
+    /// It is not installed.
+    #[error("no program `ccx` on the path: {INSTALL}")]
+    Missing,
+    /// Its files cannot be written or read.
+    #[error("cannot write or read CalculiX's files: {0}")]
+    Files(#[from] std::io::Error),
+    /// It gave up.
+    #[error("ccx failed ({status}): {said}")]
+    Failed {
+        /// How it ended.
+        status: String,
+        /// Its last lines.
+        said: String,
+    },
+    /// Its results lack something.
+    #[error("ccx has no {0} among its results")]
+    Results(&'static str),
+    /// The question cannot be.
+    #[error(transparent)]
+    Question(#[from] MechanicsError),
+}
+
+/// Whether `ccx` is on the path.
+#[must_use]
+pub fn available() -> bool {
+    Command::new("ccx")
+        .arg("-v")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status()
+        .is_ok()
+}
+
+/// A model of one material under several loads, one after the other.
+struct Model {
+    /// \[m\]; x is the distance from the axis and y the height where the elements are axisymmetric.
+    nodes: Vec<Point3<f64>>,
+    /// As CalculiX calls it.
+    element: &'static str,
+    /// Nodes of each element, counted from 0, in CalculiX's order.
+    elements: Vec<Vec<usize>>,
+    young_modulus: f64,
+    poisson_ratio: f64,
+    /// Nodes and which of their displacements are none.
+    held: Vec<(usize, [bool; 3])>,
+    /// Elements whose points of integration are of interest.
+    sensors: Vec<usize>,
+    loads: Vec<Load>,
+}
+
+/// What acts on a model.
+#[derive(Default)]
+struct Load {
+    /// Node and force \[N\].
+    forces: Vec<(usize, Vector3<f64>)>,
+    /// Element, face as CalculiX calls it, pressure \[Pa\].
+    pressures: Vec<(usize, &'static str, f64)>,
+}
+
+/// What a load makes of each node and each sensor.
+struct Answer {
+    /// \[m\].
+    displacements: Vec<Vector3<f64>>,
+    /// Mean compressive stress −σₖₖ/3 \[Pa\], extrapolated from the elements around the node and averaged.
+    pressures: Vec<f64>,
+    /// The same at the points of integration of each sensor's element, averaged over them.
+    sensed: Vec<f64>,
+}
+
+impl Model {
+    fn deck(&self) -> String {
+        let mut s = String::from("*NODE, NSET=ALL\n");
+        // Writing to a string cannot fail.
+        for (i, p) in self.nodes.iter().enumerate() {
+            let _ = writeln!(s, "{}, {:.12e}, {:.12e}, {:.12e}", i + 1, p.x, p.y, p.z);
+        }
+        let _ = writeln!(s, "*ELEMENT, TYPE={}, ELSET=BODY", self.element);
+        for (i, nodes) in self.elements.iter().enumerate() {
+            let _ = write!(s, "{}", i + 1);
+            for (k, n) in nodes.iter().enumerate() {
+                // At most 16 numbers a line.
+                let _ = write!(s, ",{}{}", if k == 14 { "\n" } else { " " }, n + 1);
+            }
+            s.push('\n');
+        }
+        let _ = writeln!(
+            s,
+            "*MATERIAL, NAME=RUBBER\n*ELASTIC\n{}, {}\n*SOLID SECTION, ELSET=BODY, MATERIAL=RUBBER\n*BOUNDARY",
+            self.young_modulus, self.poisson_ratio
+        );
+        if !self.sensors.is_empty() {
+            s.insert_str(s.find("*MATERIAL").unwrap_or(0), &{
+                let numbers: Vec<String> = self.sensors.iter().map(|e| format!("{},\n", e + 1)).collect();
+                format!("*ELSET, ELSET=SENSORS\n{}", numbers.concat())
+            });
+        }
+        for (n, held) in &self.held {
+            for (k, _) in held.iter().enumerate().filter(|(_, held)| **held) {
+                let _ = writeln!(s, "{}, {}", n + 1, k + 1);
+            }
+        }
+        for load in &self.loads {
+            s.push_str("*STEP\n*STATIC\n");
+            if !load.forces.is_empty() {
+                s.push_str("*CLOAD, OP=NEW\n");
+            }
+            for (n, force) in &load.forces {
+                for (k, f) in force.iter().enumerate().filter(|(_, f)| **f != 0.0) {
+                    let _ = writeln!(s, "{}, {}, {f:.12e}", n + 1, k + 1);
+                }
+            }
+            if !load.pressures.is_empty() {
+                s.push_str("*DLOAD, OP=NEW\n");
+            }
+            for (e, face, p) in &load.pressures {
+                let _ = writeln!(s, "{}, {face}, {p:.12e}", e + 1);
+            }
+            let flat = if self.element.starts_with("CAX") { ", OUTPUT=2D" } else { "" };
+            let _ = writeln!(s, "*NODE FILE{flat}\nU\n*EL FILE{flat}\nS");
+            if !self.sensors.is_empty() {
+                s.push_str("*EL PRINT, ELSET=SENSORS\nS\n");
+            }
+            s.push_str("*END STEP\n");
+        }
+        s
+    }
+
+    fn solve(&self) -> Result<Vec<Answer>, CalculixError> {
+        let folder = Folder::new()?;
+        std::fs::write(folder.0.join("model.inp"), self.deck())?;
+        let run = Command::new("ccx")
+            .args(["-i", "model"])
+            .current_dir(&folder.0)
+            .env("OMP_NUM_THREADS", "1")
+            .stdin(Stdio::null())
+            .output()
+            .map_err(|e| match e.kind() {
+                std::io::ErrorKind::NotFound => CalculixError::Missing,
+                _ => e.into(),
+            })?;
+        let results = std::fs::read_to_string(folder.0.join("model.frd"));
+        let said = String::from_utf8_lossy(&run.stdout);
+        let (true, Ok(results)) = (run.status.success() && !said.contains("*ERROR"), results) else {
+            let mut last: Vec<&str> = said.lines().filter(|l| !l.trim().is_empty()).rev().take(3).collect();
+            last.reverse();
+            return Err(CalculixError::Failed { status: run.status.to_string(), said: last.join(" / ") });
+        };
+        let mut answers = self.read(&results)?;
+        if !self.sensors.is_empty() {
+            self.sense(&std::fs::read_to_string(folder.0.join("model.dat"))?, &mut answers)?;
+        }
+        Ok(answers)
+    }
+
+    /// Reads the stresses in the sensors' elements: a table a load, a line a point of integration.
+    fn sense(&self, text: &str, answers: &mut [Answer]) -> Result<(), CalculixError> {
+        let missing = CalculixError::Results("stresses of every sensor");
+        let mut tables = text.split("stresses (").skip(1);
+        for answer in answers {
+            let Some(table) = tables.next() else { return Err(missing) };
+            let mut sums = vec![(0.0, 0u32); self.sensors.len()];
+            for line in table.lines().skip(1) {
+                let row: Vec<f64> = line.split_whitespace().map_while(|v| v.parse().ok()).collect();
+                let [element, _, x, y, z, ..] = row[..] else { continue };
+                for (sum, _) in
+                    sums.iter_mut().zip(&self.sensors).filter(|(_, e)| (**e + 1) as f64 == element)
+                {
+                    sum.0 -= (x + y + z) / 3.0;
+                    sum.1 += 1;
+                }
+            }
+            if sums.iter().any(|(_, count)| *count == 0) {
+                return Err(missing);
+            }
+            answer.sensed = sums.iter().map(|(sum, count)| sum / f64::from(*count)).collect();
+        }
+        Ok(())
+    }
+
+    /// Reads the results of every load out of a file in CalculiX's result format.
+    fn read(&self, text: &str) -> Result<Vec<Answer>, CalculixError> {
+        let mut answers = Vec::new();
+        let mut displacements: Option<Vec<Vector3<f64>>> = None;
+        let mut lines = text.lines();
+        while let Some(line) = lines.next() {
+            let Some(name) = line.strip_prefix(" -4  ") else { continue };
+            let (moves, stress) = (name.starts_with("DISP"), name.starts_with("STRESS"));
+            if !moves && !stress {
+                continue;
+            }
+            let mut values = vec![[0.0; 3]; self.nodes.len()];
+            for line in lines.by_ref() {
+                if line.starts_with(" -3") {
+                    break;
+                }
+                // A node in ten columns, numbers in twelve each, without spaces where they are negative.
+                let Some(row) = line.strip_prefix(" -1") else { continue };
+                let node = row.get(..10).and_then(|n| n.trim().parse::<usize>().ok());
+                let number =
+                    |k: usize| row.get(10 + 12 * k..22 + 12 * k).and_then(|v| v.trim().parse::<f64>().ok());
+                let (Some(node), Some(a), Some(b), Some(c)) = (node, number(0), number(1), number(2)) else {
+                    return Err(CalculixError::Results("number where one belongs"));
+                };
+                if let Some(value) = node.checked_sub(1).and_then(|n| values.get_mut(n)) {
+                    *value = [a, b, c];
+                }
+            }
+            if moves {
+                displacements = Some(values.into_iter().map(Vector3::from).collect());
+            } else {
+                let displacements = displacements.take().ok_or(CalculixError::Results("displacements"))?;
+                let pressures = values.into_iter().map(|s| -(s[0] + s[1] + s[2]) / 3.0).collect();
+                answers.push(Answer { displacements, pressures, sensed: Vec::new() });
+            }
+        }
+        if answers.len() == self.loads.len() {
+            Ok(answers)
+        } else {
+            Err(CalculixError::Results("stresses of every load"))
+        }
+    }
+}
+
+/// A folder of its own for each run, removed with all that is in it.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> std::io::Result<Self> {
+        use std::sync::atomic::{AtomicU32, Ordering};
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let name = format!("dermis-ccx-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let path = std::env::temp_dir().join(name);
+        std::fs::create_dir(&path)?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // What cannot be removed is left to whoever clears the folder for temporary files.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Reference of every case here.
+const SOURCE: &str = "CalculiX ccx, run now";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Case;
+
+    fn judge(cases: Result<Vec<Case>, CalculixError>) {
+        let cases = match cases {
+            Err(CalculixError::Missing) => return println!("skipped: {}", CalculixError::Missing),
+            cases => cases.unwrap(),
+        };
+        assert!(!cases.is_empty());
+        for case in &cases {
+            println!(
+                "{} {}: {} for {} {} (within {:.2})",
+                case.id, case.what, case.got, case.reference, case.unit, case.tolerance
+            );
+        }
+        let wrong: Vec<&Case> = cases.iter().filter(|c| !c.pass).collect();
+        assert!(wrong.is_empty(), "{wrong:#?}");
+    }
+
+    #[test]
+    fn layer_agrees() {
+        judge(layer_cases());
+    }
+
+    #[test]
+    fn dome_agrees() {
+        judge(dome_cases());
+    }
+
+    #[test]
+    fn block_agrees() {
+        judge(block_cases());
+    }
+}
