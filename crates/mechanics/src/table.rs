@@ -95,11 +95,25 @@ pub struct PressureTable {
     /// Cube roots of the forces \[N^(1/3)\], ascending from 0: the contact radius is linear in them at first.
     roots: Vec<f64>,
     /// \[Pa/N\] of pressing force, `roots.len()` rows of `columns`.
-    normal: Vec<f64>,
+    normal: Vec<Cubic>,
     /// \[Pa/N\] of shear force, straight ahead; as many.
-    shear: Vec<f64>,
+    shear: Vec<Cubic>,
     columns: usize,
-    step: f64,
+    /// [1/m] columns per distance.
+    density: f64,
+}
+
+/// Coefficients of a cubic over one column, from the constant up: what a look-up needs lies side by side.
+type Cubic = [f64; 4];
+
+/// Catmull-Rom's cubics through `values` at equal distances from the axis on; the last two only bound. `parity` is 1 for a
+/// field that is even in the distance, −1 for an odd one.
+fn cubics(values: &[f64], parity: f64) -> impl Iterator<Item = Cubic> {
+    (0..values.len() - 2).map(move |i| {
+        let left = if i == 0 { parity * values[1] } else { values[i - 1] };
+        let [a, b, c] = [values[i], values[i + 1], values[i + 2]];
+        [a, (b - left) * 0.5, left - 2.5 * a + 2.0 * b - 0.5 * c, 1.5 * (a - b) + 0.5 * (c - left)]
+    })
 }
 
 /// A force's place in a table, found once and used for many distances.
@@ -122,7 +136,7 @@ impl Profile<'_> {
     #[inline]
     #[must_use]
     pub fn pressure(&self, r: f64) -> f64 {
-        self.place.force * self.table.at(&self.table.normal, 1.0, self.place, r)
+        self.place.force * self.table.at(&self.table.normal, self.place, r)
     }
 
     /// Mean compressive stress \[Pa\] per newton of shear force on the surface, at the distance `r` \[m\] from the axis
@@ -130,7 +144,7 @@ impl Profile<'_> {
     #[inline]
     #[must_use]
     pub fn shear(&self, r: f64) -> f64 {
-        self.table.at(&self.table.shear, -1.0, self.place, r)
+        self.table.at(&self.table.shear, self.place, r)
     }
 }
 
@@ -171,9 +185,10 @@ impl PressureTable {
             });
         }
         let step = depth / PER_DEPTH;
+        let columns = (reach / step).ceil() as usize + 1;
         // Two more than needed: a cubic takes a neighbour on either side.
-        let columns = (reach / step).ceil() as usize + 3;
-        let r_end = step * columns as f64;
+        let knots = columns + 2;
+        let r_end = step * knots as f64;
         let nodes = panels(40.0 / depth, (6.0 / (r_end + radius)).min(3.0 / depth));
         // Row 0 is the point load that a vanishing contact is.
         let rows = 1 + contacts.len();
@@ -183,16 +198,17 @@ impl PressureTable {
         });
         let kernels: Vec<[f64; 2]> =
             nodes.iter().map(|&(k, w)| medium.kernels(k, depth).map(|kernel| w * k * kernel)).collect();
-        let field = |part: usize, bessel: fn(f64) -> f64| {
-            let waves = DMatrix::from_fn(nodes.len(), columns, |q, column| {
-                kernels[q][part] * bessel(nodes[q].0 * step * column as f64)
+        let field = |part: usize, bessel: fn(f64) -> f64, parity: f64| -> Vec<Cubic> {
+            let waves = DMatrix::from_fn(nodes.len(), knots, |q, knot| {
+                kernels[q][part] * bessel(nodes[q].0 * step * knot as f64)
             });
             // Column-major of the transpose is row-major.
-            (&transform * waves).transpose().as_slice().to_vec()
+            let values = (&transform * waves).transpose();
+            values.as_slice().chunks_exact(knots).flat_map(|row| cubics(row, parity)).collect()
         };
-        let (normal, shear) = (field(0, libm::j0), field(1, libm::j1));
+        let (normal, shear) = (field(0, libm::j0, 1.0), field(1, libm::j1, -1.0));
         let roots = std::iter::once(0.0).chain(contacts.iter().map(|c| c.force().cbrt())).collect();
-        Ok(Self { roots, normal, shear, columns, step })
+        Ok(Self { roots, normal, shear, columns, density: 1.0 / step })
     }
 
     /// Mean compressive stress \[Pa\] at the distance `r` \[m\] from the axis of a sphere that presses with
@@ -224,34 +240,20 @@ impl PressureTable {
         ForcePlace { row, fraction, force }
     }
 
-    /// Value of `values` per newton at the distance `r`; `parity` is 1 for a field that is even in r, −1 for an odd one.
+    /// Value of `cubics` per newton at the distance `r`.
     #[inline]
-    fn at(&self, values: &[f64], parity: f64, place: ForcePlace, r: f64) -> f64 {
-        let x = r / self.step;
+    fn at(&self, cubics: &[Cubic], place: ForcePlace, r: f64) -> f64 {
+        let x = r * self.density;
         // Also what is not a number, or negative, has no place in the table.
-        if !(0.0..(self.columns - 2) as f64).contains(&x) {
+        if !(0.0..self.columns as f64).contains(&x) {
             return 0.0;
         }
-        let i = x as usize;
-        let t = x - i as f64;
-        // Catmull-Rom weights; the parity gives the neighbour left of the axis.
-        let mut weights = [
-            ((2.0 - t) * t - 1.0) * t * 0.5,
-            ((3.0 * t - 5.0) * t * t + 2.0) * 0.5,
-            ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5,
-            (t - 1.0) * t * t * 0.5,
-        ];
-        let mut left = i.wrapping_sub(1);
-        if i == 0 {
-            left = 1;
-            weights[0] *= parity;
-        }
-        let along = |row: usize| {
-            let v = &values[row * self.columns..(row + 1) * self.columns];
-            weights[0] * v[left] + weights[1] * v[i] + weights[2] * v[i + 1] + weights[3] * v[i + 2]
-        };
-        let (low, high) = (along(place.row), along(place.row + 1));
-        low + place.fraction * (high - low)
+        let column = x as usize;
+        let t = x - column as f64;
+        let at = place.row * self.columns + column;
+        let (low, high) = (&cubics[at], &cubics[at + self.columns]);
+        let coefficient = |i: usize| low[i] + place.fraction * (high[i] - low[i]);
+        ((coefficient(3) * t + coefficient(2)) * t + coefficient(1)) * t + coefficient(0)
     }
 }
 
