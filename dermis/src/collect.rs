@@ -123,3 +123,46 @@ pub fn stop_on_interrupt() -> Result<Arc<AtomicBool>> {
     })?;
     Ok(stop)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::Effect;
+    use dermis_testbed::Timeline;
+    use std::path::Path;
+
+    fn files(folder: &str) -> Vec<PathBuf> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch").join(folder);
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect()
+    }
+
+    fn skin(name: &str) -> SkinDescription {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch/skins");
+        SkinDescription::load(folder.join(format!("{name}.toml"))).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    #[test]
+    fn every_plan_that_ships_can_be_carried_out_on_its_skin() {
+        for path in files("plans") {
+            let plan = Plan::load(&path).unwrap_or_else(|e| panic!("{e}"));
+            let of = ["baro-line", "baro-dome"].into_iter().find(|skin| plan.name.starts_with(skin));
+            let skin = skin(of.unwrap_or("baro-grid"));
+            let model = (crate::registry::family(&skin).unwrap().model)(&skin).unwrap();
+            Timeline::new(&plan, &model, plan.seed).unwrap_or_else(|e| panic!("{e}"));
+        }
+    }
+
+    #[test]
+    fn every_set_of_effects_that_ships_makes_a_device_of_every_skin() {
+        for path in files("effects") {
+            for name in ["baro-line", "baro-grid", "baro-dome"] {
+                let mut skin = skin(name);
+                let chosen = Chosen { effects: vec![path.clone()], effect: vec![] };
+                chosen.apply(&mut skin, 7).unwrap();
+                assert_eq!(skin.effects.len(), Effect::load(&path).unwrap().len());
+                let model = (crate::registry::family(&skin).unwrap().model)(&skin);
+                model.unwrap_or_else(|e| panic!("{name}, {}: {e}", path.display()));
+            }
+        }
+    }
+}

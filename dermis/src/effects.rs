@@ -24,10 +24,10 @@ pub struct Options {
 pub struct Chosen {
     /// File of effects, e.g. launch/effects/baro-default.toml; one of the same name replaces that of the description.
     #[arg(long, value_name = "FILE")]
-    effects: Vec<PathBuf>,
+    pub(crate) effects: Vec<PathBuf>,
     /// One effect; its strength is 1 where none is named. `dermis effects` lists them.
     #[arg(long, value_name = "NAME[=STRENGTH]", value_parser = named)]
-    effect: Vec<(String, f64)>,
+    pub(crate) effect: Vec<(String, f64)>,
 }
 
 /// Reads `tilt` or `tilt=0.5`.
