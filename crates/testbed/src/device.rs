@@ -767,6 +767,29 @@ mod tests {
     }
 
     #[test]
+    fn the_truth_holds_what_effects_do_to_what_touches() {
+        let skin = testing::skin(100.0);
+        let device =
+            VirtualDevice::start(Bumps::shared(&skin), &skin, &testing::plan(), 1, &Outlet::Pty).unwrap();
+        let (mut still, mut dragged) = (0, 0);
+        for i in 0..3000 {
+            let moment = device.truth(device.script.start + i64::from(i) * 5_000_000).unwrap();
+            for contact in &moment.stimulus.contacts {
+                let along = contact.force.x.hypot(contact.force.y);
+                if moment.phase == crate::Phase::Hold {
+                    assert_eq!(along, 0.0);
+                    still += 1;
+                } else if (along - 0.05).abs() < 1e-12 {
+                    assert!(moment.phase == crate::Phase::Slide || moment.phase == crate::Phase::Unload);
+                    dragged += 1;
+                }
+            }
+        }
+        assert!(still > 50 && dragged > 10, "{still} still, {dragged} dragged");
+        device.stop().unwrap();
+    }
+
+    #[test]
     fn nobody_has_to_read() {
         let skin = testing::skin(2000.0);
         let device =
