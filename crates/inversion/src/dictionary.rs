@@ -22,9 +22,14 @@ pub(crate) struct Dictionary {
     /// \[N\] of the levels.
     pub forces: Vec<f64>,
     channels: usize,
-    /// places × levels × channels, in the unit of the skin.
+    /// places × levels × channels, gains included, in the unit of the skin.
     responses: Vec<f32>,
+    /// places × channels: direction of the response at [`SHAPE`] in units of the noise.
+    directions: Vec<f32>,
 }
+
+/// Level whose response stands for the others where only its shape matters.
+const SHAPE: usize = 1;
 
 impl Dictionary {
     /// Places about `spacing` \[m\] apart, out of the points of the model's surface; on its middle line along x where only
@@ -35,6 +40,7 @@ impl Dictionary {
         spacing: f64,
         diameter: f64,
         force_max: f64,
+        gains: &[f64],
     ) -> Result<Self, ModelError> {
         let places = thin(model.surface(), line, spacing);
         let forces: Vec<f64> = LEVELS.iter().map(|share| share * force_max).collect();
@@ -42,19 +48,33 @@ impl Dictionary {
         let mut rest = vec![0.0; channels];
         model.response(&Stimulus::default(), &mut rest)?;
         let mut responses = Vec::with_capacity(places.len() * forces.len() * channels);
+        let mut directions = Vec::with_capacity(places.len() * channels);
         let mut out = vec![0.0; channels];
         for place in &places {
-            for force in &forces {
+            for (level, force) in forces.iter().enumerate() {
                 let contact =
                     Indentation { position: place.position, force: -place.normal * *force, diameter };
                 model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
-                responses.extend(out.iter().zip(&rest).map(|(o, r)| (o - r) as f32));
+                out.iter_mut().zip(&rest).zip(gains).for_each(|((o, r), g)| *o = (*o - r) * g);
+                responses.extend(out.iter().map(|v| *v as f32));
+                if level == SHAPE {
+                    let whitened = || out.iter().zip(model.noise()).map(|(v, n)| v / n);
+                    let length = whitened().map(|v| v * v).sum::<f64>().sqrt();
+                    directions.extend(whitened().map(|v| if length > 0.0 { v / length } else { 0.0 } as f32));
+                }
             }
         }
-        Ok(Self { places, forces, channels, responses })
+        Ok(Self { places, forces, channels, responses, directions })
     }
 
-    /// Response of a place at a level, in the unit of the skin.
+    /// For every place the part of whitened residuals that lies along its response, 0 where it points the other way.
+    pub fn project<'a>(&'a self, residuals: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
+        self.directions
+            .chunks_exact(self.channels)
+            .map(move |direction| direction.iter().zip(residuals).map(|(a, b)| a * b).sum::<f32>().max(0.0))
+    }
+
+    /// Response of a place at a level, gains included, in the unit of the skin.
     pub fn response(&self, place: usize, level: usize) -> &[f32] {
         let start = (place * self.forces.len() + level) * self.channels;
         &self.responses[start..start + self.channels]

@@ -216,6 +216,17 @@ const SPLIT: f64 = 3e-3;
 /// Places of a dictionary at most, roughly.
 const PLACES: f64 = 1500.0;
 
+/// Ways to begin with one contact more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Start {
+    /// Where the caller says.
+    Hint,
+    /// Where the dictionary explains most of what is left.
+    Dictionary,
+    /// At both sides of the contact that was found last.
+    Split,
+}
+
 /// Finds contacts that explain readings.
 ///
 /// Greedy in their number: the best single contact, then one more where that explains significantly more, all refined
@@ -264,7 +275,7 @@ impl Inverter {
         let points = &model.surface().points;
         let middle = points.iter().map(|p| p.y).sum::<f64>() / points.len().max(1) as f64;
         let line = (s.unknowns == Unknowns::Line).then_some(middle);
-        let dictionary = Dictionary::new(model.as_ref(), line, spacing, s.diameter, s.force_max)?;
+        let dictionary = Dictionary::new(model.as_ref(), line, spacing, s.diameter, s.force_max, &gains)?;
         Ok(Self { model: ModelBox(model), settings, gains, rest, spacing, line, dictionary })
     }
 
@@ -316,17 +327,18 @@ impl Inverter {
             if after > counted || left < self.settings.evidence && !best.contacts.is_empty() {
                 break;
             }
-            let starts = self.starts(&data, &best, hint.filter(|_| best.contacts.is_empty()));
-            let mut found: Option<Minimum> = None;
             let freedom = counted.saturating_sub(after) as f64;
-            for start in starts {
-                let minimum = problem.minimise(start, 0)?;
-                if found.as_ref().is_none_or(|f| minimum.chi2 < f.chi2) {
-                    // What is left is noise: no other start finds anything better.
-                    let enough = minimum.chi2 < freedom + PLAUSIBLE * (2.0 * freedom).sqrt();
-                    found = Some(minimum);
-                    if enough {
-                        break;
+            let mut found: Option<Minimum> = None;
+            for kind in [Start::Hint, Start::Dictionary, Start::Split] {
+                // What is left is noise: no other start finds anything better.
+                let enough = |f: &Minimum| f.chi2 < freedom + PLAUSIBLE * (2.0 * freedom).sqrt();
+                if found.as_ref().is_some_and(enough) {
+                    break;
+                }
+                for start in self.starts(kind, &data, &best, hint) {
+                    let minimum = problem.minimise(start, 0)?;
+                    if found.as_ref().is_none_or(|f| minimum.chi2 < f.chi2) {
+                        found = Some(minimum);
                     }
                 }
             }
@@ -359,14 +371,14 @@ impl Inverter {
         }
         let data = self.data(readings);
         let left = residuals(&data, &vec![0.0; data.len()]);
-        let whole: f64 = left.iter().map(|(r, _)| f64::from(*r).powi(2)).sum();
+        let whole: f64 = left.iter().map(|r| f64::from(*r).powi(2)).sum();
         let counted = data.iter().filter(|d| **d != Datum::None).count();
         let freedom = counted.saturating_sub(self.settings.unknowns.count());
         // Nothing can be gained that is not there.
         if whole < self.settings.evidence || freedom == 0 {
             return (0.0, whole / counted.max(1) as f64);
         }
-        let best = f64::from(self.scores(&left).iter().fold(0.0f32, |best, (score, ..)| best.max(*score)));
+        let best = f64::from(self.dictionary.project(&left).fold(0.0f32, f32::max)).powi(2);
         (best, (whole - best) / freedom as f64)
     }
 
@@ -385,76 +397,78 @@ impl Inverter {
     }
 
     /// Where to begin with one contact more than `best` has.
-    fn starts(&self, data: &[Datum], best: &Minimum, hint: Option<&Indentation>) -> Vec<Vec<Indentation>> {
-        let left = residuals(data, &best.signal);
+    fn starts(
+        &self,
+        kind: Start,
+        data: &[Datum],
+        best: &Minimum,
+        hint: Option<&Indentation>,
+    ) -> Vec<Vec<Indentation>> {
         let with = |contact: Indentation| {
             let mut all = best.contacts.clone();
             all.push(contact);
             all
         };
-        let on_line = |contact: &Indentation| {
-            let mut contact = contact.clone();
-            contact.position.y = self.line.unwrap_or(contact.position.y);
-            contact
-        };
-        let mut starts: Vec<Vec<Indentation>> = hint.map(|h| with(on_line(h))).into_iter().collect();
-        starts.extend(self.matches(&left, STARTS).into_iter().map(with));
-        // Two contacts that stand close look like one between them.
-        if let Some((last, others)) = best.contacts.split_last() {
-            let (place, normal) = self.model.0.surface().project(&last.position);
-            let directions = if self.settings.unknowns == Unknowns::Line { 1 } else { 2 };
-            for along in &tangents(&normal)[..directions] {
-                let half = |by: f64| {
-                    let (position, normal) = self.model.0.surface().project(&(place + along * by));
+        match kind {
+            Start::Hint => {
+                let first = hint.filter(|_| best.contacts.is_empty());
+                let on_line = |contact: &Indentation| {
+                    let mut contact = contact.clone();
+                    contact.position.y = self.line.unwrap_or(contact.position.y);
+                    contact
+                };
+                first.map(|h| with(on_line(h))).into_iter().collect()
+            }
+            Start::Dictionary => self.matches(data, &best.signal, STARTS).into_iter().map(with).collect(),
+            // Two contacts that stand close look like one between them.
+            Start::Split => {
+                let Some((last, others)) = best.contacts.split_last() else { return Vec::new() };
+                let surface = self.model.0.surface();
+                let (place, normal) = surface.project(&last.position);
+                let directions = if self.settings.unknowns == Unknowns::Line { 1 } else { 2 };
+                let half = |by: Vector3<f64>| {
+                    let (position, normal) = surface.project(&(place + by));
                     Indentation { position, force: -normal * (last.force.norm() / 2.0), ..last.clone() }
                 };
-                starts.push(others.iter().cloned().chain([half(SPLIT), half(-SPLIT)]).collect());
+                tangents(&normal)[..directions]
+                    .iter()
+                    .map(|along| {
+                        others.iter().cloned().chain([half(along * SPLIT), half(along * -SPLIT)]).collect()
+                    })
+                    .collect()
             }
         }
-        starts
-    }
-
-    /// For every place of the dictionary what it explains of whitened residuals, and with which force \[N\].
-    fn scores(&self, left: &[(f32, f32)]) -> Vec<(f32, usize, f64)> {
-        let gains: Vec<f32> = self.gains.iter().map(|g| *g as f32).collect();
-        let levels = self.dictionary.forces.len();
-        let mut scores: Vec<(f32, usize, f64)> = Vec::with_capacity(self.dictionary.places.len());
-        for place in 0..self.dictionary.places.len() {
-            let mut top = (0.0f32, 0.0f64);
-            for level in 0..levels {
-                let (mut dot, mut square) = (0.0f32, 0.0f32);
-                for ((value, gain), (residual, weight)) in
-                    self.dictionary.response(place, level).iter().zip(&gains).zip(left)
-                {
-                    let v = value * gain * weight;
-                    dot += v * residual;
-                    square += v * v;
-                }
-                if dot > 0.0 && square > 0.0 {
-                    let score = dot * dot / square;
-                    if score > top.0 {
-                        top = (score, f64::from(dot / square) * self.dictionary.forces[level]);
-                    }
-                }
-            }
-            scores.push((top.0, place, top.1));
-        }
-        scores
     }
 
     /// Contacts of the dictionary that explain whitened residuals best, no two of them near to each other.
-    fn matches(&self, left: &[(f32, f32)], most: usize) -> Vec<Indentation> {
-        let mut scores = self.scores(left);
+    fn matches(&self, data: &[Datum], signal: &[f64], most: usize) -> Vec<Indentation> {
+        let left = residuals(data, signal);
+        let mut scores: Vec<(f32, usize)> = self.dictionary.project(&left).zip(0..).collect();
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut chosen: Vec<Indentation> = Vec::new();
-        for (_, place, force) in scores {
-            let place = &self.dictionary.places[place];
+        for (_, index) in scores {
+            let place = &self.dictionary.places[index];
             if chosen.len() == most {
                 break;
             }
             if chosen.iter().any(|c| (c.position - place.position).norm() < 3.0 * self.spacing) {
                 continue;
             }
+            // The level that asks for the least change of its force.
+            let force = (0..self.dictionary.forces.len())
+                .map(|level| {
+                    let (mut dot, mut square) = (0.0, 0.0);
+                    let response = self.dictionary.response(index, level).iter().zip(self.model.0.noise());
+                    for ((value, noise), residual) in response.zip(&left) {
+                        let v = f64::from(*value) / noise;
+                        dot += v * f64::from(*residual);
+                        square += v * v;
+                    }
+                    if square > 0.0 { dot / square } else { 0.0 }
+                })
+                .zip(&self.dictionary.forces)
+                .min_by(|a, b| (a.0.max(1e-9).ln().abs()).total_cmp(&b.0.max(1e-9).ln().abs()))
+                .map_or(0.0, |(share, force)| share * force);
             chosen.push(Indentation {
                 position: place.position,
                 force: -place.normal * force.clamp(1e-3, self.settings.force_max),
@@ -508,9 +522,9 @@ impl Inverter {
             for (level, force) in levels.iter().enumerate() {
                 let (mut dot, mut square, mut whole) = (0.0, 0.0, 0.0);
                 let response = self.dictionary.response(place, level);
-                for ((value, gain), datum) in response.iter().zip(&self.gains).zip(data) {
+                for (value, datum) in response.iter().zip(data) {
                     let Datum::Exact(reading, weight) = *datum else { continue };
-                    let v = f64::from(*value) * gain * weight / force;
+                    let v = f64::from(*value) * weight / force;
                     dot += v * reading * weight;
                     square += v * v;
                     whole += (reading * weight).powi(2);
@@ -560,17 +574,15 @@ impl Inverter {
     }
 }
 
-/// What a model signal leaves of data, in units of their noise, with the weight of each.
-fn residuals(data: &[Datum], signal: &[f64]) -> Vec<(f32, f32)> {
-    data.iter()
-        .zip(signal)
-        .map(|(datum, signal)| match *datum {
-            Datum::Exact(v, w) => (((v - signal) * w) as f32, w as f32),
-            Datum::AtLeast(v, w) => (((v - signal).max(0.0) * w) as f32, w as f32),
-            Datum::AtMost(v, w) => (((v - signal).min(0.0) * w) as f32, w as f32),
-            Datum::None => (0.0, 0.0),
-        })
-        .collect()
+/// What a model signal leaves of data, in units of their noise.
+fn residuals(data: &[Datum], signal: &[f64]) -> Vec<f32> {
+    let left = |(datum, signal): (&Datum, &f64)| match *datum {
+        Datum::Exact(v, w) => (v - signal) * w,
+        Datum::AtLeast(v, w) => (v - signal).max(0.0) * w,
+        Datum::AtMost(v, w) => (v - signal).min(0.0) * w,
+        Datum::None => 0.0,
+    };
+    data.iter().zip(signal).map(|pair| left(pair) as f32).collect()
 }
 
 /// Covariances of place and force in the frame of the link from those of the unknowns; unknown where `block` is.
