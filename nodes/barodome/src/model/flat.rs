@@ -7,7 +7,7 @@
 //! stiffens.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 use dermis_mechanics::{Medium, PressureTable, SphereContacts, gauss_legendre};
 use dermis_skin::{Indentation, ModelError, SkinDescription};
@@ -56,6 +56,8 @@ pub(super) struct Flat {
     reach: f64,
     /// Bits of a diameter → one table a layer.
     tables: RwLock<BTreeMap<u64, Arc<[PressureTable]>>>,
+    /// The same of the diameter that pressed first, often the only one: found without a lock that threads share.
+    first: OnceLock<(u64, Arc<[PressureTable]>)>,
     /// What the sides change, where they are free.
     rim: Option<Rim>,
 }
@@ -118,7 +120,14 @@ impl Flat {
             let probes = parameters.elements.iter().map(footprint).collect();
             Rim::new(size, thickness, parameters.poisson_ratio, parameters.slip, probes)
         });
-        Ok(Self { medium, layers, reach: reach + OFF_SURFACE, tables: RwLock::default(), rim })
+        Ok(Self {
+            medium,
+            layers,
+            reach: reach + OFF_SURFACE,
+            tables: RwLock::default(),
+            first: OnceLock::new(),
+            rim,
+        })
     }
 
     fn tables(&self, index: usize, diameter: f64) -> Result<Arc<[PressureTable]>, ModelError> {
@@ -139,6 +148,8 @@ impl Flat {
             kept.clear();
         }
         kept.insert(key, Arc::clone(&tables));
+        // Of two that come at once, one is the first.
+        let _ = self.first.set((key, Arc::clone(&tables)));
         Ok(tables)
     }
 }
@@ -204,7 +215,14 @@ fn grid_layers(samples: &[(f64, Sample)], thickness: f64) -> Vec<Layer> {
 
 impl Field for Flat {
     fn add(&self, index: usize, contact: &Indentation, out: &mut [f64]) -> Result<(), ModelError> {
-        let tables = self.tables(index, contact.diameter)?;
+        let kept;
+        let tables: &[PressureTable] = match self.first.get() {
+            Some((diameter, tables)) if *diameter == contact.diameter.to_bits() => tables,
+            _ => {
+                kept = self.tables(index, contact.diameter)?;
+                &kept
+            }
+        };
         let (p, force) = (contact.position, contact.force);
         let sheared = force.x != 0.0 || force.y != 0.0;
         for (layer, table) in self.layers.iter().zip(tables.iter()) {
