@@ -6,11 +6,13 @@ mod bridge;
 mod bundle;
 mod collect;
 mod demo;
+mod design;
 mod device;
 mod doctor;
 mod effects;
 mod evaluate;
 mod export;
+mod figures;
 mod foreign;
 mod launch;
 mod log;
@@ -24,6 +26,7 @@ mod skins;
 mod stats;
 mod theory;
 mod train;
+mod variation;
 mod verify;
 
 use std::process::ExitCode;
@@ -80,12 +83,14 @@ enum Command {
     /// Look into a bag, check, mend and cut it.
     #[command(subcommand)]
     Bag(bags::Bag),
-    /// How well a skin can know a contact at best, from its forward model.
+    /// How well a skin can know a contact at best, from its forward model or a recording.
     Theory(theory::Options),
     /// Check the physics of a sensor family against closed forms and other programs; exits with 1 where a case fails.
     Verify(verify::Options),
     /// What makes a device differ from its design: the effects that a sensor family knows.
     Effects(effects::Options),
+    /// What a skin would gain from being built otherwise: depth, thickness, pitch, material, noise.
+    Design(design::Options),
     /// Check a skin description and say what it describes.
     Skin(skins::Options),
     /// What this machine offers: inference runtimes, serial devices, ROS 2.
@@ -128,6 +133,7 @@ fn main() -> ExitCode {
         Command::Theory(options) => theory::run(&options),
         Command::Verify(options) => verify::run(&options),
         Command::Effects(options) => effects::run(&options),
+        Command::Design(options) => design::run(&options),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
     };
