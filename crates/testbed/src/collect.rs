@@ -123,7 +123,7 @@ pub fn collect(
     let begun = if options.resume { resume::find(dir, &custom)? } else { resume::Found::Nothing };
     let begun = match begun {
         resume::Found::Nothing => None,
-        resume::Found::Begun(begun) => Some(begun),
+        resume::Found::Begun(begun) => Some(*begun),
         resume::Found::Finished => {
             (report.frames, report.resumed, report.presses) = (total, total, timeline.presses());
             report.duration = total as f64 / skin.rate;

@@ -19,7 +19,7 @@ pub(super) enum Found {
     /// Nothing that could be gone on with.
     Nothing,
     /// Part of a bag, set aside.
-    Begun(Begun),
+    Begun(Box<Begun>),
     /// All of it.
     Finished,
 }
@@ -133,7 +133,7 @@ pub(super) fn find(dir: &Path, custom: &[(&str, String)]) -> Result<Found, Testb
     let Some((reader, frames)) = read(&aside)? else { return Ok(Found::Nothing) };
     let first = reader.messages_where(Filter::default().types([SkinGeometry::TYPE_NAME])).next();
     match first {
-        Some(Ok(first)) => Ok(Found::Begun(Begun {
+        Some(Ok(first)) => Ok(Found::Begun(Box::new(Begun {
             dir: dir.to_owned(),
             start: first.log_time,
             frames,
@@ -142,7 +142,7 @@ pub(super) fn find(dir: &Path, custom: &[(&str, String)]) -> Result<Found, Testb
             met: 0,
             passed: false,
             differs: false,
-        })),
+        }))),
         _ => {
             remove(&aside)?;
             Ok(Found::Nothing)
