@@ -38,7 +38,13 @@ pub const FAMILIES: &[Family] = &[Family {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         Ok(dermis_barodome::estimator(skin, bundles, &[], runtime)?)
     },
-    verify: || Ok(dermis_barodome::verify::cases()?),
+    verify: || {
+        let mut cases = dermis_barodome::verify::cases()?;
+        if dermis_mechanics::calculix::available() {
+            cases.extend(dermis_barodome::verify::judged()?);
+        }
+        Ok(cases)
+    },
     node: crate::nodes::barodome_config,
 }];
 

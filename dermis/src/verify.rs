@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use anyhow::{Result, bail};
 use clap::Args;
 use dermis_mechanics::Case;
+use dermis_mechanics::calculix::CalculixError;
 use serde_json::json;
 
 use crate::registry::FAMILIES;
@@ -31,10 +32,17 @@ pub fn run(options: &Options) -> Result<()> {
             known.join(", ")
         );
     };
+    let judge = dermis_mechanics::calculix::available();
+    if !judge {
+        eprintln!("left out what CalculiX judges: {}", CalculixError::Missing);
+    }
     let cases = (family.verify)()?;
     let failed: Vec<&str> = cases.iter().filter(|c| !c.pass).map(|c| c.id.as_str()).collect();
     if options.json {
-        println!("{}", json!({ "family": family.name, "cases": cases, "failed": failed.len() }));
+        println!(
+            "{}",
+            json!({ "family": family.name, "cases": cases, "failed": failed.len(), "calculix": judge })
+        );
     } else {
         print!("{}", table(&cases));
     }

@@ -23,6 +23,29 @@ pub fn clients(root: &Path) -> Result<PathBuf> {
     venv(&home(root).join("clients"), &requirements)
 }
 
+/// Makes sure that CalculiX is there, which judges our finite elements: the one on the path, or Debian's package. Without
+/// rights to install it, tests that need it say that they are skipped: answers why, then.
+pub fn calculix() -> Option<String> {
+    let there = || Command::new("ccx").arg("-v").output().is_ok();
+    let ends_well = |c: &mut Command| {
+        c.env("DEBIAN_FRONTEND", "noninteractive").output().is_ok_and(|o| o.status.success())
+    };
+    let apt = |arguments: &[&str]| {
+        ends_well(Command::new("apt-get").args(arguments))
+            // Not on the machine of a person, who is not asked here.
+            || (std::env::var_os("CI").is_some()
+                && ends_well(Command::new("sudo").args(["-n", "apt-get"]).args(arguments)))
+    };
+    let install = ["install", "-y", "--no-install-recommends", "calculix-ccx"];
+    if there() || apt(&install) || (apt(&["update"]) && apt(&install)) {
+        return None;
+    }
+    Some(
+        "CalculiX cannot be installed here (apt-get install calculix-ccx): what it judges is not tested"
+            .to_owned(),
+    )
+}
+
 /// Makes sure that cargo has a subcommand: the one on the path, or one that is built here once.
 pub fn subcommand(root: &Path, name: &str, version: &str) -> Result<()> {
     if cargo(root).args([name, "--version"]).output().is_ok_and(|o| o.status.success()) {

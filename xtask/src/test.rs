@@ -48,6 +48,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         step("formatting", || execute(cargo(root).args(["fmt", "--all", "--check"])))?;
     }
     step("test runner", || environment::subcommand(root, "nextest", "0.9.143"))?;
+    skipped.extend(step("CalculiX", || Ok(environment::calculix()))?);
     let clients = step("Python clients", || environment::clients(root))?;
     if !options.no_lint {
         step("licences and sources", || {

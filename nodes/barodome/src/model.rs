@@ -330,6 +330,36 @@ mod tests {
     }
 
     #[test]
+    fn free_edges_change_what_is_near_them() {
+        let model = BarometerModel::new(&skin("base = \"bonded\"", "edge = \"free\"")).unwrap();
+        // Straight above b14, 4 mm from the edge, the elastomer gives way; beyond it, nothing else carries the force.
+        let (wide, free) =
+            (read(&MODEL, vec![press(0.013, 0.0, 0.1)]), read(&model, vec![press(0.013, 0.0, 0.1)]));
+        assert!(free[14] < 0.95 * wide[14], "{} {}", free[14], wide[14]);
+        let (wide, free) =
+            (read(&MODEL, vec![press(0.017, 0.0, 0.1)]), read(&model, vec![press(0.017, 0.0, 0.1)]));
+        assert!(free[14] > 1.2 * wide[14], "{} {}", free[14], wide[14]);
+        // In the middle, 17 mm from every edge, hardly anything is left.
+        let (wide, free) =
+            (read(&MODEL, vec![press(0.0, 0.0, 0.1)]), read(&model, vec![press(0.0, 0.0, 0.1)]));
+        assert!((free[12] - wide[12]).abs() < 0.025 * wide[12], "{} {}", free[12], wide[12]);
+        // Beside an edge, left is like right.
+        let (left, right) =
+            (read(&model, vec![press(-0.015, 0.004, 0.1)]), read(&model, vec![press(0.015, 0.004, 0.1)]));
+        for row in 0..5 {
+            for column in 0..5 {
+                let (a, b) = (left[5 * row + column], right[5 * row + 4 - column]);
+                approx::assert_relative_eq!(a, b, epsilon = 1e-3);
+            }
+        }
+        let outside = skin("[medium]", "effects = []\n[medium]\nedge = \"free\"");
+        let mut parameters = Parameters::nominal(&outside).unwrap();
+        parameters.elements[3].position.y = -0.0171;
+        let refused = BarometerModel::from_parameters(&outside, &parameters).unwrap_err().to_string();
+        insta::assert_snapshot!(refused, @"skin `baro-grid`: field `taxels[3].position`: `b03` reads at (0.0065, -0.0171, -0.005) m, where an elastomer with free edges of 0.034 m by 0.034 m has ended");
+    }
+
+    #[test]
     fn impossible_skins_are_refused_by_field() {
         let refused = |from: &str, to: &str| BarometerModel::new(&skin(from, to)).unwrap_err().to_string();
         insta::assert_snapshot!(refused("thickness = 0.010", "thickness = 0.004"), @"skin `baro-grid`: field `taxels[0].position`: z of `b00` is -0.005 m and must lie in the medium: below 0 and not below -0.004 m");

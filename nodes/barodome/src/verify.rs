@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use dermis_mechanics::calculix::{self, CalculixError};
 use dermis_mechanics::{Base, Case, Load, MechanicsError, Medium, PressureTable, SphereContact};
 
 /// \[Pa\].
@@ -26,6 +27,18 @@ pub fn cases() -> Result<Vec<Case>, MechanicsError> {
     cases.extend(wings()?);
     cases.extend(shear()?);
     cases.push(tables()?);
+    Ok(cases)
+}
+
+/// What CalculiX makes of a layer, of a pad with free sides and of a dome, and this model of the same: seconds of work.
+///
+/// # Errors
+///
+/// [`CalculixError`] where CalculiX is not installed, or fails.
+pub fn judged() -> Result<Vec<Case>, CalculixError> {
+    let mut cases = calculix::layer_cases()?;
+    cases.extend(calculix::block_cases()?);
+    cases.extend(calculix::dome_cases()?);
     Ok(cases)
 }
 

@@ -32,10 +32,13 @@ const fn push(arc: f64, angle: f64, force: [f64; 3]) -> Push {
 }
 
 /// Pushes at once, on tip, hemisphere and cylinder. Those along the surface lie beside the sensors, as the force points:
-/// there they are felt most, while straight below their field changes its sign and says more of meshes than of domes.
-const LOADS: [(&str, [Push; 3]); 2] = [
+/// there they are felt most, while straight below their field changes its sign and says more of meshes than of domes. The
+/// numbers are tolerances, of the largest stress, for CalculiX's mesh: with 12 quads by four around the equator and 7 layers,
+/// which takes minutes, it differs by 0.12 % where it is pushed in, and by 0.13 % in all but one sensor (0.7 %) else.
+const LOADS: [(&str, f64, [Push; 3]); 2] = [
     (
         "normal",
+        0.005,
         [
             push(0.0, 0.0, [1.0, 0.0, 0.0]),
             push(0.007_854, 0.4, [1.0, 0.0, 0.0]),
@@ -44,6 +47,7 @@ const LOADS: [(&str, [Push; 3]); 2] = [
     ),
     (
         "shear",
+        0.02,
         [
             push(0.003, 1.5, [0.0, 0.8, -0.6]),
             push(0.006, 2.2, [0.0, 0.8, 0.6]),
@@ -77,7 +81,7 @@ pub fn dome_cases() -> Result<Vec<Case>, CalculixError> {
     let last_layer = per_layer * (LAYERS - 1)..mesh.cells.len();
 
     let (mut loads, mut shares) = (Vec::new(), Vec::new());
-    for (_, pushes) in &LOADS {
+    for (.., pushes) in &LOADS {
         let (mut forces, mut points) = (Vec::new(), Vec::new());
         for push in pushes {
             let centre = SHAPE.point([push.arc, push.angle]);
@@ -127,7 +131,7 @@ pub fn dome_cases() -> Result<Vec<Case>, CalculixError> {
 
     let dome = Dome::new(SHAPE, POISSON, Base::Bonded, &probes)?;
     let mut cases = Vec::new();
-    for (((name, _), answer), points) in LOADS.iter().zip(&answers).zip(&shares) {
+    for (((name, tolerance, _), answer), points) in LOADS.iter().zip(&answers).zip(&shares) {
         let mut stress = vec![0.0; sensors.len()];
         let mut influence = vec![0.0; 3 * sensors.len()];
         for (point, force) in points {
@@ -151,7 +155,7 @@ pub fn dome_cases() -> Result<Vec<Case>, CalculixError> {
                 SOURCE,
                 "Pa",
                 [got, answer.sensed[k]],
-                (0.005, peak),
+                (*tolerance, peak),
             ));
         }
     }

@@ -138,10 +138,105 @@ impl HexMesh {
         Ok(Self { nodes, cells })
     }
 
+    /// Nodes in an order of elimination that keeps factors sparse: the mesh is cut in halves again and again, and the nodes
+    /// on a cut come after those of both sides. (A. George, Nested dissection of a regular finite element mesh, 1973.)
+    pub(crate) fn dissect(&self) -> Vec<u32> {
+        let middles: Vec<Vector3<f64>> = self
+            .cells
+            .iter()
+            .map(|cell| cell.iter().map(|&n| self.nodes[n as usize].coords).sum::<Vector3<f64>>() / 8.0)
+            .collect();
+        let mut cells: Vec<u32> = (0..self.cells.len() as u32).collect();
+        let mut order = Vec::with_capacity(self.nodes.len());
+        let mut state = vec![Side::None; self.nodes.len()];
+        self.halve(&middles, &mut cells, &mut state, &mut order);
+        // What no cell has.
+        order.extend((0..self.nodes.len() as u32).filter(|&n| state[n as usize] != Side::Ordered));
+        order
+    }
+
+    fn halve(&self, middles: &[Vector3<f64>], cells: &mut [u32], state: &mut [Side], order: &mut Vec<u32>) {
+        const SMALL: usize = 8;
+        if cells.len() <= SMALL {
+            for &cell in cells.iter() {
+                for &n in &self.cells[cell as usize] {
+                    if !matches!(state[n as usize], Side::Ordered | Side::Cut) {
+                        state[n as usize] = Side::Ordered;
+                        order.push(n);
+                    }
+                }
+            }
+            return;
+        }
+        let extents: [f64; 3] = std::array::from_fn(|axis| {
+            let along = cells.iter().map(|&c| middles[c as usize][axis]);
+            along.clone().fold(f64::MIN, f64::max) - along.fold(f64::MAX, f64::min)
+        });
+        let axis = (0..3).max_by(|&a, &b| extents[a].total_cmp(&extents[b])).unwrap_or(0);
+        cells.sort_unstable_by(|&a, &b| {
+            let (a, b) = (&middles[a as usize], &middles[b as usize]);
+            (a[axis], a[(axis + 1) % 3], a[(axis + 2) % 3])
+                .partial_cmp(&(b[axis], b[(axis + 1) % 3], b[(axis + 2) % 3]))
+                .unwrap_or(std::cmp::Ordering::Equal)
+        });
+        // Where the halves' middles lie in one plane of cells, to its side: a cut through it would be two.
+        let mut at = cells.len() / 2;
+        let tolerance = 1e-6 * extents[axis];
+        while at < cells.len()
+            && middles[cells[at] as usize][axis] - middles[cells[at - 1] as usize][axis] < tolerance
+        {
+            at += 1;
+        }
+        if at == cells.len() {
+            at = cells.len() / 2;
+        }
+        let (left, right) = cells.split_at_mut(at);
+        for &cell in left.iter() {
+            for &n in &self.cells[cell as usize] {
+                if state[n as usize] == Side::None {
+                    state[n as usize] = Side::Left;
+                }
+            }
+        }
+        let mut cut = Vec::new();
+        for &cell in right.iter() {
+            for &n in &self.cells[cell as usize] {
+                if state[n as usize] == Side::Left {
+                    state[n as usize] = Side::Cut;
+                    cut.push(n);
+                }
+            }
+        }
+        for &cell in left.iter() {
+            for &n in &self.cells[cell as usize] {
+                if state[n as usize] == Side::Left {
+                    state[n as usize] = Side::None;
+                }
+            }
+        }
+        self.halve(middles, left, state, order);
+        self.halve(middles, right, state, order);
+        for &n in &cut {
+            state[n as usize] = Side::Ordered;
+        }
+        order.extend(cut);
+    }
+
     /// Corners of a cell.
     pub(crate) fn corners(&self, cell: &[u32; 8]) -> [Point3<f64>; 8] {
         cell.map(|i| self.nodes[i as usize])
     }
+}
+
+/// What is known of a node while a mesh is cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Side {
+    None,
+    /// Of the cut in progress.
+    Left,
+    /// On a cut whose sides are not done.
+    Cut,
+    Ordered,
 }
 
 /// Corners of the reference cell, as [`HexMesh`] orders them.

@@ -108,3 +108,41 @@ fn pad(planes: &[f64], length: f64) -> Vec<f64> {
     all.extend(beyond);
     all
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point3;
+
+    #[test]
+    fn sides_change_what_is_near_them() {
+        let probes: Vec<Probe> =
+            [-0.0126, 0.0, 0.0126].iter().map(|&x| vec![(Point3::new(x, 0.0, -0.002), 1.0)]).collect();
+        let sides = free_sides([0.028, 0.016], 0.004, 0.49, 0.0, &probes).unwrap();
+        let at = |x: f64, y: f64| {
+            let mut out = vec![0.0; 9];
+            sides.add(x, y, 1.0, &mut out);
+            out
+        };
+        // A point load on a layer half as thick as the usual one: four times its peak.
+        let peak = 4.0 * 7100.0;
+        // Two thicknesses from every side, little is left.
+        assert!(at(0.0, 0.0)[5].abs() < 0.015 * peak, "{:?}", at(0.0, 0.0));
+        // Where the elastomer ends, a force that would have been carried beyond presses on what is there.
+        assert!(-at(0.014, 0.0)[8] > 0.2 * peak, "{:?}", at(0.014, 0.0));
+        // Left is like right.
+        let (left, right) = (at(-0.012, 0.003), at(0.012, 0.003));
+        for (a, b, sign) in [(0, 6, -1.0), (1, 7, 1.0), (2, 8, 1.0)] {
+            assert!((left[a] - sign * right[b]).abs() < 1e-6 * peak, "{left:?} {right:?}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused() {
+        let probes = [vec![(Point3::new(0.02, 0.0, -0.002), 1.0)]];
+        let refused =
+            |size, thickness| free_sides(size, thickness, 0.49, 0.0, &probes).unwrap_err().to_string();
+        insta::assert_snapshot!(refused([0.028, 0.0], 0.004), @"side of the block [m] is 0 and must be a positive number");
+        insta::assert_snapshot!(refused([0.028, 0.028], 0.004), @"coordinate of a sensor [m] is 0.02 and must be inside of the block");
+    }
+}

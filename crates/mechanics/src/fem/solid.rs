@@ -131,7 +131,9 @@ impl Solid {
             let g = gradients(&mesh.corners(&mesh.cells[cell])).ok_or(MechanicsError::Mesh { cell })?;
             matrix.add(dofs, &stiffness(&g, shear, bulk));
         }
-        let factor = matrix.factor(&matrix.order()?)?;
+        let first: Vec<usize> =
+            mesh.dissect().into_iter().flat_map(|n| dofs[n as usize]).filter(|&dof| dof != HELD).collect();
+        let factor = matrix.factor(&matrix.order(Some(&first))?)?;
         Ok(Self { mesh, bulk, dofs, unknowns, factor })
     }
 

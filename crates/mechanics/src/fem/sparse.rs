@@ -1,9 +1,14 @@
 //! Symmetric positive definite systems: assembly from elements, sparse Cholesky factors by faer.
 
-use faer::linalg::solvers::Solve;
-use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use std::sync::Arc;
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::perm::PermRef;
+use faer::sparse::linalg::cholesky::{
+    LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Mat, Side};
+use faer::{Conj, Mat, Par, Side};
 
 use crate::MechanicsError;
 
@@ -22,11 +27,14 @@ pub(crate) struct Symmetric {
 
 /// Order of elimination, and where the factor has entries: the same for all matrices of one pattern.
 #[derive(Debug, Clone)]
-pub(crate) struct Ordering(SymbolicLlt<usize>);
+pub(crate) struct Ordering(Arc<SymbolicCholesky<usize>>);
 
 /// A factor.
 #[derive(Debug)]
-pub(crate) struct Factor(Llt<usize, f64>);
+pub(crate) struct Factor {
+    ordering: Ordering,
+    values: Vec<f64>,
+}
 
 impl Symmetric {
     /// Zeros for `size` unknowns, of which each element of `elements` joins those that it names; [`HELD`] ones are not
@@ -100,27 +108,62 @@ impl Symmetric {
         SymbolicSparseColMatRef::new_checked(n, n, &self.starts, None, &self.rows)
     }
 
-    /// Finds an order of elimination that keeps the factor sparse.
-    pub fn order(&self) -> Result<Ordering, MechanicsError> {
-        SymbolicLlt::try_new(self.pattern(), Side::Lower).map(Ordering).map_err(|_| MechanicsError::Singular)
+    /// Looks for the entries of the factor in the order of elimination `first` (unknowns by number), or in one that is found
+    /// here and keeps the factor sparse.
+    pub fn order(&self, first: Option<&[usize]>) -> Result<Ordering, MechanicsError> {
+        let inverse = first.map(|first| {
+            let mut inverse = vec![0; first.len()];
+            for (place, &unknown) in first.iter().enumerate() {
+                inverse[unknown] = place;
+            }
+            inverse
+        });
+        let ordering = match (first, &inverse) {
+            (Some(first), Some(inverse)) => {
+                SymmetricOrdering::Custom(PermRef::new_checked(first, inverse, first.len()))
+            }
+            _ => SymmetricOrdering::Amd,
+        };
+        factorize_symbolic_cholesky(self.pattern(), Side::Lower, ordering, Default::default())
+            .map(|symbolic| Ordering(Arc::new(symbolic)))
+            .map_err(|_| MechanicsError::Singular)
     }
 
     /// Factors the matrix.
     pub fn factor(&self, ordering: &Ordering) -> Result<Factor, MechanicsError> {
         let matrix = SparseColMatRef::new(self.pattern(), &self.values[..]);
-        Llt::try_new_with_symbolic(ordering.0.clone(), matrix, Side::Lower)
-            .map(Factor)
-            .map_err(|_| MechanicsError::Singular)
+        let symbolic = &ordering.0;
+        let mut values = vec![0.0; symbolic.len_val()];
+        let need = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
+        symbolic
+            .factorize_numeric_llt(
+                &mut values,
+                matrix,
+                Side::Lower,
+                Default::default(),
+                Par::Seq,
+                MemStack::new(&mut MemBuffer::new(need)),
+                Default::default(),
+            )
+            .map_err(|_| MechanicsError::Singular)?;
+        Ok(Factor { ordering: ordering.clone(), values })
     }
 }
 
 impl Factor {
     /// Puts the solution in the place of each column.
     pub fn solve(&self, columns: &mut [Vec<f64>]) {
+        let symbolic = &*self.ordering.0;
         for block in columns.chunks_mut(BLOCK) {
             let n = block[0].len();
             let mut right = Mat::from_fn(n, block.len(), |i, j| block[j][i]);
-            self.0.solve_in_place(right.as_mut());
+            let need = symbolic.solve_in_place_scratch::<f64>(block.len(), Par::Seq);
+            LltRef::new(symbolic, &self.values).solve_in_place_with_conj(
+                Conj::No,
+                right.as_mut(),
+                Par::Seq,
+                MemStack::new(&mut MemBuffer::new(need)),
+            );
             for (j, column) in block.iter_mut().enumerate() {
                 column.copy_from_slice(right.col_as_slice(j));
             }
