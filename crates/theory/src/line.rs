@@ -25,6 +25,8 @@ pub struct LineTaxel {
 pub struct Line {
     responses: Responses,
     arc: Vec<f64>,
+    /// \[m\] all around a closed line.
+    around: Option<f64>,
     taxels: Vec<LineTaxel>,
 }
 
@@ -60,7 +62,7 @@ impl Line {
         if !fits || taxels.len() < 2 {
             return Err(TheoryError::Line { taxels: taxels.len() });
         }
-        Ok(Self { responses, arc: path.arc.clone(), taxels })
+        Ok(Self { responses, arc: path.arc.clone(), around: path.around, taxels })
     }
 
     /// Readings at the places of the line.
@@ -81,16 +83,52 @@ impl Line {
         &self.taxels
     }
 
-    /// \[m\] from the first taxel to the last.
+    /// \[m\] all around, where the line is closed.
+    #[must_use]
+    pub fn around(&self) -> Option<f64> {
+        self.around
+    }
+
+    /// \[m\] from the first taxel to the last, or all around.
     #[must_use]
     pub fn span(&self) -> f64 {
+        if let Some(around) = self.around {
+            return around;
+        }
         self.taxels.last().map_or(0.0, |t| t.foot) - self.taxels.first().map_or(0.0, |t| t.foot)
+    }
+
+    /// Signed distance \[m\] of a place from a taxel's foot, the shorter way around.
+    #[must_use]
+    pub fn distance(&self, place: usize, taxel: &LineTaxel) -> f64 {
+        let off = self.arc[place] - taxel.foot;
+        self.around.map_or(off, |around| (off + around / 2.0).rem_euclid(around) - around / 2.0)
     }
 
     /// Signed distance \[m\] of every place from a taxel's foot.
     #[must_use]
     pub fn distances(&self, taxel: &LineTaxel) -> Vec<f64> {
-        self.arc.iter().map(|at| at - taxel.foot).collect()
+        (0..self.arc.len()).map(|place| self.distance(place, taxel)).collect()
+    }
+
+    /// A place by its number, and where it lies \[m\]: on a closed line numbers and lengths go on beyond its ends.
+    fn at(&self, number: isize) -> Option<(usize, f64)> {
+        let count = self.arc.len() as isize;
+        match self.around {
+            Some(around) => {
+                let place = number.rem_euclid(count) as usize;
+                Some((place, self.arc[place] + number.div_euclid(count) as f64 * around))
+            }
+            None => (0..count).contains(&number).then(|| (number as usize, self.arc[number as usize])),
+        }
+    }
+
+    /// Places before and after one, itself at an end, and how far \[m\] they are apart.
+    pub(crate) fn beside(&self, place: usize) -> ([usize; 2], f64) {
+        let here = (place, self.arc[place]);
+        let before = self.at(place as isize - 1).unwrap_or(here);
+        let after = self.at(place as isize + 1).unwrap_or(here);
+        ([before.0, after.0], after.1 - before.1)
     }
 
     /// The isoline of a taxel's value along the line.
@@ -113,9 +151,13 @@ impl Line {
         if (self.arc[before] - arc).abs() < (self.arc[after] - arc).abs() { before } else { after }
     }
 
-    /// Both taxels between which `arc` \[m\] lies; the outermost two beyond them.
+    /// Both taxels between which `arc` \[m\] lies; the outermost two beyond them, unless the line is closed.
     #[must_use]
     pub fn pair(&self, arc: f64) -> [LineTaxel; 2] {
+        let (first, last) = (self.taxels[0], self.taxels[self.taxels.len() - 1]);
+        if self.around.is_some() && !(first.foot..last.foot).contains(&arc) {
+            return [last, first];
+        }
         let after = self.taxels.partition_point(|t| t.foot <= arc).clamp(1, self.taxels.len() - 1);
         [self.taxels[after - 1], self.taxels[after]]
     }
@@ -127,40 +169,40 @@ impl Line {
         Some((first - second, first))
     }
 
-    /// Where the isolines of two channels' values cross, nearest to a place and within `bounds` (places, both included).
+    /// Where the isolines of two channels' values cross, nearest to a place and within `bounds` (numbers of places, both
+    /// included).
     pub(crate) fn crossing(
         &self,
         a: (usize, f64),
         b: (usize, f64),
         near: usize,
-        bounds: [usize; 2],
+        bounds: [isize; 2],
     ) -> Option<Crossing> {
-        let [first, last] = bounds;
         let start = self.gap(near, a, b);
         if let Some((0.0, force)) = start {
             return Some(Crossing { arc: self.arc[near], force });
         }
         // Two fronts that move outwards, one place at a time.
-        let mut fronts = [(near, start), (near, start)];
+        let mut fronts = [(near as isize, start), (near as isize, start)];
         loop {
             let mut moved = false;
-            for (side, (place, known)) in fronts.iter_mut().enumerate() {
-                let next = if side == 0 {
-                    place.checked_sub(1).filter(|p| *p >= first)
-                } else {
-                    Some(*place + 1).filter(|p| *p <= last)
+            for (step, (number, known)) in [-1, 1].into_iter().zip(&mut fronts) {
+                let next = *number + step;
+                if !(bounds[0]..=bounds[1]).contains(&next) {
+                    continue;
+                }
+                let (Some((place, to)), Some((_, from))) = (self.at(next), self.at(*number)) else {
+                    continue;
                 };
-                let Some(next) = next else { continue };
                 moved = true;
-                let gap = self.gap(next, a, b);
+                let gap = self.gap(place, a, b);
                 if let (Some((g0, f0)), Some((g1, f1))) = (*known, gap)
                     && (g0 < 0.0) != (g1 < 0.0)
                 {
                     let share = g0 / (g0 - g1);
-                    let arc = self.arc[*place] + share * (self.arc[next] - self.arc[*place]);
-                    return Some(Crossing { arc, force: f0 + share * (f1 - f0) });
+                    return Some(Crossing { arc: from + share * (to - from), force: f0 + share * (f1 - f0) });
                 }
-                (*place, *known) = (next, gap);
+                (*number, *known) = (next, gap);
             }
             if !moved {
                 return None;
@@ -168,8 +210,10 @@ impl Line {
         }
     }
 
-    fn all(&self) -> [usize; 2] {
-        [0, self.arc.len() - 1]
+    /// Numbers of all places around one: half of a closed line to either side.
+    fn all(&self, place: usize) -> [isize; 2] {
+        let (count, place) = (self.arc.len() as isize, place as isize);
+        if self.around.is_some() { [place - count / 2, place + count / 2] } else { [0, count - 1] }
     }
 
     /// Readings of channels under a force at a place, and their deviations; `None` where one is not known.
@@ -188,7 +232,7 @@ impl Line {
         let bands = self.bands(place, force, &pair)?;
         let corners = CORNERS.map(|signs| {
             let [a, b] = [0, 1].map(|i| (bands[i].0, bands[i].1 + signs[i] * bands[i].2));
-            self.crossing(a, b, place, self.all())
+            self.crossing(a, b, place, self.all(place))
         });
         extent(&corners.into_iter().collect::<Option<Vec<_>>>()?)
     }
@@ -199,7 +243,7 @@ impl Line {
     pub fn corners_of_all(&self, place: usize, force: f64, channels: &[usize]) -> Option<Deviations> {
         let bands = self.bands(place, force, channels)?;
         // The area of all lies in that of the pair which locates best: no other corner need be looked for beyond it.
-        let mut bounds = self.all();
+        let mut bounds = self.all(place);
         let mut smallest = f64::INFINITY;
         for (i, a) in bands.iter().enumerate() {
             for b in &bands[..i] {
@@ -207,14 +251,26 @@ impl Line {
                 if first.position < smallest {
                     smallest = first.position;
                     let ends = [[1.0, -1.0], [-1.0, 1.0]].map(|s| {
-                        self.crossing((a.0, a.1 + s[0] * a.2), (b.0, b.1 + s[1] * b.2), place, self.all())
+                        self.crossing(
+                            (a.0, a.1 + s[0] * a.2),
+                            (b.0, b.1 + s[1] * b.2),
+                            place,
+                            self.all(place),
+                        )
                     });
                     if let [Some(p), Some(q)] = ends {
                         let (low, high) = (p.arc.min(q.arc), p.arc.max(q.arc));
-                        bounds = [
-                            self.arc.partition_point(|x| *x <= low).saturating_sub(1),
-                            self.arc.partition_point(|x| *x < high).min(self.arc.len() - 1),
-                        ];
+                        // From the place next to the one end to that next to the other.
+                        let outside = |number: &isize, step: isize| {
+                            let inner = self.at(*number).is_some_and(|(_, arc)| low < arc && arc < high);
+                            inner.then_some(number + step)
+                        };
+                        let end =
+                            |step| std::iter::successors(Some(place as isize), |n| outside(n, step)).last();
+                        let whole = self.all(place);
+                        bounds = [end(-1).unwrap_or(whole[0]), end(1).unwrap_or(whole[1])];
+                        // The contact may lie on either end itself.
+                        bounds = [bounds[0].min(place as isize - 1), bounds[1].max(place as isize + 1)];
                     }
                 }
             }
@@ -237,10 +293,15 @@ impl Line {
 
     /// Whether a point lies within a channel's band, on it included.
     fn holds(&self, &(channel, value, sigma): &(usize, f64, f64), at: &Crossing) -> bool {
-        let after = self.arc.partition_point(|a| *a < at.arc).clamp(1, self.arc.len() - 1);
-        let share = (at.arc - self.arc[after - 1]) / (self.arc[after] - self.arc[after - 1]);
+        let arc = self.around.map_or(at.arc, |around| at.arc.rem_euclid(around));
+        let after = self.arc.partition_point(|a| *a < arc).max(1) as isize;
+        let after = if self.around.is_some() { after } else { after.min(self.arc.len() as isize - 1) };
+        let (Some((before, from)), Some((after, to))) = (self.at(after - 1), self.at(after)) else {
+            return false;
+        };
+        let share = (arc - from) / (to - from);
         let force = |value: f64| {
-            let low = self.responses.force_for(after - 1, channel, value)?;
+            let low = self.responses.force_for(before, channel, value)?;
             let high = self.responses.force_for(after, channel, value)?;
             Some(low + share * (high - low))
         };
@@ -254,11 +315,11 @@ impl Line {
     fn slope(&self, place: usize, force: f64, channel: usize) -> Option<(f64, f64)> {
         let value = self.responses.reading(place, channel, force);
         let sigma = self.responses.noise()[channel];
-        let (before, after) = (place.saturating_sub(1), (place + 1).min(self.arc.len() - 1));
+        let ([before, after], way) = self.beside(place);
         let low = self.responses.force_for(before, channel, value)?;
         let high = self.responses.force_for(after, channel, value)?;
         let c = self.responses.slope(place, channel, value)?;
-        Some(((high - low) / (self.arc[after] - self.arc[before]), c * sigma))
+        Some(((high - low) / way, c * sigma))
     }
 
     /// σ_P and σ_F of a contact from two channels to first order, with the isolines' own slopes: (5.14) with the sign of
@@ -289,7 +350,7 @@ impl Line {
         let mut slopes = 0.0;
         for (taxel, fits) in pair.iter().zip(fits) {
             let value = self.responses.reading(place, taxel.channel, force);
-            slopes += IsolineFit::between(fits, value)?.slope(self.arc[place] - taxel.foot);
+            slopes += IsolineFit::between(fits, value)?.slope(self.distance(place, taxel));
         }
         let value = self.responses.reading(place, pair[0].channel, force);
         let c = self.responses.slope(place, pair[0].channel, value)?;
@@ -314,14 +375,22 @@ impl Line {
     #[must_use]
     pub fn told_apart_by_distance(&self, force: f64, least: f64, distances: &[f64]) -> Vec<f64> {
         let end = self.arc[self.arc.len() - 1];
+        let farthest = self.around.map_or(end, |around| around / 2.0);
         distances
             .iter()
             .map(|distance| {
-                let pairs = self.arc.iter().enumerate().filter(|(_, arc)| **arc + distance <= end + 1e-9);
-                let told: Vec<bool> = pairs
-                    .map(|(place, arc)| {
-                        self.told_apart((place, force), (self.place(arc + distance), force), least, 2)
-                    })
+                // Around a closed line every place has another one at any distance up to half of it.
+                let other = |arc: f64| match self.around {
+                    Some(around) => Some((arc + distance).rem_euclid(around)),
+                    None => Some(arc + distance).filter(|arc| *arc <= end + 1e-9),
+                };
+                let told: Vec<bool> = self
+                    .arc
+                    .iter()
+                    .enumerate()
+                    .filter(|_| *distance <= farthest + 1e-9)
+                    .filter_map(|(place, arc)| Some((place, other(*arc)?)))
+                    .map(|(place, arc)| self.told_apart((place, force), (self.place(arc), force), least, 2))
                     .collect();
                 told.iter().filter(|t| **t).count() as f64 / told.len().max(1) as f64
             })
@@ -534,6 +603,35 @@ mod tests {
         let (exact, first) =
             (line.corners(place, 1.0, pair).unwrap(), line.first_order(place, 1.0, pair).unwrap());
         assert_relative_eq!(exact.position, first.position, max_relative = 0.05);
+    }
+
+    #[test]
+    fn a_ring_has_no_ends() {
+        let model = Dome::new();
+        let path =
+            Path::across(model.surface(), &Point3::new(0.01, 0.0, 0.016), &Vector3::y(), 0.0002).unwrap();
+        let responses = Responses::of_model(&model, &path.points, &force_ladder(3.0, 20), 0.004).unwrap();
+        let line = Line::new(responses, &path, model.surface(), &model.feet, 0.001).unwrap();
+        // Six taxels, the same everywhere between two of them, also where the path begins and ends.
+        assert_eq!(line.taxels().len(), 6);
+        assert_relative_eq!(line.span(), std::f64::consts::TAU * 0.01, max_relative = 1e-2);
+        let sixth = line.span() / 6.0;
+        let of = |i: usize| {
+            let place = line.place((line.taxels()[0].foot + sixth * (0.3 + i as f64)) % line.span());
+            let pair = line.pair(line.arc()[place]).map(|t| t.channel);
+            let active = line.responses().active(place, 1.0, 20.0);
+            let all = line.corners_of_all(place, 1.0, &active).unwrap();
+            (line.corners(place, 1.0, pair).unwrap(), line.first_order(place, 1.0, pair).unwrap(), all)
+        };
+        let (first, ..) = of(0);
+        for i in 0..6 {
+            let (corners, linear, all) = of(i);
+            assert_relative_eq!(corners.position, first.position, max_relative = 0.05);
+            assert_relative_eq!(corners.position, linear.position, max_relative = 0.05);
+            assert!(all.position <= corners.position * 1.001);
+        }
+        let fits = line.taxels().iter().map(|t| line.isoline(t, 40.0).fit().unwrap().alpha);
+        assert!(fits.into_iter().all(|alpha| (alpha - 2.0).abs() < 0.02));
     }
 
     #[test]

@@ -18,6 +18,8 @@ pub struct Path {
     pub normals: Vec<Vector3<f64>>,
     /// \[m\] along the path from its first place, ascending from 0.
     pub arc: Vec<f64>,
+    /// \[m\] all around, where the last place is followed by the first.
+    pub around: Option<f64>,
 }
 
 impl Path {
@@ -51,13 +53,17 @@ impl Path {
             }
             arc.push(length);
         }
-        Ok(Self { points, normals, arc })
+        let around = match (closed, points.first(), points.last()) {
+            (true, Some(first), Some(last)) => Some(length + surface.geodesic(last, first)),
+            _ => None,
+        };
+        Ok(Self { points, normals, arc, around })
     }
 
-    /// \[m\] from end to end.
+    /// \[m\] from end to end, or all around.
     #[must_use]
     pub fn length(&self) -> f64 {
-        self.arc.last().copied().unwrap_or_default()
+        self.around.or(self.arc.last().copied()).unwrap_or_default()
     }
 
     /// Index of the place that is nearest to a point, and how far it is \[m\].
@@ -138,5 +144,6 @@ mod tests {
         approx::assert_relative_eq!(over.length(), exact, max_relative = 1e-3);
         let around = Path::across(&surface, &Point3::new(0.01, 0.0, 0.008), &Vector3::y(), 0.0002).unwrap();
         approx::assert_relative_eq!(around.length(), std::f64::consts::TAU * radius, max_relative = 1e-2);
+        assert!(around.around.is_some() && over.around.is_none());
     }
 }

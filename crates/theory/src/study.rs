@@ -97,7 +97,7 @@ pub struct ByForce {
 pub struct LineStudy {
     /// \[m\] places along the line.
     pub arc: Vec<f64>,
-    /// \[m\] from the first taxel to the last.
+    /// \[m\] from the first taxel to the last, or all around a ring.
     pub span: f64,
     /// S_min, in the unit of the skin.
     pub least: f64,
@@ -198,7 +198,8 @@ impl Line {
             .into_iter()
             .filter(|p| {
                 let first = self.taxels()[0].foot;
-                (first - 1e-9..=first + self.span() + 1e-9).contains(&self.arc()[*p])
+                self.around().is_some()
+                    || (first - 1e-9..=first + self.span() + 1e-9).contains(&self.arc()[*p])
             })
             .collect();
         let mut by_force = Vec::new();
@@ -251,9 +252,7 @@ impl Line {
         let c_by_distance = self
             .places(options.step)
             .into_iter()
-            .filter_map(|p| {
-                Some([self.arc()[p] - taxel.foot, self.responses().slope(p, taxel.channel, value)?])
-            })
+            .filter_map(|p| Some([self.distance(p, taxel), self.responses().slope(p, taxel.channel, value)?]))
             .collect();
         TaxelStudy {
             channel: taxel.channel,
@@ -316,8 +315,7 @@ impl Line {
     /// recording as of a model.
     #[must_use]
     pub fn bound(&self, place: usize, force: f64) -> Option<Deviations> {
-        let (before, after) = (place.saturating_sub(1), (place + 1).min(self.arc().len() - 1));
-        let way = self.arc()[after] - self.arc()[before];
+        let ([before, after], way) = self.beside(place);
         let change = 0.02 * force;
         let read = |place, channel, force| self.responses().reading(place, channel, force);
         let (mut xx, mut xf, mut ff) = (0.0, 0.0, 0.0);
