@@ -1,11 +1,13 @@
 //! `dermis verify`: a sensor family's physics, computed now, against references.
 
 use std::fmt::Write as _;
+use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::Args;
 use dermis_mechanics::Case;
 use dermis_mechanics::calculix::CalculixError;
+use indicatif::ProgressBar;
 use serde_json::json;
 
 use crate::registry::FAMILIES;
@@ -36,7 +38,12 @@ pub fn run(options: &Options) -> Result<()> {
     if !judge {
         eprintln!("left out what CalculiX judges: {}", CalculixError::Missing);
     }
-    let cases = (family.verify)()?;
+    // Hidden where stderr is not a terminal.
+    let busy = ProgressBar::new_spinner().with_message("computing, and asking others");
+    busy.enable_steady_tick(Duration::from_millis(100));
+    let cases = (family.verify)();
+    busy.finish_and_clear();
+    let cases = cases?;
     let failed: Vec<&str> = cases.iter().filter(|c| !c.pass).map(|c| c.id.as_str()).collect();
     if options.json {
         println!(
