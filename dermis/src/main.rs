@@ -5,6 +5,7 @@ mod bags;
 mod bridge;
 mod bundle;
 mod collect;
+mod compare;
 mod demo;
 mod design;
 mod device;
@@ -73,6 +74,8 @@ enum Command {
     Refine(refine::Options),
     /// Measure model bundles on labelled bags; exits with 1 where a requirement is missed.
     Evaluate(evaluate::Options),
+    /// Compare estimators with each other and with the bound on what was held out.
+    Compare(compare::Options),
     /// Make model bundles of models that were trained elsewhere.
     #[command(subcommand)]
     Bundle(bundle::Bundle),
@@ -126,6 +129,7 @@ fn main() -> ExitCode {
         Command::Train(options) => train::run(&options),
         Command::Refine(options) => refine::run(&options),
         Command::Evaluate(options) => evaluate::run(&options),
+        Command::Compare(options) => compare::run(&options),
         Command::Bundle(bundle) => bundle::run(&bundle),
         Command::Record(options) => block_on(record::run(*options)),
         Command::Play(options) => block_on(play::run(*options)),

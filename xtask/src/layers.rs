@@ -22,7 +22,9 @@ fn room(folder: &str, name: &str) -> Option<Room> {
         ("dermis", _) => room(5, true),
         ("nodes" | "bridges", _) => room(4, true),
         ("crates", "dermis-skin") => room(1, true),
-        ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference" | "dermis-inversion") => room(2, true),
+        ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference" | "dermis-inversion") => {
+            room(2, true)
+        }
         ("crates", _) => room(3, false),
         ("msgs", _) => room(0, true),
         _ => None,

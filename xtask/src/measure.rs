@@ -22,12 +22,16 @@ pub enum Measurement {
     /// Normal force on the same kind of skin: import, train on the first part of a trial, evaluate on its end and on
     /// the other trial.
     Force,
+    /// Position and force by the model bundles that ship for the simulated barometer skins, on places and forces that
+    /// they were not trained on, against the Cramér–Rao bound.
+    Accuracy,
 }
 
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
     let value = match measurement {
         Measurement::ColdBuild => cold_build(root)?,
         Measurement::Localisation => recorded(root, "position", "spatial_resolution")?,
+        Measurement::Accuracy => accuracy(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
     };
     println!("{value}");
@@ -65,6 +69,68 @@ fn cold_build(root: &Path) -> Result<Value> {
     });
     std::fs::remove_dir_all(&dir)?;
     Ok(value)
+}
+
+/// Force [N] from which on the simulated skins are held to their bounds, and where further bins begin (thesis, Table 5.2).
+const BINS: &str = "0.2,0.4,0.6,0.9,1.2";
+
+/// Evaluates the bundles that ship on freshly collected bags.
+fn accuracy(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
+    let dermis = target_dir(root).join("release/dermis");
+    let dir = scratch(root, "accuracy")?;
+    let mut all = serde_json::Map::new();
+    for name in ["line", "grid", "dome"] {
+        let skin = root.join(format!("launch/skins/baro-{name}.toml"));
+        let plan = root.join(format!("launch/plans/baro-{name}-evaluate.toml"));
+        let bag = dir.join(name);
+        execute(Command::new(&dermis).arg("collect").arg(&skin).args([
+            "--plan".as_ref(),
+            plan.as_os_str(),
+            "--out".as_ref(),
+            bag.as_os_str(),
+        ]))?;
+        let evaluate = |bins: &str| -> Result<Value> {
+            let text = output(
+                Command::new(&dermis)
+                    .arg("evaluate")
+                    .args(["--skin".as_ref(), skin.as_os_str()])
+                    .args(["--model".as_ref(), root.join(format!("models/baro-{name}")).as_os_str()])
+                    .args(["--bins", bins, "--json"])
+                    .arg(&bag),
+            )?;
+            serde_json::from_str(text.trim().lines().last().unwrap_or_default())
+                .context("dermis evaluate --json printed no JSON")
+        };
+        let (whole, binned) = (evaluate("0.2")?, evaluate(BINS)?);
+        let above = |quantity: &str| whole["by_force"][quantity][0]["rms"].as_f64();
+        let rms = |bins: &Value, from: &Value| {
+            bins.as_array().into_iter().flatten().find(|b| b["from"] == *from).and_then(|b| b["rms"].as_f64())
+        };
+        let ratios: Vec<f64> = binned["bound"]["position"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .filter_map(|bin| {
+                Some(rms(&binned["by_force"]["position"], &bin["from"])? / bin["rms"].as_f64()?)
+            })
+            .collect();
+        all.insert(
+            name.to_owned(),
+            json!({
+                "position_rms_mm": above("position").map(|v| v * 1e3),
+                "force_rms_n": above("force.normal"),
+                "worst_ratio_to_bound": ratios.iter().copied().fold(f64::NAN, f64::max),
+                "position_median_mm": whole["figures"]["position_median"].as_f64().map(|v| v * 1e3),
+                "force_median_n": whole["figures"]["force_median"].as_f64(),
+                "count_right": whole["count_right"],
+                "position": binned["by_force"]["position"],
+                "bound": binned["bound"]["position"],
+                "several": { "position": binned["by_force"]["position of 2"], "of_3": binned["by_force"]["position of 3"] },
+            }),
+        );
+    }
+    Ok(Value::Object(all))
 }
 
 /// Trains on each of the recorded runs with `launch/train/eflesh-<what>.toml` and evaluates.

@@ -177,10 +177,16 @@ impl Scores {
             return;
         }
         if let Some(force) = answer.force {
+            let mut squares = Some(0.0);
             for (name, value) in ["force.x", "force.y", "force.z"].into_iter().zip(force) {
-                if let Some(known) = truth.value(name) {
+                let known = truth.value(name);
+                if let Some(known) = known {
                     add(name, value - known);
                 }
+                squares = squares.zip(known).map(|(s, known): (f64, f64)| s + (value - known).powi(2));
+            }
+            if let Some(squares) = squares {
+                add("force", squares.sqrt());
             }
         }
         if let Some(position) = answer.position {
@@ -241,7 +247,7 @@ impl Scores {
     }
 
     /// Every quantity that was compared: `position` (distance), `position.x` …, `force.normal`,
-    /// `force.normal untouched`, `force.x` ….
+    /// `force.normal untouched`, `force.x` …, `force` (length of the difference).
     #[must_use]
     pub fn summaries(&self, seed: u64) -> BTreeMap<String, Summary> {
         self.errors.iter().map(|(name, errors)| ((*name).to_owned(), summarise(name, errors, seed))).collect()
@@ -313,7 +319,7 @@ fn summarise(name: &str, errors: &[Error], seed: u64) -> Summary {
     let mean = errors.iter().map(|e| e.value.abs()).sum::<f64>() / count;
     let mut sorted: Vec<f64> = errors.iter().map(|e| e.value.abs()).collect();
     sorted.sort_by(f64::total_cmp);
-    let bias = (!name.starts_with("position") || name.contains('.'))
+    let bias = (name.contains('.') && !name.starts_with("position of"))
         .then(|| errors.iter().map(|e| e.value).sum::<f64>() / count);
 
     let mut groups = Group::collect(errors, |e| e.location);
