@@ -13,6 +13,9 @@ const EDGES: [[usize; 2]; 12] =
 /// Nodes of a cell's last side (corners 5 to 8 and the edges between), around it.
 const LAST_SIDE: [usize; 8] = [4, 5, 6, 7, 12, 13, 14, 15];
 
+/// A point and the force \[N\] that stands for what acts around it.
+pub(super) type Share = (Point3<f64>, Vector3<f64>);
+
 /// A mesh of 20-node hexahedra.
 pub(super) struct Quadratic {
     /// \[m\]; those of the mesh that it was made from come first.
@@ -79,7 +82,7 @@ impl Quadratic {
         &self,
         cells: impl Iterator<Item = usize>,
         traction: impl Fn(&Point3<f64>) -> Vector3<f64>,
-    ) -> (Vec<(usize, Vector3<f64>)>, Vec<(Point3<f64>, Vector3<f64>)>) {
+    ) -> (Vec<(usize, Vector3<f64>)>, Vec<Share>) {
         let rule: Vec<(f64, f64)> = gauss_legendre(4).iter().map(|(x, w)| (2.0 * x - 1.0, 2.0 * w)).collect();
         let mut nodal: HashMap<usize, Vector3<f64>> = HashMap::new();
         let mut points = Vec::new();

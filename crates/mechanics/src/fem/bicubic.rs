@@ -49,6 +49,18 @@ impl Bicubic {
         }
     }
 
+    /// The vectors of every `of`-th number of this one's, from the number `first` on.
+    ///
+    /// # Panics
+    ///
+    /// Where `of` does not divide the width, or is no larger than `first`.
+    #[must_use]
+    pub fn every(&self, of: usize, first: usize) -> Self {
+        assert!(first < of && self.width.is_multiple_of(of));
+        let values = self.values.iter().skip(first).step_by(of).copied().collect();
+        Self { width: self.width / of, values, ..*self }
+    }
+
     /// Numbers at a point.
     #[must_use]
     pub fn width(&self) -> usize {
@@ -161,6 +173,14 @@ mod tests {
             );
             approx::assert_relative_eq!(out[1], 2.0 * y * y, epsilon = 1e-12);
         }
+    }
+
+    #[test]
+    fn parts_are_those_of_the_whole() {
+        let (mut whole, mut part) = ([0.0; 2], [0.0; 1]);
+        table().add(0.2, 2.4, 1.5, &mut whole);
+        table().every(2, 1).add(0.2, 2.4, 1.5, &mut part);
+        assert_eq!(part[0], whole[1]);
     }
 
     #[test]

@@ -274,7 +274,7 @@ mod tests {
         let z: Vec<f64> = (0..=4).map(|i| f64::from(i) * 0.002 - 0.008).collect();
         let block = Block::new([axis.clone(), axis, z], NU, Base::Slip, Sides::Free).unwrap();
         let field = block.influence(&[vec![(Point3::new(0.0, 0.0, -0.004), 1.0)]]).unwrap().remove(0);
-        let peak = field.iter().map(|u| u.norm()).fold(0.0, f64::max);
+        let peak = field.iter().map(Vector3::norm).fold(0.0, f64::max);
         let (middle, left, right) = (field[6 * 13 + 6], field[6 * 13 + 3], field[6 * 13 + 9]);
         assert!(middle.x.hypot(middle.y) < 1e-6 * peak, "{middle}");
         assert!((left.x + right.x).abs() < 1e-6 * peak && (left.z - right.z).abs() < 1e-6 * peak);

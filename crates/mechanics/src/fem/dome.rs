@@ -151,8 +151,7 @@ impl Dome {
         let mut depth = shape.thickness / 2.0;
         for (point, _) in probes.iter().flatten() {
             let nearest = shape.depth(point).min(shape.thickness - shape.depth(point)).min(point.z);
-            // Also refuses what is not a number.
-            if !(nearest >= shape.thickness / 20.0) {
+            if nearest.is_nan() || nearest < shape.thickness / 20.0 {
                 return Err(MechanicsError::Value {
                     quantity: "distance of a sensor from the nearest side of the elastomer [m]",
                     value: nearest,
@@ -475,14 +474,14 @@ impl Meridian {
             let values: Vec<Vec<f64>> = (0..sources.len())
                 .map(|source| {
                     let mut values = vec![0.0; given];
-                    for n in 0..self.nodes.len() {
-                        for (vector, role) in &frames[n] {
+                    for (n, frame) in frames.iter().enumerate() {
+                        for (vector, role) in frame {
                             match *role {
                                 Role::Free(i) => {
-                                    columns[source][i] += vector.dot(&boundary.load(source, m, n))
+                                    columns[source][i] += vector.dot(&boundary.load(source, m, n));
                                 }
                                 Role::Given(i) => {
-                                    values[i] = vector.dot(&boundary.displacement(source, m, n))
+                                    values[i] = vector.dot(&boundary.displacement(source, m, n));
                                 }
                                 Role::None => {}
                             }
@@ -575,8 +574,7 @@ impl Meridian {
                 let determinant = jacobian[0][0] * jacobian[1][1] - jacobian[0][1] * jacobian[1][0];
                 // The arc runs down, the other coordinate outwards: that is left-handed in (r, z).
                 let weight = determinant.abs() * r * weight_xi * weight_eta;
-                // Also refuses what is not a number.
-                if !(weight > 0.0) {
+                if weight.is_nan() || weight <= 0.0 {
                     return None;
                 }
                 // Strains rr, θθ, zz, rz, rθ, zθ of each displacement, and its dilatation.
@@ -904,7 +902,7 @@ mod tests {
         let moved = solid.displacements(&loads);
         let dome = Dome::new(SHAPE, NU, Base::Bonded, &probes).unwrap();
         for (load, moved) in loads.iter().zip(&moved) {
-            let mut ours = vec![0.0; 9];
+            let mut ours = [0.0; 9];
             for (n, force) in load {
                 let [arc, angle] = SHAPE.chart(&mesh.nodes[*n]);
                 for (k, a) in at(&dome, arc, angle).iter().enumerate() {

@@ -45,8 +45,7 @@ fn gradients(corners: &[Point3<f64>; 8]) -> Option<Gradients> {
             jacobian += g * p.coords.transpose();
         }
         let determinant = jacobian.determinant();
-        // Also refuses what is not a number.
-        if !(determinant > 0.0) {
+        if determinant.is_nan() || determinant <= 0.0 {
             return None;
         }
         let inverse = jacobian.try_inverse()?;
