@@ -340,6 +340,12 @@ impl Plan {
                     if at.is_empty() {
                         return wrong(format!("steps[{i}].at"), "is empty: name at least one place".into());
                     }
+                    if let Some((j, [x, y, z])) =
+                        at.iter().enumerate().find(|(_, at)| !at.iter().all(|c| c.is_finite()))
+                    {
+                        let reason = format!("is ({x}, {y}, {z}) m and must be a point");
+                        return wrong(format!("steps[{i}].at[{j}]"), reason);
+                    }
                     presses += at.len() as u64 * listed(levels)?;
                 }
                 Action::Slides { count, force, length, speed } => {
@@ -481,6 +487,8 @@ mod tests {
         insta::assert_snapshot!(refused("hold = [0.1, 0.2]", "hold = [0.1, -0.2]"), @"plan plan.toml: field `steps[0].hold`: [0.1, -0.2] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
         insta::assert_snapshot!(refused("force_noise = 0.0", "force_noise = -1.0"), @"plan plan.toml: field `force_noise`: is -1 N and must be 0 or positive");
         insta::assert_snapshot!(refused("[[0.0, 0.0, 0.0], [0.001, 0.0, 0.0]]", "[]"), @"plan plan.toml: field `steps[1].at`: is empty: name at least one place");
+        insta::assert_snapshot!(refused("[0.001, 0.0, 0.0]", "[0.001, 0.0, nan]"), @"plan plan.toml: field `steps[1].at[1]`: is (0.001, 0, NaN) m and must be a point");
+        insta::assert_snapshot!(refused("diameter = 0.008", "diameter = []"), @"plan plan.toml: field `steps[1].diameter`: is empty: a tip has a diameter");
         insta::assert_snapshot!(refused("[0.004, 0.002]", "[0.004, nan]"), @"plan plan.toml: field `steps[0].pitch`: [NaN, NaN] is not a range: 0 < low ≤ high m");
     }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// What a press goes up to: a pressing force \[N\], or a depth of the tip below first contact \[m\], which takes a skin whose
-/// model knows how deep tips sink in.
+/// model knows how deep tips sink in. Of several tips at once each sinks in as if it were alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Level<T> {
     /// \[N\].
@@ -399,8 +399,12 @@ impl StepFile {
                 level: level(self.force, self.depth)?,
             },
         };
+        let diameter = self.diameter.map(OneOrMore::all);
+        if diameter.as_ref().is_some_and(Vec::is_empty) {
+            return Err(("diameter", "is empty: a tip has a diameter".to_owned()));
+        }
         let manner = Manner {
-            diameter: self.diameter.map(OneOrMore::all).unwrap_or_default(),
+            diameter: diameter.unwrap_or_default(),
             shear: self.shear.map(OneOrTwo::both),
             shear_direction: self.shear_direction,
             hold: self.hold,

@@ -283,6 +283,9 @@ impl Hysteresis {
 
 /// Prony series: each change of the stress fades by the shares of the terms, with their times. Exact where the stress is linear
 /// between frames, however long the time between them.
+///
+/// Here too a medium that creeps alike everywhere keeps its stress under a prescribed force. What fades is what the stiff taxel
+/// has gathered beyond that: the medium flows away from above it.
 #[derive(Debug, Clone)]
 struct Relaxation {
     /// Share and time \[s\].
