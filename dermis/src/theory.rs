@@ -378,7 +378,13 @@ mod tests {
     #[test]
     fn the_grid_is_bounded_and_drawn() {
         let folder = tempfile::tempdir().unwrap();
-        let options = Options { out: Some(folder.path().to_owned()), ..options("baro-grid.toml", false) };
+        let mut options = options("baro-grid.toml", false);
+        // A pad that goes on beyond its surface is solved in closed form, one that ends by finite elements.
+        let text =
+            std::fs::read_to_string(&options.skin).unwrap().replace("edge = \"free\"", "edge = \"wide\"");
+        options.skin = folder.path().join("wide.toml");
+        std::fs::write(&options.skin, text).unwrap();
+        options.out = Some(folder.path().to_owned());
         run(&options).unwrap();
         let html = std::fs::read_to_string(folder.path().join("theory.html")).unwrap();
         let json = std::fs::read_to_string(folder.path().join("theory.json")).unwrap();
@@ -421,25 +427,25 @@ mod tests {
     fn the_row_is_told_in_one_screen() {
         let options = options("baro-line.toml", true);
         let findings = find(&options).unwrap();
-        insta::assert_snapshot!(text::text(&findings, &options), @r"
-        baro-line: least error of one contact from one frame (Cramér–Rao), tip of 4 mm, over the surface
+        insta::assert_snapshot!(text::text(&findings, &options), @r#"
+baro-line: least error of one contact from one frame (Cramér–Rao), tip of 4 mm, over the surface
 
-        force [N] |  pos. RMS   median     95 %    worst |     F RMS   median     95 %    worst
-              0.2 |     0.101    0.092    0.138    0.198 |    0.0032   0.0033   0.0034   0.0034
-                1 |     0.021    0.019    0.028    0.040 |    0.0033   0.0034   0.0034   0.0034
+force [N] |  pos. RMS   median     95 %    worst |     F RMS   median     95 %    worst
+      0.2 |     0.101    0.092    0.138    0.198 |    0.0032   0.0033   0.0034   0.0034
+        1 |     0.021    0.019    0.028    0.040 |    0.0033   0.0034   0.0034   0.0034
 
-        positions in mm, forces in N; `-`: the channels do not tell it
-        two contacts of 1 N across the middle can be told apart from 3 mm on (to 0.272 mm each)
+positions in mm, forces in N; `-`: the channels do not tell it
+two contacts of 1 N across the middle can be told apart from 3 mm on (to 0.272 mm each)
 
-        isolines from the forward model; σ_S 20.0 Pa as the skin description says; S_min 80 Pa
-        row of 6 taxels, 32.500 mm: c(0) = 0.156 N/kPa, linear within 1 %; F_S from 0.0186 to 0.0468 N
-          I(d) = g + λ|d|^α, median α: 2.3 at 80 Pa, at most 3.7 at 295 Pa, 2.1 at 9534 Pa
-          σ_P [mm], RMS, by force [N]       0.02-0.14 0.14-0.2  0.2-0.4  0.4-0.6  0.6-0.9  0.9-1.2  1.2-1.5
-          fitted isolines of two (5.18)         0.547    0.267    0.138    0.070    0.044    0.031    0.025
-          exact corners of two (5.7-5.10)       0.493    0.175    0.103    0.060    0.040    0.029    0.022
-          Cramér–Rao bound of all               0.436    0.125    0.073    0.042    0.028    0.020    0.016
-          Ω (5.20), mean over force: 71 by fits, 72 by corners, 102 by the bound; with the testbed (5.21): 56, 58, 75
-        ");
+isolines from the forward model; σ_S 20.0 Pa as the skin description says; S_min 80 Pa
+row of 6 taxels, 32.500 mm: c(0) = 0.156 N/kPa, linear within 1 %; F_S from 0.0186 to 0.0468 N
+  I(d) = g + λ|d|^α, median α: 2.3 at 80 Pa, at most 3.7 at 295 Pa, 2.1 at 9534 Pa
+  σ_P [mm], RMS, by force [N]       0.02-0.14 0.14-0.2  0.2-0.4  0.4-0.6  0.6-0.9  0.9-1.2  1.2-1.5
+  fitted isolines of two (5.18)         0.547    0.267    0.138    0.070    0.044    0.031    0.025
+  exact corners of two (5.7-5.10)       0.493    0.175    0.103    0.060    0.040    0.029    0.022
+  Cramér–Rao bound of all               0.436    0.125    0.073    0.042    0.028    0.020    0.016
+  Ω (5.20), mean over force: 71 by fits, 72 by corners, 102 by the bound; with the testbed (5.21): 56, 58, 75
+"#);
     }
 
     #[test]
@@ -481,7 +487,7 @@ mod tests {
         assert!(noise.iter().all(|n| (n / 20.0 - 1.0).abs() < 0.15), "{noise:?}");
         let (exact, found) = (by_model.line.unwrap(), by_bag.line.unwrap());
         let c = |line: &LineStudy| text::median(line, |t| Some(t.c));
-        assert!((c(&found) / c(&exact) - 1.0).abs() < 0.03, "{} {}", c(&found), c(&exact));
+        assert!((c(&found) / c(&exact) - 1.0).abs() < 0.05, "{} {}", c(&found), c(&exact));
         let corners = |line: &LineStudy| text::by_interval(line, |f| f.corners);
         // Light presses are few, and the hardest ones saturate the taxel below them.
         for (interval, (exact, found)) in

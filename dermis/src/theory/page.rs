@@ -38,6 +38,20 @@ fn millimetres(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
     points.map(|(x, y)| (x * 1e3, y)).collect()
 }
 
+/// Points of places in a row \[mm\], parted where places are missing between them.
+fn unbroken(points: impl Iterator<Item = (usize, f64, f64)>) -> Vec<(f64, f64)> {
+    let mut found = Vec::new();
+    let mut last: Option<usize> = None;
+    for (place, x, y) in points {
+        if last.is_some_and(|l| l + 1 != place) {
+            found.push((f64::NAN, f64::NAN));
+        }
+        found.push((x * 1e3, y));
+        last = Some(place);
+    }
+    found
+}
+
 /// Middle taxel of a row.
 fn middle(line: &LineStudy) -> Option<&TaxelStudy> {
     line.taxels.get(line.taxels.len() / 2)
@@ -63,15 +77,16 @@ fn isolines(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
         for (i, taxel) in line.taxels.iter().enumerate() {
             let isoline = &taxel.isolines[k];
             let name = if i == 0 { format!("{} {unit}", short(isoline.value)) } else { String::new() };
-            let points = isoline.points.iter().map(|p| (p.distance + taxel.foot, p.force));
-            all.push(Curve::new(name, n, millimetres(points)));
+            let points = isoline.points.iter().map(|p| (p.place, line.arc[p.place], p.force));
+            all.push(Curve::new(name, n, unbroken(points)));
         }
     }
     let mut fitted = Vec::new();
     if let Some(taxel) = middle(line) {
         for (n, k) in (0..count).step_by(every).enumerate() {
             let isoline = &taxel.isolines[k];
-            let points: Vec<_> = isoline.points.iter().map(|p| (p.distance, p.force)).collect();
+            let mut points: Vec<_> = isoline.points.iter().map(|p| (p.distance, p.force)).collect();
+            points.sort_by(|a, b| a.0.total_cmp(&b.0));
             let thinned = points.iter().copied().step_by(points.len().div_ceil(60).max(1));
             fitted.push(Curve::new("", n, millimetres(thinned)).pen(Pen::Dots));
             if let Some(fit) = taxel.fits.iter().find(|f| f.value == isoline.value) {

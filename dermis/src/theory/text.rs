@@ -118,7 +118,7 @@ pub fn text(findings: &Findings, options: &Options) -> String {
         for factor in &surface.factors {
             let _ = writeln!(
                 out,
-                "  Ω (5.24) between the outermost taxels at {} N: {:.0} by the bound ({:.0} with the testbed)",
+                "  Ω (5.24) at {} N: {:.0} by the bound ({:.0} with the testbed)",
                 factor.force, factor.factor, factor.factor_with_testbed
             );
         }

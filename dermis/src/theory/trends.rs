@@ -8,14 +8,14 @@ use dermis_theory::{Isoline, Path, Responses, force_ladder};
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
-use crate::variation::Parameter;
+use crate::variation::{Parameter, in_parallel};
 
 /// \[N\] straight above the taxel, at which the nominal skin reads the value whose isolines are drawn.
 const FORCE: f64 = 0.1;
 /// Factors of the parameters of the skin; those that cannot be are left out.
-const FACTORS: [f64; 5] = [0.4, 0.7, 1.0, 1.4, 1.8];
+const FACTORS: [f64; 4] = [0.5, 0.75, 1.0, 1.5];
 /// Poisson's ratio ends at one half.
-const POISSON_FACTORS: [f64; 4] = [0.6, 0.8, 0.92, 1.0];
+const POISSON_FACTORS: [f64; 3] = [0.6, 0.85, 1.0];
 /// \[m\] diameters of tips.
 const TIPS: [f64; 5] = [0.002, 0.004, 0.006, 0.010, 0.016];
 
@@ -64,28 +64,32 @@ pub fn trends(
     };
     let nominal = Responses::of_model(model.as_ref(), &[foot], &force_ladder(1.5, 24), diameter)?;
     let value = nominal.reading(0, channel, FORCE);
-    let mut found = Vec::new();
+    let mut work = Vec::new();
     for parameter in [Parameter::Depth, Parameter::Thickness, Parameter::Poisson] {
         let Ok(at) = parameter.value(skin) else { continue };
         let factors: &[f64] = if parameter == Parameter::Poisson { &POISSON_FACTORS } else { &FACTORS };
-        let mut curves = Vec::new();
-        for &factor in factors {
-            // A taxel below its medium, say.
-            let Ok(varied) = crate::registry::family(skin)
+        work.extend(factors.iter().map(|factor| (parameter, at * factor, *factor)));
+    }
+    // What cannot be, a taxel below its medium, say, is left out.
+    let drawn = in_parallel(&work, |&(parameter, at, factor)| {
+        let varied = if factor == 1.0 {
+            Arc::clone(model)
+        } else {
+            crate::registry::family(skin)
                 .and_then(|family| (family.model)(&parameter.scaled(skin, factor)?))
-            else {
-                continue;
-            };
-            curves.push(TrendCurve {
-                at: parameter.shown(at * factor),
-                nominal: factor == 1.0,
-                isoline: curve(varied.as_ref(), diameter, value)?,
-            });
-        }
-        if curves.len() > 1 {
-            found.push(Trend { label: parameter.label(), curves, value });
+                .ok()?
+        };
+        let isoline = curve(varied.as_ref(), diameter, value).ok()?;
+        Some((parameter, TrendCurve { at: parameter.shown(at), nominal: factor == 1.0, isoline }))
+    });
+    let mut found: Vec<Trend> = Vec::new();
+    for (parameter, curve) in drawn.into_iter().flatten() {
+        match found.last_mut().filter(|t| t.label == parameter.label()) {
+            Some(trend) => trend.curves.push(curve),
+            None => found.push(Trend { label: parameter.label(), curves: vec![curve], value }),
         }
     }
+    found.retain(|t| t.curves.len() > 1);
     let mut curves = Vec::new();
     for tip in TIPS {
         // A model may know spheres of some sizes only.
@@ -95,4 +99,42 @@ pub fn trends(
     }
     found.push(Trend { label: "diameter of the tip [mm]", curves, value });
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path as FilePath;
+
+    use super::*;
+
+    #[test]
+    fn pressures_follow_depth_thickness_poisson_and_tip() {
+        let file = FilePath::new(env!("CARGO_MANIFEST_DIR")).join("../launch/skins/baro-line.toml");
+        let skin = SkinDescription::load(file).unwrap();
+        let model = (crate::registry::family(&skin).unwrap().model)(&skin).unwrap();
+        let feet = super::super::feet(&skin, model.surface());
+        let trends = trends(&skin, &model, &feet, 0.004).unwrap();
+        let labels: Vec<&str> = trends.iter().map(|t| t.label).collect();
+        assert_eq!(labels.len(), 4, "{labels:?}");
+        // Force straight above the taxel, and how much more it is 5 mm beside it; in the order of what varies.
+        let at = |trend: &Trend, d: f64| -> Vec<f64> {
+            let near = |c: &TrendCurve| {
+                c.isoline.iter().min_by(|a, b| (a[0] - d).abs().total_cmp(&(b[0] - d).abs())).unwrap()[1]
+            };
+            trend.curves.iter().map(near).collect()
+        };
+        let rises = |v: &[f64]| v.windows(2).all(|w| w[1] > w[0]);
+        let [depth, thickness, poisson, tip] = trends.as_slice() else { panic!("{labels:?}") };
+        // A shallower taxel is more sensitive above and falls off faster.
+        let depths = at(depth, 0.0);
+        assert!(rises(&depths[..3]), "{depths:?}");
+        let falls: Vec<f64> = at(depth, 0.005).iter().zip(&depths).map(|(far, near)| far / near).collect();
+        assert!(falls[0] > falls[1] && falls[1] > falls[2], "{falls:?}");
+        // Pressure is where the elastomer cannot give way: thinner and less compressible is more sensitive, other than
+        // displacement.
+        assert!(rises(&at(thickness, 0.0)), "{:?}", at(thickness, 0.0));
+        assert!(at(poisson, 0.0)[0] > *at(poisson, 0.0).last().unwrap());
+        // A larger tip spreads its force.
+        assert!(at(tip, 0.0)[0] < *at(tip, 0.0).last().unwrap(), "{:?}", at(tip, 0.0));
+    }
 }
