@@ -259,6 +259,7 @@ mod tests {
 
     fn flat(change: impl Fn(&mut Parameters)) -> Flat {
         let mut parameters = Parameters::nominal(&SKIN).unwrap();
+        parameters.edge = Edge::Wide;
         change(&mut parameters);
         Flat::new(&SKIN, &parameters, [0.034; 2]).unwrap()
     }

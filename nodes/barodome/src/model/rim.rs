@@ -18,7 +18,8 @@ pub(super) struct Rim {
     slip: f64,
     probes: Vec<Probe>,
     /// Solved when first asked for: some seconds of work that a model without contacts can do without.
-    change: OnceLock<Result<Bicubic, MechanicsError>>,
+    /// One for the force along each axis: most contacts do without two of them.
+    change: OnceLock<Result<[Bicubic; 3], MechanicsError>>,
 }
 
 impl Rim {
@@ -43,14 +44,14 @@ impl Rim {
             .change
             .get_or_init(|| {
                 free_sides(self.size, self.thickness, self.poisson_ratio, self.slip, &self.probes)
+                    .map(|change| [0, 1, 2].map(|axis| change.every(3, axis)))
             })
             .as_ref()
             .map_err(Clone::clone)?;
-        let mut sums = vec![0.0; change.width()];
-        change.add(contact.position.x, contact.position.y, 1.0, &mut sums);
-        let force = contact.force;
-        for (o, a) in out.iter_mut().zip(sums.chunks_exact(3)) {
-            *o += a[0] * force.x + a[1] * force.y + a[2] * force.z;
+        for (change, force) in change.iter().zip(contact.force.iter()) {
+            if *force != 0.0 {
+                change.add(contact.position.x, contact.position.y, *force, out);
+            }
         }
         Ok(())
     }
