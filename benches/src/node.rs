@@ -69,6 +69,7 @@ enum Kind {
 ///
 /// Where a node does not come up or loses frames that it must not lose.
 pub fn run(options: &Options) -> Result<Value> {
+    let bundle = learned_only(&options.root)?;
     let mut candidates = Vec::new();
     let ours = |programs: &Path, onnxruntime: Option<&PathBuf>| Kind::Ours {
         programs: programs.to_owned(),
@@ -97,7 +98,8 @@ pub fn run(options: &Options) -> Result<Value> {
     for (i, candidate) in candidates.iter().enumerate() {
         eprintln!("measuring {}", candidate.name);
         let domain = 60 + (std::process::id() % 20) as u16 * 2 + (i % 2) as u16;
-        let row = measure(options, candidate, domain).with_context(|| candidate.name.to_owned())?;
+        let row =
+            measure(options, candidate, bundle.path(), domain).with_context(|| candidate.name.to_owned())?;
         rows.push(row);
     }
     let peer = rows.iter().find(|r| r["name"] == "rclpy + onnxruntime").cloned();
@@ -127,9 +129,24 @@ fn library_in(packages: &Path) -> Option<PathBuf> {
     )
 }
 
-fn command(options: &Options, candidate: &Candidate, device: &Device) -> Command {
+/// The bundle that ships without its refinement on the forward model: both sides evaluate the same network.
+fn learned_only(root: &Path) -> Result<tempfile::TempDir> {
+    let (from, to) = (root.join("models/baro-grid"), tempfile::tempdir()?);
+    for file in ["model.onnx", "card.json"] {
+        std::fs::copy(from.join(file), to.path().join(file))?;
+    }
+    let manifest = std::fs::read_to_string(from.join("bundle.toml"))?;
+    let mut inside = false;
+    let kept = manifest.lines().filter(|line| {
+        inside = if line.starts_with('[') { *line == "[inversion]" } else { inside };
+        !inside
+    });
+    std::fs::write(to.path().join("bundle.toml"), kept.collect::<Vec<_>>().join("\n") + "\n")?;
+    Ok(to)
+}
+
+fn command(options: &Options, candidate: &Candidate, model: &Path, device: &Device) -> Command {
     let skin = options.root.join("launch/skins/baro-grid.toml");
-    let model = options.root.join("models/baro-grid");
     match &candidate.kind {
         Kind::Ours { programs, onnxruntime } => {
             let mut c = Command::new(programs.join("dermis"));
@@ -155,11 +172,11 @@ fn command(options: &Options, candidate: &Candidate, device: &Device) -> Command
     }
 }
 
-fn measure(options: &Options, candidate: &Candidate, domain: u16) -> Result<Value> {
+fn measure(options: &Options, candidate: &Candidate, model: &Path, domain: u16) -> Result<Value> {
     let skin = SkinDescription::load(options.root.join("launch/skins/baro-grid.toml"))?;
     let mut device = Device::new(&skin, 1)?;
     let (subscriber, arrivals) = start(candidate.backend, domain)?;
-    let mut command = command(options, candidate, &device);
+    let mut command = command(options, candidate, model, &device);
     let node = isolated(&mut command, domain)
         .stdout(Stdio::null())
         .spawn()
