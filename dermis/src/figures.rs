@@ -183,7 +183,9 @@ fn ticks(low: f64, high: f64, log: bool) -> Vec<f64> {
 }
 
 fn tick(value: f64, log: bool) -> String {
-    if log {
+    if log && value < -3.9 {
+        format!("{:.0e}", 10f64.powf(value))
+    } else if log {
         let shown = 10f64.powf(value);
         let digits = (1 - shown.log10().floor() as i32).clamp(0, 9) as usize;
         let text = format!("{shown:.digits$}");

@@ -65,11 +65,28 @@ impl Isoline {
         Self { channel, value, points }
     }
 
+    /// The points around the taxel's foot, in order of their distance: what a far side of the skin reads again, beyond a gap
+    /// of several steps, is no part of the curve.
+    fn around_foot(&self) -> Vec<IsolinePoint> {
+        let mut points = self.points.clone();
+        points.sort_by(|a, b| a.distance.total_cmp(&b.distance));
+        let mut steps: Vec<f64> = points.windows(2).map(|w| w[1].distance - w[0].distance).collect();
+        let gaps = steps.clone();
+        steps.sort_by(f64::total_cmp);
+        let widest = steps.get(steps.len() / 2).map_or(f64::INFINITY, |step| 4.0 * step);
+        let nearest =
+            points.iter().enumerate().min_by(|a, b| a.1.distance.abs().total_cmp(&b.1.distance.abs()));
+        let Some((nearest, _)) = nearest else { return points };
+        let end = (nearest..gaps.len()).find(|i| gaps[*i] > widest).unwrap_or(gaps.len());
+        let start = (0..nearest).rev().find(|i| gaps[*i] > widest).map_or(0, |i| i + 1);
+        points[start..=end].to_vec()
+    }
+
     /// Fits g + λ|d|^α. `None` where there are too few points.
     #[must_use]
     pub fn fit(&self) -> Option<IsolineFit> {
         let points: Vec<(f64, f64)> =
-            self.points.iter().map(|p| (p.distance.abs() / UNIT, p.force)).collect();
+            self.around_foot().iter().map(|p| (p.distance.abs() / UNIT, p.force)).collect();
         let far = points.iter().map(|p| p.0).fold(0.0, f64::max);
         if points.len() < FEWEST || far <= 0.0 {
             return None;
@@ -213,6 +230,18 @@ mod tests {
         assert!(Isoline::of(&responses, &distances, 1, 1e6).fit().is_none());
         let few = Isoline::of(&responses, &distances, 1, 380.0);
         assert!(few.points.len() < points.len() && few.points.iter().all(|p| p.force <= 2.0));
+    }
+
+    #[test]
+    fn what_lies_beyond_a_gap_is_not_fitted() {
+        let mut isoline = made(0.1, 0.02, 2.0);
+        let far = [-0.031, 0.030, 0.0301].map(|distance| IsolinePoint { place: 0, distance, force: 0.5 });
+        isoline.points.extend(far);
+        let fit = isoline.fit().unwrap();
+        assert_relative_eq!(fit.alpha, 2.0, max_relative = 1e-3);
+        assert_eq!(fit.points, 121);
+        isoline.points.clear();
+        assert!(isoline.fit().is_none());
     }
 
     #[test]

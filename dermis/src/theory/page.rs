@@ -141,7 +141,11 @@ fn coefficients(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
         .taxels
         .iter()
         .enumerate()
-        .map(|(n, t)| Curve::new("", n, t.c_by_distance.iter().map(|[d, c]| (d * 1e3, c * 1e3)).collect()))
+        .map(|(n, t)| {
+            let mut points: Vec<_> = t.c_by_distance.iter().map(|[d, c]| (d * 1e3, c * 1e3)).collect();
+            points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            Curve::new("", n, points)
+        })
         .collect();
     let fitted = |of: fn(&dermis_theory::IsolineFit) -> f64| -> Vec<Curve> {
         line.taxels
