@@ -18,14 +18,14 @@ fn room(folder: &str, name: &str) -> Option<Room> {
     let (first, _) = folder.split_once('/').unwrap_or((folder, ""));
     let room = |rank, alone| Some(Room { rank, alone });
     match (first, name) {
-        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(6, true),
-        ("dermis", _) => room(5, true),
-        ("nodes" | "bridges", _) => room(4, true),
+        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(7, true),
+        ("dermis", _) => room(6, true),
+        ("nodes" | "bridges", _) => room(5, true),
         ("crates", "dermis-skin") => room(1, true),
-        ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference" | "dermis-inversion") => {
-            room(2, true)
-        }
-        ("crates", _) => room(3, false),
+        // What bundles say of it, inference reads.
+        ("crates", "dermis-inversion") => room(2, true),
+        ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(3, true),
+        ("crates", _) => room(4, false),
         ("msgs", _) => room(0, true),
         _ => None,
     }

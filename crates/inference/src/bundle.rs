@@ -217,7 +217,8 @@ impl Bundle {
             reason: e.to_string(),
         })?;
         let failed = |source| BundleError::Io { path: path.clone(), action: "written", source };
-        let mut scratch = tempfile::Builder::new().prefix(".manifest-").tempfile_in(&self.path).map_err(failed)?;
+        let mut scratch =
+            tempfile::Builder::new().prefix(".manifest-").tempfile_in(&self.path).map_err(failed)?;
         scratch.write_all(text.as_bytes()).and_then(|()| scratch.as_file().sync_all()).map_err(failed)?;
         #[cfg(unix)]
         {

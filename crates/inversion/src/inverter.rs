@@ -352,7 +352,7 @@ impl Inverter {
         }
         let mut contacts = self.describe(&best, &data);
         if let [single] = contacts.as_mut_slice()
-            && !(single.deviation() < BROAD * self.spacing)
+            && (single.deviation().is_nan() || single.deviation() >= BROAD * self.spacing)
         {
             *single = self.mean(&data, single);
         }

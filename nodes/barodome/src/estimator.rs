@@ -707,7 +707,10 @@ impl Estimator for BarodomeEstimator {
         let mut contacts =
             self.contacts().map_err(|reason| EstimateError::Model { sequence: frame.sequence, reason })?;
         // A force that is not known is not too light.
-        contacts.retain(|contact| !(contact.normal_force() < self.least_force));
+        contacts.retain(|contact| {
+            let pressing = contact.normal_force();
+            pressing.is_nan() || pressing >= self.least_force
+        });
         self.tracker.assign(&mut contacts, frame.stamp);
         Ok(Estimate { contacts, force_map: self.force_map() })
     }
