@@ -36,6 +36,9 @@ pub struct Options {
     /// bag says that nothing touches for long enough.
     #[arg(long)]
     unattended: bool,
+    /// Only frames in which every channel is within its range: what saturation costs is left out.
+    #[arg(long)]
+    in_range: bool,
     #[command(flatten)]
     labels: Labels,
     /// Ascending forces [N] at which the bins of errors by force begin, e.g. `0.02,0.14,0.2,0.4,0.6,0.9,1.2,1.5`.
@@ -68,7 +71,14 @@ pub fn run(options: &Options) -> Result<()> {
         (false, Some(kind)) => Some(SplitConfig { kind, ..SplitConfig::default() }),
         (false, None) => None,
     };
-    let test = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
+    let mut test = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
+    if options.in_range {
+        let whole = |id: &SampleId| data.sample(*id).is_some_and(|s| s.frame.flags.iter().all(|f| f.is_ok()));
+        let all = || data.labelled().map(|(id, ..)| id).collect();
+        let mut kept = test.unwrap_or_else(all);
+        kept.retain(whole);
+        test = Some(kept);
+    }
     let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
     let evaluation = evaluate_by(estimator.as_mut(), &data, test.as_deref(), &options.bins, name)?;
     let bound = bound(family, &skin, &data, test.as_deref(), &evaluation, &options.bins)?;
