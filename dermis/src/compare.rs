@@ -120,7 +120,7 @@ impl Method for Learned {
         let Some(learned) = self.network(id)? else { return Ok(None) };
         let Some(inverter) = &self.inverter else { return Ok(Some(learned)) };
         let pressing = learned.normal_force();
-        let hint = (pressing > 0.0).then(|| Indentation {
+        let hint = (pressing > 0.0).then_some(Indentation {
             position: learned.position,
             force: learned.force,
             diameter: inverter.settings().diameter,

@@ -144,7 +144,7 @@ fn coarsen(skin: &mut SkinDescription) {
     match &mut skin.surface {
         // A strip is as fine along it as it was: it has few points anyway.
         SurfaceSpec::Rectangle { size, spacing } if size[0].min(size[1]) > least => {
-            *spacing = spacing.max(least)
+            *spacing = spacing.max(least);
         }
         SurfaceSpec::Dome { spacing, .. } => *spacing = spacing.max(least),
         SurfaceSpec::Rectangle { .. } => {}
@@ -298,8 +298,8 @@ fn text(skin: &SkinDescription, nominal: Figures, sweeps: &[Sweep], options: &Op
     );
     let _ = writeln!(
         out,
-        "{:<16}{:>12} | {:>10}{:>10}{:>10}{:>10}{:>10}   {}",
-        "1 % more of", "from", "pos. RMS", "median", "F RMS", "F_S", "Ω", "least RMS in its range"
+        "{:<16}{:>12} | {:>10}{:>10}{:>10}{:>10}{:>10}   least RMS in its range",
+        "1 % more of", "from", "pos. RMS", "median", "F RMS", "F_S", "Ω"
     );
     let mut ranked: Vec<&Sweep> = sweeps.iter().collect();
     ranked.sort_by(|a, b| b.elasticity.position.abs().total_cmp(&a.elasticity.position.abs()));
@@ -427,7 +427,7 @@ fn html(skin: &SkinDescription, text: &str, sweeps: &[Sweep]) -> Result<String> 
             )?,
             chart("super-resolution", "Ω", vec![line("by the bound", 0, &|f| f.factor)])?,
         ];
-        let _ = write!(body, "<h2>{}</h2>\n", escape(label));
+        let _ = writeln!(body, "<h2>{}</h2>", escape(label));
         let refused = if sweep.refused.is_empty() {
             String::new()
         } else {

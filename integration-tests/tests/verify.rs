@@ -5,13 +5,13 @@ use std::process::{Command, Output};
 use dermis_integration_tests::{program, root};
 
 fn dermis(arguments: &[&str]) -> Output {
-    Command::new(program("dermis")).args(arguments).output().unwrap()
+    Command::new(program("dermis")).args(arguments).output().expect("the program starts")
 }
 
 fn sentence(output: &Output) -> String {
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     assert!(output.stdout.is_empty(), "{output:?}");
-    String::from_utf8(output.stderr.clone()).unwrap()
+    String::from_utf8(output.stderr.clone()).expect("text")
 }
 
 #[test]

@@ -118,6 +118,7 @@ fn accuracy(root: &Path) -> Result<Value> {
                 Some(rms(&binned["by_force"]["position"], &bin["from"])? / bin["rms"].as_f64()?)
             })
             .collect();
+        let component = |axis: &str| whole["figures"][format!("force_{axis}_median")].as_f64();
         all.insert(
             name.to_owned(),
             json!({
@@ -128,8 +129,7 @@ fn accuracy(root: &Path) -> Result<Value> {
                 "worst_ratio_to_bound": ratios.iter().copied().fold(f64::NAN, f64::max),
                 "position_median_mm": whole["figures"]["position_median"].as_f64().map(|v| v * 1e3),
                 "force_median_n": whole["figures"]["force_median"].as_f64(),
-                "force_component_medians_n": ["x", "y", "z"]
-                    .map(|axis| whole["figures"][format!("force_{axis}_median")].as_f64()),
+                "force_component_medians_n": [component("x"), component("y"), component("z")],
                 "count_right": whole["count_right"],
                 "position": binned["by_force"]["position"],
                 "bound": binned["bound"]["position"],

@@ -58,7 +58,7 @@ fn middle(line: &LineStudy) -> Option<&TaxelStudy> {
 }
 
 fn row(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
-    let _ = write!(body, "<h2>A row of {} taxels</h2>\n", line.taxels.len());
+    let _ = writeln!(body, "<h2>A row of {} taxels</h2>", line.taxels.len());
     isolines(body, line, unit)?;
     coefficients(body, line, unit)?;
     maps(body, line, unit)?;
@@ -309,11 +309,11 @@ fn over_surface(body: &mut String, findings: &Findings, study: &SurfaceStudy) ->
             );
         }
         table.push_str("</table>\n");
-        let _ = write!(
+        let _ = writeln!(
             body,
             "<figure>{table}<figcaption><b>Super-resolution on the surface</b>: Ω = A / (n π σ_x σ_y) (5.24) over the part \
              between the outermost taxels (all of a curved surface), with the Cramér–Rao bound of all taxels and with the box \
-             around the bands of the three that read most.</figcaption></figure>\n"
+             around the bands of the three that read most.</figcaption></figure>"
         );
     }
     Ok(())

@@ -466,7 +466,7 @@ impl BarodomeEstimator {
         };
         let settings = inverter.settings();
         let known = learned.position.iter().chain(&learned.force).all(|v| v.is_finite());
-        let hint = (known && learned.normal_force() > 0.0).then(|| Indentation {
+        let hint = (known && learned.normal_force() > 0.0).then_some(Indentation {
             position: learned.position,
             force: learned.force,
             diameter: settings.diameter,
