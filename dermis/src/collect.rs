@@ -59,7 +59,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut skin = SkinDescription::load(&options.skin)?;
     let plan = Plan::load(&options.plan)?;
     options.chosen.apply(&mut skin, options.seed.unwrap_or(plan.seed))?;
-    let model = (crate::registry::family(&skin)?.model)(&skin)?;
+    let model = crate::registry::forward(&options.skin, &skin)?;
     let progress = ProgressBar::new(0).with_style(ProgressStyle::with_template(
         "{msg} {wide_bar} {human_pos}/{human_len} frames, {eta} left",
     )?);

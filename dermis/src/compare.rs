@@ -228,8 +228,7 @@ impl Method for Isolines {
 /// Compares.
 pub fn run(options: &Options) -> Result<()> {
     let skin = SkinDescription::load(&options.skin)?;
-    let family = crate::registry::family(&skin)?;
-    let forward = (family.model)(&skin)?;
+    let forward = crate::registry::forward(&options.skin, &skin)?;
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
     let split = split_of(&options.model[0])?.apply(&data)?;
     let least = options.bins.first().copied().context("`--bins` names no force")?;

@@ -107,7 +107,7 @@ pub fn run(options: &Options) -> Result<()> {
     let progress = ProgressBar::new(parameters.iter().map(|p| factors(*p).len() as u64).sum::<u64>() + 1)
         .with_style(ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} skins, {eta} left")?);
     progress.set_message(skin.name.clone());
-    let model = (crate::registry::family(&skin)?.model)(&skin)?;
+    let model = crate::registry::forward(&options.skin, &skin)?;
     let nominal = figures(&skin, model.as_ref(), options)?;
     progress.inc(1);
     let sweeps = sweep(&parameters, &skin, (&model, nominal), options, &progress)?;

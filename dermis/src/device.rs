@@ -97,9 +97,10 @@ pub fn run(device: &Device) -> Result<()> {
     let wait = Duration::from_millis(50);
     match device {
         Device::Simulate { skin, plan, chosen, seed, outlet, told } => {
-            let mut skin = SkinDescription::load(skin)?;
+            let path = skin;
+            let mut skin = SkinDescription::load(path)?;
             chosen.apply(&mut skin, *seed)?;
-            let model = (crate::registry::family(&skin)?.model)(&skin)?;
+            let model = crate::registry::forward(path, &skin)?;
             let plan = match plan {
                 Some(path) => Plan::load(path)?,
                 None => Plan::random_touches(0.004, [0.1, 1.0]),

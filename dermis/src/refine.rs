@@ -68,7 +68,7 @@ impl From<Looked> for Unknowns {
 pub fn run(options: &Options) -> Result<()> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
-    let model = (family.model)(&skin)?;
+    let model = crate::registry::forward(&options.skin, &skin)?;
     let mut bundle = Bundle::load(&options.model, &skin)?;
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
     let split = split_of(&options.model)?.apply(&data)?;

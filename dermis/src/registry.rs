@@ -1,13 +1,13 @@
 //! The sensor families that this program knows: one entry each.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_mechanics::Case;
-use dermis_skin::{EffectInfo, Estimator, ForwardModel, SkinDescription};
+use dermis_skin::{EffectInfo, Estimator, ForwardModel, ModelError, SkinDescription};
 use serde_json::Value;
 
 /// What the program needs of a sensor family.
@@ -47,6 +47,17 @@ pub const FAMILIES: &[Family] = &[Family {
     },
     node: crate::nodes::barodome_config,
 }];
+
+/// The forward model of a skin that was read from `path`; refusals name that file.
+pub fn forward(path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
+    (family(skin)?.model)(skin).map_err(|error| match error.downcast() {
+        Ok(ModelError::Description { field, reason, .. }) => {
+            anyhow!("skin file {}: field `{field}`: {reason}", path.display())
+        }
+        Ok(other) => other.into(),
+        Err(error) => error,
+    })
+}
 
 /// The family that reads a skin.
 pub fn family(skin: &SkinDescription) -> Result<&'static Family> {

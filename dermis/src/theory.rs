@@ -149,7 +149,7 @@ pub fn run(options: &Options) -> Result<()> {
 
 fn find(options: &Options) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
-    let model = (crate::registry::family(&skin)?.model)(&skin);
+    let model = crate::registry::forward(&options.skin, &skin);
     let (model, mut notes) = match (model, options.bag.is_empty()) {
         (Ok(model), _) => (Some(model), Vec::new()),
         (Err(error), true) => return Err(error),

@@ -58,7 +58,7 @@ fn impossible_skins_are_refused_in_one_sentence() {
         let out = folder.path().join("out");
         let said =
             sentence(&dermis(&["theory", &path.display().to_string(), "-o", &out.display().to_string()]));
-        assert!(said.contains(field), "{said}");
+        assert!(said.contains(field) && said.contains("bad.toml"), "{said}");
         assert_eq!(said.lines().count(), 1, "{said}");
         assert!(!out.exists(), "something was written for {field}");
     }
