@@ -25,6 +25,9 @@ pub enum Measurement {
     /// Position and force by the model bundles that ship for the simulated barometer skins, on places and forces that
     /// they were not trained on, against the Cramér–Rao bound.
     Accuracy,
+    /// The same by networks that are trained and measured on devices with the default effects, against what the thesis
+    /// measured on its real ones (Table 5.2).
+    Realism,
 }
 
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
@@ -32,6 +35,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::ColdBuild => cold_build(root)?,
         Measurement::Localisation => recorded(root, "position", "spatial_resolution")?,
         Measurement::Accuracy => accuracy(root)?,
+        Measurement::Realism => realism(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
     };
     println!("{value}");
@@ -134,6 +138,71 @@ fn accuracy(root: &Path) -> Result<Value> {
                 "position": binned["by_force"]["position"],
                 "bound": binned["bound"]["position"],
                 "several": { "position": binned["by_force"]["position of 2"], "of_3": binned["by_force"]["position of 3"] },
+            }),
+        );
+    }
+    Ok(Value::Object(all))
+}
+
+/// Table 5.2 of the thesis: RMS errors [mm] of its networks on real sensors, in the bins of [`BINS`].
+const THESIS: [(&str, [f64; 5]); 2] =
+    [("line", [0.051, 0.032, 0.024, 0.019, 0.018]), ("grid", [0.158, 0.120, 0.107, 0.107, 0.120])];
+
+/// Trains and evaluates on one device with the default effects.
+fn realism(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
+    let dermis = target_dir(root).join("release/dermis");
+    let dir = scratch(root, "realism")?;
+    // One device for both bags, whose plans have seeds of their own.
+    let effects = std::fs::read_to_string(root.join("launch/effects/baro-default.toml"))?;
+    let seeded = |line: &str| {
+        if line.starts_with("name =") { format!("{line}\nseed = 7\n") } else { format!("{line}\n") }
+    };
+    let device = dir.join("device.toml");
+    std::fs::write(&device, effects.lines().map(seeded).collect::<String>())?;
+    let mut all = serde_json::Map::new();
+    for name in ["line", "grid", "dome"] {
+        let skin = root.join(format!("launch/skins/baro-{name}.toml"));
+        let bag = |use_: &str| -> Result<PathBuf> {
+            let bag = dir.join(format!("{name}-{use_}"));
+            let plan = root.join(format!("launch/plans/baro-{name}-{use_}.toml"));
+            let mut collect = Command::new(&dermis);
+            collect.arg("collect").arg(&skin).arg("--plan").arg(plan);
+            execute(collect.arg("--effects").arg(&device).arg("--out").arg(&bag))?;
+            Ok(bag)
+        };
+        let (train, tried) = (bag("train")?, bag("evaluate")?);
+        let model = dir.join(format!("{name}-model"));
+        let mut training = Command::new(&dermis);
+        training.arg("train").arg("--skin").arg(&skin).arg("--out").arg(&model);
+        execute(
+            training.arg("--config").arg(root.join(format!("launch/train/baro-{name}.toml"))).arg(train),
+        )?;
+        let mut evaluate = Command::new(&dermis);
+        evaluate.arg("evaluate").arg("--skin").arg(&skin).arg("--model").arg(&model);
+        let text = output(evaluate.args(["--bins", BINS, "--json"]).arg(tried))?;
+        let found: Value = serde_json::from_str(text.trim().lines().last().unwrap_or_default())
+            .context("dermis evaluate --json printed no JSON")?;
+        let position = &found["by_force"]["position"];
+        let errors: Vec<f64> = position
+            .as_array()
+            .into_iter()
+            .flatten()
+            .filter_map(|b| b["rms"].as_f64())
+            .map(|v| v * 1e3)
+            .collect();
+        // By how much they differ, whichever is larger.
+        let thesis = THESIS.iter().find(|(n, _)| *n == name).map(|(_, t)| t);
+        let factor = thesis.map(|thesis| {
+            errors.iter().zip(thesis).map(|(ours, real)| (ours / real).max(real / ours)).fold(0.0, f64::max)
+        });
+        all.insert(
+            name.to_owned(),
+            json!({
+                "position_rms_mm": errors,
+                "thesis_mm": thesis,
+                "factor": factor,
+                "position_median_mm": found["figures"]["position_median"].as_f64().map(|v| v * 1e3),
             }),
         );
     }
