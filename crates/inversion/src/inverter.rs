@@ -564,12 +564,18 @@ impl Inverter {
         let (position, normal) = self.model.0.surface().project(&Point3::from(mean));
         let pressing = (force / total).min(self.settings.force_max * 1.5);
         let variance = (force_square / total - pressing * pressing).max(0.0);
+        // Presses of the dictionary are straight: a shear that is looked for is as open as the sharp answer says.
+        let across = Matrix3::identity() - normal * normal.transpose();
+        let shear = match self.settings.unknowns {
+            Unknowns::Full => across * sharp.force_covariance * across,
+            _ => Matrix3::zeros(),
+        };
         Found {
             position,
             normal,
             force: -normal * pressing,
             position_covariance: second / total - mean * mean.transpose(),
-            force_covariance: normal * normal.transpose() * variance,
+            force_covariance: normal * normal.transpose() * variance + shear,
         }
     }
 }
