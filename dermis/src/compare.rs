@@ -7,13 +7,11 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_inference::{Bundle, Features, Model, Outputs, Runtime, RuntimeConfig};
-use dermis_inversion::{Inverter, Reading, Unknowns};
+use dermis_inference::{Bundle, Model, Outputs, Runtime, RuntimeConfig};
+use dermis_inversion::{Inverter, Reading};
 use dermis_learn::cli::Labels;
 use dermis_learn::{Dataset, Evaluation, Evaluator, Sample, SampleId, Truth, bounds};
-use dermis_skin::{
-    ChannelFlags, Contact, Estimate, ForceComponents, ForwardModel, Indentation, SkinDescription, Surface,
-};
+use dermis_skin::{Contact, Estimate, ForceComponents, ForwardModel, Indentation, SkinDescription, Surface};
 use dermis_theory::{IsolineSolver, Press, SolverOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::{Point3, Vector3};
@@ -72,7 +70,6 @@ impl Learned {
         let (ids, rows) = data.inputs(&bundle.manifest().input, bundle.manifest().baseline)?;
         let width = bundle.manifest().input.input_len();
         let inputs = ids.into_iter().zip(rows.chunks_exact(width).map(<[f32]>::to_vec)).collect();
-        let _: Features = bundle.features();
         Ok(Self {
             model: bundle.session(runtime)?,
             outputs: bundle.outputs(),
@@ -106,13 +103,7 @@ impl Learned {
 
 /// Readings of a sample, as an inverter takes them.
 fn readings(sample: &Sample) -> Vec<Reading> {
-    let one = |(value, flags): (&f32, &ChannelFlags)| match f64::from(*value) {
-        v if v.is_nan() || flags.is_invalid() => Reading::Missing,
-        v if flags.contains(ChannelFlags::SATURATED) && v > 0.0 => Reading::AtLeast(v),
-        v if flags.contains(ChannelFlags::SATURATED) => Reading::AtMost(v),
-        v => Reading::Exact(v),
-    };
-    sample.tared.iter().zip(&sample.frame.flags).map(one).collect()
+    sample.tared.iter().zip(&sample.frame.flags).map(|(value, flags)| Reading::of(*value, *flags)).collect()
 }
 
 impl Method for Learned {
@@ -129,10 +120,7 @@ impl Method for Learned {
         Ok(Some(found.map_or(learned, |found| {
             let mut contact = Contact::at(found.position, found.normal);
             contact.force = found.force;
-            contact.force_components = match inverter.settings().unknowns {
-                Unknowns::Full => ForceComponents::Full,
-                _ => ForceComponents::Normal,
-            };
+            contact.force_components = inverter.settings().unknowns.force_components();
             contact
         })))
     }

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum as _};
-use dermis_skin::{ForwardModel, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec};
+use dermis_skin::{ForwardModel, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Unknowns};
 use dermis_theory::resolution::{along_line, on_surface};
-use dermis_theory::{Responses, Summary, Unknowns, force_ladder, over_surface};
+use dermis_theory::{Responses, Summary, force_ladder, over_surface};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::json;

@@ -8,8 +8,7 @@ use dermis_learn::cli::Labels;
 use dermis_learn::{
     Bounds, Dataset, Evaluation, Requirement, SampleId, SplitConfig, SplitKind, Verdicts, bounds, evaluate_by,
 };
-use dermis_skin::SkinDescription;
-use dermis_theory::Unknowns;
+use dermis_skin::{SkinDescription, Unknowns};
 use serde_json::json;
 
 use crate::registry::Family;

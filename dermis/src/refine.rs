@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use dermis_inference::Bundle;
-use dermis_inversion::{Settings, Unknowns};
+use dermis_inversion::Settings;
 use dermis_learn::cli::Labels;
 use dermis_learn::{Dataset, Evaluation, SampleId, evaluate, refine};
-use dermis_skin::SkinDescription;
+use dermis_skin::{SkinDescription, Unknowns};
 use serde_json::json;
 
 use crate::evaluate::split_of;

@@ -10,11 +10,11 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_learn::cli::Labels;
-use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface};
+use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface, Unknowns};
 use dermis_theory::resolution::{Testbed, on_surface};
 use dermis_theory::{
-    Isoline, Line, LineStudy, Responses, StudyOptions, Summary, SurfaceBound, TwoContacts, Unknowns,
-    force_ladder, longest_row, over_surface, strongest_bands, two_contacts,
+    Isoline, Line, LineStudy, Responses, StudyOptions, Summary, SurfaceBound, TwoContacts, force_ladder,
+    longest_row, over_surface, strongest_bands, two_contacts,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::Point3;

@@ -62,6 +62,38 @@ fn or_skip(variable: &str, what: &str) -> Option<PathBuf> {
     found
 }
 
+/// What a command printed; it must succeed.
+///
+/// # Panics
+///
+/// Where it does not start, or fails: with what it said.
+pub fn finish(command: &mut Command) -> String {
+    let out = command.output().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
+    let [stdout, stderr] = [out.stdout, out.stderr].map(|b| String::from_utf8_lossy(&b).into_owned());
+    assert!(out.status.success(), "{command:?}\n{stdout}\n{stderr}");
+    stdout
+}
+
+/// What a command complained of; it must fail.
+///
+/// # Panics
+///
+/// Where it does not start, or succeeds.
+pub fn refused(command: &mut Command) -> String {
+    let out = command.output().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
+    assert!(!out.status.success(), "{command:?} succeeded");
+    String::from_utf8_lossy(&out.stderr).into_owned()
+}
+
+/// A text as JSON.
+///
+/// # Panics
+///
+/// Where it is none: with the text.
+pub fn json(text: &str) -> serde_json::Value {
+    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
+}
+
 /// A ROS domain that no other running test is in, the same for all of this process.
 ///
 /// # Panics

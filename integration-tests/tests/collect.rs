@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use dermis_bag::BagReader;
-use dermis_integration_tests::{program, root};
+use dermis_integration_tests::{finish, json, program, refused, root};
 use dermis_msgs::msg::{Indentation, TaxelFrame};
 
 const GRID: &str = "launch/skins/baro-grid.toml";
@@ -22,21 +22,6 @@ fn collect(plan: &Path, out: &Path) -> Command {
     let mut command = dermis();
     command.args(["collect", GRID, "--json", "--plan"]).arg(plan).arg("--out").arg(out);
     command
-}
-
-/// What a command printed; it must succeed.
-fn finish(command: &mut Command) -> serde_json::Value {
-    let out = command.output().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
-    let [stdout, stderr] = [out.stdout, out.stderr].map(|b| String::from_utf8_lossy(&b).into_owned());
-    assert!(out.status.success(), "{command:?}\n{stdout}\n{stderr}");
-    serde_json::from_str(&stdout).unwrap_or_else(|e| panic!("{e}: {stdout}"))
-}
-
-/// What it complained of; it must fail.
-fn refused(command: &mut Command) -> String {
-    let out = command.output().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
-    assert!(!out.status.success(), "{command:?} succeeded");
-    String::from_utf8_lossy(&out.stderr).into_owned()
 }
 
 fn plan(folder: &Path, steps: &str) -> PathBuf {
@@ -94,7 +79,7 @@ fn a_collection_that_is_killed_goes_on_to_the_bag_that_it_would_have_been() {
         command.args(["--effects", EFFECTS, "--effect", "read-skew=2", "--seed", "11"]);
         command
     };
-    let all = finish(with(&whole).args(["--start", "1700000000000000000"]));
+    let all = json(&finish(with(&whole).args(["--start", "1700000000000000000"])));
 
     interrupt(with(&bag).args(["--start", "1700000000000000000"]), &bag, 200_000, "KILL");
     assert!(!bag.join("metadata.yaml").exists());
@@ -104,7 +89,7 @@ fn a_collection_that_is_killed_goes_on_to_the_bag_that_it_would_have_been() {
     interrupt(with(&bag).arg("--resume"), &bag, 900_000, "INT");
     assert!(bag.join("metadata.yaml").exists());
 
-    let gone_on = finish(with(&bag).arg("--resume"));
+    let gone_on = json(&finish(with(&bag).arg("--resume")));
     assert_eq!((&gone_on["frames"], &gone_on["interrupted"]), (&all["frames"], &false.into()));
     assert!(gone_on["resumed"].as_u64().unwrap() > 0);
     let (found, expected) = (messages(&bag), messages(&whole));
@@ -131,7 +116,7 @@ fn depth_shear_and_force_agree_in_what_is_recorded() {
     );
     let hardest = |extra: &[&str]| {
         let out = dir.path().join(format!("bag{}", extra.len()));
-        finish(collect(&plan, &out).args(extra));
+        json(&finish(collect(&plan, &out).args(extra)));
         let reader = BagReader::open(&out).unwrap();
         let mut hardest = 0.0f64;
         for label in reader.read::<Indentation>("ground_truth").unwrap() {
@@ -211,7 +196,7 @@ fn what_cannot_be_is_refused_before_anything_is_written() {
 
 #[test]
 fn effects_are_listed_for_people_and_programs() {
-    let listed = finish(dermis().args(["effects", "barodome", "--json"]));
+    let listed = json(&finish(dermis().args(["effects", "barodome", "--json"])));
     let effects = listed["families"][0]["effects"].as_array().unwrap().clone();
     for name in ["inclusion-gain", "mullins", "read-skew", "friction"] {
         let effect = effects.iter().find(|e| e["name"] == name).unwrap_or_else(|| panic!("no {name}"));

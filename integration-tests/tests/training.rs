@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use dermis_integration_tests::{Peer, client_python, domain, program, root};
+use dermis_integration_tests::{Peer, client_python, domain, finish, json, program, refused, root};
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
 use dermis_skin::SkinDescription;
 
@@ -20,25 +20,6 @@ fn dermis() -> Command {
         .env("ROS_DOMAIN_ID", domain().to_string())
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
     command
-}
-
-/// What a command printed; it must succeed.
-fn finish(command: &mut Command) -> String {
-    let out = command.output().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
-    let [stdout, stderr] = [out.stdout, out.stderr].map(|b| String::from_utf8_lossy(&b).into_owned());
-    assert!(out.status.success(), "{command:?}\n{stdout}\n{stderr}");
-    stdout
-}
-
-/// What it complained of; it must fail.
-fn refused(command: &mut Command) -> String {
-    let out = command.output().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
-    assert!(!out.status.success(), "{command:?} succeeded");
-    String::from_utf8_lossy(&out.stderr).into_owned()
-}
-
-fn json(text: &str) -> serde_json::Value {
-    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
 }
 
 fn plan(folder: &Path, presses: u32, force: [f64; 2]) -> PathBuf {

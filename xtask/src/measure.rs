@@ -51,6 +51,13 @@ fn scratch(root: &Path, name: &str) -> Result<PathBuf> {
     Ok(dir)
 }
 
+/// What `dermis evaluate --json` prints in its last line.
+fn evaluation(command: &mut Command) -> Result<Value> {
+    let text = output(command)?;
+    serde_json::from_str(text.trim().lines().last().unwrap_or_default())
+        .context("dermis evaluate --json printed no JSON")
+}
+
 /// CPU seconds of all children that ended so far.
 fn children_cpu() -> Result<f64> {
     use nix::sys::resource::{UsageWho, getrusage};
@@ -95,7 +102,7 @@ fn accuracy(root: &Path) -> Result<Value> {
             bag.as_os_str(),
         ]))?;
         let evaluate = |bins: &str, in_range: bool| -> Result<Value> {
-            let text = output(
+            evaluation(
                 Command::new(&dermis)
                     .arg("evaluate")
                     .args(in_range.then_some("--in-range"))
@@ -103,9 +110,7 @@ fn accuracy(root: &Path) -> Result<Value> {
                     .args(["--model".as_ref(), root.join(format!("models/baro-{name}")).as_os_str()])
                     .args(["--bins", bins, "--json"])
                     .arg(&bag),
-            )?;
-            serde_json::from_str(text.trim().lines().last().unwrap_or_default())
-                .context("dermis evaluate --json printed no JSON")
+            )
         };
         let (whole, binned) = (evaluate("0.2", true)?, evaluate(BINS, true)?);
         // Saturation is an effect of the device: its cost stands apart.
@@ -180,9 +185,7 @@ fn realism(root: &Path) -> Result<Value> {
         )?;
         let mut evaluate = Command::new(&dermis);
         evaluate.arg("evaluate").arg("--skin").arg(&skin).arg("--model").arg(&model);
-        let text = output(evaluate.args(["--bins", BINS, "--json"]).arg(tried))?;
-        let found: Value = serde_json::from_str(text.trim().lines().last().unwrap_or_default())
-            .context("dermis evaluate --json printed no JSON")?;
+        let found = evaluation(evaluate.args(["--bins", BINS, "--json"]).arg(tried))?;
         let position = &found["by_force"]["position"];
         let errors: Vec<f64> = position
             .as_array()
@@ -256,9 +259,7 @@ fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
                     evaluate.arg("--held-out");
                 }
                 evaluate.arg(bag);
-                let text = output(&mut evaluate)?;
-                let result: Value = serde_json::from_str(text.trim().lines().last().unwrap_or_default())
-                    .context("dermis evaluate --json printed no JSON")?;
+                let result = evaluation(&mut evaluate)?;
                 rows.push(json!({
                     "trained_on": train.file_name().map(|n| n.to_string_lossy()),
                     "tested_on": bag.file_name().map(|n| n.to_string_lossy()),

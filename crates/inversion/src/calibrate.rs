@@ -1,9 +1,8 @@
 //! How far a device and its forward model are apart.
 
-use dermis_skin::{ForwardModel, ModelError, Stimulus};
+use dermis_skin::{ForwardModel, ModelError, Stimulus, Unknowns};
 
 use crate::fit::{Datum, Problem};
-use crate::inverter::Unknowns;
 
 /// Channel gains and what remains beyond the noise, measured on readings of known stimuli.
 #[derive(Debug, Clone, PartialEq)]
@@ -100,7 +99,7 @@ impl Calibration {
                 let known = data.iter().filter(|d| **d != Datum::None).count();
                 let force_max = force_max * 2.0;
                 let problem = Problem { model, unknowns, data: &data, gains: &gains, rest: &rest, force_max };
-                let fit = problem.minimise(frame.stimulus.contacts.clone(), 0)?;
+                let fit = problem.minimise(frame.stimulus.contacts.clone())?;
                 let freedom = known.saturating_sub(unknowns.count() * fit.contacts.len()) as f64;
                 // A frame that nothing explains must not stand for all.
                 chi2 += fit.chi2.min(10.0 * freedom);

@@ -1,9 +1,7 @@
 //! Least squares: contacts near a start that explain readings best.
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface};
+use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface, Unknown, Unknowns, tangents};
 use nalgebra::{DMatrix, DVector, Vector3};
-
-use crate::inverter::Unknowns;
 
 /// \[m\] by which a place is moved for its derivative.
 const MOVE: f64 = 2e-5;
@@ -41,30 +39,6 @@ impl Datum {
             _ => (0.0, 0.0),
         }
     }
-}
-
-/// One number that is not known of a contact.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Unknown {
-    Along(usize),
-    Pressing,
-    Shear(usize),
-}
-
-fn list(unknowns: Unknowns) -> &'static [Unknown] {
-    use Unknown::{Along, Pressing, Shear};
-    match unknowns {
-        Unknowns::Line => &[Along(0), Pressing],
-        Unknowns::Normal => &[Along(0), Along(1), Pressing],
-        Unknowns::Full => &[Along(0), Along(1), Pressing, Shear(0), Shear(1)],
-    }
-}
-
-/// Unit vectors along the surface that form a right-handed frame with the normal.
-pub(crate) fn tangents(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
-    let start = if normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
-    let first = (start - normal * normal.dot(&start)).normalize();
-    [first, normal.cross(&first)]
 }
 
 /// A least-squares problem.
@@ -147,8 +121,8 @@ impl Problem<'_> {
 
     /// Levenberg–Marquardt from `start` (K. Levenberg 1944, D. W. Marquardt 1963), every step kept on the surface and
     /// between no force and the largest.
-    pub fn minimise(&self, start: Vec<Indentation>, extra: usize) -> Result<Minimum, ModelError> {
-        let list = list(self.unknowns);
+    pub fn minimise(&self, start: Vec<Indentation>) -> Result<Minimum, ModelError> {
+        let list = self.unknowns.list();
         let channels = self.data.len();
         let mut contacts = start;
         let mut signal = vec![0.0; channels];
@@ -158,7 +132,7 @@ impl Problem<'_> {
         let (mut plus, mut minus) = (vec![0.0; channels], vec![0.0; channels]);
         let mut damping = 1e-3;
         let mut normal_matrix = DMatrix::zeros(size, size);
-        for step in 0..STEPS + extra {
+        for step in 0..STEPS {
             // Derivatives of the residuals by every unknown.
             let mut jacobian = DMatrix::zeros(channels, size);
             let mut residuals = DVector::zeros(channels);
@@ -192,7 +166,7 @@ impl Problem<'_> {
             }
             normal_matrix = jacobian.tr_mul(&jacobian);
             let gradient = jacobian.tr_mul(&residuals);
-            if step + 1 == STEPS + extra {
+            if step + 1 == STEPS {
                 break;
             }
             let mut better = false;

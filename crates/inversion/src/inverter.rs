@@ -2,35 +2,12 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus};
+use dermis_skin::{ChannelFlags, ForwardModel, Indentation, ModelError, Stimulus, Unknowns, tangents};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::dictionary::Dictionary;
-use crate::fit::{Datum, Minimum, Problem, tangents};
-
-/// What is looked for in a contact.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Unknowns {
-    /// Its place along the first direction of the surface (x on a flat one) and how hard it presses: taxels in a row.
-    Line,
-    /// Its place on the surface and how hard it presses; it is taken to press along the normal.
-    #[default]
-    Normal,
-    /// Its place and all three components of its force.
-    Full,
-}
-
-impl Unknowns {
-    pub(crate) fn count(self) -> usize {
-        match self {
-            Self::Line => 2,
-            Self::Normal => 3,
-            Self::Full => 5,
-        }
-    }
-}
+use crate::fit::{Datum, Minimum, Problem};
 
 /// What an [`Inverter`] is told besides the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -162,6 +139,20 @@ pub enum Reading {
     AtMost(f64),
     /// Nothing that could be relied on.
     Missing,
+}
+
+impl Reading {
+    /// A `signal` (untouched reading subtracted) of a channel with these flags.
+    #[must_use]
+    pub fn of(signal: f32, flags: ChannelFlags) -> Self {
+        let saturated = flags.contains(ChannelFlags::SATURATED);
+        match f64::from(signal) {
+            v if v.is_nan() || flags.is_invalid() => Self::Missing,
+            v if saturated && v > 0.0 => Self::AtLeast(v),
+            v if saturated => Self::AtMost(v),
+            v => Self::Exact(v),
+        }
+    }
 }
 
 /// One contact that was found.
@@ -336,7 +327,7 @@ impl Inverter {
                     break;
                 }
                 for start in self.starts(kind, &data, &best, hint) {
-                    let minimum = problem.minimise(start, 0)?;
+                    let minimum = problem.minimise(start)?;
                     if found.as_ref().is_none_or(|f| minimum.chi2 < f.chi2) {
                         found = Some(minimum);
                     }
@@ -667,9 +658,7 @@ mod tests {
                 let [found] = solution.contacts.as_slice() else { panic!("{solution:?}") };
                 error += (found.position - truth.position).norm_squared();
                 expected += found.deviation().powi(2);
-                bound += cramer_rao(model.as_ref(), &stimulus, dermis_theory::Unknowns::Normal).unwrap()[0]
-                    .position
-                    .powi(2);
+                bound += cramer_rao(model.as_ref(), &stimulus, Unknowns::Normal).unwrap()[0].position.powi(2);
             }
             let (error, bound, expected) = (error.sqrt(), bound.sqrt(), expected.sqrt());
             assert!((0.9..1.1).contains(&(error / bound)), "{force} N: {error} is not {bound}");
@@ -692,7 +681,7 @@ mod tests {
             let solution = inverter.solve(&model.read(&stimulus.contacts, &mut random), None).unwrap();
             error += (solution.contacts[0].position - truth.position).norm_squared();
             said += solution.contacts[0].deviation().powi(2);
-            let unbiased = cramer_rao(model.as_ref(), &stimulus, dermis_theory::Unknowns::Normal).unwrap();
+            let unbiased = cramer_rao(model.as_ref(), &stimulus, Unknowns::Normal).unwrap();
             bound += unbiased[0].position.powi(2);
         }
         let (error, said, bound) = (error.sqrt(), said.sqrt(), bound.sqrt());

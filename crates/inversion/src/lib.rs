@@ -13,4 +13,4 @@ mod inverter;
 mod testing;
 
 pub use calibrate::{Calibration, CalibrationError};
-pub use inverter::{Found, Inverter, InverterError, Reading, Settings, Solution, Unknowns};
+pub use inverter::{Found, Inverter, InverterError, Reading, Settings, Solution};

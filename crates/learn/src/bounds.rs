@@ -3,8 +3,10 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use dermis_skin::{ChannelFlags, ForceComponents, ForwardModel, Indentation, ModelError, Stimulus, Surface};
-use dermis_theory::{ContactBound, TheoryError, Unknowns, cramer_rao};
+use dermis_skin::{
+    ChannelFlags, ForceComponents, ForwardModel, Indentation, ModelError, Stimulus, Surface, Unknowns,
+};
+use dermis_theory::{ContactBound, TheoryError, cramer_rao};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Dataset, SampleId, Truth};

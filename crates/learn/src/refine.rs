@@ -1,7 +1,7 @@
 //! Refining what a bundle says on the skin's forward model: what recordings tell of that model.
 
-use dermis_inversion::{Calibration, Settings, Unknowns};
-use dermis_skin::{ChannelFlags, ForwardModel, Stimulus};
+use dermis_inversion::{Calibration, Settings};
+use dermis_skin::{ChannelFlags, ForwardModel, Stimulus, Unknowns};
 
 use crate::LearnError;
 use crate::bounds::stimulus;

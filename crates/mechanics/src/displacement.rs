@@ -1,13 +1,10 @@
 //! Displacement inside a medium under a sphere.
 
-use nalgebra::{Matrix4, Vector4};
-
 use crate::error::positive;
+use crate::medium::{Base, EXPONENT_MAX, love_constants, love_parts};
 use crate::quadrature::panels;
 use crate::{MechanicsError, Medium, SphereContact};
 
-/// Beyond this exponent a kernel is below the resolution of f64.
-const EXPONENT_MAX: f64 = 40.0;
 /// Steps of the search for the contact that a force makes.
 const STEPS: usize = 60;
 
@@ -93,31 +90,9 @@ impl SphereDisplacement {
 
 /// Love's function of a layer of kh = `alpha` that is bonded to its base, and its first two derivatives at kz = `s`.
 fn bonded(alpha: f64, s: f64, nu: f64) -> [f64; 3] {
-    // f = (A + Bs) e^(−s) + (C + Ds) e^(s−α): each constant's part of f, f', f'', f'''.
-    let parts = |s: f64| -> [[f64; 4]; 4] {
-        let (down, up) = ((-s).exp(), (s - alpha).exp());
-        [
-            [down, s * down, up, s * up],
-            [-down, (1.0 - s) * down, up, (1.0 + s) * up],
-            [down, (s - 2.0) * down, up, (2.0 + s) * up],
-            [-down, (3.0 - s) * down, up, (3.0 + s) * up],
-        ]
-    };
-    let row = |d: &[[f64; 4]; 4], weights: [f64; 4]| -> [f64; 4] {
-        std::array::from_fn(|j| (0..4).map(|i| weights[i] * d[i][j]).sum())
-    };
-    let (top, bottom) = (parts(0.0), parts(alpha));
-    let rows = [
-        // σ_zz = −p, σ_rz = 0, w = 0, u = 0.
-        row(&top, [0.0, -(2.0 - nu), 0.0, 1.0 - nu]),
-        row(&top, [1.0 - nu, 0.0, nu, 0.0]),
-        row(&bottom, [-2.0 * (1.0 - nu), 0.0, 1.0 - 2.0 * nu, 0.0]),
-        row(&bottom, [0.0, 1.0, 0.0, 0.0]),
-    ];
-    let system = Matrix4::from_fn(|i, j| rows[i][j]);
-    let constants = system.lu().solve(&Vector4::new(-1.0, 0.0, 0.0, 0.0)).unwrap_or_default();
-    let here = parts(s);
-    std::array::from_fn(|i| (0..4).map(|j| here[i][j] * constants[j]).sum())
+    let constants = love_constants(alpha, nu, Base::Bonded);
+    let here = love_parts(alpha, s);
+    std::array::from_fn(|i| (0..4).map(|j| here[i][j] * constants[(j, 0)]).sum())
 }
 
 #[cfg(test)]
@@ -125,7 +100,6 @@ mod tests {
     use approx::assert_relative_eq;
 
     use super::*;
-    use crate::Base;
 
     /// The medium of the thesis' Fig. 5.7, of these thickness and Poisson's ratio.
     fn pad(thickness: f64, poisson: f64) -> Medium {

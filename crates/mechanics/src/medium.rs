@@ -1,6 +1,6 @@
 //! A layered elastic medium in Hankel space.
 
-use nalgebra::{Matrix2, Matrix4, Matrix4x2};
+use nalgebra::{Matrix4, Matrix4x2};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use crate::MechanicsError;
@@ -8,7 +8,7 @@ use crate::error::positive;
 use crate::quadrature::panels;
 
 /// Beyond this exponent a kernel is below the resolution of f64.
-const EXPONENT_MAX: f64 = 40.0;
+pub(crate) const EXPONENT_MAX: f64 = 40.0;
 /// kh below which the system of a layer loses its digits, while its kernels have long reached their limits.
 const LONGEST: f64 = 1e-3;
 
@@ -233,7 +233,7 @@ impl Medium {
         let long = k * h / alpha;
         let of = |base, long: f64| {
             let constants = love_constants(alpha, nu, base);
-            let kernel = |i| -(1.0 + nu) / 3.0 * 2.0 * (constants[(0, i)] * down + constants[(1, i)] * up);
+            let kernel = |i| -(1.0 + nu) / 3.0 * 2.0 * (constants[(1, i)] * down + constants[(3, i)] * up);
             [kernel(0), long * kernel(1)]
         };
         mix(slip, || of(Base::Bonded, long), || of(Base::Slip, 1.0 / long))
@@ -389,23 +389,25 @@ fn mix<const N: usize>(
     }
 }
 
-/// k²B and k²D (rows) of Love's function for unit surface pressure and for unit shear stress (columns); lengths are scaled
-/// by k, so that f k³ has the derivatives below and every entry stays of order α e^0.
-fn love_constants(alpha: f64, nu: f64, base: Base) -> Matrix2<f64> {
-    // f and its first three derivatives with respect to s = kz, for each of the four constants.
-    let derivatives = |s: f64| -> [[f64; 4]; 4] {
-        let (down, up) = ((-s).exp(), (s - alpha).exp());
-        [
-            [down, s * down, up, s * up],
-            [-down, (1.0 - s) * down, up, (1.0 + s) * up],
-            [down, (s - 2.0) * down, up, (2.0 + s) * up],
-            [-down, (3.0 - s) * down, up, (3.0 + s) * up],
-        ]
-    };
+/// Each constant's part of Love's function f = (A + Bs) e^(−s) + (C + Ds) e^(s−α) and of its first three derivatives (rows)
+/// with respect to s = kz, in a layer of kh = `alpha`.
+pub(crate) fn love_parts(alpha: f64, s: f64) -> [[f64; 4]; 4] {
+    let (down, up) = ((-s).exp(), (s - alpha).exp());
+    [
+        [down, s * down, up, s * up],
+        [-down, (1.0 - s) * down, up, (1.0 + s) * up],
+        [down, (s - 2.0) * down, up, (2.0 + s) * up],
+        [-down, (3.0 - s) * down, up, (3.0 + s) * up],
+    ]
+}
+
+/// The constants (rows) of Love's function for unit surface pressure and for unit shear stress (columns); lengths are scaled
+/// by k, so that f k³ has the derivatives of [`love_parts`] and every entry stays of order α e^0.
+pub(crate) fn love_constants(alpha: f64, nu: f64, base: Base) -> Matrix4x2<f64> {
     let row = |d: &[[f64; 4]; 4], weights: [f64; 4]| -> [f64; 4] {
         std::array::from_fn(|j| (0..4).map(|i| weights[i] * d[i][j]).sum())
     };
-    let (top, bottom) = (derivatives(0.0), derivatives(alpha));
+    let (top, bottom) = (love_parts(alpha, 0.0), love_parts(alpha, alpha));
     let normal_stress = [0.0, -(2.0 - nu), 0.0, 1.0 - nu];
     let shear_stress = [1.0 - nu, 0.0, nu, 0.0];
     let vertical = [-2.0 * (1.0 - nu), 0.0, 1.0 - 2.0 * nu, 0.0];
@@ -419,8 +421,7 @@ fn love_constants(alpha: f64, nu: f64, base: Base) -> Matrix2<f64> {
     let system = Matrix4::from_fn(|i, j| rows[i][j]);
     let mut sides = Matrix4x2::zeros();
     (sides[(0, 0)], sides[(1, 1)]) = (-1.0, 1.0);
-    let constants = system.lu().solve(&sides).unwrap_or_default();
-    Matrix2::new(constants[(1, 0)], constants[(1, 1)], constants[(3, 0)], constants[(3, 1)])
+    system.lu().solve(&sides).unwrap_or_default()
 }
 
 /// Complete elliptic integrals of the first and second kind of the modulus `m` in \[0, 1\], by the

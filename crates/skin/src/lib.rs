@@ -47,6 +47,7 @@ mod error;
 mod frame;
 mod surface;
 mod traits;
+mod unknowns;
 mod zero;
 
 pub use contact::{Contact, Estimate, ForceComponents, ForceMap, ForceValues};
@@ -59,6 +60,7 @@ pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};
 pub use surface::Surface;
 pub use traits::{EstimateError, Estimator, ForwardModel, Indentation, ModelError, Stimulus};
+pub use unknowns::{Unknown, Unknowns, tangents};
 pub use zero::{TareState, ZeroTracker};
 
 /// Nanoseconds since the Unix epoch: the time at which something was measured.

@@ -1,7 +1,7 @@
 //! The Cramér–Rao bound of the contacts that one frame shows.
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus, Surface};
-use nalgebra::{DMatrix, Vector3};
+use dermis_skin::{ForwardModel, Indentation, Stimulus, Surface, Unknown, Unknowns, tangents};
+use nalgebra::DMatrix;
 use serde::Serialize;
 
 use crate::TheoryError;
@@ -16,39 +16,6 @@ const LEAST_CHANGE: f64 = 1e-6;
 const SCALE: (f64, f64) = (1e-3, 1.0);
 /// Singular values below this share of the largest count as 0: what they stand for cannot be told at all.
 const BLIND: f64 = 1e-9;
-
-/// What is not known of a contact.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Unknowns {
-    /// Where it is along the first direction of the surface (x on a flat one), and how hard it presses: taxels in a row.
-    Line,
-    /// Where it is on the surface, and how hard it presses; it is known to press along the normal.
-    Normal,
-    /// Where it is on the surface, and all three components of its force.
-    Full,
-}
-
-/// One number that is not known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Unknown {
-    /// A coordinate along one of both directions of the surface.
-    Along(usize),
-    Pressing,
-    /// The force along one of both directions.
-    Shear(usize),
-}
-
-impl Unknowns {
-    fn list(self) -> &'static [Unknown] {
-        use Unknown::{Along, Pressing, Shear};
-        match self {
-            Self::Line => &[Along(0), Pressing],
-            Self::Normal => &[Along(0), Along(1), Pressing],
-            Self::Full => &[Along(0), Along(1), Pressing, Shear(0), Shear(1)],
-        }
-    }
-}
 
 /// Least standard deviations that an estimator without bias can have for one contact, from one frame. Infinite where the
 /// channels do not tell the quantity at all.
@@ -175,13 +142,6 @@ pub fn strongest_bands(
     })
 }
 
-/// Unit vectors along the surface, so that with the normal they form a right-handed frame.
-pub(crate) fn tangents(normal: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
-    let start = if normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
-    let first = (start - normal * normal.dot(&start)).normalize();
-    (first, normal.cross(&first))
-}
-
 /// A contact with one unknown a little more and a little less, and how far they are apart: 0 where the surface leaves no
 /// room.
 fn neighbours(
@@ -191,7 +151,7 @@ fn neighbours(
     unknown: Unknown,
 ) -> (Indentation, Indentation, f64) {
     let (place, normal) = surface.project(&contact.position);
-    let (first, second) = tangents(&normal);
+    let [first, second] = tangents(&normal);
     if let Unknown::Along(direction) = unknown {
         let along = [first, second][direction];
         let moved = |by: f64| {
@@ -244,7 +204,7 @@ fn variances(whitened: DMatrix<f64>, scales: &[f64]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Point3;
+    use nalgebra::{Point3, Vector3};
     use proptest::prelude::*;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};

@@ -27,7 +27,7 @@ mod surface;
 #[cfg(test)]
 mod testing;
 
-pub use bound::{BandBox, ContactBound, Unknowns, cramer_rao, strongest_bands};
+pub use bound::{BandBox, ContactBound, cramer_rao, strongest_bands};
 pub use error::TheoryError;
 pub use isoline::{Isoline, IsolineFit, IsolinePoint};
 pub use line::{Line, LineTaxel};

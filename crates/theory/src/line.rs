@@ -412,13 +412,13 @@ fn extent(corners: &[Crossing]) -> Option<Deviations> {
 #[cfg(test)]
 mod tests {
     use approx::assert_relative_eq;
-    use dermis_skin::ForwardModel;
+    use dermis_skin::{ForwardModel, Unknowns};
     use nalgebra::Vector3;
 
     use super::*;
     use crate::normalised::TwoTaxels;
     use crate::testing::{Dome, Ideal, Toy};
-    use crate::{Unknowns, cramer_rao, force_ladder};
+    use crate::{cramer_rao, force_ladder};
 
     fn row(step: f64, noise: f64) -> (Line, Toy) {
         let mut model = Toy::row(6);

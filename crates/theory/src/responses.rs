@@ -1,10 +1,9 @@
 //! What the channels of a skin read over places and forces: of a forward model, or of a recording.
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus, Surface};
+use dermis_skin::{ForwardModel, Indentation, Stimulus, Surface, tangents};
 use nalgebra::{DMatrix, Point3};
 
 use crate::TheoryError;
-use crate::bound::tangents;
 use crate::surface::positive;
 
 /// Samples that a place and a force need for a curved regression.
@@ -98,7 +97,7 @@ impl Responses {
         by_x.sort_by(|a, b| a.position.x.total_cmp(&b.position.x));
         let mut values = vec![f64::NAN; points.len() * channels * forces.len()];
         for (place, point) in points.iter().enumerate() {
-            let (first, second) = tangents(&surface.project(point).1);
+            let [first, second] = tangents(&surface.project(point).1);
             let begin = by_x.partition_point(|p| p.position.x < point.x - reach);
             let end = by_x.partition_point(|p| p.position.x <= point.x + reach);
             let near: Vec<(&Press, [f64; 2])> = by_x[begin..end]

@@ -388,13 +388,14 @@ fn triples(channels: &[usize]) -> impl Iterator<Item = [usize; 3]> {
 
 #[cfg(test)]
 mod tests {
+    use dermis_skin::Unknowns;
     use proptest::prelude::*;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal, Uniform};
 
     use super::*;
+    use crate::over_surface;
     use crate::testing::{Dome, Ideal, Row, Toy, read};
-    use crate::{Unknowns, over_surface};
 
     /// Root mean square of the position error \[m\] of noisy frames at random places, and how many are not solved.
     fn errors(

@@ -1,10 +1,9 @@
 //! Everything that the isolines along a line say of a skin, as figures and files need it.
 
-use dermis_skin::Surface;
+use dermis_skin::{Surface, tangents};
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
-use crate::bound::tangents;
 use crate::normalised::Deviations;
 use crate::resolution::{Testbed, along_line};
 use crate::surface::positive;
@@ -146,7 +145,7 @@ pub fn longest_row(surface: &Surface, feet: &[Point3<f64>], step: f64) -> Result
     let middle = Point3::from(surface.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count);
     let mut best: Option<(usize, f64, Point3<f64>, Vector3<f64>)> = None;
     for foot in feet {
-        let (first, second) = tangents(&surface.project(foot).1);
+        let [first, second] = tangents(&surface.project(foot).1);
         for direction in [first, second] {
             let path = Path::across(surface, foot, &direction, pitch / 8.0)?;
             let on = feet.iter().filter(|f| path.nearest(f).1 <= tolerance + pitch / 16.0).count();
@@ -339,11 +338,11 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use approx::assert_relative_eq;
-    use dermis_skin::ForwardModel;
+    use dermis_skin::{ForwardModel, Unknowns};
 
     use super::*;
     use crate::testing::{Dome, Row, Toy};
-    use crate::{Responses, Unknowns, force_ladder, over_surface};
+    use crate::{Responses, force_ladder, over_surface};
 
     fn study() -> (LineStudy, Row) {
         let model = Row::new();

@@ -1,11 +1,10 @@
 //! The bound over a whole skin, and of two contacts that come ever closer.
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ForwardModel, Indentation, Stimulus, Unknowns, tangents};
 use nalgebra::Point3;
 use serde::Serialize;
 
-use crate::bound::tangents;
-use crate::{ContactBound, TheoryError, Unknowns, cramer_rao};
+use crate::{ContactBound, TheoryError, cramer_rao};
 
 /// Bound of one contact at every point of a skin.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -132,7 +131,7 @@ pub fn two_contacts(
     positive("diameter of the tip [m]", diameter)?;
     let surface = model.surface();
     let (middle, normal) = surface.project(centre);
-    let (along, _) = tangents(&normal);
+    let [along, _] = tangents(&normal);
     distances
         .iter()
         .map(|&distance| {

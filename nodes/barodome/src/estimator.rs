@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use dermis_inference::{Baseline, Bundle, BundleError, Features, Model, Outputs, Runtime};
-use dermis_inversion::{Found, Inverter, InverterError, Reading, Unknowns};
+use dermis_inversion::{Found, Inverter, InverterError, Reading};
 use dermis_skin::{
     ChannelFlags, Condition, Contact, Estimate, EstimateError, Estimator, ForceComponents, ForceMap,
     ForceValues, Frame, Indentation, ModelError, SkinDescription, Surface, SurfaceSpec, TareState,
@@ -446,14 +446,8 @@ impl BarodomeEstimator {
         }
         let signal = &self.cleaned.signal;
         self.readings.clear();
-        self.readings.extend(signal.values.iter().zip(&signal.flags).map(|(value, flags)| {
-            match f64::from(*value) {
-                v if v.is_nan() || flags.is_invalid() => Reading::Missing,
-                v if flags.contains(ChannelFlags::SATURATED) && v > 0.0 => Reading::AtLeast(v),
-                v if flags.contains(ChannelFlags::SATURATED) => Reading::AtMost(v),
-                v => Reading::Exact(v),
-            }
-        }));
+        let channels = signal.values.iter().zip(&signal.flags);
+        self.readings.extend(channels.map(|(value, flags)| Reading::of(*value, *flags)));
     }
 
     /// What the learned models say, refined on the forward model where a bundle asks for it.
@@ -477,10 +471,7 @@ impl BarodomeEstimator {
         if solution.contacts.is_empty() {
             return Ok(vec![learned]);
         }
-        let components = match settings.unknowns {
-            Unknowns::Full => ForceComponents::Full,
-            _ => ForceComponents::Normal,
-        };
+        let components = settings.unknowns.force_components();
         let single = solution.contacts.len() == 1;
         Ok(solution
             .contacts

@@ -248,6 +248,9 @@ pub(super) struct StepFile {
     hold: Option<[f64; 2]>,
 }
 
+/// Keys of how it is pressed, the same for every kind of press that stands still.
+const MANNER: [&str; 4] = ["diameter", "shear", "shear_direction", "hold"];
+
 impl StepFile {
     const fn of(kind: Kind) -> Self {
         Self {
@@ -301,46 +304,15 @@ impl StepFile {
     /// The step that this says, or the key that is wrong and why.
     pub(super) fn step(self) -> Result<Step, (&'static str, String)> {
         let kind = self.kind;
-        let known: &[&str] = match kind {
-            Kind::Idle => &["duration"],
-            Kind::Presses => {
-                &["count", "force", "depth", "repeats", "diameter", "shear", "shear_direction", "hold"]
-            }
-            Kind::Grid => &[
-                "pitch",
-                "forces",
-                "depths",
-                "incremental",
-                "repeats",
-                "diameter",
-                "shear",
-                "shear_direction",
-                "hold",
-            ],
-            Kind::Places => &[
-                "at",
-                "forces",
-                "depths",
-                "incremental",
-                "repeats",
-                "diameter",
-                "shear",
-                "shear_direction",
-                "hold",
-            ],
-            Kind::Slides => &["count", "force", "length", "speed", "diameter"],
-            Kind::Multi => &[
-                "count",
-                "contacts",
-                "distance",
-                "force",
-                "depth",
-                "diameter",
-                "shear",
-                "shear_direction",
-                "hold",
-            ],
+        let (own, common): (&[&str], &[&str]) = match kind {
+            Kind::Idle => (&["duration"], &[]),
+            Kind::Presses => (&["count", "force", "depth", "repeats"], &MANNER),
+            Kind::Grid => (&["pitch", "forces", "depths", "incremental", "repeats"], &MANNER),
+            Kind::Places => (&["at", "forces", "depths", "incremental", "repeats"], &MANNER),
+            Kind::Slides => (&["count", "force", "length", "speed", "diameter"], &[]),
+            Kind::Multi => (&["count", "contacts", "distance", "force", "depth"], &MANNER),
         };
+        let known = [own, common].concat();
         if let Some(key) = self.keys().into_iter().find(|key| !known.contains(key)) {
             let reason =
                 format!("is no key of a step of kind `{}`, which has {}", kind.name(), known.join(", "));
