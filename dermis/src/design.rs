@@ -147,7 +147,8 @@ fn coarsen(skin: &mut SkinDescription) {
             *spacing = spacing.max(least);
         }
         SurfaceSpec::Dome { spacing, .. } => *spacing = spacing.max(least),
-        SurfaceSpec::Rectangle { .. } => {}
+        // The mesh of a shell is its model, too.
+        SurfaceSpec::Rectangle { .. } | SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } => {}
     }
 }
 

@@ -7,6 +7,8 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::mesh::TriangleMesh;
+use crate::panel::Panel;
 use crate::{Effect, SkinError, Surface};
 
 const SCHEMA: &str = "dermis-skin/1";
@@ -44,6 +46,68 @@ pub enum SurfaceSpec {
         /// \[m\] between the points of its triangulation.
         spacing: f64,
     },
+    /// A shell of beams and holes: part of a cylinder about x, the middle of its outside at z = `radius`, with a grid of
+    /// rectangular openings.
+    Panel {
+        /// \[m\] of the outside.
+        radius: f64,
+        /// \[m\] along x and along the arc.
+        size: [f64; 2],
+        /// \[m\] between the points of its triangulation, which lie on every edge of an opening.
+        spacing: f64,
+        /// \[m\] of solid material at each end along x.
+        #[serde(default)]
+        margin: f64,
+        /// \[m\] of solid material along each straight side.
+        #[serde(default)]
+        rail: f64,
+        /// Openings along x and along the arc.
+        #[serde(default)]
+        cells: [u32; 2],
+        /// \[m\] of material between openings that are neighbours along x, and along the arc.
+        #[serde(default)]
+        beam: [f64; 2],
+    },
+    /// A triangulated surface from a file; its triangles are counter-clockwise seen from outside.
+    Mesh {
+        /// STL (text or binary) or OBJ; relative to the folder of the skin file.
+        file: std::path::PathBuf,
+        /// \[m\] of a unit of the file; 0.001 where it is drawn in millimetres.
+        #[serde(default = "one")]
+        scale: f64,
+        /// Rims that are meant: the outer one, and one for every opening.
+        #[serde(default = "one_rim")]
+        rims: usize,
+        /// What is in the file; read with the description.
+        #[serde(skip)]
+        mesh: TriangleMesh,
+    },
+}
+
+impl SurfaceSpec {
+    /// The panel, where it is one and its openings leave any material.
+    pub(crate) fn panel(&self) -> Option<Panel> {
+        let SurfaceSpec::Panel { radius, size, margin, rail, cells, beam, .. } = *self else { return None };
+        Panel::new(radius, size, [margin, rail], cells, beam)
+    }
+
+    /// What of it is the shape, and not where a file lies.
+    fn identity(&self) -> serde_json::Value {
+        match self {
+            SurfaceSpec::Mesh { mesh, .. } => {
+                serde_json::json!({ "type": "mesh", "sha256": mesh.digest() })
+            }
+            shape => serde_json::json!(shape),
+        }
+    }
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn one_rim() -> usize {
+    1
 }
 
 /// One sensing element.
@@ -57,6 +121,10 @@ pub struct Taxel {
     /// Out of the surface; normalised on loading.
     #[serde(default = "up")]
     pub normal: [f64; 3],
+    /// Direction along the surface in which an element measures that has one, as a strain gauge; made perpendicular to `normal`
+    /// and normalised on loading.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axis: Option<[f64; 3]>,
 }
 
 impl Taxel {
@@ -305,6 +373,10 @@ impl SkinDescription {
             );
         }
         let lengths: Vec<(&str, f64)> = match self.surface {
+            SurfaceSpec::Panel { radius, size, spacing, .. } => {
+                vec![("radius", radius), ("size[0]", size[0]), ("size[1]", size[1]), ("spacing", spacing)]
+            }
+            SurfaceSpec::Mesh { scale, .. } => vec![("scale", scale)],
             SurfaceSpec::Rectangle { size, spacing } => {
                 vec![("size[0]", size[0]), ("size[1]", size[1]), ("spacing", spacing)]
             }
@@ -320,7 +392,44 @@ impl SkinDescription {
                 );
             }
         }
+        if let SurfaceSpec::Panel { radius, size, margin, rail, beam, .. } = self.surface {
+            let borders = [("margin", margin), ("rail", rail), ("beam[0]", beam[0]), ("beam[1]", beam[1])];
+            if let Some((field, value)) = borders.iter().find(|(_, v)| !(v.is_finite() && *v >= 0.0)) {
+                return wrong(
+                    format!("surface.{field}"),
+                    format!("is {value} m and must be 0 or a positive length"),
+                );
+            }
+            if size[1] >= std::f64::consts::TAU * radius {
+                return wrong(
+                    "surface.size[1]".into(),
+                    format!(
+                        "{} m along the arc goes all the way around a cylinder of radius {radius} m",
+                        size[1]
+                    ),
+                );
+            }
+            if self.surface.panel().is_none() {
+                return wrong(
+                    "surface.cells".into(),
+                    "leaves no width for the openings between `margin`, `rail` and `beam`: take fewer".into(),
+                );
+            }
+        }
+        if let SurfaceSpec::Mesh { file: path, scale, rims, mesh } = &mut self.surface {
+            // Beside the skin file, whatever folder the program runs in.
+            if let Some(folder) = Path::new(file).parent() {
+                *path = folder.join(&*path);
+            }
+            match TriangleMesh::load(path, *scale, *rims) {
+                Ok(read) => *mesh = read,
+                Err(reason) => return wrong("surface.file".into(), reason),
+            }
+        }
         let (extent, spacing) = match self.surface {
+            SurfaceSpec::Panel { size, spacing, .. } => (size[0] * size[1], spacing),
+            // Its points were counted as it was read.
+            SurfaceSpec::Mesh { .. } => (0.0, 1.0),
             SurfaceSpec::Rectangle { size, spacing } => (size[0] * size[1], spacing),
             SurfaceSpec::Dome { radius, cylinder, spacing } => {
                 (std::f64::consts::TAU * radius * (radius + cylinder), spacing)
@@ -350,6 +459,17 @@ impl SkinDescription {
                 return wrong(format!("taxels[{i}].normal"), "has no length".into());
             };
             taxel.normal = unit.into();
+            if let Some(axis) = &mut taxel.axis {
+                let along = Vector3::from(*axis);
+                let along = along - unit * unit.dot(&along);
+                let Some(along) = along.try_normalize(1e-6) else {
+                    return wrong(
+                        format!("taxels[{i}].axis"),
+                        "must be a direction along the surface, not along `normal`".into(),
+                    );
+                };
+                *axis = along.into();
+            }
         }
         if self.channels.is_empty() {
             self.channels = self
@@ -431,7 +551,7 @@ impl SkinDescription {
             "name": self.name,
             "sensor": self.sensor,
             "unit": self.unit,
-            "surface": self.surface,
+            "surface": self.surface.identity(),
             "taxels": self.taxels,
             "channels": self.channels,
             "medium": self.medium,
@@ -547,7 +667,7 @@ taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", positio
             skin.wire.protocol = if ascii { WireProtocol::Ascii } else { WireProtocol::Native };
             (skin.wire.scale, skin.wire.offset) = (scale, offset);
             let taxels = positions.iter().enumerate();
-            skin.taxels = taxels.map(|(i, p)| Taxel { name: format!("t{i}"), position: *p, normal: up() }).collect();
+            skin.taxels = taxels.map(|(i, p)| Taxel { name: format!("t{i}"), position: *p, normal: up(), axis: None }).collect();
             skin.channels.clear();
             skin.finish("written").unwrap();
             let text = toml::to_string(&skin).unwrap();

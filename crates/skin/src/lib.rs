@@ -45,6 +45,8 @@ mod description;
 mod effect;
 mod error;
 mod frame;
+mod mesh;
+mod panel;
 mod surface;
 mod traits;
 mod unknowns;
@@ -58,6 +60,7 @@ pub use description::{
 pub use effect::{Effect, EffectInfo, Memoryless, ParameterInfo, Trajectory};
 pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};
+pub use mesh::TriangleMesh;
 pub use surface::Surface;
 pub use traits::{EstimateError, Estimator, ForwardModel, Indentation, ModelError, Stimulus};
 pub use unknowns::{Unknown, Unknowns, tangents};

@@ -76,6 +76,17 @@ pub trait ForwardModel: Send + Sync {
     /// Standard deviation of each channel's noise, in the unit of the skin description.
     fn noise(&self) -> &[f64];
 
+    /// How far every point of [`surface`](Self::surface) gives way \[m\], inwards along its normal, written to `out`
+    /// (one a point). `false`, and `out` as it was, where the model knows no displacements.
+    ///
+    /// # Errors
+    ///
+    /// As [`response`](Self::response).
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        let _ = (stimulus, out);
+        Ok(false)
+    }
+
     /// What the effects of the skin remember from frame to frame, at its beginning: a device that has never been touched.
     /// [`response`](Self::response) holds the effects that remember nothing; this holds the others.
     fn trajectory(&self) -> Box<dyn Trajectory> {

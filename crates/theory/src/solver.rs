@@ -368,7 +368,11 @@ impl SolverOptions {
         let step = positive("step of the table [m]", self.step)?;
         let mut fine = spec.clone();
         match &mut fine {
-            SurfaceSpec::Rectangle { spacing, .. } | SurfaceSpec::Dome { spacing, .. } => *spacing = step,
+            SurfaceSpec::Rectangle { spacing, .. }
+            | SurfaceSpec::Dome { spacing, .. }
+            | SurfaceSpec::Panel { spacing, .. } => *spacing = step,
+            // As fine as it was drawn.
+            SurfaceSpec::Mesh { .. } => {}
         }
         Ok(Surface::from_spec(&fine))
     }

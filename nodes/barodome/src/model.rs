@@ -99,6 +99,13 @@ impl BarometerModel {
             SurfaceSpec::Dome { radius, cylinder, .. } => {
                 Box::new(dome::Dome::new(skin, parameters, radius, cylinder)?)
             }
+            SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } => {
+                return Err(refusal(
+                    skin,
+                    "surface.type",
+                    "is none that this sensor's model knows: rectangle or dome".into(),
+                ));
+            }
         };
         let packages = (parameters.stiffening != 0.0).then(|| {
             let mut places: Vec<(Point3<f64>, Vector3<f64>)> = Vec::new();
