@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_barodome::{BarodomeNode, Config};
 use dermis_bridge_zenoh::{Bridge, BridgeConfig};
 use dermis_msgs::geometry_msgs::msg::Point;
 use dermis_msgs::msg::ContactArray;
 use dermis_node::{Node, NodeOptions, Qos};
+use dermis_perception::{Config, SkinNode};
 use dermis_skin::SkinDescription;
 use dermis_testbed::{Outlet, Plan, VirtualDevice};
 use serde_json::json;
@@ -100,7 +100,7 @@ async fn play(
 
     let mut config = Config::new(skin_path, device.url());
     config.models = vec![bundle.to_path_buf()];
-    let node = BarodomeNode::start(&config, backend.as_ref())?;
+    let node = SkinNode::start(&dermis_barodome::FAMILY, &config, backend.as_ref())?;
 
     let watcher = Node::open(NodeOptions::new("dermis_demo"), backend.as_ref())?;
     let seen = Arc::new(Mutex::new(Seen::default()));

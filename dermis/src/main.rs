@@ -53,7 +53,7 @@ enum Command {
     /// A simulated skin behind a pseudo-terminal, the node that reads it, and a table of what it feels.
     Demo(demo::Options),
     /// Run the node of a skin of taxels in an elastic medium: raw bytes in, contacts out.
-    Barodome(Box<nodes::Barodome>),
+    Barodome(Box<nodes::Skin>),
     /// Start what a launch file names, keep it running, and gather what it says.
     Launch(launch::Options),
     #[command(name = launch::GUARD, hide = true)]
@@ -116,7 +116,7 @@ fn main() -> ExitCode {
     log::start(format, level);
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
-        Command::Barodome(options) => block_on(nodes::barodome(*options)),
+        Command::Barodome(options) => block_on(nodes::run(&dermis_barodome::FAMILY, *options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),
         Command::Launch(options) => block_on(launch::run(&options, format)),

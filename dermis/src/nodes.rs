@@ -2,34 +2,34 @@
 
 use anyhow::Result;
 use clap::Args;
-use dermis_barodome::{Config, ConfigError, RunError};
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_node::NodeError;
+use dermis_perception::{Config, ConfigError, RunError, Sensor};
 use serde_json::Value;
 
 use crate::backend::Choice;
 
-/// The node of a skin of taxels in an elastic medium.
+/// The node of one skin.
 #[derive(Args)]
-pub struct Barodome {
+pub struct Skin {
     #[command(flatten)]
-    arguments: dermis_barodome::cli::Arguments,
+    arguments: dermis_perception::cli::Arguments,
     /// ROS 2 implementation.
     #[arg(long, value_enum, default_value_t)]
     backend: Choice,
 }
 
 /// Runs until Ctrl-C, or until it is shut down through its lifecycle.
-pub async fn barodome(options: Barodome) -> Result<()> {
+pub async fn run(sensor: &Sensor, options: Skin) -> Result<()> {
     let config = options.arguments.into_config()?;
-    Ok(dermis_barodome::run(config, options.backend.open()?.as_ref()).await?)
+    Ok(sensor.run(&config, options.backend.open()?.as_ref()).await?)
 }
 
 /// What the process itself says in a launch file, and its table `config` must not say again.
 const OUTSIDE: [&str; 5] = ["name", "namespace", "domain_id", "remap", "parameters"];
 
 /// The configuration that a launch file gives this node.
-pub fn barodome_config(request: &NodeRequest<'_>) -> Result<Value, Refusal> {
+pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Refusal> {
     let refuse = |field: String, reason: String| Refusal { field, reason };
     let loaded = match request.config {
         Value::String(path) => Config::load(request.folder.join(path)),
@@ -65,7 +65,7 @@ pub fn barodome_config(request: &NodeRequest<'_>) -> Result<Value, Refusal> {
     config.domain_id = request.domain_id.or(config.domain_id);
     config.remap.extend_from_slice(request.remap);
     config.parameters.extend(request.parameters.iter().map(|(name, value)| (name.clone(), value.clone())));
-    dermis_barodome::check(&config).map_err(|error| {
+    sensor.check(&config).map_err(|error| {
         let field = match &error {
             RunError::Skin(_) | RunError::Sensor { .. } => "config.skin".to_owned(),
             RunError::Source(_) => "config.source".to_owned(),

@@ -36,7 +36,7 @@ pub const FAMILIES: &[Family] = &[Family {
     effects: dermis_barodome::effects::EFFECTS,
     estimator: |skin, bundles| {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
-        Ok(dermis_barodome::estimator(skin, bundles, &[], runtime)?)
+        Ok(dermis_barodome::FAMILY.estimator(skin, bundles, &[], runtime)?)
     },
     verify: || {
         let mut cases = dermis_barodome::verify::cases()?;
@@ -45,7 +45,7 @@ pub const FAMILIES: &[Family] = &[Family {
         }
         Ok(cases)
     },
-    node: crate::nodes::barodome_config,
+    node: |request| crate::nodes::config(&dermis_barodome::FAMILY, request),
 }];
 
 /// The forward model of a skin that was read from `path`; refusals name that file.

@@ -10,8 +10,8 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use dermis_bag::{BagError, BagReader};
-use dermis_barodome::{Config, FrameReader};
 use dermis_inference::Manifest;
+use dermis_perception::{Config, FrameReader};
 use dermis_skin::{Frame, SkinDescription};
 use dermis_testbed::Plan;
 use dermis_transport::framing::{

@@ -3,8 +3,8 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use dermis_barodome::cli::Arguments;
 use dermis_node::HirozBackend;
+use dermis_perception::cli::Arguments;
 
 /// Reads a skin of taxels in an elastic medium and publishes its contacts.
 #[derive(Parser)]
@@ -16,7 +16,7 @@ struct Program {
 
 async fn run(arguments: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let config = arguments.into_config()?;
-    Ok(dermis_barodome::run(config, &HirozBackend::default()).await?)
+    Ok(dermis_barodome::FAMILY.run(&config, &HirozBackend::default()).await?)
 }
 
 #[tokio::main]

@@ -11,6 +11,7 @@ use dermis_skin::{
 };
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use crate::Sensor;
 use crate::condition::{ConditionError, Conditioned, Conditioner, TareRefusal, listed};
 use crate::contacts::{TaxelShares, Tracker};
 
@@ -118,12 +119,17 @@ struct Pipeline {
 }
 
 impl Pipeline {
-    fn new(skin: &SkinDescription, bundle: &Bundle, runtime: &Runtime) -> Result<Self, SetupError> {
+    fn new(
+        sensor: &Sensor,
+        skin: &SkinDescription,
+        bundle: &Bundle,
+        runtime: &Runtime,
+    ) -> Result<Self, SetupError> {
         let path = || bundle.path().to_owned();
         let inverter = match &bundle.manifest().inversion {
             None => None,
             Some(settings) => {
-                let model = crate::model(skin)
+                let model = (sensor.model)(skin)
                     .map_err(|source| SetupError::NoForwardModel { path: path(), source })?;
                 let inverter = Inverter::new(model, settings.clone())
                     .map_err(|source| SetupError::Inversion { path: path(), source })?;
@@ -172,11 +178,16 @@ impl Models {
     ///
     /// [`SetupError`] where a graph is refused, two bundles give the same output, or a force map does not fit the
     /// surface.
-    pub fn load(skin: &SkinDescription, bundles: &[Bundle], runtime: &Runtime) -> Result<Self, SetupError> {
+    pub fn load(
+        sensor: &Sensor,
+        skin: &SkinDescription,
+        bundles: &[Bundle],
+        runtime: &Runtime,
+    ) -> Result<Self, SetupError> {
         let mut models = Self(Vec::new());
         let surface = skin.surface();
         for bundle in bundles {
-            let pipeline = Pipeline::new(skin, bundle, runtime)?;
+            let pipeline = Pipeline::new(sensor, skin, bundle, runtime)?;
             for other in &models.0 {
                 if let Some(output) = pipeline.names().find(|n| other.names().any(|o| o == *n)) {
                     return Err(SetupError::SameOutput {
@@ -213,13 +224,13 @@ impl Models {
     }
 }
 
-/// Estimator for taxels in an elastic medium.
+/// Frame → contacts of a skin whose channels are read together.
 ///
 /// Presence, position and force come from learned models, one contact at a time; a bundle whose manifest has `inversion`
 /// has its answer refined on the skin's forward model, which also tells several contacts apart. A frame goes through
 /// [`Conditioner`], the models' features, the models, [`Inverter`] and [`Tracker`]; nothing but the frames and the loaded
 /// bundles goes in, so that a recording gives the same contacts offline as it gave in the node.
-pub struct BarodomeEstimator {
+pub struct SkinEstimator {
     skin: SkinDescription,
     surface: Surface,
     conditioner: Conditioner,
@@ -238,7 +249,7 @@ pub struct BarodomeEstimator {
     no_model: String,
 }
 
-impl BarodomeEstimator {
+impl SkinEstimator {
     /// An estimator without a model: it conditions frames and finds nothing until
     /// [`set_models`](Self::set_models). `masked` names channels that are to be left out.
     ///
@@ -645,7 +656,7 @@ impl BarodomeEstimator {
     }
 }
 
-impl Estimator for BarodomeEstimator {
+impl Estimator for SkinEstimator {
     fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
         let expected = self.skin.channels().len();
         if frame.values.len() != expected {
@@ -740,13 +751,13 @@ mod tests {
         Frame::new(k as i64 * 10_000_000, k, values.collect())
     }
 
-    fn press(estimator: &mut BarodomeEstimator, k: u64, load: [f32; 4]) -> Estimate {
+    fn press(estimator: &mut SkinEstimator, k: u64, load: [f32; 4]) -> Estimate {
         estimator.estimate(&frame(k, load)).unwrap()
     }
 
     #[test]
     fn without_a_model_it_is_uncalibrated_and_says_so() {
-        let mut estimator = BarodomeEstimator::new(&skin_with(""), &[]).unwrap();
+        let mut estimator = SkinEstimator::new(&skin_with(""), &[]).unwrap();
         for k in 0..100 {
             assert!(press(&mut estimator, k, [0.0; 4]).contacts.is_empty());
         }

@@ -7,9 +7,22 @@ use dermis_inference::{
     Baseline, Bundle, BundleWriter, FeatureConfig, Link, Manifest, OutputConfig, OutputSpec, Runtime,
     RuntimeConfig, Taps, TrainingSection,
 };
-use dermis_skin::{Estimator, Frame, SkinDescription};
+use dermis_skin::{Estimator, Frame, ModelError, SkinDescription};
 
-use crate::estimator::{BarodomeEstimator, Models, SetupError};
+use crate::Sensor;
+use crate::estimator::{Models, SetupError, SkinEstimator};
+
+/// A family without a forward model.
+pub(crate) const PAD: Sensor = Sensor {
+    name: "pad",
+    model: |skin| {
+        Err(ModelError::Description {
+            skin: skin.name.clone(),
+            field: "sensor".into(),
+            reason: "has no forward model".into(),
+        })
+    },
+};
 
 /// A 2×2 pad of barometers: 20 Pa of noise, 50 to 110 kPa, 100 Hz. Lines of `extra` replace or add top-level keys.
 pub(crate) fn skin_with(extra: &str) -> SkinDescription {
@@ -21,7 +34,7 @@ pub(crate) fn skin_text(extra: &str) -> String {
     let mut keys: Vec<String> = [
         "schema = \"dermis-skin/1\"",
         "name = \"pad\"",
-        "sensor = \"barodome\"",
+        "sensor = \"pad\"",
         "frame_id = \"pad_link\"",
         "unit = \"Pa\"",
         "rate = 100.0",
@@ -160,16 +173,16 @@ impl TestBundle {
 }
 
 /// An estimator with these bundles.
-pub(crate) fn load(skin: &SkinDescription, folders: &[&Path]) -> Result<BarodomeEstimator, SetupError> {
+pub(crate) fn load(skin: &SkinDescription, folders: &[&Path]) -> Result<SkinEstimator, SetupError> {
     let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
     let bundles: Vec<Bundle> = folders.iter().map(|f| Bundle::load(f, skin).unwrap()).collect();
-    let mut estimator = BarodomeEstimator::new(skin, &[])?;
-    estimator.set_models(Models::load(skin, &bundles, runtime)?);
+    let mut estimator = SkinEstimator::new(skin, &[])?;
+    estimator.set_models(Models::load(&PAD, skin, &bundles, runtime)?);
     Ok(estimator)
 }
 
 /// An estimator for [`skin_with`]`("")` that has seen 0.8 s of quiet frames at 101 325 Pa.
-pub(crate) fn tared_estimator(bundle: &TestBundle) -> (BarodomeEstimator, tempfile::TempDir) {
+pub(crate) fn tared_estimator(bundle: &TestBundle) -> (SkinEstimator, tempfile::TempDir) {
     let skin = skin_with("");
     let folder = tempfile::tempdir().unwrap();
     bundle.write(&skin, folder.path());

@@ -9,7 +9,7 @@ use dermis_msgs::visualization_msgs::msg::{Marker, MarkerArray};
 use dermis_skin::{Contact, Estimate, ForceComponents, Frame, SkinDescription, Stamp, contact_array};
 use nalgebra::{Point3, Vector3};
 
-use crate::estimator::{BarodomeEstimator, Quality};
+use crate::estimator::{Quality, SkinEstimator};
 
 /// \[m\] of an arrow per newton.
 const ARROW_PER_NEWTON: f64 = 0.01;
@@ -23,7 +23,7 @@ const POINT_FIELDS: [&str; 11] =
 #[must_use]
 pub fn contacts_message(
     skin: &SkinDescription,
-    estimator: &BarodomeEstimator,
+    estimator: &SkinEstimator,
     frame: &Frame,
     estimate: &Estimate,
 ) -> ContactArray {
@@ -46,7 +46,7 @@ pub fn contacts_message(
 #[must_use]
 pub fn blind_message(
     skin: &SkinDescription,
-    estimator: &BarodomeEstimator,
+    estimator: &SkinEstimator,
     stamp: Stamp,
     sequence: u64,
     status: u8,

@@ -14,7 +14,7 @@ use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
 
 use super::*;
-use crate::testing::{Noise, Out, TestBundle, skin_text};
+use crate::testing::{Noise, Out, PAD, TestBundle, skin_text};
 
 const WAIT: Duration = Duration::from_secs(60);
 
@@ -106,14 +106,14 @@ impl Bench {
         HirozBackend::new(HirozConfig { local_router: false, scouting_port, ..HirozConfig::default() })
     }
 
-    fn start(&self, config: &Config) -> BarodomeNode {
-        BarodomeNode::start(config, &Self::backend()).unwrap()
+    fn start(&self, config: &Config) -> SkinNode {
+        SkinNode::start(&PAD, config, &Self::backend()).unwrap()
     }
 
     fn refusal(&self, change: impl FnOnce(&mut Config)) -> String {
         let mut config = self.config();
         change(&mut config);
-        let text = BarodomeNode::start(&config, &Self::backend()).err().unwrap().to_string();
+        let text = SkinNode::start(&PAD, &config, &Self::backend()).err().unwrap().to_string();
         text.replace(&self.folder.path().display().to_string(), "DIR")
     }
 
@@ -324,10 +324,10 @@ fn a_lifecycle_manager_decides_where_asked() {
 #[test]
 fn what_cannot_be_is_refused_in_one_sentence() {
     let bench = Bench::new();
-    std::fs::write(bench.path("other.toml"), skin_text("sensor = \"insight\"")).unwrap();
+    std::fs::write(bench.path("other.toml"), skin_text("sensor = \"camera\"")).unwrap();
     std::fs::write(bench.path("typo.toml"), skin_text("nosie = 3")).unwrap();
     insta::assert_snapshot!(bench.refusal(|c| c.skin = bench.path("none.toml")), @"skin file DIR/none.toml: cannot be read: No such file or directory (os error 2); check the path and its permissions");
-    insta::assert_snapshot!(bench.refusal(|c| c.skin = bench.path("other.toml")), @r#"skin file DIR/other.toml: field `sensor`: is "insight", which this node does not read; it reads "barodome""#);
+    insta::assert_snapshot!(bench.refusal(|c| c.skin = bench.path("other.toml")), @r#"skin file DIR/other.toml: field `sensor`: is "camera", which this node does not read; it reads "pad""#);
     assert!(bench.refusal(|c| c.skin = bench.path("typo.toml")).contains("unknown key `nosie`"));
     assert!(bench.refusal(|c| c.source = "seriol:///dev/ttyACM0".into()).contains("unknown scheme `seriol`"));
     insta::assert_snapshot!(bench.refusal(|c| c.masked = vec!["t7".into()]), @"masked channel `t7` is none of skin `pad`; its channels are t0, t1, t2, t3");

@@ -21,9 +21,9 @@ use dermis_node::{
 use dermis_skin::{ChannelFlags, Estimate, Estimator, Frame, SkinDescription, SkinError, Surface, TareState};
 use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, TransportError, now_ns};
 
-use crate::SENSOR;
+use crate::Sensor;
 use crate::config::Config;
-use crate::estimator::{BarodomeEstimator, Models, Quality, SetupError};
+use crate::estimator::{Models, Quality, SetupError, SkinEstimator};
 use crate::frame::FrameReader;
 use crate::messages::{
     blind_message, contacts_message, markers_message, no_markers_message, points_message, wrench_message,
@@ -49,13 +49,15 @@ pub enum RunError {
     Skin(#[from] SkinError),
     /// The skin belongs to another node.
     #[error(
-        "skin file {path}: field `sensor`: is \"{found}\", which this node does not read; it reads \"{SENSOR}\""
+        "skin file {path}: field `sensor`: is \"{found}\", which this node does not read; it reads \"{expected}\""
     )]
     Sensor {
         /// Skin description file.
         path: PathBuf,
         /// Sensor family that it names.
         found: String,
+        /// Sensor family of this node.
+        expected: &'static str,
     },
     /// The source URL cannot be used.
     #[error(transparent)]
@@ -97,18 +99,6 @@ pub enum RunError {
     },
 }
 
-/// Runs a node until it is stopped by a signal or through its lifecycle.
-///
-/// # Errors
-///
-/// [`RunError`] says in one sentence why it does not start.
-pub async fn run(config: Config, backend: &dyn Backend) -> Result<(), RunError> {
-    let running = BarodomeNode::start(&config, backend)?;
-    running.node().wait_for_shutdown().await?;
-    running.stop();
-    Ok(())
-}
-
 /// A running node; dropping it stops it.
 ///
 /// Topics, relative to its namespace: `contacts`, `taxels`, `wrench`, `contact_points`, `contact_markers`,
@@ -116,27 +106,27 @@ pub async fn run(config: Config, backend: &dyn Backend) -> Result<(), RunError> 
 /// `~/load_model`. `taxels` carries readings in the unit of the skin *before* tare, so that a recording of it is all
 /// that training needs. `wrench`, `contact_points` and `contact_markers` fall silent while the skin is blind;
 /// `contacts` goes on and says why.
-pub struct BarodomeNode {
+pub struct SkinNode {
     node: Node,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
     _services: Vec<ServiceServer>,
 }
 
-impl BarodomeNode {
+impl SkinNode {
     /// Starts a node.
     ///
     /// # Errors
     ///
     /// [`RunError`] says in one sentence what is wrong: file, field or channel, and what to do.
-    pub fn start(config: &Config, backend: &dyn Backend) -> Result<Self, RunError> {
-        let (skin, url) = skin_and_source(config)?;
-        let mut estimator = BarodomeEstimator::new(&skin, &config.masked)?;
+    pub fn start(sensor: &Sensor, config: &Config, backend: &dyn Backend) -> Result<Self, RunError> {
+        let (skin, url) = skin_and_source(sensor, config)?;
+        let mut estimator = SkinEstimator::new(&skin, &config.masked)?;
         estimator.set_least_force(config.force_threshold);
         let surface = skin.surface();
         let runtime = Runtime::load(&config.runtime)?;
         if !config.models.is_empty() {
-            match load_models(&skin, &config.models, runtime) {
+            match load_models(sensor, &skin, &config.models, runtime) {
                 Ok(models) => estimator.set_models(models),
                 Err(error) if config.strict => return Err(error.into()),
                 Err(error) => {
@@ -151,6 +141,7 @@ impl BarodomeNode {
         let publishers = Publishers::new(&node, estimator.gives_force_map())?;
         let slow = slow_lane().map_err(|source| RunError::Thread { skin: skin.name.clone(), source })?;
         let shared = Arc::new(Shared {
+            sensor: *sensor,
             device_time: config.device_time,
             skin,
             surface,
@@ -182,7 +173,7 @@ impl BarodomeNode {
         });
         let worker = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
-            .name("dermis-barodome".into())
+            .name(format!("dermis-{}", sensor.name))
             .spawn(move || worker.work())
             .map_err(|source| RunError::Thread { skin: shared.skin.name.clone(), source })?;
         let running = Self { node, shared, thread: Some(thread), _services: services };
@@ -253,15 +244,20 @@ impl BarodomeNode {
     }
 }
 
-impl Drop for BarodomeNode {
+impl Drop for SkinNode {
     fn drop(&mut self) {
         self.end();
     }
 }
 
-fn load_models(skin: &SkinDescription, folders: &[PathBuf], runtime: &Runtime) -> Result<Models, SetupError> {
+fn load_models(
+    sensor: &Sensor,
+    skin: &SkinDescription,
+    folders: &[PathBuf],
+    runtime: &Runtime,
+) -> Result<Models, SetupError> {
     let bundles = folders.iter().map(|f| Bundle::load(f, skin)).collect::<Result<Vec<_>, _>>()?;
-    Models::load(skin, &bundles, runtime)
+    Models::load(sensor, skin, &bundles, runtime)
 }
 
 fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunError> {
@@ -282,15 +278,10 @@ fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunEr
     Ok(options)
 }
 
-/// Whether a node would start with this configuration, as far as can be told without starting it: skin, source,
-/// masked channels and parameters. Models are looked for, not loaded; the device is not opened.
-///
-/// # Errors
-///
-/// [`RunError`], as the node itself would say.
-pub fn check(config: &Config) -> Result<(), RunError> {
-    let (skin, _) = skin_and_source(config)?;
-    let mut estimator = BarodomeEstimator::new(&skin, &config.masked)?;
+/// See [`Sensor::check`].
+pub(crate) fn check(sensor: &Sensor, config: &Config) -> Result<(), RunError> {
+    let (skin, _) = skin_and_source(sensor, config)?;
+    let mut estimator = SkinEstimator::new(&skin, &config.masked)?;
     for folder in &config.models {
         Bundle::load(folder, &skin).map_err(SetupError::from)?;
     }
@@ -300,10 +291,14 @@ pub fn check(config: &Config) -> Result<(), RunError> {
     declare(&parameters, config, &skin, &mut estimator)
 }
 
-fn skin_and_source(config: &Config) -> Result<(SkinDescription, SourceUrl), RunError> {
+fn skin_and_source(sensor: &Sensor, config: &Config) -> Result<(SkinDescription, SourceUrl), RunError> {
     let skin = SkinDescription::load(&config.skin)?;
-    if skin.sensor != SENSOR {
-        return Err(RunError::Sensor { path: config.skin.clone(), found: skin.sensor });
+    if skin.sensor != sensor.name {
+        return Err(RunError::Sensor {
+            path: config.skin.clone(),
+            found: skin.sensor,
+            expected: sensor.name,
+        });
     }
     Ok((skin, SourceUrl::parse(&config.source)?))
 }
@@ -313,7 +308,7 @@ fn declare(
     parameters: &Parameters,
     config: &Config,
     skin: &SkinDescription,
-    estimator: &mut BarodomeEstimator,
+    estimator: &mut SkinEstimator,
 ) -> Result<(), RunError> {
     let fixed = |text: &str| ParameterDescriptor::new(text).read_only();
     parameters.declare("skin", skin.name.as_str(), fixed("name of the skin"))?;
@@ -380,7 +375,7 @@ fn declare(
 }
 
 /// Takes one parameter over into the estimator.
-fn apply(estimator: &mut BarodomeEstimator, name: &str, value: &ParameterValue) {
+fn apply(estimator: &mut SkinEstimator, name: &str, value: &ParameterValue) {
     let Some(value) = value.as_f64() else { return };
     let mut condition = estimator.condition().clone();
     match name {
@@ -456,6 +451,7 @@ fn slow_lane() -> std::io::Result<SyncSender<Job>> {
 
 /// What the working thread, services, parameters and diagnostics share.
 struct Shared {
+    sensor: Sensor,
     /// Whether stamps follow the device's clock as it is.
     device_time: bool,
     skin: SkinDescription,
@@ -474,7 +470,7 @@ struct Shared {
 struct Core {
     /// While active.
     reader: Option<FrameReader>,
-    estimator: BarodomeEstimator,
+    estimator: SkinEstimator,
     publishers: Publishers,
     enabled: bool,
     /// Of the latest frame.
@@ -797,7 +793,8 @@ impl Shared {
 
     /// Takes a bundle in place of those that give the same outputs.
     fn load_model(&self, folder: PathBuf) -> Result<String, String> {
-        let models = load_models(&self.skin, &[folder], self.runtime).map_err(|e| e.to_string())?;
+        let models =
+            load_models(&self.sensor, &self.skin, &[folder], self.runtime).map_err(|e| e.to_string())?;
         let mut core = self.lock();
         if models.gives_force_map() && core.publishers.force_map.is_none() {
             let publisher =

@@ -1,0 +1,11 @@
+//! The reader of frames and the configuration of the node, as `dermis-perception` has them.
+
+#![allow(dead_code, reason = "the rest of the crate uses more of these files")]
+
+#[path = "../../../../crates/perception/src/config.rs"]
+mod config;
+#[path = "../../../../crates/perception/src/frame.rs"]
+mod frame;
+
+pub use crate::config::Config;
+pub use frame::FrameReader;
