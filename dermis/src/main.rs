@@ -54,6 +54,8 @@ enum Command {
     Demo(demo::Options),
     /// Run the node of a skin of taxels in an elastic medium: raw bytes in, contacts out.
     Barodome(Box<nodes::Skin>),
+    /// Run the node of a shell with strain gauges: raw bytes in, contacts out.
+    Hapdef(Box<nodes::Skin>),
     /// Start what a launch file names, keep it running, and gather what it says.
     Launch(launch::Options),
     #[command(name = launch::GUARD, hide = true)]
@@ -103,7 +105,7 @@ enum Command {
 fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = match cli.command {
-        Command::Barodome(_) | Command::Bridge(_) | Command::Device(_) => "info",
+        Command::Barodome(_) | Command::Hapdef(_) | Command::Bridge(_) | Command::Device(_) => "info",
         _ => "warn",
     };
     let format = match log::Format::choose(cli.log_format) {
@@ -117,6 +119,7 @@ fn main() -> ExitCode {
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
         Command::Barodome(options) => block_on(nodes::run(&dermis_barodome::FAMILY, *options)),
+        Command::Hapdef(options) => block_on(nodes::run(&dermis_hapdef::FAMILY, *options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),
         Command::Launch(options) => block_on(launch::run(&options, format)),

@@ -7,6 +7,7 @@ use anyhow::{Result, anyhow, bail};
 use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_mechanics::Case;
+use dermis_perception::Sensor;
 use dermis_skin::{EffectInfo, Estimator, ForwardModel, ModelError, SkinDescription};
 use serde_json::Value;
 
@@ -30,23 +31,35 @@ type MakeConfig = fn(&NodeRequest<'_>) -> Result<Value, Refusal>;
 type MakeEstimator = fn(&SkinDescription, &[PathBuf]) -> Result<Box<dyn Estimator>>;
 
 /// All families.
-pub const FAMILIES: &[Family] = &[Family {
-    name: dermis_barodome::SENSOR,
-    model: |skin| Ok(dermis_barodome::model(skin)?),
-    effects: dermis_barodome::effects::EFFECTS,
-    estimator: |skin, bundles| {
-        let runtime = Runtime::load(&RuntimeConfig::default())?;
-        Ok(dermis_barodome::FAMILY.estimator(skin, bundles, &[], runtime)?)
+pub const FAMILIES: &[Family] = &[
+    Family {
+        name: dermis_barodome::SENSOR,
+        model: |skin| Ok(dermis_barodome::model(skin)?),
+        effects: dermis_barodome::effects::EFFECTS,
+        estimator: |skin, bundles| estimator(&dermis_barodome::FAMILY, skin, bundles),
+        verify: || {
+            let mut cases = dermis_barodome::verify::cases()?;
+            if dermis_mechanics::calculix::available() {
+                cases.extend(dermis_barodome::verify::judged()?);
+            }
+            Ok(cases)
+        },
+        node: |request| crate::nodes::config(&dermis_barodome::FAMILY, request),
     },
-    verify: || {
-        let mut cases = dermis_barodome::verify::cases()?;
-        if dermis_mechanics::calculix::available() {
-            cases.extend(dermis_barodome::verify::judged()?);
-        }
-        Ok(cases)
+    Family {
+        name: dermis_hapdef::SENSOR,
+        model: |skin| Ok(dermis_hapdef::model(skin)?),
+        effects: &[],
+        estimator: |skin, bundles| estimator(&dermis_hapdef::FAMILY, skin, bundles),
+        verify: || Ok(Vec::new()),
+        node: |request| crate::nodes::config(&dermis_hapdef::FAMILY, request),
     },
-    node: |request| crate::nodes::config(&dermis_barodome::FAMILY, request),
-}];
+];
+
+fn estimator(sensor: &Sensor, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>> {
+    let runtime = Runtime::load(&RuntimeConfig::default())?;
+    Ok(sensor.estimator(skin, bundles, &[], runtime)?)
+}
 
 /// The forward model of a skin that was read from `path`; refusals name that file.
 pub fn forward(path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
