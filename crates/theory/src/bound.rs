@@ -144,7 +144,7 @@ pub fn strongest_bands(
 
 /// A contact with one unknown a little more and a little less, and how far they are apart: 0 where the surface leaves no
 /// room.
-fn neighbours(
+pub(crate) fn neighbours(
     surface: &Surface,
     contact: &Indentation,
     unknowns: Unknowns,

@@ -45,4 +45,15 @@ pub enum TheoryError {
         /// Taxels on it.
         taxels: usize,
     },
+    /// A decomposition that does not exist.
+    #[error(
+        "{what} cannot be decomposed: they hold numbers that are not finite or do not determine anything"
+    )]
+    Decomposition {
+        /// Of what.
+        what: &'static str,
+    },
+    /// A regression that cannot be fitted.
+    #[error(transparent)]
+    Regress(#[from] dermis_regress::RegressError),
 }

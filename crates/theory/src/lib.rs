@@ -10,7 +10,7 @@
 //!   channel to read one value; a [`Line`] crosses those of the taxels along a [`Path`], and its [`LineStudy`] is all that
 //!   follows. [`IsolineSolver`] finds contacts by such crossings.
 //!
-//! [`normalised`] is the setting of two ideal taxels in which the thesis explains it. Nothing here knows a sensor by name,
+//! [`placement`] chooses where sensing elements go, of thousands of places where they could. [`normalised`] is the setting of two ideal taxels in which the thesis explains it. Nothing here knows a sensor by name,
 //! and distances are those along the surface, be it flat or curved.
 
 mod bound;
@@ -19,6 +19,7 @@ mod isoline;
 mod line;
 pub mod normalised;
 mod path;
+pub mod placement;
 pub mod resolution;
 mod responses;
 mod solver;
