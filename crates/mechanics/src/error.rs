@@ -33,6 +33,60 @@ pub enum MechanicsError {
         "the body can move without being deformed, or its numbers are too far apart to be solved: hold it somewhere"
     )]
     Singular,
+    /// A triangle that cannot be one of a shell.
+    #[error("triangle {triangle} of the shell {what}")]
+    Triangle {
+        /// Which one, counted from 0.
+        triangle: usize,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// A node that cannot be one of a shell.
+    #[error("node {node} of the shell {what}")]
+    Node {
+        /// Which one, counted from 0.
+        node: usize,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// A part of a shell that could move as a rigid body.
+    #[error(
+        "nothing keeps the part of the shell around node {node} from moving or turning: hold more of its nodes"
+    )]
+    Loose {
+        /// A node of that part.
+        node: usize,
+    },
+    /// So many of something are none that could be.
+    #[error("there are {got} {what}, and {expected} are needed")]
+    Count {
+        /// Of what.
+        what: &'static str,
+        /// How many there are.
+        got: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// A gauge over nothing.
+    #[error("the gauge at ({x}, {y}, {z}) m lies on no material: move it onto the shell")]
+    NoMaterial {
+        /// \[m\] of its centre.
+        x: f64,
+        /// \[m\].
+        y: f64,
+        /// \[m\].
+        z: f64,
+    },
+    /// Newton's method that found no equilibrium.
+    #[error(
+        "no equilibrium at {share} of the load after {iterations} iterations: take more steps, or less load"
+    )]
+    Equilibrium {
+        /// How much of the load, 0 to 1.
+        share: f64,
+        /// How many were tried.
+        iterations: usize,
+    },
 }
 
 /// `value`, if it is a positive finite number.

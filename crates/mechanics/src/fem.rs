@@ -17,7 +17,7 @@ mod mesh;
 mod rim;
 mod solid;
 mod source;
-mod sparse;
+pub(crate) mod sparse;
 
 use nalgebra::Point3;
 

@@ -32,6 +32,7 @@ mod error;
 pub mod fem;
 mod medium;
 mod quadrature;
+pub mod shell;
 mod table;
 
 pub use case::Case;

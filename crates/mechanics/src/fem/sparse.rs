@@ -8,14 +8,14 @@ use faer::sparse::linalg::cholesky::{
     LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, Mat, Par, Side};
+use faer::{Conj, Mat, MatMut, Par, Side};
 
 use crate::MechanicsError;
 
 /// In place of an unknown's number: its value is given.
 pub(crate) const HELD: usize = usize::MAX;
 /// Right-hand sides that are solved at once: more, or one by one, take longer.
-const BLOCK: usize = 64;
+pub(crate) const BLOCK: usize = 64;
 
 /// The lower half of a symmetric matrix, by columns.
 #[derive(Debug, Clone)]
@@ -103,6 +103,16 @@ impl Symmetric {
         }
     }
 
+    /// How many unknowns there are.
+    pub fn size(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Where each column starts, the rows of its entries, and the entries.
+    pub fn columns(&self) -> (&[usize], &[usize], &[f64]) {
+        (&self.starts, &self.rows, &self.values)
+    }
+
     fn pattern(&self) -> SymbolicSparseColMatRef<'_, usize> {
         let n = self.starts.len() - 1;
         SymbolicSparseColMatRef::new_checked(n, n, &self.starts, None, &self.rows)
@@ -153,20 +163,30 @@ impl Symmetric {
 impl Factor {
     /// Puts the solution in the place of each column.
     pub fn solve(&self, columns: &mut [Vec<f64>]) {
-        let symbolic = &*self.ordering.0;
         for block in columns.chunks_mut(BLOCK) {
             let n = block[0].len();
             let mut right = Mat::from_fn(n, block.len(), |i, j| block[j][i]);
-            let need = symbolic.solve_in_place_scratch::<f64>(block.len(), Par::Seq);
-            LltRef::new(symbolic, &self.values).solve_in_place_with_conj(
-                Conj::No,
-                right.as_mut(),
-                Par::Seq,
-                MemStack::new(&mut MemBuffer::new(need)),
-            );
+            self.solve_matrix(right.as_mut());
             for (j, column) in block.iter_mut().enumerate() {
                 column.copy_from_slice(right.col_as_slice(j));
             }
         }
+    }
+
+    /// Puts the solution in the place of `count` columns that lie one after the other; best [`BLOCK`] of them or fewer.
+    pub fn solve_columns(&self, columns: &mut [f64], count: usize) {
+        let size = columns.len().checked_div(count).unwrap_or(0);
+        self.solve_matrix(MatMut::from_column_major_slice_mut(columns, size, count));
+    }
+
+    fn solve_matrix(&self, right: MatMut<'_, f64>) {
+        let symbolic = &*self.ordering.0;
+        let need = symbolic.solve_in_place_scratch::<f64>(right.ncols(), Par::Seq);
+        LltRef::new(symbolic, &self.values).solve_in_place_with_conj(
+            Conj::No,
+            right,
+            Par::Seq,
+            MemStack::new(&mut MemBuffer::new(need)),
+        );
     }
 }
