@@ -383,8 +383,7 @@ fn check_held(mesh: &ShellMesh, held: &[bool], springs: &[(usize, f64)]) -> Resu
     for (part, sum) in sums.iter().enumerate() {
         let values = sum.symmetric_eigenvalues();
         let (low, high) = (values.min(), values.max());
-        // Not `low < …`: a sum that is not a number holds nothing either.
-        if !(low > 1e-12 * high) {
+        if low.is_nan() || low <= 1e-12 * high {
             let node = part_of.iter().position(|p| *p == part).unwrap_or(0);
             return Err(MechanicsError::Loose { node });
         }

@@ -133,14 +133,12 @@ impl Element {
         let [xi_x, xi_y] = [(y3 - y1) / double, (x1 - x3) / double];
         let [eta_x, eta_y] = [(y1 - y2) / double, (x2 - x1) / double];
         let mut b = Strains::zeros();
-        for k in 0..3 {
+        for (k, corner) in corner.iter().enumerate() {
             // Sides that leave this corner and that arrive at it, going round.
             let (after, before) = ((k + 2) % 3, (k + 1) % 3);
             let ([a6, b6, c6, d6, e6], [a5, b5, c5, d5, e5]) = (sides[after], sides[before]);
             let slope = |of_corner: f64, of_before: f64, of_after: f64, axis: usize| {
-                of_corner * corner[k][axis]
-                    + of_before * middle[before][axis]
-                    + of_after * middle[after][axis]
+                of_corner * corner[axis] + of_before * middle[before][axis] + of_after * middle[after][axis]
             };
             // Rotations of the normal, β_x and β_y, of w, θ_x, θ_y.
             let along_x = [[0.0, -1.5 * a5, 1.5 * a6], [0.0, b5, b6], [1.0, -c5, -c6]];

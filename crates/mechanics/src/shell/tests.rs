@@ -215,7 +215,7 @@ fn influence_is_what_loads_do() {
     for (n, answer) in nodes.iter().zip(&answers) {
         for (m, got) in green.column(*n).iter().enumerate() {
             let direct = -answer.displacement(m).dot(&normals[m]);
-            assert!((f64::from(*got) - direct).abs() < 1e-6 * green.column(*n)[*n].abs() as f64 + 1e-15);
+            assert!((f64::from(*got) - direct).abs() < 1e-6 * f64::from(green.column(*n)[*n].abs()) + 1e-15);
             assert!((green.column(m)[*n] - got).abs() <= 1e-6 * green.column(*n)[*n].abs());
         }
     }
