@@ -1,4 +1,5 @@
-//! Model bundles: a folder with `bundle.toml`, `model.onnx` and, for people, `card.json`.
+//! Model bundles: a folder with `bundle.toml`, `model.onnx`, `sensitivity.onnx` where contacts are read off a map, and, for
+//! people, `card.json`.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -9,14 +10,16 @@ use sha2::{Digest, Sha256};
 
 use crate::features::Features;
 use crate::interface::Interface;
-use crate::manifest::{Manifest, ManifestError, SkinSection};
+use crate::manifest::{Manifest, ManifestError, ModelSection, SkinSection};
 use crate::model::{Model, ModelError};
 use crate::onnx;
 use crate::outputs::Outputs;
+use crate::peaks::PeakSection;
 use crate::runtime::Runtime;
 
 const MANIFEST: &str = "bundle.toml";
 const MODEL: &str = "model.onnx";
+const SENSITIVITY: &str = "sensitivity.onnx";
 const CARD: &str = "card.json";
 
 /// A bundle that cannot be used or written, and why.
@@ -56,12 +59,14 @@ pub enum BundleError {
     Manifest(#[from] ManifestError),
     /// The graph's file is shorter or longer than the manifest says.
     #[error(
-        "model file {path}: has {found} bytes where bundle.toml field `model.bytes` says {expected}: it was cut short \
+        "model file {path}: has {found} bytes where bundle.toml field `{field}.bytes` says {expected}: it was cut short \
          or replaced; copy the bundle again"
     )]
     Length {
         /// File of the graph.
         path: PathBuf,
+        /// Table of the manifest that speaks of it.
+        field: &'static str,
         /// Its length.
         found: u64,
         /// Length that the manifest says.
@@ -69,12 +74,14 @@ pub enum BundleError {
     },
     /// The graph's file has another content than the manifest says.
     #[error(
-        "model file {path}: has hash {found} where bundle.toml field `model.hash` says {expected}: it was damaged or \
+        "model file {path}: has hash {found} where bundle.toml field `{field}.hash` says {expected}: it was damaged or \
          replaced; copy the bundle again"
     )]
     Content {
         /// File of the graph.
         path: PathBuf,
+        /// Table of the manifest that speaks of it.
+        field: &'static str,
         /// Its hash.
         found: String,
         /// Hash that the manifest says.
@@ -150,6 +157,8 @@ pub struct Bundle {
     path: PathBuf,
     manifest: Manifest,
     graph: Vec<u8>,
+    /// The network that turns peaks into forces.
+    sensitivity: Option<Vec<u8>>,
 }
 
 impl Bundle {
@@ -172,23 +181,12 @@ impl Bundle {
         })?;
         let manifest = Manifest::from_toml(&text, &manifest_path.display().to_string())?;
         fits(path, &manifest.skin, &SkinSection::of(skin))?;
-        let graph = read(path, MODEL)?;
-        let graph_path = path.join(MODEL);
-        let found = graph.len() as u64;
-        if found != manifest.model.bytes {
-            return Err(BundleError::Length { path: graph_path, found, expected: manifest.model.bytes });
-        }
-        let found = hash(&graph);
-        if !found.eq_ignore_ascii_case(&manifest.model.hash) {
-            return Err(BundleError::Content {
-                path: graph_path,
-                found,
-                expected: manifest.model.hash.clone(),
-            });
-        }
-        onnx::check(&graph, &manifest.model.interface)
-            .map_err(|source| BundleError::Model { path: graph_path, source })?;
-        Ok(Self { path: path.to_owned(), manifest, graph })
+        let graph = read_graph(path, MODEL, "model", &manifest.model)?;
+        let sensitivity = match &manifest.peaks {
+            Some(peaks) => Some(read_graph(path, SENSITIVITY, "peaks.sensitivity", &peaks.sensitivity)?),
+            None => None,
+        };
+        Ok(Self { path: path.to_owned(), manifest, graph, sensitivity })
     }
 
     /// Folder that it was read from.
@@ -252,6 +250,39 @@ impl Bundle {
         Model::load(runtime, &self.graph, &self.manifest.model.interface)
             .map_err(|source| BundleError::Model { path: self.path.join(MODEL), source })
     }
+
+    /// Loads the network that turns peaks of its map into forces; `None` where it has none.
+    ///
+    /// # Errors
+    ///
+    /// [`BundleError::Model`] where the runtime refuses it.
+    pub fn sensitivity(&self, runtime: &Runtime) -> Result<Option<Model>, BundleError> {
+        let Some(graph) = &self.sensitivity else { return Ok(None) };
+        Model::load(runtime, graph, &PeakSection::interface())
+            .map(Some)
+            .map_err(|source| BundleError::Model { path: self.path.join(SENSITIVITY), source })
+    }
+}
+
+/// Reads a graph and checks that it is the one that the manifest speaks of.
+fn read_graph(
+    folder: &Path,
+    file: &'static str,
+    field: &'static str,
+    section: &ModelSection,
+) -> Result<Vec<u8>, BundleError> {
+    let graph = read(folder, file)?;
+    let path = folder.join(file);
+    let found = graph.len() as u64;
+    if found != section.bytes {
+        return Err(BundleError::Length { path, field, found, expected: section.bytes });
+    }
+    let found = hash(&graph);
+    if !found.eq_ignore_ascii_case(&section.hash) {
+        return Err(BundleError::Content { path, field, found, expected: section.hash.clone() });
+    }
+    onnx::check(&graph, &section.interface).map_err(|source| BundleError::Model { path, source })?;
+    Ok(graph)
 }
 
 fn read(folder: &Path, file: &'static str) -> Result<Vec<u8>, BundleError> {
@@ -341,13 +372,15 @@ pub struct BundleWriter {
     pub manifest: Manifest,
     /// What `card.json` will say, for people: plots, tables, how it was trained.
     pub card: BTreeMap<String, serde_json::Value>,
+    /// `sensitivity.onnx`, where the manifest has `peaks`, whose length and hash of it are filled in.
+    pub sensitivity: Option<Vec<u8>>,
 }
 
 impl BundleWriter {
     /// A bundle of this manifest and an empty card.
     #[must_use]
     pub fn new(manifest: Manifest) -> Self {
-        Self { manifest, card: BTreeMap::new() }
+        Self { manifest, card: BTreeMap::new(), sensitivity: None }
     }
 
     /// Gives the graph another interface than one flat tensor each.
@@ -367,6 +400,15 @@ impl BundleWriter {
         let path = path.as_ref();
         self.manifest.model.bytes = graph.len() as u64;
         self.manifest.model.hash = hash(graph);
+        if let (Some(peaks), Some(sensitivity)) = (&mut self.manifest.peaks, &self.sensitivity) {
+            peaks.sensitivity = ModelSection {
+                bytes: sensitivity.len() as u64,
+                hash: hash(sensitivity),
+                interface: PeakSection::interface(),
+            };
+            onnx::check(sensitivity, &peaks.sensitivity.interface)
+                .map_err(|source| BundleError::Model { path: path.join(SENSITIVITY), source })?;
+        }
         self.manifest.validate(&path.join(MANIFEST).display().to_string())?;
         onnx::check(graph, &self.manifest.model.interface)
             .map_err(|source| BundleError::Model { path: path.join(MODEL), source })?;
@@ -388,7 +430,9 @@ impl BundleWriter {
         };
         std::fs::create_dir_all(parent).map_err(written(parent))?;
         let scratch = scratch_folder(parent).map_err(written(parent))?;
-        for (file, content) in [(MANIFEST, manifest.as_bytes()), (MODEL, graph), (CARD, card.as_bytes())] {
+        let sensitivity = self.sensitivity.as_deref().filter(|_| self.manifest.peaks.is_some());
+        let files = [(MANIFEST, manifest.as_bytes()), (MODEL, graph), (CARD, card.as_bytes())];
+        for (file, content) in files.into_iter().chain(sensitivity.map(|graph| (SENSITIVITY, graph))) {
             let at = scratch.path().join(file);
             std::fs::File::create(&at)
                 .and_then(|mut f| f.write_all(content).and_then(|()| f.sync_all()))

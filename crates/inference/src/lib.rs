@@ -7,6 +7,7 @@
 //! | features | [`Features`] | conditioned frames → input of the graph; the same code in training and in a node |
 //! | outputs | [`Outputs`] | output of the graph → named quantities in SI units, with their sigma |
 //! | model | [`Model`] | one loaded graph: input slice → output vector |
+//! | peaks | [`MapContacts`] | a displacement map → contacts |
 //! | graph builder | [`onnx::GraphBuilder`] | writes the ONNX graphs that training exports |
 //!
 //! A frame's way through this crate is `Features::push` → `Features::input` → `Model::run` → `Outputs::decode`.
@@ -18,6 +19,7 @@ mod manifest;
 mod model;
 pub mod onnx;
 mod outputs;
+mod peaks;
 mod runtime;
 mod runtime_config;
 
@@ -27,5 +29,6 @@ pub use interface::Interface;
 pub use manifest::{Baseline, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection};
 pub use model::{Model, ModelError, rehearse_embedded};
 pub use outputs::{Link, OutputConfig, OutputError, OutputSpec, Outputs, SigmaBin};
+pub use peaks::{MAP_DISPLACEMENT, MapContacts, PeakSection};
 pub use runtime::{Runtime, RuntimeError, RuntimeKind, RuntimeReport, Tried};
 pub use runtime_config::{RuntimeChoice, RuntimeConfig};

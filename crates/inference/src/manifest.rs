@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::features::{FeatureConfig, FeatureError};
 use crate::interface::Interface;
 use crate::outputs::{OutputConfig, OutputError};
+use crate::peaks::{MAP_DISPLACEMENT, PeakSection};
 
 const SCHEMA_STEM: &str = "dermis-bundle/";
 const SCHEMA_VERSION: u32 = 1;
@@ -101,6 +102,9 @@ pub struct Manifest {
     /// Refines the model's answer on the skin's forward model, with these settings; the model only where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inversion: Option<Settings>,
+    /// Reads contacts off the displacement map that the model gives; it gives none where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peaks: Option<PeakSection>,
     /// Measured on what was held out; names end in their unit, e.g. `position_rmse_m`.
     #[serde(default)]
     pub metrics: BTreeMap<String, f64>,
@@ -175,6 +179,7 @@ impl Manifest {
             output,
             training,
             inversion: None,
+            peaks: None,
             metrics: BTreeMap::new(),
         }
     }
@@ -270,6 +275,17 @@ impl Manifest {
             && let Err(error) = settings.check(self.skin.channels.len())
         {
             return wrong("inversion", error.to_string());
+        }
+        if let Some(peaks) = &self.peaks {
+            if let Err((field, reason)) = peaks.check() {
+                return wrong(&format!("peaks.{field}"), reason);
+            }
+            if !is_hash(&peaks.sensitivity.hash) {
+                return wrong("peaks.sensitivity.hash", "must be `sha256:` and 64 hex digits".into());
+            }
+            if !self.output.values.iter().any(|v| v.name == MAP_DISPLACEMENT) {
+                return wrong("peaks", format!("there is no output `{MAP_DISPLACEMENT}` to read them off"));
+            }
         }
         if self.training.seed > i64::MAX.cast_unsigned() {
             return wrong("training.seed", "is beyond 2^63 - 1, the largest number that TOML has".into());

@@ -29,7 +29,7 @@ pub(crate) struct Dictionary {
 }
 
 /// Level whose response stands for the others where only its shape matters.
-const SHAPE: usize = 1;
+pub(crate) const SHAPE: usize = 1;
 
 impl Dictionary {
     /// Places about `spacing` \[m\] apart, out of the points of the model's surface; on its middle line along x where only
@@ -72,6 +72,11 @@ impl Dictionary {
         self.directions
             .chunks_exact(self.channels)
             .map(move |direction| direction.iter().zip(residuals).map(|(a, b)| a * b).sum::<f32>().max(0.0))
+    }
+
+    /// Unit direction of every place's response in units of the noise, end to end; 0 for a place that nothing feels.
+    pub fn directions(&self) -> &[f32] {
+        &self.directions
     }
 
     /// Response of a place at a level, gains included, in the unit of the skin.

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{ChannelFlags, ForwardModel, Indentation, ModelError, Stimulus, Unknowns, tangents};
+use dermis_skin::{
+    ChannelFlags, ForwardModel, Indentation, ModelError, Stimulus, Surface, Unknowns, tangents,
+};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -119,6 +121,14 @@ pub enum InverterError {
     #[error("{found} readings where the model has {expected} channels")]
     Channels {
         /// Readings.
+        found: usize,
+        /// Channels of the model.
+        expected: usize,
+    },
+    /// A correction of another skin.
+    #[error("a correction of {found} channels for a model of {expected}; fit it anew")]
+    Correction {
+        /// Channels of the correction.
         found: usize,
         /// Channels of the model.
         expected: usize,
@@ -276,6 +286,22 @@ impl Inverter {
         &self.settings
     }
 
+    /// The model that it asks.
+    #[must_use]
+    pub fn model(&self) -> &dyn ForwardModel {
+        self.model.0.as_ref()
+    }
+
+    /// What the channels of the device read for these contacts, less what they read untouched, written to `out` (one a
+    /// channel, in the unit of the skin).
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Model`] where a contact lies off the surface or is not a number.
+    pub fn signal(&self, contacts: &[Indentation], out: &mut [f64]) -> Result<(), InverterError> {
+        Ok(self.problem(&[]).signal(contacts, out)?)
+    }
+
     /// The contacts that explain `readings` best. `hint` is a contact to begin at besides what is found here: what a
     /// learned model says, or the frame before.
     ///
@@ -283,19 +309,10 @@ impl Inverter {
     ///
     /// [`InverterError::Channels`] for readings of another skin.
     pub fn solve(&self, readings: &[Reading], hint: Option<&Indentation>) -> Result<Solution, InverterError> {
+        self.check(readings)?;
         let channels = self.gains.len();
-        if readings.len() != channels {
-            return Err(InverterError::Channels { found: readings.len(), expected: channels });
-        }
         let data = self.data(readings);
-        let problem = Problem {
-            model: self.model.0.as_ref(),
-            unknowns: self.settings.unknowns,
-            data: &data,
-            gains: &self.gains,
-            rest: &self.rest,
-            force_max: self.settings.force_max * 1.5,
-        };
+        let problem = self.problem(&data);
         let counted = data.iter().filter(|d| **d != Datum::None).count();
         let nothing: Vec<f64> = vec![0.0; channels];
         let mut best = Minimum {
@@ -341,15 +358,7 @@ impl Inverter {
             }
             best = found;
         }
-        let mut contacts = self.describe(&best, &data);
-        if let [single] = contacts.as_mut_slice()
-            && (single.deviation().is_nan() || single.deviation() >= BROAD * self.spacing)
-        {
-            *single = self.mean(&data, single);
-        }
-        contacts.sort_by(|a, b| b.normal_force().total_cmp(&a.normal_force()));
-        let freedom = counted.saturating_sub(per_contact * contacts.len());
-        Ok(Solution { contacts, chi2: best.chi2, freedom })
+        Ok(self.solution(&best, &data))
     }
 
     /// How surely readings show a contact at all: by how much the best single one of the dictionary lowers the sum of
@@ -371,6 +380,93 @@ impl Inverter {
         }
         let best = f64::from(self.dictionary.project(&left).fold(0.0f32, f32::max)).powi(2);
         (best, (whole - best) / freedom as f64)
+    }
+
+    /// The contacts near `starts` that explain `readings` best, refined together. The weakest is dropped for as long as what
+    /// remains explains the readings about as well ([`Settings::evidence`]), and where two have run into one another.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Channels`] for readings of another skin.
+    pub fn refine(&self, readings: &[Reading], starts: &[Indentation]) -> Result<Solution, InverterError> {
+        self.check(readings)?;
+        let data = self.data(readings);
+        let problem = self.problem(&data);
+        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let per_contact = self.settings.unknowns.count();
+        // More than the readings can tell are not looked for.
+        let most = self.settings.contacts.min(counted / per_contact);
+        let mut strongest = starts.to_vec();
+        strongest.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
+        strongest.truncate(most);
+        let mut best = problem.minimise(strongest)?;
+        while best.contacts.len() > 1 {
+            let weakest = (0..best.contacts.len())
+                .min_by(|a, b| best.contacts[*a].force.norm().total_cmp(&best.contacts[*b].force.norm()));
+            let mut fewer = best.contacts.clone();
+            weakest.map(|i| fewer.remove(i));
+            let fewer = problem.minimise(fewer)?;
+            // Each contact less leaves about as many units more to noise as it had unknowns.
+            if fewer.chi2 - best.chi2 >= self.settings.evidence && self.apart(&best) {
+                break;
+            }
+            best = fewer;
+        }
+        Ok(self.solution(&best, &data))
+    }
+
+    fn check(&self, readings: &[Reading]) -> Result<(), InverterError> {
+        let channels = self.gains.len();
+        if readings.len() == channels {
+            return Ok(());
+        }
+        Err(InverterError::Channels { found: readings.len(), expected: channels })
+    }
+
+    fn problem<'a>(&'a self, data: &'a [Datum]) -> Problem<'a> {
+        Problem {
+            model: self.model.0.as_ref(),
+            unknowns: self.settings.unknowns,
+            data,
+            gains: &self.gains,
+            rest: &self.rest,
+            force_max: self.settings.force_max * 1.5,
+        }
+    }
+
+    fn solution(&self, best: &Minimum, data: &[Datum]) -> Solution {
+        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let mut contacts = self.describe(best, data);
+        if let [single] = contacts.as_mut_slice()
+            && (single.deviation().is_nan() || single.deviation() >= BROAD * self.spacing)
+        {
+            *single = self.mean(data, single);
+        }
+        contacts.sort_by(|a, b| b.normal_force().total_cmp(&a.normal_force()));
+        let freedom = counted.saturating_sub(self.settings.unknowns.count() * contacts.len());
+        Solution { contacts, chi2: best.chi2, freedom }
+    }
+
+    /// Readings in units of their noise; what is missing is 0.
+    pub(crate) fn whitened(&self, readings: &[Reading]) -> Result<Vec<f64>, InverterError> {
+        self.check(readings)?;
+        let value = |(reading, noise): (&Reading, &f64)| match *reading {
+            Reading::Exact(v) | Reading::AtLeast(v) | Reading::AtMost(v) if v.is_finite() => v / noise,
+            _ => 0.0,
+        };
+        Ok(readings.iter().zip(self.noise()).map(value).collect())
+    }
+
+    pub(crate) fn noise(&self) -> &[f64] {
+        self.model.0.noise()
+    }
+
+    pub(crate) fn dictionary(&self) -> &Dictionary {
+        &self.dictionary
+    }
+
+    pub(crate) fn surface(&self) -> &Surface {
+        self.model.0.surface()
     }
 
     fn data(&self, readings: &[Reading]) -> Vec<Datum> {

@@ -3,14 +3,23 @@
 //! A learned model answers in one step and knows what it was trained on. A forward model can be asked the other way round:
 //! which contacts would have made these readings? [`Inverter`] finds them, one or several, with the error that the noise
 //! leaves, for any [`ForwardModel`](dermis_skin::ForwardModel). [`Calibration`] measures on labelled readings how far a
-//! device and its forward model are apart, so that the answer does not believe the model more than it deserves.
+//! device and its forward model are apart, so that the answer does not believe the model more than it deserves, and
+//! [`Corrected`] takes what presses at known places show of the difference into the model.
+//!
+//! [`PeakFinder`] goes another way: contacts as the peaks of a displacement map that something else has found.
 
 mod calibrate;
+mod corrected;
 mod dictionary;
 mod fit;
 mod inverter;
+mod peaks;
+mod sparse;
 #[cfg(test)]
 mod testing;
 
 pub use calibrate::{Calibration, CalibrationError};
+pub use corrected::{Corrected, Correction, CorrectionSettings, Press};
 pub use inverter::{Found, Inverter, InverterError, Reading, Settings, Solution};
+pub use peaks::{Peak, PeakFinder, PeakSettings, suppress};
+pub use sparse::SparseSettings;

@@ -13,6 +13,7 @@ use crate::Reading;
 pub(crate) struct Toy {
     surface: Surface,
     taxels: Vec<(f64, f64)>,
+    gains: Vec<f64>,
     noise: Vec<f64>,
 }
 
@@ -26,8 +27,14 @@ impl Toy {
         Self {
             surface: Surface::from_spec(&spec),
             taxels: (0..25).map(|i| (at(i % 5), at(i / 5))).collect(),
+            gains: vec![1.0; 25],
             noise: vec![noise; 25],
         }
+    }
+
+    /// Another device of this design: place and gain of every taxel.
+    pub fn change(&mut self, mut change: impl FnMut(&mut (f64, f64), &mut f64)) {
+        self.taxels.iter_mut().zip(&mut self.gains).for_each(|(at, gain)| change(at, gain));
     }
 
     /// What the channels read, with noise.
@@ -58,12 +65,13 @@ impl ForwardModel for Toy {
         out.fill(0.0);
         for c in &stimulus.contacts {
             let pressing = -c.force.z;
-            for (value, (x, y)) in out.iter_mut().zip(&self.taxels) {
+            for ((value, (x, y)), gain) in out.iter_mut().zip(&self.taxels).zip(&self.gains) {
                 let (dx, dy) = (x - c.position.x, y - c.position.y);
                 let r = (dx * dx + dy * dy + DEPTH * DEPTH).sqrt();
                 let kernel = 1.58e-1 / r.powi(3);
-                *value +=
-                    kernel * (pressing * DEPTH * (1.0 - 0.05 * pressing) + c.force.x * dx + c.force.y * dy);
+                *value += gain
+                    * kernel
+                    * (pressing * DEPTH * (1.0 - 0.05 * pressing) + c.force.x * dx + c.force.y * dy);
             }
         }
         Ok(())

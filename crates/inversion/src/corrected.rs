@@ -1,0 +1,350 @@
+//! A forward model that presses at known places have corrected.
+
+use std::sync::Arc;
+
+use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface, Trajectory};
+use nalgebra::{DMatrix, Point3};
+use serde::{Deserialize, Serialize};
+
+use crate::InverterError;
+
+/// What is learned of how a device differs from its model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CorrectionSettings {
+    /// \[m\] over which the difference varies.
+    pub length: f64,
+    /// Strength of the prior that there is no difference, relative to the information in one press per place.
+    pub ridge: f64,
+    /// Centres at most.
+    pub centres: usize,
+    /// Powers of the force that the difference per newton has, 0 included: 0 for a device that is linear.
+    pub powers: usize,
+}
+
+impl Default for CorrectionSettings {
+    fn default() -> Self {
+        Self { length: 0.015, ridge: 1e-2, centres: 350, powers: 2 }
+    }
+}
+
+/// How the readings of a device differ from those of its forward model, as a function of place and force: a sum of Gaussians
+/// about places of the surface for each channel. What gains cannot say (elements that sit elsewhere, a wall that is thinner
+/// here and there, a clamp that gives way) varies smoothly with the place of a contact, and presses all over the skin show it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Correction {
+    /// \[m\] centres of the Gaussians.
+    centres: Vec<[f64; 3]>,
+    /// \[m\] standard deviation of the Gaussians.
+    length: f64,
+    /// \[N\] that forces are divided by.
+    force: f64,
+    powers: usize,
+    /// Reading of the device per reading of the model, one a channel.
+    gains: Vec<f64>,
+    /// (centres × powers) × channels: unit of the skin per newton.
+    weights: Vec<f64>,
+}
+
+/// One labelled press: what pressed, and what the channels read minus their untouched readings (`NaN`: not known).
+pub type Press<'a> = (&'a Indentation, &'a [f32]);
+
+impl Correction {
+    /// Learns from single contacts. `gains` come from a [`Calibration`](crate::Calibration); 1 for each channel will do.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`] where the model has no answer for a press.
+    pub fn fit(
+        model: &dyn ForwardModel,
+        presses: &[Press<'_>],
+        gains: &[f64],
+        settings: &CorrectionSettings,
+    ) -> Result<Self, ModelError> {
+        let channels = model.channels();
+        let force = presses.iter().map(|(c, _)| c.force.norm()).fold(0.0, f64::max).max(1e-9);
+        let all: Vec<Point3<f64>> = presses.iter().map(|(c, _)| c.position).collect();
+        let mut fitted = Self {
+            centres: centres(&all, settings.length * 0.5, settings.centres),
+            length: settings.length,
+            force,
+            powers: settings.powers + 1,
+            gains: gains.to_vec(),
+            weights: Vec::new(),
+        };
+        let width = fitted.centres.len() * fitted.powers;
+        let rest = rest(model)?;
+        let (mut gram, mut sums) =
+            (DMatrix::<f64>::zeros(width, width), DMatrix::<f64>::zeros(width, channels));
+        // Rows in blocks: products of whole matrices are many times as fast as sums of outer products.
+        const BLOCK: usize = 512;
+        let mut expected = vec![0.0; channels];
+        for block in presses.chunks(BLOCK) {
+            let mut basis = DMatrix::<f64>::zeros(block.len(), width);
+            let mut left = DMatrix::<f64>::zeros(block.len(), channels);
+            let mut row = vec![0.0; width];
+            for (i, (contact, signal)) in block.iter().enumerate() {
+                // A channel that is not known there leaves the whole press out: the rows are shared.
+                if signal.iter().any(|v| !v.is_finite()) {
+                    continue;
+                }
+                let stimulus = Stimulus { contacts: vec![(*contact).clone()], ..Stimulus::default() };
+                model.response(&stimulus, &mut expected)?;
+                fitted.basis(contact, &mut row);
+                // The row is what the difference in the unit of the skin is made of, so that a press counts as much as its
+                // force makes it stand out of the noise.
+                basis.row_mut(i).iter_mut().zip(&row).for_each(|(b, r)| *b = *r);
+                for (c, signal) in signal.iter().enumerate() {
+                    left[(i, c)] = f64::from(*signal) - gains[c] * (expected[c] - rest[c]);
+                }
+            }
+            gram += basis.tr_mul(&basis);
+            sums += basis.tr_mul(&left);
+        }
+        let scale = (0..width).map(|i| gram[(i, i)]).sum::<f64>() / width.max(1) as f64;
+        for i in 0..width {
+            gram[(i, i)] += settings.ridge * scale.max(1e-30);
+        }
+        let weights = gram.cholesky().map(|factor| factor.solve(&sums));
+        fitted.weights = match weights {
+            Some(weights) => weights.transpose().as_slice().to_vec(),
+            None => vec![0.0; width * channels],
+        };
+        Ok(fitted)
+    }
+
+    /// Root mean square of what remains of `presses`, in units of the noise, over channels that are known.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`] where the model has no answer for a press.
+    pub fn remainder(&self, model: &dyn ForwardModel, presses: &[Press<'_>]) -> Result<f64, ModelError> {
+        let rest = rest(model)?;
+        let mut expected = vec![0.0; model.channels()];
+        let (mut sum, mut count) = (0.0, 0usize);
+        for (contact, signal) in presses {
+            let stimulus = Stimulus { contacts: vec![(*contact).clone()], ..Stimulus::default() };
+            model.response(&stimulus, &mut expected)?;
+            for (c, e) in expected.iter_mut().enumerate() {
+                *e = (*e - rest[c]) * self.gains[c];
+            }
+            self.add(contact, &mut expected);
+            for ((e, v), n) in expected.iter().zip(*signal).zip(model.noise()) {
+                if v.is_finite() {
+                    sum += ((f64::from(*v) - e) / n).powi(2);
+                    count += 1;
+                }
+            }
+        }
+        Ok((sum / count.max(1) as f64).sqrt())
+    }
+
+    /// Values of all basis functions for one contact, times its force.
+    fn basis(&self, contact: &Indentation, out: &mut [f64]) {
+        let force = contact.force.norm();
+        let share = force / self.force;
+        for (centre, out) in self.centres.iter().zip(out.chunks_exact_mut(self.powers)) {
+            let distance = (Point3::from(*centre) - contact.position).norm_squared();
+            let mut value = force * (-distance / (2.0 * self.length * self.length)).exp();
+            for o in out {
+                *o = value;
+                value *= share;
+            }
+        }
+    }
+
+    /// Adds the difference that one contact makes to `out`, in the unit of the skin.
+    fn add(&self, contact: &Indentation, out: &mut [f64]) {
+        let force = contact.force.norm();
+        let share = force / self.force;
+        // Beyond this many lengths a Gaussian is below what any channel could show.
+        let reach = (6.0 * self.length).powi(2);
+        let channels = out.len();
+        for (k, centre) in self.centres.iter().enumerate() {
+            let distance = (Point3::from(*centre) - contact.position).norm_squared();
+            if distance > reach {
+                continue;
+            }
+            let mut value = force * (-distance / (2.0 * self.length * self.length)).exp();
+            for power in 0..self.powers {
+                let start = (k * self.powers + power) * channels;
+                for (o, w) in out.iter_mut().zip(&self.weights[start..start + channels]) {
+                    *o += value * w;
+                }
+                value *= share;
+            }
+        }
+    }
+}
+
+fn rest(model: &dyn ForwardModel) -> Result<Vec<f64>, ModelError> {
+    let mut rest = vec![0.0; model.channels()];
+    model.response(&Stimulus::default(), &mut rest)?;
+    Ok(rest)
+}
+
+/// Of these points, `most` at most that are `apart` \[m\] or more from one another; farther, where there would be more.
+fn centres(points: &[Point3<f64>], mut apart: f64, most: usize) -> Vec<[f64; 3]> {
+    loop {
+        let mut chosen: Vec<Point3<f64>> = Vec::new();
+        for point in points {
+            if chosen.iter().all(|c| (c - point).norm() >= apart) {
+                chosen.push(*point);
+            }
+            if chosen.len() > most {
+                break;
+            }
+        }
+        if chosen.len() <= most {
+            return chosen.iter().map(|p| p.coords.into()).collect();
+        }
+        apart *= 1.1;
+    }
+}
+
+/// A forward model with a [`Correction`]: the readings of contacts add up in what differs.
+pub struct Corrected {
+    model: Arc<dyn ForwardModel>,
+    correction: Correction,
+    rest: Vec<f64>,
+}
+
+impl std::fmt::Debug for Corrected {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let centres = self.correction.centres.len();
+        f.debug_struct("Corrected").field("centres", &centres).finish_non_exhaustive()
+    }
+}
+
+impl Corrected {
+    /// The corrected model.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Correction`] where the correction is of a model with another number of channels.
+    pub fn new(model: Arc<dyn ForwardModel>, correction: Correction) -> Result<Self, InverterError> {
+        let (expected, width) = (model.channels(), correction.centres.len() * correction.powers);
+        let found = correction.gains.len();
+        if found != expected || correction.weights.len() != width * expected {
+            return Err(InverterError::Correction { found, expected });
+        }
+        let rest = rest(model.as_ref())?;
+        Ok(Self { model, correction, rest })
+    }
+}
+
+impl ForwardModel for Corrected {
+    fn channels(&self) -> usize {
+        self.model.channels()
+    }
+
+    fn surface(&self) -> &Surface {
+        self.model.surface()
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.model.response(stimulus, out)?;
+        for ((o, rest), gain) in out.iter_mut().zip(&self.rest).zip(&self.correction.gains) {
+            *o = rest + (*o - rest) * gain;
+        }
+        for contact in &stimulus.contacts {
+            self.correction.add(contact, out);
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        self.model.noise()
+    }
+
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        self.model.displacement(stimulus, out)
+    }
+
+    fn trajectory(&self) -> Box<dyn Trajectory> {
+        self.model.trajectory()
+    }
+
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        self.model.force_at(at, diameter, depth)
+    }
+
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        self.model.depth_at(at, diameter, force)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::Rng;
+
+    use super::*;
+    use crate::testing::{Toy, press, random};
+    use crate::{Inverter, Reading, Settings};
+
+    /// Readings of a device whose taxels sit up to 0.4 mm elsewhere and are off in gain.
+    fn device(noise: f64) -> Toy {
+        let mut random = random(5);
+        let mut toy = Toy::grid(noise);
+        toy.change(|at, gain| {
+            at.0 += random.random_range(-4e-4..4e-4);
+            at.1 += random.random_range(-4e-4..4e-4);
+            *gain = random.random_range(0.9..1.1);
+        });
+        toy
+    }
+
+    #[test]
+    fn presses_correct_a_model() {
+        let (model, device) = (Arc::new(Toy::grid(1e-3)), device(1e-3));
+        let mut random = random(2);
+        let mut at = |from: f64| random.random_range(-from..from);
+        let contacts: Vec<Indentation> =
+            (0..1500).map(|_| press(at(0.016), at(0.016), 1.0 + at(0.8))).collect();
+        let mut noise = crate::testing::random(3);
+        let signals: Vec<Vec<f32>> = contacts
+            .iter()
+            .map(|c| {
+                let read = device.read(std::slice::from_ref(c), &mut noise);
+                read.iter().map(|r| if let Reading::Exact(v) = r { *v as f32 } else { f32::NAN }).collect()
+            })
+            .collect();
+        let presses: Vec<Press<'_>> = contacts.iter().zip(signals.iter().map(Vec::as_slice)).collect();
+        let (train, test) = presses.split_at(1200);
+        let settings =
+            CorrectionSettings { length: 0.004, ridge: 1e-6, powers: 1, ..CorrectionSettings::default() };
+        let none = Correction::fit(model.as_ref(), &[], &[1.0; 25], &settings).unwrap();
+        let before = none.remainder(model.as_ref(), test).unwrap();
+        let fitted = Correction::fit(model.as_ref(), train, &[1.0; 25], &settings).unwrap();
+        let after = fitted.remainder(model.as_ref(), test).unwrap();
+        assert!(before > 10.0 && after < 0.1 * before, "{before} {after}");
+
+        let text = serde_json::to_string(&fitted).unwrap();
+        let fitted: Correction = serde_json::from_str(&text).unwrap();
+        let corrected: Arc<dyn ForwardModel> = Arc::new(Corrected::new(model.clone(), fitted).unwrap());
+        let mut settings = Settings::new(0.004, 2.0);
+        settings.contacts = 2;
+        let error = |model: Arc<dyn ForwardModel>| -> f64 {
+            let inverter = Inverter::new(model, settings.clone()).unwrap();
+            let truth = [press(0.007, 0.005, 1.0), press(-0.008, -0.006, 0.8)];
+            let readings = device.read(&truth, &mut crate::testing::random(9));
+            let found = inverter.solve(&readings, None).unwrap().contacts;
+            truth
+                .iter()
+                .map(|t| found.iter().map(|f| (f.position - t.position).norm()).fold(f64::INFINITY, f64::min))
+                .sum()
+        };
+        let (before, after) = (error(model), error(corrected));
+        assert!(after < 0.3 * before, "{before} {after}");
+    }
+
+    #[test]
+    fn a_correction_of_another_skin_is_refused() {
+        let model = Arc::new(Toy::grid(1e-3));
+        let mut correction =
+            Correction::fit(model.as_ref(), &[], &[1.0; 25], &CorrectionSettings::default()).unwrap();
+        assert!(Corrected::new(model.clone(), correction.clone()).is_ok());
+        correction.gains.pop();
+        let told = Corrected::new(model, correction).unwrap_err().to_string();
+        insta::assert_snapshot!(told, @"a correction of 24 channels for a model of 25; fit it anew");
+    }
+}

@@ -1,0 +1,168 @@
+//! Contacts as the sparse non-negative combination of responses that explains readings.
+
+use dermis_skin::Indentation;
+
+use crate::dictionary::SHAPE;
+use crate::inverter::{Inverter, InverterError, Reading};
+
+/// Rounds of coordinate descent at most.
+const ROUNDS: usize = 400;
+/// Change of an amplitude, as a share of the largest, at which the descent has ended.
+const SETTLED: f64 = 1e-4;
+
+/// What a sparse recovery is told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SparseSettings {
+    /// Penalty as a share of the one that leaves nothing: small keeps many contacts.
+    pub penalty: f64,
+    /// \[m\] within which places are one contact.
+    pub radius: f64,
+    /// Share of the strongest contact's force below which another is none.
+    pub share: f64,
+}
+
+impl Default for SparseSettings {
+    fn default() -> Self {
+        Self { penalty: 0.01, radius: 0.010, share: 0.1 }
+    }
+}
+
+impl Inverter {
+    /// Contacts by a least-squares fit with an ℓ₁ penalty over the forces at places all over the surface, none of which
+    /// pulls (R. Tibshirani, *J. R. Stat. Soc. B* 58 (1996) 267; coordinate descent as in J. Friedman et al., *J. Stat. Softw.* 33
+    /// (2010) 1). Places that stand together are one contact at their mean, weighted by force. The medium is taken to
+    /// be linear; [`refine`](Self::refine) goes on from here without that.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Channels`] for readings of another skin.
+    pub fn sparse(
+        &self,
+        readings: &[Reading],
+        settings: &SparseSettings,
+    ) -> Result<Vec<Indentation>, InverterError> {
+        let signal = self.whitened(readings)?;
+        let dictionary = self.dictionary();
+        let places = dictionary.places.len();
+        let amplitudes = lasso(&signal, dictionary.directions(), places, settings.penalty);
+        let unit = dictionary.forces[SHAPE];
+        let noise = self.noise();
+        let force = |place: usize| {
+            let response = dictionary.response(place, SHAPE).iter().zip(noise);
+            let length = response.map(|(v, n)| (f64::from(*v) / n).powi(2)).sum::<f64>().sqrt();
+            if length > 0.0 { amplitudes[place] / length * unit } else { 0.0 }
+        };
+        let mut active: Vec<(f64, usize)> =
+            (0..places).map(|p| (force(p), p)).filter(|(f, _)| *f > 0.0).collect();
+        active.sort_by(|a, b| b.0.total_cmp(&a.0));
+        // The strongest place gathers what is near, then the strongest of the rest.
+        let mut contacts: Vec<Indentation> = Vec::new();
+        while let Some((_, middle)) = active.first().copied() {
+            let centre = dictionary.places[middle].position;
+            let near = |p: &usize| (dictionary.places[*p].position - centre).norm() <= settings.radius;
+            let (mut total, mut place) = (0.0, nalgebra::Vector3::zeros());
+            for (force, p) in active.iter().filter(|(_, p)| near(p)) {
+                total += force;
+                place += dictionary.places[*p].position.coords * *force;
+            }
+            active.retain(|(_, p)| !near(p));
+            let (position, normal) = self.surface().project(&(place / total).into());
+            contacts.push(Indentation {
+                position,
+                force: -normal * total,
+                diameter: self.settings().diameter,
+            });
+        }
+        contacts.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
+        let strongest = contacts.first().map_or(0.0, |c| c.force.norm());
+        contacts.retain(|c| c.force.norm() >= settings.share * strongest);
+        contacts.truncate(self.settings().contacts);
+        Ok(contacts)
+    }
+}
+
+/// Non-negative amplitudes of unit directions (`places` × channels, end to end).
+fn lasso(signal: &[f64], directions: &[f32], places: usize, share: f64) -> Vec<f64> {
+    let channels = signal.len();
+    let direction = |place: usize| &directions[place * channels..(place + 1) * channels];
+    let dot = |a: &[f32], b: &[f64]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * b).sum::<f64>();
+    let largest = (0..places).map(|p| dot(direction(p), signal)).fold(0.0, f64::max);
+    let penalty = share * largest;
+    let mut amplitudes = vec![0.0; places];
+    let mut left = signal.to_vec();
+    let update = |place: usize, amplitudes: &mut [f64], left: &mut [f64]| {
+        let d = direction(place);
+        let before: f64 = amplitudes[place];
+        let after = (before + dot(d, left) - penalty).max(0.0);
+        if after != before {
+            left.iter_mut().zip(d).for_each(|(l, d)| *l -= (after - before) * f64::from(*d));
+            amplitudes[place] = after;
+        }
+        (after - before).abs()
+    };
+    // All places once, then those that matter until they stand still, and so on until no other wants to join.
+    for _ in 0..ROUNDS {
+        let mut change: f64 = 0.0;
+        for place in 0..places {
+            change = change.max(update(place, &mut amplitudes, &mut left));
+        }
+        if change <= SETTLED * largest {
+            break;
+        }
+        let active: Vec<usize> = (0..places).filter(|p| amplitudes[*p] > 0.0).collect();
+        for _ in 0..ROUNDS {
+            let mut change: f64 = 0.0;
+            for place in &active {
+                change = change.max(update(*place, &mut amplitudes, &mut left));
+            }
+            if change <= SETTLED * largest {
+                break;
+            }
+        }
+    }
+    amplitudes
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::testing::{Toy, press, random};
+    use crate::{Inverter, Settings};
+
+    fn inverter(noise: f64) -> (Inverter, Arc<Toy>) {
+        let model = Arc::new(Toy::grid(noise));
+        let mut settings = Settings::new(0.004, 2.0);
+        settings.contacts = 4;
+        (Inverter::new(Arc::clone(&model) as _, settings).unwrap(), model)
+    }
+
+    #[test]
+    fn contacts_that_stand_apart_are_recovered() {
+        let (inverter, model) = inverter(1e-3);
+        let truth = [press(0.008, 0.006, 1.0), press(-0.009, -0.004, 0.6)];
+        let readings = model.read(&truth, &mut random(1));
+        let settings = SparseSettings { radius: 0.006, ..SparseSettings::default() };
+        let found = inverter.sparse(&readings, &settings).unwrap();
+        assert_eq!(found.len(), 2, "{found:?}");
+        for (found, truth) in found.iter().zip(&truth) {
+            assert!((found.position - truth.position).norm() < 1.5e-3, "{found:?}");
+            assert!((found.force.norm() - truth.force.norm()).abs() < 0.15, "{found:?}");
+        }
+        // The refinement takes away what grid and penalty leave.
+        let refined = inverter.refine(&readings, &found).unwrap().contacts;
+        for (found, truth) in refined.iter().zip(&truth) {
+            assert!((found.position - truth.position).norm() < 1e-4, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_recovered_from_nothing() {
+        let (inverter, _) = inverter(1e-3);
+        let settings = SparseSettings::default();
+        assert!(inverter.sparse(&[Reading::Exact(0.0); 25], &settings).unwrap().is_empty());
+        assert!(inverter.sparse(&[Reading::Missing; 25], &settings).unwrap().is_empty());
+        assert!(inverter.sparse(&[Reading::Exact(0.0); 3], &settings).is_err());
+    }
+}
