@@ -513,6 +513,18 @@ impl SkinDescription {
         Ok(())
     }
 
+    /// The same skin with other sensing elements, one channel each: elements that could be, for placement, or that are only
+    /// computed.
+    ///
+    /// # Errors
+    ///
+    /// [`SkinError::Impossible`] where an element cannot be, as in a file.
+    pub fn with_taxels(&self, taxels: Vec<Taxel>) -> Result<Self, SkinError> {
+        let mut skin = Self { taxels, channels: Vec::new(), ..self.clone() };
+        skin.finish(&format!("{}, with other taxels", self.name))?;
+        Ok(skin)
+    }
+
     /// Numbers of a frame, in order. `range` and `noise` have the skin's values filled in.
     #[must_use]
     pub fn channels(&self) -> &[Channel] {
@@ -625,6 +637,18 @@ taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", positio
         assert_eq!(skin.channels()[1].name, "t1");
         assert_eq!(skin.channel_noise(), [20.0, 20.0]);
         assert_eq!(skin.channel_taxels(), [0, 1]);
+    }
+
+    #[test]
+    fn a_skin_can_have_other_taxels() {
+        let skin = SkinDescription::from_toml(PAD, "pad.toml").unwrap();
+        let mut other = skin.taxels[1].clone();
+        other.normal = [0.0, 0.0, 2.0];
+        let one = skin.with_taxels(vec![other.clone()]).unwrap();
+        assert_eq!((one.channels().len(), one.channels()[0].name.as_str()), (1, "t1"));
+        assert_eq!((one.taxels[0].normal, one.channel_noise()), ([0.0, 0.0, 1.0], vec![20.0]));
+        let twice = skin.with_taxels(vec![other.clone(), other]).unwrap_err();
+        insta::assert_snapshot!(twice, @r#"skin file pad, with other taxels: field `taxels[1].name`: "t1" is already taken"#);
     }
 
     #[test]
