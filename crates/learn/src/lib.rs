@@ -11,6 +11,7 @@
 //! | metrics | [`Scores`], [`Summary`] | errors per quantity and force, with intervals over locations |
 //! | evaluation | [`evaluate`], [`Evaluation`] | what an estimator makes of a data set |
 //! | bound | [`Requirement`] | a figure that an evaluation has to reach |
+//! | real2sim | `real2sim` (feature `train`) | readings of a device → a simulated map of displacements → several contacts |
 //!
 //! All quantities are in SI units and in the frame of the skin's link.
 //!
@@ -29,6 +30,8 @@ mod judge;
 mod map;
 mod metrics;
 pub mod plot;
+#[cfg(feature = "train")]
+pub mod real2sim;
 pub mod refine;
 mod split;
 #[cfg(feature = "train")]
@@ -40,5 +43,5 @@ pub use error::LearnError;
 pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate, evaluate_by};
 pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
-pub use metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, Scores, Summary, bins};
+pub use metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, MapScores, MapSummary, Scores, Summary, bins};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -279,6 +279,64 @@ impl Scores {
     }
 }
 
+/// Errors of whole maps (displacements over a surface), map by map.
+#[derive(Debug, Clone, Default)]
+pub struct MapScores {
+    squares: f64,
+    energy: f64,
+    /// Sum of the true maps, point by point.
+    sums: Vec<f64>,
+    maps: usize,
+}
+
+/// What [`MapScores`] come to.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct MapSummary {
+    /// Maps that were compared.
+    pub maps: usize,
+    /// Root mean square over all points of all maps, in their unit.
+    pub rms: f64,
+    /// Fraction of the variance of the true maps that is unexplained: 0 is perfect, 1 as good as their mean.
+    pub fvu: f64,
+}
+
+impl MapScores {
+    /// Nothing yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Compares one map with the true one. Maps of another length than the first are left out.
+    pub fn push(&mut self, truth: &[f32], answer: &[f32]) {
+        if self.maps == 0 {
+            self.sums = vec![0.0; truth.len()];
+        }
+        if truth.len() != self.sums.len() || answer.len() != truth.len() {
+            return;
+        }
+        for ((t, a), sum) in truth.iter().zip(answer).zip(&mut self.sums) {
+            let t = f64::from(*t);
+            self.squares += (f64::from(*a) - t).powi(2);
+            self.energy += t * t;
+            *sum += t;
+        }
+        self.maps += 1;
+    }
+
+    /// Sums up; not a number where nothing was compared.
+    #[must_use]
+    pub fn summary(&self) -> MapSummary {
+        let maps = self.maps as f64;
+        let variance = self.energy - self.sums.iter().map(|s| s * s).sum::<f64>() / maps;
+        MapSummary {
+            maps: self.maps,
+            rms: (self.squares / (maps * self.sums.len() as f64)).sqrt(),
+            fvu: self.squares / variance,
+        }
+    }
+}
+
 /// Which of `found` belongs to each true contact; none twice.
 fn assign(truth: &Truth, found: &[Contact]) -> Vec<Option<usize>> {
     let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
@@ -471,5 +529,23 @@ mod tests {
             high - low
         };
         assert!(spread(10) > 2.0 * spread(400));
+    }
+
+    #[test]
+    fn maps_are_compared_point_by_point() {
+        let truth = [[1.0, 0.0, 2.0], [3.0, 0.0, -2.0]];
+        let mut perfect = MapScores::new();
+        let mut mean = MapScores::new();
+        for t in &truth {
+            perfect.push(t, t);
+            mean.push(t, &[2.0, 0.0, 0.0]);
+        }
+        assert_eq!(perfect.summary(), MapSummary { maps: 2, rms: 0.0, fvu: 0.0 });
+        let summary = mean.summary();
+        assert!((summary.fvu - 1.0).abs() < 1e-12, "{summary:?}");
+        assert!((summary.rms - (10.0f64 / 6.0).sqrt()).abs() < 1e-12, "{summary:?}");
+        mean.push(&[1.0], &[1.0]);
+        assert_eq!(mean.summary(), summary, "a map of another surface");
+        assert!(MapScores::new().summary().rms.is_nan());
     }
 }

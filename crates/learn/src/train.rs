@@ -11,6 +11,7 @@ mod prepare;
 mod run;
 
 pub use config::{Activation, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig};
+pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};
 pub use prepare::Preparation;
 pub use run::{Outcome, Request, run};

@@ -78,6 +78,33 @@ impl Mlp {
         Self { sizes, activation: config.activation, parameters }
     }
 
+    /// A single layer without a non-linearity: `weight` is row-major \[inputs, outputs\], and there is no bias.
+    ///
+    /// # Panics
+    ///
+    /// Where `weight` has another length.
+    #[must_use]
+    pub fn linear(inputs: usize, outputs: usize, weight: Vec<f32>) -> Self {
+        assert_eq!(weight.len(), inputs * outputs, "one weight for each pair");
+        Self {
+            sizes: vec![inputs, outputs],
+            activation: Activation::default(),
+            parameters: vec![weight, vec![0.0; outputs]],
+        }
+    }
+
+    /// Number of inputs.
+    #[must_use]
+    pub fn inputs(&self) -> usize {
+        self.sizes[0]
+    }
+
+    /// Number of outputs.
+    #[must_use]
+    pub fn outputs(&self) -> usize {
+        self.sizes[self.sizes.len() - 1]
+    }
+
     /// Number of weights and biases.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -178,6 +205,34 @@ impl Mlp {
         (loss, self.backward(inputs, layers, by_output))
     }
 
+    /// Its operators in a graph, whose outputs are `factor` times its own; `input` is \[n, inputs\]. `name` tells its constants
+    /// from those of other networks in the graph.
+    pub fn to_graph(&self, g: &mut GraphBuilder, input: &Value, name: &str, factor: f32) -> Value {
+        let last = self.sizes.len() - 2;
+        let mut x = input.clone();
+        for layer in 0..=last {
+            let factor = if layer == last { factor } else { 1.0 };
+            let scaled = |values: &[f32]| values.iter().map(|v| v * factor).collect::<Vec<f32>>();
+            let [rows, columns] = self.shape(2 * layer);
+            let weight = scaled(&self.parameters[2 * layer]);
+            let bias = scaled(&self.parameters[2 * layer + 1]);
+            let weight = g.constant(&format!("weight_{name}_{layer}"), &[rows, columns], &weight);
+            let bias = g.constant(&format!("bias_{name}_{layer}"), &[columns], &bias);
+            x = g.gemm(&x, &weight, Some(&bias));
+            if layer < last {
+                x = match self.activation {
+                    Activation::Silu => {
+                        let gate = g.sigmoid(&x);
+                        g.mul(&x, &gate)
+                    }
+                    Activation::Tanh => g.tanh(&x),
+                    Activation::Relu => g.relu(&x),
+                };
+            }
+        }
+        x
+    }
+
     /// The mean of several networks of one interface behind a preparation, as a graph of batch 1: `input` →
     /// `output`.
     ///
@@ -193,29 +248,8 @@ impl Mlp {
         let mut mean: Option<Value> = None;
         let share = 1.0 / members.len() as f32;
         for (m, member) in members.iter().enumerate() {
-            let last = member.sizes.len() - 2;
-            let mut x = input.clone();
-            for layer in 0..=last {
-                // The mean is taken in the last layer's weights.
-                let factor = if layer == last { share } else { 1.0 };
-                let scaled = |values: &[f32]| values.iter().map(|v| v * factor).collect::<Vec<f32>>();
-                let [rows, columns] = member.shape(2 * layer);
-                let weight = scaled(&member.parameters[2 * layer]);
-                let bias = scaled(&member.parameters[2 * layer + 1]);
-                let weight = g.constant(&format!("weight_{m}_{layer}"), &[rows, columns], &weight);
-                let bias = g.constant(&format!("bias_{m}_{layer}"), &[columns], &bias);
-                x = g.gemm(&x, &weight, Some(&bias));
-                if layer < last {
-                    x = match member.activation {
-                        Activation::Silu => {
-                            let gate = g.sigmoid(&x);
-                            g.mul(&x, &gate)
-                        }
-                        Activation::Tanh => g.tanh(&x),
-                        Activation::Relu => g.relu(&x),
-                    };
-                }
-            }
+            // The mean is taken in the last layer's weights.
+            let x = member.to_graph(&mut g, &input, &m.to_string(), share);
             mean = Some(match mean {
                 Some(sum) => g.add(&sum, &x),
                 None => x,
@@ -264,17 +298,17 @@ impl Activation {
 
 /// c = a · b, or c += a · b.
 #[derive(Clone, Copy)]
-struct Product {
-    rows: usize,
-    inner: usize,
-    columns: usize,
+pub(crate) struct Product {
+    pub(crate) rows: usize,
+    pub(crate) inner: usize,
+    pub(crate) columns: usize,
     /// Adds to what is in c.
-    keep: bool,
+    pub(crate) keep: bool,
 }
 
 impl Product {
     /// Matrices come with the distance between rows and between columns; c is row-major.
-    fn run(self, a: &[f32], a_steps: [usize; 2], b: &[f32], b_steps: [usize; 2], c: &mut [f32]) {
+    pub(crate) fn run(self, a: &[f32], a_steps: [usize; 2], b: &[f32], b_steps: [usize; 2], c: &mut [f32]) {
         let Self { rows, inner, columns, keep } = self;
         let reach = |rows: usize, columns: usize, steps: [usize; 2]| {
             (rows.max(1) - 1) * steps[0] + (columns.max(1) - 1) * steps[1] + 1

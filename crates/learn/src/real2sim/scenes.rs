@@ -1,0 +1,165 @@
+//! Simulated contacts, one to four at a time.
+
+use dermis_skin::{ForwardModel, Indentation, Stimulus};
+use nalgebra::{Point3, Vector3};
+use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::LearnError;
+
+/// Share of the median compliance below which a place is taken for rigid: nothing is felt there, and nothing is simulated.
+const RIGID: f64 = 0.1;
+/// Draws of one scene before its contacts are allowed to stand nearer to each other than asked.
+const TRIES: usize = 200;
+
+/// What is simulated.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SceneSettings {
+    /// \[N\] range of every contact's pressing force.
+    pub force: [f64; 2],
+    /// \[m\] of the tip.
+    pub diameter: f64,
+    /// \[m\] that contacts of a scene are apart at least.
+    pub distance: f64,
+    /// Places of the surface that are pressed, over all three parts.
+    pub sites: usize,
+    /// Draws places, parts and scenes.
+    pub seed: u64,
+}
+
+impl Default for SceneSettings {
+    fn default() -> Self {
+        Self { force: [0.5, 34.3], diameter: 0.010, distance: 0.012, sites: 2500, seed: 1 }
+    }
+}
+
+/// Places are held out whole, in the thesis' ratio of 3 : 1 : 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// To learn from.
+    Train,
+    /// To choose by.
+    Validation,
+    /// To report on.
+    Test,
+}
+
+/// Places to press, parted.
+#[derive(Debug, Clone)]
+pub struct Scenes {
+    settings: SceneSettings,
+    /// Training, validation, test.
+    parts: [Vec<(Point3<f64>, Vector3<f64>)>; 3],
+}
+
+impl Scenes {
+    /// Draws places all over the surface of a model, those left out that do not give way.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Training`] where the model knows no displacements, or the settings are impossible.
+    pub fn new(model: &dyn ForwardModel, settings: &SceneSettings) -> Result<Self, LearnError> {
+        let wrong = |reason: String| LearnError::Training { reason };
+        let [low, high] = settings.force;
+        let lengths = [settings.diameter, settings.distance];
+        if !(low > 0.0 && high > low && high.is_finite()) || lengths.iter().any(|l| !(*l > 0.0)) {
+            return Err(wrong(format!(
+                "scenes of {low} to {high} N, a tip of {} m and a distance of {} m cannot be simulated: all must be \
+                 positive, and the range of forces not empty",
+                settings.diameter, settings.distance
+            )));
+        }
+        let surface = model.surface();
+        let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
+        let mut sum = 0.0;
+        let cumulative: Vec<f64> = surface
+            .triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.map(|i| surface.points[i as usize]);
+                sum += (b - a).cross(&(c - a)).norm() / 2.0;
+                sum
+            })
+            .collect();
+        let mut map = vec![0.0; surface.points.len()];
+        let mut found = Vec::with_capacity(settings.sites);
+        for _ in 0..settings.sites {
+            let pick = rng.random_range(0.0..1.0) * sum;
+            let index = cumulative.partition_point(|a| *a < pick).min(cumulative.len().saturating_sub(1));
+            let Some(triangle) = surface.triangles.get(index) else { break };
+            let [a, b, c] = triangle.map(|i| surface.points[i as usize]);
+            let (mut u, mut v): (f64, f64) = (rng.random_range(0.0..1.0), rng.random_range(0.0..1.0));
+            if u + v > 1.0 {
+                (u, v) = (1.0 - u, 1.0 - v);
+            }
+            let (position, normal) = surface.project(&(a + (b - a) * u + (c - a) * v));
+            let contact = Indentation { position, force: -normal, diameter: settings.diameter };
+            let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+            let known = model.displacement(&stimulus, &mut map).map_err(|e| wrong(format!("scenes: {e}")))?;
+            if !known {
+                return Err(wrong(
+                    "the forward model of this skin knows no displacements, which real2sim goes by; it is for skins whose \
+                     surface bends"
+                        .into(),
+                ));
+            }
+            found.push((map.iter().copied().fold(0.0, f64::max), (position, normal)));
+        }
+        let mut sorted: Vec<f64> = found.iter().map(|(d, _)| *d).collect();
+        sorted.sort_by(f64::total_cmp);
+        let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+        let mut sites: Vec<_> =
+            found.into_iter().filter(|(d, _)| *d >= RIGID * median).map(|(_, site)| site).collect();
+        if sites.len() < 10 {
+            return Err(wrong(format!(
+                "{} places of the surface give way, where 10 are the least",
+                sites.len()
+            )));
+        }
+        sites.shuffle(&mut rng);
+        let test = sites.split_off(sites.len() * 4 / 5);
+        let validation = sites.split_off(sites.len() * 3 / 4);
+        Ok(Self { settings: settings.clone(), parts: [sites, validation, test] })
+    }
+
+    /// What was asked for.
+    #[must_use]
+    pub fn settings(&self) -> &SceneSettings {
+        &self.settings
+    }
+
+    /// Places of a part.
+    #[must_use]
+    pub fn sites(&self, part: Part) -> &[(Point3<f64>, Vector3<f64>)] {
+        &self.parts[part as usize]
+    }
+
+    /// `count` scenes of `contacts` contacts at places of a part, the same ones whenever they are asked for.
+    #[must_use]
+    pub fn draw(&self, part: Part, contacts: usize, count: usize) -> Vec<Stimulus> {
+        let s = &self.settings;
+        let stream = (part as u64) << 8 | contacts as u64;
+        let mut rng = ChaCha8Rng::seed_from_u64(s.seed);
+        rng.set_stream(stream + 1);
+        let sites = self.sites(part);
+        let scene = |rng: &mut ChaCha8Rng| {
+            let mut chosen: Vec<Indentation> = Vec::with_capacity(contacts);
+            let mut tries = 0;
+            while chosen.len() < contacts {
+                let (position, normal) = sites[rng.random_range(0..sites.len())];
+                tries += 1;
+                let near = |c: &Indentation| (c.position - position).norm() < s.distance;
+                if chosen.iter().any(near) && tries < TRIES {
+                    continue;
+                }
+                let force = -normal * rng.random_range(s.force[0]..s.force[1]);
+                chosen.push(Indentation { position, force, diameter: s.diameter });
+            }
+            Stimulus { contacts: chosen, ..Stimulus::default() }
+        };
+        (0..count).map(|_| scene(&mut rng)).collect()
+    }
+}

@@ -1,0 +1,154 @@
+//! What a simulation would read.
+
+use std::sync::Arc;
+
+use dermis_skin::{ForwardModel, SkinDescription, Stimulus};
+
+use super::{MapBasis, Told};
+use crate::LearnError;
+
+/// Sensors that only the simulation has.
+#[derive(Clone)]
+pub enum VirtualSensors {
+    /// Displacements of the points of the surface that lie nearest to each element of the skin: what the thesis uses.
+    Displacements {
+        /// Indices of points; those of one element follow one another.
+        points: Vec<usize>,
+        /// Points an element.
+        each: usize,
+    },
+    /// Channels of a model, at best of the skin as it was designed: a device's readings then differ little from them, whatever
+    /// touches it, and what single contacts teach of the difference holds for several.
+    Channels {
+        /// The model.
+        model: Arc<dyn ForwardModel>,
+        /// Its untouched readings.
+        rest: Vec<f64>,
+    },
+}
+
+impl std::fmt::Debug for VirtualSensors {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("VirtualSensors").field("count", &self.count()).finish_non_exhaustive()
+    }
+}
+
+impl VirtualSensors {
+    /// The `each` points of a model's surface that lie nearest to every element of a skin.
+    #[must_use]
+    pub fn displacements(model: &dyn ForwardModel, skin: &SkinDescription, each: usize) -> Self {
+        let surface = model.surface();
+        let mut points = Vec::new();
+        for taxel in &skin.taxels {
+            let foot = surface.project(&taxel.point()).0;
+            let mut order: Vec<usize> = (0..surface.points.len()).collect();
+            let distance = |i: &usize| (surface.points[*i] - foot).norm();
+            order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+            points.extend(order.into_iter().take(each));
+        }
+        Self::Displacements { points, each }
+    }
+
+    /// The channels of a model.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Training`] where the model has no answer for the untouched skin.
+    pub fn channels(model: Arc<dyn ForwardModel>) -> Result<Self, LearnError> {
+        let mut rest = vec![0.0; model.channels()];
+        model
+            .response(&Stimulus::default(), &mut rest)
+            .map_err(|e| LearnError::Training { reason: e.to_string() })?;
+        Ok(Self::Channels { model, rest })
+    }
+
+    /// Number of them.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        match self {
+            Self::Displacements { points, .. } => points.len(),
+            Self::Channels { rest, .. } => rest.len(),
+        }
+    }
+
+    /// In words.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        match self {
+            Self::Displacements { points, each } => {
+                format!("displacements of {} points, {each} near each element", points.len())
+            }
+            Self::Channels { rest, .. } => format!("the {} channels of the skin as designed", rest.len()),
+        }
+    }
+
+    /// What they read of a stimulus whose map is `map`, appended to `out`.
+    fn read(&self, stimulus: &Stimulus, map: &[f64], out: &mut Vec<f32>) -> Result<(), LearnError> {
+        match self {
+            Self::Displacements { points, .. } => out.extend(points.iter().map(|i| map[*i] as f32)),
+            Self::Channels { model, rest } => {
+                let mut values = vec![0.0; rest.len()];
+                model
+                    .response(stimulus, &mut values)
+                    .map_err(|e| LearnError::Training { reason: e.to_string() })?;
+                out.extend(values.iter().zip(rest).map(|(v, r)| (v - r) as f32));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Scenes as virtual sensors and maps see them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Simulated {
+    /// Row-major \[n, virtual sensors\]: \[m\], or the unit of the skin.
+    pub sensors: Vec<f32>,
+    /// Row-major \[n, points\] \[m\], or the amplitudes of a basis \[n, shapes\].
+    pub maps: Vec<f32>,
+}
+
+impl Simulated {
+    /// Adds what another holds.
+    pub fn extend(&mut self, other: &Self) {
+        self.sensors.extend_from_slice(&other.sensors);
+        self.maps.extend_from_slice(&other.maps);
+    }
+}
+
+/// Scenes of one block: as many maps as are in memory before they become amplitudes.
+const BLOCK: usize = 256;
+
+/// Simulates scenes; their maps become amplitudes where a basis is given, and are kept whole otherwise.
+///
+/// # Errors
+///
+/// [`LearnError::Training`] where the model has no answer, or knows no displacements.
+pub fn simulate(
+    model: &dyn ForwardModel,
+    sensors: &VirtualSensors,
+    scenes: &[Stimulus],
+    basis: Option<&MapBasis>,
+    told: Told<'_>,
+) -> Result<Simulated, LearnError> {
+    let wrong = |reason: String| LearnError::Training { reason };
+    let points = model.surface().points.len();
+    let mut all = Simulated::default();
+    let mut map = vec![0.0; points];
+    let mut block: Vec<f32> = Vec::with_capacity(BLOCK * points);
+    for (done, part) in scenes.chunks(BLOCK).enumerate() {
+        told("simulating contacts", (done * BLOCK) as f64 / scenes.len() as f64);
+        block.clear();
+        for scene in part {
+            if !model.displacement(scene, &mut map).map_err(|e| wrong(e.to_string()))? {
+                return Err(wrong("the forward model of this skin knows no displacements".into()));
+            }
+            sensors.read(scene, &map, &mut all.sensors)?;
+            block.extend(map.iter().map(|v| *v as f32));
+        }
+        match basis {
+            Some(basis) => all.maps.extend(basis.encode(&block)),
+            None => all.maps.extend_from_slice(&block),
+        }
+    }
+    Ok(all)
+}

@@ -1,0 +1,247 @@
+use std::sync::Arc;
+
+use dermis_inference::{Interface, Model, Runtime, RuntimeChoice, RuntimeConfig};
+use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec};
+use nalgebra::Point3;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::*;
+use crate::train::{NetworkConfig, TrainingConfig};
+
+/// A made-up sheet on springs: it gives way in a bump about each contact, and its elements feel a wider one.
+struct Sheet {
+    surface: Surface,
+    elements: Vec<(f64, f64)>,
+    gains: Vec<f64>,
+    noise: Vec<f64>,
+}
+
+const BUMP: f64 = 0.008;
+const FELT: f64 = 0.020;
+
+impl Sheet {
+    fn new(off: f64) -> Self {
+        let spec = SurfaceSpec::Rectangle { size: [0.10, 0.06], spacing: 0.004 };
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut by = |size: f64| size * rng.random_range(-1.0..1.0);
+        let elements = (0..15)
+            .map(|i| {
+                let (x, y) = (f64::from(i % 5) - 2.0, f64::from(i / 5) - 1.0);
+                (x * 0.022 + by(off * 1e-3), y * 0.022 + by(off * 1e-3))
+            })
+            .collect();
+        let gains = (0..15).map(|_| 1.0 + by(0.1 * off)).collect();
+        Self { surface: Surface::from_spec(&spec), elements, gains, noise: vec![1e-3; 15] }
+    }
+}
+
+impl ForwardModel for Sheet {
+    fn channels(&self) -> usize {
+        self.elements.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        out.fill(0.5);
+        for c in &stimulus.contacts {
+            for ((o, (x, y)), gain) in out.iter_mut().zip(&self.elements).zip(&self.gains) {
+                let square = (c.position.x - x).powi(2) + (c.position.y - y).powi(2);
+                *o -= gain * c.force.z * (-square / (2.0 * FELT * FELT)).exp();
+            }
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        out.fill(0.0);
+        for c in &stimulus.contacts {
+            for (o, p) in out.iter_mut().zip(&self.surface.points) {
+                let square = (c.position - p).norm_squared();
+                // Softer towards one end.
+                *o -= 1e-4 * c.force.z * (1.0 + 5.0 * c.position.x) * (-square / (2.0 * BUMP * BUMP)).exp();
+            }
+        }
+        Ok(true)
+    }
+}
+
+fn skin() -> SkinDescription {
+    let taxels: Vec<String> = Sheet::new(0.0)
+        .elements
+        .iter()
+        .enumerate()
+        .map(|(i, (x, y))| format!("{{ name = \"e{i}\", position = [{x}, {y}, 0.0] }}"))
+        .collect();
+    let text = format!(
+        "schema = \"dermis-skin/1\"\nname = \"sheet\"\nsensor = \"sheet\"\nframe_id = \"sheet\"\nunit = \"1\"\n\
+         rate = 100.0\nnoise = 1e-3\nsurface = {{ type = \"rectangle\", size = [0.10, 0.06], spacing = 0.004 }}\n\
+         taxels = [{}]\n",
+        taxels.join(", ")
+    );
+    SkinDescription::from_toml(&text, "sheet.toml").unwrap()
+}
+
+fn scenes(model: &dyn ForwardModel) -> Scenes {
+    let settings =
+        SceneSettings { force: [1.0, 10.0], sites: 1500, distance: 0.02, ..SceneSettings::default() };
+    Scenes::new(model, &settings).unwrap()
+}
+
+fn recorded(device: &Sheet, count: usize, seed: u64) -> Vec<Recorded> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut out = vec![0.0; device.channels()];
+    (0..count)
+        .map(|i| {
+            let at = |half: f64, rng: &mut ChaCha8Rng| rng.random_range(-half..half);
+            let position = Point3::new(at(0.05, &mut rng), at(0.03, &mut rng), 0.0);
+            let force = nalgebra::Vector3::new(0.0, 0.0, -rng.random_range(1.0..10.0));
+            let contact = Indentation { position, force, diameter: 0.01 };
+            let stimulus = Stimulus { contacts: vec![contact.clone()], ..Stimulus::default() };
+            device.response(&stimulus, &mut out).unwrap();
+            let signal = out.iter().map(|v| (v - 0.5 + 1e-3 * rng.sample::<f64, _>(StandardNormal)) as f32);
+            Recorded { contact, signal: signal.collect(), location: i as u32 }
+        })
+        .collect()
+}
+
+fn runtime() -> &'static Runtime {
+    Runtime::load(&RuntimeConfig { choice: RuntimeChoice::Embedded, library: None }).unwrap()
+}
+
+#[test]
+fn places_are_parted_and_scenes_drawn_alike() {
+    let model = Sheet::new(0.0);
+    let scenes = scenes(&model);
+    let key = |p: &Point3<f64>| format!("{:?}", p.coords);
+    let places = |part| -> std::collections::BTreeSet<String> {
+        scenes.sites(part).iter().map(|(p, _)| key(p)).collect()
+    };
+    let [train, validation, test] = [Part::Train, Part::Validation, Part::Test].map(places);
+    assert!(train.is_disjoint(&validation) && train.is_disjoint(&test) && validation.is_disjoint(&test));
+    assert!(train.len() > 2 * test.len() && test.len() > 100, "{} {}", train.len(), test.len());
+    for scene in scenes.draw(Part::Test, 3, 50) {
+        assert_eq!(scene.contacts.len(), 3);
+        for (i, a) in scene.contacts.iter().enumerate() {
+            assert!(test.contains(&key(&a.position)) && (1.0..10.0).contains(&a.force.norm()));
+            assert!(scene.contacts[..i].iter().all(|b| (a.position - b.position).norm() >= 0.02));
+        }
+    }
+    assert_eq!(scenes.draw(Part::Train, 2, 5), scenes.draw(Part::Train, 2, 5));
+}
+
+#[test]
+fn a_skin_without_displacements_is_refused() {
+    struct Stiff(Sheet);
+    impl ForwardModel for Stiff {
+        fn channels(&self) -> usize {
+            self.0.channels()
+        }
+        fn surface(&self) -> &Surface {
+            self.0.surface()
+        }
+        fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+            self.0.response(stimulus, out)
+        }
+        fn noise(&self) -> &[f64] {
+            self.0.noise()
+        }
+    }
+    let refused = Scenes::new(&Stiff(Sheet::new(0.0)), &SceneSettings::default()).unwrap_err();
+    insta::assert_snapshot!(refused, @"training: the forward model of this skin knows no displacements, which real2sim goes by; it is for skins whose surface bends");
+    let none = SceneSettings { force: [3.0, 3.0], ..SceneSettings::default() };
+    insta::assert_snapshot!(Scenes::new(&Sheet::new(0.0), &none).unwrap_err(), @"training: scenes of 3 to 3 N, a tip of 0.01 m and a distance of 0.012 m cannot be simulated: all must be positive, and the range of forces not empty");
+}
+
+#[test]
+fn the_table_has_every_cell_and_learned_numbers_are_the_best_known() {
+    let model: Arc<dyn ForwardModel> = Arc::new(Sheet::new(0.0));
+    let sensors = VirtualSensors::displacements(model.as_ref(), &skin(), 6);
+    assert_eq!(sensors.count(), 90);
+    let settings = TableSettings {
+        samples: [1200, 500, 500, 500],
+        tests: 150,
+        network: NetworkConfig { hidden: vec![48], ..NetworkConfig::default() },
+        training: TrainingConfig { epochs: 30, learning_rate: 3e-3, ..TrainingConfig::default() },
+        ..TableSettings::default()
+    };
+    let table = table(model.as_ref(), &sensors, &scenes(model.as_ref()), &settings, &|_, _| {}).unwrap();
+    assert_eq!(table.cells.len(), 48);
+    assert!(table.kept > 0.999 && table.rank > 20 && table.rank < 200, "{} {}", table.rank, table.kept);
+    let fvu = |method, trained, tested| table.cell(method, trained, tested).unwrap().error.fvu;
+    for method in Table::METHODS {
+        assert!(fvu(method, 1, 1) < 0.6, "{method}: {}", fvu(method, 1, 1));
+    }
+    // What neighbours never saw they cannot answer; what adds up, a line can.
+    assert!(fvu("neighbours", 1, 3) > fvu("linear", 1, 3));
+    assert!(fvu("network", 4, 3) < fvu("network", 1, 3));
+}
+
+#[test]
+fn several_contacts_of_a_device_are_found_and_the_graph_says_the_same() {
+    let model: Arc<dyn ForwardModel> = Arc::new(Sheet::new(0.0));
+    let device = Sheet::new(1.0);
+    let sensors = VirtualSensors::channels(Arc::clone(&model)).unwrap();
+    let training = |epochs| TrainingConfig { epochs, learning_rate: 3e-3, ..TrainingConfig::default() };
+    let settings = PipelineSettings {
+        each: 0,
+        samples: [1500, 1500, 500, 500],
+        transfer: NetworkConfig { hidden: vec![32], ..NetworkConfig::default() },
+        transfer_training: training(30),
+        linear_transfer: true,
+        reconstruction: NetworkConfig { hidden: vec![96, 96], ..NetworkConfig::default() },
+        reconstruction_training: training(40),
+        sensitivity: NetworkConfig { hidden: vec![16], ..NetworkConfig::default() },
+        sensitivity_training: training(30),
+        ..PipelineSettings::default()
+    };
+    let (all, held) = (recorded(&device, 1000, 1), recorded(&device, 200, 2));
+    let scenes = scenes(model.as_ref());
+    let (pipeline, trained) =
+        train(&model, &sensors, &scenes, (&all, &held), &settings, runtime(), &|_, _| {}).unwrap();
+    assert!(trained.transfer_error < 0.2, "{trained:?}");
+    assert_eq!(trained.map_rms.len(), 4);
+
+    let mut reader = pipeline.contacts(model.surface(), runtime()).unwrap();
+    let fresh = recorded(&device, 300, 7);
+    for contacts in [1, 2] {
+        let (mut distance, mut force, mut count) = (0.0, 0.0, 0);
+        let frames = superpose(&fresh, contacts, 150, 0.035, 4);
+        let mut right = 0;
+        for (stimulus, signal) in &frames {
+            let found = reader.contacts(&pipeline.map(signal).unwrap()).unwrap();
+            right += usize::from(found.len() == contacts);
+            for (t, index) in matched(&stimulus.contacts, &found, 0.05).into_iter().enumerate() {
+                let Some(contact) = index.map(|i| &found[i]) else { continue };
+                distance += (contact.position - stimulus.contacts[t].position).norm();
+                force += (contact.normal_force() - stimulus.contacts[t].force.norm()).abs();
+                count += 1;
+            }
+        }
+        let (distance, force) = (distance / f64::from(count), force / f64::from(count));
+        assert!(distance < 0.006 && force < 1.5, "{contacts}: {distance} m, {force} N");
+        assert!(right * 10 >= frames.len() * 7, "{contacts}: {right} of {}", frames.len());
+    }
+
+    let interface = pipeline.interface();
+    assert_eq!(interface, Interface::flat(15, model.surface().points.len()));
+    let mut graph = Model::load(runtime(), &pipeline.to_onnx().unwrap(), &interface).unwrap();
+    let mut out = Vec::new();
+    let signal = &fresh[0].signal;
+    let input: Vec<f32> = signal.iter().map(|v| v / pipeline.input_scale()).collect();
+    graph.run(&input, &mut out).unwrap();
+    let map = pipeline.map(signal).unwrap();
+    let largest = map.iter().copied().fold(0.0, f64::max);
+    for (a, b) in out.iter().zip(&map) {
+        assert!((f64::from(a * pipeline.output_scale()) - b).abs() < 1e-4 * largest);
+    }
+    assert!(pipeline.map(&signal[1..]).is_err());
+}
