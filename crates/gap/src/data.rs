@@ -1,0 +1,211 @@
+//! What was done to a skin, and what it read: the input of every diagnosis.
+
+use dermis_skin::Stimulus;
+use sha2::{Digest, Sha256};
+
+/// What the rig was doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, PartialOrd, Ord)]
+pub enum Phase {
+    /// Nothing is near, for long.
+    #[default]
+    Idle,
+    /// Before first contact.
+    Approach,
+    /// The force grows.
+    Load,
+    /// The force is constant.
+    Hold,
+    /// The force is constant and the contact moves.
+    Slide,
+    /// The force falls.
+    Unload,
+}
+
+impl Phase {
+    /// Whether the ground truth says that something touches in this phase.
+    #[must_use]
+    pub fn touched(self) -> bool {
+        matches!(self, Self::Load | Self::Hold | Self::Slide | Self::Unload)
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Idle => "idle",
+            Self::Approach => "untouched between presses",
+            Self::Load => "load",
+            Self::Hold => "hold",
+            Self::Slide => "slide",
+            Self::Unload => "unload",
+        }
+    }
+}
+
+/// One instant of a recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moment {
+    /// \[s\] since its run began.
+    pub time: f64,
+    /// Which run: the device is switched on anew at the beginning of each.
+    pub run: u32,
+    /// Counts presses within the run; frames between two presses belong to the one before them.
+    pub press: u64,
+    /// Identity of the place.
+    pub location: u32,
+    /// What the rig was doing.
+    pub phase: Phase,
+    /// What touches; `None` where nobody knows.
+    pub stimulus: Option<Stimulus>,
+    /// \[K\] of the skin, NaN where unknown.
+    pub temperature: f64,
+}
+
+impl Moment {
+    /// \[N\] total of what presses; 0 where nothing touches or nobody knows.
+    #[must_use]
+    pub fn force(&self) -> f64 {
+        self.stimulus.as_ref().map_or(0.0, |s| s.contacts.iter().map(|c| c.force.norm()).sum())
+    }
+}
+
+/// Something about a recording that a person should know.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Problem {
+    /// Stable name, e.g. `clock`, `units`, `frame`, `channel-order`, `not-finite`, `few-contacts`.
+    pub code: String,
+    /// One sentence: what is wrong, where, and what to do.
+    pub what: String,
+    /// Whether nothing can be said of causes while it stands.
+    pub fatal: bool,
+}
+
+impl Problem {
+    pub(crate) fn fatal(code: &str, what: impl Into<String>) -> Self {
+        Self { code: code.to_owned(), what: what.into(), fatal: true }
+    }
+
+    pub(crate) fn note(code: &str, what: impl Into<String>) -> Self {
+        Self { code: code.to_owned(), what: what.into(), fatal: false }
+    }
+}
+
+/// What was done to a skin and what it read, in the order of acquisition.
+#[derive(Debug, Clone, Default)]
+pub struct Recording {
+    /// For people.
+    pub name: String,
+    /// Channels of every frame.
+    pub channels: usize,
+    /// What was done.
+    pub moments: Vec<Moment>,
+    /// What was read, `channels` numbers a moment, in the unit of the skin; NaN where a channel gave none.
+    pub readings: Vec<f32>,
+    /// One name a run: readings of one share mounting, zero and temperature history.
+    pub sessions: Vec<String>,
+    /// What was noticed on reading it.
+    pub problems: Vec<Problem>,
+}
+
+impl Recording {
+    /// An empty recording of a skin with so many channels.
+    #[must_use]
+    pub fn new(name: impl Into<String>, channels: usize) -> Self {
+        Self { name: name.into(), channels, ..Self::default() }
+    }
+
+    /// Adds a frame. Missing readings are NaN, superfluous ones are dropped.
+    pub fn push(&mut self, moment: Moment, readings: &[f32]) {
+        self.moments.push(moment);
+        let whole = readings.iter().copied().chain(std::iter::repeat(f32::NAN));
+        self.readings.extend(whole.take(self.channels));
+    }
+
+    /// Readings of one frame.
+    #[must_use]
+    pub fn frame(&self, index: usize) -> &[f32] {
+        &self.readings[index * self.channels..(index + 1) * self.channels]
+    }
+
+    /// Number of presses in which something touched.
+    #[must_use]
+    pub fn contacts(&self) -> usize {
+        let mut found: Vec<(u32, u64)> =
+            self.moments.iter().filter(|m| m.phase.touched()).map(|m| (m.run, m.press)).collect();
+        found.sort_unstable();
+        found.dedup();
+        found.len()
+    }
+
+    /// Identity of what was done, whatever was read: signatures belong to it.
+    #[must_use]
+    pub fn stimulus_hash(&self) -> String {
+        let mut hasher = Sha256::new();
+        for m in &self.moments {
+            hasher.update(m.time.to_le_bytes());
+            hasher.update(m.run.to_le_bytes());
+            hasher.update(m.press.to_le_bytes());
+            hasher.update(m.location.to_le_bytes());
+            hasher.update([m.phase as u8, u8::from(m.stimulus.is_some())]);
+            if let Some(s) = &m.stimulus {
+                hasher.update(s.temperature.to_le_bytes());
+                hasher.update(s.ambient_pressure.to_le_bytes());
+                for c in &s.contacts {
+                    for v in c.position.iter().chain(c.force.iter()).chain([&c.diameter]) {
+                        hasher.update(v.to_le_bytes());
+                    }
+                }
+            }
+        }
+        hex(&hasher.finalize())
+    }
+
+    /// Identity of everything: what was done and what was read.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        let mut hasher = Sha256::new();
+        hasher.update(self.stimulus_hash());
+        for v in &self.readings {
+            hasher.update(v.to_le_bytes());
+        }
+        hex(&hasher.finalize())
+    }
+
+    /// Leaves frames of the same run in the order of time, and says where the clock ran backwards: at such a place nobody knows
+    /// which readings belong to which stimulus.
+    pub(crate) fn check_clock(&mut self) {
+        let (mut back, mut stood, mut first) = (0usize, 0usize, None);
+        for (i, pair) in self.moments.windows(2).enumerate() {
+            if pair[0].run != pair[1].run {
+                continue;
+            }
+            let step = pair[1].time - pair[0].time;
+            if step < 0.0 {
+                back += 1;
+                first.get_or_insert((i + 1, -step));
+            } else if step == 0.0 {
+                stood += 1;
+            }
+        }
+        if let Some((frame, by)) = first {
+            self.problems.push(Problem::fatal(
+                "clock",
+                format!(
+                    "{}: the clock runs backwards {back} times, first at frame {frame} by {by:.3} s: which reading belongs to \
+                     which press is open; record with a monotonic clock",
+                    self.name
+                ),
+            ));
+        } else if stood * 100 > self.moments.len() {
+            self.problems.push(Problem::note(
+                "clock",
+                format!("{}: {stood} frames have the stamp of the frame before them", self.name),
+            ));
+        }
+    }
+}
+
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    let digits: String = bytes.iter().map(|b| format!("{b:02x}")).collect();
+    format!("sha256:{digits}")
+}

@@ -1,0 +1,610 @@
+//! What each effect would change in a recording: its signature, from our own simulator.
+//!
+//! Every effect is realised several times: at its typical parameters, at the ends of each parameter's range, and, where it is
+//! drawn at random, for several devices. The principal components of what these realisations change are its columns. So a
+//! parameter that acts nonlinearly (a time constant, a threshold) needs no treatment of its own. An effect that differs from
+//! channel to channel gets components for each channel where components for all channels together do not foresee a device that
+//! they were not made from.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::AtomicBool;
+
+use dermis_skin::{Effect, EffectInfo, SkinDescription};
+use indicatif::ProgressBar;
+use serde::{Deserialize, Serialize};
+
+use crate::GapError;
+use crate::algebra::{cholesky_solve, components, dot};
+use crate::data::Recording;
+use crate::device::common_effect;
+use crate::rows::Rows;
+use crate::simulate::Simulator;
+use crate::statistics::Column;
+
+/// Devices that an effect is drawn for.
+const DEVICES: u64 = 8;
+/// Share of the energy of realisations that columns hold.
+const HELD: f64 = 0.998;
+/// Components of an effect for all channels together, and for each of them, at most.
+const TOGETHER: usize = 5;
+const EACH: usize = 3;
+/// What components of the other devices must foresee of a device for an effect to act alike on all channels.
+const FORESEEN: f64 = 0.9;
+/// In deviations of the noise, root mean square over rows and channels: below this an effect does not move the output.
+const MOVED: f64 = 1e-3;
+/// What two effects must explain of each other to be two names of one thing.
+const SAME: f64 = 0.97;
+/// Relative tolerance of every number of a data sheet.
+const TOLERANCE: f64 = 0.05;
+/// Relative tolerance of a contact law: exponent of the force, width of a footprint.
+const LAW: f64 = 0.05;
+/// Columns of the simulator's own error, at most.
+const FORMS: usize = 12;
+/// Channels for each of which an effect may have columns of its own; beyond it, those that it moves most do.
+const CHANNELS: usize = 48;
+
+/// An effect that may be the cause.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Candidate {
+    /// Name of the effect.
+    pub name: String,
+    /// One sentence for people.
+    pub what: String,
+    /// Whether its family knows it; otherwise it is common to all skins.
+    pub family: bool,
+    /// Whether it belongs to the rig.
+    pub rig: bool,
+    /// Its columns.
+    pub columns: Vec<usize>,
+    /// Whether each channel has columns of its own.
+    pub each: bool,
+    /// A common effect that is the same thing, in which its values are written.
+    pub form: Option<String>,
+    /// Realisations: what was switched on, and coordinates of what it changed.
+    pub starts: Vec<(Effect, Vec<f64>)>,
+    /// What is written for each column and a coefficient of 1, for effects that are linear: effect, parameter, amount.
+    pub linear: Vec<(String, String, f64)>,
+}
+
+/// Signatures of all effects in one recording, in deviations of the declared noise.
+#[derive(Debug, Clone, Default)]
+pub struct Signatures {
+    /// Readings of the nominal model, rows × channels, in the unit of the skin.
+    pub nominal: Vec<f32>,
+    /// Columns of candidates, then of the simulator's own error.
+    pub columns: Vec<Column>,
+    /// Effects.
+    pub candidates: Vec<Candidate>,
+    /// Columns of the simulator's own error: its tolerances, each for a coefficient of 1.
+    pub form: Vec<usize>,
+    /// What the simulator's own error is made of.
+    pub form_names: Vec<String>,
+    /// Effects that cannot be seen in this recording, and why.
+    pub silent: Vec<(String, String)>,
+}
+
+/// One simulation that signatures need.
+struct Job {
+    skin: SkinDescription,
+    use_: Use,
+}
+
+enum Use {
+    /// Of a family's effect: its place in the table, what was switched on, device where drawn.
+    Family(usize, Effect, Option<u64>),
+    /// Of a common effect: name, parameter, amount for which its column is.
+    Common(&'static str, String, f64),
+    /// All taxels moved along an axis.
+    Taxels(usize, f64),
+    /// One side of a tolerance: its name, and the side.
+    Form(String, f64),
+}
+
+/// How far things are moved to see what that changes.
+const SHIFT: f64 = 2e-4;
+const TURN: f64 = 0.02;
+
+impl Signatures {
+    /// Simulates all effects of the skin's family, and those that every skin can have.
+    ///
+    /// # Errors
+    ///
+    /// [`GapError`] where the nominal model fails; effects that cannot be simulated are listed as silent.
+    pub fn simulate(
+        simulator: &Simulator<'_>,
+        recording: &Recording,
+        rows: &Rows,
+        stop: &AtomicBool,
+        progress: &ProgressBar,
+    ) -> Result<Self, GapError> {
+        let frames = rows.frames();
+        let skin = simulator.skin;
+        let channels = recording.channels;
+        let nominal = simulator.readings(skin, recording, &frames)?;
+        let noise = skin.channel_noise();
+        let jobs = jobs(simulator, rows);
+        progress.set_length(jobs.len() as u64);
+        let skins: Vec<SkinDescription> = jobs.iter().map(|j| j.skin.clone()).collect();
+        let read = simulator.many(&skins, recording, rows, stop, progress)?;
+
+        let mut found = Self { nominal, ..Self::default() };
+        let deviation = |readings: &[f32], against: &[f32]| -> Vec<f32> {
+            readings
+                .iter()
+                .zip(against)
+                .enumerate()
+                .map(|(i, (a, b))| (f64::from(a - b) / noise[i % channels]) as f32)
+                .collect()
+        };
+        let mut family: BTreeMap<usize, Vec<(Effect, Option<u64>, Vec<f32>)>> = BTreeMap::new();
+        let mut common: BTreeMap<&'static str, Vec<(String, f64, Vec<f32>)>> = BTreeMap::new();
+        let mut taxels: [Vec<(f64, Vec<f32>)>; 3] = Default::default();
+        let mut forms: BTreeMap<String, Vec<(f64, Vec<f32>)>> = BTreeMap::new();
+        let mut refused: BTreeMap<String, String> = BTreeMap::new();
+        for (job, read) in jobs.into_iter().zip(read) {
+            let changed = match read {
+                Ok(read) => deviation(&read, &found.nominal),
+                Err(error) => {
+                    if let Use::Family(_, effect, _) = &job.use_ {
+                        refused.insert(effect.name.clone(), error.to_string());
+                    }
+                    continue;
+                }
+            };
+            match job.use_ {
+                Use::Family(index, effect, device) => {
+                    family.entry(index).or_default().push((effect, device, changed));
+                }
+                Use::Common(name, parameter, amount) => {
+                    common.entry(name).or_default().push((parameter, amount, changed));
+                }
+                Use::Taxels(axis, by) => taxels[axis].push((by, changed)),
+                Use::Form(name, side) => forms.entry(name).or_default().push((side, changed)),
+            }
+        }
+        found.common(skin, recording, rows, &noise, common, &taxels);
+        for (index, realised) in family {
+            found.family(&simulator.effects[index], &realised, rows, channels);
+        }
+        for (name, reason) in refused {
+            if !found.candidates.iter().any(|c| c.name == name) {
+                found.silent.push((name, reason));
+            }
+        }
+        found.name_alike(rows, channels);
+        found.forms(forms, &taxels, skin, rows, &noise, channels);
+        Ok(found)
+    }
+
+    /// Adds an effect that is known by its columns, each of one parameter; those that move nothing are left out.
+    fn add_linear(&mut self, name: &str, each: bool, parts: Vec<(String, f64, Column)>, least: f64) {
+        let Some(info) = common_effect(name) else { return };
+        let mut candidate = Candidate {
+            name: name.to_owned(),
+            what: info.what.to_owned(),
+            family: false,
+            rig: info.rig,
+            columns: Vec::new(),
+            each,
+            form: None,
+            starts: Vec::new(),
+            linear: Vec::new(),
+        };
+        for (parameter, amount, column) in parts {
+            if dot(&column.values, &column.values).sqrt() < least {
+                continue;
+            }
+            candidate.columns.push(self.columns.len());
+            candidate.linear.push((name.to_owned(), parameter, amount));
+            self.columns.push(column);
+        }
+        if candidate.columns.is_empty() {
+            self.silent.push((name.to_owned(), "nothing in this recording shows it".to_owned()));
+        } else {
+            self.candidates.push(candidate);
+        }
+    }
+
+    fn common(
+        &mut self,
+        skin: &SkinDescription,
+        recording: &Recording,
+        rows: &Rows,
+        noise: &[f64],
+        simulated: BTreeMap<&'static str, Vec<(String, f64, Vec<f32>)>>,
+        taxels: &[Vec<(f64, Vec<f32>)>; 3],
+    ) {
+        let (n, channels) = (rows.rows.len(), recording.channels);
+        let least = MOVED * ((n * channels) as f64).sqrt();
+        let names: Vec<String> = skin.channels().iter().map(|c| c.name.clone()).collect();
+        let loud = self.loudest(channels);
+        let of_channel = |amount: f64, value: &dyn Fn(usize, usize) -> f64| -> Vec<(String, f64, Column)> {
+            loud.iter()
+                .map(|&k| {
+                    let values = (0..n).map(|i| (amount * value(i, k) / noise[k]) as f32).collect();
+                    (names[k].clone(), amount, Column { channel: Some(k), values })
+                })
+                .collect()
+        };
+        let nominal = |i: usize, k: usize| f64::from(self.nominal[i * channels + k]);
+        let sigma = noise.iter().sum::<f64>() / noise.len().max(1) as f64;
+        let offsets = of_channel(sigma, &|_, _| 1.0);
+        let gains = of_channel(0.05, &nominal);
+        // A temperature that hardly changes tells nothing.
+        let kelvin: Vec<f64> = rows.rows.iter().map(|r| r.temperature).collect();
+        let known = kelvin.iter().all(|t| t.is_finite());
+        let (low, high) =
+            kelvin.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(*t), h.max(*t)));
+        let thermal = (known && high - low > 0.2).then(|| {
+            let warm = |i: usize| kelvin[i] - 293.15;
+            (of_channel(sigma, &|i, _| warm(i)), of_channel(0.01, &|i, k| warm(i) * nominal(i, k)))
+        });
+        self.add_linear("channel-offset", true, offsets, least);
+        self.add_linear("channel-gain", true, gains, least);
+        if let Some((zero, span)) = thermal {
+            self.add_linear("thermal-zero", true, zero, least);
+            self.add_linear("thermal-span", true, span, least);
+        } else {
+            let why = if known {
+                "the temperature hardly changes in this recording"
+            } else {
+                "the temperature is not recorded"
+            };
+            for name in ["thermal-zero", "thermal-span"] {
+                self.silent.push((name.to_owned(), why.to_owned()));
+            }
+        }
+        let owners = skin.channel_taxels();
+        let mut parts = Vec::new();
+        for (axis, realised) in taxels.iter().enumerate() {
+            let Some(slope) = central(realised) else { continue };
+            for &k in &loud {
+                let values = (0..n).map(|i| slope[i * channels + k] * SHIFT as f32).collect();
+                let name = format!("{}.{}", skin.taxels[owners[k]].name, ["x", "y", "z"][axis]);
+                parts.push((name, SHIFT, Column { channel: Some(k), values }));
+            }
+        }
+        // Channels of one taxel move together, which columns of a channel each cannot say.
+        if owners.iter().collect::<std::collections::BTreeSet<_>>().len() == owners.len() {
+            self.add_linear("taxel-position", true, parts, least);
+        }
+        for (name, mut realised) in simulated {
+            let mut parameters: Vec<String> = realised.iter().map(|(p, ..)| p.clone()).collect();
+            parameters.dedup();
+            let mut parts = Vec::new();
+            for parameter in parameters {
+                let of: Vec<(f64, Vec<f32>)> = realised
+                    .iter_mut()
+                    .filter(|(p, ..)| *p == parameter)
+                    .map(|(_, amount, changed)| (*amount, std::mem::take(changed)))
+                    .collect();
+                let reach = of.iter().map(|(a, _)| a.abs()).fold(0.0, f64::max);
+                if let Some(slope) = central(&of) {
+                    let values = slope.iter().map(|v| v * reach as f32).collect();
+                    parts.push((parameter, reach, Column { channel: None, values }));
+                }
+            }
+            self.add_linear(name, false, parts, least);
+        }
+    }
+
+    /// Channels that the recording moves most, in order.
+    fn loudest(&self, channels: usize) -> Vec<usize> {
+        let mut energy = vec![0.0f64; channels];
+        for row in self.nominal.chunks_exact(channels) {
+            for (e, v) in energy.iter_mut().zip(row) {
+                *e += f64::from(*v).powi(2);
+            }
+        }
+        let mut order: Vec<usize> = (0..channels).collect();
+        order.sort_by(|a, b| energy[*b].total_cmp(&energy[*a]));
+        order.truncate(CHANNELS);
+        order.sort_unstable();
+        order
+    }
+
+    /// Adds a family's effect by the components of its realisations.
+    fn family(
+        &mut self,
+        info: &EffectInfo,
+        realised: &[(Effect, Option<u64>, Vec<f32>)],
+        rows: &Rows,
+        channels: usize,
+    ) {
+        let n = rows.rows.len();
+        let vectors: Vec<Vec<f32>> = realised.iter().map(|(.., v)| v.clone()).collect();
+        let rms = |v: &[f32]| (dot(v, v) / (n * channels).max(1) as f64).sqrt();
+        if vectors.iter().map(|v| rms(v)).fold(0.0, f64::max) < MOVED {
+            self.silent.push((info.name.to_owned(), "it does not move any reading in this recording".to_owned()));
+            return;
+        }
+        let each = info.random && !foreseen(realised);
+        let mut columns: Vec<Column> = Vec::new();
+        if each {
+            for k in self.loudest(channels) {
+                let own: Vec<Vec<f32>> = vectors
+                    .iter()
+                    .map(|v| (0..n).map(|i| v[i * channels + k]).collect())
+                    .collect();
+                let (found, _) = components(&own, HELD, EACH);
+                columns.extend(found.into_iter().map(|values| Column { channel: Some(k), values }));
+            }
+        } else {
+            let (found, _) = components(&vectors, HELD, TOGETHER);
+            columns.extend(found.into_iter().map(|values| Column { channel: None, values }));
+        }
+        let first = self.columns.len();
+        let norms: Vec<f64> = columns.iter().map(|c| dot(&c.values, &c.values)).collect();
+        let starts = if each {
+            Vec::new()
+        } else {
+            let coordinates = |v: &[f32]| -> Vec<f64> {
+                columns.iter().zip(&norms).map(|(c, norm)| dot(&c.values, v) / norm).collect()
+            };
+            realised.iter().map(|(effect, _, v)| (effect.clone(), coordinates(v))).collect()
+        };
+        self.candidates.push(Candidate {
+            name: info.name.to_owned(),
+            what: info.what.to_owned(),
+            family: true,
+            rig: false,
+            columns: (first..first + columns.len()).collect(),
+            each,
+            form: None,
+            starts,
+            linear: Vec::new(),
+        });
+        self.columns.append(&mut columns);
+    }
+
+    /// A family's effect that a common one says as well, and the other way round, is that one under the family's name.
+    fn name_alike(&mut self, rows: &Rows, channels: usize) {
+        let gram = Gram::new(&self.columns, rows, channels);
+        let mut merged: Vec<usize> = Vec::new();
+        for f in 0..self.candidates.len() {
+            if !(self.candidates[f].family && self.candidates[f].each) {
+                continue;
+            }
+            for c in 0..self.candidates.len() {
+                let (family, common) = (&self.candidates[f], &self.candidates[c]);
+                if common.family || !common.each || merged.contains(&c) {
+                    continue;
+                }
+                let there = gram.explained(&family.columns, &common.columns);
+                let back = gram.explained(&common.columns, &family.columns);
+                if there > SAME && back > SAME {
+                    let (columns, linear, form) =
+                        (common.columns.clone(), common.linear.clone(), common.name.clone());
+                    let family = &mut self.candidates[f];
+                    (family.columns, family.linear, family.form) = (columns, linear, Some(form));
+                    merged.push(c);
+                    break;
+                }
+            }
+        }
+        let mut index = 0;
+        self.candidates.retain(|_| {
+            index += 1;
+            !merged.contains(&(index - 1))
+        });
+    }
+
+    /// Columns of what the simulator itself may have wrong: numbers of data sheets within their tolerance, the tip, and laws of
+    /// contact and of spread that every model simplifies.
+    fn forms(
+        &mut self,
+        simulated: BTreeMap<String, Vec<(f64, Vec<f32>)>>,
+        taxels: &[Vec<(f64, Vec<f32>)>; 3],
+        skin: &SkinDescription,
+        rows: &Rows,
+        noise: &[f64],
+        channels: usize,
+    ) {
+        let mut vectors = Vec::new();
+        for (name, sides) in simulated {
+            if let Some(change) = central(&sides) {
+                vectors.push(change);
+                self.form_names.push(name);
+            }
+        }
+        let whitened = |value: &dyn Fn(usize, usize) -> f64| -> Vec<f32> {
+            (0..rows.rows.len() * channels)
+                .map(|i| {
+                    let (row, k) = (i / channels, i % channels);
+                    (value(row, k) / noise[k]) as f32
+                })
+                .collect()
+        };
+        let nominal = |i: usize, k: usize| f64::from(self.nominal[i * channels + k]);
+        let forces: Vec<f64> = rows.rows.iter().filter(|r| r.force > 0.0).map(|r| r.force.ln()).collect();
+        let mean = forces.iter().sum::<f64>() / forces.len().max(1) as f64;
+        vectors.push(whitened(&|i, k| {
+            let force = rows.rows[i].force;
+            if force > 0.0 { LAW * nominal(i, k) * (force.ln() - mean) } else { 0.0 }
+        }));
+        self.form_names.push("exponent of the force".to_owned());
+        // How far a channel's taxel is from the contact: shape of the spread.
+        let owners = skin.channel_taxels();
+        let distance = |i: usize, k: usize| {
+            let (p, t) = (rows.rows[i].position, skin.taxels[owners[k]].position);
+            let square: f64 = p.iter().zip(t).map(|(a, b)| (a - b).powi(2)).sum();
+            square.sqrt()
+        };
+        let mut scale: f64 = 0.0;
+        let mut weight: f64 = 0.0;
+        for i in 0..rows.rows.len() {
+            for k in 0..channels {
+                let (d, s) = (distance(i, k), nominal(i, k).powi(2));
+                if d.is_finite() {
+                    scale += s * d;
+                    weight += s;
+                }
+            }
+        }
+        let scale = scale / weight.max(1e-300);
+        if scale > 0.0 {
+            let shapes: [(&str, fn(f64) -> f64); 3] = [
+                ("height of the spread", |q| (-q * q).exp()),
+                ("width of the spread", |q| q * q * (-q * q / 4.0).exp()),
+                ("tail of the spread", |q| q * q / (1.0 + q * q)),
+            ];
+            for (name, shape) in shapes {
+                vectors.push(whitened(&|i, k| {
+                    let q = distance(i, k) / scale;
+                    if q.is_finite() { LAW * nominal(i, k) * shape(q) } else { 0.0 }
+                }));
+                self.form_names.push(name.to_owned());
+            }
+            // Depth of all taxels together, as a share of the distance that they see contacts from.
+            if let Some(slope) = central(&taxels[2]) {
+                vectors.push(slope.iter().map(|v| v * (LAW * scale) as f32).collect());
+                self.form_names.push("depth of all taxels".to_owned());
+            }
+        }
+        // Many tolerances at once: components of their sum, not of their mean.
+        let (mut found, _) = components(&vectors, 0.9995, FORMS);
+        let back = (vectors.len() as f32).sqrt();
+        for values in &mut found {
+            values.iter_mut().for_each(|v| *v *= back);
+            self.form.push(self.columns.len());
+            self.columns.push(Column { channel: None, values: std::mem::take(values) });
+        }
+    }
+}
+
+/// All simulations that signatures need.
+fn jobs(simulator: &Simulator<'_>, rows: &Rows) -> Vec<Job> {
+    let skin = simulator.skin;
+    let mut jobs = Vec::new();
+    for (index, info) in simulator.effects.iter().enumerate() {
+        let base = skin.effects.iter().find(|e| e.name == info.name && e.strength > 0.0);
+        let base = base.cloned().unwrap_or_else(|| Effect::new(info.name));
+        let mut realise = |effect: Effect, device: Option<u64>| {
+            let skin = simulator.with(std::slice::from_ref(&effect));
+            jobs.push(Job { skin, use_: Use::Family(index, effect, device) });
+        };
+        let drawn = |effect: Effect, device: u64| if info.random { effect.seed(1000 + device) } else { effect };
+        for device in 0..if info.random { DEVICES } else { 1 } {
+            realise(drawn(base.clone(), device), info.random.then_some(device));
+        }
+        for parameter in info.parameters {
+            for value in parameter.range {
+                if value != info.value(&base, parameter.name) {
+                    let effect = base.clone().with(parameter.name, value);
+                    // Devices that differ by more than a parameter say nothing of either.
+                    realise(drawn(effect, 0), None);
+                }
+            }
+        }
+    }
+    let mut common = |name: &'static str, parameter: &str, value: f64, amount: f64| {
+        let effect = Effect::new(name).with(parameter, value);
+        let skin = simulator.with(&[effect]);
+        jobs.push(Job { skin, use_: Use::Common(name, parameter.to_owned(), amount) });
+    };
+    let period = 1.0 / skin.rate;
+    common("delay", "time", period, period);
+    common("low-pass", "time", period, period);
+    common("low-pass", "time", 10.0 * period, 10.0 * period);
+    let flat = rows.rows.iter().all(|r| !r.position[2].is_finite() || r.position[2].abs() < 1e-6);
+    for axis in ["x", "y", "z"].into_iter().take(if flat { 2 } else { 3 }) {
+        for side in [1.0, -1.0] {
+            common("truth-shift", axis, side * SHIFT, side * SHIFT);
+        }
+    }
+    for side in [1.0, -1.0] {
+        common("truth-shift", "turn", side * TURN, side * TURN);
+        common("force-scale", "factor", 1.0 + side * 0.05, side * 0.05);
+        common("force-zero", "force", side * 0.005, side * 0.005);
+        common("tip-scale", "factor", 1.0 + side * 0.1, side * 0.1);
+    }
+    for axis in 0..3 {
+        for by in [SHIFT, -SHIFT] {
+            let mut moved = skin.clone();
+            moved.taxels.iter_mut().for_each(|t| t.position[axis] += by);
+            jobs.push(Job { skin: moved, use_: Use::Taxels(axis, by) });
+        }
+    }
+    for (name, value) in &skin.medium {
+        let number = value.as_float().or_else(|| value.as_integer().map(|i| i as f64));
+        let Some(number) = number.filter(|v| *v != 0.0) else { continue };
+        for side in [1.0, -1.0] {
+            let mut other = skin.clone();
+            let changed = number * (1.0 + side * TOLERANCE);
+            other.medium.insert(name.clone(), toml::Value::Float(changed));
+            jobs.push(Job { skin: other, use_: Use::Form(format!("medium.{name}"), side) });
+        }
+    }
+    for side in [1.0, -1.0] {
+        let skin = simulator.with(&[Effect::new("tip-scale").with("factor", 1.0 + side * TOLERANCE)]);
+        jobs.push(Job { skin, use_: Use::Form("diameter of the tip".to_owned(), side) });
+    }
+    jobs
+}
+
+/// Change for an amount of 1: central where both sides are known, of one side otherwise.
+fn central(sides: &[(f64, Vec<f32>)]) -> Option<Vec<f32>> {
+    let plus = sides.iter().find(|(a, _)| *a > 0.0);
+    let minus = sides.iter().find(|(a, _)| *a < 0.0);
+    match (plus, minus) {
+        (Some((a, p)), Some((b, m))) => {
+            Some(p.iter().zip(m).map(|(p, m)| (p - m) / (a - b) as f32).collect())
+        }
+        (Some((a, v)), None) | (None, Some((a, v))) => Some(v.iter().map(|v| v / *a as f32).collect()),
+        (None, None) => None,
+    }
+}
+
+/// Whether components of all devices but one foresee that one.
+fn foreseen(realised: &[(Effect, Option<u64>, Vec<f32>)]) -> bool {
+    let devices: Vec<&Vec<f32>> = realised.iter().filter(|r| r.1.is_some()).map(|(.., v)| v).collect();
+    let mut shares = Vec::new();
+    for left in 0..devices.len() {
+        let others: Vec<Vec<f32>> =
+            devices.iter().enumerate().filter(|(i, _)| *i != left).map(|(_, v)| (*v).clone()).collect();
+        let (found, _) = components(&others, 0.9999, TOGETHER);
+        let target = devices[left];
+        let energy = dot(target, target);
+        let held: f64 =
+            found.iter().map(|c| dot(c, target).powi(2) / dot(c, c).max(1e-300)).sum::<f64>();
+        shares.push(if energy > 0.0 { held / energy } else { 1.0 });
+    }
+    shares.sort_by(f64::total_cmp);
+    shares.get(shares.len() / 2).is_some_and(|s| *s > FORESEEN)
+}
+
+/// Products of all columns over all rows.
+pub(crate) struct Gram {
+    g: Vec<f64>,
+    p: usize,
+}
+
+impl Gram {
+    pub(crate) fn new(columns: &[Column], rows: &Rows, channels: usize) -> Self {
+        let nothing = vec![0.0f32; rows.rows.len() * channels];
+        let statistics = crate::statistics::Statistics::new(columns, &nothing, rows, channels);
+        let sum = statistics.sum(&vec![1.0; statistics.groups()]);
+        Self { g: sum.g, p: columns.len() }
+    }
+
+    /// Share of the energy of columns `of` that lies in the span of columns `by`.
+    pub(crate) fn explained(&self, of: &[usize], by: &[usize]) -> f64 {
+        let n = by.len();
+        let (mut held, mut all) = (0.0, 0.0);
+        for &t in of {
+            let mut a: Vec<f64> = Vec::with_capacity(n * n);
+            for (r, &i) in by.iter().enumerate() {
+                a.extend(by.iter().map(|&j| self.g[i * self.p + j]));
+                a[r * n + r] *= 1.0 + 1e-9;
+                a[r * n + r] += 1e-12;
+            }
+            let b: Vec<f64> = by.iter().map(|&i| self.g[i * self.p + t]).collect();
+            let mut x = b.clone();
+            if cholesky_solve(&mut a, n, &mut x).is_some() {
+                held += x.iter().zip(&b).map(|(x, b)| x * b).sum::<f64>();
+            }
+            all += self.g[t * self.p + t];
+        }
+        if all > 0.0 { held / all } else { 0.0 }
+    }
+}

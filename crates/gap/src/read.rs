@@ -1,0 +1,372 @@
+//! Bags → recordings.
+
+use std::path::Path;
+
+use dermis_bag::{BagReader, Filter};
+use dermis_learn::{Dataset, DatasetOptions, LabelMap};
+use dermis_msgs::msg::{Indentation, TaxelFrame};
+use dermis_msgs::{Message, TypeSupport};
+use dermis_skin::{Frame, Indentation as Touch, SkinDescription, Stamp, Stimulus, Surface};
+use nalgebra::{Point3, Vector3};
+
+use crate::GapError;
+use crate::data::{Moment, Phase, Problem, Recording};
+
+/// \[m\] off the surface that a true contact may lie before its frame is doubted: what a stage and a mould are off by.
+const OFF_SURFACE: f64 = 2e-3;
+/// Share of a press's force by which it changes from frame to frame while it is held.
+const HELD: f64 = 0.03;
+
+/// One frame as a bag gives it.
+struct Raw {
+    stamp: Stamp,
+    values: Vec<f32>,
+    temperature: f64,
+}
+
+/// Reads labelled bags of one skin. Ground truth is `dermis_msgs/msg/Indentation`, or what a robot's and a force sensor's topics
+/// say by `map`.
+///
+/// # Errors
+///
+/// [`GapError::Bag`] where a bag cannot be read, [`GapError::Recording`] where it holds no frames or no ground truth of this
+/// skin, [`GapError::Learn`] where a mapped bag cannot be joined. What is wrong with the readings themselves is in
+/// [`Recording::problems`].
+pub fn read(
+    bags: &[impl AsRef<Path>],
+    skin: &SkinDescription,
+    map: Option<&LabelMap>,
+) -> Result<Recording, GapError> {
+    let names: Vec<String> = bags
+        .iter()
+        .map(|b| b.as_ref().file_name().unwrap_or(b.as_ref().as_os_str()).to_string_lossy().into_owned())
+        .collect();
+    let mut recording = Recording::new(names.join(", "), skin.channels().len());
+    match map {
+        Some(map) => mapped(bags, skin, map, &mut recording)?,
+        None => {
+            for bag in bags {
+                own(bag.as_ref(), skin, &mut recording)?;
+            }
+        }
+    }
+    recording.check_clock();
+    Ok(recording)
+}
+
+fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result<(), GapError> {
+    let place = path.display().to_string();
+    let wrong = |reason: String| GapError::Recording { place: place.clone(), reason };
+    let bag = BagReader::open(path)?;
+    let wanted = [TypeSupport::of::<TaxelFrame>(), TypeSupport::of::<Indentation>()];
+    for support in &wanted {
+        for topic in bag.topics().iter().filter(|t| t.type_name == support.name) {
+            bag.check_type(topic, support)?;
+        }
+    }
+    let (mut frames, mut truths) = (Vec::new(), Vec::new());
+    let expected: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
+    let mut session = None;
+    for message in bag.messages_where(Filter::default().types(wanted.iter().map(|s| s.name))) {
+        let message = message?;
+        if *message.type_name == *TaxelFrame::TYPE_NAME {
+            let frame: TaxelFrame = message.decode()?;
+            if frame.skin != skin.name {
+                continue;
+            }
+            if frame.values.len() != expected.len() {
+                return Err(wrong(format!(
+                    "its frames have {} channels where skin `{}` has {}: pass the description that it was recorded with",
+                    frame.values.len(),
+                    skin.name,
+                    expected.len()
+                )));
+            }
+            if frames.is_empty() {
+                named_otherwise(&frame, skin, &place, recording)?;
+            }
+            let stamp = frame.header.stamp.as_nanos();
+            let frame = Frame::from(&frame);
+            let values = frame.values.iter().zip(&frame.flags);
+            let values = values.map(|(v, f)| if f.is_invalid() { f32::NAN } else { *v }).collect();
+            frames.push(Raw { stamp, values, temperature: f64::from(frame.temperature) });
+        } else {
+            let truth: Indentation = message.decode()?;
+            if truth.skin == skin.name {
+                session.get_or_insert_with(|| truth.session.clone());
+                truths.push(truth);
+            }
+        }
+    }
+    if frames.is_empty() {
+        return Err(wrong(format!("holds no frames of skin `{}`", skin.name)));
+    }
+    if truths.is_empty() {
+        return Err(wrong(format!(
+            "holds no ground truth (dermis_msgs/msg/Indentation) of skin `{}`: name a robot's and a force sensor's topics in \
+             a file and pass it as `--map`",
+            skin.name
+        )));
+    }
+    // Frames stay in the order in which they were recorded, so that a clock that runs backwards shows; truth is looked up.
+    truths.sort_by_key(|t| t.header.stamp.as_nanos());
+    let run = recording.sessions.len() as u32;
+    recording.sessions.push(session.filter(|s| !s.is_empty()).unwrap_or(place.clone()));
+    let begin = frames[0].stamp;
+    let tolerance = ((0.5 / skin.rate).max(0.01) * 1e9) as Stamp;
+    let surface = skin.surface();
+    let mut doubts = Doubts::default();
+    for frame in frames {
+        let after = truths.partition_point(|t| t.header.stamp.as_nanos() < frame.stamp);
+        let near = [after.checked_sub(1), Some(after)];
+        let near = near.into_iter().flatten().filter_map(|i| truths.get(i));
+        let away = |t: &&Indentation| t.header.stamp.as_nanos().saturating_sub(frame.stamp).saturating_abs();
+        let truth = near.min_by_key(away).filter(|t| away(t) <= tolerance);
+        let mut moment = Moment {
+            time: frame.stamp.saturating_sub(begin) as f64 * 1e-9,
+            run,
+            press: 0,
+            location: 0,
+            phase: Phase::Idle,
+            stimulus: None,
+            temperature: frame.temperature,
+        };
+        match truth {
+            None => doubts.unknown += 1,
+            Some(truth) => {
+                moment.press = truth.press;
+                moment.location = truth.location;
+                moment.phase = phase(truth.phase, !truth.contacts.is_empty());
+                if truth.temperature.is_finite() {
+                    moment.temperature = f64::from(truth.temperature);
+                }
+                let contacts = truth.contacts.iter().map(|c| Touch {
+                    position: Point3::new(c.position.x, c.position.y, c.position.z),
+                    force: Vector3::new(c.force.x, c.force.y, c.force.z),
+                    diameter: c.diameter,
+                });
+                moment.stimulus =
+                    stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
+            }
+        }
+        recording.push(moment, &frame.values);
+    }
+    doubts.tell(&place, recording);
+    Ok(())
+}
+
+/// Says where a bag names its channels otherwise than the skin does, and refuses another unit.
+fn named_otherwise(
+    frame: &TaxelFrame,
+    skin: &SkinDescription,
+    place: &str,
+    recording: &mut Recording,
+) -> Result<(), GapError> {
+    let expected: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
+    if !frame.channels.is_empty() && frame.channels.iter().map(String::as_str).ne(expected.iter().copied()) {
+        recording.problems.push(Problem::fatal(
+            "channel-names",
+            format!(
+                "{place}: its channels are named {} where skin `{}` has {}: readings would be taken for those of others; \
+                 pass the description that it was recorded with",
+                frame.channels.iter().take(4).cloned().collect::<Vec<_>>().join(", "),
+                skin.name,
+                expected.iter().take(4).copied().collect::<Vec<_>>().join(", ")
+            ),
+        ));
+    }
+    if !frame.unit.is_empty() && frame.unit != skin.unit {
+        return Err(GapError::Recording {
+            place: place.to_owned(),
+            reason: format!(
+                "its readings are in \"{}\" where skin `{}` is in \"{}\"",
+                frame.unit, skin.name, skin.unit
+            ),
+        });
+    }
+    Ok(())
+}
+
+/// What was found odd about ground truth.
+#[derive(Default)]
+pub(crate) struct Doubts {
+    unknown: usize,
+    contacts: usize,
+    /// Off the surface by more than a mould is, and the largest such distance \[m\].
+    off: usize,
+    farthest: f64,
+    pulls: usize,
+    odd: usize,
+    tips: usize,
+}
+
+impl Doubts {
+    pub(crate) fn tell(&self, place: &str, recording: &mut Recording) {
+        let share = |n: usize| 100.0 * n as f64 / self.contacts.max(1) as f64;
+        if share(self.off) > 5.0 {
+            let far = self.farthest;
+            let guess = if far > 0.5 { "millimetres instead of metres, or " } else { "" };
+            recording.problems.push(Problem::fatal(
+                "frame",
+                format!(
+                    "{place}: {:.0} % of the true contacts lie off the surface of the skin, by up to {far:.4} m: the ground truth \
+                     is in {guess}another frame than the skin's link; transform it",
+                    share(self.off)
+                ),
+            ));
+        }
+        if share(self.pulls) > 20.0 {
+            recording.problems.push(Problem::fatal(
+                "frame",
+                format!(
+                    "{place}: {:.0} % of the true contacts pull: their force is that of the skin on the tip, or in another frame; \
+                     turn its sign",
+                    share(self.pulls)
+                ),
+            ));
+        }
+        if share(self.odd) > 1.0 {
+            recording.problems.push(Problem::note(
+                "not-finite",
+                format!("{place}: {:.1} % of the true contacts have no position or force", share(self.odd)),
+            ));
+        }
+        if self.tips > 0 {
+            recording.problems.push(Problem::note(
+                "tip",
+                format!("{place}: the tip's diameter is not known; 4 mm are assumed, so that its size cannot be told"),
+            ));
+        }
+        if self.unknown > 0 {
+            recording.problems.push(Problem::note(
+                "no-truth",
+                format!("{place}: {} frames have no ground truth near them and are left out", self.unknown),
+            ));
+        }
+    }
+}
+
+/// What touches, on the surface; `None` where that cannot be told.
+pub(crate) fn stimulus(
+    contacts: Vec<Touch>,
+    temperature: f64,
+    surface: &Surface,
+    doubts: &mut Doubts,
+) -> Option<Stimulus> {
+    let mut kept = Vec::with_capacity(contacts.len());
+    for mut contact in contacts {
+        doubts.contacts += 1;
+        if !contact.position.iter().chain(contact.force.iter()).all(|v| v.is_finite()) {
+            doubts.odd += 1;
+            return None;
+        }
+        let (on, normal) = surface.project(&contact.position);
+        let off = (on - contact.position).norm();
+        if off > OFF_SURFACE {
+            doubts.off += 1;
+            doubts.farthest = doubts.farthest.max(off);
+        }
+        contact.position = on;
+        if !(contact.diameter.is_finite() && contact.diameter > 0.0) {
+            doubts.tips += 1;
+            contact.diameter = 0.004;
+        }
+        // What pulls is noise of the force cell around nothing, unless there is a lot of it.
+        let pressing = -contact.force.dot(&normal);
+        if pressing <= 0.0 {
+            doubts.pulls += usize::from(pressing < -0.05);
+            continue;
+        }
+        kept.push(contact);
+    }
+    let standard = Stimulus::default();
+    let temperature = if temperature.is_finite() { temperature } else { standard.temperature };
+    Some(Stimulus { contacts: kept, temperature, ..standard })
+}
+
+fn phase(code: u8, touched: bool) -> Phase {
+    match code {
+        Indentation::PHASE_IDLE if !touched => Phase::Idle,
+        Indentation::PHASE_LOAD => Phase::Load,
+        Indentation::PHASE_SLIDE => Phase::Slide,
+        Indentation::PHASE_UNLOAD => Phase::Unload,
+        _ if touched => Phase::Hold,
+        _ => Phase::Approach,
+    }
+}
+
+/// Bags whose ground truth is a robot's pose and a force sensor's wrench: phases follow from the force.
+fn mapped(
+    bags: &[impl AsRef<Path>],
+    skin: &SkinDescription,
+    map: &LabelMap,
+    recording: &mut Recording,
+) -> Result<(), GapError> {
+    let options = DatasetOptions { map: Some(map.clone()), ..DatasetOptions::default() };
+    let data = Dataset::from_bags(bags, skin, &options)?;
+    recording.problems.extend(data.notices().into_iter().map(|n| Problem::note("data", n)));
+    let surface = skin.surface();
+    for (run, read) in data.runs().iter().enumerate() {
+        recording.sessions.push(read.session.clone());
+        let begin = read.samples.first().map_or(0, |s| s.frame.stamp);
+        let mut doubts = Doubts::default();
+        let first = recording.moments.len();
+        for sample in &read.samples {
+            let mut moment = Moment {
+                time: (sample.frame.stamp - begin) as f64 * 1e-9,
+                run: run as u32,
+                press: 0,
+                location: 0,
+                phase: Phase::Approach,
+                stimulus: None,
+                temperature: f64::from(sample.frame.temperature),
+            };
+            match &sample.truth {
+                None => doubts.unknown += 1,
+                Some(truth) => {
+                    (moment.press, moment.location) = (truth.press, truth.location);
+                    moment.phase = match (truth.touched(), truth.idle) {
+                        (true, _) => Phase::Hold,
+                        (false, true) => Phase::Idle,
+                        (false, false) => Phase::Approach,
+                    };
+                    let contacts = truth.contacts.iter().map(|c| {
+                        let pressing = c.normal_force().unwrap_or(f64::NAN);
+                        let full = c.force.iter().all(|v| v.is_finite());
+                        Touch {
+                            position: c.position,
+                            force: if full { c.force } else { -c.normal * pressing },
+                            diameter: c.diameter,
+                        }
+                    });
+                    moment.stimulus =
+                        stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
+                }
+            }
+            let values: Vec<f32> = sample.frame.values.clone();
+            recording.push(moment, &values);
+        }
+        by_force(&mut recording.moments[first..]);
+        doubts.tell(&read.path.display().to_string(), recording);
+    }
+    Ok(())
+}
+
+/// Loading, holding and unloading told apart by how the force goes.
+fn by_force(moments: &mut [Moment]) {
+    let force: Vec<f64> = moments.iter().map(Moment::force).collect();
+    for i in 0..moments.len() {
+        if !moments[i].phase.touched() {
+            continue;
+        }
+        let (a, b) = (force[i.saturating_sub(2)], force[(i + 2).min(force.len() - 1)]);
+        let change = (b - a) / force[i].max(1e-9);
+        moments[i].phase = if change > 4.0 * HELD {
+            Phase::Load
+        } else if change < -4.0 * HELD {
+            Phase::Unload
+        } else {
+            Phase::Hold
+        };
+    }
+}

@@ -1,0 +1,307 @@
+//! Which frames are looked at, and which of them belong together.
+
+use std::collections::BTreeMap;
+
+use rand::seq::SliceRandom;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::data::{Phase, Recording};
+
+/// \[s\] after a contact has ended for which frames still belong to it.
+const AFTER: f64 = 2.0;
+
+/// One frame that is looked at.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    /// Index in [`Recording::moments`].
+    pub frame: usize,
+    /// Frames of one group are never parted: those of one place.
+    pub group: usize,
+    /// Counts presses over all runs; frames between presses belong to the one before.
+    pub press: usize,
+    /// Place.
+    pub location: (u32, u32),
+    /// What the rig was doing.
+    pub phase: Phase,
+    /// \[N\] total.
+    pub force: f64,
+    /// \[s\] since the contact began, while it lasts; since it ended, after it. NaN where nothing has touched yet.
+    pub since: f64,
+    /// \[s\] since the run began.
+    pub time: f64,
+    /// \[N\] largest force so far at this place.
+    pub before: f64,
+    /// \[N/s\] change of the force.
+    pub speed: f64,
+    /// \[K\], NaN where unknown.
+    pub temperature: f64,
+    /// \[m\] of the (first) contact; NaN where nothing touches.
+    pub position: [f64; 3],
+    /// \[m\] of its tip.
+    pub diameter: f64,
+    /// Contacts at once.
+    pub contacts: usize,
+    /// Whether the row after this one is the next frame of the same hold.
+    pub paired: bool,
+}
+
+/// The frames that are looked at.
+#[derive(Debug, Clone, Default)]
+pub struct Rows {
+    /// In the order of acquisition.
+    pub rows: Vec<Row>,
+    /// Number of groups.
+    pub groups: usize,
+    /// Which groups are kept for the end: neither fitted nor selected on.
+    pub test: Vec<bool>,
+    /// Presses that they come from.
+    pub presses: usize,
+    /// Rows that were left out because a reading is missing.
+    pub missing: usize,
+}
+
+/// How rows are drawn.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RowOptions {
+    /// Readings (rows × channels) that are looked at, at most.
+    pub readings: usize,
+    /// Groups, at most.
+    pub groups: usize,
+    /// Share of groups that is kept for the end.
+    pub test: f64,
+    /// Which are drawn.
+    pub seed: u64,
+}
+
+impl Default for RowOptions {
+    fn default() -> Self {
+        Self { readings: 1_500_000, groups: 240, test: 0.25, seed: 1 }
+    }
+}
+
+impl Rows {
+    /// Draws rows evenly over presses and phases. `usable` says which channels count.
+    #[must_use]
+    pub fn draw(recording: &Recording, usable: &[bool], options: &RowOptions) -> Self {
+        let facts = facts(recording);
+        // Frames by press, in the order of phases within it.
+        let mut presses: Vec<Vec<usize>> = Vec::new();
+        let mut idle = Vec::new();
+        let mut last = None;
+        for (i, moment) in recording.moments.iter().enumerate() {
+            if moment.stimulus.is_none() {
+                continue;
+            }
+            if moment.phase == Phase::Idle || facts[i].since.is_nan() {
+                idle.push(i);
+                continue;
+            }
+            if last != Some((moment.run, moment.press)) {
+                presses.push(Vec::new());
+                last = Some((moment.run, moment.press));
+            }
+            if let Some(press) = presses.last_mut() {
+                press.push(i);
+            }
+        }
+        presses.retain(|p| p.iter().any(|&i| recording.moments[i].phase.touched()));
+        let whole = |i: usize| recording.frame(i).iter().zip(usable).all(|(v, u)| v.is_finite() || !u);
+        let budget = (options.readings / recording.channels.max(1)).max(64);
+        // Some eight frames of a press say all of it; where there are too many presses, every so many are taken.
+        let keep = presses.len().div_ceil((budget / 8).max(1)).max(1);
+        let mut missing = 0;
+        let mut chosen: Vec<(usize, usize, bool)> = Vec::new();
+        for (number, press) in presses.iter().enumerate().step_by(keep) {
+            for (frame, paired) in of_press(recording, press, &facts) {
+                if whole(frame) {
+                    chosen.push((frame, number, paired));
+                } else {
+                    missing += 1;
+                }
+            }
+        }
+        let most = (chosen.len() / 10).clamp(20, 400);
+        for &frame in idle.iter().step_by(idle.len().div_ceil(most).max(1)) {
+            if whole(frame) {
+                chosen.push((frame, usize::MAX, false));
+            } else {
+                missing += 1;
+            }
+        }
+        chosen.sort_unstable();
+        chosen.dedup_by_key(|c| c.0);
+        let taken = presses.iter().step_by(keep).count();
+
+        // Places make groups; those of idle stretches are stretches.
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        let mut places: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+        for (frame, number, _) in &chosen {
+            if *number != usize::MAX {
+                let m = &recording.moments[*frame];
+                let next = places.len();
+                places.entry((m.run, place(m.location, m.press))).or_insert(next);
+            }
+        }
+        let most = options.groups.max(8) * 9 / 10;
+        let touched = places.len().min(most);
+        let mut order: Vec<usize> = (0..places.len()).collect();
+        order.shuffle(&mut rng);
+        let stretches = (options.groups - most).clamp(1, 12);
+        let idle_rows = chosen.iter().filter(|c| c.1 == usize::MAX).count();
+        let groups = touched + if idle_rows > 0 { stretches } else { 0 };
+        let mut idle_seen = 0;
+        let mut rows: Vec<Row> = Vec::with_capacity(chosen.len());
+        for (frame, number, paired) in chosen {
+            let moment = &recording.moments[frame];
+            let group = if number == usize::MAX {
+                let stretch = idle_seen * stretches / idle_rows.max(1);
+                idle_seen += 1;
+                touched + stretch
+            } else {
+                let index = places[&(moment.run, place(moment.location, moment.press))];
+                order[index] % touched.max(1)
+            };
+            let first = moment.stimulus.as_ref().and_then(|s| s.contacts.first());
+            rows.push(Row {
+                frame,
+                group,
+                press: number,
+                location: (moment.run, moment.location),
+                phase: moment.phase,
+                force: moment.force(),
+                since: facts[frame].since,
+                time: moment.time,
+                before: facts[frame].before,
+                speed: facts[frame].speed,
+                temperature: moment.temperature,
+                position: first.map_or([f64::NAN; 3], |c| c.position.coords.into()),
+                diameter: first.map_or(f64::NAN, |c| c.diameter),
+                contacts: moment.stimulus.as_ref().map_or(0, |s| s.contacts.len()),
+                paired,
+            });
+        }
+        // A pair may have lost its second row.
+        for i in 0..rows.len() {
+            let next = rows
+                .get(i + 1)
+                .is_some_and(|n| n.frame == rows[i].frame + 1 && n.press == rows[i].press && n.phase == rows[i].phase);
+            rows[i].paired &= next;
+        }
+        let mut numbers: Vec<usize> = (0..touched).collect();
+        numbers.shuffle(&mut rng);
+        let mut test = vec![false; groups];
+        for group in numbers.iter().take((touched as f64 * options.test).round() as usize) {
+            test[*group] = true;
+        }
+        Self { rows, groups, test, presses: taken, missing }
+    }
+
+    /// Indices of the frames, in order.
+    #[must_use]
+    pub fn frames(&self) -> Vec<usize> {
+        self.rows.iter().map(|r| r.frame).collect()
+    }
+
+    /// One number a group: 1 for those that are fitted and selected on.
+    #[must_use]
+    pub fn training(&self) -> Vec<f64> {
+        self.test.iter().map(|t| f64::from(u8::from(!t))).collect()
+    }
+}
+
+/// A press without a place is a place of its own.
+fn place(location: u32, press: u64) -> u32 {
+    if location == 0 { u32::MAX - press as u32 } else { location }
+}
+
+/// What of a frame follows from those before it.
+#[derive(Debug, Clone, Copy)]
+struct Facts {
+    since: f64,
+    before: f64,
+    speed: f64,
+}
+
+fn facts(recording: &Recording) -> Vec<Facts> {
+    let mut found = Vec::with_capacity(recording.moments.len());
+    let mut largest: BTreeMap<(u32, u32), f64> = BTreeMap::new();
+    let (mut began, mut run, mut was): (f64, Option<u32>, bool) = (f64::NAN, None, false);
+    for (i, m) in recording.moments.iter().enumerate() {
+        if run != Some(m.run) {
+            (began, run, was) = (f64::NAN, Some(m.run), false);
+        }
+        let now = m.phase.touched();
+        if now != was {
+            began = m.time;
+        }
+        was = now;
+        let force = m.force();
+        let before = largest.entry((m.run, place(m.location, m.press))).or_insert(0.0);
+        let neighbour = |j: usize| recording.moments.get(j).filter(|n| n.run == m.run);
+        let ago = i.checked_sub(1).and_then(neighbour);
+        let next = neighbour(i + 1);
+        let speed = match (ago, next) {
+            (Some(a), Some(b)) if b.time > a.time => (b.force() - a.force()) / (b.time - a.time),
+            _ => 0.0,
+        };
+        let since = m.time - began;
+        found.push(Facts {
+            since: if !now && since > AFTER { f64::NAN } else { since },
+            before: *before,
+            speed,
+        });
+        if now {
+            *before = before.max(force);
+        }
+    }
+    found
+}
+
+/// The frames of a press that say all of it, and whether the next one is its twin.
+fn of_press(recording: &Recording, press: &[usize], facts: &[Facts]) -> Vec<(usize, bool)> {
+    let phase = |i: &usize| recording.moments[*i].phase;
+    let of = |wanted: Phase| -> Vec<usize> {
+        press.iter().copied().filter(|i| phase(i) == wanted && !facts[*i].since.is_nan()).collect()
+    };
+    let mut chosen: Vec<(usize, bool)> = Vec::new();
+    let spread = |frames: &[usize], count: usize, chosen: &mut Vec<(usize, bool)>| {
+        for n in 0..count.min(frames.len()) {
+            let at = (2 * n + 1) * frames.len() / (2 * count.min(frames.len()));
+            chosen.push((frames[at], false));
+        }
+    };
+    spread(&of(Phase::Load), 2, &mut chosen);
+    let hold = of(Phase::Hold);
+    match hold.len() {
+        0..=3 => chosen.extend(hold.iter().map(|i| (*i, false))),
+        n => {
+            let mid = n / 2;
+            chosen.extend([(hold[0], false), (hold[mid - 1], false), (hold[mid], false), (hold[n - 1], false)]);
+        }
+    }
+    // Frames that follow on each other in a hold are twins: only noise tells them apart.
+    for i in 0..chosen.len() {
+        let twin = i + 1 < chosen.len()
+            && phase(&chosen[i].0) == Phase::Hold
+            && phase(&chosen[i + 1].0) == Phase::Hold
+            && chosen[i + 1].0 == chosen[i].0 + 1;
+        chosen[i].1 = twin && (i == 0 || !chosen[i - 1].1);
+    }
+    spread(&of(Phase::Slide), 4, &mut chosen);
+    spread(&of(Phase::Unload), 2, &mut chosen);
+    // After a release: at once, and as late as the pause allows.
+    let touched = press.iter().rposition(|i| phase(i).touched());
+    let rest: Vec<usize> = press[touched.map_or(0, |t| t + 1)..]
+        .iter()
+        .copied()
+        .filter(|i| !facts[*i].since.is_nan())
+        .collect();
+    if let (Some(first), Some(last)) = (rest.first(), rest.last()) {
+        chosen.push((*first, false));
+        if last != first {
+            chosen.push((*last, false));
+        }
+    }
+    chosen
+}

@@ -1,0 +1,610 @@
+//! Which effects make the gap: selection on held-out groups, in two tiers, with what cannot be told apart.
+//!
+//! A model is the columns of the effects in it. In the strict tier the columns of the simulator's own error are in every model,
+//! with coefficients of at most twice their tolerance, so that an effect has to explain what tolerances cannot. In the loose tier
+//! they are left out: an effect that passes there only may as well be such an error.
+
+use std::collections::BTreeSet;
+
+use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::algebra::cholesky_solve;
+use crate::library::{Candidate, Gram};
+use crate::statistics::{Fit, Statistics, Sum};
+
+/// How causes are selected.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SelectOptions {
+    /// Systematic gap below which there is none that matters, in shares of the readings' variance.
+    pub margin: f64,
+    /// Least gain of an effect, in the same.
+    pub floor: f64,
+    /// Least gain of an effect as a share of the systematic gap.
+    pub share: f64,
+    /// Probability of a false alarm over the whole library.
+    pub level: f64,
+    /// Effects at most.
+    pub most: usize,
+    /// Folds of cross-validation.
+    pub folds: usize,
+    /// Sign flips.
+    pub flips: usize,
+    /// An effect whose gain is this share of the leader's or more cannot be told from it, whatever the statistics say: our laws
+    /// are not that good.
+    pub alike: f64,
+    /// Of everything random.
+    pub seed: u64,
+}
+
+impl Default for SelectOptions {
+    fn default() -> Self {
+        Self {
+            margin: 0.005,
+            floor: 0.002,
+            share: 0.05,
+            level: 0.01,
+            most: 5,
+            folds: 6,
+            flips: 299,
+            alike: 0.97,
+            seed: 1,
+        }
+    }
+}
+
+/// How well an effect stands against the simulator's own error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Tier {
+    /// It explains what the declared tolerances of the simulator cannot.
+    Strict,
+    /// It, or the simulator's own error.
+    Loose,
+}
+
+/// An effect that cannot be told from the one that is named.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Member {
+    /// Index of the candidate.
+    pub candidate: usize,
+    /// Its gain in the place of the one that is named.
+    pub gain: f64,
+    /// Probability that other contacts would have put it before the one that is named.
+    pub confusion: f64,
+    /// \[rad\] between what the one that is named changes and the nearest that this one can.
+    pub angle: f64,
+}
+
+/// An effect that is accepted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pick {
+    /// Index of the candidate that gives the name.
+    pub candidate: usize,
+    /// Tier.
+    pub tier: Tier,
+    /// Reduction of the held-out error when it comes last, in shares of the readings' variance.
+    pub gain: f64,
+    /// The same when it comes alone.
+    pub solo: f64,
+    /// Share of the reduction that is its own (Shapley's value over all orders).
+    pub shapley: f64,
+    /// Probability of such a statistic for the best of the library where signs are random.
+    pub p: f64,
+    /// All that cannot be told apart, the named one first.
+    pub class: Vec<Member>,
+    /// More general effects that contain the named one.
+    pub covers: Vec<usize>,
+}
+
+/// What selection found.
+#[derive(Debug, Clone, Default)]
+pub struct Selection {
+    /// Accepted effects, the strongest first.
+    pub picks: Vec<Pick>,
+    /// Reduction by the simulator's own error alone.
+    pub form: f64,
+    /// Reduction by the accepted effects alone.
+    pub library: f64,
+    /// Reduction by both.
+    pub both: f64,
+    /// What the best of the library gains where the gap is the simulator's own error within its tolerance, 95 % of the time.
+    pub form_limit: f64,
+    /// Gains of every candidate alone: strict, loose.
+    pub alone: Vec<[f64; 2]>,
+}
+
+/// Coefficients of the simulator's own error stay within so many tolerances.
+const TOLERANCES: f64 = 2.0;
+/// Weak prior on coefficients of effects.
+const PRIOR: f64 = 0.05;
+
+/// Selection over one set of groups.
+pub struct Selector<'a> {
+    statistics: &'a Statistics,
+    candidates: &'a [Candidate],
+    form: &'a [usize],
+    bounded: BTreeSet<usize>,
+    gram: &'a Gram,
+    /// Energy of the readings about their means.
+    scale: f64,
+    /// Energy of the systematic gap, as a share of it.
+    systematic: f64,
+    options: &'a SelectOptions,
+    weights: Vec<f64>,
+    total: Sum,
+    /// Groups of each fold, and the sum over all others.
+    folds: Vec<(Vec<usize>, Sum)>,
+}
+
+impl<'a> Selector<'a> {
+    /// Selection over groups with these weights. `variance` is the readings' variance times their number over these groups,
+    /// `systematic` the share of it that is systematic gap.
+    #[must_use]
+    pub fn new(
+        statistics: &'a Statistics,
+        candidates: &'a [Candidate],
+        form: &'a [usize],
+        gram: &'a Gram,
+        (scale, systematic): (f64, f64),
+        weights: &[f64],
+        options: &'a SelectOptions,
+    ) -> Self {
+        let total = statistics.sum(weights);
+        let mut groups: Vec<usize> = (0..weights.len()).filter(|g| weights[*g] > 0.0).collect();
+        groups.shuffle(&mut ChaCha8Rng::seed_from_u64(options.seed));
+        let folds = options.folds.clamp(2, groups.len().max(2));
+        let folds = (0..folds)
+            .map(|f| {
+                let own: Vec<usize> = groups.iter().copied().skip(f).step_by(folds).collect();
+                let mut of = vec![0.0; weights.len()];
+                own.iter().for_each(|g| of[*g] = weights[*g]);
+                let sum = total.minus(&statistics.sum(&of));
+                (own, sum)
+            })
+            .collect();
+        Self {
+            statistics,
+            candidates,
+            form,
+            bounded: form.iter().copied().collect(),
+            gram,
+            scale,
+            systematic,
+            options,
+            weights: weights.to_vec(),
+            total,
+            folds,
+        }
+    }
+
+    /// Columns of these candidates, and of the simulator's own error in the strict tier.
+    fn columns(&self, set: &[usize], tier: Tier) -> Vec<usize> {
+        let mut columns: Vec<usize> =
+            set.iter().flat_map(|c| self.candidates[*c].columns.iter().copied()).collect();
+        if tier == Tier::Strict {
+            columns.extend(self.form);
+        }
+        columns
+    }
+
+    fn fit(&self, sum: &Sum, set: &[usize], tier: Tier) -> Fit {
+        sum.fit(&self.columns(set, tier), PRIOR, &self.bounded, TOLERANCES)
+    }
+
+    /// Fit of these candidates on all groups.
+    #[must_use]
+    pub fn fit_all(&self, set: &[usize], tier: Tier) -> Fit {
+        self.fit(&self.total, set, tier)
+    }
+
+    /// Held-out loss of each group.
+    fn losses(&self, set: &[usize], tier: Tier) -> Vec<f64> {
+        let mut losses = vec![0.0; self.weights.len()];
+        for (groups, sum) in &self.folds {
+            let fit = self.fit(sum, set, tier);
+            for &g in groups {
+                losses[g] = self.weights[g] * self.statistics.loss(g, &fit);
+            }
+        }
+        losses
+    }
+
+    fn gain(&self, before: &[f64], after: &[f64]) -> f64 {
+        (before.iter().sum::<f64>() - after.iter().sum::<f64>()) / self.scale
+    }
+
+    /// Least gain that counts.
+    fn least(&self) -> f64 {
+        self.options.floor.max(self.options.share * self.systematic)
+    }
+
+    /// Selects.
+    #[must_use]
+    pub fn select(&self) -> Selection {
+        let none = self.losses(&[], Tier::Loose);
+        let strict_none = self.losses(&[], Tier::Strict);
+        let mut found = Selection { form: self.gain(&none, &strict_none), ..Selection::default() };
+        found.alone = (0..self.candidates.len())
+            .map(|e| {
+                [
+                    self.gain(&strict_none, &self.losses(&[e], Tier::Strict)),
+                    self.gain(&none, &self.losses(&[e], Tier::Loose)),
+                ]
+            })
+            .collect();
+        found.form_limit = self.form_limit();
+        let mut set: Vec<usize> = Vec::new();
+        let mut tier = Tier::Strict;
+        let mut ps: Vec<f64> = Vec::new();
+        while set.len() < self.options.most {
+            let before = self.losses(&set, Tier::Strict);
+            let Some((best, gain)) = self.best(&set, &before, Tier::Strict) else { break };
+            if gain < self.least() {
+                break;
+            }
+            let p = self.significance(&set, best, Tier::Strict);
+            if p > self.options.level {
+                break;
+            }
+            let best = self.simplest(&set, best, gain, &before, Tier::Strict);
+            set.push(best);
+            ps.push(p);
+            self.prune(&mut set, &mut ps);
+        }
+        if set.len() > 1 {
+            self.swap(&mut set);
+        }
+        if set.is_empty() {
+            let gains = found.alone.iter().map(|g| g[1]);
+            let best = gains.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+            if let Some((best, gain)) = best
+                && gain >= self.least().max(found.form_limit)
+                && gain >= 0.5 * found.form
+            {
+                let p = self.significance(&[], best, Tier::Loose);
+                if p <= self.options.level {
+                    tier = Tier::Loose;
+                    set.push(self.simplest(&[], best, gain, &none, Tier::Loose));
+                    ps.push(p);
+                }
+            }
+        }
+        let after = self.losses(&set, Tier::Loose);
+        found.library = self.gain(&none, &after);
+        found.both = self.gain(&none, &self.losses(&set, Tier::Strict));
+        let shapley = self.shapley(&set, tier);
+        for (i, &candidate) in set.iter().enumerate() {
+            let others: Vec<usize> = set.iter().copied().filter(|c| *c != candidate).collect();
+            let (class, covers) = self.class(candidate, &others, tier);
+            found.picks.push(Pick {
+                candidate,
+                tier,
+                gain: class.first().map_or(0.0, |m| m.gain),
+                solo: found.alone[candidate][usize::from(tier == Tier::Loose)],
+                shapley: shapley[i],
+                p: ps.get(i).copied().unwrap_or(f64::NAN),
+                class,
+                covers,
+            });
+        }
+        found.picks.sort_by(|a, b| b.shapley.total_cmp(&a.shapley));
+        found
+    }
+
+    fn best(&self, set: &[usize], before: &[f64], tier: Tier) -> Option<(usize, f64)> {
+        (0..self.candidates.len())
+            .filter(|e| !set.contains(e))
+            .map(|e| {
+                let with: Vec<usize> = set.iter().copied().chain([e]).collect();
+                (e, self.gain(before, &self.losses(&with, tier)))
+            })
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The candidate with fewest columns among those that gain about as much as `best`.
+    fn simplest(&self, set: &[usize], best: usize, gain: f64, before: &[f64], tier: Tier) -> usize {
+        let alike = (0..self.candidates.len()).filter(|e| !set.contains(e)).filter_map(|e| {
+            let with: Vec<usize> = set.iter().copied().chain([e]).collect();
+            let other = self.gain(before, &self.losses(&with, tier));
+            (other >= self.options.alike * gain).then_some((e, other))
+        });
+        let found = alike.min_by(|a, b| {
+            let size = |e: usize| self.candidates[e].columns.len();
+            // Of two that are as simple, one of each channel aside, the better one.
+            let coarse = |e: usize| if self.candidates[e].each { size(e) } else { 0 };
+            coarse(a.0).cmp(&coarse(b.0)).then(b.1.total_cmp(&a.1))
+        });
+        found.map_or(best, |f| f.0)
+    }
+
+    /// Drops what is no longer needed.
+    fn prune(&self, set: &mut Vec<usize>, ps: &mut Vec<f64>) {
+        let mut index = 0;
+        while set.len() > 1 && index < set.len() {
+            let all = self.losses(set, Tier::Strict);
+            let rest: Vec<usize> = set.iter().copied().filter(|c| *c != set[index]).collect();
+            let lost = self.gain(&self.losses(&rest, Tier::Strict), &all);
+            // The last one has just been accepted.
+            if lost < self.least() && index + 1 < set.len() {
+                set.remove(index);
+                ps.remove(index);
+            } else {
+                index += 1;
+            }
+        }
+    }
+
+    /// Exchanges an accepted effect for another where that is clearly better.
+    fn swap(&self, set: &mut [usize]) {
+        for _ in 0..set.len() {
+            let now: f64 = self.losses(set, Tier::Strict).iter().sum();
+            let mut best: Option<(usize, usize, f64)> = None;
+            for i in 0..set.len() {
+                for e in 0..self.candidates.len() {
+                    if set.contains(&e) {
+                        continue;
+                    }
+                    let mut other = set.to_vec();
+                    other[i] = e;
+                    let loss: f64 = self.losses(&other, Tier::Strict).iter().sum();
+                    if best.is_none_or(|b| loss < b.2) {
+                        best = Some((i, e, loss));
+                    }
+                }
+            }
+            match best {
+                Some((i, e, loss)) if (now - loss) / self.scale > 0.5 * self.least() => set[i] = e,
+                _ => break,
+            }
+        }
+    }
+
+    /// What cannot be told from `named`, and more general effects that contain it.
+    fn class(&self, named: usize, others: &[usize], tier: Tier) -> (Vec<Member>, Vec<usize>) {
+        let with = |e: usize| -> Vec<usize> { others.iter().copied().chain([e]).collect() };
+        let before = self.losses(others, tier);
+        let own = self.losses(&with(named), tier);
+        let gain = self.gain(&before, &own);
+        let fit = self.fit_all(&with(named), tier);
+        let mut members = vec![Member { candidate: named, gain, confusion: 0.0, angle: 0.0 }];
+        let mut covers = Vec::new();
+        for e in 0..self.candidates.len() {
+            if e == named || others.contains(&e) {
+                continue;
+            }
+            let losses = self.losses(&with(e), tier);
+            let other = self.gain(&before, &losses);
+            let apart: Vec<f64> = losses.iter().zip(&own).map(|(a, b)| a - b).collect();
+            let (sum, square): (f64, f64) =
+                apart.iter().fold((0.0, 0.0), |(s, q), d| (s + d, q + d * d));
+            let z = sum / square.sqrt().max(1e-300);
+            let alike = other >= self.options.alike * gain || z < 1.64;
+            if !alike || other < 0.5 * gain || other < self.least() {
+                continue;
+            }
+            let (a, b) = (&self.candidates[named], &self.candidates[e]);
+            let inside = self.gram.explained(&a.columns, &b.columns);
+            let general = b.columns.len() >= 2 * a.columns.len() && inside > 0.95;
+            if general && !(a.rig && b.family) {
+                covers.push(e);
+                continue;
+            }
+            members.push(Member { candidate: e, gain: other, confusion: normal(-z), angle: self.angle(named, e, &fit) });
+        }
+        members[1..].sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        (members, covers)
+    }
+
+    /// \[rad\] between the fitted change of `named` and the span of `other`.
+    fn angle(&self, named: usize, other: usize, fit: &Fit) -> f64 {
+        let own = &self.candidates[named].columns;
+        let span = &self.candidates[other].columns;
+        let theta: Vec<(usize, f64)> =
+            fit.set.iter().copied().zip(fit.theta.iter().copied()).filter(|(c, _)| own.contains(c)).collect();
+        let p = self.total.b.len();
+        let at = |i: usize, j: usize| self.total.g[i * p + j];
+        let energy: f64 =
+            theta.iter().map(|(i, x)| theta.iter().map(|(j, y)| x * y * at(*i, *j)).sum::<f64>()).sum();
+        let n = span.len();
+        let mut a: Vec<f64> = span.iter().flat_map(|&i| span.iter().map(move |&j| at(i, j))).collect();
+        (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + 1e-12);
+        let b: Vec<f64> =
+            span.iter().map(|&i| theta.iter().map(|(j, y)| y * at(i, *j)).sum::<f64>()).collect();
+        let mut x = b.clone();
+        if cholesky_solve(&mut a, n, &mut x).is_none() || energy <= 0.0 {
+            return std::f64::consts::FRAC_PI_2;
+        }
+        let held: f64 = x.iter().zip(&b).map(|(x, b)| x * b).sum();
+        (held / energy).clamp(0.0, 1.0).sqrt().acos()
+    }
+
+    /// Westfall and Young's max-T: how often the best of the library is as good as `chosen` where the sign of each group's
+    /// residual is drawn.
+    fn significance(&self, set: &[usize], chosen: usize, tier: Tier) -> f64 {
+        let base = self.fit_all(set, tier);
+        let inside = base.set.clone();
+        let p = self.total.b.len();
+        let at = |i: usize, j: usize| self.total.g[i * p + j];
+        let groups: Vec<usize> = (0..self.weights.len()).filter(|g| self.weights[*g] > 0.0).collect();
+        // Scores of each candidate's columns with the accepted ones taken out, and the inverse of their spread.
+        struct Test {
+            scores: Vec<Vec<f64>>,
+            spread: Vec<f64>,
+        }
+        let n = inside.len();
+        let mut tests = Vec::new();
+        let mut own = 0;
+        let residual: Vec<Vec<f64>> = groups
+            .iter()
+            .map(|&g| {
+                let all: Vec<usize> = (0..p).collect();
+                let fitted = self.statistics.project(g, &base, &all);
+                self.statistics.score(g).iter().zip(fitted).map(|(b, f)| self.weights[g] * (b - f)).collect()
+            })
+            .collect();
+        for e in (0..self.candidates.len()).filter(|e| !set.contains(e)) {
+            let columns = &self.candidates[e].columns;
+            let m = columns.len();
+            let mut take: Vec<Vec<f64>> = Vec::with_capacity(m);
+            let mut spread = vec![0.0; m * m];
+            for &c in columns {
+                let mut a: Vec<f64> =
+                    inside.iter().flat_map(|&i| inside.iter().map(move |&j| at(i, j))).collect();
+                (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + PRIOR + 1e-12);
+                let mut x: Vec<f64> = inside.iter().map(|&i| at(i, c)).collect();
+                if cholesky_solve(&mut a, n, &mut x).is_none() {
+                    x.fill(0.0);
+                }
+                take.push(x);
+            }
+            for (r, &i) in columns.iter().enumerate() {
+                for (s, &j) in columns.iter().enumerate() {
+                    let inner: f64 = take[r].iter().zip(&inside).map(|(x, &k)| x * at(k, j)).sum();
+                    spread[r * m + s] = at(i, j) - inner;
+                }
+                spread[r * m + r] = spread[r * m + r].max(1e-9 * at(i, i)) * (1.0 + 1e-6) + PRIOR;
+            }
+            let scores = residual
+                .iter()
+                .map(|u| {
+                    columns
+                        .iter()
+                        .zip(&take)
+                        .map(|(&c, take)| {
+                            u[c] - take.iter().zip(&inside).map(|(x, &k)| x * u[k]).sum::<f64>()
+                        })
+                        .collect()
+                })
+                .collect();
+            if e == chosen {
+                own = tests.len();
+            }
+            tests.push(Test { scores, spread });
+        }
+        // Per degree of freedom, in units of its own spread, so that effects of many columns have no advantage.
+        let statistic = |test: &Test, signs: &[f64]| {
+            let m = (test.spread.len() as f64).sqrt() as usize;
+            let mut u = vec![0.0; m];
+            for (scores, s) in test.scores.iter().zip(signs) {
+                for (u, score) in u.iter_mut().zip(scores) {
+                    *u += s * score;
+                }
+            }
+            let b = u.clone();
+            let mut a = test.spread.clone();
+            if cholesky_solve(&mut a, m, &mut u).is_none() {
+                return 0.0;
+            }
+            let t: f64 = u.iter().zip(&b).map(|(x, b)| x * b).sum();
+            (t - m as f64) / (2.0 * m as f64).sqrt()
+        };
+        let Some(test) = tests.get(own) else { return 1.0 };
+        let observed = statistic(test, &vec![1.0; groups.len()]);
+        let mut rng = ChaCha8Rng::seed_from_u64(self.options.seed ^ 0xf11b);
+        let mut above = 0;
+        for flip in 0..self.options.flips {
+            let signs: Vec<f64> =
+                groups.iter().map(|_| if rng.random_bool(0.5) { 1.0 } else { -1.0 }).collect();
+            let best = tests.iter().map(|t| statistic(t, &signs)).fold(f64::NEG_INFINITY, f64::max);
+            above += usize::from(best >= observed);
+            // Enough is known.
+            if above as f64 > self.options.level * (self.options.flips + 1) as f64 * 4.0 {
+                return above as f64 / (flip + 1) as f64;
+            }
+        }
+        (above + 1) as f64 / (self.options.flips + 1) as f64
+    }
+
+    /// What the best effect gains where the gap is the simulator's own error within its tolerance.
+    fn form_limit(&self) -> f64 {
+        let p = self.total.b.len();
+        let at = |i: usize, j: usize| self.total.g[i * p + j];
+        let mut rng = ChaCha8Rng::seed_from_u64(self.options.seed ^ 0xf0a);
+        let factors: Vec<(Vec<f64>, &Vec<usize>)> = self
+            .candidates
+            .iter()
+            .map(|c| {
+                let n = c.columns.len();
+                let mut a: Vec<f64> =
+                    c.columns.iter().flat_map(|&i| c.columns.iter().map(move |&j| at(i, j))).collect();
+                (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + PRIOR);
+                (a, &c.columns)
+            })
+            .collect();
+        let mut best: Vec<f64> = (0..60)
+            .map(|_| {
+                let alpha: Vec<f64> =
+                    self.form.iter().map(|_| rng.sample::<f64, _>(Standard)).collect();
+                factors
+                    .iter()
+                    .map(|(a, columns)| {
+                        let b: Vec<f64> = columns
+                            .iter()
+                            .map(|&c| self.form.iter().zip(&alpha).map(|(&f, x)| x * at(c, f)).sum())
+                            .collect();
+                        let mut x = b.clone();
+                        if cholesky_solve(&mut a.clone(), b.len(), &mut x).is_none() {
+                            return 0.0;
+                        }
+                        x.iter().zip(&b).map(|(x, b)| x * b).sum::<f64>() / self.scale
+                    })
+                    .fold(0.0, f64::max)
+            })
+            .collect();
+        best.sort_by(f64::total_cmp);
+        best.get(best.len() * 95 / 100).copied().unwrap_or(0.0)
+    }
+
+    /// Shapley's values of the reductions over all orders, in shares of their sum.
+    fn shapley(&self, set: &[usize], tier: Tier) -> Vec<f64> {
+        let n = set.len();
+        let value: Vec<f64> = (0..1usize << n)
+            .map(|mask| {
+                let with: Vec<usize> =
+                    (0..n).filter(|i| mask >> i & 1 == 1).map(|i| set[i]).collect();
+                -self.losses(&with, tier).iter().sum::<f64>() / self.scale
+            })
+            .collect();
+        let factorial = |k: usize| (1..=k).product::<usize>() as f64;
+        let mut shares: Vec<f64> = (0..n)
+            .map(|i| {
+                (0..1usize << n)
+                    .filter(|mask| mask >> i & 1 == 0)
+                    .map(|mask| {
+                        let size = mask.count_ones() as usize;
+                        let weight = factorial(size) * factorial(n - size - 1) / factorial(n);
+                        weight * (value[mask | 1 << i] - value[mask])
+                    })
+                    .sum()
+            })
+            .collect();
+        let all: f64 = shares.iter().sum();
+        shares.iter_mut().for_each(|s| *s /= if all > 0.0 { all } else { 1.0 });
+        shares
+    }
+}
+
+/// Normal numbers, without a crate of distributions.
+struct Standard;
+
+impl rand::distr::Distribution<f64> for Standard {
+    fn sample<R: Rng + ?Sized>(&self, rng: &mut R) -> f64 {
+        let (u, v): (f64, f64) = (rng.random_range(f64::MIN_POSITIVE..1.0), rng.random_range(0.0..1.0));
+        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+    }
+}
+
+/// Distribution function of the normal distribution (Abramowitz and Stegun 7.1.26, within 2e-7).
+#[must_use]
+pub fn normal(z: f64) -> f64 {
+    let x = z.abs() / std::f64::consts::SQRT_2;
+    let t = 1.0 / (1.0 + 0.327_591_1 * x);
+    let poly = t
+        * (0.254_829_592
+            + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    let tail = 0.5 * poly * (-x * x).exp();
+    if z > 0.0 { 1.0 - tail } else { tail }
+}

@@ -1,0 +1,270 @@
+//! Sufficient statistics per group of contacts: every fold, subset, resampling and permutation is algebra over them.
+
+use std::collections::BTreeSet;
+
+use crate::algebra::cholesky_solve;
+use crate::rows::Rows;
+
+/// One direction in which an effect changes readings, in deviations of the noise.
+#[derive(Debug, Clone)]
+pub struct Column {
+    /// Where it changes one channel only: one value a row. Otherwise rows × channels values.
+    pub channel: Option<usize>,
+    /// Values.
+    pub values: Vec<f32>,
+}
+
+/// Products of columns and residual within one group.
+#[derive(Debug, Clone)]
+struct Group {
+    /// P × P.
+    g: Vec<f32>,
+    b: Vec<f64>,
+    rr: f64,
+}
+
+/// Products of columns and residual, by group.
+#[derive(Debug, Clone)]
+pub struct Statistics {
+    /// Number of columns.
+    pub columns: usize,
+    groups: Vec<Group>,
+}
+
+/// Weighted sum over groups.
+#[derive(Debug, Clone)]
+pub struct Sum {
+    /// P × P.
+    pub g: Vec<f64>,
+    /// P.
+    pub b: Vec<f64>,
+    /// Energy of the residual.
+    pub rr: f64,
+}
+
+/// A fit: columns and their coefficients.
+#[derive(Debug, Clone, Default)]
+pub struct Fit {
+    /// Columns.
+    pub set: Vec<usize>,
+    /// Coefficients, one a column.
+    pub theta: Vec<f64>,
+}
+
+impl Statistics {
+    /// Products of `columns` with each other and with `residual` (rows × channels).
+    #[must_use]
+    pub fn new(columns: &[Column], residual: &[f32], rows: &Rows, channels: usize) -> Self {
+        let p = columns.len();
+        let dense: Vec<usize> = (0..p).filter(|c| columns[*c].channel.is_none()).collect();
+        let active: Vec<Vec<usize>> = (0..channels)
+            .map(|k| {
+                let own = (0..p).filter(|c| columns[*c].channel == Some(k));
+                dense.iter().copied().chain(own).collect()
+            })
+            .collect();
+        let mut members: Vec<Vec<usize>> = vec![Vec::new(); rows.groups];
+        for (i, row) in rows.rows.iter().enumerate() {
+            members[row.group].push(i);
+        }
+        let mut groups = Vec::with_capacity(rows.groups);
+        let mut block: Vec<f32> = Vec::new();
+        for member in &members {
+            let mut g = vec![0.0f32; p * p];
+            let (mut b, mut rr) = (vec![0.0f64; p], 0.0f64);
+            for (k, active) in active.iter().enumerate() {
+                let m = active.len() + 1;
+                block.clear();
+                for &i in member {
+                    for &c in active {
+                        let column = &columns[c];
+                        let at = if column.channel.is_some() { i } else { i * channels + k };
+                        block.push(column.values[at]);
+                    }
+                    block.push(residual[i * channels + k]);
+                }
+                let mut local = vec![0.0f64; m * m];
+                for values in block.chunks_exact(m) {
+                    for (a, x) in values.iter().enumerate() {
+                        if *x == 0.0 {
+                            continue;
+                        }
+                        let x = f64::from(*x);
+                        for (l, y) in local[a * m + a..a * m + m].iter_mut().zip(&values[a..]) {
+                            *l += x * f64::from(*y);
+                        }
+                    }
+                }
+                for (a, &i) in active.iter().enumerate() {
+                    for (d, &j) in active.iter().enumerate().skip(a) {
+                        g[i * p + j] += local[a * m + d] as f32;
+                        if i != j {
+                            g[j * p + i] += local[a * m + d] as f32;
+                        }
+                    }
+                    b[i] += local[a * m + m - 1];
+                }
+                rr += local[m * m - 1];
+            }
+            groups.push(Group { g, b, rr });
+        }
+        Self { columns: p, groups }
+    }
+
+    /// The same columns with another residual.
+    #[must_use]
+    pub fn with_residual(&self, columns: &[Column], residual: &[f32], rows: &Rows, channels: usize) -> Self {
+        let mut other = self.clone();
+        for group in &mut other.groups {
+            group.b.fill(0.0);
+            group.rr = 0.0;
+        }
+        for (i, row) in rows.rows.iter().enumerate() {
+            let group = &mut other.groups[row.group];
+            let r = &residual[i * channels..(i + 1) * channels];
+            group.rr += r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+            for (b, column) in group.b.iter_mut().zip(columns) {
+                *b += match column.channel {
+                    Some(k) => f64::from(column.values[i]) * f64::from(r[k]),
+                    None => {
+                        let values = &column.values[i * channels..(i + 1) * channels];
+                        values.iter().zip(r).map(|(c, r)| f64::from(*c) * f64::from(*r)).sum::<f64>()
+                    }
+                };
+            }
+        }
+        other
+    }
+
+    /// Number of groups.
+    #[must_use]
+    pub fn groups(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// Scores of one group.
+    #[must_use]
+    pub fn score(&self, group: usize) -> &[f64] {
+        &self.groups[group].b
+    }
+
+    /// Energy of the residual of one group.
+    #[must_use]
+    pub fn energy(&self, group: usize) -> f64 {
+        self.groups[group].rr
+    }
+
+    /// Sum over groups with these weights.
+    #[must_use]
+    pub fn sum(&self, weights: &[f64]) -> Sum {
+        let p = self.columns;
+        let mut sum = Sum { g: vec![0.0; p * p], b: vec![0.0; p], rr: 0.0 };
+        for (group, &w) in self.groups.iter().zip(weights) {
+            if w == 0.0 {
+                continue;
+            }
+            for (s, g) in sum.g.iter_mut().zip(&group.g) {
+                *s += w * f64::from(*g);
+            }
+            for (s, b) in sum.b.iter_mut().zip(&group.b) {
+                *s += w * b;
+            }
+            sum.rr += w * group.rr;
+        }
+        sum
+    }
+
+    /// What is left of one group's energy after a fit.
+    #[must_use]
+    pub fn loss(&self, group: usize, fit: &Fit) -> f64 {
+        let (group, p) = (&self.groups[group], self.columns);
+        let mut loss = group.rr;
+        for (a, (&i, x)) in fit.set.iter().zip(&fit.theta).enumerate() {
+            loss -= 2.0 * x * group.b[i];
+            let row = &group.g[i * p..(i + 1) * p];
+            let mut cross = 0.0;
+            for (&j, y) in fit.set[..a].iter().zip(&fit.theta) {
+                cross += y * f64::from(row[j]);
+            }
+            loss += x * (2.0 * cross + x * f64::from(row[i]));
+        }
+        loss
+    }
+
+    /// Products of one group's columns with a fit.
+    #[must_use]
+    pub fn project(&self, group: usize, fit: &Fit, of: &[usize]) -> Vec<f64> {
+        let (group, p) = (&self.groups[group], self.columns);
+        of.iter()
+            .map(|&i| {
+                let row = &group.g[i * p..(i + 1) * p];
+                fit.set.iter().zip(&fit.theta).map(|(&j, x)| x * f64::from(row[j])).sum()
+            })
+            .collect()
+    }
+}
+
+impl Sum {
+    /// Sum without another.
+    #[must_use]
+    pub fn minus(&self, other: &Self) -> Self {
+        let subtract = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect();
+        Self { g: subtract(&self.g, &other.g), b: subtract(&self.b, &other.b), rr: self.rr - other.rr }
+    }
+
+    /// Least squares on the columns of `set` under the prior that coefficients are of standard deviation 1/√`prior`. Those of
+    /// `bounded` stay within ±`bound`.
+    #[must_use]
+    pub fn fit(&self, set: &[usize], prior: f64, bounded: &BTreeSet<usize>, bound: f64) -> Fit {
+        let p = self.b.len();
+        let mut free: Vec<usize> = set.to_vec();
+        let mut held: Vec<(usize, f64)> = Vec::new();
+        loop {
+            let n = free.len();
+            let mut a = vec![0.0; n * n];
+            let mut x: Vec<f64> = free.iter().map(|&i| self.b[i]).collect();
+            for (r, &i) in free.iter().enumerate() {
+                for (c, &j) in free.iter().enumerate() {
+                    a[r * n + c] = self.g[i * p + j];
+                }
+                a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + prior + 1e-12;
+                for (j, value) in &held {
+                    x[r] -= self.g[i * p + j] * value;
+                }
+            }
+            if cholesky_solve(&mut a, n, &mut x).is_none() {
+                x = vec![0.0; n];
+            }
+            let beyond: Vec<usize> =
+                (0..n).filter(|r| bounded.contains(&free[*r]) && x[*r].abs() > bound).collect();
+            if beyond.is_empty() || held.len() >= set.len() {
+                let mut fit = Fit { set: free, theta: x };
+                for (j, value) in held {
+                    fit.set.push(j);
+                    fit.theta.push(value);
+                }
+                return fit;
+            }
+            // The farthest first: the others may come back once it is held.
+            let Some(&worst) = beyond.iter().max_by(|a, b| x[**a].abs().total_cmp(&x[**b].abs())) else {
+                return Fit::default();
+            };
+            held.push((free[worst], bound.copysign(x[worst])));
+            free.remove(worst);
+        }
+    }
+
+    /// What is left of the energy after a fit.
+    #[must_use]
+    pub fn loss(&self, fit: &Fit) -> f64 {
+        let p = self.b.len();
+        let mut loss = self.rr;
+        for (&i, x) in fit.set.iter().zip(&fit.theta) {
+            loss -= 2.0 * x * self.b[i];
+            for (&j, y) in fit.set.iter().zip(&fit.theta) {
+                loss += x * y * self.g[i * p + j];
+            }
+        }
+        loss
+    }
+}
