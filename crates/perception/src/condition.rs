@@ -150,6 +150,7 @@ impl Conditioner {
             self.zero.subtract(&mut out.signal);
             self.judge(&out.signal.values);
         }
+        self.health.disown(&out.reading, &out.signal.values, &self.condition);
         out.level = self.level;
         out.touched = self.touched;
     }
@@ -334,6 +335,8 @@ struct Watch {
     since: Stamp,
     unchanged: u32,
     ever_changed: bool,
+    /// It stands at the end of its range, and nothing holds it there.
+    broken: bool,
 }
 
 impl Health {
@@ -350,6 +353,7 @@ impl Health {
                 since: 0,
                 unchanged: 0,
                 ever_changed: false,
+                broken: false,
             })
             .collect();
         // A scale other than 1 is the unit per raw count, so no reading can move by less.
@@ -362,8 +366,38 @@ impl Health {
             watch.value = f32::NAN;
             watch.unchanged = 0;
             watch.ever_changed = false;
+            watch.broken = false;
         }
         self.last = None;
+    }
+
+    /// Where channels are coupled: takes one for broken from the next frame on that has stood still at the end of its range
+    /// while no other feels anything. It is believed again as soon as it moves.
+    fn disown(&mut self, reading: &Frame, signal: &[f32], condition: &Condition) {
+        if !condition.coupled {
+            return;
+        }
+        let railed = |flags: &ChannelFlags| flags.contains(ChannelFlags::SATURATED);
+        for i in 0..self.channels.len() {
+            let flags = &reading.flags[i];
+            if !railed(flags)
+                || flags.is_invalid()
+                || !self.channels[i].stands_still(reading.stamp, condition.stuck_time)
+            {
+                continue;
+            }
+            let mut others = signal
+                .iter()
+                .zip(&self.channels)
+                .zip(&reading.flags)
+                .enumerate()
+                .filter(|(j, (_, flags))| *j != i && !railed(flags))
+                .map(|(_, ((value, watch), _))| f64::from(*value).abs() / watch.noise)
+                .filter(|z| z.is_finite())
+                .peekable();
+            self.channels[i].broken =
+                others.peek().is_some() && others.all(|z| z < condition.contact_threshold);
+        }
     }
 
     fn flag(&mut self, frame: &mut Frame, condition: &Condition) {
@@ -408,6 +442,13 @@ impl Watch {
         self.value = value;
         self.since = stamp;
         self.unchanged = 0;
+        self.broken = false;
+    }
+
+    /// Whether it has not changed for `stuck_time` \[s\]; never where that is 0.
+    fn stands_still(&self, stamp: Stamp, stuck_time: f64) -> bool {
+        let elapsed = stamp.saturating_sub(self.since) as f64 * 1e-9;
+        stuck_time > 0.0 && elapsed >= stuck_time && f64::from(self.unchanged) >= FEWEST_UNCHANGED
     }
 
     fn verdict(
@@ -437,14 +478,13 @@ impl Watch {
         if railed {
             flags |= ChannelFlags::SATURATED;
         }
-        let elapsed = stamp.saturating_sub(self.since) as f64 * 1e-9;
-        if stuck_time == 0.0 || elapsed < stuck_time || f64::from(self.unchanged) < FEWEST_UNCHANGED {
+        if !self.stands_still(stamp, stuck_time) {
             return flags;
         }
         // At its rail a channel stands still however noisy it is, and a hard press may hold it there for minutes:
-        // only one that never left it since the start is known to be dead.
+        // only one that never left it since the start is known to be dead, and one that nothing else feels broken.
         let suspicious = if railed {
-            !self.ever_changed
+            !self.ever_changed || self.broken
         } else {
             f64::from(self.unchanged) >= SURE / change_probability(step / self.noise)
         };
@@ -670,6 +710,84 @@ mod tests {
             let noise = run.noise.normal() as f32;
             let out = run.raw([110_000.0, 101_325.0 + noise, 101_325.0 - noise, 101_320.0 + noise]);
             assert_eq!(out.reading.flags[0], ChannelFlags::SATURATED);
+        }
+    }
+
+    #[test]
+    fn a_channel_that_fails_to_its_rail_is_no_contact_for_ever() {
+        let mut run = Run::new(&skin_with("condition = { coupled = true }"), &[]);
+        run.seconds(1.0, [0.0; 4]);
+        let broken = |run: &mut Run, load: f64| {
+            let mut noisy = || (101_325.0 + load + 20.0 * run.noise.normal()) as f32;
+            let values = [110_000.0, noisy(), noisy(), noisy()];
+            run.raw(values).clone()
+        };
+        assert!(broken(&mut run, 0.0).touched, "at first it cannot be told from a press");
+        let mut frames = 0;
+        while broken(&mut run, 0.0).touched {
+            frames += 1;
+            assert!(frames < 520, "it is taken for a contact after {frames} frames");
+        }
+        let out = broken(&mut run, 3000.0);
+        assert!(out.reading.flags[0].contains(ChannelFlags::STUCK) && out.signal.values[0].is_nan());
+        assert!(out.touched, "the others go on feeling");
+        assert!(run.push([0.0; 4]).reading.flags[0].is_ok(), "it moves again");
+        // A press that saturates one channel and is felt by another is a press for as long as it lasts.
+        for _ in 0..2000 {
+            let near = (101_725.0 + 20.0 * run.noise.normal()) as f32;
+            let rest = [(); 2].map(|()| (101_325.0 + 20.0 * run.noise.normal()) as f32);
+            let out = run.raw([110_000.0, near, rest[0], rest[1]]);
+            assert!(out.touched && !out.reading.flags[0].is_invalid());
+        }
+    }
+
+    /// Gauges whose zero wanders, leaned on for a minute.
+    #[test]
+    fn a_minute_of_contact_on_gauges_that_drift() {
+        let gauges: Vec<String> = (0..10)
+            .map(|i| format!("{{ name = \"g{i}\", position = [{:.3}, 0.0, 0.0] }}", f64::from(i) * 0.02))
+            .collect();
+        let skin = |condition: &str| {
+            skin_with(&format!(
+                "unit = \"1\"\nnoise = 3e-6\nrange = [-3e-3, 3e-3]\ncondition = {{ {condition} }}\ntaxels = [{}]",
+                gauges.join(", ")
+            ))
+        };
+        // [strain/s]: 1.5 and 6 noise deviations in a minute.
+        for (drift, condition, ends) in [
+            (7.5e-8, "drift_time = 10.0", true),
+            (3e-7, "drift_time = 10.0", false),
+            (3e-7, "drift_time = 10.0, release_share = 0.5", true),
+        ] {
+            let mut conditioner = Conditioner::new(&skin(condition), &[]).unwrap();
+            let (mut noise, mut out, mut k) = (Noise::new(5), Conditioned::default(), 0_u64);
+            let mut seconds = |conditioner: &mut Conditioner, seconds: f64, load: f64| {
+                let mut every = true;
+                let mut levels = Vec::new();
+                for _ in 0..(seconds * RATE) as u64 {
+                    let t = k as f64 / RATE;
+                    let values = (0..10)
+                        .map(|i| (drift * t + load / f64::from(1 + i) + 3e-6 * noise.normal()) as f32)
+                        .collect();
+                    conditioner.clean(&Frame::new((t * 1e9) as Stamp, k, values), &mut out);
+                    conditioner.follow(&out, false);
+                    k += 1;
+                    every &= out.touched;
+                    levels.push(out.level);
+                }
+                (every, levels)
+            };
+            seconds(&mut conditioner, 30.0, 0.0);
+            let zero = conditioner.zero().unwrap().to_vec();
+            assert!((zero[0] - drift * 30.0).abs() < drift * 15.0, "the zero follows drift while untouched");
+            let (felt, levels) = seconds(&mut conditioner, 60.0, 2e-4);
+            assert!(felt, "drift {drift}: a contact of a minute is felt to its end");
+            assert!(levels.last() > levels.first().map(|l| l * 0.9).as_ref(), "and does not fade");
+            assert_eq!(conditioner.zero().unwrap(), zero, "the zero rests while something touches");
+            let (still, _) = seconds(&mut conditioner, 5.0, 0.0);
+            let (held, _) = seconds(&mut conditioner, 1.0, 0.0);
+            assert!(!still || !ends, "drift {drift}: released");
+            assert_eq!(!held, ends, "drift {drift} with {condition}");
         }
     }
 

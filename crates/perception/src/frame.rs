@@ -24,7 +24,11 @@ impl FrameReader {
         let channels = skin.channels().len();
         let decoder: Box<dyn FrameDecoder> = match skin.wire.protocol {
             WireProtocol::Native => Box::new(NativeDecoder::new(Some(channels))),
-            WireProtocol::Ascii => Box::new(AsciiDecoder::new(AsciiOptions::channels(channels))),
+            WireProtocol::Ascii => {
+                let mut options = AsciiOptions::channels(channels);
+                options.counts = skin.wire.counts;
+                Box::new(AsciiDecoder::new(options))
+            }
         };
         Self {
             decoder,
@@ -133,6 +137,23 @@ mod tests {
         }
         let stamps: Vec<i64> = frames.iter().map(|f| f.stamp).collect();
         assert_eq!(stamps, [1_000_000_000, 5_000_000_000, 9_000_000_000]);
+    }
+
+    #[test]
+    fn counts_beyond_the_converter_are_refused_with_the_line() {
+        let skin = skin_with(
+            "wire = { protocol = \"ascii\", scale = 2e-6, offset = -0.004096, counts = [0, 4095] }\nrange = [-0.004096, 0.004094]",
+        );
+        let mut reader = FrameReader::new(&skin);
+        let mut frames = Vec::new();
+        reader.push(b"\n2048,2049,0,4095\n2048,2049,0,4096\n2048,-1,0,1\n", 5, &mut frames);
+        let [frame] = frames.as_slice() else { panic!("{frames:?}") };
+        let expected = [0.0, 2e-6, -0.004096, 0.004094];
+        assert!(
+            frame.values.iter().zip(expected).all(|(v, e)| (f64::from(*v) - e).abs() < 1e-9),
+            "{frame:?}"
+        );
+        assert_eq!(reader.stats().rejected.range, 2);
     }
 
     #[test]

@@ -183,11 +183,15 @@ pub struct Wire {
     pub scale: f64,
     /// Unit of the skin at raw count 0.
     pub offset: f64,
+    /// Least and largest count of the device's converter. A line of text, which has no checksum, is refused where it holds
+    /// anything but whole numbers between them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub counts: Option<[u32; 2]>,
 }
 
 impl Default for Wire {
     fn default() -> Self {
-        Self { protocol: WireProtocol::Native, scale: 1.0, offset: 0.0 }
+        Self { protocol: WireProtocol::Native, scale: 1.0, offset: 0.0, counts: None }
     }
 }
 
@@ -207,6 +211,9 @@ pub struct Condition {
     pub release_share: f64,
     /// \[s\] without any change after which a channel is stuck; 0 switches the check off.
     pub stuck_time: f64,
+    /// Whether whatever presses a channel to the end of its range is felt by others, too, as in a shell that bends as a
+    /// whole: a channel that stands there for `stuck_time` while no other feels anything is broken then.
+    pub coupled: bool,
     /// \[s\] without a frame after which the skin is stale.
     pub stale_time: f64,
 }
@@ -219,6 +226,7 @@ impl Default for Condition {
             drift_time: 30.0,
             release_share: 0.0,
             stuck_time: 5.0,
+            coupled: false,
             stale_time: 0.5,
         }
     }
@@ -370,6 +378,14 @@ impl SkinDescription {
             return wrong(
                 "wire.scale".into(),
                 "must be a finite number other than 0, and `offset` finite".into(),
+            );
+        }
+        if let Some([low, high]) = self.wire.counts
+            && low >= high
+        {
+            return wrong(
+                "wire.counts".into(),
+                format!("is [{low}, {high}] and must be a least and a greater largest count"),
             );
         }
         let lengths: Vec<(&str, f64)> = match self.surface {
@@ -663,6 +679,7 @@ taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", positio
         insta::assert_snapshot!(refused("noise = 20.0", "noise = -1.0"), @"skin file pad.toml: field `noise`: is -1 and must be a positive number");
         insta::assert_snapshot!(refused("rate = 100.0", "rate = \"fast\""), @r#"skin file pad.toml: field `rate`: invalid type: string "fast", expected f64"#);
         insta::assert_snapshot!(refused("rate = 100.0", "rate = 100.0\nrat = 3"), @"skin file pad.toml: unknown key `rat`; remove it or correct its spelling (known here: schema, name, sensor, description, kind, frame_id, unit, rate, noise, range, wire, condition, surface, taxels, channels, medium, effects)");
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\nwire = { protocol = \"ascii\", counts = [4095, 0] }"), @"skin file pad.toml: field `wire.counts`: is [4095, 0] and must be a least and a greater largest count");
         insta::assert_snapshot!(refused("size = [0.02, 0.01]", "size = [0.02, -0.01]"), @"skin file pad.toml: field `surface.size[1]`: is -0.01 m and must be a positive length");
         insta::assert_snapshot!(refused("\"t1\"", "\"t0\""), @r#"skin file pad.toml: field `taxels[1].name`: "t0" is already taken"#);
         insta::assert_snapshot!(refused("dermis-skin/1", "dermis-skin/9"), @r#"skin file pad.toml: field `schema`: is "dermis-skin/9" where this program reads "dermis-skin/1""#);

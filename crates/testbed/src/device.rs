@@ -161,6 +161,7 @@ struct Encoder {
     native: Option<NativeEncoder>,
     scale: f64,
     offset: f64,
+    counts: Option<[u32; 2]>,
     raw: Vec<f32>,
     text: Vec<u8>,
 }
@@ -171,12 +172,24 @@ impl Encoder {
             WireProtocol::Native => Some(NativeEncoder::new(NativeFormat::F32)),
             WireProtocol::Ascii => None,
         };
-        Self { native, scale: skin.wire.scale, offset: skin.wire.offset, raw: Vec::new(), text: Vec::new() }
+        Self {
+            native,
+            scale: skin.wire.scale,
+            offset: skin.wire.offset,
+            counts: skin.wire.counts,
+            raw: Vec::new(),
+            text: Vec::new(),
+        }
     }
 
     fn encode(&mut self, sequence: u64, device_time_us: u64, values: &[f32]) -> Result<&[u8], TestbedError> {
         self.raw.clear();
         self.raw.extend(values.iter().map(|v| {
+            if let Some([low, high]) = self.counts {
+                // A converter gives whole numbers, and no others than it has.
+                let count = (f64::from(*v) - self.offset) / self.scale;
+                return (count.round().clamp(f64::from(low), f64::from(high)) + 0.0) as f32;
+            }
             // Untouched where the device already speaks the skin's unit: a round trip keeps every bit.
             if self.scale == 1.0 && self.offset == 0.0 {
                 *v
@@ -840,6 +853,8 @@ mod tests {
         assert!(decoded[0].values[2].is_nan());
         skin.wire.protocol = WireProtocol::Ascii;
         assert_eq!(Encoder::new(&skin).encode(7, 8, &[100.0, 101.0, 99.5]).unwrap(), b"0,4,-2\n");
+        skin.wire.counts = Some([0, 3]);
+        assert_eq!(Encoder::new(&skin).encode(7, 8, &[99.99, 100.6, 101.0]).unwrap(), b"0,2,3\n");
     }
 
     #[test]

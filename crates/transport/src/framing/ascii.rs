@@ -13,6 +13,8 @@ pub struct AsciiOptions {
     pub sequence: bool,
     /// The next column is the device time \[µs\].
     pub device_time: bool,
+    /// Values are whole numbers between these: counts of a converter. A line with any other is damaged.
+    pub counts: Option<[u32; 2]>,
 }
 
 impl AsciiOptions {
@@ -35,13 +37,21 @@ impl AsciiOptions {
         self.device_time = true;
         self
     }
+
+    /// Values are whole numbers between these.
+    #[must_use]
+    pub fn with_counts(mut self, counts: [u32; 2]) -> Self {
+        self.counts = Some(counts);
+        self
+    }
 }
 
 /// Reads lines of numbers, separated by commas, semicolons, blanks or tabs and ended by LF, CR or both.
 ///
 /// `nan` is an invalid channel. Empty lines and lines that begin with `#` are passed over, and one separator at the
 /// end of a line does no harm. Text has no checksum: a line whose damage still reads as the right number of numbers
-/// is taken, and so the native wire is the better choice where the firmware is yours. The first line after
+/// is taken unless it leaves the range of [`AsciiOptions::counts`], and so the native wire is the better choice where the
+/// firmware is yours. The first line after
 /// [`FrameDecoder::gap`] is dropped, for it may be the second half of one.
 #[derive(Debug, Clone)]
 pub struct AsciiDecoder {
@@ -206,6 +216,14 @@ fn parse(text: &str, options: &AsciiOptions) -> Result<Line, (Rejection, String)
         let value = field.parse::<f32>().ok().filter(|v| !v.is_infinite()).ok_or_else(|| {
             (Rejection::NotANumber, format!("column {column} is `{}`, not a finite number", shown(field)))
         })?;
+        if let Some([low, high]) = options.counts
+            && !value.is_nan()
+            && !(value.fract() == 0.0 && (f64::from(low)..=f64::from(high)).contains(&f64::from(value)))
+        {
+            let why =
+                format!("column {column} is `{}`, not a whole number from {low} to {high}", shown(field));
+            return Err((Rejection::Range, why));
+        }
         if values.len() == MAX_CHANNELS {
             return Err((Rejection::Channels, format!("a line has more than {MAX_CHANNELS} values")));
         }
@@ -277,6 +295,16 @@ mod tests {
     }
 
     #[test]
+    fn counts_that_no_converter_gives_are_refused() {
+        let options = AsciiOptions::channels(3).with_counts([0, 4095]);
+        let (frames, stats) = decode(options, b"0,2048,4095\n1,4096,3\n1,-1,3\n1,2.5,3\n7,nan,9\n");
+        assert_eq!(frames.len(), 2);
+        assert!(frames[1].values[1].is_nan(), "a channel without a value is no damaged line");
+        assert_eq!((stats.rejected.range, stats.rejected.total()), (3, 3));
+        insta::assert_snapshot!(stats.last_rejection.unwrap(), @"column 2 is `4096`, not a whole number from 0 to 4095");
+    }
+
+    #[test]
     fn half_a_line_is_never_a_frame() {
         let mut decoder = AsciiDecoder::new(AsciiOptions::channels(2));
         let mut out = Vec::new();
@@ -308,7 +336,7 @@ mod tests {
 
         #[test]
         fn no_bytes_panic_or_grow(bytes in proptest::collection::vec(any::<u8>(), 0..2000), n in proptest::option::of(0usize..9)) {
-            let mut decoder = AsciiDecoder::new(AsciiOptions { channels: n, sequence: true, device_time: true });
+            let mut decoder = AsciiDecoder::new(AsciiOptions { channels: n, sequence: true, device_time: true, counts: None });
             let mut out = Vec::new();
             decoder.push(&bytes, 0, &mut out);
             prop_assert!(decoder.line.len() <= decoder.limit);

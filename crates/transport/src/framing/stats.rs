@@ -25,6 +25,8 @@ pub enum Rejection {
     Channels,
     /// A field of a text line that is not a number.
     NotANumber,
+    /// A number on a text line that the device's converter cannot have given.
+    Range,
     /// The rest of a frame whose beginning was not received: after connecting, and after a gap.
     Partial,
 }
@@ -47,6 +49,8 @@ pub struct Rejections {
     pub channels: u64,
     /// See [`Rejection::NotANumber`].
     pub not_a_number: u64,
+    /// See [`Rejection::Range`].
+    pub range: u64,
     /// See [`Rejection::Partial`]; no fault of the device, and not in [`Rejections::total`].
     pub partial: u64,
 }
@@ -55,7 +59,14 @@ impl Rejections {
     /// Rejected frames that hint at a fault: all but the partial ones.
     #[must_use]
     pub fn total(&self) -> u64 {
-        self.crc + self.cobs + self.length + self.version + self.format + self.channels + self.not_a_number
+        self.crc
+            + self.cobs
+            + self.length
+            + self.version
+            + self.format
+            + self.channels
+            + self.not_a_number
+            + self.range
     }
 }
 
@@ -130,6 +141,7 @@ impl DecoderStats {
             Rejection::Format => &mut r.format,
             Rejection::Channels => &mut r.channels,
             Rejection::NotANumber => &mut r.not_a_number,
+            Rejection::Range => &mut r.range,
             Rejection::Partial => &mut r.partial,
         };
         *counter += 1;
@@ -160,7 +172,7 @@ impl DecoderStats {
         };
         let r = &self.rejected;
         let latest = self.last_rejection.as_deref().unwrap_or("none was complete");
-        let settings = r.version + r.format + r.channels;
+        let settings = r.version + r.format + r.channels + r.range;
         if settings > 0 && settings * 2 >= r.total() {
             text.push_str(latest);
             return Some(text);
