@@ -242,7 +242,7 @@ pub fn run(options: &Options) -> Result<()> {
         for id in &test {
             let Some((sample, truth)) = data.sample(*id).and_then(labelled) else { continue };
             let contacts = method.answer(sample, *id)?.into_iter().collect();
-            evaluator.push(id.run, truth, &Estimate { contacts, force_map: None });
+            evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
             progress.inc(1);
         }
         rows.push((name.clone(), evaluator.finish(name.clone())));

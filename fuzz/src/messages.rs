@@ -58,6 +58,7 @@ fn all() -> Vec<Kind> {
         kind::<dermis_msgs::msg::BodyContacts>(),
         kind::<dermis_msgs::msg::Contact>(),
         kind::<dermis_msgs::msg::ContactArray>(),
+        kind::<dermis_msgs::msg::DisplacementMap>(),
         kind::<dermis_msgs::msg::ForceMap>(),
         kind::<dermis_msgs::msg::Indentation>(),
         kind::<dermis_msgs::msg::IndentationContact>(),

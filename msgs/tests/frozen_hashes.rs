@@ -27,6 +27,7 @@ fn hashes_are_frozen() {
     dermis_msgs/msg/BodyContacts RIHS01_46fadf50d343dfcd9250ad2c2bb2be865f1f2e3a25b1ba11df8acce44cab8360
     dermis_msgs/msg/Contact RIHS01_95b872787a5247f1b36bc15a6e1bd883439a37103033407b9bdeda5521755be9
     dermis_msgs/msg/ContactArray RIHS01_7305c0bc654021584c0bc20daacea2d6d9c533fae84069dd5d2611414e07706c
+    dermis_msgs/msg/DisplacementMap RIHS01_597de52dfe58b90f371fc056cea95666dfe364b621e86fa5c1f682efc3925984
     dermis_msgs/msg/ForceMap RIHS01_46f52096a2921de9ce620d2d2e4c4904866c5b0522f77b3371d352711afa8d6d
     dermis_msgs/msg/Indentation RIHS01_cc9c748a40bef003a66a23d0fa93fdeb69533780cf882c11949d7227f270ac8f
     dermis_msgs/msg/IndentationContact RIHS01_7ff694d867f4b0a786f3d5cab3a81ed874483d1d1cc29ac431ec03b50461cb9e

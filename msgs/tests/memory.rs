@@ -4,7 +4,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use dermis_msgs::geometry_msgs::msg::WrenchStamped;
-use dermis_msgs::msg::{BodyContacts, ContactArray, ForceMap, Indentation, SkinGeometry, TaxelFrame};
+use dermis_msgs::msg::{BodyContacts, ContactArray, DisplacementMap, ForceMap, Indentation, SkinGeometry, TaxelFrame};
 use dermis_msgs::rcl_interfaces::msg::{ParameterEvent, ParameterValue};
 use dermis_msgs::rcl_interfaces::srv::{DescribeParametersResponse, SetParametersRequest};
 use dermis_msgs::sensor_msgs::msg::PointCloud2;
@@ -52,6 +52,7 @@ fn decode_as_everything(bytes: &[u8]) {
     decode::<BodyContacts>(bytes);
     decode::<ContactArray>(bytes);
     decode::<DescribeParametersResponse>(bytes);
+    decode::<DisplacementMap>(bytes);
     decode::<ForceMap>(bytes);
     decode::<Indentation>(bytes);
     decode::<MarkerArray>(bytes);

@@ -3,7 +3,7 @@
 //! | key | value |
 //! |---|---|
 //! | `dermis/<robot>/<skin>/contacts` | `dermis_msgs/msg/ContactArray` as JSON, at every frame |
-//! | `dermis/<robot>/<skin>/taxels`, `force_map`, `skin_geometry`, … | the other topics of the skin, under the last part of their name |
+//! | `dermis/<robot>/<skin>/taxels`, `force_map`, `displacement_map`, `skin_geometry`, … | the other topics of the skin, under the last part of their name |
 //! | `dermis/<robot>/schemas/<pkg>/msg/<Type>` | text of the message definition |
 //!
 //! Every key answers a `get` with the latest value (so a late client sees the geometry at once), and values carry
@@ -40,10 +40,11 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::{Session, Wait};
 
 /// Types that say which skin they are about, and are therefore bridged.
-const BRIDGED: [&str; 5] = [
+const BRIDGED: [&str; 6] = [
     "dermis_msgs/msg/ContactArray",
     "dermis_msgs/msg/TaxelFrame",
     "dermis_msgs/msg/ForceMap",
+    "dermis_msgs/msg/DisplacementMap",
     "dermis_msgs/msg/SkinGeometry",
     "dermis_msgs/msg/Indentation",
 ];

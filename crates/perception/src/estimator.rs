@@ -3,11 +3,12 @@
 
 use std::path::PathBuf;
 
-use dermis_inference::{Baseline, Bundle, BundleError, Features, Model, Outputs, Runtime};
+use dermis_inference::{Baseline, Bundle, BundleError, Features, Missing, Model, Outputs, Runtime};
 use dermis_inversion::{Found, Inverter, InverterError, Reading};
 use dermis_skin::{
-    ChannelFlags, Condition, Contact, Estimate, EstimateError, Estimator, ForceComponents, ForceMap,
-    ForceValues, Frame, Indentation, ModelError, SkinDescription, Surface, SurfaceSpec, TareState,
+    ChannelFlags, Condition, Contact, DisplacementMap, Estimate, EstimateError, Estimator, ForceComponents,
+    ForceMap, ForceValues, Frame, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec,
+    TareState,
 };
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -25,6 +26,10 @@ const PRESENT: (f64, f64) = (0.5, 0.4);
 const MAP_NORMAL: &str = "map.normal";
 /// Output that gives x, y and z of the force at every point of the surface \[N\].
 const MAP_FORCE: &str = "map.force";
+/// Output that gives how far every point of the surface gives way, inwards along its normal \[m\].
+const MAP_DISPLACEMENT: &str = "map.displacement";
+/// \[m\] about a contact of unknown diameter that its force is spread over.
+const REACH: f64 = 0.005;
 
 /// Why an estimator could not be made, or a model not be taken over.
 #[derive(Debug, thiserror::Error)]
@@ -88,6 +93,22 @@ pub enum Quality {
     Fault,
 }
 
+/// Maps over the surface that are asked for. What nobody asks for is not computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Maps {
+    /// Forces.
+    pub force: bool,
+    /// Displacements.
+    pub displacement: bool,
+}
+
+impl Maps {
+    /// All that there are.
+    pub const ALL: Self = Self { force: true, displacement: true };
+    /// None.
+    pub const NONE: Self = Self { force: false, displacement: false };
+}
+
 /// What is known about the latest frame besides its contacts.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Verdict {
@@ -116,6 +137,8 @@ struct Pipeline {
     fresh: bool,
     /// Refines what it says on the skin's forward model.
     inverter: Option<Inverter>,
+    /// That model knows how far the surface gives way.
+    displaces: bool,
 }
 
 impl Pipeline {
@@ -136,8 +159,14 @@ impl Pipeline {
                 Some(inverter)
             }
         };
+        let displaces = inverter.as_ref().is_some_and(|inverter| {
+            let model = inverter.model();
+            let mut points = vec![0.0; model.surface().points.len()];
+            matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true))
+        });
         Ok(Self {
             inverter,
+            displaces,
             path: bundle.path().to_owned(),
             name: bundle.manifest().name.clone(),
             baseline: bundle.manifest().baseline,
@@ -198,7 +227,9 @@ impl Models {
                 }
             }
             let points = surface.points.len();
-            for (output, expected) in [(MAP_NORMAL, points), (MAP_FORCE, 3 * points)] {
+            for (output, expected) in
+                [(MAP_NORMAL, points), (MAP_FORCE, 3 * points), (MAP_DISPLACEMENT, points)]
+            {
                 if let Some(values) = pipeline.outputs.values(output)
                     && values.len() != expected
                 {
@@ -217,10 +248,22 @@ impl Models {
         Ok(models)
     }
 
-    /// Whether one of them gives a force map.
+    /// Maps that can be had with them.
     #[must_use]
-    pub fn gives_force_map(&self) -> bool {
-        self.0.iter().flat_map(Pipeline::names).any(|n| n == MAP_NORMAL || n == MAP_FORCE)
+    pub fn maps(&self) -> Maps {
+        maps(&self.0)
+    }
+}
+
+fn gives(pipelines: &[Pipeline], outputs: &[&str]) -> bool {
+    pipelines.iter().flat_map(Pipeline::names).any(|n| outputs.contains(&n))
+}
+
+/// What a model gives as it is comes before what a forward model makes of contacts.
+fn maps(pipelines: &[Pipeline]) -> Maps {
+    Maps {
+        force: gives(pipelines, &[MAP_NORMAL, MAP_FORCE]) || pipelines.iter().any(|p| p.inverter.is_some()),
+        displacement: gives(pipelines, &[MAP_DISPLACEMENT]) || pipelines.iter().any(|p| p.displaces),
     }
 }
 
@@ -246,6 +289,10 @@ pub struct SkinEstimator {
     explained: bool,
     /// The latest signal, as an inverter takes it.
     readings: Vec<Reading>,
+    /// What a forward model makes of the channels that have no reading out of those that have one; empty where none is
+    /// missing, or no model knows.
+    guessed: Vec<f64>,
+    maps: Maps,
     no_model: String,
 }
 
@@ -269,6 +316,8 @@ impl SkinEstimator {
             probable: false,
             explained: false,
             readings: Vec::new(),
+            guessed: Vec::new(),
+            maps: Maps::ALL,
             no_model: "no model is loaded, so that contacts are unknown; train one with `dermis train` and name its \
                        folder in `models`"
                 .into(),
@@ -388,10 +437,15 @@ impl SkinEstimator {
         self.pipelines.iter().flat_map(Pipeline::names)
     }
 
-    /// Whether a loaded model gives a force map.
+    /// Maps that can be had with the loaded models.
     #[must_use]
-    pub fn gives_force_map(&self) -> bool {
-        self.outputs().any(|n| n == MAP_NORMAL || n == MAP_FORCE)
+    pub fn maps(&self) -> Maps {
+        maps(&self.pipelines)
+    }
+
+    /// Computes only these maps from the next frame on; all of them at first.
+    pub fn want_maps(&mut self, maps: Maps) {
+        self.maps = maps;
     }
 
     /// Loaded models: name and folder.
@@ -417,7 +471,24 @@ impl SkinEstimator {
                 Baseline::Raw => &cleaned.reading.values,
                 Baseline::Tared => &cleaned.signal.values,
             };
-            pipeline.features.push(cleaned.reading.stamp, values).map_err(|e| e.to_string())?;
+            let stamp = cleaned.reading.stamp;
+            // A model that was told which channels are missing knows better what to make of it.
+            let pushed = if self.guessed.is_empty() || pipeline.features.config().missing == Missing::Mask {
+                pipeline.features.push(stamp, values)
+            } else {
+                let zero = self.conditioner.zero().filter(|_| pipeline.baseline == Baseline::Raw);
+                let whole: Vec<f32> = values
+                    .iter()
+                    .zip(&self.guessed)
+                    .enumerate()
+                    .map(|(i, (value, guessed))| match value.is_nan() {
+                        true => (guessed + zero.map_or(0.0, |zero| zero[i])) as f32,
+                        false => *value,
+                    })
+                    .collect();
+                pipeline.features.push(stamp, &whole)
+            };
+            pushed.map_err(|e| e.to_string())?;
         }
         // A model that says whether there is a contact is asked on every frame, the others only during contacts.
         let mut probability = None;
@@ -461,13 +532,29 @@ impl SkinEstimator {
         self.readings.extend(channels.map(|(value, flags)| Reading::of(*value, *flags)));
     }
 
-    /// What the learned models say, refined on the forward model where a bundle asks for it.
-    fn contacts(&mut self) -> Result<Vec<Contact>, String> {
+    /// Guesses what channels without a reading would read, from the contacts that a forward model finds in the others.
+    fn guess(&mut self) -> Result<(), InverterError> {
+        self.guessed.clear();
+        let Some(inverter) = self.pipelines.iter().find_map(|p| p.inverter.as_ref()) else { return Ok(()) };
+        if !self.readings.contains(&Reading::Missing) || !self.conditioner.is_tared() {
+            return Ok(());
+        }
+        self.guessed.resize(self.readings.len(), 0.0);
+        let shows = self.cleaned.touched || inverter.evidence(&self.readings).0 > EXPLAINED.1;
+        if shows {
+            let found = inverter.solve(&self.readings, None)?.contacts;
+            inverter.signal(&indentations(&found, inverter.settings().diameter), &mut self.guessed)?;
+        }
+        Ok(())
+    }
+
+    /// What the learned models say, refined on the forward model where a bundle asks for it, and which bundle did.
+    fn contacts(&mut self) -> Result<(Vec<Contact>, Option<usize>), String> {
         let learned = self.contact();
         let Some((index, inverter)) =
             self.pipelines.iter().enumerate().find_map(|(i, p)| Some((i, p.inverter.as_ref()?)))
         else {
-            return Ok(vec![learned]);
+            return Ok((vec![learned], None));
         };
         let settings = inverter.settings();
         let known = learned.position.iter().chain(&learned.force).all(|v| v.is_finite());
@@ -480,11 +567,11 @@ impl SkinEstimator {
             .solve(&self.readings, hint.as_ref())
             .map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
         if solution.contacts.is_empty() {
-            return Ok(vec![learned]);
+            return Ok((vec![learned], None));
         }
         let components = settings.unknowns.force_components();
         let single = solution.contacts.len() == 1;
-        Ok(solution
+        let contacts = solution
             .contacts
             .into_iter()
             .map(|found| {
@@ -498,7 +585,8 @@ impl SkinEstimator {
                 contact.taxels = if single { learned.taxels.clone() } else { self.shares.near(&position) };
                 contact
             })
-            .collect())
+            .collect();
+        Ok((contacts, Some(index)))
     }
 
     fn contact(&mut self) -> Contact {
@@ -550,9 +638,18 @@ impl SkinEstimator {
                 if flat { 0.0 } else { z.powi(2) },
             ));
         }
+        if self.channels_missing() {
+            // The errors of a model were measured with every channel there.
+            contact.position_covariance.fill(f64::NAN);
+            contact.force_covariance.fill(f64::NAN);
+        }
         contact.taxels = self.shares.of(&self.cleaned.signal, self.conditioner.condition().contact_threshold);
         contact.confidence = self.confidence(magnitude) as f32;
         contact
+    }
+
+    fn channels_missing(&self) -> bool {
+        self.cleaned.reading.values.iter().any(|v| v.is_nan())
     }
 
     /// 0 to 1: how surely this is a contact, less for channels that are missing and for a force that the model has
@@ -572,42 +669,76 @@ impl SkinEstimator {
         (present * healthy * familiar).clamp(0.0, 1.0)
     }
 
-    fn force_map(&self) -> Option<ForceMap> {
-        let values = |name| self.pipelines.iter().filter(|p| p.fresh).find_map(|p| p.outputs.values(name));
-        let forces = if let Some(map) = values(MAP_FORCE) {
+    fn map(&self, output: &str) -> Option<&[f64]> {
+        self.pipelines.iter().filter(|p| p.fresh).find_map(|p| p.outputs.values(output))
+    }
+
+    /// What a learned model gives or, where none does, the forces of contacts that a forward model refined.
+    fn force_map(&self, contacts: &[Contact], refined: bool) -> Option<ForceMap> {
+        let forces = if let Some(map) = self.map(MAP_FORCE) {
             ForceValues::Vector(
                 map.chunks_exact(3).map(|f| [f[0] as f32, f[1] as f32, f[2] as f32]).collect(),
             )
-        } else {
-            ForceValues::Normal(values(MAP_NORMAL)?.iter().map(|f| *f as f32).collect())
-        };
-        Some(ForceMap { indices: None, forces })
-    }
-
-    fn no_force(&self) -> Option<ForceMap> {
-        let points = self.surface.points.len();
-        let has = |name| self.outputs().any(|n| n == name);
-        let forces = if has(MAP_FORCE) {
-            ForceValues::Vector(vec![[0.0; 3]; points])
-        } else if has(MAP_NORMAL) {
-            ForceValues::Normal(vec![0.0; points])
+        } else if let Some(map) = self.map(MAP_NORMAL) {
+            ForceValues::Normal(map.iter().map(|f| *f as f32).collect())
+        } else if refined {
+            ForceValues::Normal(spread(&self.surface, contacts))
         } else {
             return None;
         };
         Some(ForceMap { indices: None, forces })
     }
 
-    /// Unusable channels that nobody asked to leave out: their names with what is wrong, and how many of how many.
+    /// What a learned model gives or, where none does, what the forward model that refined contacts makes of them.
+    fn displacement_map(&self, contacts: &[Contact], refined: Option<usize>) -> Option<DisplacementMap> {
+        if let Some(map) = self.map(MAP_DISPLACEMENT) {
+            let displacements = map.iter().map(|d| *d as f32).collect();
+            return Some(DisplacementMap { indices: None, displacements });
+        }
+        let inverter = self.pipelines.get(refined?)?.inverter.as_ref()?;
+        let diameter = inverter.settings().diameter;
+        let contacts =
+            contacts.iter().map(|c| Indentation { position: c.position, force: c.force, diameter }).collect();
+        let mut points = vec![0.0; self.surface.points.len()];
+        let known = inverter.model().displacement(&Stimulus { contacts, ..Stimulus::default() }, &mut points);
+        if !known.unwrap_or_else(|error| {
+            tracing::debug!("skin `{}`: no displacement map: {error}", self.skin.name);
+            false
+        }) {
+            return None;
+        }
+        Some(DisplacementMap { indices: None, displacements: points.iter().map(|d| *d as f32).collect() })
+    }
+
+    /// The maps of a skin that nothing touches.
+    fn untouched(&self) -> Estimate {
+        let points = self.surface.points.len();
+        let can = self.maps();
+        let forces = if gives(&self.pipelines, &[MAP_FORCE]) {
+            ForceValues::Vector(vec![[0.0; 3]; points])
+        } else {
+            ForceValues::Normal(vec![0.0; points])
+        };
+        let displacements = vec![0.0; points];
+        Estimate {
+            contacts: Vec::new(),
+            force_map: (can.force && self.maps.force).then_some(ForceMap { indices: None, forces }),
+            displacement_map: (can.displacement && self.maps.displacement)
+                .then_some(DisplacementMap { indices: None, displacements }),
+        }
+    }
+
+    /// Impaired channels: their names with what is wrong, and of those that nobody asked to leave out, how many of how
+    /// many are unusable.
     fn faults(&self) -> (Vec<String>, usize, usize) {
         let reading = &self.cleaned.reading;
         let mut names = Vec::new();
         let (mut invalid, mut asked) = (0, 0);
         for (channel, flags) in self.skin.channels().iter().zip(&reading.flags) {
-            if flags.contains(ChannelFlags::MASKED) {
-                continue;
+            if !flags.contains(ChannelFlags::MASKED) {
+                asked += 1;
+                invalid += usize::from(flags.is_invalid());
             }
-            asked += 1;
-            invalid += usize::from(flags.is_invalid());
             if !flags.is_ok() {
                 names.push(format!("{} ({flags})", channel.name));
             }
@@ -635,10 +766,13 @@ impl SkinEstimator {
         if faults.is_empty() {
             return (Quality::Ok, String::new());
         }
-        (
-            Quality::Degraded,
-            format!("{} of {asked} channels are impaired: {}", faults.len(), listed(&faults, 8)),
-        )
+        let channels = self.cleaned.reading.values.len();
+        let mut text =
+            format!("{} of {channels} channels are impaired: {}", faults.len(), listed(&faults, 8));
+        if self.channels_missing() && self.pipelines.iter().all(|p| p.inverter.is_none()) {
+            text += "; no forward model stands in for them, so that the error of the contacts is unknown";
+        }
+        (Quality::Degraded, text)
     }
 
     fn untared(&self) -> String {
@@ -683,7 +817,11 @@ impl Estimator for SkinEstimator {
             probability: None,
         };
         self.read();
-        let inferred = if quality <= Quality::Degraded { self.infer() } else { Ok((false, true)) };
+        let inferred = if quality <= Quality::Degraded {
+            self.guess().map_err(|e| e.to_string()).and_then(|()| self.infer())
+        } else {
+            Ok((false, true))
+        };
         let (present, complete) = match inferred {
             Ok(answer) => answer,
             Err(reason) => {
@@ -704,9 +842,9 @@ impl Estimator for SkinEstimator {
             return Ok(Estimate::default());
         }
         if !present {
-            return Ok(Estimate { contacts: Vec::new(), force_map: self.no_force() });
+            return Ok(self.untouched());
         }
-        let mut contacts =
+        let (mut contacts, refined) =
             self.contacts().map_err(|reason| EstimateError::Model { sequence: frame.sequence, reason })?;
         // A force that is not known is not too light.
         contacts.retain(|contact| {
@@ -714,7 +852,15 @@ impl Estimator for SkinEstimator {
             pressing.is_nan() || pressing >= self.least_force
         });
         self.tracker.assign(&mut contacts, frame.stamp);
-        Ok(Estimate { contacts, force_map: self.force_map() })
+        Ok(Estimate {
+            force_map: self.maps.force.then(|| self.force_map(&contacts, refined.is_some())).flatten(),
+            displacement_map: self
+                .maps
+                .displacement
+                .then(|| self.displacement_map(&contacts, refined))
+                .flatten(),
+            contacts,
+        })
     }
 
     fn tare(&mut self) {
@@ -736,10 +882,39 @@ impl Estimator for SkinEstimator {
     }
 }
 
+fn indentations(found: &[Found], diameter: f64) -> Vec<Indentation> {
+    found.iter().map(|f| Indentation { position: f.position, force: f.force, diameter }).collect()
+}
+
+/// \[N\] on every point of a surface: the pressing force of each contact on the points within its radius, shared by area.
+/// The points add up to the contacts.
+fn spread(surface: &Surface, contacts: &[Contact]) -> Vec<f32> {
+    let mut forces = vec![0.0; surface.points.len()];
+    for contact in contacts {
+        let radius = if contact.diameter.is_finite() { f64::from(contact.diameter) / 2.0 } else { REACH };
+        let distance = |i: usize| (surface.points[i] - contact.position).norm();
+        let mut under: Vec<usize> = (0..forces.len()).filter(|i| distance(*i) <= radius).collect();
+        if under.is_empty() {
+            // Between the points of a coarse surface.
+            under.extend((0..forces.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b))));
+        }
+        let area: f64 = under.iter().map(|i| surface.areas[*i]).sum();
+        for i in &under {
+            let share = if area > 0.0 { surface.areas[*i] / area } else { 1.0 / under.len() as f64 };
+            forces[*i] += contact.normal_force() * share;
+        }
+    }
+    forces.iter().map(|f| *f as f32).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Out, TestBundle, load, skin_with, tared_estimator};
+    use crate::testing::{
+        Membrane, Out, STRETCHED, TestBundle, load, load_for, nine, skin_with, tared_estimator,
+    };
+    use dermis_inversion::Settings;
+    use dermis_skin::ForwardModel;
 
     const IDLE: f32 = 101_325.0;
 
@@ -832,8 +1007,11 @@ mod tests {
         let healthy = press(&mut estimator, 100, [2000.0, 0.0, 0.0, 0.0]).contacts[0].confidence;
         let contacts = press(&mut estimator, 101, [2000.0, 0.0, f32::NAN, 0.0]).contacts;
         assert_eq!(estimator.verdict().quality, Quality::Degraded);
-        assert_eq!(estimator.verdict().text, "1 of 4 channels are impaired: t2 (not finite)");
+        insta::assert_snapshot!(estimator.verdict().text, @"1 of 4 channels are impaired: t2 (not finite); no forward model stands in for them, so that the error of the contacts is unknown");
         assert!(contacts[0].confidence < 0.8 * healthy);
+        assert!(
+            contacts[0].position_covariance.iter().chain(&contacts[0].force_covariance).all(|v| v.is_nan())
+        );
         let blind = press(&mut estimator, 102, [f32::NAN, f32::NAN, f32::NAN, 0.0]);
         assert!(blind.contacts.is_empty() && blind.force_map.is_none());
         assert_eq!(estimator.verdict().quality, Quality::Fault);
@@ -944,7 +1122,7 @@ mod tests {
         map.count = points;
         bundle.outputs.push(map);
         let (mut estimator, _dir) = tared_estimator(&bundle);
-        assert!(estimator.gives_force_map());
+        assert!(estimator.maps().force && !estimator.maps().displacement);
         let idle = press(&mut estimator, 100, [0.0; 4]).force_map.unwrap();
         assert_eq!(idle.forces, ForceValues::Normal(vec![0.0; points]));
         let pressed = press(&mut estimator, 101, [2000.0, 0.0, 0.0, 0.0]).force_map.unwrap();
@@ -956,6 +1134,146 @@ mod tests {
         bundle.write(&skin_with(""), dir.path());
         let error = load(&skin_with(""), &[dir.path()]).err().unwrap().to_string();
         assert!(error.contains("has 3 numbers where the surface needs 25"), "{error}");
+    }
+
+    /// The pad of nine with a bundle that is refined on its forward model, tared.
+    fn refined(outputs: &[Out], masked: &[String]) -> (SkinEstimator, tempfile::TempDir) {
+        let skin = nine();
+        let mut bundle = TestBundle { inversion: Some(Settings::new(0.004, 5.0)), ..TestBundle::default() };
+        bundle.outputs.extend_from_slice(outputs);
+        let dir = tempfile::tempdir().unwrap();
+        bundle.write(&skin, dir.path());
+        let mut estimator = load_for(&STRETCHED, &skin, &[dir.path()], masked).unwrap();
+        for k in 0..80 {
+            pressed(&mut estimator, k, None, &[]);
+        }
+        assert!(estimator.zero().is_some());
+        (estimator, dir)
+    }
+
+    /// One frame of that pad under a press at \[m\] with \[N\], without these channels.
+    fn pressed(
+        estimator: &mut SkinEstimator,
+        k: u64,
+        press: Option<([f64; 2], f64)>,
+        broken: &[usize],
+    ) -> Estimate {
+        let contacts = press.map(|([x, y], force)| Indentation {
+            position: Point3::new(x, y, 0.0),
+            force: Vector3::new(0.0, 0.0, -force),
+            diameter: 0.004,
+        });
+        let stimulus = Stimulus { contacts: contacts.into_iter().collect(), ..Stimulus::default() };
+        let mut signal = [0.0; 9];
+        Membrane::new(&nine()).response(&stimulus, &mut signal).unwrap();
+        let wiggle = |i: usize| [6.0, -6.0, -6.0, 6.0][(k as usize + i) % 4];
+        let value = |(i, s): (usize, &f64)| {
+            if broken.contains(&i) { f32::NAN } else { IDLE + *s as f32 + wiggle(i) }
+        };
+        let values = signal.iter().enumerate().map(value).collect();
+        estimator.estimate(&Frame::new(k as i64 * 10_000_000, k, values)).unwrap()
+    }
+
+    #[test]
+    fn a_forward_model_does_without_a_channel_and_says_how_well() {
+        let (mut whole, _dir) = refined(&[], &[]);
+        let press = Some(([0.003, 0.001], 1.0));
+        let place = Point3::new(0.003, 0.001, 0.0);
+        let all = pressed(&mut whole, 80, press, &[]).contacts.remove(0);
+        assert_eq!((whole.verdict().quality, whole.verdict().text.as_str()), (Quality::Ok, ""));
+        assert!((all.position - place).norm() < 2e-4, "{}", all.position);
+        // The two that feel it most: dead, then left out by the configuration.
+        let (mut masked, _dir) = refined(&[], &["t4".into(), "t5".into()]);
+        let without = [
+            (pressed(&mut whole, 81, press, &[4, 5]).contacts.remove(0), &whole, "not finite"),
+            (pressed(&mut masked, 81, press, &[]).contacts.remove(0), &masked, "masked"),
+        ];
+        for (contact, estimator, why) in without {
+            let verdict = estimator.verdict();
+            assert_eq!(verdict.quality, Quality::Degraded);
+            assert_eq!(verdict.text, format!("2 of 9 channels are impaired: t4 ({why}), t5 ({why})"));
+            let error = (contact.position - place).norm();
+            let sigma = contact.position_covariance.trace().sqrt();
+            assert!(error < 1e-3 && error < 4.0 * sigma, "{} ± {sigma}", contact.position);
+            let before = all.position_covariance.trace().sqrt();
+            assert!(sigma > 1.1 * before, "it knows less: {sigma} after {before}");
+            assert!((contact.normal_force() - 1.0).abs() < 0.1, "{}", contact.normal_force());
+            assert!(contact.confidence < all.confidence);
+        }
+    }
+
+    #[test]
+    fn a_network_is_given_what_the_forward_model_expects_of_a_missing_channel() {
+        // 1 N for 1 kPa on the first channel.
+        let points = nine().surface().points.len();
+        let mut map = Out::new(MAP_NORMAL, "N", 1.0, [1.0, 0.0, 0.0, 0.0]);
+        map.count = points;
+        let (mut estimator, _dir) = refined(&[map], &[]);
+        let press = Some(([-0.006, -0.007], 1.0));
+        let mut first = |k, broken: &[usize]| {
+            let map = pressed(&mut estimator, k, press, broken).force_map.unwrap();
+            let ForceValues::Normal(values) = map.forces else { panic!("vector map") };
+            values[0]
+        };
+        let (all, without) = (first(80, &[]), first(81, &[0]));
+        assert!(all > 1.5 && (without - all).abs() < 0.1, "{all} became {without}");
+        assert!(pressed(&mut estimator, 82, None, &[0]).contacts.is_empty());
+    }
+
+    #[test]
+    fn maps_are_made_of_refined_contacts_where_somebody_asks() {
+        let (mut estimator, _dir) = refined(&[], &[]);
+        assert_eq!(estimator.maps(), Maps::ALL);
+        let points = nine().surface().points.len();
+        let idle = pressed(&mut estimator, 80, None, &[]);
+        assert_eq!(idle.force_map.unwrap().forces, ForceValues::Normal(vec![0.0; points]));
+        assert_eq!(idle.displacement_map.unwrap().displacements, vec![0.0; points]);
+
+        let touched = pressed(&mut estimator, 81, Some(([0.004, -0.002], 2.0)), &[]);
+        let contact = &touched.contacts[0];
+        let ForceValues::Normal(forces) = touched.force_map.unwrap().forces else { panic!("vector map") };
+        let sum: f64 = forces.iter().map(|f| f64::from(*f)).sum();
+        assert!((sum - contact.normal_force()).abs() < 1e-5, "{sum} of {}", contact.normal_force());
+        for (point, force) in nine().surface().points.iter().zip(&forces) {
+            assert_eq!(*force > 0.0, (point - contact.position).norm() <= REACH, "at {point}");
+        }
+        let displacements = touched.displacement_map.unwrap().displacements;
+        let most = displacements.iter().copied().fold(0.0, f32::max);
+        assert!((f64::from(most) - 2.0 * Membrane::GIVES).abs() < 1e-4, "{most} m inwards");
+
+        estimator.want_maps(Maps::NONE);
+        let unasked = pressed(&mut estimator, 82, Some(([0.004, -0.002], 2.0)), &[]);
+        assert!(
+            unasked.contacts.len() == 1 && unasked.force_map.is_none() && unasked.displacement_map.is_none()
+        );
+        let blind = pressed(&mut estimator, 83, None, &[0, 1, 2, 3, 4, 5]);
+        assert!(blind.force_map.is_none() && estimator.verdict().quality == Quality::Fault);
+    }
+
+    #[test]
+    fn a_displacement_map_appears_where_the_model_gives_one() {
+        let points = skin_with("").surface().points.len();
+        let mut bundle = TestBundle::default();
+        let mut map = Out::new(MAP_DISPLACEMENT, "m", 1e-4, [1.0, 0.0, 0.0, 0.0]);
+        map.count = points;
+        bundle.outputs.push(map);
+        let (mut estimator, _dir) = tared_estimator(&bundle);
+        assert_eq!(estimator.maps(), Maps { force: false, displacement: true });
+        let pressed = press(&mut estimator, 100, [2000.0, 0.0, 0.0, 0.0]);
+        let displacements = pressed.displacement_map.unwrap().displacements;
+        assert!(displacements.len() == points && (displacements[7] - 2e-4).abs() < 1e-5);
+        assert!(pressed.force_map.is_none());
+    }
+
+    #[test]
+    fn a_force_without_a_point_under_it_goes_to_the_nearest() {
+        let surface = skin_with("").surface();
+        let mut contact = Contact::at(Point3::new(0.001, 0.0, 0.0), Vector3::z());
+        contact.force = Vector3::new(0.3, 0.0, -2.0);
+        contact.diameter = 0.001;
+        let forces = spread(&surface, &[contact]);
+        assert_eq!(forces.iter().filter(|f| **f > 0.0).count(), 1);
+        assert!((forces.iter().sum::<f32>() - 2.0).abs() < 1e-6);
     }
 
     #[test]

@@ -27,7 +27,7 @@ use dermis_skin::{Estimator, ForwardModel, ModelError, SkinDescription};
 pub use crate::config::{Config, ConfigError};
 pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
 pub use contacts::{TaxelShares, Tracker};
-pub use estimator::{Models, Quality, SetupError, SkinEstimator, Verdict};
+pub use estimator::{Maps, Models, Quality, SetupError, SkinEstimator, Verdict};
 pub use frame::FrameReader;
 pub use node::{RunError, SkinNode};
 

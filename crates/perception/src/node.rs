@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use dermis_inference::{Bundle, Runtime, RuntimeError};
 use dermis_msgs::geometry_msgs::msg::WrenchStamped;
-use dermis_msgs::msg::{ContactArray, ForceMap, SkinGeometry, TaxelFrame};
+use dermis_msgs::msg::{ContactArray, DisplacementMap, ForceMap, SkinGeometry, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::PointCloud2;
 use dermis_msgs::srv::{LoadModel, LoadModelResponse};
 use dermis_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
@@ -23,7 +23,7 @@ use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, Tra
 
 use crate::Sensor;
 use crate::config::Config;
-use crate::estimator::{Models, Quality, SetupError, SkinEstimator};
+use crate::estimator::{Maps, Models, Quality, SetupError, SkinEstimator};
 use crate::frame::FrameReader;
 use crate::messages::{
     blind_message, contacts_message, markers_message, no_markers_message, points_message, wrench_message,
@@ -102,7 +102,7 @@ pub enum RunError {
 /// A running node; dropping it stops it.
 ///
 /// Topics, relative to its namespace: `contacts`, `taxels`, `wrench`, `contact_points`, `contact_markers`,
-/// `skin_geometry` (latched) and, where a model gives one, `force_map`. Services: `~/tare`, `~/set_enabled`,
+/// `skin_geometry` (latched) and, where the models give them, `force_map` and `displacement_map`. Services: `~/tare`, `~/set_enabled`,
 /// `~/load_model`. `taxels` carries readings in the unit of the skin *before* tare, so that a recording of it is all
 /// that training needs. `wrench`, `contact_points` and `contact_markers` fall silent while the skin is blind;
 /// `contacts` goes on and says why.
@@ -138,7 +138,7 @@ impl SkinNode {
 
         let node = Node::open(options(config, &skin)?, backend)?;
         declare(node.parameters(), config, &skin, &mut estimator)?;
-        let publishers = Publishers::new(&node, estimator.gives_force_map())?;
+        let publishers = Publishers::new(&node, estimator.maps())?;
         let slow = slow_lane().map_err(|source| RunError::Thread { skin: skin.name.clone(), source })?;
         let shared = Arc::new(Shared {
             sensor: *sensor,
@@ -399,14 +399,15 @@ struct Publishers {
     markers: Publisher<MarkerArray>,
     geometry: Publisher<SkinGeometry>,
     force_map: Option<Publisher<ForceMap>>,
+    displacement_map: Option<Publisher<DisplacementMap>>,
     markers_sent: Option<Instant>,
     arrows: bool,
 }
 
 impl Publishers {
-    fn new(node: &Node, force_map: bool) -> Result<Self, NodeError> {
+    fn new(node: &Node, maps: Maps) -> Result<Self, NodeError> {
         let qos = Qos::sensor_data();
-        Ok(Self {
+        let mut publishers = Self {
             taxels: node.publisher("taxels", qos)?,
             contacts: node.publisher("contacts", qos)?,
             wrench: node.publisher("wrench", qos)?,
@@ -414,10 +415,33 @@ impl Publishers {
             // Viewers subscribe to markers reliably.
             markers: node.publisher("contact_markers", Qos::reliable(1))?,
             geometry: node.publisher("skin_geometry", Qos::latched())?,
-            force_map: if force_map { Some(node.publisher("force_map", qos)?) } else { None },
+            force_map: None,
+            displacement_map: None,
             markers_sent: None,
             arrows: false,
-        })
+        };
+        publishers.add(node, maps)?;
+        Ok(publishers)
+    }
+
+    /// Offers these maps besides those that are offered already.
+    fn add(&mut self, node: &Node, maps: Maps) -> Result<(), NodeError> {
+        let qos = Qos::sensor_data();
+        if maps.force && self.force_map.is_none() {
+            self.force_map = Some(node.publisher("force_map", qos)?);
+        }
+        if maps.displacement && self.displacement_map.is_none() {
+            self.displacement_map = Some(node.publisher("displacement_map", qos)?);
+        }
+        Ok(())
+    }
+
+    /// Maps that somebody listens to.
+    fn wanted(&self) -> Maps {
+        Maps {
+            force: self.force_map.as_ref().is_some_and(|p| p.subscriber_count() > 0),
+            displacement: self.displacement_map.as_ref().is_some_and(|p| p.subscriber_count() > 0),
+        }
     }
 }
 
@@ -659,6 +683,7 @@ impl Shared {
         if !core.enabled {
             return;
         }
+        core.estimator.want_maps(core.publishers.wanted());
         let estimate = core.estimator.estimate(&frame).unwrap_or_else(|error| {
             tracing::debug!("skin `{}`: {error}", self.skin.name);
             Estimate::default()
@@ -684,6 +709,9 @@ impl Shared {
         send(&publishers.contacts, || Some(contacts_message(skin, estimator, frame, estimate)));
         if let Some(publisher) = &publishers.force_map {
             send(publisher, || estimate.force_map.as_ref().map(|map| map.to_message(skin, frame)));
+        }
+        if let Some(publisher) = &publishers.displacement_map {
+            send(publisher, || estimate.displacement_map.as_ref().map(|map| map.to_message(skin, frame)));
         }
         if quality > Quality::Degraded {
             self.clear_arrows(core);
@@ -796,11 +824,7 @@ impl Shared {
         let models =
             load_models(&self.sensor, &self.skin, &[folder], self.runtime).map_err(|e| e.to_string())?;
         let mut core = self.lock();
-        if models.gives_force_map() && core.publishers.force_map.is_none() {
-            let publisher =
-                self.node.publisher("force_map", Qos::sensor_data()).map_err(|e| e.to_string())?;
-            core.publishers.force_map = Some(publisher);
-        }
+        core.publishers.add(&self.node, models.maps()).map_err(|e| e.to_string())?;
         core.estimator.replace_models(models);
         let names: Vec<String> =
             core.estimator.models().map(|(name, path)| format!("{name} ({})", path.display())).collect();

@@ -1,13 +1,18 @@
 //! What the tests of this crate share.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use dermis_inference::onnx::GraphBuilder;
 use dermis_inference::{
     Baseline, Bundle, BundleWriter, FeatureConfig, Link, Manifest, OutputConfig, OutputSpec, Runtime,
     RuntimeConfig, Taps, TrainingSection,
 };
-use dermis_skin::{Estimator, Frame, ModelError, SkinDescription};
+use dermis_inversion::Settings;
+use dermis_skin::{
+    Estimator, ForwardModel, Frame, Indentation, ModelError, SkinDescription, Stimulus, Surface,
+};
+use nalgebra::Point3;
 
 use crate::Sensor;
 use crate::estimator::{Models, SetupError, SkinEstimator};
@@ -23,6 +28,80 @@ pub(crate) const PAD: Sensor = Sensor {
         })
     },
 };
+
+/// A family whose forward model is a [`Membrane`].
+pub(crate) const STRETCHED: Sensor = Sensor { name: "pad", model: |skin| Ok(Arc::new(Membrane::new(skin))) };
+
+/// A soft skin: presses are felt, and push its surface in, as bells about them.
+pub(crate) struct Membrane {
+    surface: Surface,
+    elements: Vec<Point3<f64>>,
+    noise: Vec<f64>,
+}
+
+impl Membrane {
+    /// \[m\] standard deviation of a bell.
+    const WIDTH: f64 = 0.006;
+    /// \[Pa/N\] right above an element.
+    pub(crate) const GAIN: f64 = 2000.0;
+    /// \[m/N\] right under a press.
+    pub(crate) const GIVES: f64 = 1e-3;
+
+    pub(crate) fn new(skin: &SkinDescription) -> Self {
+        Self {
+            surface: skin.surface(),
+            elements: skin.taxels.iter().map(|t| Point3::new(t.position[0], t.position[1], 0.0)).collect(),
+            noise: skin.channel_noise(),
+        }
+    }
+
+    fn bell(stimulus: &Stimulus, at: &Point3<f64>) -> f64 {
+        let of = |c: &Indentation| {
+            -c.force.z * (-(c.position - at).norm_squared() / (2.0 * Self::WIDTH * Self::WIDTH)).exp()
+        };
+        stimulus.contacts.iter().map(of).sum()
+    }
+}
+
+impl ForwardModel for Membrane {
+    fn channels(&self) -> usize {
+        self.elements.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        for (value, element) in out.iter_mut().zip(&self.elements) {
+            *value = Self::GAIN * Self::bell(stimulus, element);
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        for (value, point) in out.iter_mut().zip(&self.surface.points) {
+            *value = Self::GIVES * Self::bell(stimulus, point);
+        }
+        Ok(true)
+    }
+}
+
+/// A pad of 3×3 elements, 8 mm apart.
+pub(crate) fn nine() -> SkinDescription {
+    let at = |i: usize| [i % 3, i / 3].map(|k| (k as f64 - 1.0) * 0.008);
+    let taxels: Vec<String> = (0..9)
+        .map(|i| format!("{{ name = \"t{i}\", position = [{:.3}, {:.3}, -0.005] }}", at(i)[0], at(i)[1]))
+        .collect();
+    skin_with(&format!(
+        "surface = {{ type = \"rectangle\", size = [0.024, 0.024], spacing = 0.002 }}\ntaxels = [{}]",
+        taxels.join(", ")
+    ))
+}
 
 /// A 2×2 pad of barometers: 20 Pa of noise, 50 to 110 kPa, 100 Hz. Lines of `extra` replace or add top-level keys.
 pub(crate) fn skin_with(extra: &str) -> SkinDescription {
@@ -110,6 +189,7 @@ pub(crate) struct TestBundle {
     pub(crate) outputs: Vec<Out>,
     pub(crate) taps: Vec<u32>,
     pub(crate) baseline: Baseline,
+    pub(crate) inversion: Option<Settings>,
 }
 
 impl Default for TestBundle {
@@ -123,6 +203,7 @@ impl Default for TestBundle {
             ],
             taps: vec![0],
             baseline: Baseline::Tared,
+            inversion: None,
         }
     }
 }
@@ -168,16 +249,27 @@ impl TestBundle {
         let mut manifest =
             Manifest::new("linear", skin, self.baseline, input, output, TrainingSection::default());
         manifest.force_range = Some([0.0, 5.0]);
+        manifest.inversion.clone_from(&self.inversion);
         BundleWriter::new(manifest).write(folder, &graph.finish().unwrap()).unwrap();
     }
 }
 
 /// An estimator with these bundles.
 pub(crate) fn load(skin: &SkinDescription, folders: &[&Path]) -> Result<SkinEstimator, SetupError> {
+    load_for(&PAD, skin, folders, &[])
+}
+
+/// An estimator of a family with these bundles and without these channels.
+pub(crate) fn load_for(
+    sensor: &Sensor,
+    skin: &SkinDescription,
+    folders: &[&Path],
+    masked: &[String],
+) -> Result<SkinEstimator, SetupError> {
     let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
     let bundles: Vec<Bundle> = folders.iter().map(|f| Bundle::load(f, skin).unwrap()).collect();
-    let mut estimator = SkinEstimator::new(skin, &[])?;
-    estimator.set_models(Models::load(&PAD, skin, &bundles, runtime)?);
+    let mut estimator = SkinEstimator::new(skin, masked)?;
+    estimator.set_models(Models::load(sensor, skin, &bundles, runtime)?);
     Ok(estimator)
 }
 

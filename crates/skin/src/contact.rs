@@ -82,6 +82,15 @@ pub struct ForceMap {
     pub forces: ForceValues,
 }
 
+/// How far the points of a [`Surface`](crate::Surface) give way.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DisplacementMap {
+    /// Points that the values belong to, by index; `None`: all points in order.
+    pub indices: Option<Vec<u32>>,
+    /// \[m\] inwards along the normal, positive where the skin is pushed in; one a point.
+    pub displacements: Vec<f32>,
+}
+
 /// What an estimator makes of one frame.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Estimate {
@@ -89,4 +98,6 @@ pub struct Estimate {
     pub contacts: Vec<Contact>,
     /// Where the model gives one.
     pub force_map: Option<ForceMap>,
+    /// Where the model gives one.
+    pub displacement_map: Option<DisplacementMap>,
 }

@@ -7,7 +7,7 @@ use dermis_msgs::std_msgs::msg::Header;
 use nalgebra::{Point3, Vector3};
 
 use crate::{
-    ChannelFlags, Contact, Estimate, ForceComponents, ForceMap, ForceValues, Frame, SensorKind,
+    ChannelFlags, Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues, Frame, SensorKind,
     SkinDescription, Stamp, Surface,
 };
 
@@ -26,7 +26,7 @@ impl SkinDescription {
         Header { stamp: Time::from_nanos(stamp), frame_id: self.frame_id.clone() }
     }
 
-    /// Identity that a [`ForceMap`] message refers to: changes with the points of the surface.
+    /// Identity that a [`ForceMap`] or [`DisplacementMap`] message refers to: changes with the points of the surface.
     #[must_use]
     pub fn geometry_id(&self) -> String {
         format!("{}/{}", self.name, &self.hash()[7..19])
@@ -153,6 +153,21 @@ impl ForceMap {
             kind,
             indices: self.indices.clone().unwrap_or_default(),
             forces,
+        }
+    }
+}
+
+impl DisplacementMap {
+    /// As a message that refers to the skin's geometry.
+    #[must_use]
+    pub fn to_message(&self, skin: &SkinDescription, frame: &Frame) -> msg::DisplacementMap {
+        msg::DisplacementMap {
+            header: skin.header(frame.stamp),
+            skin: skin.name.clone(),
+            geometry_id: skin.geometry_id(),
+            sequence: frame.sequence,
+            indices: self.indices.clone().unwrap_or_default(),
+            displacements: self.displacements.clone(),
         }
     }
 }

@@ -6,7 +6,7 @@
 //! | surface | [`Surface`] | triangulated outside of the skin, in the frame of its link |
 //! | frame | [`Frame`] | one reading of every channel at one instant |
 //! | stimulus | [`Stimulus`] | what touches the skin: the input of a forward model |
-//! | contact, force map | [`Contact`], [`ForceMap`] | what an estimator answers |
+//! | contact, maps | [`Contact`], [`ForceMap`], [`DisplacementMap`] | what an estimator answers |
 //! | forward model | [`ForwardModel`] | stimulus → channels |
 //! | estimator | [`Estimator`] | frame → contacts |
 //! | zero | [`ZeroTracker`] | tare, and drift while untouched |
@@ -52,7 +52,7 @@ mod traits;
 mod unknowns;
 mod zero;
 
-pub use contact::{Contact, Estimate, ForceComponents, ForceMap, ForceValues};
+pub use contact::{Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues};
 pub use convert::contact_array;
 pub use description::{
     Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
