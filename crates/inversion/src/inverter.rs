@@ -288,8 +288,8 @@ impl Inverter {
 
     /// The model that it asks.
     #[must_use]
-    pub fn model(&self) -> &dyn ForwardModel {
-        self.model.0.as_ref()
+    pub fn model(&self) -> &Arc<dyn ForwardModel> {
+        &self.model.0
     }
 
     /// What the channels of the device read for these contacts, less what they read untouched, written to `out` (one a

@@ -2,6 +2,8 @@
 //! in offline evaluation.
 
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_inference::{Baseline, Bundle, BundleError, Features, Missing, Model, Outputs, Runtime};
 use dermis_inversion::{Found, Inverter, InverterError, Reading};
@@ -139,6 +141,8 @@ struct Pipeline {
     inverter: Option<Inverter>,
     /// That model knows how far the surface gives way.
     displaces: bool,
+    /// It has been asked before, which may take seconds the first time: whether it has answered.
+    answered: Option<Arc<AtomicBool>>,
 }
 
 impl Pipeline {
@@ -167,6 +171,7 @@ impl Pipeline {
         Ok(Self {
             inverter,
             displaces,
+            answered: None,
             path: bundle.path().to_owned(),
             name: bundle.manifest().name.clone(),
             baseline: bundle.manifest().baseline,
@@ -460,6 +465,36 @@ impl SkinEstimator {
     fn sigma(&self, output: &str, force: f64) -> f64 {
         let found = self.pipelines.iter().find_map(|p| p.outputs.sigma(output, force));
         found.unwrap_or(f64::NAN)
+    }
+
+    /// Whether a displacement map comes without delay. The first one of a forward model may take seconds: it is made ready on
+    /// another thread from the first call on.
+    pub fn displacements_ready(&mut self) -> bool {
+        if gives(&self.pipelines, &[MAP_DISPLACEMENT]) {
+            return true;
+        }
+        let Some(pipeline) = self.pipelines.iter_mut().find(|p| p.displaces) else { return false };
+        if let Some(answered) = &pipeline.answered {
+            return answered.load(Ordering::Acquire);
+        }
+        let answered = Arc::new(AtomicBool::new(false));
+        pipeline.answered = Some(Arc::clone(&answered));
+        let Some(model) = pipeline.inverter.as_ref().map(|i| Arc::clone(i.model())) else { return false };
+        let ask = move || {
+            let surface = model.surface();
+            let mut out = vec![0.0; surface.points.len()];
+            if let Some((position, normal)) = surface.points.first().zip(surface.normals.first()) {
+                let press = Indentation { position: *position, force: -normal, diameter: REACH };
+                // What it says of this press is of no interest.
+                let _ =
+                    model.displacement(&Stimulus { contacts: vec![press], ..Stimulus::default() }, &mut out);
+            }
+            answered.store(true, Ordering::Release);
+        };
+        if let Err(error) = std::thread::Builder::new().name("dermis-displacement".into()).spawn(ask) {
+            tracing::warn!("skin `{}`: no displacement map: no thread: {error}", self.skin.name);
+        }
+        false
     }
 
     /// Runs what is needed of the models. Returns whether a contact is there and whether every model could answer.
@@ -1241,6 +1276,12 @@ mod tests {
         let most = displacements.iter().copied().fold(0.0, f32::max);
         assert!((f64::from(most) - 2.0 * Membrane::GIVES).abs() < 1e-4, "{most} m inwards");
 
+        // Made ready elsewhere, so that no frame waits for it.
+        let begun = std::time::Instant::now();
+        while !estimator.displacements_ready() {
+            assert!(begun.elapsed().as_secs() < 30);
+            std::thread::yield_now();
+        }
         estimator.want_maps(Maps::NONE);
         let unasked = pressed(&mut estimator, 82, Some(([0.004, -0.002], 2.0)), &[]);
         assert!(

@@ -683,7 +683,9 @@ impl Shared {
         if !core.enabled {
             return;
         }
-        core.estimator.want_maps(core.publishers.wanted());
+        let mut wanted = core.publishers.wanted();
+        wanted.displacement = wanted.displacement && core.estimator.displacements_ready();
+        core.estimator.want_maps(wanted);
         let estimate = core.estimator.estimate(&frame).unwrap_or_else(|error| {
             tracing::debug!("skin `{}`: {error}", self.skin.name);
             Estimate::default()
