@@ -24,6 +24,21 @@ pub struct ParameterInfo {
     pub limits: [f64; 2],
 }
 
+impl ParameterInfo {
+    /// A parameter whose fields come in their order.
+    #[must_use]
+    pub const fn new(
+        name: &'static str,
+        unit: &'static str,
+        what: &'static str,
+        typical: f64,
+        range: [f64; 2],
+        limits: [f64; 2],
+    ) -> Self {
+        Self { name, unit, what, typical, range, limits }
+    }
+}
+
 /// An effect that a sensor family knows.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EffectInfo {

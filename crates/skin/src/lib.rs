@@ -47,6 +47,8 @@ mod error;
 mod frame;
 mod mesh;
 mod panel;
+#[cfg(feature = "test-suite")]
+pub mod suite;
 mod surface;
 mod traits;
 mod unknowns;

@@ -16,7 +16,6 @@ mod tests;
 mod walk;
 
 use dermis_skin::Effect;
-use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 pub(crate) use shape::shape;
@@ -25,11 +24,5 @@ pub(crate) use walk::Dynamics;
 
 /// The random numbers of one effect on one channel (or taxel).
 fn stream(effect: &Effect, index: usize) -> ChaCha8Rng {
-    // FNV-1a: the name says which stream, not the place in a table that may grow.
-    let name = effect.name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    });
-    let mut rng = ChaCha8Rng::seed_from_u64(effect.seed.unwrap_or(0));
-    rng.set_stream((name << 20) | index as u64);
-    rng
+    dermis_mechanics::stream(&effect.name, effect.seed.unwrap_or(0), index)
 }

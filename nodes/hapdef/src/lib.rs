@@ -3,8 +3,14 @@
 //!
 //! How a frame becomes contacts is in [`dermis_perception`], which [`FAMILY`] is handed to.
 
+mod candidates;
+pub mod effects;
+pub mod model;
+mod parameters;
+
 use std::sync::Arc;
 
+pub use candidates::candidates;
 use dermis_perception::Sensor;
 use dermis_skin::{ForwardModel, ModelError, SkinDescription};
 
@@ -14,15 +20,11 @@ pub const SENSOR: &str = "hapdef";
 /// The family, as node and estimator need it.
 pub const FAMILY: Sensor = Sensor { name: SENSOR, model };
 
-/// Stimulus → strains.
+/// Stimulus → strains, for skins whose `medium` says what the shell is made of.
 ///
 /// # Errors
 ///
-/// [`ModelError::Description`]: nothing is known of the shell.
+/// [`ModelError::Description`] where the shell, or one of its gauges, cannot be.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
-    Err(ModelError::Description {
-        skin: skin.name.clone(),
-        field: "medium".into(),
-        reason: "a shell has no forward model; its bundles must do without `inversion`".into(),
-    })
+    Ok(Arc::new(model::ShellModel::new(skin)?))
 }

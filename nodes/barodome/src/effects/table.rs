@@ -2,17 +2,6 @@
 
 use dermis_skin::{EffectInfo, ParameterInfo};
 
-const fn parameter(
-    name: &'static str,
-    unit: &'static str,
-    what: &'static str,
-    typical: f64,
-    range: [f64; 2],
-    limits: [f64; 2],
-) -> ParameterInfo {
-    ParameterInfo { name, unit, what, typical, range, limits }
-}
-
 /// Data sheet of the barometers that the thesis molds in.
 const CHIP: &str = "data sheet of the MPL3115A2";
 const ASSUMED: &str = "assumed; to be calibrated on a device";
@@ -23,7 +12,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         name: "modulus",
         what: "The elastomer is stiffer, or softer, than its data sheet says.",
         source: ASSUMED,
-        parameters: &[parameter(
+        parameters: &[ParameterInfo::new(
             "change",
             "1",
             "relative change of Young's modulus",
@@ -38,7 +27,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         name: "thickness",
         what: "The elastomer is thicker, or thinner, than designed; the taxels keep their distance from the surface.",
         source: ASSUMED,
-        parameters: &[parameter(
+        parameters: &[ParameterInfo::new(
             "change",
             "m",
             "change of the thickness",
@@ -53,7 +42,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         name: "base-bonding",
         what: "The elastomer is not bonded everywhere: a share of the base slips.",
         source: "mixture of the bonded and the slipping layer; the thesis sees the negative wings of a base that slips",
-        parameters: &[parameter(
+        parameters: &[ParameterInfo::new(
             "slip",
             "1",
             "share of what is bonded by design that slips",
@@ -69,8 +58,15 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "Taxels do not lie where they were designed to.",
         source: ASSUMED,
         parameters: &[
-            parameter("lateral", "m", "most along each axis of the surface", 3e-4, [0.0, 5e-4], [0.0, 5e-3]),
-            parameter("depth", "m", "most across the surface", 5e-4, [0.0, 1e-3], [0.0, 5e-3]),
+            ParameterInfo::new(
+                "lateral",
+                "m",
+                "most along each axis of the surface",
+                3e-4,
+                [0.0, 5e-4],
+                [0.0, 5e-3],
+            ),
+            ParameterInfo::new("depth", "m", "most across the surface", 5e-4, [0.0, 1e-3], [0.0, 5e-3]),
         ],
         stateful: false,
         random: true,
@@ -80,8 +76,22 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "Packages are tilted: the port moves aside, and a footprint lies askew.",
         source: ASSUMED,
         parameters: &[
-            parameter("angle", "rad", "most, about a random axis", 0.087, [0.035, 0.26], [0.0, 0.785]),
-            parameter("lever", "m", "from the axis up to the port", 1.1e-3, [5e-4, 2e-3], [0.0, 0.01]),
+            ParameterInfo::new(
+                "angle",
+                "rad",
+                "most, about a random axis",
+                0.087,
+                [0.035, 0.26],
+                [0.0, 0.785],
+            ),
+            ParameterInfo::new(
+                "lever",
+                "m",
+                "from the axis up to the port",
+                1.1e-3,
+                [5e-4, 2e-3],
+                [0.0, 0.01],
+            ),
         ],
         stateful: false,
         random: true,
@@ -91,8 +101,8 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "A taxel reads the mean over its lid instead of the stress at a point.",
         source: CHIP,
         parameters: &[
-            parameter("length", "m", "of the averaging rectangle", 5e-3, [1e-3, 6e-3], [0.0, 0.02]),
-            parameter("width", "m", "of the averaging rectangle", 3e-3, [1e-3, 4e-3], [0.0, 0.02]),
+            ParameterInfo::new("length", "m", "of the averaging rectangle", 5e-3, [1e-3, 6e-3], [0.0, 0.02]),
+            ParameterInfo::new("width", "m", "of the averaging rectangle", 3e-3, [1e-3, 4e-3], [0.0, 0.02]),
         ],
         stateful: false,
         random: false,
@@ -102,8 +112,8 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "A stiff chip in a soft medium gathers more stress than the medium alone, each a little differently.",
         source: "stress concentration at a stiff inclusion (Eshelby); spread assumed",
         parameters: &[
-            parameter("mean", "1", "mean factor", 1.3, [1.0, 1.6], [0.1, 10.0]),
-            parameter(
+            ParameterInfo::new("mean", "1", "mean factor", 1.3, [1.0, 1.6], [0.1, 10.0]),
+            ParameterInfo::new(
                 "spread",
                 "1",
                 "most by which a channel's factor differs from it",
@@ -120,8 +130,15 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "The medium above a package is stiffer for a tip than the medium between packages.",
         source: ASSUMED,
         parameters: &[
-            parameter("rise", "1", "of the modulus, straight above", 0.3, [0.0, 1.0], [0.0, 100.0]),
-            parameter("reach", "m", "at which it has fallen to e^(-1/2)", 2.5e-3, [1e-3, 5e-3], [1e-4, 0.05]),
+            ParameterInfo::new("rise", "1", "of the modulus, straight above", 0.3, [0.0, 1.0], [0.0, 100.0]),
+            ParameterInfo::new(
+                "reach",
+                "m",
+                "at which it has fallen to e^(-1/2)",
+                2.5e-3,
+                [1e-3, 5e-3],
+                [1e-4, 0.05],
+            ),
         ],
         stateful: false,
         random: false,
@@ -130,7 +147,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         name: "indenter-size",
         what: "The tip is larger, or smaller, than the plan says.",
         source: ASSUMED,
-        parameters: &[parameter(
+        parameters: &[ParameterInfo::new(
             "scale",
             "1",
             "real diameter per planned one",
@@ -145,7 +162,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         name: "friction",
         what: "A tip that slides drags the surface along with Coulomb's friction.",
         source: "Coulomb; silicone on metal or skin",
-        parameters: &[parameter(
+        parameters: &[ParameterInfo::new(
             "coefficient",
             "1",
             "tangential per normal force",
@@ -161,7 +178,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "Where it was stretched before, the medium has become softer and hands stress on to what surrounds it.",
         source: "Mullins' softening of filled rubber, in the form of Ogden and Roxburgh; what of it shows is assumed",
         parameters: &[
-            parameter(
+            ParameterInfo::new(
                 "loss",
                 "1",
                 "of stiffness, far below the largest stretch so far",
@@ -169,8 +186,15 @@ pub const EFFECTS: &[EffectInfo] = &[
                 [0.1, 0.25],
                 [0.0, 0.95],
             ),
-            parameter("share", "1", "of the loss that a channel's stress shows", 0.5, [0.2, 1.0], [0.0, 1.0]),
-            parameter(
+            ParameterInfo::new(
+                "share",
+                "1",
+                "of the loss that a channel's stress shows",
+                0.5,
+                [0.2, 1.0],
+                [0.0, 1.0],
+            ),
+            ParameterInfo::new(
                 "onset",
                 "Pa",
                 "largest stress so far at which half of it has come",
@@ -187,8 +211,8 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "Loading reads less than unloading: inner friction.",
         source: "Prandtl-Ishlinskii: four play operators at 5, 10, 20 and 40 % of the scale",
         parameters: &[
-            parameter("width", "1", "of the loop, per scale", 0.1, [0.05, 0.2], [0.0, 0.375]),
-            parameter("scale", "Pa", "a large signal", 5e3, [1e3, 2e4], [1.0, 1e7]),
+            ParameterInfo::new("width", "1", "of the loop, per scale", 0.1, [0.05, 0.2], [0.0, 0.375]),
+            ParameterInfo::new("scale", "Pa", "a large signal", 5e3, [1e3, 2e4], [1.0, 1e7]),
         ],
         stateful: true,
         random: false,
@@ -198,10 +222,10 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "A signal that is held fades, and one that has gone leaves its negative behind for a while.",
         source: "Prony series of two terms",
         parameters: &[
-            parameter("fast", "1", "share that fades first", 0.05, [0.0, 0.1], [0.0, 0.9]),
-            parameter("fast_time", "s", "with which it does", 0.5, [0.1, 2.0], [1e-3, 1e6]),
-            parameter("slow", "1", "share that fades later", 0.03, [0.0, 0.1], [0.0, 0.9]),
-            parameter("slow_time", "s", "with which it does", 20.0, [5.0, 300.0], [1e-3, 1e6]),
+            ParameterInfo::new("fast", "1", "share that fades first", 0.05, [0.0, 0.1], [0.0, 0.9]),
+            ParameterInfo::new("fast_time", "s", "with which it does", 0.5, [0.1, 2.0], [1e-3, 1e6]),
+            ParameterInfo::new("slow", "1", "share that fades later", 0.03, [0.0, 0.1], [0.0, 0.9]),
+            ParameterInfo::new("slow_time", "s", "with which it does", 20.0, [5.0, 300.0], [1e-3, 1e6]),
         ],
         stateful: true,
         random: false,
@@ -211,7 +235,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "Air in the port gives way, so that less stress arrives, and it expands with the temperature.",
         source: "ideal gas: 0.35 kPa/K where all of the port is air",
         parameters: &[
-            parameter(
+            ParameterInfo::new(
                 "share",
                 "1",
                 "mean share of air; a channel has 0 to twice that",
@@ -219,7 +243,7 @@ pub const EFFECTS: &[EffectInfo] = &[
                 [0.0, 0.1],
                 [0.0, 0.5],
             ),
-            parameter(
+            ParameterInfo::new(
                 "self_heating",
                 "K",
                 "by which the chips warm up after they were switched on",
@@ -227,8 +251,8 @@ pub const EFFECTS: &[EffectInfo] = &[
                 [0.0, 3.0],
                 [0.0, 50.0],
             ),
-            parameter("heating_time", "s", "with which they do", 60.0, [10.0, 600.0], [1e-3, 1e6]),
-            parameter(
+            ParameterInfo::new("heating_time", "s", "with which they do", 60.0, [10.0, 600.0], [1e-3, 1e6]),
+            ParameterInfo::new(
                 "room",
                 "K",
                 "standard deviation of the room's temperature",
@@ -236,7 +260,7 @@ pub const EFFECTS: &[EffectInfo] = &[
                 [0.0, 2.0],
                 [0.0, 50.0],
             ),
-            parameter("room_time", "s", "in which it wanders", 600.0, [60.0, 7200.0], [1e-3, 1e8]),
+            ParameterInfo::new("room_time", "s", "in which it wanders", 600.0, [60.0, 7200.0], [1e-3, 1e8]),
         ],
         stateful: true,
         random: true,
@@ -246,7 +270,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         what: "All barometers read the weather.",
         source: "weather: 2 kPa from day to day, tens of pascals in minutes",
         parameters: &[
-            parameter(
+            ParameterInfo::new(
                 "deviation",
                 "Pa",
                 "standard deviation of the pressure around",
@@ -254,7 +278,7 @@ pub const EFFECTS: &[EffectInfo] = &[
                 [0.0, 2e3],
                 [0.0, 2e4],
             ),
-            parameter("time", "s", "in which it wanders", 86_400.0, [3600.0, 4e5], [1.0, 1e8]),
+            ParameterInfo::new("time", "s", "in which it wanders", 86_400.0, [3600.0, 4e5], [1.0, 1e8]),
         ],
         stateful: true,
         random: true,
@@ -263,7 +287,14 @@ pub const EFFECTS: &[EffectInfo] = &[
         name: "read-skew",
         what: "Barometers are read one after another: at a frame's time the last one is, all others were before.",
         source: "conversion time of the MPL3115A2 without oversampling",
-        parameters: &[parameter("delay", "s", "from one channel to the next", 6e-3, [0.0, 6e-3], [0.0, 1.0])],
+        parameters: &[ParameterInfo::new(
+            "delay",
+            "s",
+            "from one channel to the next",
+            6e-3,
+            [0.0, 6e-3],
+            [0.0, 1.0],
+        )],
         stateful: true,
         random: false,
     },
@@ -271,7 +302,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         name: "saturation",
         what: "The converter ends: above its limit readings grow by 1 minus the strength only, at strength 1 not at all.",
         source: CHIP,
-        parameters: &[parameter(
+        parameters: &[ParameterInfo::new(
             "limit",
             "Pa",
             "above one standard atmosphere; 110 kPa in all",
@@ -286,7 +317,7 @@ pub const EFFECTS: &[EffectInfo] = &[
         name: "resolution",
         what: "The converter counts in steps.",
         source: CHIP,
-        parameters: &[parameter("step", "Pa", "of one count", 0.25, [0.25, 1.5], [0.0, 1e5])],
+        parameters: &[ParameterInfo::new("step", "Pa", "of one count", 0.25, [0.25, 1.5], [0.0, 1e5])],
         stateful: false,
         random: false,
     },

@@ -2,9 +2,8 @@
 
 use std::sync::{Arc, LazyLock};
 
-use dermis_skin::{
-    Effect, EffectInfo, ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Trajectory,
-};
+use dermis_skin::suite::{Device, Effects};
+use dermis_skin::{Effect, EffectInfo, ForwardModel, Indentation, ModelError, SkinDescription, Stimulus};
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 
@@ -82,21 +81,6 @@ fn act(act: Act) -> Vec<Stimulus> {
         .collect()
 }
 
-/// Noise-free readings of a device that was just switched on.
-fn read(model: &BarometerModel, mut walk: Box<dyn Trajectory>, stimuli: &[Stimulus]) -> Vec<f64> {
-    let mut all = Vec::new();
-    let mut readings = vec![0.0; model.channels()];
-    for (i, stimulus) in stimuli.iter().enumerate() {
-        let (t, mut stimulus) = (i as f64 * DT, stimulus.clone());
-        walk.touch(t, &mut stimulus);
-        model.response(&stimulus, &mut readings).unwrap();
-        walk.transduce(t, &stimulus, &mut readings);
-        walk.convert(&mut readings);
-        all.extend_from_slice(&readings);
-    }
-    all
-}
-
 static NOMINAL: LazyLock<Arc<BarometerModel>> =
     LazyLock::new(|| Arc::new(BarometerModel::new(&skin(vec![])).unwrap()));
 
@@ -114,13 +98,21 @@ fn device(effect: Effect) -> (Arc<BarometerModel>, Dynamics) {
     (model, Dynamics::new(&skin).unwrap())
 }
 
-fn readings(effect: Effect, stimuli: &[Stimulus]) -> Vec<f64> {
-    let (model, dynamics) = device(effect);
-    read(&model, dynamics.begin(), stimuli)
-}
-
-fn rms(a: &[f64], b: &[f64]) -> f64 {
-    (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / a.len() as f64).sqrt()
+/// The promises that every family's effects keep.
+fn suite() -> Effects<'static> {
+    Effects {
+        known: EFFECTS,
+        skin: &skin,
+        device: &|skin| {
+            Effect::check(&skin.effects, EFFECTS, &skin.name)?;
+            let (model, dynamics) = match &skin.effects[..] {
+                [one] => device(one.clone()),
+                _ => (Arc::clone(&NOMINAL), Dynamics::new(skin)?),
+            };
+            Ok(Device { model, begin: Box::new(move || dynamics.begin()) })
+        },
+        frame: DT,
+    }
 }
 
 fn acts() -> impl Strategy<Value = Act> {
@@ -134,101 +126,41 @@ proptest! {
 
     #[test]
     fn every_effect_is_the_identity_at_0_and_grows_with_its_strength(acted in acts(), seed in any::<u64>()) {
-        let stimuli = act(acted);
-        let nominal = read(&NOMINAL, NOMINAL.trajectory(), &stimuli);
-        for info in EFFECTS {
-            let mut last = 0.0;
-            for strength in [0.0, 0.25, 0.5, 0.75, 1.0] {
-                let found = readings(Effect::new(info.name).strength(strength).seed(seed), &stimuli);
-                if strength == 0.0 {
-                    let same = found.iter().zip(&nominal).all(|(a, b)| a.to_bits() == b.to_bits());
-                    prop_assert!(same, "{} at strength 0 changes readings", info.name);
-                    continue;
-                }
-                let off = rms(&found, &nominal);
-                prop_assert!(off > last, "{} at {strength}: {off} Pa off after {last} Pa", info.name);
-                last = off;
-            }
-        }
+        suite().grow_from_nothing(&act(acted), seed);
     }
 
     #[test]
     fn every_effect_is_drawn_by_its_seed_where_it_is_random(acted in acts(), seed in any::<u64>()) {
-        let stimuli = act(acted);
-        for info in EFFECTS {
-            let of = |seed| readings(Effect::new(info.name).seed(seed), &stimuli);
-            let one = of(seed);
-            prop_assert!(one == of(seed), "{}: one seed, two devices", info.name);
-            prop_assert_eq!(one != of(seed.wrapping_add(1)), info.random, "{}", info.name);
-        }
+        suite().are_drawn_by_their_seeds(&act(acted), seed);
     }
 
     #[test]
     fn every_stateful_effect_remembers_and_no_other_does(acted in acts(), seed in any::<u64>()) {
-        let stimuli = act(acted);
-        for info in EFFECTS {
-            let (model, dynamics) = device(Effect::new(info.name).seed(seed));
-            // In the middle of the slide, which is reached by pressing or all at once.
-            let middle = 105;
-            let after = read(&model, dynamics.begin(), &stimuli[..=middle]);
-            let fresh = read(&model, dynamics.begin(), &stimuli[middle..=middle]);
-            prop_assert_eq!(after[after.len() - 4..] != fresh[..], info.stateful, "{}", info.name);
-            // A new trajectory is a device that was never touched.
-            prop_assert!(read(&model, dynamics.begin(), &stimuli) == read(&model, dynamics.begin(), &stimuli), "{} is not reset", info.name);
-        }
+        // In the middle of the slide, which is reached by pressing or all at once.
+        suite().remember_what_they_should(&act(acted), 105, seed);
     }
 }
 
 #[test]
 fn every_effect_is_named_and_parametrised() {
-    let word = |s: &str, join| s.chars().all(|c| c.is_ascii_lowercase() || c == join) && !s.is_empty();
-    let stimuli = act(ACT);
-    for (i, info) in EFFECTS.iter().enumerate() {
-        assert!(word(info.name, '-') && EFFECTS[..i].iter().all(|e| e.name != info.name), "{}", info.name);
-        assert!(!info.what.is_empty() && !info.source.is_empty() && !info.parameters.is_empty());
-        let mut effect = Effect::new(info.name).seed(7);
-        for p in info.parameters {
-            assert!(
-                word(p.name, '_') && !p.what.is_empty() && !p.unit.is_empty(),
-                "{}.{}",
-                info.name,
-                p.name
-            );
-            let ([low, high], [least, most]) = (p.range, p.limits);
-            assert!(
-                least <= low && low <= p.typical && p.typical <= high && high <= most,
-                "{}.{}",
-                info.name,
-                p.name
-            );
-            effect = effect.with(p.name, p.typical);
-            for bad in [least - 1e-3 * (1.0 + least.abs()), most + 1e-3 * (1.0 + most.abs()), f64::NAN] {
-                let text = refused(vec![Effect::new(info.name).with(p.name, bad)]);
-                assert!(text.contains(&format!("`effects[0].{}`: is {bad}", p.name)), "{text}");
-            }
-        }
-        // Through the file and back, and the typical values are those that a file may leave out.
-        let named = skin(vec![effect]);
-        let text = toml::to_string(&named).unwrap();
-        let back = SkinDescription::from_toml(&text, "pad.toml").unwrap_or_else(|e| panic!("{e}\n{text}"));
-        assert_eq!(back.effects, named.effects);
-        let typical = readings(Effect::new(info.name).seed(7), &stimuli);
-        assert!(readings(back.effects[0].clone(), &stimuli) == typical, "{}", info.name);
-        let text = refused(vec![Effect::new(info.name).with("colour", 1.0)]);
-        assert!(
-            text.contains(&format!("`effects[0].colour`: is no parameter of {}; it has", info.name)),
-            "{text}"
-        );
-    }
+    suite().are_named_and_parametrised(&act(ACT));
 }
 
 #[test]
 fn a_model_begins_its_trajectories_with_the_effects_of_its_skin() {
-    let model = BarometerModel::new(&skin(vec![Effect::new("relaxation")])).unwrap();
+    let whole = Effects {
+        device: &|skin| {
+            let model = Arc::new(BarometerModel::new(skin)?);
+            let walks = Arc::clone(&model);
+            Ok(Device { model, begin: Box::new(move || walks.trajectory()) })
+        },
+        ..suite()
+    };
+    let relaxing = || vec![Effect::new("relaxation")];
     let stimuli = act(ACT);
-    let found = read(&model, model.trajectory(), &stimuli);
-    assert!(found == readings(Effect::new("relaxation"), &stimuli));
-    assert!(found != read(&NOMINAL, NOMINAL.trajectory(), &stimuli));
+    let found = whole.readings(relaxing(), &stimuli);
+    assert!(found == suite().readings(relaxing(), &stimuli));
+    assert!(found != suite().readings(vec![], &stimuli));
 }
 
 #[test]

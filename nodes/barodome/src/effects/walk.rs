@@ -3,10 +3,9 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use dermis_skin::{Effect, Indentation, ModelError, SkinDescription, Stimulus, Surface, Trajectory};
+use dermis_mechanics::{Friction, Prony, Wander};
+use dermis_skin::{Effect, ModelError, SkinDescription, Stimulus, Trajectory};
 use rand::Rng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 use super::{EFFECTS, stream};
 
@@ -16,10 +15,6 @@ const STANDARD_ATMOSPHERE: f64 = 101_325.0;
 const STANDARD_TEMPERATURE: f64 = 293.15;
 /// Thresholds of the play operators, per scale.
 const PLAYS: [f64; 4] = [0.05, 0.1, 0.2, 0.4];
-/// \[m/s\] above which a contact that moves is another contact.
-const SLIDE_MAX: f64 = 1.0;
-/// \[m\] from frame to frame below which a contact stands still: rounding.
-const STILL: f64 = 1e-9;
 
 /// What a device that was just switched on will remember: the effects of a skin that act along a trajectory.
 #[derive(Debug, Clone)]
@@ -54,11 +49,8 @@ impl Dynamics {
             };
             match info.name {
                 "friction" => {
-                    walk.friction = Some(Friction {
-                        coefficient: strength * value("coefficient"),
-                        surface: Arc::new(skin.surface()),
-                        before: None,
-                    });
+                    walk.friction =
+                        Some(Friction::new(strength * value("coefficient"), Arc::new(skin.surface())));
                 }
                 "mullins" => {
                     let loss = strength * value("loss") * value("share");
@@ -79,11 +71,7 @@ impl Dynamics {
                     let terms = [("fast", "fast_time"), ("slow", "slow_time")];
                     let terms = terms.map(|(share, time)| (strength * value(share), value(time)));
                     all(terms.iter().map(|t| t.0).sum())?;
-                    walk.relaxation = Some(Relaxation {
-                        terms,
-                        held: vec![[0.0; 2]; channels],
-                        before: vec![0.0; channels],
-                    });
+                    walk.relaxation = Some(Prony::new(terms, channels));
                 }
                 "trapped-air" => {
                     all(2.0 * strength * value("share"))?;
@@ -126,7 +114,9 @@ pub struct Walk {
     friction: Option<Friction>,
     mullins: Option<Mullins>,
     hysteresis: Option<Hysteresis>,
-    relaxation: Option<Relaxation>,
+    /// Here too a medium that creeps alike everywhere keeps its stress under a prescribed force. What fades is what the stiff
+    /// taxel has gathered beyond that: the medium flows away from above it.
+    relaxation: Option<Prony>,
     air: Option<Air>,
     weather: Option<Wander>,
     skew: Option<Skew>,
@@ -168,7 +158,7 @@ impl Trajectory for Walk {
                     stress = hysteresis.next(channel, stress);
                 }
                 if let Some(relaxation) = &mut self.relaxation {
-                    stress = relaxation.next(channel, dt, stress);
+                    stress -= relaxation.faded(channel, dt, stress);
                 }
                 if let Some(air) = &self.air {
                     stress *= 1.0 - air.shares[channel];
@@ -200,37 +190,6 @@ impl Trajectory for Walk {
         if let Some(step) = self.step {
             readings.iter_mut().for_each(|r| *r = (*r / step).round() * step);
         }
-    }
-}
-
-/// Coulomb's friction at tips that slide. What a plan asks for beside it stays.
-#[derive(Debug, Clone)]
-struct Friction {
-    coefficient: f64,
-    surface: Arc<Surface>,
-    /// Time of the last frame, and what touched then.
-    before: Option<(f64, Vec<Indentation>)>,
-}
-
-impl Friction {
-    fn touch(&mut self, time: f64, stimulus: &mut Stimulus) {
-        let contacts = stimulus.contacts.clone();
-        if let Some((then, before)) = &self.before
-            && before.len() == contacts.len()
-        {
-            let far = SLIDE_MAX * (time - then);
-            for (contact, before) in stimulus.contacts.iter_mut().zip(before) {
-                let (_, normal) = self.surface.project(&contact.position);
-                let way = contact.position - before.position;
-                let along = way - normal * way.dot(&normal);
-                let moved = along.norm();
-                if moved > STILL && moved <= far {
-                    let pressing = (-contact.force.dot(&normal)).max(0.0);
-                    contact.force += along * (self.coefficient * pressing / moved);
-                }
-            }
-        }
-        self.before = Some((time, contacts));
     }
 }
 
@@ -281,36 +240,6 @@ impl Hysteresis {
     }
 }
 
-/// Prony series: each change of the stress fades by the shares of the terms, with their times. Exact where the stress is linear
-/// between frames, however long the time between them.
-///
-/// Here too a medium that creeps alike everywhere keeps its stress under a prescribed force. What fades is what the stiff taxel
-/// has gathered beyond that: the medium flows away from above it.
-#[derive(Debug, Clone)]
-struct Relaxation {
-    /// Share and time \[s\].
-    terms: [(f64, f64); 2],
-    /// What of each term has not faded yet \[Pa\].
-    held: Vec<[f64; 2]>,
-    before: Vec<f64>,
-}
-
-impl Relaxation {
-    fn next(&mut self, channel: usize, dt: f64, stress: f64) -> f64 {
-        let change = stress - self.before[channel];
-        self.before[channel] = stress;
-        let mut faded = 0.0;
-        for ((share, time), held) in self.terms.iter().zip(&mut self.held[channel]) {
-            let steps = dt / time;
-            // Mean of e^(-t/time) over the frame's time: what is left of a change that came evenly.
-            let left = if steps > 0.0 { -(-steps).exp_m1() / steps } else { 1.0 };
-            *held = *held * (-steps).exp() + change * left;
-            faded += share * (stress - *held);
-        }
-        stress - faded
-    }
-}
-
 /// Air in the ports.
 #[derive(Debug, Clone)]
 struct Air {
@@ -325,35 +254,6 @@ impl Air {
     /// \[K\] of chips and room above their standard, `on` \[s\] after they were switched on and `dt` \[s\] after the last frame.
     fn warmth(&mut self, on: f64, dt: f64) -> f64 {
         self.self_heating * -(-on / self.heating_time).exp_m1() + self.room.next(dt)
-    }
-}
-
-/// A slow random walk that comes back: Ornstein and Uhlenbeck's process, exact for any time between frames.
-#[derive(Debug, Clone)]
-struct Wander {
-    deviation: f64,
-    time: f64,
-    /// In deviations.
-    value: Option<f64>,
-    rng: ChaCha8Rng,
-}
-
-impl Wander {
-    fn new(deviation: f64, time: f64, rng: ChaCha8Rng) -> Self {
-        Self { deviation, time, value: None, rng }
-    }
-
-    fn next(&mut self, dt: f64) -> f64 {
-        let draw: f64 = self.rng.sample(StandardNormal);
-        let value = match self.value {
-            None => draw,
-            Some(before) => {
-                let steps = dt / self.time;
-                before * (-steps).exp() + draw * (-(-2.0 * steps).exp_m1()).sqrt()
-            }
-        };
-        self.value = Some(value);
-        self.deviation * value
     }
 }
 

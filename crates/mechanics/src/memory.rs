@@ -1,0 +1,107 @@
+//! What devices remember, whatever they sense with, and the random numbers that tell one device from another.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+/// The random numbers of the effect called `name` on one channel (or taxel) of the device `seed`: a stream of its own, so that
+/// another effect, or another channel, changes nothing of it.
+#[must_use]
+pub fn stream(name: &str, seed: u64, index: usize) -> ChaCha8Rng {
+    // FNV-1a: the name says which stream, not the place in a table that may grow.
+    let name = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream((name << 20) | index as u64);
+    rng
+}
+
+/// Prony series of two terms on every channel: how much of each signal has faded. Each change of a signal is held by a term
+/// and forgotten with its time. Exact where signals are linear between frames, however long the time between them.
+#[derive(Debug, Clone)]
+pub struct Prony {
+    /// Share and time \[s\].
+    terms: [(f64, f64); 2],
+    /// What of each term has not faded yet.
+    held: Vec<[f64; 2]>,
+    before: Vec<f64>,
+}
+
+impl Prony {
+    /// Untouched `channels` with the shares and times \[s\] of both terms.
+    #[must_use]
+    pub fn new(terms: [(f64, f64); 2], channels: usize) -> Self {
+        Self { terms, held: vec![[0.0; 2]; channels], before: vec![0.0; channels] }
+    }
+
+    /// Sum over the terms of share times what has faded of the channel's signal, `dt` \[s\] after the last call for it.
+    pub fn faded(&mut self, channel: usize, dt: f64, signal: f64) -> f64 {
+        let change = signal - self.before[channel];
+        self.before[channel] = signal;
+        let mut faded = 0.0;
+        for ((share, time), held) in self.terms.iter().zip(&mut self.held[channel]) {
+            let steps = dt / time;
+            // Mean of e^(-t/time) over the frame's time: what is left of a change that came evenly.
+            let left = if steps > 0.0 { -(-steps).exp_m1() / steps } else { 1.0 };
+            *held = *held * (-steps).exp() + change * left;
+            faded += share * (signal - *held);
+        }
+        faded
+    }
+}
+
+/// A slow random walk that comes back: Ornstein and Uhlenbeck's process, exact for any time between frames.
+#[derive(Debug, Clone)]
+pub struct Wander {
+    deviation: f64,
+    time: f64,
+    /// In deviations.
+    value: Option<f64>,
+    rng: ChaCha8Rng,
+}
+
+impl Wander {
+    /// With this standard deviation, forgetting itself in `time` \[s\].
+    #[must_use]
+    pub fn new(deviation: f64, time: f64, rng: ChaCha8Rng) -> Self {
+        Self { deviation, time, value: None, rng }
+    }
+
+    /// Where it is `dt` \[s\] after the last call.
+    pub fn next(&mut self, dt: f64) -> f64 {
+        let draw: f64 = self.rng.sample(StandardNormal);
+        let value = match self.value {
+            None => draw,
+            Some(before) => {
+                let steps = dt / self.time;
+                before * (-steps).exp() + draw * (-(-2.0 * steps).exp_m1()).sqrt()
+            }
+        };
+        self.value = Some(value);
+        self.deviation * value
+    }
+}
+
+/// A random walk that starts at 0 and does not come back: Wiener's process.
+#[derive(Debug, Clone)]
+pub struct Walk {
+    rate: f64,
+    value: f64,
+    rng: ChaCha8Rng,
+}
+
+impl Walk {
+    /// With the standard deviation `rate` after a second; it grows with the root of the time.
+    #[must_use]
+    pub fn new(rate: f64, rng: ChaCha8Rng) -> Self {
+        Self { rate, value: 0.0, rng }
+    }
+
+    /// Where it is `dt` \[s\] after the last call.
+    pub fn next(&mut self, dt: f64) -> f64 {
+        let draw: f64 = self.rng.sample(StandardNormal);
+        self.value += self.rate * dt.sqrt() * draw;
+        self.value
+    }
+}

@@ -1,0 +1,343 @@
+//! Forward model: what strain gauges on the inner side of a shell read when the outside is touched.
+//!
+//! A touch spreads its force over a patch of the shell. By reciprocity the strain of a gauge under every force is one solution of
+//! the shell with the gauge's row as its load, so that after one factorisation and one solution a gauge, a touch costs a few
+//! products. Several touches add up; what a stiffer, deflected shell takes away (`geometric-stiffening`) is taken at each.
+
+mod nodes;
+
+use std::sync::OnceLock;
+
+use dermis_mechanics::shell::{Action, Face, Gauge, Shell, ShellMesh, Support};
+use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, Trajectory};
+use nalgebra::{Point3, Vector3};
+
+use crate::effects::{self, Dynamics};
+use crate::parameters::{Clamp, Parameters, StrainGauge, impossible, refusal};
+use nodes::Nodes;
+
+/// \[m\] off the surface that a contact may lie: rounding of single precision, with room to spare.
+const OFF_SURFACE: f64 = 1e-4;
+/// \[m\] diameters of a tip that this model speaks of.
+const DIAMETERS: std::ops::RangeInclusive<f64> = 1e-4..=0.1;
+/// Of a gauge's rectangle that must lie on material.
+pub(crate) const COVERED: f64 = 0.98;
+
+/// Strain gauges on a shell: readings (strain) for touches of its outside.
+#[derive(Debug)]
+pub struct ShellModel {
+    surface: Surface,
+    nodes: Nodes,
+    shell: Shell,
+    /// Strain of every channel per force \[1/N\] along x, y and z on every point: three numbers a channel, channels of a point
+    /// together.
+    influence: Vec<f64>,
+    noise: Vec<f64>,
+    thickness: f64,
+    patch: f64,
+    stiffening: f64,
+    compliance: OnceLock<Compliance>,
+    dynamics: Dynamics,
+}
+
+/// How every point gives way, for a touch at every point.
+#[derive(Debug)]
+struct Compliance {
+    nodes: usize,
+    /// \[m/N\] inwards, by touches.
+    values: Vec<f32>,
+}
+
+impl Compliance {
+    /// \[m/N\] of all points for a touch at `node`.
+    fn column(&self, node: usize) -> &[f32] {
+        &self.values[node * self.nodes..(node + 1) * self.nodes]
+    }
+}
+
+/// The shell of these numbers.
+pub(crate) fn shell(skin: &SkinDescription, parameters: &Parameters) -> Result<Shell, ModelError> {
+    let surface = &parameters.surface;
+    let points = surface.points.iter().zip(&surface.normals);
+    let mesh = ShellMesh {
+        points: points.map(|(p, n)| parameters.middle(p, n)).collect(),
+        triangles: surface.triangles.clone(),
+    };
+    let share = 1.0 / parameters.held.len() as f64;
+    let support = |&node: &usize| match parameters.clamp {
+        Clamp::Rigid => Support::clamped(node),
+        Clamp::Springs { translation, rotation } => {
+            Support::spring(node, translation * share, rotation * share)
+        }
+    };
+    let supports: Vec<Support> = parameters.held.iter().map(support).collect();
+    Shell::new(mesh, &parameters.sections, &supports).map_err(impossible(skin, "surface"))
+}
+
+/// A gauge as mechanics knows it, across its axis where it is turned by a right angle.
+pub(crate) fn rectangle(gauge: &StrainGauge, thickness: f64, across: bool) -> Gauge {
+    let [length, width] = gauge.size;
+    let centre = gauge.position + gauge.normal * (thickness / 2.0);
+    if across {
+        let along = gauge.normal.cross(&gauge.axis);
+        Gauge { centre, along, length: width, width: length, face: Face::Inner }
+    } else {
+        Gauge { centre, along: gauge.axis, length, width, face: Face::Inner }
+    }
+}
+
+impl ShellModel {
+    /// The model of a skin whose `medium` names `thickness` \[m\], `young_modulus` \[Pa\], `poisson_ratio`, `gauge` (length and
+    /// width \[m\]), and may name `patch` \[m\], `clamp` and `bridge`. Takes some tenths of a second for a shell of 3,000 points;
+    /// displacements, when they are first asked for, some seconds more.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Description`] names the field that is missing, unknown or impossible, effects included.
+    pub fn new(skin: &SkinDescription) -> Result<Self, ModelError> {
+        let mut parameters = Parameters::nominal(skin)?;
+        effects::shape(skin, &mut parameters)?;
+        Self::from_parameters(skin, parameters)
+    }
+
+    pub(crate) fn from_parameters(
+        skin: &SkinDescription,
+        parameters: Parameters,
+    ) -> Result<Self, ModelError> {
+        let shell = shell(skin, &parameters)?;
+        let gauges = &parameters.gauges;
+        let taxels = skin.channel_taxels();
+        let mut rows = Vec::with_capacity(gauges.len());
+        let of = |across| gauges.iter().map(move |g| (g, across));
+        let rectangles = |across| {
+            of(across).map(|(g, across)| rectangle(g, parameters.thickness, across)).collect::<Vec<_>>()
+        };
+        let wrong = |channel: usize| format!("taxels[{}].position", taxels[channel]);
+        for (channel, along) in
+            shell.gauges(&rectangles(false)).map_err(impossible(skin, "taxels"))?.into_iter().enumerate()
+        {
+            if along.covered < COVERED {
+                let [length, width] = gauges[channel].size.map(|s| s * 1e3);
+                return Err(refusal(
+                    skin,
+                    &wrong(channel),
+                    format!(
+                        "only {:.0} % of its {length} x {width} mm lie on the shell: move it away from the edge",
+                        100.0 * along.covered
+                    ),
+                ));
+            }
+            rows.push(along.row);
+        }
+        if gauges.iter().any(|g| g.transverse != 0.0) {
+            let across = shell.gauges(&rectangles(true)).map_err(impossible(skin, "taxels"))?;
+            for ((row, across), gauge) in rows.iter_mut().zip(across).zip(gauges) {
+                *row = Action::sum([(1.0, &*row), (gauge.transverse, &across.row)]);
+            }
+        }
+        let influences = shell.solve(&rows).map_err(impossible(skin, "taxels"))?;
+        let channels = gauges.len();
+        let mut influence = vec![0.0; 3 * channels * parameters.surface.points.len()];
+        for (channel, (found, gauge)) in influences.iter().zip(gauges).enumerate() {
+            for (node, all) in influence.chunks_exact_mut(3 * channels).enumerate() {
+                let per_force = found.displacement(node) * gauge.gain;
+                all[3 * channel..][..3].copy_from_slice(per_force.as_slice());
+            }
+        }
+        Ok(Self {
+            nodes: Nodes::new(&parameters.surface, parameters.patch),
+            noise: skin.channel_noise(),
+            thickness: parameters.thickness,
+            patch: parameters.patch,
+            stiffening: parameters.stiffening,
+            compliance: OnceLock::new(),
+            dynamics: Dynamics::new(skin, parameters.bridge)?,
+            surface: parameters.surface,
+            shell,
+            influence,
+        })
+    }
+
+    /// The shell itself.
+    #[must_use]
+    pub fn shell(&self) -> &Shell {
+        &self.shell
+    }
+
+    /// Refuses what is no touch of this shell; its normal.
+    fn check(&self, index: usize, contact: &Indentation) -> Result<Vector3<f64>, ModelError> {
+        let wrong = |reason: String| Err(ModelError::Stimulus { index, reason });
+        let p = contact.position;
+        if !p.iter().chain(contact.force.iter()).all(|v| v.is_finite()) {
+            return wrong("its position or force is not a number".into());
+        }
+        let (nearest, normal) = self.surface.project(&p);
+        let off = (p - nearest).norm();
+        if off > OFF_SURFACE {
+            return wrong(format!("({}, {}, {}) m lies {off:.6} m off the surface", p.x, p.y, p.z));
+        }
+        let pressing = -contact.force.dot(&normal);
+        if pressing < 0.0 {
+            return wrong(format!("it pulls with {} N, and this model knows no adhesion", -pressing));
+        }
+        if !DIAMETERS.contains(&contact.diameter) {
+            let (low, high) = (DIAMETERS.start(), DIAMETERS.end());
+            return wrong(format!("its diameter is {} m and must be {low} to {high} m", contact.diameter));
+        }
+        Ok(normal)
+    }
+
+    /// How every point gives way \[m/N\] for touches of the nominal patch at every point.
+    fn compliance(&self) -> &Compliance {
+        self.compliance.get_or_init(|| {
+            let nodes = self.surface.points.len();
+            let mut values = vec![0.0f32; nodes * nodes];
+            // There is one normal a point: nothing else can be refused.
+            let Ok(green) = self.shell.normal_green(&self.surface.normals) else {
+                return Compliance { nodes, values };
+            };
+            let mut patch = Vec::new();
+            for (node, out) in values.chunks_exact_mut(nodes).enumerate() {
+                let (p, n) = (self.surface.points[node], self.surface.normals[node]);
+                self.nodes.patch(&self.surface, &p, &n, self.patch, &mut patch);
+                for &(i, weight) in &patch {
+                    let weight = weight as f32;
+                    out.iter_mut().zip(green.column(i)).for_each(|(o, g)| *o += weight * g);
+                }
+            }
+            Compliance { nodes, values }
+        })
+    }
+
+    /// \[m/N\] by which the surface gives way at the first place for a touch at the second.
+    fn gives(&self, at: &[(usize, f64); 3], touch: &[(usize, f64); 3]) -> f64 {
+        let compliance = self.compliance();
+        let column = |&(j, wj): &(usize, f64)| {
+            let column = compliance.column(j);
+            wj * at.iter().map(|&(i, wi)| wi * f64::from(column[i])).sum::<f64>()
+        };
+        touch.iter().map(column).sum()
+    }
+
+    /// Deflection of the stiffened shell for that of the linear one \[m\]: u + βu³/h² is the linear one.
+    fn deflection(&self, linear: f64) -> f64 {
+        let (beta, h) = (self.stiffening, self.thickness);
+        if beta == 0.0 || linear == 0.0 {
+            return linear;
+        }
+        // Cardano, for the one real root of x³ + x/β = linear/(βh), by hyperbolic functions.
+        let p = 1.0 / beta;
+        let q = linear / (h * beta);
+        let scale = 2.0 * (p / 3.0).sqrt();
+        h * scale * ((1.5 * q / p * (3.0 / p).sqrt()).asinh() / 3.0).sinh()
+    }
+
+    /// Share of the linear response that each touch keeps.
+    fn kept(&self, contacts: &[(Indentation, Vector3<f64>)]) -> Vec<f64> {
+        if self.stiffening == 0.0 {
+            return vec![1.0; contacts.len()];
+        }
+        let places: Vec<_> =
+            contacts.iter().map(|(c, n)| self.nodes.corners(&self.surface, &c.position, n)).collect();
+        places
+            .iter()
+            .map(|at| {
+                let touches = contacts.iter().zip(&places);
+                let linear: f64 =
+                    touches.map(|((c, n), place)| -c.force.dot(n) * self.gives(at, place)).sum();
+                if linear == 0.0 { 1.0 } else { self.deflection(linear) / linear }
+            })
+            .collect()
+    }
+
+    fn checked(&self, stimulus: &Stimulus) -> Result<Vec<(Indentation, Vector3<f64>)>, ModelError> {
+        let contacts = stimulus.contacts.iter().enumerate();
+        contacts.map(|(i, c)| Ok((c.clone(), self.check(i, c)?))).collect()
+    }
+}
+
+impl ForwardModel for ShellModel {
+    fn channels(&self) -> usize {
+        self.noise.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    /// Strain at each gauge.
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        debug_assert_eq!(out.len(), self.channels());
+        out.fill(0.0);
+        let contacts = self.checked(stimulus)?;
+        let kept = self.kept(&contacts);
+        let mut patch = Vec::with_capacity(32);
+        for ((contact, normal), kept) in contacts.iter().zip(kept) {
+            let radius = contact.diameter / 2.0;
+            self.nodes.patch(&self.surface, &contact.position, normal, radius, &mut patch);
+            let force = contact.force * kept;
+            let width = 3 * out.len();
+            for &(node, weight) in &patch {
+                let [x, y, z] = [force.x * weight, force.y * weight, force.z * weight];
+                let influence = &self.influence[node * width..(node + 1) * width];
+                for (strain, per_force) in out.iter_mut().zip(influence.chunks_exact(3)) {
+                    *strain += per_force[0] * x + per_force[1] * y + per_force[2] * z;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Of the linear shell under the normal part of each force, spread over the nominal patch.
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        debug_assert_eq!(out.len(), self.surface.points.len());
+        out.fill(0.0);
+        let contacts = self.checked(stimulus)?;
+        if contacts.is_empty() {
+            return Ok(true);
+        }
+        let kept = self.kept(&contacts);
+        let compliance = self.compliance();
+        for ((contact, normal), kept) in contacts.iter().zip(kept) {
+            let pressing = -contact.force.dot(normal) * kept;
+            let corners = self.nodes.corners(&self.surface, &contact.position, normal);
+            let [(a, wa), (b, wb), (c, wc)] =
+                corners.map(|(node, w)| (compliance.column(node), (w * pressing) as f32));
+            for (((out, a), b), c) in out.iter_mut().zip(a).zip(b).zip(c) {
+                *out += f64::from(a * wa + b * wb + c * wc);
+            }
+        }
+        Ok(true)
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+
+    fn trajectory(&self) -> Box<dyn Trajectory> {
+        self.dynamics.begin()
+    }
+
+    /// Of the shell under a touch of the nominal patch, whatever the tip: a hard shell gives way as a whole.
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        let linear = depth * (1.0 + self.stiffening * (depth / self.thickness).powi(2));
+        Some(linear / self.own(at, diameter)?)
+    }
+
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        Some(self.deflection(force * self.own(at, diameter)?))
+    }
+}
+
+impl ShellModel {
+    /// \[m/N\] by which a place gives way to a touch there; `None` where it is held, or for a tip that cannot be.
+    fn own(&self, at: &Point3<f64>, diameter: f64) -> Option<f64> {
+        let (at, normal) = self.surface.project(at);
+        let place = self.nodes.corners(&self.surface, &at, &normal);
+        let gives = self.gives(&place, &place);
+        (DIAMETERS.contains(&diameter) && gives > 0.0).then_some(gives)
+    }
+}
+
+#[cfg(test)]
+mod tests;
