@@ -1,8 +1,8 @@
 //! CalculiX as a judge: finite elements of others, on the same questions.
 //!
 //! CalculiX CrunchiX (`ccx`, <http://www.calculix.de>) is a solver that shares no code, no elements and no way of thinking
-//! with this crate. Where it is installed, [`layer_cases`], [`block_cases`] and [`dome_cases`] ask it what this crate claims
-//! to know, and answer with both figures. All of it takes some seconds.
+//! with this crate. Where it is installed, [`layer_cases`], [`block_cases`], [`dome_cases`], [`shell_cases`] and
+//! [`panel_cases`] ask it what this crate claims to know, and answer with both figures. All of it takes some seconds.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -16,10 +16,12 @@ mod block;
 mod dome;
 mod layer;
 mod quadratic;
+mod shell;
 
 pub use block::block_cases;
 pub use dome::dome_cases;
 pub use layer::layer_cases;
+pub use shell::{Panel, panel_cases, shell_cases};
 
 /// Debian's package, and what people are told to install.
 const INSTALL: &str = "install CalculiX (Debian and Ubuntu: apt-get install calculix-ccx)";
@@ -310,5 +312,10 @@ mod tests {
     #[test]
     fn block_agrees() {
         judge(block_cases());
+    }
+
+    #[test]
+    fn shell_agrees() {
+        judge(shell_cases());
     }
 }

@@ -48,9 +48,11 @@ mod mesh;
 
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
+pub(crate) use cases::roof_displacement;
 pub use cases::shell_cases;
 pub use corotational::{Bent, Corotational};
 pub use gauge::{Face, Gauge, Reading};
+pub(crate) use gauge::{Foot, Footprint};
 pub use green::Green;
 pub use mesh::{Quads, ShellMesh};
 

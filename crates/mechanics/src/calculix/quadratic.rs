@@ -8,10 +8,12 @@ use crate::fem::HexMesh;
 use crate::quadrature::gauss_legendre;
 
 /// Edges of a cell by its corners, in CalculiX's order.
-const EDGES: [[usize; 2]; 12] =
+pub(super) const EDGES: [[usize; 2]; 12] =
     [[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6], [6, 7], [7, 4], [0, 4], [1, 5], [2, 6], [3, 7]];
+/// Nodes of a cell's first side (its corners 1 to 4 and the edges between), around it.
+pub(super) const FIRST_SIDE: [usize; 8] = [0, 1, 2, 3, 8, 9, 10, 11];
 /// Nodes of a cell's last side (corners 5 to 8 and the edges between), around it.
-const LAST_SIDE: [usize; 8] = [4, 5, 6, 7, 12, 13, 14, 15];
+pub(super) const LAST_SIDE: [usize; 8] = [4, 5, 6, 7, 12, 13, 14, 15];
 
 /// A point and the force \[N\] that stands for what acts around it.
 pub(super) type Share = (Point3<f64>, Vector3<f64>);
@@ -83,11 +85,21 @@ impl Quadratic {
         cells: impl Iterator<Item = usize>,
         traction: impl Fn(&Point3<f64>) -> Vector3<f64>,
     ) -> (Vec<(usize, Vector3<f64>)>, Vec<Share>) {
+        self.spread_over(LAST_SIDE, cells, traction)
+    }
+
+    /// The same over another side, by its nodes: corners, then edges, around it.
+    pub fn spread_over(
+        &self,
+        side: [usize; 8],
+        cells: impl Iterator<Item = usize>,
+        traction: impl Fn(&Point3<f64>) -> Vector3<f64>,
+    ) -> (Vec<(usize, Vector3<f64>)>, Vec<Share>) {
         let rule: Vec<(f64, f64)> = gauss_legendre(4).iter().map(|(x, w)| (2.0 * x - 1.0, 2.0 * w)).collect();
         let mut nodal: HashMap<usize, Vector3<f64>> = HashMap::new();
         let mut points = Vec::new();
         for cell in cells {
-            let side = LAST_SIDE.map(|n| self.cells[cell][n]);
+            let side = side.map(|n| self.cells[cell][n]);
             for (x, wx) in &rule {
                 for (y, wy) in &rule {
                     let shapes = serendipity(*x, *y);
@@ -120,7 +132,7 @@ fn corner(k: usize) -> [f64; 3] {
 }
 
 /// Values and slopes of the eight shape functions of a side.
-fn serendipity(x: f64, y: f64) -> [[f64; 3]; 8] {
+pub(super) fn serendipity(x: f64, y: f64) -> [[f64; 3]; 8] {
     const PLACES: [[f64; 2]; 8] = [
         [-1.0, -1.0],
         [1.0, -1.0],

@@ -58,12 +58,15 @@ pub struct Reading {
 }
 
 /// A point of the middle surface.
-struct Foot {
+pub(crate) struct Foot {
     /// \[m\].
-    point: Point3<f64>,
+    pub point: Point3<f64>,
     /// Unit, out of the outer side, between those of the triangle's corners.
-    normal: Vector3<f64>,
-    squared_distance: f64,
+    pub normal: Vector3<f64>,
+    /// Where it lies.
+    pub triangle: usize,
+    /// Area coordinates of the triangle's corners.
+    pub at: [f64; 3],
 }
 
 /// The point of a triangle that is nearest to `p`, as area coordinates of its corners.
@@ -104,21 +107,25 @@ fn nearest_of_triangle(p: &Point3<f64>, [a, b, c]: [Point3<f64>; 3]) -> [f64; 3]
     [va / sum, vb / sum, vc / sum]
 }
 
-fn foot(mesh: &ShellMesh, normals: &[Vector3<f64>], p: &Point3<f64>) -> Option<Foot> {
-    let mut best: Option<Foot> = None;
-    for t in &mesh.triangles {
-        let corners = t.map(|n| mesh.points[n as usize]);
-        let at = nearest_of_triangle(p, corners);
-        let point = corners.iter().zip(at).fold(Vector3::zeros(), |sum, (q, w)| sum + q.coords * w);
-        let squared_distance = (p.coords - point).norm_squared();
-        if best.as_ref().is_none_or(|best| squared_distance < best.squared_distance) {
-            let normal =
-                t.iter().zip(at).fold(Vector3::zeros(), |sum, (n, w)| sum + normals[*n as usize] * w);
-            let normal = normal.try_normalize(0.0)?;
-            best = Some(Foot { point: point.into(), normal, squared_distance });
+impl Foot {
+    /// The point that is nearest to `p`; `None` where there is none with a normal.
+    pub fn new(mesh: &ShellMesh, normals: &[Vector3<f64>], p: &Point3<f64>) -> Option<Self> {
+        let mut best: Option<Self> = None;
+        let mut least = f64::INFINITY;
+        for (triangle, t) in mesh.triangles.iter().enumerate() {
+            let corners = t.map(|n| mesh.points[n as usize]);
+            let at = nearest_of_triangle(p, corners);
+            let point = corners.iter().zip(at).fold(Vector3::zeros(), |sum, (q, w)| sum + q.coords * w);
+            let squared_distance = (p.coords - point).norm_squared();
+            if squared_distance < least {
+                least = squared_distance;
+                let normal =
+                    t.iter().zip(at).fold(Vector3::zeros(), |sum, (n, w)| sum + normals[*n as usize] * w);
+                best = Some(Self { point: point.into(), normal: normal.try_normalize(0.0)?, triangle, at });
+            }
         }
+        best
     }
-    best
 }
 
 /// The part of a convex polygon where `inside` is not negative; `inside` is linear.
@@ -148,6 +155,44 @@ fn area_and_centre(polygon: &[Point2<f64>]) -> (f64, Point2<f64>) {
         moment += (a + b) * (part / 3.0);
     }
     if area == 0.0 { (0.0, *first) } else { (area, first + moment / area) }
+}
+
+/// Where a gauge's rectangle lies.
+pub(crate) struct Footprint {
+    /// \[m\] its middle, on the middle surface.
+    pub foot: Point3<f64>,
+    /// Unit, along its length.
+    pub along: Vector3<f64>,
+    /// Unit, along its width.
+    pub across: Vector3<f64>,
+    /// Unit, out of the outer side.
+    pub normal: Vector3<f64>,
+}
+
+fn nothing(gauge: &Gauge) -> MechanicsError {
+    MechanicsError::NoMaterial { x: gauge.centre.x, y: gauge.centre.y, z: gauge.centre.z }
+}
+
+impl Footprint {
+    /// The rectangle of `gauge` on a surface with these `normals`.
+    pub fn new(mesh: &ShellMesh, normals: &[Vector3<f64>], gauge: &Gauge) -> Result<Self, MechanicsError> {
+        positive("length of the gauge [m]", gauge.length)?;
+        positive("width of the gauge [m]", gauge.width)?;
+        let length = positive("length of the gauge's direction", gauge.along.norm())?;
+        let foot = Foot::new(mesh, normals, &gauge.centre).ok_or_else(|| nothing(gauge))?;
+        let along = gauge.along - foot.normal * gauge.along.dot(&foot.normal);
+        // One that is almost normal to the surface has no direction in it.
+        let flat = along.norm() / length;
+        if flat < 1e-3 {
+            return Err(MechanicsError::Value {
+                quantity: "part of the gauge's direction in the surface",
+                value: flat,
+                expected: "more than 0.001: turn the direction along the surface",
+            });
+        }
+        let along = along.normalize();
+        Ok(Self { foot: foot.point, along, across: foot.normal.cross(&along), normal: foot.normal })
+    }
 }
 
 /// Which triangles a gauge reads: each one's number, and the reading of its displacements in its own frame.
@@ -203,32 +248,18 @@ impl Pieces {
         normals: &[Vector3<f64>],
         gauge: &Gauge,
     ) -> Result<Self, MechanicsError> {
-        positive("length of the gauge [m]", gauge.length)?;
-        positive("width of the gauge [m]", gauge.width)?;
-        let nothing = MechanicsError::NoMaterial { x: gauge.centre.x, y: gauge.centre.y, z: gauge.centre.z };
-        let Some(foot) = foot(mesh, normals, &gauge.centre) else { return Err(nothing) };
-        let along = gauge.along - foot.normal * gauge.along.dot(&foot.normal);
-        // One that is almost normal to the surface has no direction in it.
-        let flat = along.norm() / positive("length of the gauge's direction", gauge.along.norm())?;
-        if flat < 1e-3 {
-            return Err(MechanicsError::Value {
-                quantity: "part of the gauge's direction in the surface",
-                value: flat,
-                expected: "more than 0.001: turn the direction along the surface",
-            });
-        }
-        let along = along.normalize();
-        let across = foot.normal.cross(&along);
+        let footprint = Footprint::new(mesh, normals, gauge)?;
+        let Footprint { foot, along, across, normal } = footprint;
         let (half_length, half_width) = (gauge.length / 2.0, gauge.width / 2.0);
         let reach = half_length.hypot(half_width);
-        let footprint = gauge.length * gauge.width;
+        let whole = gauge.length * gauge.width;
 
         let mut rows = Vec::new();
         let mut covered = 0.0;
         for (triangle, (element, t)) in elements.iter().zip(&mesh.triangles).enumerate() {
             let corners = t.map(|n| {
-                let from = mesh.points[n as usize] - foot.point;
-                (Point2::new(from.dot(&along), from.dot(&across)), from.dot(&foot.normal))
+                let from = mesh.points[n as usize] - foot;
+                (Point2::new(from.dot(&along), from.dot(&across)), from.dot(&normal))
             });
             let [a, b, c] = corners.map(|(p, _)| p);
             let beside = |low: f64, high: f64, half: f64| high < -half || low > half;
@@ -236,7 +267,7 @@ impl Pieces {
                 || beside(a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y), half_width)
                 // The other side of a limb.
                 || corners.iter().all(|(_, height)| height.abs() > reach)
-                || element.local_from_link.row(2).transpose().dot(&foot.normal) < FACING
+                || element.local_from_link.row(2).transpose().dot(&normal) < FACING
             {
                 continue;
             }
@@ -258,12 +289,12 @@ impl Pieces {
             covered += area;
             rows.push((triangle, row * area));
         }
-        if covered < 1e-6 * footprint {
-            return Err(nothing);
+        if covered < 1e-6 * whole {
+            return Err(nothing(gauge));
         }
         for (_, row) in &mut rows {
             *row /= covered;
         }
-        Ok(Self { rows, covered: covered / footprint })
+        Ok(Self { rows, covered: covered / whole })
     }
 }

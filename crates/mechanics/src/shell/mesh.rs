@@ -60,6 +60,24 @@ impl Quads {
         Self { points, quads }
     }
 
+    /// The quadrilaterals of a mesh that has two triangles of each, one after the other. `None` where a pair of triangles has
+    /// no side in common.
+    #[must_use]
+    pub fn join(mesh: &ShellMesh) -> Option<Self> {
+        let (pairs, []) = mesh.triangles.as_chunks::<2>() else { return None };
+        let quads = pairs
+            .iter()
+            .map(|[first, second]| {
+                // The corner that only the first has comes first, the other's lies across.
+                let k = first.iter().position(|n| !second.contains(n))?;
+                let [a, b, d] = [0, 1, 2].map(|i| first[(k + i) % 3]);
+                let c = *second.iter().find(|n| !first.contains(n))?;
+                (second.contains(&b) && second.contains(&d)).then_some([a, b, c, d])
+            })
+            .collect::<Option<Vec<_>>>()?;
+        Some(Self { points: mesh.points.clone(), quads })
+    }
+
     /// Two triangles of each quadrilateral, along its shorter diagonal; along the other one in every second quadrilateral
     /// where both are as long, so that no direction is preferred.
     #[must_use]

@@ -188,6 +188,19 @@ fn panel() -> (ShellMesh, Vec<Support>) {
 }
 
 #[test]
+fn quads_come_back_from_their_triangles() {
+    let (mesh, _) = panel();
+    let quads = Quads::join(&mesh).unwrap();
+    assert_eq!(2 * quads.quads.len(), mesh.triangles.len());
+    let area = |m: &ShellMesh| m.areas().iter().sum::<f64>();
+    let again = quads.split();
+    assert!((area(&again) / area(&mesh) - 1.0).abs() < 1e-3);
+    assert!(again.normals().iter().zip(mesh.normals()).all(|(a, b)| a.dot(&b) > 0.99));
+    let apart = ShellMesh { triangles: mesh.triangles[1..].to_vec(), ..mesh };
+    assert_eq!(Quads::join(&apart), None);
+}
+
+#[test]
 fn influence_is_what_loads_do() {
     let (mesh, supports) = panel();
     let normals = mesh.normals();
