@@ -15,11 +15,14 @@ mod evaluate;
 mod export;
 mod figures;
 mod foreign;
+mod gap;
 mod launch;
 mod log;
 mod nodes;
+mod place;
 mod play;
 mod quantity;
+mod real2sim;
 mod record;
 mod refine;
 mod registry;
@@ -78,6 +81,9 @@ enum Command {
     Evaluate(evaluate::Options),
     /// Compare estimators with each other and with the bound on what was held out.
     Compare(compare::Options),
+    /// Several contacts from few readings by way of a simulation, beside other ways to them.
+    #[command(name = "real2sim", subcommand)]
+    Real2Sim(real2sim::Real2Sim),
     /// Make model bundles of models that were trained elsewhere.
     #[command(subcommand)]
     Bundle(bundle::Bundle),
@@ -94,6 +100,11 @@ enum Command {
     Verify(verify::Options),
     /// What makes a device differ from its design: the effects that a sensor family knows.
     Effects(effects::Options),
+    /// Where to put sensing elements, of thousands of places where they could be.
+    Place(place::Options),
+    /// Where a simulated skin and a real one differ, which effect makes them, and how far it closes the gap.
+    #[command(subcommand)]
+    Gap(gap::Gap),
     /// What a skin would gain from being built otherwise: depth, thickness, pitch, material, noise.
     Design(design::Options),
     /// Check a skin description and say what it describes.
@@ -133,6 +144,7 @@ fn main() -> ExitCode {
         Command::Refine(options) => refine::run(&options),
         Command::Evaluate(options) => evaluate::run(&options),
         Command::Compare(options) => compare::run(&options),
+        Command::Real2Sim(command) => real2sim::run(&command),
         Command::Bundle(bundle) => bundle::run(&bundle),
         Command::Record(options) => block_on(record::run(*options)),
         Command::Play(options) => block_on(play::run(*options)),
@@ -140,6 +152,8 @@ fn main() -> ExitCode {
         Command::Theory(options) => theory::run(&options),
         Command::Verify(options) => verify::run(&options),
         Command::Effects(options) => effects::run(&options),
+        Command::Place(options) => place::run(&options),
+        Command::Gap(gap) => gap::run(&gap),
         Command::Design(options) => design::run(&options),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),

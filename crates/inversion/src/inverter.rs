@@ -465,7 +465,9 @@ impl Inverter {
         &self.dictionary
     }
 
-    pub(crate) fn surface(&self) -> &Surface {
+    /// Surface that contacts lie on.
+    #[must_use]
+    pub fn surface(&self) -> &Surface {
         self.model.0.surface()
     }
 

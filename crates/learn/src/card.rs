@@ -10,7 +10,7 @@ use crate::evaluate::Evaluation;
 use crate::metrics::{Bin, FORCE_BINS, bin_of};
 
 /// Everything that is true of the data, whatever is learned from it.
-pub(crate) fn of_data(data: &Dataset) -> BTreeMap<String, Value> {
+pub fn of_data(data: &Dataset) -> BTreeMap<String, Value> {
     let skin = data.skin();
     let bags = data.runs().iter().map(|run| {
         let stamps = || run.samples.iter().map(|s| s.frame.stamp);

@@ -23,6 +23,7 @@ mod recordings;
 mod regressor;
 mod scenes;
 mod sensors;
+mod settings;
 mod table;
 
 pub use basis::MapBasis;
@@ -32,6 +33,7 @@ pub use recordings::{Recorded, superpose};
 pub use regressor::{LinearMap, MapRegressor, NearestMaps, NetMap};
 pub use scenes::{Part, SceneSettings, Scenes};
 pub use sensors::{Simulated, VirtualSensors, simulate};
+pub use settings::Settings;
 pub use table::{Cell, Table, TableSettings, table};
 
 /// Told how far long work has come: what is being done, and which share of it is done.

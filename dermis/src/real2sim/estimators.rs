@@ -1,0 +1,262 @@
+//! Ways from readings to contacts.
+
+use std::sync::Arc;
+
+use anyhow::{Result, bail};
+use dermis_inference::{Bundle, Features, MAP_DISPLACEMENT, MapContacts, Model, Outputs, Runtime};
+use dermis_inversion::{Found, Inverter, Reading, SparseSettings};
+use dermis_learn::Sample;
+use dermis_learn::real2sim::Recorded;
+use dermis_learn::train::{Batch, Mlp, NetworkConfig, TrainingConfig, fit};
+use dermis_regress::{Neighbours, Rows, Svr, SvrSettings};
+use dermis_skin::{Contact, ForceComponents, ForwardModel, Indentation, SkinDescription, Surface};
+use nalgebra::Point3;
+
+/// Something that finds contacts in one sample.
+pub trait Method {
+    /// The contacts of a sample.
+    fn contacts(&mut self, sample: &Sample) -> Result<Vec<Contact>>;
+
+    /// Whether it answers with one contact, whatever touches.
+    fn single(&self) -> bool {
+        false
+    }
+}
+
+/// Readings of a sample, as an inverter takes them.
+fn readings(sample: &Sample) -> Vec<Reading> {
+    sample.tared.iter().zip(&sample.frame.flags).map(|(value, flags)| Reading::of(*value, *flags)).collect()
+}
+
+fn contact(found: &Found) -> Contact {
+    let mut contact = Contact::at(found.position, found.normal);
+    contact.force = found.force;
+    contact.force_components = ForceComponents::Normal;
+    contact.position_covariance = found.position_covariance;
+    contact.force_covariance = found.force_covariance;
+    contact
+}
+
+/// Peaks of the map of a bundle.
+pub struct Peaks {
+    features: Features,
+    model: Model,
+    outputs: Outputs,
+    reader: MapContacts,
+    raw: Vec<f32>,
+}
+
+impl Peaks {
+    pub fn new(bundle: &Bundle, surface: &Surface, runtime: &Runtime) -> Result<Self> {
+        let Some(reader) = MapContacts::of(bundle, surface, runtime)? else {
+            bail!(
+                "model bundle {}: bundle.toml has no `[peaks]`: train one with `dermis real2sim train`",
+                bundle.path().display()
+            );
+        };
+        let (model, outputs) = (bundle.session(runtime)?, bundle.outputs());
+        Ok(Self { features: bundle.features(), model, outputs, reader, raw: Vec::new() })
+    }
+
+    /// The map \[m\] of a sample.
+    pub fn map(&mut self, sample: &Sample) -> Result<&[f64]> {
+        self.features.reset();
+        self.features.push(sample.frame.stamp, &sample.tared)?;
+        let Some(input) = self.features.input() else {
+            bail!("the bundle wants a history of frames, where this compares frame by frame")
+        };
+        self.model.run(input, &mut self.raw)?;
+        self.outputs.decode(&self.raw)?;
+        Ok(self.outputs.values(MAP_DISPLACEMENT).unwrap_or_default())
+    }
+}
+
+impl Method for Peaks {
+    fn contacts(&mut self, sample: &Sample) -> Result<Vec<Contact>> {
+        let map = self.map(sample)?.to_vec();
+        Ok(self.reader.contacts(&map)?)
+    }
+}
+
+/// Greedy maximum likelihood on a forward model.
+pub struct Likely(pub Inverter);
+
+impl Method for Likely {
+    fn contacts(&mut self, sample: &Sample) -> Result<Vec<Contact>> {
+        Ok(self.0.solve(&readings(sample), None)?.contacts.iter().map(contact).collect())
+    }
+}
+
+/// Where a refinement begins.
+pub enum Begin {
+    /// At what another method finds.
+    Other(Box<dyn Method>),
+    /// At a sparse recovery.
+    Sparse(SparseSettings),
+}
+
+/// Maximum likelihood on a forward model, refined from somewhere.
+pub struct Refined {
+    pub inverter: Inverter,
+    pub begin: Begin,
+}
+
+impl Method for Refined {
+    fn contacts(&mut self, sample: &Sample) -> Result<Vec<Contact>> {
+        let readings = readings(sample);
+        let starts: Vec<Indentation> = match &mut self.begin {
+            Begin::Sparse(settings) => self.inverter.sparse(&readings, settings)?,
+            Begin::Other(method) => {
+                let diameter = self.inverter.settings().diameter;
+                let at = |c: Contact| Indentation { position: c.position, force: c.force, diameter };
+                method.contacts(sample)?.into_iter().map(at).collect()
+            }
+        };
+        if starts.is_empty() {
+            return Ok(Vec::new());
+        }
+        Ok(self.inverter.refine(&readings, &starts)?.contacts.iter().map(contact).collect())
+    }
+}
+
+/// Sparse recovery by itself.
+pub struct Sparse {
+    pub inverter: Inverter,
+    pub settings: SparseSettings,
+}
+
+impl Method for Sparse {
+    fn contacts(&mut self, sample: &Sample) -> Result<Vec<Contact>> {
+        let surface = self.inverter.surface();
+        let found = self.inverter.sparse(&readings(sample), &self.settings)?;
+        let as_contact = |c: Indentation| {
+            let (position, normal) = surface.project(&c.position);
+            let mut contact = Contact::at(position, normal);
+            contact.force = c.force;
+            contact.force_components = ForceComponents::Normal;
+            contact
+        };
+        Ok(found.into_iter().map(as_contact).collect())
+    }
+}
+
+/// Regression of x, y, z \[m\] and the pressing force \[N\] of one contact.
+enum Regression {
+    Vectors(Svr),
+    Neighbours(Neighbours),
+    Network { net: Mlp, scales: [f32; 2] },
+}
+
+/// One contact by regression from readings.
+pub struct Direct {
+    regression: Regression,
+    /// Of every channel: what readings are divided by.
+    noise: Vec<f64>,
+    surface: Surface,
+}
+
+/// Neighbours of the thesis.
+const NEIGHBOURS: usize = 6;
+
+impl Direct {
+    fn new(regression: Regression, skin: &SkinDescription) -> Self {
+        Self { regression, noise: skin.channel_noise(), surface: skin.surface() }
+    }
+
+    /// Tables of whitened readings and of places and forces.
+    fn tables(skin: &SkinDescription, recorded: &[Recorded]) -> (Vec<f64>, Vec<f64>) {
+        let noise = skin.channel_noise();
+        let (mut inputs, mut targets) = (Vec::new(), Vec::new());
+        for press in recorded {
+            inputs.extend(press.signal.iter().zip(&noise).map(|(v, n)| f64::from(*v) / n));
+            let p = press.contact.position;
+            targets.extend([p.x, p.y, p.z, press.contact.force.norm()]);
+        }
+        (inputs, targets)
+    }
+
+    /// Support vectors, each coordinate and the force for itself; of more than `most` presses every n-th is learned from.
+    pub fn vectors(skin: &SkinDescription, recorded: &[Recorded], most: usize) -> Result<Self> {
+        let step = recorded.len().div_ceil(most.max(1)).max(1);
+        let some: Vec<Recorded> = recorded.iter().step_by(step).cloned().collect();
+        let (inputs, targets) = Self::tables(skin, &some);
+        let inputs = Rows::new(&inputs, skin.channels().len(), "readings")?;
+        let svr = Svr::fit(inputs, Rows::new(&targets, 4, "contacts")?, &SvrSettings::default())?;
+        Ok(Self::new(Regression::Vectors(svr), skin))
+    }
+
+    /// Nearest neighbours.
+    pub fn neighbours(skin: &SkinDescription, recorded: &[Recorded]) -> Result<Self> {
+        let (inputs, targets) = Self::tables(skin, recorded);
+        let inputs = Rows::new(&inputs, skin.channels().len(), "readings")?;
+        let neighbours = Neighbours::fit(inputs, Rows::new(&targets, 4, "contacts")?, NEIGHBOURS)?;
+        Ok(Self::new(Regression::Neighbours(neighbours), skin))
+    }
+
+    /// A feed-forward network.
+    pub fn network(skin: &SkinDescription, recorded: &[Recorded]) -> Result<Self> {
+        let (inputs, targets) = Self::tables(skin, recorded);
+        let most = recorded.iter().map(|r| r.contact.force.norm()).fold(1e-9, f64::max);
+        let reach = recorded.iter().map(|r| r.contact.position.coords.amax()).fold(1e-9, f64::max);
+        let scales = [reach as f32, most as f32];
+        let data = Batch {
+            inputs: direction(&inputs, skin.channels().len()),
+            targets: targets
+                .iter()
+                .enumerate()
+                .map(|(i, v)| *v as f32 / scales[usize::from(i % 4 == 3)])
+                .collect(),
+            width: skin.channels().len() + 1,
+            outputs: 4,
+            ..Batch::default()
+        };
+        let network = NetworkConfig { hidden: vec![256, 256, 256], ..NetworkConfig::default() };
+        let training = TrainingConfig { epochs: 60, learning_rate: 1e-3, ..TrainingConfig::default() };
+        Ok(Self::new(Regression::Network { net: fit(&data, &network, &training, 0)?, scales }, skin))
+    }
+}
+
+/// Rows as their direction, and the logarithm of their length: where a contact is shows in the one, how hard in the other.
+fn direction(rows: &[f64], width: usize) -> Vec<f32> {
+    let mut out = Vec::with_capacity(rows.len() / width.max(1) * (width + 1));
+    for row in rows.chunks_exact(width) {
+        let length = (row.iter().map(|v| v * v).sum::<f64>() + width as f64).sqrt();
+        // About 1, as the other inputs are of a unit vector of some ten.
+        out.extend(row.iter().map(|v| (v / length * (width as f64).sqrt()) as f32));
+        out.push((length.ln() - 4.0) as f32);
+    }
+    out
+}
+
+impl Method for Direct {
+    fn contacts(&mut self, sample: &Sample) -> Result<Vec<Contact>> {
+        let whitened = sample.tared.iter().zip(&self.noise);
+        let row: Vec<f64> =
+            whitened.map(|(v, n)| if v.is_finite() { f64::from(*v) / n } else { 0.0 }).collect();
+        let answer: Vec<f64> = match &self.regression {
+            Regression::Vectors(svr) => svr.predict(&row)?,
+            Regression::Neighbours(neighbours) => neighbours.predict(&row)?,
+            Regression::Network { net, scales } => net
+                .predict(&direction(&row, row.len()))
+                .iter()
+                .enumerate()
+                .map(|(i, v)| f64::from(v * scales[usize::from(i == 3)]))
+                .collect(),
+        };
+        let [x, y, z, force] = answer[..] else { bail!("a regression gave {} numbers", answer.len()) };
+        let (position, normal) = self.surface.project(&Point3::new(x, y, z));
+        let mut contact = Contact::at(position, normal);
+        contact.force = -normal * force.max(0.0);
+        contact.force_components = ForceComponents::Normal;
+        Ok(vec![contact])
+    }
+
+    fn single(&self) -> bool {
+        true
+    }
+}
+
+/// An inverter of these settings.
+pub fn inverter(model: &Arc<dyn ForwardModel>, settings: &dermis_inversion::Settings) -> Result<Inverter> {
+    Ok(Inverter::new(Arc::clone(model), settings.clone())?)
+}
