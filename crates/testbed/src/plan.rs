@@ -358,7 +358,7 @@ impl Plan {
                 Action::Multi { count, contacts: [low, high], distance, level } => {
                     at_least_one("count", *count)?;
                     drawn(level)?;
-                    range("distance", [*distance, *distance], "m")?;
+                    range("distance", [distance[0], distance[1].min(f64::MAX)], "m")?;
                     if !(1 <= *low && low <= high && *high <= 100) {
                         return wrong(
                             format!("steps[{i}].contacts"),

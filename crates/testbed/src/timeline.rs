@@ -265,8 +265,9 @@ impl Timeline {
                     for _ in 0..*count {
                         let wanted = draw.rng.random_range(contacts[0]..=contacts[1]) as usize;
                         let at = draw.apart(wanted, *distance).ok_or_else(|| {
-                            let reason =
-                                format!("{wanted} contacts {distance} m apart do not fit on the surface");
+                            let [least, most] = *distance;
+                            let far = if most.is_finite() { format!("{least} to {most}") } else { least.to_string() };
+                            let reason = format!("{wanted} contacts {far} m apart do not fit on the surface");
                             plan.wrong(format!("steps[{i}].distance"), reason)
                         })?;
                         location += 1;
@@ -592,12 +593,12 @@ impl Draw<'_> {
         None
     }
 
-    fn apart(&mut self, count: usize, distance: f64) -> Option<Vec<Point3<f64>>> {
+    fn apart(&mut self, count: usize, [least, most]: [f64; 2]) -> Option<Vec<Point3<f64>>> {
         for _ in 0..20 {
             let mut places: Vec<Point3<f64>> = Vec::new();
             for _ in 0..TRIES / 10 {
                 let p = self.place()?;
-                if places.iter().all(|q| (p - q).norm() >= distance) {
+                if places.iter().all(|q| (least..=most).contains(&(p - q).norm())) {
                     places.push(p);
                 }
                 if places.len() == count {

@@ -77,8 +77,8 @@ pub enum Action {
         count: u32,
         /// Range of the number of contacts in a press, both ends included.
         contacts: [u32; 2],
-        /// \[m\] least distance between the contacts of a press.
-        distance: f64,
+        /// \[m\] least distance between the contacts of a press, and the most; infinite where the plan names one number.
+        distance: [f64; 2],
         /// Range of what each contact of a press goes up to, drawn for itself.
         level: Level<[f64; 2]>,
     },
@@ -221,7 +221,7 @@ pub(super) struct StepFile {
     #[serde(skip_serializing_if = "Option::is_none")]
     contacts: Option<[u32; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    distance: Option<f64>,
+    distance: Option<OneOrTwo>,
     #[serde(skip_serializing_if = "Option::is_none")]
     force: Option<[f64; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -367,7 +367,10 @@ impl StepFile {
             Kind::Multi => Action::Multi {
                 count: self.count.ok_or_else(missing("count"))?,
                 contacts: self.contacts.ok_or_else(missing("contacts"))?,
-                distance: self.distance.ok_or_else(missing("distance"))?,
+                distance: match self.distance.ok_or_else(missing("distance"))? {
+                    OneOrTwo::One(least) => [least, f64::INFINITY],
+                    OneOrTwo::Two(range) => range,
+                },
                 level: level(self.force, self.depth)?,
             },
         };
@@ -419,6 +422,9 @@ impl From<Step> for StepFile {
             },
             Action::Multi { count, contacts, distance, level } => {
                 let (force, depth) = ranges(level);
+                let [least, most] = distance;
+                let distance =
+                    if most.is_finite() { OneOrTwo::Two(distance) } else { OneOrTwo::One(least) };
                 let (count, contacts, distance) = (Some(count), Some(contacts), Some(distance));
                 Self { count, contacts, distance, force, depth, ..Self::of(Kind::Multi) }
             }
