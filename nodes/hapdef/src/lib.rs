@@ -7,6 +7,7 @@ mod candidates;
 pub mod effects;
 pub mod model;
 mod parameters;
+pub mod verify;
 
 use std::sync::Arc;
 
