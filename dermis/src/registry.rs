@@ -8,7 +8,7 @@ use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_mechanics::Case;
 use dermis_perception::Sensor;
-use dermis_skin::{EffectInfo, Estimator, ForwardModel, ModelError, SkinDescription};
+use dermis_skin::{EffectInfo, Estimator, ForwardModel, ModelError, SkinDescription, Taxel};
 use serde_json::Value;
 
 /// What the program needs of a sensor family.
@@ -23,6 +23,8 @@ pub struct Family {
     pub estimator: MakeEstimator,
     /// Figures of the family's physics beside their references.
     pub verify: fn() -> Result<Vec<Case>>,
+    /// Where sensing elements of such a skin could be.
+    pub candidates: fn(&SkinDescription) -> Result<Vec<Taxel>>,
     /// What a launch file says of a node of this family → its configuration, checked.
     pub node: MakeConfig,
 }
@@ -44,14 +46,16 @@ pub const FAMILIES: &[Family] = &[
             }
             Ok(cases)
         },
+        candidates: crate::place::below_the_surface,
         node: |request| crate::nodes::config(&dermis_barodome::FAMILY, request),
     },
     Family {
         name: dermis_hapdef::SENSOR,
         model: |skin| Ok(dermis_hapdef::model(skin)?),
-        effects: &[],
+        effects: dermis_hapdef::effects::EFFECTS,
         estimator: |skin, bundles| estimator(&dermis_hapdef::FAMILY, skin, bundles),
         verify: || Ok(Vec::new()),
+        candidates: |skin| Ok(dermis_hapdef::candidates(skin)?),
         node: |request| crate::nodes::config(&dermis_hapdef::FAMILY, request),
     },
 ];
@@ -61,9 +65,9 @@ fn estimator(sensor: &Sensor, skin: &SkinDescription, bundles: &[PathBuf]) -> Re
     Ok(sensor.estimator(skin, bundles, &[], runtime)?)
 }
 
-/// The forward model of a skin that was read from `path`; refusals name that file.
+/// The forward model of a skin that was read from `path`, effects that every skin can have included; refusals name that file.
 pub fn forward(path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
-    (family(skin)?.model)(skin).map_err(|error| match error.downcast() {
+    dermis_gap::device(skin, family(skin)?.model).map_err(|error| match error.downcast() {
         Ok(ModelError::Description { field, reason, .. }) => {
             anyhow!("skin file {}: field `{field}`: {reason}", path.display())
         }

@@ -21,6 +21,7 @@ use nalgebra::Point3;
 use serde::Serialize;
 use serde_json::json;
 
+pub use page::flat;
 use sources::Source;
 
 /// \[mm\] distances of two contacts that are bounded.

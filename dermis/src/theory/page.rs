@@ -250,7 +250,7 @@ fn factors(body: &mut String, line: &LineStudy) -> Result<()> {
 
 /// Points of a surface laid flat \[mm\]: as they are on a flat one; otherwise at their distance along the surface from its
 /// highest point, in their direction.
-fn flat(surface: &Surface, points: &[Point3<f64>]) -> (Vec<(f64, f64)>, [&'static str; 2]) {
+pub fn flat(surface: &Surface, points: &[Point3<f64>]) -> (Vec<(f64, f64)>, [&'static str; 2]) {
     let level = surface.normals.iter().all(|n| n.z > 0.999);
     if level {
         return (points.iter().map(|p| (p.x * 1e3, p.y * 1e3)).collect(), ["x [mm]", "y [mm]"]);

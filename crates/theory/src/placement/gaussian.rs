@@ -24,6 +24,7 @@ pub struct GaussianField {
     covariance: Mat<f64>,
     /// Place of each candidate; of several at one place the nearest.
     sites: Vec<(usize, usize)>,
+    points: Vec<Point3<f64>>,
     /// \[m\] between all places.
     ways: Vec<Vec<f64>>,
     /// \[m\] of the kernel.
@@ -88,7 +89,8 @@ impl GaussianField {
         }
         let sites =
             nearest.iter().enumerate().filter_map(|(site, c)| c.map(|(_, index)| (site, index))).collect();
-        Ok(Some(Self { covariance, sites, ways, length, nugget }))
+        let points = places.iter().map(|p| surface.points[*p]).collect();
+        Ok(Some(Self { covariance, sites, points, ways, length, nugget }))
     }
 
     /// What is left of the covariance between all places and the candidates' once elements are chosen.
@@ -171,19 +173,17 @@ impl GaussianField {
         Ok(Sets::nested(&order))
     }
 
-    /// How far out elements lie: their mean distance along the surface from everywhere, over that of all candidates. Above 1
-    /// they lie towards the rim, below 1 towards the middle.
+    /// How far out places lie: their mean distance along the surface from everywhere, over that of all candidates. Above 1 they
+    /// lie towards the rim, below 1 towards the middle.
     #[must_use]
-    pub fn outwardness(&self, elements: &[usize]) -> f64 {
+    pub fn outwardness(&self, places: &[Point3<f64>]) -> f64 {
         let far = |site: usize| self.ways[site].iter().sum::<f64>();
-        let mean = |of: &mut dyn Iterator<Item = usize>| {
-            let (sum, count) = of.fold((0.0, 0usize), |(s, n), site| (s + far(site), n + 1));
-            sum / count.max(1) as f64
+        let all = self.sites.iter().map(|(site, _)| far(*site)).sum::<f64>() / self.sites.len().max(1) as f64;
+        let off = |n: usize, p: &Point3<f64>| (self.points[n] - p).norm_squared();
+        let nearest = |p: &Point3<f64>| {
+            (0..self.points.len()).min_by(|a, b| off(*a, p).total_cmp(&off(*b, p))).unwrap_or_default()
         };
-        let all = mean(&mut self.sites.iter().map(|(site, _)| *site));
-        let chosen =
-            mean(&mut self.sites.iter().filter(|(_, c)| elements.contains(c)).map(|(site, _)| *site));
-        chosen / all
+        places.iter().map(|p| far(nearest(p))).sum::<f64>() / places.len().max(1) as f64 / all
     }
 }
 
@@ -212,7 +212,10 @@ mod tests {
         let (entropy, information) = (field.entropy(6), field.mutual_information(6).unwrap());
         assert!(inside(entropy.last()) < 0.012, "{}", inside(entropy.last()));
         assert!(inside(information.last()) > 0.02, "{}", inside(information.last()));
-        assert!(field.outwardness(entropy.last()) > 1.1 && field.outwardness(information.last()) < 0.95);
+        let outwardness = |set: &Sets| {
+            field.outwardness(&set.last().iter().map(|i| surface.points[*i]).collect::<Vec<_>>())
+        };
+        assert!(outwardness(&entropy) > 1.1 && outwardness(&information) < 0.95);
     }
 
     #[test]

@@ -1,0 +1,431 @@
+//! `dermis place`: where to put k sensing elements, of thousands of places where they could be.
+
+mod candidates;
+mod page;
+mod text;
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use dermis_skin::{SkinDescription, Surface, Taxel};
+use dermis_theory::placement::{
+    BoundSettings, Feasibility, Field, GaussianField, GreedySettings, JudgeSettings, Judgement, Method,
+    Place, Reduction, Sets, Verdict, by_bound, feasible, greedy_svr, judge, pca_qr, reduce,
+};
+use indicatif::{ProgressBar, ProgressStyle};
+use nalgebra::Point3;
+use serde::Serialize;
+use serde_json::json;
+
+pub use candidates::below_the_surface;
+
+/// Points of the surface that the Gaussian process knows at most.
+const SITES: usize = 1600;
+/// Noise deviations that the strongest channel reads, in the median over the places, under the force that is taken where none
+/// is given.
+const CLEAR: f64 = 100.0;
+/// Of the distances between points of the surface: how far the centre of those around may lie off a candidate.
+const EDGE: f64 = 0.5;
+
+/// What to place where.
+#[derive(Args)]
+pub struct Options {
+    /// Skin description.
+    skin: PathBuf,
+    /// How; may be repeated.
+    #[arg(long, value_enum, default_value = "all")]
+    method: Vec<Way>,
+    /// Elements.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=64))]
+    budget: u32,
+    /// Pressing force [N]; of several any may be met, and the estimator does not know which. One under which the elements of
+    /// the skin read 100 times their noise where absent.
+    #[arg(long)]
+    force: Vec<f64>,
+    /// Diameter of the tip [m].
+    #[arg(long, default_value_t = 0.01)]
+    diameter: f64,
+    /// Places that are pressed at most.
+    #[arg(long, default_value_t = 1200)]
+    places: usize,
+    /// Share of the places that no method sees, and that all are judged on.
+    #[arg(long, default_value_t = 0.25)]
+    held_out: f64,
+    /// Places that searches look at, at most.
+    #[arg(long, default_value_t = 300)]
+    searched: usize,
+    /// Distance from where the skin is held [m] below which nothing is placed or pressed.
+    #[arg(long, default_value_t = 0.01)]
+    margin: f64,
+    /// Points of the surface around a candidate that say whether it is at an edge.
+    #[arg(long, default_value_t = 12)]
+    neighbours: usize,
+    /// How far their centre may lie off it [m]; half of the distance between points where absent.
+    #[arg(long)]
+    edge: Option<f64>,
+    /// Share of the variance of all candidates' readings that those of them may leave unexplained which greedy-svr tries.
+    #[arg(long, default_value_t = 0.01)]
+    unexplained: f64,
+    /// Noises and divisions of the places that the judgement is repeated with.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=10))]
+    repeats: u64,
+    /// Draws places, noise and folds.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Folder for `placement.html`, `placement.json` and `taxels-METHOD.toml`.
+    #[arg(short, long)]
+    out: Option<PathBuf>,
+    /// One JSON object in place of the text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// A method, or all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Way {
+    GreedySvr,
+    PcaQr,
+    GpEntropy,
+    GpMi,
+    Crlb,
+    All,
+}
+
+impl Way {
+    fn methods(self) -> Vec<Method> {
+        match self {
+            Self::GreedySvr => vec![Method::GreedySvr],
+            Self::PcaQr => vec![Method::PcaQr],
+            Self::GpEntropy => vec![Method::GpEntropy],
+            Self::GpMi => vec![Method::GpMi],
+            Self::Crlb => vec![Method::Crlb],
+            Self::All => Method::ALL.to_vec(),
+        }
+    }
+}
+
+/// What one method chose, and what that is worth.
+#[derive(Debug, Clone, Serialize)]
+struct Choice {
+    method: Method,
+    /// \[s\] of the search, readings at hand; of greedy-svr on `threads` cores.
+    seconds: f64,
+    threads: usize,
+    /// Indices of candidates, by budget.
+    sets: Sets,
+    /// The elements of the whole budget.
+    elements: Vec<Taxel>,
+    /// Mean distance of the elements along the surface from everywhere, over that of all candidates: above 1 at the rim.
+    outwardness: f64,
+    judgement: Judgement,
+}
+
+/// How many candidates there are.
+#[derive(Debug, Clone, Copy, Serialize)]
+struct Counts {
+    all: usize,
+    edge: usize,
+    held: usize,
+    feasible: usize,
+    reduced: usize,
+}
+
+/// Everything that was found.
+struct Findings {
+    skin: SkinDescription,
+    surface: Surface,
+    /// Places of all candidates on the surface, and whether they can be built.
+    feet: Vec<(Point3<f64>, Verdict)>,
+    /// Places of those that can, in the order of every index.
+    sites: Vec<Point3<f64>>,
+    counts: Counts,
+    reduction: Reduction,
+    forces: Vec<f64>,
+    places: [usize; 2],
+    choices: Vec<Choice>,
+    interrupted: bool,
+}
+
+/// Places and judges.
+pub fn run(options: &Options) -> Result<()> {
+    let findings = find(options)?;
+    let summary = summary(&findings, options);
+    if let Some(folder) = &options.out {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("folder {} cannot be made", folder.display()))?;
+        let save = |name: &str, text: String| {
+            let path = folder.join(name);
+            std::fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))
+        };
+        save("placement.json", serde_json::to_string_pretty(&summary)? + "\n")?;
+        save("placement.html", page::html(&findings, &text::text(&findings))?)?;
+        for choice in &findings.choices {
+            let name = format!("taxels-{}.toml", choice.method.name());
+            save(&name, text::taxels(choice, &findings.skin.name))?;
+        }
+    }
+    if options.json {
+        println!("{summary}");
+    } else {
+        print!("{}", text::text(&findings));
+    }
+    Ok(())
+}
+
+fn summary(findings: &Findings, options: &Options) -> serde_json::Value {
+    json!({
+        "skin": findings.skin.name,
+        "skin_hash": findings.skin.hash(),
+        "budget": options.budget,
+        "seed": options.seed,
+        "forces_n": findings.forces,
+        "diameter_m": options.diameter,
+        "candidates": findings.counts,
+        "unexplained": findings.reduction.unexplained,
+        "places": { "seen": findings.places[0], "held_out": findings.places[1], "searched": options.searched },
+        "methods": findings.choices,
+        "interrupted": findings.interrupted,
+    })
+}
+
+/// Steps of the whole work that the bar shows, one after the other.
+struct Bar<'a> {
+    bar: ProgressBar,
+    stop: &'a AtomicBool,
+}
+
+impl Bar<'_> {
+    fn begin(&self, what: &str) {
+        self.bar.set_message(what.to_owned());
+        self.bar.set_position(0);
+        self.bar.reset_eta();
+    }
+
+    fn at(&self, share: f64) -> bool {
+        self.bar.set_position((1000.0 * share) as u64);
+        !self.stop.load(Ordering::Acquire)
+    }
+}
+
+fn check(options: &Options) -> Result<()> {
+    for (name, value) in
+        [("--force", options.force.iter().copied().fold(1.0, f64::min)), ("--diameter", options.diameter)]
+    {
+        if !(value.is_finite() && value > 0.0) || options.force.iter().any(|f| !f.is_finite()) {
+            bail!("option `{name}` is {value} and must be positive");
+        }
+    }
+    for (name, value, high) in [
+        ("--held-out", options.held_out, 0.9),
+        ("--unexplained", options.unexplained, 1.0),
+        ("--margin", options.margin, f64::INFINITY),
+        ("--edge", options.edge.unwrap_or(0.0), f64::INFINITY),
+    ] {
+        if !(value >= 0.0 && value < high) {
+            bail!(
+                "option `{name}` is {value} and must be at least 0{}",
+                if high < 2.0 { format!(" and below {high}") } else { String::new() }
+            );
+        }
+    }
+    if options.places < 40 || options.searched < 20 {
+        bail!("`--places` must be at least 40 and `--searched` 20: with fewer nothing can be learnt of them");
+    }
+    Ok(())
+}
+
+fn find(options: &Options) -> Result<Findings> {
+    check(options)?;
+    let skin = SkinDescription::load(&options.skin)?;
+    let family = crate::registry::family(&skin)?;
+    let stop = crate::collect::stop_on_interrupt()?;
+    let bar = ProgressBar::new(1000)
+        .with_style(ProgressStyle::with_template("{msg} {wide_bar} {percent} %, {eta} left")?);
+    let bar = Bar { bar, stop: &stop };
+    bar.begin("candidates");
+    let surface = skin.surface();
+    let proposed = (family.candidates)(&skin)?;
+    let held = candidates::held(&skin.surface, &surface);
+    let spacing = (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt();
+    let rule = Feasibility {
+        neighbours: options.neighbours,
+        edge: options.edge.unwrap_or(EDGE * spacing),
+        held,
+        margin: options.margin,
+    };
+    let feet: Vec<Point3<f64>> = proposed.iter().map(|t| surface.project(&t.point()).0).collect();
+    let verdicts = feasible(&surface, &feet, &rule);
+    let kept: Vec<usize> = (0..feet.len()).filter(|i| verdicts[*i] == Verdict::Feasible).collect();
+    if kept.len() < options.budget as usize {
+        bail!(
+            "only {} of {} candidates lie away from edges and supports, and {} elements are to be placed: see `--edge` and \
+             `--margin`",
+            kept.len(),
+            feet.len(),
+            options.budget
+        );
+    }
+    let taxels: Vec<Taxel> = kept.iter().map(|i| proposed[*i].clone()).collect();
+    let sites: Vec<Point3<f64>> = kept.iter().map(|i| feet[*i]).collect();
+    let places = pressed(&surface, &Feasibility { neighbours: 0, ..rule }, options);
+    let forces = forces(&skin, options, &places)?;
+    bar.begin("what candidates read");
+    let model = crate::registry::forward(&options.skin, &skin.with_taxels(taxels.clone())?)?;
+    let watch = |share: f64| bar.at(share);
+    let Some(field) = Field::of_model(model.as_ref(), &places, &forces, options.diameter, &watch)? else {
+        bail!("interrupted before anything was found");
+    };
+    drop(model);
+    let order = dermis_regress::shuffled(places.len(), options.seed);
+    let out = ((places.len() as f64 * options.held_out).round() as usize).clamp(1, places.len() / 2);
+    let sorted = |of: &[usize]| {
+        let mut of = of.to_vec();
+        of.sort_unstable();
+        of
+    };
+    let (ask, teach) = (field.at(&sorted(&order[..out])), field.at(&sorted(&order[out..])));
+    // The order is random: its beginning is spread over the skin.
+    let few = field.at(&sorted(&order[out..(out + options.searched).min(order.len())]));
+    drop(field);
+    bar.begin("which of them tell the others");
+    let reduction = reduce(&few, options.unexplained)?;
+    let counts = Counts {
+        all: feet.len(),
+        edge: verdicts.iter().filter(|v| **v == Verdict::Edge).count(),
+        held: verdicts.iter().filter(|v| **v == Verdict::Held).count(),
+        feasible: kept.len(),
+        reduced: reduction.chosen.len(),
+    };
+    let mut findings = Findings {
+        feet: feet.into_iter().zip(verdicts).collect(),
+        sites,
+        counts,
+        reduction,
+        forces,
+        places: [teach.places.len(), ask.places.len()],
+        choices: Vec::new(),
+        interrupted: false,
+        skin,
+        surface,
+    };
+    choose(&mut findings, &taxels, [&few, &teach, &ask], options, &bar)?;
+    bar.bar.finish_and_clear();
+    if findings.choices.is_empty() {
+        bail!("interrupted before any method was through");
+    }
+    Ok(findings)
+}
+
+/// Lets every method choose, and judges it; what an interruption leaves undone is left out.
+fn choose(
+    findings: &mut Findings,
+    taxels: &[Taxel],
+    [few, teach, ask]: [&Field; 3],
+    options: &Options,
+    bar: &Bar<'_>,
+) -> Result<()> {
+    let watch = |share: f64| bar.at(share);
+    bar.begin("distances along the surface");
+    let Some(process) = GaussianField::new(&findings.surface, &findings.sites, SITES, &watch)? else {
+        findings.interrupted = true;
+        return Ok(());
+    };
+    let mut methods: Vec<Method> = options.method.iter().flat_map(|w| w.methods()).collect();
+    methods.sort_unstable();
+    methods.dedup();
+    let budget = options.budget as usize;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let settings = JudgeSettings {
+        seeds: (0..options.repeats).map(|r| options.seed.wrapping_mul(100).wrapping_add(r)).collect(),
+        ..JudgeSettings::default()
+    };
+    for method in methods {
+        bar.begin(&format!("{}: searching", method.name()));
+        let begun = Instant::now();
+        let (sets, threads) = match method {
+            Method::GreedySvr => {
+                let settings = GreedySettings { seed: options.seed, threads, ..GreedySettings::default() };
+                (greedy_svr(few, &findings.reduction.chosen, budget, &settings, &watch).0, threads)
+            }
+            Method::PcaQr => (pca_qr(few, budget)?, 1),
+            Method::GpEntropy => (process.entropy(budget), 1),
+            Method::GpMi => (process.mutual_information(budget)?, 1),
+            Method::Crlb => (by_bound(few, budget, &BoundSettings::default(), &watch).unwrap_or_default(), 1),
+        };
+        let seconds = begun.elapsed().as_secs_f64();
+        if !bar.at(1.0) {
+            findings.interrupted = true;
+            return Ok(());
+        }
+        bar.begin(&format!("{}: judging", method.name()));
+        let Some(judgement) = judge(teach, ask, &sets, &settings, &watch)? else {
+            findings.interrupted = true;
+            return Ok(());
+        };
+        let elements: Vec<Taxel> = sets
+            .last()
+            .iter()
+            .enumerate()
+            .map(|(n, c)| Taxel { name: format!("g{n}"), ..taxels[*c].clone() })
+            .collect();
+        let feet: Vec<Point3<f64>> = sets.last().iter().map(|c| findings.sites[*c]).collect();
+        findings.choices.push(Choice {
+            method,
+            seconds,
+            threads,
+            outwardness: process.outwardness(&feet),
+            sets,
+            elements,
+            judgement,
+        });
+    }
+    Ok(())
+}
+
+/// Places to press: points of the surface away from its supports, as many as are asked for.
+fn pressed(surface: &Surface, rule: &Feasibility, options: &Options) -> Vec<Place> {
+    let verdicts = feasible(surface, &surface.points, rule);
+    let free: Vec<usize> = (0..surface.points.len()).filter(|i| verdicts[*i] == Verdict::Feasible).collect();
+    // At random, so that no pattern of the triangulation shows.
+    let mut order = dermis_regress::shuffled(free.len(), options.seed);
+    order.truncate(options.places);
+    order.sort_unstable();
+    order
+        .into_iter()
+        .map(|n| Place { point: surface.points[free[n]], normal: surface.normals[free[n]] })
+        .collect()
+}
+
+/// The forces that were asked for; otherwise one that the skin as it is feels clearly.
+fn forces(skin: &SkinDescription, options: &Options, places: &[Place]) -> Result<Vec<f64>> {
+    if !options.force.is_empty() {
+        let mut forces = options.force.clone();
+        forces.sort_by(f64::total_cmp);
+        forces.dedup();
+        return Ok(forces);
+    }
+    let model = crate::registry::forward(&options.skin, skin)?;
+    let mut out = vec![0.0; model.channels()];
+    let mut clear = Vec::new();
+    for place in places.iter().step_by(places.len().div_ceil(200).max(1)) {
+        let contact = dermis_skin::Indentation {
+            position: place.point,
+            force: -place.normal,
+            diameter: options.diameter,
+        };
+        model.response(&dermis_skin::Stimulus { contacts: vec![contact], ..Default::default() }, &mut out)?;
+        clear.push(out.iter().zip(model.noise()).map(|(v, n)| v.abs() / n).fold(0.0, f64::max));
+    }
+    clear.sort_by(f64::total_cmp);
+    let median = clear.get(clear.len() / 2).copied().unwrap_or_default();
+    if !(median.is_finite() && median > 0.0) {
+        bail!("the skin as it is feels nothing of 1 N in most places: give a force with `--force`");
+    }
+    // Two digits say enough.
+    let force = CLEAR / median;
+    let digit = 10f64.powf(force.log10().floor() - 1.0);
+    Ok(vec![(force / digit).round() * digit])
+}

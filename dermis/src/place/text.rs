@@ -1,0 +1,136 @@
+//! What was found, for people, and the elements for a skin file.
+
+use std::fmt::Write as _;
+
+use dermis_skin::Taxel;
+use dermis_theory::placement::Method;
+
+use super::{Choice, Findings};
+
+fn mm(metres: f64) -> String {
+    if metres.is_finite() { format!("{:.2}", metres * 1e3) } else { "-".into() }
+}
+
+/// Seconds with the digits that say something.
+pub fn seconds(value: f64) -> String {
+    match value {
+        v if v < 0.0995 => format!("{:.0} ms", v * 1e3),
+        v if v < 9.95 => format!("{v:.1} s"),
+        v => format!("{v:.0} s"),
+    }
+}
+
+/// How often ours is faster than greedy-svr, where both were asked.
+pub fn faster(choices: &[Choice]) -> Option<f64> {
+    let seconds = |method| choices.iter().find(|c| c.method == method).map(|c| c.seconds);
+    Some(seconds(Method::GreedySvr)? / seconds(Method::Crlb)?.max(1e-9))
+}
+
+/// Tables.
+pub fn text(findings: &Findings) -> String {
+    let mut out = String::new();
+    let counts = &findings.counts;
+    let _ = writeln!(
+        out,
+        "{}: {} candidates, {} at edges, {} close to supports, {} can be built, of which {} tell the others",
+        findings.skin.name, counts.all, counts.edge, counts.held, counts.feasible, counts.reduced
+    );
+    let forces: Vec<String> = findings.forces.iter().map(|f| format!("{f}")).collect();
+    let [seen, held_out] = findings.places;
+    let _ = writeln!(
+        out,
+        "pressed with {} N at {} places; judged at {held_out} of them, by support vector regression that learns the other {seen}\n",
+        forces.join(", "),
+        seen + held_out
+    );
+    let budget = findings.choices.iter().map(|c| c.sets.0.len()).max().unwrap_or_default();
+    let shown: Vec<usize> = [1, 2, 3, 5, 7, budget].into_iter().filter(|k| *k <= budget).collect();
+    let mut shown = shown;
+    shown.dedup();
+    let _ = write!(out, "  error [mm] with       ");
+    for k in &shown {
+        let _ = write!(out, "{k:>10}");
+    }
+    let _ = writeln!(out, "     bound     search  outward");
+    for choice in &findings.choices {
+        let _ = write!(out, "  {:<22}", choice.method.name());
+        for k in &shown {
+            let found = choice.judgement.by_count.iter().find(|c| c.elements == *k);
+            let cell = found.map_or("-".into(), |c| format!("{} ±{:.1}", mm(c.mean), c.interval * 1e3));
+            let _ = write!(out, "{cell:>10}");
+        }
+        let last = choice.judgement.by_count.last();
+        let bound = last.and_then(|c| c.bound).map_or("-".into(), mm);
+        let _ = writeln!(out, "{bound:>10} {:>10} {:>8.2}", seconds(choice.seconds), choice.outwardness);
+    }
+    let failed: Vec<usize> = findings
+        .choices
+        .first()
+        .map(|c| c.judgement.by_failures.iter().map(|f| f.failed).collect())
+        .unwrap_or_default();
+    if failed.len() > 1 {
+        let _ = write!(out, "\n  error [mm], failed    ");
+        for k in &failed {
+            let _ = write!(out, "{k:>10}");
+        }
+        let _ = writeln!(out);
+        for choice in &findings.choices {
+            let of = |taught: bool| -> String {
+                let by = choice.judgement.by_failures.iter();
+                by.map(|f| {
+                    let cell = if taught {
+                        format!("{} ±{:.1}", mm(f.mean), f.interval * 1e3)
+                    } else {
+                        mm(f.untaught)
+                    };
+                    format!("{cell:>10}")
+                })
+                .collect()
+            };
+            let _ = writeln!(out, "  {:<22}{}", choice.method.name(), of(true));
+            let _ = writeln!(out, "  {:<22}{}", "  not taught anew", of(false));
+        }
+    }
+    if let Some(times) = faster(&findings.choices) {
+        let _ = writeln!(out, "\ncrlb searches {times:.0} times as fast as greedy-svr");
+    }
+    if findings.interrupted {
+        let _ = writeln!(out, "\ninterrupted: what was not through is left out");
+    }
+    out
+}
+
+fn numbers(of: [f64; 3]) -> String {
+    // Micrometres are enough for a position, and so are as many digits for a direction.
+    let each = of.map(|v| {
+        let v = (v * 1e6).round() / 1e6;
+        format!("{:?}", if v == 0.0 { 0.0 } else { v })
+    });
+    format!("[{}]", each.join(", "))
+}
+
+fn line(taxel: &Taxel) -> String {
+    let mut line = format!(
+        "    {{ name = {:?}, position = {}, normal = {}",
+        taxel.name,
+        numbers(taxel.position),
+        numbers(taxel.normal)
+    );
+    if let Some(axis) = taxel.axis {
+        let _ = write!(line, ", axis = {}", numbers(axis));
+    }
+    line + " },"
+}
+
+/// The elements as a skin file names them.
+pub fn taxels(choice: &Choice, skin: &str) -> String {
+    let mut out = format!(
+        "# Placed by `dermis place` for {skin}, method {}: in place of the `taxels` of a skin file, without `channels`.\ntaxels = [\n",
+        choice.method.name()
+    );
+    for taxel in &choice.elements {
+        out.push_str(&line(taxel));
+        out.push('\n');
+    }
+    out + "]\n"
+}
