@@ -2,22 +2,38 @@
 
 #![allow(missing_docs)]
 mod algebra;
+mod axes;
+mod checks;
 mod data;
 mod device;
+mod diagnose;
 mod error;
+mod experiments;
 mod library;
 mod noise;
+mod parity;
+mod polish;
 mod read;
+mod report;
 mod rows;
 mod select;
 mod simulate;
 mod statistics;
+mod store;
+mod unknown;
 
 pub use data::{Moment, Phase, Problem, Recording};
 pub use device::{COMMON, CommonEffect, Parameters, common_effect, device};
+pub use axes::{Axis, Bin, Map};
+pub use checks::Missing;
+pub use diagnose::{Diagnosis, Memory, Options, diagnose};
 pub use error::GapError;
+pub use experiments::Experiment;
+pub use parity::Parity;
+pub use report::*;
 pub use noise::Gap;
 pub use read::read;
+pub use store::skin_text;
 pub use rows::{RowOptions, Row, Rows};
 pub use select::{SelectOptions, Tier};
 pub use simulate::{Make, Simulator};

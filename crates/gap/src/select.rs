@@ -294,6 +294,26 @@ impl<'a> Selector<'a> {
         found
     }
 
+    /// Candidates that forward steps accept, without tests of significance: for resampling.
+    #[must_use]
+    pub fn quick(&self) -> Vec<usize> {
+        let mut set: Vec<usize> = Vec::new();
+        let mut before = self.losses(&set, Tier::Strict);
+        while set.len() < self.options.most {
+            let Some((best, gain)) = self.best(&set, &before, Tier::Strict) else { break };
+            if gain < self.least() {
+                break;
+            }
+            set.push(best);
+            before = self.losses(&set, Tier::Strict);
+        }
+        if set.is_empty() {
+            let none = self.losses(&[], Tier::Loose);
+            set.extend(self.best(&[], &none, Tier::Loose).map(|b| b.0));
+        }
+        set
+    }
+
     fn best(&self, set: &[usize], before: &[f64], tier: Tier) -> Option<(usize, f64)> {
         (0..self.candidates.len())
             .filter(|e| !set.contains(e))

@@ -1,0 +1,340 @@
+//! Recordings that would make a diagnosis confidently wrong, and what one lacks.
+
+use dermis_skin::SkinDescription;
+use serde::{Deserialize, Serialize};
+
+use crate::GapError;
+use crate::axes::short;
+use crate::data::{Phase, Problem, Recording};
+use crate::rows::Rows;
+use crate::simulate::Simulator;
+
+/// Presses below which no cause is named.
+pub const FEWEST: usize = 30;
+/// Rows that channels are compared on, at most.
+const COMPARED: usize = 400;
+/// Agreement of readings and model below which something else than an effect is likely.
+const AGREES: f64 = 0.8;
+
+/// Something that a recording lacks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Missing {
+    /// What.
+    pub what: String,
+    /// Questions that cannot be answered without it.
+    pub blocks: String,
+}
+
+/// What a recording lacks, and the questions that this blocks.
+#[must_use]
+pub fn missing(recording: &Recording, rows: &Rows, repeats: usize) -> Vec<Missing> {
+    let mut found = Vec::new();
+    let mut lacks = |what: &str, blocks: &str| {
+        found.push(Missing { what: what.to_owned(), blocks: blocks.to_owned() });
+    };
+    if repeats < 10 {
+        lacks(
+            "repeats: presses of the same place and force, at least ten pairs",
+            "how much of the gap comes again (irreproducible share); the floor is that of the noise within one press",
+        );
+    }
+    if recording.sessions.len() < 2 {
+        lacks("a second session", "whether the gap is the same after the skin was mounted or switched on again");
+    }
+    let kelvin: Vec<f64> = recording.moments.iter().map(|m| m.temperature).filter(|t| t.is_finite()).collect();
+    let (low, high) =
+        kelvin.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(*t), h.max(*t)));
+    if kelvin.len() * 2 < recording.moments.len() {
+        lacks("the temperature", "whether zero or gain follow it");
+    } else if high - low < 0.2 {
+        lacks("a temperature that changes", "whether zero or gain follow it");
+    }
+    let idle = recording.moments.iter().filter(|m| m.phase == Phase::Idle).count();
+    if idle < 50 {
+        lacks(
+            "windows without contact, at least half a second each",
+            "offsets, drift and noise apart from contacts",
+        );
+    }
+    let held = rows.rows.iter().filter(|r| r.phase == Phase::Hold).map(|r| r.since).fold(0.0, f64::max);
+    if held < 1.0 {
+        lacks("presses that are held for a second or more", "creep and relaxation beyond that time");
+    }
+    if !rows.rows.iter().any(|r| r.contacts > 1) {
+        lacks("several contacts at once", "superposition");
+    }
+    let mut tips: Vec<i64> =
+        rows.rows.iter().filter(|r| r.contacts > 0).map(|r| (r.diameter * 1e6) as i64).collect();
+    tips.sort_unstable();
+    tips.dedup();
+    if tips.len() < 2 {
+        lacks("a second tip", "size of the tip apart from depth and softness of the skin");
+    }
+    found
+}
+
+/// Says what is wrong with readings whatever was done.
+pub fn readings(recording: &Recording, skin: &SkinDescription, rows: &Rows) -> Vec<Problem> {
+    let mut found = Vec::new();
+    let n = recording.moments.len();
+    let contacts = recording.contacts();
+    if contacts < FEWEST {
+        found.push(Problem::fatal(
+            "few-contacts",
+            format!("{contacts} presses only: causes are not named below {FEWEST}; press at more places"),
+        ));
+    }
+    for (k, channel) in skin.channels().iter().enumerate().take(recording.channels) {
+        let (mut gaps, mut run, mut longest, mut at) = (0usize, 0usize, 0usize, 0usize);
+        let (mut same, mut before) = (0usize, f32::NAN);
+        for i in 0..n {
+            let v = recording.readings[i * recording.channels + k];
+            if v.is_finite() {
+                run = 0;
+                same += usize::from(v == before);
+                before = v;
+            } else {
+                gaps += 1;
+                run += 1;
+                if run > longest {
+                    (longest, at) = (run, i + 1 - run);
+                }
+            }
+        }
+        let name = &channel.name;
+        if gaps > 0 {
+            let from = recording.moments[at].time;
+            let share = 100.0 * gaps as f64 / n as f64;
+            let what = format!(
+                "channel {name} gives no number in {gaps} frames ({share:.1} %), the longest stretch is {longest} frames from \
+                 {from:.2} s on; these frames are left out"
+            );
+            found.push(if gaps == n {
+                Problem::note("dead-channel", format!("channel {name} never gives a number; it is left out"))
+            } else {
+                Problem { code: "not-finite".to_owned(), what, fatal: share > 50.0 }
+            });
+        } else if n > 100 && same + 1 == n {
+            found.push(Problem::note("dead-channel", format!("channel {name} never changes")));
+        }
+    }
+    if rows.rows.len() < 100 && contacts >= FEWEST {
+        found.push(Problem::fatal(
+            "no-rows",
+            format!("{} frames remain in which all channels and the ground truth are known", rows.rows.len()),
+        ));
+    }
+    found
+}
+
+/// Readings of rows minus those of the untouched ones, and the same of the model, in deviations of the noise.
+struct Tared {
+    real: Vec<f32>,
+    model: Vec<f32>,
+    channels: usize,
+    usable: Vec<usize>,
+}
+
+impl Tared {
+    fn agreement(&self) -> f64 {
+        let (mut xy, mut xx, mut yy) = (0.0, 0.0, 0.0);
+        for (r, m) in self.real.chunks_exact(self.channels).zip(self.model.chunks_exact(self.channels)) {
+            for &k in &self.usable {
+                let (a, b) = (f64::from(r[k]), f64::from(m[k]));
+                xy += a * b;
+                xx += a * a;
+                yy += b * b;
+            }
+        }
+        xy / (xx * yy).sqrt().max(1e-300)
+    }
+
+    /// Least squares factor from model to readings.
+    fn gain(&self) -> f64 {
+        let (mut xy, mut yy) = (0.0, 0.0);
+        for (a, b) in self.real.iter().zip(&self.model) {
+            xy += f64::from(*a) * f64::from(*b);
+            yy += f64::from(*b).powi(2);
+        }
+        xy / yy.max(1e-300)
+    }
+
+    fn correlation(&self, real: usize, model: usize) -> f64 {
+        let (mut xy, mut xx, mut yy) = (0.0, 1e-9, 1e-9);
+        let pairs = self.real.chunks_exact(self.channels).zip(self.model.chunks_exact(self.channels));
+        for (r, m) in pairs {
+            let (a, b) = (f64::from(r[real]), f64::from(m[model]));
+            xy += a * b;
+            xx += a * a;
+            yy += b * b;
+        }
+        xy / (xx * yy).sqrt()
+    }
+}
+
+/// Rows in which something is held, every so many.
+fn held(rows: &Rows) -> Vec<usize> {
+    let found: Vec<usize> = (0..rows.rows.len())
+        .filter(|i| matches!(rows.rows[*i].phase, Phase::Hold | Phase::Slide) && rows.rows[*i].contacts > 0)
+        .collect();
+    let step = found.len().div_ceil(COMPARED).max(1);
+    found.into_iter().step_by(step).collect()
+}
+
+fn tared(readings: &[f32], model: &[f32], rows: &Rows, sigma: &[f64]) -> Tared {
+    let channels = sigma.len();
+    let usable: Vec<usize> = (0..channels).filter(|k| sigma[*k].is_finite()).collect();
+    let rest: Vec<usize> = (0..rows.rows.len()).filter(|i| !rows.rows[*i].phase.touched()).collect();
+    let zero: Vec<f32> = (0..channels)
+        .map(|k| {
+            let mut values: Vec<f32> = rest.iter().map(|i| readings[i * channels + k]).collect();
+            values.sort_by(f32::total_cmp);
+            values.get(values.len() / 2).copied().unwrap_or(0.0)
+        })
+        .collect();
+    let (mut real, mut said) = (Vec::new(), Vec::new());
+    for i in held(rows) {
+        for k in 0..channels {
+            let finite = sigma[k].is_finite();
+            let s = sigma[k] as f32;
+            real.push(if finite { (readings[i * channels + k] - zero[k]) / s } else { 0.0 });
+            said.push(if finite { model[i * channels + k] / s } else { 0.0 });
+        }
+    }
+    Tared { real, model: said, channels, usable }
+}
+
+/// What readings and model say of each other beyond any effect.
+pub struct Agreement {
+    /// What was noticed.
+    pub problems: Vec<Problem>,
+    /// For each channel, the channel whose readings it carries, where that is another.
+    pub order: Option<Vec<usize>>,
+}
+
+/// Compares the readings of rows (unit of the skin) with the nominal model's: units, sign, order of channels, frame of the ground
+/// truth.
+///
+/// # Errors
+///
+/// What the model says.
+pub fn agreement(
+    simulator: &Simulator<'_>,
+    recording: &Recording,
+    rows: &Rows,
+    readings: &[f32],
+    model: &[f32],
+    sigma: &[f64],
+) -> Result<Agreement, GapError> {
+    let mut found = Agreement { problems: Vec::new(), order: None };
+    let now = tared(readings, model, rows, sigma);
+    if now.real.is_empty() {
+        return Ok(found);
+    }
+    let (agrees, gain) = (now.agreement(), now.gain());
+    let unit = &simulator.skin.unit;
+    if agrees.abs() > 0.5 && !(0.02..=50.0).contains(&gain.abs()) {
+        found.problems.push(Problem::fatal(
+            "units",
+            format!(
+                "readings are {} times what the model reads for these forces: readings are not in {unit}, or forces not in N, \
+                 by a factor of some {:.0e}",
+                short(gain),
+                10f64.powf(gain.abs().log10().round())
+            ),
+        ));
+        return Ok(found);
+    }
+    if agrees < -0.5 {
+        found.problems.push(Problem::fatal(
+            "sign",
+            "readings fall where the model says that they rise: the sign of the readings is turned".to_owned(),
+        ));
+        return Ok(found);
+    }
+    let order = order(&now);
+    if order.is_none() && agrees > AGREES {
+        return Ok(found);
+    }
+    // Ground truth that is mirrored or turned looks like channels in another order on many skins.
+    let mut best: Option<(f64, &str)> = None;
+    let turns: [(&str, [f64; 2], bool); 4] = [
+        ("x is mirrored", [-1.0, 1.0], false),
+        ("y is mirrored", [1.0, -1.0], false),
+        ("x and y are turned by 180°", [-1.0, -1.0], false),
+        ("x and y are exchanged", [1.0, 1.0], true),
+    ];
+    let frames: Vec<usize> = rows.frames();
+    let surface = simulator.skin.surface();
+    for (name, signs, exchange) in turns {
+        let mut other = recording.clone();
+        for m in &mut other.moments {
+            for contact in m.stimulus.iter_mut().flat_map(|s| &mut s.contacts) {
+                let (p, f) = (contact.position, contact.force);
+                let (x, y) = if exchange { (p.y, p.x) } else { (p.x, p.y) };
+                let (fx, fy) = if exchange { (f.y, f.x) } else { (f.x, f.y) };
+                contact.position.x = signs[0] * x;
+                contact.position.y = signs[1] * y;
+                contact.force.x = signs[0] * fx;
+                contact.force.y = signs[1] * fy;
+                contact.position = surface.project(&contact.position).0;
+            }
+        }
+        let Ok(read) = simulator.readings(simulator.skin, &other, &frames) else { continue };
+        let agrees = tared(readings, &read, rows, sigma).agreement();
+        if best.is_none_or(|b| agrees > b.0) {
+            best = Some((agrees, name));
+        }
+    }
+    let turned = best.filter(|(a, _)| *a > agrees + 0.1 && *a > AGREES);
+    match (order, turned) {
+        (_, Some((agreement, name))) => {
+            let also =
+                if agreement < 0.999 { ", or channels are in a mirrored order" } else { "" };
+            found.problems.push(Problem::fatal(
+                "frame",
+                format!(
+                    "readings agree with the model ({agreement:.2} instead of {agrees:.2}) where {name}: the ground truth is in \
+                     another frame{also}; say which, and diagnose again"
+                ),
+            ));
+        }
+        (Some(order), None) => found.order = Some(order),
+        (None, None) if agrees < 0.3 => found.problems.push(Problem::fatal(
+            "unrelated",
+            format!(
+                "readings and model have next to nothing in common (agreement {agrees:.2} of 1): the ground truth belongs to \
+                 another time or frame, or the readings to another skin"
+            ),
+        )),
+        (None, None) => {}
+    }
+    Ok(found)
+}
+
+/// Channels whose readings clearly are those of others: a permutation, or nothing.
+fn order(tared: &Tared) -> Option<Vec<usize>> {
+    let n = tared.channels;
+    let mut order: Vec<usize> = (0..n).collect();
+    let mut moved = Vec::new();
+    for &j in &tared.usable {
+        let own = tared.correlation(j, j);
+        if own > 0.9 {
+            continue;
+        }
+        let others = tared.usable.iter().map(|&k| (k, tared.correlation(j, k)));
+        if let Some((k, best)) = others.max_by(|a, b| a.1.total_cmp(&b.1))
+            && k != j
+            && best > own + 0.15
+            && best > 0.7
+        {
+            order[j] = k;
+            moved.push(j);
+        }
+    }
+    let mut targets: Vec<usize> = moved.iter().map(|&j| order[j]).collect();
+    targets.sort_unstable();
+    let mut sources = moved.clone();
+    sources.sort_unstable();
+    (moved.len() >= 2 && targets == sources).then_some(order)
+}

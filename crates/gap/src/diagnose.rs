@@ -1,0 +1,1083 @@
+//! The whole diagnosis.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use dermis_skin::{Effect, SkinDescription};
+use indicatif::ProgressBar;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use sha2::{Digest, Sha256};
+
+use crate::axes::{self, View};
+use crate::data::{Problem, Recording, hex};
+use crate::device::common_effect;
+use crate::library::{Candidate, Gram, Signatures};
+use crate::noise::{self, Gap};
+use crate::polish::{self, Free, Target};
+use crate::report::{
+    Alike, Closure, DataSummary, NamedEffect, Provenance, Report, SCHEMA, Unknown, Value, Verdict,
+};
+use crate::rows::{RowOptions, Rows};
+use crate::select::{SelectOptions, Selection, Selector, Tier, normal};
+use crate::simulate::Simulator;
+use crate::statistics::{Column, Fit, Statistics};
+use crate::{GapError, checks, experiments, parity, store, unknown};
+
+/// How a recording is diagnosed.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// How frames are drawn.
+    pub rows: RowOptions,
+    /// How causes are selected.
+    pub select: SelectOptions,
+    /// Times that selection and fit are run again for the interval of the closure.
+    pub resamples: usize,
+    /// Effects that are fitted on the full simulator for each named one, at most; 0 leaves all at their linear values.
+    pub polish: usize,
+    /// Folder that keeps signatures between runs.
+    pub cache: Option<PathBuf>,
+    /// Set it from anywhere to end early.
+    pub stop: Arc<AtomicBool>,
+    /// Shows simulations done and to do; hidden by default.
+    pub progress: ProgressBar,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            rows: RowOptions::default(),
+            select: SelectOptions::default(),
+            resamples: 16,
+            polish: 4,
+            cache: None,
+            stop: Arc::default(),
+            progress: ProgressBar::hidden(),
+        }
+    }
+}
+
+/// Keeps signatures in memory, so that many recordings of the same presses are diagnosed with one set of simulations.
+#[derive(Debug, Default)]
+pub struct Memory {
+    kept: Mutex<BTreeMap<String, Arc<Signatures>>>,
+}
+
+/// One diagnosis, and what else it found out.
+#[derive(Debug, Clone)]
+pub struct Diagnosis {
+    /// What it says.
+    pub report: Report,
+    /// The skin by design with the named effects switched on.
+    pub corrected: SkinDescription,
+}
+
+/// Diagnoses a recording.
+///
+/// # Errors
+///
+/// [`GapError`] where the nominal model cannot read the stimuli of the recording; what is wrong with the recording is a verdict.
+pub fn diagnose(
+    simulator: &Simulator<'_>,
+    recording: &Recording,
+    options: &Options,
+    memory: &Memory,
+) -> Result<Diagnosis, GapError> {
+    let begun = Instant::now();
+    let skin = simulator.skin;
+    let mut sigma = noise::deviations(recording, skin);
+    let usable: Vec<bool> = sigma.iter().map(|s| s.is_finite()).collect();
+    let rows = Rows::draw(recording, &usable, &options.rows);
+    let mut report = empty(simulator, recording, &rows, options);
+    report.data.problems.extend(checks::readings(recording, skin, &rows));
+    if report.data.problems.iter().any(|p| p.fatal) {
+        return Ok(unusable(report, simulator));
+    }
+    let (signatures, seconds) = signatures(simulator, recording, &rows, options, memory)?;
+    report.provenance.seconds[0] = seconds;
+    report.provenance.silent = signatures.silent.iter().map(|(a, b)| [a.clone(), b.clone()]).collect();
+    report.provenance.form.clone_from(&signatures.form_names);
+    report.provenance.tried = signatures.candidates.iter().map(|c| c.name.clone()).collect();
+    report.provenance.library_hash = hex(&Sha256::digest(report.provenance.tried.join(",")));
+
+    let channels = recording.channels;
+    let mut readings: Vec<f32> =
+        rows.rows.iter().flat_map(|r| recording.frame(r.frame).iter().copied()).collect();
+    let agreement =
+        checks::agreement(simulator, recording, &rows, &readings, &signatures.nominal, &sigma)?;
+    report.data.problems.extend(agreement.problems);
+    if report.data.problems.iter().any(|p| p.fatal) {
+        return Ok(unusable(report, simulator));
+    }
+    let mut fixed: Vec<Effect> = Vec::new();
+    let mut disordered = None;
+    if let Some(order) = agreement.order {
+        let whitened = residual(&readings, &signatures.nominal, &sigma);
+        let scaled = whiten(&readings, &sigma);
+        disordered = Some(measure(&whitened, &scaled, &rows, &sigma, options).fvu_before);
+        let read = readings.clone();
+        let before = sigma.clone();
+        let mut effect = Effect::new("channel-order");
+        let mut told = Vec::new();
+        for (at, from) in order.iter().enumerate() {
+            if at != *from {
+                sigma[*from] = before[at];
+                for i in 0..rows.rows.len() {
+                    readings[i * channels + from] = read[i * channels + at];
+                }
+                let names = skin.channels();
+                effect.parameters.insert(names[at].name.clone(), *from as f64);
+                told.push(format!("{} carries {}", names[at].name, names[*from].name));
+            }
+        }
+        report.data.problems.push(Problem::note(
+            "channel-order",
+            format!("channels are in another order: {}; all that follows has them in the right one", told.join(", ")),
+        ));
+        fixed.push(effect);
+    }
+    let whitened = residual(&readings, &signatures.nominal, &sigma);
+    let scaled = whiten(&readings, &sigma);
+    let gap = measure(&whitened, &scaled, &rows, &sigma, options);
+    report.data.repeats = gap.repeats;
+    report.data.missing = checks::missing(recording, &rows, gap.repeats);
+    let modelled = whiten(&signatures.nominal, &sigma);
+    let surface = skin.surface();
+    {
+        let view = view(&rows, &whitened, &modelled, &sigma, &gap);
+        report.axes = axes::shares(&view, &recording.sessions, options.select.seed);
+        report.channels = axes::channels(&view, &scaled, skin);
+        report.maps.push(axes::map(&view, &surface));
+        report.parity = parity::checks(&view, &scaled);
+    }
+    report.gap = Some(gap.clone());
+    let none = gap.interval[1] < options.select.margin;
+    if none && fixed.is_empty() {
+        report.verdict = Verdict::NoGapBeyondNoise;
+        report.sentence = format!(
+            "No gap beyond noise: at most {} % of what the readings do is not in the nominal model, and below {} % it does not matter.",
+            percent(gap.interval[1].max(0.0)),
+            percent(options.select.margin)
+        );
+        report.provenance.seconds[1] = begun.elapsed().as_secs_f64() - seconds;
+        return Ok(Diagnosis { report, corrected: skin.clone() });
+    }
+
+    let data = Data {
+        simulator,
+        recording,
+        rows: &rows,
+        readings: &readings,
+        sigma: &sigma,
+        signatures: &signatures,
+        gap: &gap,
+        options,
+    };
+    let found = if none { Found::default() } else { data.causes(&fixed, &whitened)? };
+    let mut effects = Vec::new();
+    if let (Some(before), Some(effect)) = (disordered, fixed.first()) {
+        effects.push(order_effect(effect, before - gap.fvu_before));
+    }
+    effects.extend(found.named);
+    report.warnings.extend(found.warnings);
+    report.closure = found.closure;
+    report.held_out = found.held_out;
+    report.corrected = fixed.into_iter().chain(found.effects).collect();
+    let left = found.left.unwrap_or_else(|| whitened.clone());
+    {
+        let view = view(&rows, &left, &modelled, &sigma, &gap);
+        report.maps.push(axes::map(&view, &surface));
+        let systematic = gap.systematic.max(1e-12);
+        let share = (found.library / systematic).clamp(0.0, 1.0);
+        report.unknown = Unknown {
+            share: (1.0 - share).max(0.0),
+            library: share,
+            form: ((found.both - found.library) / systematic).clamp(0.0, 1.0),
+            explainable: explainable(&view, &gap, options.select.seed),
+            fingerprint: Vec::new(),
+        };
+        if share < 0.8 {
+            report.unknown.fingerprint =
+                axes::shares(&view, &recording.sessions, options.select.seed).into_iter().take(4).collect();
+            report.unknown.fingerprint.iter_mut().for_each(|a| a.bins.clear());
+        }
+    }
+    alias(&mut effects, &rows);
+    report.verdict = verdict(&report.unknown, &effects, &found.selection, &gap);
+    if report.verdict == Verdict::UnknownSystematic {
+        // A name for a small part of a gap would be taken for the cause.
+        for effect in effects.iter().filter(|e| e.label != "channel-order") {
+            report.warnings.push(format!(
+                "{} explains {} % of the systematic gap: too little to be named its cause",
+                effect.label,
+                percent(report.unknown.library)
+            ));
+        }
+        effects.retain(|e| e.label == "channel-order");
+        report.corrected.retain(|e| e.name == "channel-order");
+    }
+    report.effects = effects;
+    report.next_experiments = experiments::rank(simulator, &found.members, &rows, &options.stop);
+    report.sentence = sentence(&report);
+    report.provenance.seconds[1] = begun.elapsed().as_secs_f64() - seconds;
+    let corrected = simulator.with(&report.corrected);
+    Ok(Diagnosis { report, corrected })
+}
+
+fn empty(simulator: &Simulator<'_>, recording: &Recording, rows: &Rows, options: &Options) -> Report {
+    let test = rows.test.iter().filter(|t| **t).count();
+    Report {
+        schema: SCHEMA.to_owned(),
+        sentence: String::new(),
+        verdict: Verdict::UnusableRecording,
+        data: DataSummary {
+            name: recording.name.clone(),
+            hash: recording.hash(),
+            skin: simulator.skin.name.clone(),
+            skin_hash: simulator.skin.hash(),
+            unit: simulator.skin.unit.clone(),
+            channels: recording.channels,
+            frames: recording.moments.len(),
+            presses: recording.contacts(),
+            rows: rows.rows.len(),
+            places: [rows.groups - test, test],
+            repeats: 0,
+            sessions: recording.sessions.clone(),
+            missing: checks::missing(recording, rows, 0),
+            problems: recording.problems.clone(),
+        },
+        gap: None,
+        axes: Vec::new(),
+        channels: Vec::new(),
+        maps: Vec::new(),
+        parity: Vec::new(),
+        effects: Vec::new(),
+        closure: None,
+        held_out: None,
+        unknown: Unknown::default(),
+        next_experiments: Vec::new(),
+        downstream: Vec::new(),
+        corrected: Vec::new(),
+        provenance: Provenance {
+            tool: format!("dermis-gap {}", env!("CARGO_PKG_VERSION")),
+            seed: options.select.seed,
+            ..Provenance::default()
+        },
+        warnings: Vec::new(),
+    }
+}
+
+fn unusable(mut report: Report, simulator: &Simulator<'_>) -> Diagnosis {
+    report.verdict = Verdict::UnusableRecording;
+    let first = report.data.problems.iter().find(|p| p.fatal);
+    report.sentence = format!(
+        "This recording cannot be diagnosed: {}.",
+        first.map_or("it holds nothing to compare", |p| p.what.trim_end_matches('.'))
+    );
+    Diagnosis { report, corrected: simulator.skin.clone() }
+}
+
+/// Signatures from memory, from the disk, or simulated; and the seconds that simulating took.
+fn signatures(
+    simulator: &Simulator<'_>,
+    recording: &Recording,
+    rows: &Rows,
+    options: &Options,
+    memory: &Memory,
+) -> Result<(Arc<Signatures>, f64), GapError> {
+    let key = store::key(simulator, recording, rows);
+    if let Ok(kept) = memory.kept.lock()
+        && let Some(found) = kept.get(&key)
+    {
+        return Ok((Arc::clone(found), 0.0));
+    }
+    let begun = Instant::now();
+    let mut seconds = 0.0;
+    let stored = options.cache.as_ref().and_then(|folder| store::load(folder, &key));
+    let found = match stored {
+        Some(found) => found,
+        None => {
+            let found = Signatures::simulate(simulator, recording, rows, &options.stop, &options.progress)?;
+            if let Some(folder) = &options.cache {
+                store::save(folder, &key, &found)?;
+            }
+            seconds = begun.elapsed().as_secs_f64();
+            found
+        }
+    };
+    let found = Arc::new(found);
+    if let Ok(mut kept) = memory.kept.lock() {
+        kept.insert(key, Arc::clone(&found));
+    }
+    Ok((found, seconds))
+}
+
+fn residual(readings: &[f32], model: &[f32], sigma: &[f64]) -> Vec<f32> {
+    readings
+        .iter()
+        .zip(model)
+        .enumerate()
+        .map(|(i, (y, s))| {
+            let r = (f64::from(*y) - f64::from(*s)) / sigma[i % sigma.len()];
+            // A channel that gives nothing has an infinite deviation, and NaN readings.
+            if r.is_finite() { r as f32 } else { 0.0 }
+        })
+        .collect()
+}
+
+fn whiten(readings: &[f32], sigma: &[f64]) -> Vec<f32> {
+    let nothing = vec![0.0; readings.len()];
+    residual(readings, &nothing, sigma)
+}
+
+fn measure(whitened: &[f32], scaled: &[f32], rows: &Rows, sigma: &[f64], options: &Options) -> Gap {
+    let usable = sigma.iter().filter(|s| s.is_finite()).count();
+    noise::measure(whitened, scaled, rows, usable, sigma.len(), options.select.seed)
+}
+
+fn view<'a>(rows: &'a Rows, residual: &'a [f32], model: &'a [f32], sigma: &'a [f64], gap: &Gap) -> View<'a> {
+    View {
+        rows,
+        channels: sigma.len(),
+        residual,
+        model,
+        sigma,
+        variance: gap.variance,
+        noise: gap.floor * gap.variance,
+    }
+}
+
+/// Share of the systematic part of what is left that a smoother foresees.
+fn explainable(view: &View<'_>, gap: &Gap, seed: u64) -> f64 {
+    let share = unknown::explainable(view.residual, view.rows, view.channels, seed);
+    let usable = view.sigma.iter().filter(|s| s.is_finite()).count().max(1);
+    let all = view.residual.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>()
+        / (view.rows.rows.len().max(1) * usable) as f64;
+    let systematic = all - gap.floor * gap.variance;
+    if systematic > 0.02 * all { (share * all / systematic).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+fn verdict(unknown: &Unknown, effects: &[NamedEffect], selection: &Selection, gap: &Gap) -> Verdict {
+    let order = effects.iter().any(|e| e.label == "channel-order");
+    let named = effects.iter().any(|e| e.label != "channel-order");
+    if order && !named {
+        return Verdict::Named;
+    }
+    if named {
+        let explained = unknown.library + unknown.form;
+        return if unknown.library >= 0.8 || (explained >= 0.8 && unknown.library >= 0.3) {
+            Verdict::Named
+        } else if unknown.library >= 0.3 {
+            Verdict::NamedAndUnknown
+        } else if unknown.explainable >= 0.3 {
+            Verdict::UnknownSystematic
+        } else {
+            Verdict::Unmeasured
+        };
+    }
+    if selection.form >= 0.5 * gap.systematic {
+        Verdict::SimulatorForm
+    } else if unknown.explainable >= 0.3 {
+        Verdict::UnknownSystematic
+    } else {
+        Verdict::Unmeasured
+    }
+}
+
+fn order_effect(effect: &Effect, gain: f64) -> NamedEffect {
+    let theta = effect.parameters.iter().map(|(name, value)| Value {
+        name: name.clone(),
+        value: *value,
+        unit: "place".to_owned(),
+        interval: None,
+    });
+    NamedEffect {
+        label: effect.name.clone(),
+        what: "Channels are read in another order than the skin's description says.".to_owned(),
+        class: vec![Alike { name: effect.name.clone(), gain, p_confuse: 0.0, angle: 0.0, rig: false }],
+        covers: Vec::new(),
+        tier: Tier::Strict,
+        theta: theta.collect(),
+        gain,
+        solo: gain,
+        shapley: f64::NAN,
+        p_max_t: 0.0,
+        p_confuse: 0.0,
+        covariate_alias: Vec::new(),
+        written: true,
+    }
+}
+
+/// What rises and falls with the temperature or with time, for effects that do.
+fn alias(effects: &mut [NamedEffect], rows: &Rows) {
+    let series: [(&str, Vec<f64>); 3] = [
+        ("temperature", rows.rows.iter().map(|r| r.temperature).collect()),
+        ("session time", rows.rows.iter().map(|r| r.time).collect()),
+        ("session", rows.rows.iter().map(|r| f64::from(r.location.0)).collect()),
+    ];
+    for effect in effects {
+        if !effect.label.contains("thermal") {
+            continue;
+        }
+        for (name, values) in &series[1..] {
+            if correlation(&series[0].1, values).abs() > 0.8 {
+                effect.covariate_alias.push(format!("anything that follows the {name}"));
+            }
+        }
+    }
+}
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let n = a.len().max(1) as f64;
+    let (ma, mb) = (a.iter().sum::<f64>() / n, b.iter().sum::<f64>() / n);
+    let (mut xy, mut xx, mut yy) = (0.0, 0.0, 0.0);
+    for (x, y) in a.iter().zip(b) {
+        xy += (x - ma) * (y - mb);
+        xx += (x - ma).powi(2);
+        yy += (y - mb).powi(2);
+    }
+    xy / (xx * yy).sqrt().max(1e-300)
+}
+
+pub(crate) fn percent(share: f64) -> String {
+    axes::short(100.0 * share)
+}
+
+/// One sentence that a person can act on.
+fn sentence(report: &Report) -> String {
+    let Some(gap) = &report.gap else { return String::new() };
+    let list = |names: &[&str]| match names {
+        [] => String::new(),
+        [one] => (*one).to_owned(),
+        [all @ .., last] => format!("{} or {last}", all.join(", ")),
+    };
+    let size = format!("{} % of what the readings do", percent(gap.systematic.max(0.0)));
+    let names: Vec<String> = report
+        .effects
+        .iter()
+        .map(|e| {
+            let mut class: Vec<&str> = e.class.iter().map(|a| a.name.as_str()).collect();
+            if e.tier == Tier::Loose {
+                class.push("the simulator's own error");
+            }
+            list(&class)
+        })
+        .collect();
+    let place = || {
+        let axis = report.axes.first().filter(|a| a.share > 0.1);
+        axis.map_or(String::new(), |a| format!(", mostly along {}", a.axis))
+    };
+    let next = report.next_experiments.first().map_or(String::new(), |e| format!(" Next: {}.", e.what));
+    let closes = report.closure.map_or(String::new(), |c| {
+        let share = c.achieved.unwrap_or(c.predicted);
+        format!(
+            "; switching it on closes {} % of the gap on held-out contacts ({} to {} %)",
+            percent(share),
+            percent(c.interval[0]),
+            percent(c.interval[1])
+        )
+    });
+    match report.verdict {
+        Verdict::Named => format!("The gap ({size}) is {}{closes}.{next}", names.join(", and ")),
+        Verdict::NamedAndUnknown => format!(
+            "{} make {} % of the gap ({size}){closes}; the rest is none of the known effects.{next}",
+            names.join(", and "),
+            percent(report.unknown.library)
+        ),
+        Verdict::SimulatorForm => format!(
+            "The gap ({size}) is within what the simulator's own tolerances allow: measure the numbers of the medium before you \
+             look for an effect."
+        ),
+        Verdict::UnknownSystematic => format!(
+            "The gap ({size}) is systematic{}, and none of the known effects makes it: look at its fingerprint before you trust a \
+             simulation.",
+            place()
+        ),
+        Verdict::Unmeasured => format!(
+            "The gap ({size}) follows nothing that was recorded: repeat presses, and record temperature and time."
+        ),
+        Verdict::NoGapBeyondNoise | Verdict::UnusableRecording => report.sentence.clone(),
+    }
+}
+
+/// Causes and what they come to.
+#[derive(Default)]
+struct Found {
+    named: Vec<NamedEffect>,
+    effects: Vec<Effect>,
+    closure: Option<Closure>,
+    held_out: Option<[f64; 3]>,
+    /// Reduction by named effects, and with the simulator's own error.
+    library: f64,
+    both: f64,
+    selection: Selection,
+    /// Whitened residual after the named effects.
+    left: Option<Vec<f32>>,
+    /// Members of the first class that is open, each as effects.
+    members: Vec<(String, Vec<Effect>)>,
+    warnings: Vec<String>,
+}
+
+/// An effect with values, and what the full simulator makes of it.
+#[derive(Clone)]
+struct Tried {
+    candidate: usize,
+    effects: Vec<Effect>,
+    /// Training loss of each group.
+    losses: Vec<f64>,
+    values: Vec<Value>,
+}
+
+struct Data<'a> {
+    simulator: &'a Simulator<'a>,
+    recording: &'a Recording,
+    rows: &'a Rows,
+    readings: &'a [f32],
+    sigma: &'a [f64],
+    signatures: &'a Signatures,
+    gap: &'a Gap,
+    options: &'a Options,
+}
+
+impl Data<'_> {
+    fn channels(&self) -> usize {
+        self.sigma.len()
+    }
+
+    fn usable(&self) -> f64 {
+        self.sigma.iter().filter(|s| s.is_finite()).count() as f64
+    }
+
+    /// Energy of readings about their means over groups with these weights.
+    fn scale(&self, weights: &[f64]) -> f64 {
+        let rows: f64 = self.rows.rows.iter().map(|r| weights[r.group]).sum();
+        rows * self.usable() * self.gap.variance
+    }
+
+    /// Whitened energy that is left in each group.
+    fn group_losses(&self, simulated: &[f32]) -> Vec<f64> {
+        let left = residual(self.readings, simulated, self.sigma);
+        let mut losses = vec![0.0; self.rows.groups];
+        for (row, r) in self.rows.rows.iter().zip(left.chunks_exact(self.channels())) {
+            losses[row.group] += r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+        }
+        losses
+    }
+
+    fn target<'b>(&'b self, weights: &'b [f64], progress: &'b ProgressBar) -> Target<'b> {
+        Target {
+            recording: self.recording,
+            rows: self.rows,
+            readings: self.readings,
+            sigma: self.sigma,
+            weights,
+            stop: &self.options.stop,
+            progress,
+        }
+    }
+
+    fn causes(&self, fixed: &[Effect], whitened: &[f32]) -> Result<Found, GapError> {
+        let declared = self.simulator.skin.channel_noise();
+        let columns: Vec<Column> =
+            self.signatures.columns.iter().map(|c| rescale(c, &declared, self.sigma)).collect();
+        let statistics = Statistics::new(&columns, whitened, self.rows, self.channels());
+        let gram = Gram::new(&columns, self.rows, self.channels());
+        let candidates = &self.signatures.candidates;
+        let weights = self.rows.training();
+        let systematic = self.gap.systematic.max(0.0);
+        let selector = |weights: &[f64]| {
+            Selector::new(
+                &statistics,
+                candidates,
+                &self.signatures.form,
+                &gram,
+                (self.scale(weights), systematic),
+                weights,
+                &self.options.select,
+            )
+        };
+        let training = selector(&weights);
+        let selection = training.select();
+        let mut found = Found { library: selection.library, both: selection.both, ..Found::default() };
+        if selection.picks.is_empty() {
+            found.selection = selection;
+            return Ok(found);
+        }
+        let set: Vec<usize> = selection.picks.iter().map(|p| p.candidate).collect();
+        let fit = training.fit_all(&set, Tier::Loose);
+
+        // Each named effect with values on the full simulator, beside what else may be meant.
+        let mut tried: Vec<Vec<Tried>> = Vec::new();
+        for (i, pick) in selection.picks.iter().enumerate() {
+            let mut others = vec![pick.candidate];
+            others.extend(pick.class.iter().skip(1).map(|m| m.candidate));
+            // What linear signatures put behind may be before once it is simulated in full.
+            let near = |e: &usize| {
+                let gains = selection.alone[*e];
+                let gain = gains[usize::from(pick.tier == Tier::Loose)];
+                selection.picks.len() == 1
+                    && gain > 0.8 * pick.gain
+                    && !others.contains(e)
+                    && !pick.covers.contains(e)
+                    && !candidates[*e].starts.is_empty()
+            };
+            let near: Vec<usize> = (0..candidates.len()).filter(near).collect();
+            others.extend(near);
+            others.truncate(self.options.polish.max(1));
+            let mut of = Vec::new();
+            let beside: Vec<Effect> = {
+                let mut beside = fixed.to_vec();
+                for (j, other) in selection.picks.iter().enumerate().filter(|(j, _)| *j != i) {
+                    let done = tried.get(j).and_then(|t| t.first()).map(|t| t.effects.clone());
+                    let linear = || self.linear(&columns, other.candidate, &fit, &weights);
+                    Effect::merge(&mut beside, done.unwrap_or_else(linear));
+                }
+                beside
+            };
+            for candidate in others {
+                let refit = if candidate == pick.candidate {
+                    fit.clone()
+                } else {
+                    let with: Vec<usize> =
+                        set.iter().map(|c| if *c == pick.candidate { candidate } else { *c }).collect();
+                    training.fit_all(&with, Tier::Loose)
+                };
+                match self.tried(&columns, candidate, &refit, &beside, &weights, &statistics) {
+                    Ok(Some(one)) => of.push(one),
+                    Ok(None) => {}
+                    Err(GapError::Interrupted) => return Err(GapError::Interrupted),
+                    Err(error) => found.warnings.push(format!("{}: {error}", candidates[candidate].name)),
+                }
+            }
+            tried.push(of);
+        }
+        let before = (0..self.rows.groups).map(|g| statistics.energy(g)).collect::<Vec<f64>>();
+        let over = |losses: &[f64]| losses.iter().zip(&weights).map(|(l, w)| l * w).sum::<f64>();
+        for (pick, of) in selection.picks.iter().zip(&mut tried) {
+            found.named.push(self.name(pick, of, over(&before), &weights));
+        }
+        let mut effects: Vec<Effect> = Vec::new();
+        for of in &tried {
+            if let Some(first) = of.first() {
+                Effect::merge(&mut effects, first.effects.clone());
+            }
+        }
+        if effects.is_empty() {
+            found.warnings.push(
+                "none of the named effects can be written into a skin description: the closure is that of its signature"
+                    .to_owned(),
+            );
+        }
+        self.close(&mut found, &effects, fixed, &statistics, &training, &set, &weights, &selector)?;
+        if let Some((_, of)) = found.named.iter().zip(&tried).find(|(n, of)| n.class.len() > 1 && of.len() > 1) {
+            found.members = of
+                .iter()
+                .map(|t| (candidates[t.candidate].name.clone(), t.effects.clone()))
+                .collect();
+        }
+        found.effects = effects;
+        found.selection = selection;
+        Ok(found)
+    }
+
+    /// Closure: predicted by what was fitted, achieved on what was kept, and its interval.
+    #[allow(clippy::too_many_arguments)]
+    fn close<'s>(
+        &self,
+        found: &mut Found,
+        effects: &[Effect],
+        fixed: &[Effect],
+        statistics: &Statistics,
+        training: &Selector<'_>,
+        set: &[usize],
+        weights: &[f64],
+        selector: &dyn Fn(&[f64]) -> Selector<'s>,
+    ) -> Result<(), GapError> {
+        let test: Vec<f64> = weights.iter().map(|w| 1.0 - w).collect();
+        let floor = |weights: &[f64]| self.gap.floor * self.scale(weights);
+        let before: Vec<f64> = (0..self.rows.groups).map(|g| statistics.energy(g)).collect();
+        let closure = |losses: &[f64], weights: &[f64]| {
+            let sum = |l: &[f64]| l.iter().zip(weights).map(|(l, w)| l * w).sum::<f64>();
+            let (b, a) = (sum(&before), sum(losses));
+            (b - a) / (b - floor(weights)).max(1e-9 * b)
+        };
+        let fit = training.fit_all(set, Tier::Loose);
+        let linear: Vec<f64> = (0..self.rows.groups).map(|g| statistics.loss(g, &fit)).collect();
+        // What cross-validation loses against the fit itself.
+        let optimism = closure(&linear, weights)
+            - found.library * self.scale(weights)
+                / (before.iter().zip(weights).map(|(b, w)| b * w).sum::<f64>() - floor(weights)).max(1e-9);
+        let mut predicted = closure(&linear, weights) - optimism.max(0.0);
+        let mut achieved = None;
+        let mut after = linear.clone();
+        if !effects.is_empty() {
+            let mut all = fixed.to_vec();
+            all.retain(|e| e.name != "channel-order");
+            Effect::merge(&mut all, effects.to_vec());
+            let skin = self.simulator.with(&all);
+            let read = self.simulator.readings(&skin, self.recording, &self.rows.frames())?;
+            after = self.group_losses(&read);
+            predicted = closure(&after, weights) - optimism.max(0.0);
+            achieved = Some(closure(&after, &test));
+            found.left = Some(residual(self.readings, &read, self.sigma));
+            let gained = before.iter().zip(&after).zip(weights).map(|((b, a), w)| (b - a) * w).sum::<f64>();
+            found.library = found.library.max(gained / self.scale(weights));
+        }
+        // The whole way again on other draws of places: selection, fit, and what is kept.
+        let mut rng = ChaCha8Rng::seed_from_u64(self.options.select.seed ^ 0xb007);
+        let train: Vec<usize> = (0..weights.len()).filter(|g| weights[*g] > 0.0).collect();
+        let kept: Vec<usize> = (0..weights.len()).filter(|g| weights[*g] == 0.0).collect();
+        let centre = achieved.unwrap_or(predicted);
+        let mut drawn = Vec::new();
+        for _ in 0..self.options.resamples {
+            let mut again = vec![0.0; weights.len()];
+            for _ in 0..train.len() {
+                again[train[rng.random_range(0..train.len())]] += 1.0;
+            }
+            let mut ends = vec![0.0; weights.len()];
+            for _ in 0..kept.len() {
+                ends[kept[rng.random_range(0..kept.len())]] += 1.0;
+            }
+            let selector = selector(&again);
+            let picks: Vec<usize> = selector.quick();
+            let fit = selector.fit_all(&picks, Tier::Loose);
+            let losses: Vec<f64> = (0..self.rows.groups).map(|g| statistics.loss(g, &fit)).collect();
+            // How far this draw is from the one at hand, by the same linear signatures; and what other contacts would give.
+            let moved = closure(&losses, &test) - closure(&linear, &test);
+            drawn.push(moved + closure(&after, &ends) - closure(&after, &test));
+        }
+        let n = drawn.len().max(1) as f64;
+        let spread = (drawn.iter().map(|d| d * d).sum::<f64>() / n).sqrt();
+        let half = (1.645 * spread).max((centre - predicted).abs().min(0.02));
+        found.closure = Some(Closure { predicted, achieved, interval: [centre - half, (centre + half).min(1.0)] });
+        let share = |losses: &[f64]| {
+            losses.iter().zip(&test).map(|(l, w)| l * w).sum::<f64>() / self.scale(&test).max(1e-300)
+        };
+        found.held_out = Some([share(&before), share(&after), self.gap.floor]);
+        Ok(())
+    }
+
+    /// Names an effect: the label may change, where the full simulator says so.
+    fn name(
+        &self,
+        pick: &crate::select::Pick,
+        tried: &mut Vec<Tried>,
+        before: f64,
+        weights: &[f64],
+    ) -> NamedEffect {
+        let candidates = &self.signatures.candidates;
+        let over = |t: &Tried| t.losses.iter().zip(weights).map(|(l, w)| l * w).sum::<f64>();
+        let mut class: Vec<(usize, f64, f64, f64)> =
+            pick.class.iter().map(|m| (m.candidate, m.gain, m.confusion, m.angle)).collect();
+        if tried.len() > 1 {
+            let scale = self.scale(weights);
+            let best = tried.iter().map(&over).fold(f64::INFINITY, f64::min);
+            let alike = self.options.select.alike;
+            // What explains as much of what can be explained, the simplest first.
+            let reach = before - best;
+            tried.retain(|t| before - over(t) >= alike * reach || t.candidate == usize::MAX);
+            tried.sort_by(|a, b| {
+                let each = |t: &Tried| candidates[t.candidate].each;
+                each(a).cmp(&each(b)).then(over(a).total_cmp(&over(b)))
+            });
+            let simulated: Vec<usize> = tried.iter().map(|t| t.candidate).collect();
+            let leader = tried[0].clone();
+            let mut again = Vec::new();
+            for t in tried.iter() {
+                let apart: Vec<f64> =
+                    t.losses.iter().zip(&leader.losses).zip(weights).map(|((a, b), w)| (a - b) * w).collect();
+                let (sum, square) = apart.iter().fold((0.0, 0.0f64), |(s, q), d| (s + d, q + d * d));
+                let confusion = if t.candidate == leader.candidate {
+                    0.0
+                } else {
+                    normal(-sum / square.sqrt().max(1e-300))
+                };
+                let angle = class.iter().find(|c| c.0 == t.candidate).map_or(f64::NAN, |c| c.3);
+                let gain = pick.gain * (before - over(t)) / reach.max(1e-300 * scale);
+                again.push((t.candidate, gain, confusion, angle));
+            }
+            // Members that were not simulated stay; those that fell behind do not.
+            let fallen = |c: usize| !simulated.contains(&c);
+            let untried: Vec<(usize, f64, f64, f64)> = class
+                .iter()
+                .copied()
+                .filter(|c| fallen(c.0) && candidates[c.0].linear.is_empty() && candidates[c.0].starts.is_empty())
+                .collect();
+            again.extend(untried);
+            class = again;
+        }
+        let label = class.first().map_or(pick.candidate, |c| c.0);
+        let candidate = &candidates[label];
+        let values = tried.first().filter(|t| t.candidate == label).map_or_else(Vec::new, |t| t.values.clone());
+        let written =
+            tried.first().is_some_and(|t| t.candidate == label && !t.effects.is_empty());
+        NamedEffect {
+            label: candidate.name.clone(),
+            what: candidate.what.clone(),
+            p_confuse: class.iter().skip(1).map(|c| c.2).fold(0.0, f64::max),
+            class: class
+                .iter()
+                .map(|(c, gain, p, angle)| Alike {
+                    name: candidates[*c].name.clone(),
+                    gain: *gain,
+                    p_confuse: *p,
+                    angle: angle.to_degrees(),
+                    rig: candidates[*c].rig,
+                })
+                .collect(),
+            covers: pick.covers.iter().map(|c| candidates[*c].name.clone()).collect(),
+            tier: pick.tier,
+            theta: values,
+            gain: pick.gain,
+            solo: pick.solo,
+            shapley: pick.shapley,
+            p_max_t: pick.p,
+            covariate_alias: Vec::new(),
+            written,
+        }
+    }
+
+    /// An effect with values, simulated in full; `None` where it cannot be written down.
+    fn tried(
+        &self,
+        columns: &[Column],
+        candidate: usize,
+        fit: &Fit,
+        beside: &[Effect],
+        weights: &[f64],
+        statistics: &Statistics,
+    ) -> Result<Option<Tried>, GapError> {
+        let of = &self.signatures.candidates[candidate];
+        let own = self.linear(columns, candidate, fit, weights);
+        let mut beside: Vec<Effect> = beside.to_vec();
+        beside.retain(|e| e.name != "channel-order");
+        if of.starts.is_empty() || !of.linear.is_empty() {
+            if own.is_empty() {
+                return Ok(None);
+            }
+            let mut all = beside;
+            Effect::merge(&mut all, own.clone());
+            let skin = self.simulator.with(&all);
+            let read = self.simulator.readings(&skin, self.recording, &self.rows.frames())?;
+            let halves = half_widths(statistics, fit, &of.columns, weights);
+            let mut values = Vec::new();
+            for effect in &own {
+                let unit = common_effect(&effect.name).map_or("", |c| c.unit);
+                let unit = if unit.is_empty() { self.simulator.skin.unit.as_str() } else { unit };
+                for (name, value) in &effect.parameters {
+                    let at = of.linear.iter().position(|(e, p, _)| *e == effect.name && p == name);
+                    let half = at.map(|i| halves[i] * of.linear[i].2.abs());
+                    values.push(Value {
+                        name: if own.len() > 1 { format!("{} of {}", name, effect.name) } else { name.clone() },
+                        value: *value,
+                        unit: unit.to_owned(),
+                        interval: half.filter(|h| h.is_finite()).map(|h| [value - h, value + h]),
+                    });
+                }
+            }
+            return Ok(Some(Tried { candidate, effects: own, losses: self.group_losses(&read), values }));
+        }
+        let Some(info) = self.simulator.effects.iter().find(|i| i.name == of.name) else { return Ok(None) };
+        if info.random {
+            return Ok(None);
+        }
+        let free: Vec<Free> = polish::free(info);
+        let starts: Vec<Vec<Effect>> = self
+            .starts(columns, of, fit)
+            .into_iter()
+            .map(|effect| {
+                let mut all = beside.clone();
+                Effect::merge(&mut all, [effect]);
+                all
+            })
+            .collect();
+        let target = self.target(weights, &self.options.progress);
+        let (starts, free) = if self.options.polish == 0 {
+            (starts.into_iter().take(1).collect(), Vec::new())
+        } else {
+            (starts, free)
+        };
+        let polished = polish::polish(self.simulator, &target, &starts, &free)?;
+        let effect = polished.effects.iter().find(|e| e.name == of.name).cloned();
+        let Some(effect) = effect else { return Ok(None) };
+        let values = info
+            .parameters
+            .iter()
+            .map(|p| {
+                let value = info.value(&effect, p.name);
+                let half = free.iter().position(|f| f.parameter == p.name);
+                let half = half.and_then(|i| polished.halves.get(i)).copied().filter(|h| h.is_finite());
+                let interval = half.map(|h| [value - h, value + h]);
+                Value { name: p.name.to_owned(), value, unit: p.unit.to_owned(), interval }
+            })
+            .collect();
+        let losses = self.group_losses(&polished.readings);
+        Ok(Some(Tried { candidate, effects: vec![effect], losses, values }))
+    }
+
+    /// Realisations that are nearest to what the linear fit says, the nearest first.
+    fn starts(&self, columns: &[Column], of: &Candidate, fit: &Fit) -> Vec<Effect> {
+        let theta: Vec<f64> = of
+            .columns
+            .iter()
+            .map(|c| fit.set.iter().position(|s| s == c).map_or(0.0, |i| fit.theta[i]))
+            .collect();
+        let norms: Vec<f64> = of
+            .columns
+            .iter()
+            .map(|c| crate::algebra::dot(&columns[*c].values, &columns[*c].values))
+            .collect();
+        let inner = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).zip(&norms).map(|((a, b), n)| a * b * n).sum() };
+        let mut ranked: Vec<(f64, &Effect)> = of
+            .starts
+            .iter()
+            .map(|(effect, at)| {
+                let away: Vec<f64> = theta.iter().zip(at).map(|(t, a)| t - a).collect();
+                (inner(&away, &away), effect)
+            })
+            .collect();
+        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut found: Vec<Effect> = ranked.into_iter().take(3).map(|(_, e)| e.clone()).collect();
+        // A strength that is not 1 is what the file said; values are fitted at full strength.
+        found.iter_mut().for_each(|e| e.strength = 1.0);
+        found
+    }
+
+    /// What a linear effect is in the words of a skin description; empty where there are none for it.
+    fn linear(&self, columns: &[Column], candidate: usize, fit: &Fit, weights: &[f64]) -> Vec<Effect> {
+        let of = &self.signatures.candidates[candidate];
+        let coefficient = |c: usize| fit.set.iter().position(|s| *s == c).map_or(0.0, |i| fit.theta[i]);
+        if !of.linear.is_empty() {
+            let parts = of.columns.iter().zip(&of.linear).map(|(c, part)| (part, coefficient(*c)));
+            return written(parts);
+        }
+        if !of.starts.is_empty() {
+            return self.starts(columns, of, fit).into_iter().take(1).collect();
+        }
+        // A random effect of the family: what it does to each channel may be said by offsets, gains and places.
+        let n = self.rows.rows.len();
+        let channels = self.channels();
+        let words: Vec<(usize, &(String, String, f64))> = self
+            .signatures
+            .candidates
+            .iter()
+            .filter(|c| {
+                let name = c.form.as_deref().unwrap_or(&c.name);
+                ["channel-offset", "channel-gain", "taxel-position"].contains(&name)
+            })
+            .flat_map(|c| c.columns.iter().copied().zip(&c.linear))
+            .collect();
+        let (mut held, mut all) = (0.0, 0.0);
+        let mut parts: Vec<(&(String, String, f64), f64)> = Vec::new();
+        for k in 0..channels {
+            let mut wanted = vec![0.0f32; n];
+            for &c in &of.columns {
+                if columns[c].channel == Some(k) {
+                    let x = coefficient(c) as f32;
+                    wanted.iter_mut().zip(&columns[c].values).for_each(|(w, v)| *w += x * v);
+                }
+            }
+            for (w, row) in wanted.iter_mut().zip(&self.rows.rows) {
+                *w *= weights[row.group] as f32;
+            }
+            let own: Vec<&(usize, &(String, String, f64))> =
+                words.iter().filter(|(c, _)| columns[*c].channel == Some(k)).collect();
+            let m = own.len();
+            let mut a = vec![0.0; m * m];
+            let mut b = vec![0.0; m];
+            for (i, (c, _)) in own.iter().enumerate() {
+                b[i] = crate::algebra::dot(&columns[*c].values, &wanted);
+                for (j, (d, _)) in own.iter().enumerate() {
+                    a[i * m + j] = self
+                        .rows
+                        .rows
+                        .iter()
+                        .enumerate()
+                        .map(|(r, row)| {
+                            weights[row.group] * f64::from(columns[*c].values[r]) * f64::from(columns[*d].values[r])
+                        })
+                        .sum();
+                }
+                a[i * m + i] = a[i * m + i] * (1.0 + 1e-6) + 0.05;
+            }
+            let score = b.clone();
+            if crate::algebra::cholesky_solve(&mut a, m, &mut b).is_some() {
+                held += b.iter().zip(&score).map(|(x, s)| x * s).sum::<f64>();
+                parts.extend(own.iter().zip(&b).map(|((_, part), x)| (*part, *x)));
+            }
+            all += crate::algebra::dot(&wanted, &wanted);
+        }
+        if all > 0.0 && held > 0.8 * all { written(parts.into_iter()) } else { Vec::new() }
+    }
+}
+
+/// Coefficients of linear parts as effects of a skin description.
+fn written<'p>(parts: impl Iterator<Item = (&'p (String, String, f64), f64)>) -> Vec<Effect> {
+    let mut found: Vec<Effect> = Vec::new();
+    for ((name, parameter, amount), coefficient) in parts {
+        let factor = ["channel-gain", "force-scale", "tip-scale"].contains(&name.as_str());
+        let mut value = coefficient * amount + if factor { 1.0 } else { 0.0 };
+        match name.as_str() {
+            // What comes early cannot be simulated forwards.
+            "delay" | "low-pass" => value = value.max(0.0),
+            "channel-gain" if value.abs() < 1e-3 => value = 1e-3,
+            "force-scale" | "tip-scale" => value = value.max(0.05),
+            _ => {}
+        }
+        match found.iter_mut().find(|e| e.name == *name) {
+            Some(effect) => {
+                effect.parameters.insert(parameter.clone(), value);
+            }
+            None => found.push(Effect::new(name.clone()).with(parameter.clone(), value)),
+        }
+    }
+    found
+}
+
+/// Half of the 90 % interval of coefficients, from the spread of scores over groups.
+fn half_widths(statistics: &Statistics, fit: &Fit, of: &[usize], weights: &[f64]) -> Vec<f64> {
+    let sum = statistics.sum(weights);
+    let (n, p) = (fit.set.len(), sum.b.len());
+    let scores: Vec<Vec<f64>> = (0..statistics.groups())
+        .filter(|g| weights[*g] > 0.0)
+        .map(|g| {
+            let fitted = statistics.project(g, fit, &fit.set);
+            fit.set.iter().zip(fitted).map(|(&c, f)| weights[g] * (statistics.score(g)[c] - f)).collect()
+        })
+        .collect();
+    of.iter()
+        .map(|c| {
+            let Some(at) = fit.set.iter().position(|s| s == c) else { return f64::NAN };
+            let mut a: Vec<f64> =
+                fit.set.iter().flat_map(|&i| fit.set.iter().map(move |&j| (i, j))).map(|(i, j)| sum.g[i * p + j]).collect();
+            (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + 0.05);
+            let mut row = vec![0.0; n];
+            row[at] = 1.0;
+            if crate::algebra::cholesky_solve(&mut a, n, &mut row).is_none() {
+                return f64::NAN;
+            }
+            let variance: f64 = scores
+                .iter()
+                .map(|s| row.iter().zip(s).map(|(r, s)| r * s).sum::<f64>().powi(2))
+                .sum();
+            1.645 * variance.sqrt()
+        })
+        .collect()
+}
+
+/// A column in deviations of the measured noise instead of the declared one.
+fn rescale(column: &Column, declared: &[f64], sigma: &[f64]) -> Column {
+    let channels = sigma.len();
+    let factor = |k: usize| {
+        let f = declared[k] / sigma[k];
+        if f.is_finite() { f as f32 } else { 0.0 }
+    };
+    let values = match column.channel {
+        Some(k) => column.values.iter().map(|v| v * factor(k)).collect(),
+        None => column.values.iter().enumerate().map(|(i, v)| v * factor(i % channels)).collect(),
+    };
+    Column { channel: column.channel, values }
+}

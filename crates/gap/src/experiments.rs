@@ -1,0 +1,264 @@
+//! Which experiment would tell apart what this recording cannot.
+
+use std::sync::atomic::AtomicBool;
+
+use dermis_skin::{Effect, Indentation, Stimulus};
+use indicatif::ProgressBar;
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::data::{Moment, Phase, Recording};
+use crate::rows::{Row, Rows};
+use crate::select::normal;
+use crate::simulate::Simulator;
+
+/// Share of a reading that a simulator is wrong by in ways that nobody knows: differences below it separate nothing.
+const TRUST: f64 = 0.02;
+
+/// An experiment, and what it would settle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Experiment {
+    /// Stable name.
+    pub id: String,
+    /// What to do.
+    pub what: String,
+    /// Minutes on the rig.
+    pub minutes: f64,
+    /// The two effects that it tells apart least well.
+    pub separates: Vec<String>,
+    /// Probability of confusing these two after it.
+    pub p_confuse_after: f64,
+}
+
+/// One press of an experiment: place, force \[N\], tip \[m\], and seconds to load, hold, unload and rest.
+struct Press {
+    at: Vec<Point3<f64>>,
+    force: f64,
+    tip: f64,
+    load: f64,
+    hold: f64,
+    unload: f64,
+    rest: f64,
+    temperature: f64,
+}
+
+struct Menu {
+    id: &'static str,
+    what: &'static str,
+    minutes: f64,
+    presses: Vec<Press>,
+    /// \[s\] untouched from when the device is switched on, before the first press.
+    warm: f64,
+}
+
+/// Ranks experiments by how well they tell the members of a class apart in a minute. Each member is the effects that make it.
+#[must_use]
+pub fn rank(
+    simulator: &Simulator<'_>,
+    members: &[(String, Vec<Effect>)],
+    rows: &Rows,
+    stop: &AtomicBool,
+) -> Vec<Experiment> {
+    let held: Vec<&Row> =
+        rows.rows.iter().filter(|r| r.phase == Phase::Hold && r.contacts == 1).collect();
+    if held.is_empty() || members.len() < 2 {
+        return Vec::new();
+    }
+    let mut forces: Vec<f64> = held.iter().map(|r| r.force).collect();
+    forces.sort_by(f64::total_cmp);
+    let force = forces[forces.len() * 3 / 4];
+    let middle = held[held.len() / 2];
+    let mut found = Vec::new();
+    for menu in menu(simulator, middle, force) {
+        let Some((recording, rows)) = carried_out(simulator, &menu) else { continue };
+        let skins: Vec<_> = members.iter().map(|(_, effects)| simulator.with(effects)).collect();
+        let hidden = ProgressBar::hidden();
+        let Ok(read) = simulator.many(&skins, &recording, &rows, stop, &hidden) else { continue };
+        let noise = simulator.skin.channel_noise();
+        let mut worst: Option<(f64, usize, usize)> = None;
+        for a in 0..members.len() {
+            for b in 0..a {
+                let (Ok(x), Ok(y)) = (&read[a], &read[b]) else { continue };
+                let apart: f64 = x
+                    .iter()
+                    .zip(y)
+                    .enumerate()
+                    .map(|(i, (x, y))| {
+                        let (x, y) = (f64::from(*x), f64::from(*y));
+                        let sigma = noise[i % noise.len()];
+                        (x - y).powi(2) / (sigma * sigma + (TRUST * x).powi(2))
+                    })
+                    .sum();
+                // What is wrong with a model is wrong in all frames of a press alike.
+                let apart = apart / (x.len() as f64 / noise.len() as f64 / menu.presses.len().max(1) as f64).max(1.0);
+                if worst.is_none_or(|w| apart < w.0) {
+                    worst = Some((apart, a, b));
+                }
+            }
+        }
+        if let Some((apart, a, b)) = worst {
+            found.push((
+                apart / menu.minutes,
+                Experiment {
+                    id: menu.id.to_owned(),
+                    what: menu.what.to_owned(),
+                    minutes: menu.minutes,
+                    separates: vec![members[a].0.clone(), members[b].0.clone()],
+                    p_confuse_after: normal(-apart.sqrt() / 2.0),
+                },
+            ));
+        }
+    }
+    // Those that settle it first, the shortest of them first; then by what a minute gives.
+    let settles = |e: &(f64, Experiment)| e.1.p_confuse_after < 0.01;
+    found.sort_by(|a, b| {
+        settles(b).cmp(&settles(a)).then_with(|| {
+            if settles(a) { a.1.minutes.total_cmp(&b.1.minutes) } else { b.0.total_cmp(&a.0) }
+        })
+    });
+    found.into_iter().map(|(_, e)| e).take(5).collect()
+}
+
+fn menu(simulator: &Simulator<'_>, row: &Row, force: f64) -> Vec<Menu> {
+    let at = Point3::from(row.position);
+    let surface = simulator.skin.surface();
+    let near = |dx: f64, dy: f64| surface.project(&Point3::new(at.x + dx, at.y + dy, at.z)).0;
+    let press = |force: f64| Press {
+        at: vec![at],
+        force,
+        tip: row.diameter,
+        load: 0.1,
+        hold: 0.3,
+        unload: 0.1,
+        rest: 0.3,
+        temperature: f64::NAN,
+    };
+    let several = |count: usize| (0..count).map(|_| press(force)).collect::<Vec<_>>();
+    let item = |id, what, minutes, presses| Menu { id, what, minutes, presses, warm: 0.0 };
+    vec![
+        item("long-hold", "hold one press for 20 s", 1.0, vec![Press { hold: 20.0, rest: 5.0, ..press(force) }]),
+        item(
+            "speed-sweep",
+            "the same press, loaded and released within 0.02, 0.1, 0.5 and 2 s",
+            2.0,
+            [0.02, 0.1, 0.5, 2.0].map(|t| Press { load: t, unload: t, ..press(force) }).into(),
+        ),
+        item("repeat", "the same press at the same place, five times", 1.0, several(5)),
+        item(
+            "return-to-zero",
+            "one press, then 20 s untouched",
+            1.0,
+            vec![Press { hold: 2.0, rest: 20.0, ..press(force) }],
+        ),
+        item(
+            "force-ladder",
+            "one place, five forces from light to strong and back",
+            2.0,
+            [0.1, 0.3, 0.6, 1.0, 0.6, 0.3, 0.1].map(|f| press(f * force)).into(),
+        ),
+        item(
+            "second-tip",
+            "the same presses with a tip of twice the diameter",
+            5.0,
+            vec![press(force), Press { tip: 2.0 * row.diameter, ..press(force) }],
+        ),
+        item(
+            "offset",
+            "five places one millimetre from one another, along both axes",
+            2.0,
+            [[0.0, 0.0], [1e-3, 0.0], [-1e-3, 0.0], [0.0, 1e-3], [0.0, -1e-3]]
+                .map(|[x, y]| Press { at: vec![near(x, y)], ..press(force) })
+                .into(),
+        ),
+        item(
+            "two-contacts",
+            "two tips at once, 8 mm apart",
+            5.0,
+            vec![press(force), Press { at: vec![near(-4e-3, 0.0), near(4e-3, 0.0)], ..press(force) }],
+        ),
+        item(
+            "thermal-cycle",
+            "warm the skin by 5 K and cool it down again, with a press at each step",
+            30.0,
+            [293.15, 295.65, 298.15, 295.65, 293.15].map(|t| Press { temperature: t, ..press(force) }).into(),
+        ),
+        Menu {
+            id: "power-on",
+            what: "switch the skin on, leave it untouched for two minutes, then press once",
+            minutes: 3.0,
+            presses: several(1),
+            warm: 120.0,
+        },
+    ]
+}
+
+/// The experiment as a recording without readings, and all of its frames as rows.
+fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Rows)> {
+    let surface = simulator.skin.surface();
+    let mut recording = Recording::new(menu.id, simulator.skin.channels().len());
+    let nothing = vec![f32::NAN; recording.channels];
+    let mut time = 0.0;
+    let step = (1.0 / simulator.skin.rate).max(0.01);
+    let untouched = |temperature: f64| Stimulus {
+        temperature: if temperature.is_finite() { temperature } else { 293.15 },
+        ..Stimulus::default()
+    };
+    let mut add = |time: f64, phase: Phase, stimulus: Stimulus, press: u64| {
+        let moment =
+            Moment { time, run: 0, press, location: 1, phase, temperature: 293.15, stimulus: Some(stimulus) };
+        recording.push(moment, &nothing);
+    };
+    while time < menu.warm {
+        add(time, Phase::Idle, untouched(f64::NAN), 0);
+        time += 0.5;
+    }
+    for (n, press) in menu.presses.iter().enumerate() {
+        let total = press.load + press.hold + press.unload + press.rest;
+        let begin = time;
+        // Long rests and holds are looked at less often.
+        while time - begin < total {
+            let t = time - begin;
+            let (share, phase) = if t < press.load {
+                (t / press.load, Phase::Load)
+            } else if t < press.load + press.hold {
+                (1.0, Phase::Hold)
+            } else if t < press.load + press.hold + press.unload {
+                (1.0 - (t - press.load - press.hold) / press.unload, Phase::Unload)
+            } else {
+                (0.0, Phase::Approach)
+            };
+            let mut stimulus = untouched(press.temperature);
+            if share > 0.0 {
+                for at in &press.at {
+                    let (position, normal) = surface.project(at);
+                    stimulus.contacts.push(Indentation {
+                        position,
+                        force: Vector3::from(normal * (-share * press.force)),
+                        diameter: press.tip,
+                    });
+                }
+            }
+            add(time, phase, stimulus, n as u64 + 1);
+            time += if t > 2.0 + press.load { 10.0 * step } else { step };
+        }
+    }
+    let rows = recording.moments.iter().enumerate().map(|(frame, m)| Row {
+        frame,
+        group: 0,
+        press: 0,
+        location: (0, 1),
+        phase: m.phase,
+        force: m.force(),
+        since: 0.0,
+        time: m.time,
+        before: 0.0,
+        speed: 0.0,
+        temperature: m.temperature,
+        position: [f64::NAN; 3],
+        diameter: f64::NAN,
+        contacts: 0,
+        paired: false,
+    });
+    let rows = Rows { rows: rows.collect(), groups: 1, test: vec![false], presses: 1, missing: 0 };
+    Some((recording, rows))
+}

@@ -1,0 +1,262 @@
+//! Values of effects, fitted on the full simulator.
+
+use std::sync::atomic::AtomicBool;
+
+use dermis_skin::{Effect, EffectInfo};
+use indicatif::ProgressBar;
+
+use crate::GapError;
+use crate::algebra::cholesky_solve;
+use crate::data::Recording;
+use crate::rows::Rows;
+use crate::simulate::Simulator;
+
+/// Rounds of Levenberg and Marquardt.
+const ROUNDS: usize = 6;
+/// Relative gain below which a round was the last.
+const ENOUGH: f64 = 1e-3;
+
+/// A number that is fitted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Free {
+    /// Name of the effect.
+    pub effect: String,
+    /// Its parameter.
+    pub parameter: String,
+    /// Values that can be.
+    pub limits: [f64; 2],
+    /// What is a large change of it.
+    pub scale: f64,
+}
+
+/// Numbers of a family's effect that can be fitted.
+#[must_use]
+pub fn free(info: &EffectInfo) -> Vec<Free> {
+    info.parameters
+        .iter()
+        .map(|p| Free {
+            effect: info.name.to_owned(),
+            parameter: p.name.to_owned(),
+            limits: p.limits,
+            scale: (p.range[1] - p.range[0]).abs().max(1e-12),
+        })
+        .collect()
+}
+
+/// What is fitted to: readings without what is not fitted, in the unit of the skin.
+pub struct Target<'a> {
+    /// Recording.
+    pub recording: &'a Recording,
+    /// Rows.
+    pub rows: &'a Rows,
+    /// Readings of rows.
+    pub readings: &'a [f32],
+    /// Deviation of each channel's noise, infinite for channels that do not count.
+    pub sigma: &'a [f64],
+    /// Weight of each group.
+    pub weights: &'a [f64],
+    /// Set it to end early.
+    pub stop: &'a AtomicBool,
+    /// Counts simulations.
+    pub progress: &'a ProgressBar,
+}
+
+/// What a fit on the full simulator gave.
+#[derive(Debug, Clone)]
+pub struct Polished {
+    /// Effects with fitted values.
+    pub effects: Vec<Effect>,
+    /// Weighted energy of what is left.
+    pub loss: f64,
+    /// Simulated readings of all rows.
+    pub readings: Vec<f32>,
+    /// Half of the 90 % interval of each free number, over places.
+    pub halves: Vec<f64>,
+}
+
+impl Target<'_> {
+    /// Weighted residual, and its energy.
+    pub(crate) fn residual(&self, simulated: &[f32]) -> (Vec<f32>, f64) {
+        let channels = self.sigma.len();
+        let mut energy = 0.0;
+        let mut out = Vec::with_capacity(simulated.len());
+        for (i, row) in self.rows.rows.iter().enumerate() {
+            let w = self.weights[row.group].sqrt();
+            for k in 0..channels {
+                let at = i * channels + k;
+                let r = if self.sigma[k].is_finite() {
+                    w * f64::from(self.readings[at] - simulated[at]) / self.sigma[k]
+                } else {
+                    0.0
+                };
+                energy += r * r;
+                out.push(r as f32);
+            }
+        }
+        (out, energy)
+    }
+}
+
+fn value(effects: &[Effect], free: &Free, typical: f64) -> f64 {
+    let effect = effects.iter().find(|e| e.name == free.effect);
+    effect.and_then(|e| e.parameters.get(&free.parameter)).copied().unwrap_or(typical)
+}
+
+fn put(effects: &mut [Effect], free: &Free, value: f64) {
+    if let Some(effect) = effects.iter_mut().find(|e| e.name == free.effect) {
+        effect.parameters.insert(free.parameter.clone(), value);
+    }
+}
+
+/// Fits the numbers `free` of `start`, from the best of several starts.
+///
+/// # Errors
+///
+/// What the model says where no start can be simulated.
+pub fn polish(
+    simulator: &Simulator<'_>,
+    target: &Target<'_>,
+    starts: &[Vec<Effect>],
+    free: &[Free],
+) -> Result<Polished, GapError> {
+    let many = |all: &[Vec<Effect>]| {
+        let skins: Vec<_> = all.iter().map(|effects| simulator.with(effects)).collect();
+        simulator.many(&skins, target.recording, target.rows, target.stop, target.progress)
+    };
+    let mut best: Option<(Vec<Effect>, Vec<f32>, f64)> = None;
+    let mut refused = None;
+    for (effects, read) in starts.iter().zip(many(starts)?) {
+        match read {
+            Ok(read) => {
+                let (_, loss) = target.residual(&read);
+                if best.as_ref().is_none_or(|b| loss < b.2) {
+                    best = Some((effects.clone(), read, loss));
+                }
+            }
+            Err(error) => refused = Some(error),
+        }
+    }
+    let Some((mut effects, mut read, mut loss)) = best else {
+        return Err(refused.unwrap_or(GapError::Interrupted));
+    };
+    let typical: Vec<f64> = free
+        .iter()
+        .map(|f| {
+            let info = simulator.effects.iter().find(|i| i.name == f.effect);
+            let parameter = info.and_then(|i| i.parameters.iter().find(|p| p.name == f.parameter));
+            parameter.map_or(0.0, |p| p.typical)
+        })
+        .collect();
+    let n = free.len();
+    let mut halves = vec![f64::NAN; n];
+    let mut damping = 1e-3;
+    for round in 0..ROUNDS {
+        if n == 0 {
+            break;
+        }
+        let now: Vec<f64> = free.iter().zip(&typical).map(|(f, t)| value(&effects, f, *t)).collect();
+        let steps: Vec<f64> = free
+            .iter()
+            .zip(&now)
+            .map(|(f, v)| {
+                let step = 0.02 * f.scale;
+                if v + step > f.limits[1] { -step } else { step }
+            })
+            .collect();
+        let varied: Vec<Vec<Effect>> = (0..n)
+            .map(|p| {
+                let mut other = effects.clone();
+                put(&mut other, &free[p], now[p] + steps[p]);
+                other
+            })
+            .collect();
+        let (residual, _) = target.residual(&read);
+        let slopes: Vec<Option<Vec<f32>>> = many(&varied)?
+            .into_iter()
+            .zip(&steps)
+            .zip(free)
+            .map(|((other, step), f)| {
+                let other = other.ok()?;
+                let (moved, _) = target.residual(&other);
+                // Change of the model for a large change of the number.
+                let scale = (f.scale / step) as f32;
+                Some(residual.iter().zip(&moved).map(|(a, b)| (a - b) * scale).collect())
+            })
+            .collect();
+        let nothing = vec![0.0f32; residual.len()];
+        let slopes: Vec<&[f32]> = slopes.iter().map(|s| s.as_deref().unwrap_or(&nothing)).collect();
+        let mut a = vec![0.0; n * n];
+        let mut b = vec![0.0; n];
+        for i in 0..n {
+            for j in 0..=i {
+                let d = crate::algebra::dot(slopes[i], slopes[j]);
+                (a[i * n + j], a[j * n + i]) = (d, d);
+            }
+            b[i] = crate::algebra::dot(slopes[i], &residual);
+        }
+        halves = intervals(&a, &slopes, &residual, target, free);
+        let mut gained = 0.0;
+        for _ in 0..4 {
+            let mut damped = a.clone();
+            let trace = (0..n).map(|i| a[i * n + i]).fold(0.0, f64::max);
+            (0..n).for_each(|i| damped[i * n + i] = damped[i * n + i] * (1.0 + damping) + 1e-9 * trace + 1e-12);
+            let mut x = b.clone();
+            if cholesky_solve(&mut damped, n, &mut x).is_none() {
+                damping *= 10.0;
+                continue;
+            }
+            let mut other = effects.clone();
+            for p in 0..n {
+                let to = (now[p] + x[p].clamp(-2.0, 2.0) * free[p].scale)
+                    .clamp(free[p].limits[0], free[p].limits[1]);
+                put(&mut other, &free[p], to);
+            }
+            let tried = many(std::slice::from_ref(&other))?.pop();
+            if let Some(Ok(candidate)) = tried {
+                let (_, less) = target.residual(&candidate);
+                if less < loss {
+                    gained = (loss - less) / loss.max(1e-300);
+                    (effects, read, loss) = (other, candidate, less);
+                    damping = (damping * 0.2).max(1e-6);
+                    break;
+                }
+            }
+            damping *= 10.0;
+        }
+        if gained < ENOUGH || round + 1 == ROUNDS {
+            break;
+        }
+    }
+    Ok(Polished { effects, loss, readings: read, halves })
+}
+
+/// Half of each number's 90 % interval: contacts of one place are not independent, so that scores of groups are counted.
+fn intervals(a: &[f64], slopes: &[&[f32]], residual: &[f32], target: &Target<'_>, free: &[Free]) -> Vec<f64> {
+    let n = slopes.len();
+    let channels = target.sigma.len();
+    let mut scores = vec![vec![0.0f64; n]; target.rows.groups];
+    for (i, row) in target.rows.rows.iter().enumerate() {
+        let span = i * channels..(i + 1) * channels;
+        for (p, slope) in slopes.iter().enumerate() {
+            scores[row.group][p] += crate::algebra::dot(&slope[span.clone()], &residual[span.clone()]);
+        }
+    }
+    let mean: Vec<f64> = (0..n).map(|p| scores.iter().map(|s| s[p]).sum::<f64>() / scores.len() as f64).collect();
+    (0..n)
+        .map(|p| {
+            let mut damped = a.to_vec();
+            let trace = (0..n).map(|i| a[i * n + i]).fold(0.0, f64::max);
+            (0..n).for_each(|i| damped[i * n + i] += 1e-6 * trace + 1e-12);
+            let mut row = vec![0.0; n];
+            row[p] = 1.0;
+            if cholesky_solve(&mut damped, n, &mut row).is_none() {
+                return f64::NAN;
+            }
+            let variance: f64 = scores
+                .iter()
+                .map(|s| row.iter().zip(s).zip(&mean).map(|((r, s), m)| r * (s - m)).sum::<f64>().powi(2))
+                .sum();
+            1.645 * variance.sqrt() * free[p].scale
+        })
+        .collect()
+}

@@ -1,0 +1,248 @@
+//! What a diagnosis says: `gap-report/1`.
+
+use dermis_skin::Effect;
+use serde::{Deserialize, Serialize};
+
+use crate::axes::{Axis, Bin, Map};
+use crate::checks::Missing;
+use crate::data::Problem;
+use crate::experiments::Experiment;
+use crate::noise::Gap;
+use crate::parity::Parity;
+use crate::select::Tier;
+
+/// Name of the format.
+pub const SCHEMA: &str = "gap-report/1";
+/// JSON schema of the format.
+pub const SCHEMA_JSON: &str = include_str!("../gap-report-1.schema.json");
+
+/// What a diagnosis comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Something is wrong with the recording that would make any answer wrong.
+    UnusableRecording,
+    /// The gap is too small to matter, with 97.5 % confidence.
+    NoGapBeyondNoise,
+    /// What the simulator's declared tolerances allow explains it, and no effect beyond.
+    SimulatorForm,
+    /// Effects of the library explain it.
+    Named,
+    /// They explain some of it.
+    NamedAndUnknown,
+    /// It is systematic, and no effect of the library explains it.
+    UnknownSystematic,
+    /// Nothing that was recorded explains it.
+    Unmeasured,
+}
+
+/// What was diagnosed.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct DataSummary {
+    /// Recording.
+    pub name: String,
+    /// Hash of stimulus and readings.
+    pub hash: String,
+    /// Name of the skin, and hash of its description.
+    pub skin: String,
+    /// See above.
+    pub skin_hash: String,
+    /// Unit of readings.
+    pub unit: String,
+    /// Channels of a frame.
+    pub channels: usize,
+    /// Frames of the recording.
+    pub frames: usize,
+    /// Presses of the recording.
+    pub presses: usize,
+    /// Frames that were looked at.
+    pub rows: usize,
+    /// Places that were fitted and selected on, and places kept for the end.
+    pub places: [usize; 2],
+    /// Pairs of presses that were done alike.
+    pub repeats: usize,
+    /// Sessions.
+    pub sessions: Vec<String>,
+    /// What is not there, and what that blocks.
+    pub missing: Vec<Missing>,
+    /// What was noticed.
+    pub problems: Vec<Problem>,
+}
+
+/// A fitted value.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Value {
+    /// Parameter.
+    pub name: String,
+    /// Value.
+    pub value: f64,
+    /// Unit.
+    pub unit: String,
+    /// 90 % interval; absent where none could be had.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub interval: Option<[f64; 2]>,
+}
+
+/// One that cannot be told from a named effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Alike {
+    /// Name of the effect.
+    pub name: String,
+    /// Reduction of the held-out error by it instead, in shares of the readings' variance.
+    pub gain: f64,
+    /// Probability that other contacts would have put it first.
+    pub p_confuse: f64,
+    /// \[degrees\] between what both change.
+    pub angle: f64,
+    /// Whether it belongs to the rig rather than to the skin.
+    pub rig: bool,
+}
+
+/// How far a gap closes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Closure {
+    /// By contacts that were fitted.
+    pub predicted: f64,
+    /// On contacts that were neither fitted nor selected on, with the full simulator; `None` where the effects cannot be
+    /// switched on in it.
+    pub achieved: Option<f64>,
+    /// 90 % interval of what is achieved, from running selection and fit again on other draws of places.
+    pub interval: [f64; 2],
+}
+
+/// An effect that is named.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NamedEffect {
+    /// Name.
+    pub label: String,
+    /// One sentence.
+    pub what: String,
+    /// All that cannot be told apart, the label first. The class is the answer.
+    pub class: Vec<Alike>,
+    /// More general effects that contain it.
+    pub covers: Vec<String>,
+    /// How it stands against the simulator's own error; `loose` means: this effect, or that error.
+    pub tier: Tier,
+    /// Fitted values.
+    pub theta: Vec<Value>,
+    /// Reduction of the held-out error when it comes last, in shares of the readings' variance.
+    pub gain: f64,
+    /// The same when it comes alone.
+    pub solo: f64,
+    /// Its share of what all named effects explain together.
+    pub shapley: f64,
+    /// Family-wise probability of such a statistic by chance.
+    pub p_max_t: f64,
+    /// Probability of confusing it with the nearest other of its class.
+    pub p_confuse: f64,
+    /// What rises and falls with it in this recording, so that it may be the cause as well.
+    pub covariate_alias: Vec<String>,
+    /// Whether the corrected skin has it.
+    pub written: bool,
+}
+
+/// What the library does not explain.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Unknown {
+    /// Share of the systematic gap that the library leaves.
+    pub share: f64,
+    /// Share of the systematic gap that named effects explain.
+    pub library: f64,
+    /// Share that the simulator's own error within its tolerances explains beside them.
+    pub form: f64,
+    /// Share of what is left that a smoother over all recorded circumstances foresees.
+    pub explainable: f64,
+    /// Axes along which what is left goes, the strongest first.
+    pub fingerprint: Vec<Axis>,
+}
+
+/// How a downstream estimator does before and after.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Downstream {
+    /// What is measured, with its unit.
+    pub metric: String,
+    /// Trained on the nominal simulation.
+    pub before: f64,
+    /// Trained on the corrected one.
+    pub after: f64,
+}
+
+/// Where a report comes from.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Program and version.
+    pub tool: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Hash of the names of all effects that were tried.
+    pub library_hash: String,
+    /// Effects that were tried.
+    pub tried: Vec<String>,
+    /// Effects that cannot be seen in this recording, and why.
+    pub silent: Vec<[String; 2]>,
+    /// What the simulator's own error was made of.
+    pub form: Vec<String>,
+    /// Seconds for signatures (0 where they were kept), and for the rest.
+    pub seconds: [f64; 2],
+}
+
+/// A diagnosis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// `gap-report/1`.
+    pub schema: String,
+    /// One sentence that a person can act on.
+    pub sentence: String,
+    /// What it comes to.
+    pub verdict: Verdict,
+    /// What was diagnosed.
+    pub data: DataSummary,
+    /// How large the gap is; `None` where that could not be measured.
+    pub gap: Option<Gap>,
+    /// Where it is, the most telling axis first.
+    #[serde(rename = "where")]
+    pub axes: Vec<Axis>,
+    /// By channel.
+    pub channels: Vec<Bin>,
+    /// Over the surface: before, and after the named effects.
+    pub maps: Vec<Map>,
+    /// Checks without a model.
+    pub parity: Vec<Parity>,
+    /// Named effects, the strongest first.
+    pub effects: Vec<NamedEffect>,
+    /// How far all of them close it.
+    pub closure: Option<Closure>,
+    /// Unexplained variance on the contacts kept for the end: before, after, floor.
+    pub held_out: Option<[f64; 3]>,
+    /// What is left.
+    pub unknown: Unknown,
+    /// What to do next, the best first.
+    pub next_experiments: Vec<Experiment>,
+    /// An estimator trained before and after, where that was done.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub downstream: Vec<Downstream>,
+    /// Effects to switch on in the skin's description.
+    pub corrected: Vec<Effect>,
+    /// Where this comes from.
+    pub provenance: Provenance,
+    /// What else to know.
+    pub warnings: Vec<String>,
+}
+
+impl Report {
+    /// Names of the class of the strongest effect, the label first; empty where none is named.
+    #[must_use]
+    pub fn class(&self) -> Vec<&str> {
+        self.effects.first().map_or_else(Vec::new, |e| e.class.iter().map(|a| a.name.as_str()).collect())
+    }
+
+    /// As JSON text.
+    ///
+    /// # Errors
+    ///
+    /// [`GapError::Format`](crate::GapError::Format) where a number cannot be written.
+    pub fn to_json(&self) -> Result<String, crate::GapError> {
+        serde_json::to_string_pretty(self)
+            .map_err(|e| crate::GapError::Format { what: "the report", reason: e.to_string() })
+    }
+}
