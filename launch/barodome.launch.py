@@ -22,6 +22,7 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 
 ARGUMENTS = [
+    ('sensor', 'barodome', 'sensor family of the skin: the command of `dermis` that reads it, e.g. hapdef'),
     ('config', '', 'configuration file of the node, in place of skin and source'),
     ('skin', '', 'skin description file'),
     ('source', '', 'where the bytes come from, e.g. serial:///dev/ttyACM0?baud=921600'),
@@ -47,7 +48,7 @@ def joined(pushed, namespace):
 def start(context):
     """Make the process, now that the arguments are known."""
     given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
-    command = [given['program'], 'barodome', '--backend', given['backend']]
+    command = [given['program'], given['sensor'], '--backend', given['backend']]
     if given['config']:
         command += ['--config', given['config']]
     elif given['skin'] and given['source']:
@@ -66,7 +67,7 @@ def start(context):
     return [
         ExecuteProcess(
             cmd=command,
-            name=given['name'] or 'barodome',
+            name=given['name'] or given['sensor'],
             output='screen',
             additional_env={'DERMIS_LOG': given['log']},
             respawn=given['respawn'].lower() in ('true', '1', 'yes'),

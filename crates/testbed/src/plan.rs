@@ -90,6 +90,9 @@ pub struct Plan {
     pub diameter: Vec<f64>,
     /// \[m\] that contacts keep from the rim of the surface.
     pub margin: f64,
+    /// \[m\] two corners of a box in the link frame that places are drawn from; all of the surface where absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub region: Option<[[f64; 3]; 2]>,
     /// How forces and depths are drawn from their ranges.
     pub force_distribution: ForceDistribution,
     /// \[N\] standard deviation of the ground truth's force along each axis: what a force sensor of this class adds.
@@ -116,6 +119,7 @@ struct PlanFile {
     diameter: OneOrMore,
     #[serde(default)]
     margin: f64,
+    region: Option<[[f64; 3]; 2]>,
     #[serde(default)]
     force_distribution: ForceDistribution,
     #[serde(default = "force_noise")]
@@ -161,6 +165,7 @@ impl Plan {
             seed: 0,
             diameter: vec![diameter],
             margin: diameter,
+            region: None,
             force_distribution: ForceDistribution::Uniform,
             force_noise: force_noise(),
             stage_noise: stage_noise(),
@@ -221,6 +226,7 @@ impl Plan {
             seed: read.seed,
             diameter: read.diameter.all(),
             margin: read.margin,
+            region: read.region,
             force_distribution: read.force_distribution,
             force_noise: read.force_noise,
             stage_noise: read.stage_noise,
@@ -251,6 +257,14 @@ impl Plan {
                 let unit = if field == "force_noise" { "N" } else { "m" };
                 return wrong(field.into(), format!("is {value} {unit} and must be 0 or positive"));
             }
+        }
+        if let Some([low, high]) = self.region
+            && !low.iter().zip(&high).all(|(low, high)| low < high && (high - low).is_finite())
+        {
+            return wrong(
+                "region".into(),
+                "must be two corners of a box: the lower one, then the higher".into(),
+            );
         }
         let tips =
             |field: &str, diameters: &[f64]| match diameters.iter().find(|d| !(d.is_finite() && **d > 0.0)) {
@@ -418,7 +432,7 @@ mod tests {
         insta::assert_snapshot!(refused("plan/1", "plan/7"), @r#"plan plan.toml: field `schema`: is "dermis-plan/7" where this program reads "dermis-plan/1""#);
         insta::assert_snapshot!(refused("diameter = 0.004", "diameter = -0.004"), @"plan plan.toml: field `diameter`: is -0.004 m and must be a positive length");
         insta::assert_snapshot!(refused("margin = 0.002", "margin = nan"), @"plan plan.toml: field `margin`: is NaN m and must be 0 or positive");
-        insta::assert_snapshot!(refused("margin = 0.002", "marjin = 0.002"), @"plan plan.toml: field `marjin`: unknown field `marjin`, expected one of `schema`, `name`, `description`, `seed`, `diameter`, `margin`, `force_distribution`, `force_noise`, `stage_noise`, `timing`, `steps`");
+        insta::assert_snapshot!(refused("margin = 0.002", "marjin = 0.002"), @"plan plan.toml: field `marjin`: unknown field `marjin`, expected one of `schema`, `name`, `description`, `seed`, `diameter`, `margin`, `region`, `force_distribution`, `force_noise`, `stage_noise`, `timing`, `steps`");
         insta::assert_snapshot!(refused("hold = [0.04, 0.06]", "hold = [0.06, 0.04]"), @"plan plan.toml: field `timing.hold`: [0.06, 0.04] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
         insta::assert_snapshot!(refused("duration = 0.2", "duration = 0.0"), @"plan plan.toml: field `steps[0].duration`: is 0 s and must be positive, a day at most");
         insta::assert_snapshot!(refused("force = [0.1, 0.5]", "force = [0.0, 0.5]"), @"plan plan.toml: field `steps[1].force`: [0, 0.5] is not a range: 0 < low ≤ high N");

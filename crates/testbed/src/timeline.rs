@@ -183,14 +183,16 @@ impl Timeline {
     /// contacts cannot keep their distance, or the model knows no force for a depth.
     pub fn new(plan: &Plan, model: &Arc<dyn ForwardModel>, seed: u64) -> Result<Self, TestbedError> {
         let surface = model.surface();
-        let sites = Sites::new(surface, plan.margin);
+        let sites = Sites::new(surface, plan.margin, plan.region);
         let mut more = ChaCha8Rng::seed_from_u64(seed);
         more.set_stream(1);
         let mut draw = Draw { rng: ChaCha8Rng::seed_from_u64(seed), more, plan, sites: &sites };
         let mut timeline = Self { presses: Vec::new(), duration: 0.0, count: 0, model: Arc::clone(model) };
         let mut location = 0;
         let too_narrow = || {
-            plan.wrong("margin", format!("no place on the surface is {} m away from its rim", plan.margin))
+            let within = if plan.region.is_some() { " within `region`" } else { "" };
+            let reason = format!("no place on the surface{within} is {} m away from its rim", plan.margin);
+            plan.wrong("margin", reason)
         };
         for (i, step) in plan.steps.iter().enumerate() {
             let place = |draw: &mut Draw<'_>| draw.place().ok_or_else(too_narrow);
@@ -235,9 +237,10 @@ impl Timeline {
                             return Err(plan.wrong(format!("steps[{i}].at[{j}]"), reason));
                         }
                         let (at, _) = surface.project(&at);
-                        if !sites.keeps_margin(&at) {
+                        if !sites.may_be_touched(&at) {
+                            let or = if plan.region.is_some() { ", or outside of `region`" } else { "" };
                             let reason = format!(
-                                "({x}, {y}, {z}) m is nearer to the rim than the margin of {} m",
+                                "({x}, {y}, {z}) m is nearer to the rim than the margin of {} m{or}",
                                 plan.margin
                             );
                             return Err(plan.wrong(format!("steps[{i}].at[{j}]"), reason));
@@ -266,7 +269,11 @@ impl Timeline {
                         let wanted = draw.rng.random_range(contacts[0]..=contacts[1]) as usize;
                         let at = draw.apart(wanted, *distance).ok_or_else(|| {
                             let [least, most] = *distance;
-                            let far = if most.is_finite() { format!("{least} to {most}") } else { least.to_string() };
+                            let far = if most.is_finite() {
+                                format!("{least} to {most}")
+                            } else {
+                                least.to_string()
+                            };
                             let reason = format!("{wanted} contacts {far} m apart do not fit on the surface");
                             plan.wrong(format!("steps[{i}].distance"), reason)
                         })?;
@@ -571,7 +578,7 @@ impl Draw<'_> {
     fn place(&mut self) -> Option<Point3<f64>> {
         (0..TRIES).find_map(|_| {
             let p = self.sites.random(&mut self.rng);
-            self.sites.keeps_margin(&p).then_some(p)
+            self.sites.may_be_touched(&p).then_some(p)
         })
     }
 
@@ -586,7 +593,7 @@ impl Draw<'_> {
             };
             let (to, _) = self.sites.surface.project(&(from + along * long));
             // A way that the rim or the curvature cut short is another way than the one that was asked for.
-            if (to - from).norm() > 0.7 * long && self.sites.keeps_margin(&to) {
+            if (to - from).norm() > 0.7 * long && self.sites.may_be_touched(&to) {
                 return Some((from, to));
             }
         }

@@ -423,8 +423,7 @@ impl From<Step> for StepFile {
             Action::Multi { count, contacts, distance, level } => {
                 let (force, depth) = ranges(level);
                 let [least, most] = distance;
-                let distance =
-                    if most.is_finite() { OneOrTwo::Two(distance) } else { OneOrTwo::One(least) };
+                let distance = if most.is_finite() { OneOrTwo::Two(distance) } else { OneOrTwo::One(least) };
                 let (count, contacts, distance) = (Some(count), Some(contacts), Some(distance));
                 Self { count, contacts, distance, force, depth, ..Self::of(Kind::Multi) }
             }

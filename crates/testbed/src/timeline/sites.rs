@@ -16,10 +16,11 @@ pub(super) struct Sites<'a> {
     /// Edges of one triangle only.
     rim: Vec<[Point3<f64>; 2]>,
     margin: f64,
+    region: Option<[[f64; 3]; 2]>,
 }
 
 impl<'a> Sites<'a> {
-    pub(super) fn new(surface: &'a Surface, margin: f64) -> Self {
+    pub(super) fn new(surface: &'a Surface, margin: f64, region: Option<[[f64; 3]; 2]>) -> Self {
         let mut sum = 0.0;
         let mut uses: BTreeMap<[u32; 2], u32> = BTreeMap::new();
         let mut cumulative = Vec::with_capacity(surface.triangles.len());
@@ -33,7 +34,7 @@ impl<'a> Sites<'a> {
         }
         let rim = uses.into_iter().filter(|(_, n)| *n == 1);
         let rim = rim.map(|(edge, _)| edge.map(|i| surface.points[i as usize])).collect();
-        Self { surface, cumulative, rim, margin }
+        Self { surface, cumulative, rim, margin, region }
     }
 
     pub(super) fn random(&self, rng: &mut impl Rng) -> Point3<f64> {
@@ -48,7 +49,17 @@ impl<'a> Sites<'a> {
         self.surface.project(&(a + (b - a) * u + (c - a) * v)).0
     }
 
-    pub(super) fn keeps_margin(&self, p: &Point3<f64>) -> bool {
+    /// Whether a place lies in the region and keeps the margin.
+    pub(super) fn may_be_touched(&self, p: &Point3<f64>) -> bool {
+        self.lies_within(p) && self.keeps_margin(p)
+    }
+
+    fn lies_within(&self, p: &Point3<f64>) -> bool {
+        let inside = |[low, high]: [[f64; 3]; 2]| (0..3).all(|k| (low[k]..=high[k]).contains(&p[k]));
+        self.region.is_none_or(inside)
+    }
+
+    fn keeps_margin(&self, p: &Point3<f64>) -> bool {
         // Rounding must not drop a place that is exactly the margin away.
         let least = self.margin * (1.0 - 1e-9);
         least <= 0.0
@@ -91,6 +102,7 @@ impl<'a> Sites<'a> {
                     places.push(self.surface.project(&(middle + offset)).0);
                 }
             }
+            places.retain(|p| self.lies_within(p));
             return Ok(places);
         }
         let [pitch, other] = pitch;
@@ -115,7 +127,7 @@ impl<'a> Sites<'a> {
         // Rounding must not drop a neighbour that is exactly one pitch away.
         let least = pitch * (1.0 - 1e-9);
         for p in points {
-            if self.keeps_margin(p) && chosen.iter().all(|q| (p - q).amax() >= least) {
+            if self.may_be_touched(p) && chosen.iter().all(|q| (p - q).amax() >= least) {
                 chosen.push(*p);
             }
         }
