@@ -1,14 +1,20 @@
 //! Where a gauge could be glued.
 
+use std::collections::BTreeSet;
+
 use dermis_mechanics::shell::Shell;
-use dermis_skin::{ModelError, SkinDescription, SurfaceSpec, Taxel};
-use nalgebra::Vector3;
+use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec, Taxel};
+use nalgebra::{Point3, Vector3};
 
 use crate::model::{COVERED, rectangle, shell};
 use crate::parameters::{Parameters, StrainGauge};
 
-/// Every place for a gauge under a point of the surface where all of it lies on the shell: along the limb, and where it fits
-/// across, too. `a` and `c` in the names of gauges stand for along and across.
+/// \[m\] of material that a gauge needs around it: hands are not more exact.
+const CLEARANCE: f64 = 1.5e-3;
+
+/// Places for a gauge under the points of the surface, and under the middles of the edges between them, wherever it lies on the
+/// shell with [`CLEARANCE`] around: along the limb, and where it fits across, too. `a` and `c` in the names of gauges stand for
+/// along and across.
 ///
 /// # Errors
 ///
@@ -19,21 +25,37 @@ pub fn candidates(skin: &SkinDescription) -> Result<Vec<Taxel>, ModelError> {
     let surface = &parameters.surface;
     let Some(size) = parameters.gauges.first().map(|g| g.size) else { return Ok(Vec::new()) };
     let mut found = Vec::new();
-    for (i, (point, normal)) in surface.points.iter().zip(&surface.normals).enumerate() {
+    let size = size.map(|side| side + 2.0 * CLEARANCE);
+    for (i, point) in places(surface).into_iter().enumerate() {
+        let (point, normal) = surface.project(&point);
         let position = point - normal * parameters.thickness;
-        for (name, axis) in directions(skin, normal) {
-            let gauge = StrainGauge { position, normal: *normal, axis, size, gain: 1.0, transverse: 0.0 };
+        for (name, axis) in directions(skin, &normal) {
+            let gauge = StrainGauge { position, normal, axis, size, gain: 1.0, transverse: 0.0 };
             if lies_on(&shell, &gauge, parameters.thickness) {
                 found.push(Taxel {
                     name: format!("n{i}{name}"),
                     position: position.into(),
-                    normal: (*normal).into(),
+                    normal: normal.into(),
                     axis: Some(axis.into()),
                 });
             }
         }
     }
     Ok(found)
+}
+
+/// Points, then middles of edges.
+fn places(surface: &Surface) -> Vec<Point3<f64>> {
+    let mut edges = BTreeSet::new();
+    for t in &surface.triangles {
+        for [i, j] in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {
+            edges.insert([i.min(j), i.max(j)]);
+        }
+    }
+    let middles = edges
+        .into_iter()
+        .map(|[i, j]| nalgebra::center(&surface.points[i as usize], &surface.points[j as usize]));
+    surface.points.iter().copied().chain(middles).collect()
 }
 
 fn lies_on(shell: &Shell, gauge: &StrainGauge, thickness: f64) -> bool {
@@ -64,6 +86,7 @@ mod tests {
         let skin = SkinDescription::from_toml(&text, "hapdef-shin.toml").unwrap();
         let found = candidates(&skin).unwrap();
         let points = skin.surface().points.len();
+        println!("{} of {points}", found.len());
         assert!((points / 4..2 * points).contains(&found.len()), "{} of {points} points", found.len());
         // Beams run both ways.
         let along = found.iter().filter(|t| t.name.ends_with('a')).count();
