@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use dermis_skin::{SkinDescription, Surface};
 use nalgebra::Point3;
-use rand::seq::SliceRandom;
 use rand::SeedableRng;
+use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
@@ -98,7 +98,12 @@ struct Binned {
 }
 
 /// Bins with as many rows each.
-fn quantiles(name: &'static str, rows: &[Row], value: impl Fn(&Row) -> f64, unit: (&str, f64)) -> Option<Binned> {
+fn quantiles(
+    name: &'static str,
+    rows: &[Row],
+    value: impl Fn(&Row) -> f64,
+    unit: (&str, f64),
+) -> Option<Binned> {
     let mut sorted: Vec<f64> = rows.iter().map(&value).filter(|v| v.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
     let (low, high) = (*sorted.first()?, *sorted.last()?);
@@ -160,8 +165,7 @@ fn listed<K: Ord + Clone>(
 
 /// Cells of the surface, about as many as `most`.
 fn cells(rows: &[Row], most: usize) -> Option<Binned> {
-    let places: Vec<[f64; 3]> =
-        rows.iter().filter(|r| r.contacts == 1).map(|r| r.position).collect();
+    let places: Vec<[f64; 3]> = rows.iter().filter(|r| r.contacts == 1).map(|r| r.position).collect();
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for p in &places {
         for a in 0..3 {
@@ -216,9 +220,12 @@ fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
             |r| touched(r).then(|| (r.diameter * 1e6).round() as i64),
             |d| format!("{} mm", short(*d as f64 * 1e-3)),
         ),
-        listed("session", rows, |r| Some(r.location.0), |run| {
-            recorded.get(*run as usize).cloned().unwrap_or_else(|| format!("run {run}"))
-        }),
+        listed(
+            "session",
+            rows,
+            |r| Some(r.location.0),
+            |run| recorded.get(*run as usize).cloned().unwrap_or_else(|| format!("run {run}")),
+        ),
     ];
     let mut found: Vec<Binned> = found.into_iter().flatten().collect();
     found.push(Binned { name: "channel", of: vec![Some(0); rows.len()], labels: vec!["all".to_owned()] });
@@ -328,12 +335,7 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
             .collect();
         drawn.sort_by(f64::total_cmp);
         let bins = if channel { Vec::new() } else { bins(view, &axis) };
-        found.push(Axis {
-            axis: axis.name.to_owned(),
-            share: value,
-            interval: [drawn[5], drawn[194]],
-            bins,
-        });
+        found.push(Axis { axis: axis.name.to_owned(), share: value, interval: [drawn[5], drawn[194]], bins });
     }
     found.sort_by(|a, b| b.share.total_cmp(&a.share));
     found

@@ -39,9 +39,13 @@ pub fn missing(recording: &Recording, rows: &Rows, repeats: usize) -> Vec<Missin
         );
     }
     if recording.sessions.len() < 2 {
-        lacks("a second session", "whether the gap is the same after the skin was mounted or switched on again");
+        lacks(
+            "a second session",
+            "whether the gap is the same after the skin was mounted or switched on again",
+        );
     }
-    let kelvin: Vec<f64> = recording.moments.iter().map(|m| m.temperature).filter(|t| t.is_finite()).collect();
+    let kelvin: Vec<f64> =
+        recording.moments.iter().map(|m| m.temperature).filter(|t| t.is_finite()).collect();
     let (low, high) =
         kelvin.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(*t), h.max(*t)));
     if kelvin.len() * 2 < recording.moments.len() {
@@ -248,7 +252,8 @@ pub fn agreement(
     if agrees < -0.5 {
         found.problems.push(Problem::fatal(
             "sign",
-            "readings fall where the model says that they rise: the sign of the readings is turned".to_owned(),
+            "readings fall where the model says that they rise: the sign of the readings is turned"
+                .to_owned(),
         ));
         return Ok(found);
     }

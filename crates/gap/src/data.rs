@@ -171,9 +171,8 @@ impl Recording {
         hex(&hasher.finalize())
     }
 
-    /// Leaves frames of the same run in the order of time, and says where the clock ran backwards: at such a place nobody knows
-    /// which readings belong to which stimulus.
-    pub(crate) fn check_clock(&mut self) {
+    /// Says where the clock runs backwards: at such a place nobody knows which readings belong to which stimulus.
+    pub(crate) fn clock(&self) -> Option<Problem> {
         let (mut back, mut stood, mut first) = (0usize, 0usize, None);
         for (i, pair) in self.moments.windows(2).enumerate() {
             if pair[0].run != pair[1].run {
@@ -188,7 +187,7 @@ impl Recording {
             }
         }
         if let Some((frame, by)) = first {
-            self.problems.push(Problem::fatal(
+            return Some(Problem::fatal(
                 "clock",
                 format!(
                     "{}: the clock runs backwards {back} times, first at frame {frame} by {by:.3} s: which reading belongs to \
@@ -196,12 +195,13 @@ impl Recording {
                     self.name
                 ),
             ));
-        } else if stood * 100 > self.moments.len() {
-            self.problems.push(Problem::note(
+        }
+        (stood * 100 > self.moments.len()).then(|| {
+            Problem::note(
                 "clock",
                 format!("{}: {stood} frames have the stamp of the frame before them", self.name),
-            ));
-        }
+            )
+        })
     }
 }
 

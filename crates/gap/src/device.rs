@@ -182,9 +182,7 @@ pub fn device<E: From<ModelError>>(
                     reason,
                 })
             };
-            around
-                .set(info, effect, name, *value, &mut inner)
-                .map_err(wrong)?;
+            around.set(info, effect, name, *value, &mut inner).map_err(wrong)?;
         }
     }
     let model = make(&inner)?;
@@ -239,7 +237,9 @@ impl Around {
         let mut zero = self.clone();
         zero.order.sort_unstable();
         self.gain.iter().all(|g| *g == 1.0)
-            && [&self.offset, &self.thermal_zero, &self.thermal_span].iter().all(|v| v.iter().all(|x| *x == 0.0))
+            && [&self.offset, &self.thermal_zero, &self.thermal_span]
+                .iter()
+                .all(|v| v.iter().all(|x| *x == 0.0))
             && self.order == zero.order
             && (self.delay, self.low_pass, self.turn, self.force_zero) == (0.0, 0.0, 0.0, 0.0)
             && self.shift == Vector3::zeros()
@@ -334,7 +334,8 @@ impl Around {
                 let (on, after) = surface.project(&(turned + self.shift));
                 contact.position = on;
                 if (before - after).norm() > 1e-9 {
-                    let bend = Rotation3::rotation_between(&before, &after).unwrap_or_else(Rotation3::identity);
+                    let bend =
+                        Rotation3::rotation_between(&before, &after).unwrap_or_else(Rotation3::identity);
                     contact.force = bend * contact.force;
                 }
             }

@@ -92,6 +92,7 @@ pub fn diagnose(
     let usable: Vec<bool> = sigma.iter().map(|s| s.is_finite()).collect();
     let rows = Rows::draw(recording, &usable, &options.rows);
     let mut report = empty(simulator, recording, &rows, options);
+    report.data.problems.extend(recording.clock());
     report.data.problems.extend(checks::readings(recording, skin, &rows));
     if report.data.problems.iter().any(|p| p.fatal) {
         return Ok(unusable(report, simulator));
@@ -106,8 +107,7 @@ pub fn diagnose(
     let channels = recording.channels;
     let mut readings: Vec<f32> =
         rows.rows.iter().flat_map(|r| recording.frame(r.frame).iter().copied()).collect();
-    let agreement =
-        checks::agreement(simulator, recording, &rows, &readings, &signatures.nominal, &sigma)?;
+    let agreement = checks::agreement(simulator, recording, &rows, &readings, &signatures.nominal, &sigma)?;
     report.data.problems.extend(agreement.problems);
     if report.data.problems.iter().any(|p| p.fatal) {
         return Ok(unusable(report, simulator));
@@ -135,7 +135,10 @@ pub fn diagnose(
         }
         report.data.problems.push(Problem::note(
             "channel-order",
-            format!("channels are in another order: {}; all that follows has them in the right one", told.join(", ")),
+            format!(
+                "channels are in another order: {}; all that follows has them in the right one",
+                told.join(", ")
+            ),
         ));
         fixed.push(effect);
     }
@@ -378,7 +381,10 @@ fn verdict(unknown: &Unknown, effects: &[NamedEffect], selection: &Selection, ga
             Verdict::Unmeasured
         };
     }
-    if selection.form >= 0.5 * gap.systematic {
+    if gap.systematic < 0.2 * gap.fvu_before {
+        // The gap is there, and another press of the same kind has another one.
+        Verdict::Unmeasured
+    } else if selection.form >= 0.5 * gap.systematic {
         Verdict::SimulatorForm
     } else if unknown.explainable >= 0.3 {
         Verdict::UnknownSystematic
@@ -397,13 +403,13 @@ fn order_effect(effect: &Effect, gain: f64) -> NamedEffect {
     NamedEffect {
         label: effect.name.clone(),
         what: "Channels are read in another order than the skin's description says.".to_owned(),
-        class: vec![Alike { name: effect.name.clone(), gain, p_confuse: 0.0, angle: 0.0, rig: false }],
+        class: vec![Alike { name: effect.name.clone(), gain, p_confuse: 0.0, angle: Some(0.0), rig: false }],
         covers: Vec::new(),
         tier: Tier::Strict,
         theta: theta.collect(),
         gain,
         solo: gain,
-        shapley: f64::NAN,
+        shapley: 0.0,
         p_max_t: 0.0,
         p_confuse: 0.0,
         covariate_alias: Vec::new(),
@@ -496,9 +502,17 @@ fn sentence(report: &Report) -> String {
              simulation.",
             place()
         ),
-        Verdict::Unmeasured => format!(
-            "The gap ({size}) follows nothing that was recorded: repeat presses, and record temperature and time."
-        ),
+        Verdict::Unmeasured => match gap.irreproducible.filter(|share| *share > 0.5 * gap.fvu_before) {
+            Some(share) => format!(
+                "Readings differ from press to press by {} % of what they do where the presses were done alike, and hardly \
+                 otherwise ({} %): no deterministic model removes that; look at the rig, and record what changes between presses.",
+                percent(share),
+                percent(gap.systematic.max(0.0))
+            ),
+            None => format!(
+                "The gap ({size}) follows nothing that was recorded: repeat presses, and record temperature and time."
+            ),
+        },
         Verdict::NoGapBeyondNoise | Verdict::UnusableRecording => report.sentence.clone(),
     }
 }
@@ -672,11 +686,11 @@ impl Data<'_> {
             );
         }
         self.close(&mut found, &effects, fixed, &statistics, &training, &set, &weights, &selector)?;
-        if let Some((_, of)) = found.named.iter().zip(&tried).find(|(n, of)| n.class.len() > 1 && of.len() > 1) {
-            found.members = of
-                .iter()
-                .map(|t| (candidates[t.candidate].name.clone(), t.effects.clone()))
-                .collect();
+        if let Some((_, of)) =
+            found.named.iter().zip(&tried).find(|(n, of)| n.class.len() > 1 && of.len() > 1)
+        {
+            found.members =
+                of.iter().map(|t| (candidates[t.candidate].name.clone(), t.effects.clone())).collect();
         }
         found.effects = effects;
         found.selection = selection;
@@ -723,8 +737,11 @@ impl Data<'_> {
             predicted = closure(&after, weights) - optimism.max(0.0);
             achieved = Some(closure(&after, &test));
             found.left = Some(residual(self.readings, &read, self.sigma));
-            let gained = before.iter().zip(&after).zip(weights).map(|((b, a), w)| (b - a) * w).sum::<f64>();
-            found.library = found.library.max(gained / self.scale(weights));
+            // What holds on contacts that nothing was fitted to is what is explained.
+            let gained = before.iter().zip(&after).zip(&test).map(|((b, a), w)| (b - a) * w).sum::<f64>();
+            let form = found.both - found.library;
+            found.library = gained / self.scale(&test);
+            found.both = found.library + form.max(0.0);
         }
         // The whole way again on other draws of places: selection, fit, and what is kept.
         let mut rng = ChaCha8Rng::seed_from_u64(self.options.select.seed ^ 0xb007);
@@ -752,7 +769,8 @@ impl Data<'_> {
         let n = drawn.len().max(1) as f64;
         let spread = (drawn.iter().map(|d| d * d).sum::<f64>() / n).sqrt();
         let half = (1.645 * spread).max((centre - predicted).abs().min(0.02));
-        found.closure = Some(Closure { predicted, achieved, interval: [centre - half, (centre + half).min(1.0)] });
+        found.closure =
+            Some(Closure { predicted, achieved, interval: [centre - half, (centre + half).min(1.0)] });
         let share = |losses: &[f64]| {
             losses.iter().zip(&test).map(|(l, w)| l * w).sum::<f64>() / self.scale(&test).max(1e-300)
         };
@@ -804,16 +822,18 @@ impl Data<'_> {
             let untried: Vec<(usize, f64, f64, f64)> = class
                 .iter()
                 .copied()
-                .filter(|c| fallen(c.0) && candidates[c.0].linear.is_empty() && candidates[c.0].starts.is_empty())
+                .filter(|c| {
+                    fallen(c.0) && candidates[c.0].linear.is_empty() && candidates[c.0].starts.is_empty()
+                })
                 .collect();
             again.extend(untried);
             class = again;
         }
         let label = class.first().map_or(pick.candidate, |c| c.0);
         let candidate = &candidates[label];
-        let values = tried.first().filter(|t| t.candidate == label).map_or_else(Vec::new, |t| t.values.clone());
-        let written =
-            tried.first().is_some_and(|t| t.candidate == label && !t.effects.is_empty());
+        let values =
+            tried.first().filter(|t| t.candidate == label).map_or_else(Vec::new, |t| t.values.clone());
+        let written = tried.first().is_some_and(|t| t.candidate == label && !t.effects.is_empty());
         NamedEffect {
             label: candidate.name.clone(),
             what: candidate.what.clone(),
@@ -824,7 +844,7 @@ impl Data<'_> {
                     name: candidates[*c].name.clone(),
                     gain: *gain,
                     p_confuse: *p,
-                    angle: angle.to_degrees(),
+                    angle: Some(angle.to_degrees()).filter(|a| a.is_finite()),
                     rig: candidates[*c].rig,
                 })
                 .collect(),
@@ -871,7 +891,11 @@ impl Data<'_> {
                     let at = of.linear.iter().position(|(e, p, _)| *e == effect.name && p == name);
                     let half = at.map(|i| halves[i] * of.linear[i].2.abs());
                     values.push(Value {
-                        name: if own.len() > 1 { format!("{} of {}", name, effect.name) } else { name.clone() },
+                        name: if own.len() > 1 {
+                            format!("{} of {}", name, effect.name)
+                        } else {
+                            name.clone()
+                        },
                         value: *value,
                         unit: unit.to_owned(),
                         interval: half.filter(|h| h.is_finite()).map(|h| [value - h, value + h]),
@@ -930,7 +954,8 @@ impl Data<'_> {
             .iter()
             .map(|c| crate::algebra::dot(&columns[*c].values, &columns[*c].values))
             .collect();
-        let inner = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).zip(&norms).map(|((a, b), n)| a * b * n).sum() };
+        let inner =
+            |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).zip(&norms).map(|((a, b), n)| a * b * n).sum() };
         let mut ranked: Vec<(f64, &Effect)> = of
             .starts
             .iter()
@@ -997,7 +1022,9 @@ impl Data<'_> {
                         .iter()
                         .enumerate()
                         .map(|(r, row)| {
-                            weights[row.group] * f64::from(columns[*c].values[r]) * f64::from(columns[*d].values[r])
+                            weights[row.group]
+                                * f64::from(columns[*c].values[r])
+                                * f64::from(columns[*d].values[r])
                         })
                         .sum();
                 }
@@ -1051,18 +1078,20 @@ fn half_widths(statistics: &Statistics, fit: &Fit, of: &[usize], weights: &[f64]
     of.iter()
         .map(|c| {
             let Some(at) = fit.set.iter().position(|s| s == c) else { return f64::NAN };
-            let mut a: Vec<f64> =
-                fit.set.iter().flat_map(|&i| fit.set.iter().map(move |&j| (i, j))).map(|(i, j)| sum.g[i * p + j]).collect();
+            let mut a: Vec<f64> = fit
+                .set
+                .iter()
+                .flat_map(|&i| fit.set.iter().map(move |&j| (i, j)))
+                .map(|(i, j)| sum.g[i * p + j])
+                .collect();
             (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + 0.05);
             let mut row = vec![0.0; n];
             row[at] = 1.0;
             if crate::algebra::cholesky_solve(&mut a, n, &mut row).is_none() {
                 return f64::NAN;
             }
-            let variance: f64 = scores
-                .iter()
-                .map(|s| row.iter().zip(s).map(|(r, s)| r * s).sum::<f64>().powi(2))
-                .sum();
+            let variance: f64 =
+                scores.iter().map(|s| row.iter().zip(s).map(|(r, s)| r * s).sum::<f64>().powi(2)).sum();
             1.645 * variance.sqrt()
         })
         .collect()

@@ -59,8 +59,7 @@ pub fn rank(
     rows: &Rows,
     stop: &AtomicBool,
 ) -> Vec<Experiment> {
-    let held: Vec<&Row> =
-        rows.rows.iter().filter(|r| r.phase == Phase::Hold && r.contacts == 1).collect();
+    let held: Vec<&Row> = rows.rows.iter().filter(|r| r.phase == Phase::Hold && r.contacts == 1).collect();
     if held.is_empty() || members.len() < 2 {
         return Vec::new();
     }
@@ -90,7 +89,8 @@ pub fn rank(
                     })
                     .sum();
                 // What is wrong with a model is wrong in all frames of a press alike.
-                let apart = apart / (x.len() as f64 / noise.len() as f64 / menu.presses.len().max(1) as f64).max(1.0);
+                let apart =
+                    apart / (x.len() as f64 / noise.len() as f64 / menu.presses.len().max(1) as f64).max(1.0);
                 if worst.is_none_or(|w| apart < w.0) {
                     worst = Some((apart, a, b));
                 }
@@ -112,9 +112,9 @@ pub fn rank(
     // Those that settle it first, the shortest of them first; then by what a minute gives.
     let settles = |e: &(f64, Experiment)| e.1.p_confuse_after < 0.01;
     found.sort_by(|a, b| {
-        settles(b).cmp(&settles(a)).then_with(|| {
-            if settles(a) { a.1.minutes.total_cmp(&b.1.minutes) } else { b.0.total_cmp(&a.0) }
-        })
+        settles(b)
+            .cmp(&settles(a))
+            .then_with(|| if settles(a) { a.1.minutes.total_cmp(&b.1.minutes) } else { b.0.total_cmp(&a.0) })
     });
     found.into_iter().map(|(_, e)| e).take(5).collect()
 }
@@ -136,7 +136,12 @@ fn menu(simulator: &Simulator<'_>, row: &Row, force: f64) -> Vec<Menu> {
     let several = |count: usize| (0..count).map(|_| press(force)).collect::<Vec<_>>();
     let item = |id, what, minutes, presses| Menu { id, what, minutes, presses, warm: 0.0 };
     vec![
-        item("long-hold", "hold one press for 20 s", 1.0, vec![Press { hold: 20.0, rest: 5.0, ..press(force) }]),
+        item(
+            "long-hold",
+            "hold one press for 20 s",
+            1.0,
+            vec![Press { hold: 20.0, rest: 5.0, ..press(force) }],
+        ),
         item(
             "speed-sweep",
             "the same press, loaded and released within 0.02, 0.1, 0.5 and 2 s",

@@ -315,17 +315,16 @@ impl Signatures {
         let vectors: Vec<Vec<f32>> = realised.iter().map(|(.., v)| v.clone()).collect();
         let rms = |v: &[f32]| (dot(v, v) / (n * channels).max(1) as f64).sqrt();
         if vectors.iter().map(|v| rms(v)).fold(0.0, f64::max) < MOVED {
-            self.silent.push((info.name.to_owned(), "it does not move any reading in this recording".to_owned()));
+            self.silent
+                .push((info.name.to_owned(), "it does not move any reading in this recording".to_owned()));
             return;
         }
         let each = info.random && !foreseen(realised);
         let mut columns: Vec<Column> = Vec::new();
         if each {
             for k in self.loudest(channels) {
-                let own: Vec<Vec<f32>> = vectors
-                    .iter()
-                    .map(|v| (0..n).map(|i| v[i * channels + k]).collect())
-                    .collect();
+                let own: Vec<Vec<f32>> =
+                    vectors.iter().map(|v| (0..n).map(|i| v[i * channels + k]).collect()).collect();
                 let (found, _) = components(&own, HELD, EACH);
                 columns.extend(found.into_iter().map(|values| Column { channel: Some(k), values }));
             }
@@ -483,7 +482,8 @@ fn jobs(simulator: &Simulator<'_>, rows: &Rows) -> Vec<Job> {
             let skin = simulator.with(std::slice::from_ref(&effect));
             jobs.push(Job { skin, use_: Use::Family(index, effect, device) });
         };
-        let drawn = |effect: Effect, device: u64| if info.random { effect.seed(1000 + device) } else { effect };
+        let drawn =
+            |effect: Effect, device: u64| if info.random { effect.seed(1000 + device) } else { effect };
         for device in 0..if info.random { DEVICES } else { 1 } {
             realise(drawn(base.clone(), device), info.random.then_some(device));
         }
@@ -565,8 +565,7 @@ fn foreseen(realised: &[(Effect, Option<u64>, Vec<f32>)]) -> bool {
         let (found, _) = components(&others, 0.9999, TOGETHER);
         let target = devices[left];
         let energy = dot(target, target);
-        let held: f64 =
-            found.iter().map(|c| dot(c, target).powi(2) / dot(c, c).max(1e-300)).sum::<f64>();
+        let held: f64 = found.iter().map(|c| dot(c, target).powi(2) / dot(c, c).max(1e-300)).sum::<f64>();
         shares.push(if energy > 0.0 { held / energy } else { 1.0 });
     }
     shares.sort_by(f64::total_cmp);

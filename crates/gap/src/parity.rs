@@ -139,7 +139,8 @@ fn homogeneity(view: &View<'_>, readings: &[f32]) -> Parity {
         square += x.iter().zip(y).map(|(x, y)| (f64::from(*x) - ratio * f64::from(*y)).powi(2)).sum::<f64>()
             * scale
             / channels;
-        signal += row(readings, view, pair[0]).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() * scale / channels;
+        signal += row(readings, view, pair[0]).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() * scale
+            / channels;
         n += 1;
     }
     let mean = n.max(1) as f64;
@@ -161,7 +162,8 @@ fn superposition(view: &View<'_>) -> Parity {
         let (mut square, mut model, mut n) = (0.0, 0.0, 0usize);
         for (i, r) in rows.iter().enumerate().filter(|(_, r)| r.contacts > 0 && (r.contacts > 1) == several) {
             let _ = r;
-            square += row(view.residual, view, i).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / channels;
+            square +=
+                row(view.residual, view, i).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / channels;
             model += row(view.model, view, i).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / channels;
             n += 1;
         }

@@ -199,7 +199,8 @@ pub fn polish(
         for _ in 0..4 {
             let mut damped = a.clone();
             let trace = (0..n).map(|i| a[i * n + i]).fold(0.0, f64::max);
-            (0..n).for_each(|i| damped[i * n + i] = damped[i * n + i] * (1.0 + damping) + 1e-9 * trace + 1e-12);
+            (0..n)
+                .for_each(|i| damped[i * n + i] = damped[i * n + i] * (1.0 + damping) + 1e-9 * trace + 1e-12);
             let mut x = b.clone();
             if cholesky_solve(&mut damped, n, &mut x).is_none() {
                 damping *= 10.0;
@@ -241,7 +242,8 @@ fn intervals(a: &[f64], slopes: &[&[f32]], residual: &[f32], target: &Target<'_>
             scores[row.group][p] += crate::algebra::dot(&slope[span.clone()], &residual[span.clone()]);
         }
     }
-    let mean: Vec<f64> = (0..n).map(|p| scores.iter().map(|s| s[p]).sum::<f64>() / scores.len() as f64).collect();
+    let mean: Vec<f64> =
+        (0..n).map(|p| scores.iter().map(|s| s[p]).sum::<f64>() / scores.len() as f64).collect();
     (0..n)
         .map(|p| {
             let mut damped = a.to_vec();

@@ -50,7 +50,6 @@ pub fn read(
             }
         }
     }
-    recording.check_clock();
     Ok(recording)
 }
 
@@ -145,8 +144,7 @@ fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result
                     force: Vector3::new(c.force.x, c.force.y, c.force.z),
                     diameter: c.diameter,
                 });
-                moment.stimulus =
-                    stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
+                moment.stimulus = stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
             }
         }
         recording.push(moment, &frame.values);
@@ -339,8 +337,7 @@ fn mapped(
                             diameter: c.diameter,
                         }
                     });
-                    moment.stimulus =
-                        stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
+                    moment.stimulus = stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
                 }
             }
             let values: Vec<f32> = sample.frame.values.clone();

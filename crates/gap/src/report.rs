@@ -92,8 +92,8 @@ pub struct Alike {
     pub gain: f64,
     /// Probability that other contacts would have put it first.
     pub p_confuse: f64,
-    /// \[degrees\] between what both change.
-    pub angle: f64,
+    /// \[degrees\] between what both change, to first order; `None` where only the full simulator compared them.
+    pub angle: Option<f64>,
     /// Whether it belongs to the rig rather than to the skin.
     pub rig: bool,
 }

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use rand::seq::SliceRandom;
 use rand::SeedableRng;
+use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::data::{Phase, Recording};
@@ -183,9 +183,9 @@ impl Rows {
         }
         // A pair may have lost its second row.
         for i in 0..rows.len() {
-            let next = rows
-                .get(i + 1)
-                .is_some_and(|n| n.frame == rows[i].frame + 1 && n.press == rows[i].press && n.phase == rows[i].phase);
+            let next = rows.get(i + 1).is_some_and(|n| {
+                n.frame == rows[i].frame + 1 && n.press == rows[i].press && n.phase == rows[i].phase
+            });
             rows[i].paired &= next;
         }
         let mut numbers: Vec<usize> = (0..touched).collect();
@@ -277,7 +277,12 @@ fn of_press(recording: &Recording, press: &[usize], facts: &[Facts]) -> Vec<(usi
         0..=3 => chosen.extend(hold.iter().map(|i| (*i, false))),
         n => {
             let mid = n / 2;
-            chosen.extend([(hold[0], false), (hold[mid - 1], false), (hold[mid], false), (hold[n - 1], false)]);
+            chosen.extend([
+                (hold[0], false),
+                (hold[mid - 1], false),
+                (hold[mid], false),
+                (hold[n - 1], false),
+            ]);
         }
     }
     // Frames that follow on each other in a hold are twins: only noise tells them apart.
@@ -292,11 +297,8 @@ fn of_press(recording: &Recording, press: &[usize], facts: &[Facts]) -> Vec<(usi
     spread(&of(Phase::Unload), 2, &mut chosen);
     // After a release: at once, and as late as the pause allows.
     let touched = press.iter().rposition(|i| phase(i).touched());
-    let rest: Vec<usize> = press[touched.map_or(0, |t| t + 1)..]
-        .iter()
-        .copied()
-        .filter(|i| !facts[*i].since.is_nan())
-        .collect();
+    let rest: Vec<usize> =
+        press[touched.map_or(0, |t| t + 1)..].iter().copied().filter(|i| !facts[*i].since.is_nan()).collect();
     if let (Some(first), Some(last)) = (rest.first(), rest.last()) {
         chosen.push((*first, false));
         if last != first {

@@ -398,8 +398,7 @@ impl<'a> Selector<'a> {
             let losses = self.losses(&with(e), tier);
             let other = self.gain(&before, &losses);
             let apart: Vec<f64> = losses.iter().zip(&own).map(|(a, b)| a - b).collect();
-            let (sum, square): (f64, f64) =
-                apart.iter().fold((0.0, 0.0), |(s, q), d| (s + d, q + d * d));
+            let (sum, square): (f64, f64) = apart.iter().fold((0.0, 0.0), |(s, q), d| (s + d, q + d * d));
             let z = sum / square.sqrt().max(1e-300);
             let alike = other >= self.options.alike * gain || z < 1.64;
             if !alike || other < 0.5 * gain || other < self.least() {
@@ -412,7 +411,12 @@ impl<'a> Selector<'a> {
                 covers.push(e);
                 continue;
             }
-            members.push(Member { candidate: e, gain: other, confusion: normal(-z), angle: self.angle(named, e, &fit) });
+            members.push(Member {
+                candidate: e,
+                gain: other,
+                confusion: normal(-z),
+                angle: self.angle(named, e, &fit),
+            });
         }
         members[1..].sort_by(|a, b| b.gain.total_cmp(&a.gain));
         (members, covers)
@@ -556,8 +560,7 @@ impl<'a> Selector<'a> {
             .collect();
         let mut best: Vec<f64> = (0..60)
             .map(|_| {
-                let alpha: Vec<f64> =
-                    self.form.iter().map(|_| rng.sample::<f64, _>(Standard)).collect();
+                let alpha: Vec<f64> = self.form.iter().map(|_| rng.sample::<f64, _>(Standard)).collect();
                 factors
                     .iter()
                     .map(|(a, columns)| {
@@ -583,8 +586,7 @@ impl<'a> Selector<'a> {
         let n = set.len();
         let value: Vec<f64> = (0..1usize << n)
             .map(|mask| {
-                let with: Vec<usize> =
-                    (0..n).filter(|i| mask >> i & 1 == 1).map(|i| set[i]).collect();
+                let with: Vec<usize> = (0..n).filter(|i| mask >> i & 1 == 1).map(|i| set[i]).collect();
                 -self.losses(&with, tier).iter().sum::<f64>() / self.scale
             })
             .collect();

@@ -147,7 +147,9 @@ impl Simulator<'_> {
                 scope.spawn(|| {
                     loop {
                         let i = next.fetch_add(1, Ordering::Relaxed);
-                        let Some(skin) = skins.get(i).filter(|_| !stop.load(Ordering::Relaxed)) else { break };
+                        let Some(skin) = skins.get(i).filter(|_| !stop.load(Ordering::Relaxed)) else {
+                            break;
+                        };
                         let readings = self.readings(skin, recording, &frames);
                         if let Ok(mut slot) = done[i].lock() {
                             *slot = Some(readings);

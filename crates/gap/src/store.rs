@@ -33,10 +33,7 @@ pub(crate) fn key(simulator: &Simulator<'_>, recording: &Recording, rows: &Rows)
     hasher.update(env!("CARGO_PKG_VERSION"));
     hasher.update(simulator.skin.hash());
     hasher.update(simulator.skin.rate.to_le_bytes());
-    for value in [
-        serde_json::to_vec(&simulator.skin.effects),
-        serde_json::to_vec(&simulator.effects),
-    ] {
+    for value in [serde_json::to_vec(&simulator.skin.effects), serde_json::to_vec(&simulator.effects)] {
         hasher.update(value.unwrap_or_default());
     }
     hasher.update(recording.stimulus_hash());
@@ -99,13 +96,15 @@ pub(crate) fn save(folder: &Path, key: &str, signatures: &Signatures) -> Result<
     let head = serde_json::to_vec(&head)
         .map_err(|e| GapError::Format { what: "signatures", reason: e.to_string() })?;
     // Whole or not at all: another run may read it at any time.
-    let (part, path) = (folder.join(format!("{key}.{}", std::process::id())), folder.join(format!("{key}.sig")));
+    let (part, path) =
+        (folder.join(format!("{key}.{}", std::process::id())), folder.join(format!("{key}.sig")));
     let write = || -> std::io::Result<()> {
         let mut file = std::io::BufWriter::new(std::fs::File::create(&part)?);
         file.write_all(MAGIC)?;
         file.write_all(&(head.len() as u64).to_le_bytes())?;
         file.write_all(&head)?;
-        for values in std::iter::once(&signatures.nominal).chain(signatures.columns.iter().map(|c| &c.values)) {
+        for values in std::iter::once(&signatures.nominal).chain(signatures.columns.iter().map(|c| &c.values))
+        {
             for v in values {
                 file.write_all(&v.to_le_bytes())?;
             }

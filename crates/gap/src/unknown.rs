@@ -1,7 +1,7 @@
 //! What could be explained at all: a smoother over everything that was recorded beside the readings.
 
-use rand::seq::SliceRandom;
 use rand::SeedableRng;
+use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::rows::{Row, Rows};

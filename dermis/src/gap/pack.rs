@@ -1,0 +1,115 @@
+//! Packs of recordings with withheld causes, for the check of the diagnosis.
+
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use dermis_gap_worlds::pack::{self, Manifest, Order};
+use dermis_skin::SkinDescription;
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// What is withheld.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Kind {
+    /// One cause that the literature lists.
+    Singles,
+    /// Two of them.
+    Pairs,
+    /// Three of them.
+    Triples,
+    /// None: another mesh and other laws only.
+    Controls,
+    /// A cause that no library holds.
+    OutOfLibrary,
+    /// A cause that the recording cannot tell from another.
+    Confounded,
+}
+
+impl From<Kind> for pack::Kind {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::Singles => Self::Singles,
+            Kind::Pairs => Self::Pairs,
+            Kind::Triples => Self::Triples,
+            Kind::Controls => Self::Controls,
+            Kind::OutOfLibrary => Self::OutOfLibrary,
+            Kind::Confounded => Self::Confounded,
+        }
+    }
+}
+
+/// What to make.
+#[derive(Args)]
+pub struct Options {
+    /// What is withheld.
+    #[arg(long, value_enum)]
+    kind: Kind,
+    /// Skin description.
+    #[arg(long)]
+    skin: PathBuf,
+    /// Number of cases.
+    #[arg(long, default_value_t = 20)]
+    count: usize,
+    /// Of everything random. Who knows it can make the secrets again: publish it after they are opened, not before.
+    #[arg(long)]
+    seed: u64,
+    /// Presses of each case, compared to the usual 150.
+    #[arg(long, default_value_t = 1.0, value_parser = size)]
+    size: f64,
+    /// Folder of the secrets, apart from the pack; must not hold any yet.
+    #[arg(long, value_name = "DIR")]
+    secret: PathBuf,
+    /// Folder of the pack; must not hold one yet.
+    #[arg(short, long)]
+    out: PathBuf,
+    /// One JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+fn size(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(size) if (0.05..=100.0).contains(&size) => Ok(size),
+        _ => Err(format!("`{text}` is no size: write a number from 0.05 to 100")),
+    }
+}
+
+/// Makes it. Ctrl-C ends early with a smaller, valid pack.
+pub fn run(options: &Options) -> Result<()> {
+    let text = std::fs::read_to_string(&options.skin)
+        .with_context(|| format!("skin file {} cannot be read", options.skin.display()))?;
+    SkinDescription::from_toml(&text, &options.skin.display().to_string())?;
+    let order = Order {
+        kind: options.kind.into(),
+        count: options.count,
+        seed: options.seed,
+        size: options.size,
+    };
+    let progress = ProgressBar::new(options.count as u64)
+        .with_style(ProgressStyle::with_template("cases {wide_bar} {human_pos}/{human_len}, {eta} left")?);
+    progress.tick();
+    let stop = crate::collect::stop_on_interrupt()?;
+    let manifest = pack::make_pack(&text, &order, &options.out, &options.secret, |done| {
+        progress.set_position(done as u64);
+        !stop.load(Ordering::Acquire)
+    })?;
+    progress.finish_and_clear();
+    let hash = Manifest::hash(&options.out)?;
+    if options.json {
+        println!(
+            "{}",
+            serde_json::json!({ "pack": options.out, "cases": manifest.cases.len(), "sha256": hash })
+        );
+    } else {
+        println!(
+            "{}: {} cases of {} on {}, sha256 {hash}; secrets in {}",
+            options.out.display(),
+            manifest.cases.len(),
+            order.kind.name(),
+            manifest.skin,
+            options.secret.display()
+        );
+    }
+    Ok(())
+}
