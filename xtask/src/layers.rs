@@ -54,6 +54,12 @@ struct Dependency {
 /// Words that only a crate under nodes/ may use for itself: the names of the sensor families.
 const FAMILIES: [&str; 4] = ["hapdef", "barodome", "insight", "ert"];
 
+/// What makes the check of the diagnosis honest: the diagnosis never sees the worlds that it is checked against.
+const TOOL: &str = "dermis-gap";
+const WORLDS: &str = "dermis-gap-worlds";
+/// What worlds share with the rest: vocabulary, stimuli and files, no model.
+const WORLDS_MAY: [&str; 4] = ["dermis-skin", "dermis-testbed", "dermis-bag", "dermis_msgs"];
+
 /// Every import that runs the wrong way, as one sentence each.
 pub fn violations(metadata: &str) -> Result<Vec<String>> {
     let metadata: Metadata = serde_json::from_str(metadata)?;
@@ -82,6 +88,23 @@ pub fn violations(metadata: &str) -> Result<Vec<String>> {
             }
         }
         for dependency in &package.dependencies {
+            if dependency.name == WORLDS && package.name != "dermis" && package.name != "integration-tests" {
+                let why = if package.name == TOOL {
+                    "what it is checked against is none of its business, not in tests either"
+                } else {
+                    "only the program and tests of the check may"
+                };
+                found.push(format!("{} ({here}) imports {WORLDS}: {why}", package.name));
+            }
+            if package.name == WORLDS
+                && !WORLDS_MAY.contains(&dependency.name.as_str())
+                && dependency.path.is_some()
+            {
+                found.push(format!(
+                    "{WORLDS} ({here}) imports {}: worlds have a physics of their own",
+                    dependency.name
+                ));
+            }
             // Tests may reach anywhere: they are not shipped.
             if dependency.kind.as_deref() == Some("dev") {
                 continue;
@@ -168,6 +191,21 @@ mod tests {
                 "dermis-skin (crates/skin) imports dermis-barodome (nodes/barodome): imports run downwards only"
             ]
         );
+    }
+
+    #[test]
+    fn the_diagnosis_never_sees_the_worlds_that_it_is_checked_against() {
+        let worlds = ("crates/gap-worlds", "dermis-gap-worlds");
+        for kind in ["null", "\"dev\"", "\"build\""] {
+            let text = metadata(("crates/gap", "dermis-gap"), worlds);
+            let found = violations(&text.replace("\"kind\":null", &format!("\"kind\":{kind}"))).unwrap();
+            assert_eq!(found.len(), 1, "{kind}: {found:?}");
+            assert!(found[0].contains("not in tests either"), "{found:?}");
+        }
+        assert!(violations(&metadata(("dermis", "dermis"), worlds)).unwrap().is_empty());
+        assert_eq!(violations(&metadata(("crates/learn", "dermis-learn"), worlds)).unwrap().len(), 1);
+        let physics = ("crates/mechanics", "dermis-mechanics");
+        assert_eq!(violations(&metadata(worlds, physics)).unwrap().len(), 1);
     }
 
     #[test]

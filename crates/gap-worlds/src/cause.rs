@@ -1,0 +1,104 @@
+//! What can make a world differ from its design.
+
+use std::collections::BTreeMap;
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+use crate::WorldError;
+
+/// A cause of a gap, and how it is described where nobody knows the names of any tool.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct CauseInfo {
+    /// Name in secrets.
+    pub id: &'static str,
+    /// Physical description.
+    pub what: &'static str,
+    /// Where the law comes from.
+    pub source: &'static str,
+    /// Its size: name, SI unit, and value at strength 1, the most that makes sense.
+    pub size: (&'static str, &'static str, f64),
+    /// Whether the size is drawn with either sign.
+    pub signed: bool,
+    /// Whether the literature lists it among the effects of such a sensor, so that a library should know it.
+    pub listed: bool,
+}
+
+impl CauseInfo {
+    /// Size in its SI unit.
+    #[must_use]
+    pub fn of(&self, cause: &Cause) -> f64 {
+        cause.strength * self.size.2 * if self.signed { cause.sign() } else { 1.0 }
+    }
+}
+
+/// A cause at work in one world.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Cause {
+    /// Which.
+    pub id: String,
+    /// Share of the most that makes sense, 0 to 1.
+    pub strength: f64,
+    /// What is drawn of it: signs, channels, places.
+    pub seed: u64,
+}
+
+impl Cause {
+    /// Its random choices.
+    pub(crate) fn rng(&self) -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(self.seed)
+    }
+
+    /// One of -1 and 1.
+    pub(crate) fn sign(&self) -> f64 {
+        let mut rng = self.rng();
+        rng.set_stream(9);
+        if rng.random::<bool>() { 1.0 } else { -1.0 }
+    }
+
+    /// Standard normal numbers, one a channel.
+    pub(crate) fn normals(&self, count: usize) -> Vec<f64> {
+        let mut rng = self.rng();
+        (0..count).map(|_| rng.sample(StandardNormal)).collect()
+    }
+}
+
+/// The causes of one world.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Causes {
+    known: &'static [CauseInfo],
+    causes: Vec<Cause>,
+}
+
+impl Causes {
+    pub fn new(known: &'static [CauseInfo], causes: &[Cause]) -> Result<Self, WorldError> {
+        for cause in causes {
+            if !known.iter().any(|k| k.id == cause.id) {
+                let known: Vec<&str> = known.iter().map(|k| k.id).collect();
+                return Err(WorldError::Cause { id: cause.id.clone(), known: known.join(", ") });
+            }
+        }
+        Ok(Self { known, causes: causes.to_vec() })
+    }
+
+    /// The cause and its size in SI units, where it is at work.
+    pub fn get(&self, id: &str) -> Option<(&Cause, f64)> {
+        let cause = self.causes.iter().find(|c| c.id == id)?;
+        let info = self.known.iter().find(|k| k.id == id)?;
+        Some((cause, info.of(cause)))
+    }
+
+    /// Its size, 0 where it is not at work.
+    pub fn size(&self, id: &str) -> f64 {
+        self.get(id).map_or(0.0, |(_, size)| size)
+    }
+}
+
+/// The parameters of a cause in SI units, by name.
+#[must_use]
+pub fn parameters(known: &[CauseInfo], cause: &Cause) -> BTreeMap<String, f64> {
+    let info = known.iter().find(|k| k.id == cause.id);
+    info.map(|k| (k.size.0.to_owned(), k.of(cause))).into_iter().collect()
+}

@@ -1,0 +1,80 @@
+//! What can go wrong with worlds and packs.
+
+use std::path::PathBuf;
+
+use dermis_bag::BagError;
+use dermis_skin::{ModelError, SkinError};
+use dermis_testbed::TestbedError;
+
+/// A world or a pack that cannot be, and why.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WorldError {
+    /// No world is like this skin.
+    #[error("skin `{skin}`: field `{field}`: {reason}")]
+    Skin {
+        /// Name of the skin.
+        skin: String,
+        /// Path of the field.
+        field: String,
+        /// What is wrong with it, and what would be right.
+        reason: String,
+    },
+    /// A cause is asked for that no world knows.
+    #[error("`{id}` is no cause of such a world; it has {known}")]
+    Cause {
+        /// As it was asked for.
+        id: String,
+        /// What there is.
+        known: String,
+    },
+    /// A file or folder cannot be read or written.
+    #[error("{path}: cannot be {action}: {source}")]
+    Io {
+        /// Which.
+        path: PathBuf,
+        /// What was to be done with it.
+        action: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file does not say what it should.
+    #[error("{path}: {reason}")]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A secret is not the one whose hash was published.
+    #[error(
+        "{path}: has SHA-256 {found} where the pack published {published}: it was changed after it was sealed"
+    )]
+    Seal {
+        /// The secret.
+        path: PathBuf,
+        /// Of what lies there.
+        found: String,
+        /// Of what was sealed.
+        published: String,
+    },
+    /// What touches the skin cannot be planned.
+    #[error(transparent)]
+    Testbed(#[from] TestbedError),
+    /// A stimulus has no answer.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The skin description is wrong.
+    #[error(transparent)]
+    Description(#[from] SkinError),
+    /// The bag cannot be written.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+}
+
+impl WorldError {
+    pub(crate) fn io(path: &std::path::Path, action: &'static str) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::Io { path, action, source }
+    }
+}

@@ -1,0 +1,405 @@
+//! Worlds of elements that read the mean pressure in a soft elastic layer over a rigid base.
+//!
+//! The field: waves by finite elements across the depth ([`depth`]), summed as a doubly periodic Fourier series ([`field`]).
+//! The tip: Sneddon's sphere with a thickness correction ([`tip`]); under it the pressure flattens with the contact's size, and the
+//! surface that sinks in comes nearer to the elements. Causes have laws of their own ([`causes`]).
+
+mod causes;
+mod depth;
+mod field;
+mod tip;
+
+use std::sync::Arc;
+
+use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec};
+use nalgebra::{Point3, Rotation2, Vector2, Vector3};
+use rand::Rng;
+
+use crate::cause::{Cause, CauseInfo, Causes};
+use crate::script::{Rig, Script};
+use crate::{Form, World, WorldError, memory};
+use depth::Layer;
+use field::{Field, Grain, Profile};
+use tip::Tip;
+
+/// \[m\] of depth below an element within which its table holds.
+const AROUND: f64 = 0.0025;
+/// \[m\] along the surface beyond which nothing is felt.
+const REACH: f64 = 0.045;
+
+/// A layer with its elements.
+#[derive(Debug)]
+struct Skin {
+    surface: Surface,
+    noise: Vec<f64>,
+    range: Vec<Option<[f64; 2]>>,
+    /// \[m\] as they lie in this world.
+    elements: Vec<Point3<f64>>,
+    tip: Tip,
+    nearer: f64,
+    /// By the thickness that each is of \[m\].
+    fields: Vec<(f64, Field)>,
+    /// \[1\] that the layer thickens along each axis.
+    wedge: Vector2<f64>,
+    /// Where the rig really is, compared to where it says.
+    shift: Vector2<f64>,
+    turn: Rotation2<f64>,
+    /// \[m\] from the middle of the tip to the points where it presses.
+    fork: Vector2<f64>,
+    /// Place \[m\] and loss of a cavity.
+    cavity: Option<(Vector2<f64>, f64)>,
+}
+
+/// The world.
+#[derive(Debug)]
+pub(crate) struct LayerWorld {
+    skin: Arc<Skin>,
+    causes: Causes,
+}
+
+fn number(skin: &SkinDescription, key: &str) -> Result<f64, WorldError> {
+    let value = skin.medium.get(key).and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)));
+    value.ok_or_else(|| WorldError::Skin {
+        skin: skin.name.clone(),
+        field: format!("medium.{key}"),
+        reason: "is missing, or no number".to_owned(),
+    })
+}
+
+impl LayerWorld {
+    /// Whether such a world is like this skin.
+    pub fn is_like(skin: &SkinDescription) -> bool {
+        matches!(skin.surface, SurfaceSpec::Rectangle { .. }) && skin.unit == "Pa"
+    }
+
+    /// What presses such a skin.
+    pub fn rig(skin: &SkinDescription, size: f64) -> Rig {
+        let wide = matches!(skin.surface, SurfaceSpec::Rectangle { size, .. } if size[1] > 0.004);
+        Rig {
+            diameter: 0.004,
+            force: [0.02, 1.5],
+            margin: if wide { 0.002 } else { 0.0 },
+            slide: [0.004, 0.012],
+            rate: skin.rate.min(100.0),
+            size,
+        }
+    }
+
+    pub const fn causes() -> &'static [CauseInfo] {
+        causes::CAUSES
+    }
+
+    pub fn new(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Self, WorldError> {
+        let wrong = |field: &str, reason: &str| WorldError::Skin {
+            skin: skin.name.clone(),
+            field: field.to_owned(),
+            reason: reason.to_owned(),
+        };
+        let causes = Causes::new(causes::CAUSES, causes)?;
+        let SurfaceSpec::Rectangle { size, .. } = skin.surface else {
+            return Err(wrong("surface", "is not flat"));
+        };
+        if skin.medium.get("edge").and_then(|e| e.as_str()) == Some("free") {
+            return Err(wrong("medium.edge", "is \"free\", and layer worlds go on: take \"wide\""));
+        }
+        let drawn = number(skin, "thickness")?;
+        let mut elements: Vec<Point3<f64>> =
+            skin.channel_taxels().into_iter().map(|t| skin.taxels[t].point()).collect();
+        let mean = -elements.iter().map(|e| e.z).sum::<f64>() / elements.len() as f64;
+        if !(mean > 2.0 * AROUND * 0.6 && mean < drawn) {
+            return Err(wrong("taxels", "do not lie between the surface and the base"));
+        }
+        if let Some((cause, deviation)) = causes.get("displaced-elements") {
+            let off = cause.normals(3 * elements.len());
+            for (element, off) in elements.iter_mut().zip(off.chunks(3)) {
+                *element += Vector3::new(off[0], off[1], 0.5 * off[2]) * deviation;
+                element.z = element.z.clamp(-mean - AROUND, -mean + AROUND);
+            }
+        }
+        let poisson = number(skin, "poisson_ratio")?.min(0.4995);
+        let slip = match skin.medium.get("base") {
+            Some(toml::Value::String(base)) if base == "slip" => 1.0,
+            Some(toml::Value::Float(share)) => *share,
+            _ => 0.0,
+        };
+        let thickness = drawn + causes.size("other-thickness");
+        let layer = Layer {
+            thickness,
+            poisson,
+            grade: causes.size("uneven-cure"),
+            slip: slip + (1.0 - slip) * causes.size("loose-base"),
+            elements: form.elements,
+        };
+        let tip = Tip {
+            radius: causes.size("other-tip"),
+            young: number(skin, "young_modulus")? * (1.0 + causes.size("other-modulus")),
+            poisson,
+            thickness,
+            sphere: form.sphere,
+        };
+        let grain = Grain { period: form.period, shortest: 2500.0, elements: form.elements };
+        let range = ([mean - AROUND - 0.0005, mean + AROUND], 0.004, REACH);
+        let profile = if form.flattening { Profile::Flattening(0.002) } else { Profile::Ellipsoid };
+        let lid = causes.size("wide-port");
+        let field = |thickness: f64| {
+            let layer = Layer { thickness, ..layer.clone() };
+            (thickness, Field::new(&layer, grain, profile, range, lid))
+        };
+        let mut wedge = Vector2::zeros();
+        let mut fields = vec![field(thickness)];
+        if let Some((cause, change)) = causes.get("other-thickness") {
+            // A tenth of the change for every 10 mm.
+            let turn = cause.rng().random_range(0.0..std::f64::consts::TAU);
+            wedge = Vector2::new(turn.cos(), turn.sin()) * change * 10.0;
+            let away = 0.3 * change.abs();
+            fields.insert(0, field(thickness - away));
+            fields.push(field(thickness + away));
+        }
+        let wide = size[1] > 0.004;
+        let direction = |cause: &Cause| {
+            let most = if wide { std::f64::consts::PI } else { 0.5 };
+            let turn = cause.rng().random_range(-most..most);
+            Vector2::new(turn.cos(), turn.sin())
+        };
+        let (mut shift, mut turn) = (Vector2::zeros(), Rotation2::identity());
+        if let Some((cause, away)) = causes.get("shifted-rig") {
+            shift = direction(cause) * away * cause.sign();
+            turn = Rotation2::new(0.02 * cause.strength * cause.normals(1)[0]);
+        }
+        let fork =
+            causes.get("forked-tip").map_or_else(Vector2::zeros, |(c, away)| direction(c) * away / 2.0);
+        let cavity = causes.get("cavity").map(|(cause, loss)| {
+            let mut rng = cause.rng();
+            let over = elements[rng.random_range(0..elements.len())];
+            let off = Vector2::from_fn(|_, _| rng.random_range(-0.003..0.003));
+            (over.xy().coords + off, loss)
+        });
+        let skin = Skin {
+            surface: skin.surface(),
+            noise: skin.channel_noise(),
+            range: skin.channels().iter().map(|c| c.range).collect(),
+            elements,
+            tip,
+            nearer: form.nearer,
+            fields,
+            wedge,
+            shift,
+            turn,
+            fork,
+            cavity,
+        };
+        Ok(Self { skin: Arc::new(skin), causes })
+    }
+}
+
+impl Skin {
+    /// The tip of an indenter of this diameter \[m\], as it is in this world.
+    fn tip(&self, diameter: f64) -> Tip {
+        Tip { radius: (diameter / 2.0 + self.tip.radius).max(1e-4), ..self.tip }
+    }
+
+    /// Adds what one contact leaves in every element \[Pa\].
+    fn add(&self, contact: &Indentation, out: &mut [f64]) {
+        let pressing = -contact.force.z;
+        let along = contact.force.xy();
+        let said = contact.position.xy().coords;
+        let middle = self.turn * said + self.shift;
+        let (forks, share): (&[f64], f64) =
+            if self.fork == Vector2::zeros() { (&[0.0], 1.0) } else { (&[-1.0, 1.0], 0.5) };
+        let (a, depth) = self.tip(contact.diameter).under(pressing * share);
+        for fork in forks {
+            let at = middle + self.fork * *fork;
+            for (value, element) in out.iter_mut().zip(&self.elements) {
+                let to = element.xy().coords - at;
+                let distance = to.norm();
+                let below = -element.z - self.nearer * depth;
+                let (mut normal, mut tangential) = (0.0, 0.0);
+                for (weight, field) in self.local(&((element.xy().coords + at) / 2.0)) {
+                    let (n, t) = field.at(below, a, distance);
+                    normal += weight * n;
+                    tangential += weight * t;
+                }
+                let along = if distance > 1e-9 { along.dot(&to) / distance } else { 0.0 };
+                let mut pressure = share * (pressing * normal + along * tangential);
+                if let Some((place, loss)) = &self.cavity {
+                    let near =
+                        (-(element.xy().coords - place).norm_squared() / (2.0 * 0.004f64.powi(2))).exp();
+                    pressure *= 1.0 - loss * near * (-pressing / 0.8).exp();
+                }
+                *value += pressure;
+            }
+        }
+    }
+
+    /// The fields that hold where the layer is as thick as here, and their shares.
+    fn local(&self, at: &Vector2<f64>) -> impl Iterator<Item = (f64, &Field)> {
+        let middle = self.fields.len() / 2;
+        let (thickness, field) = &self.fields[middle];
+        let here = self.wedge.dot(at);
+        let other = if here < 0.0 { self.fields.first() } else { self.fields.last() };
+        let share = match other {
+            Some((t, _)) if (t - thickness).abs() > 0.0 => (here / (t - thickness)).clamp(0.0, 1.0),
+            _ => 0.0,
+        };
+        let other = other.map(|(_, f)| (share, f)).filter(|(share, _)| *share > 0.0);
+        std::iter::once((1.0 - share, field)).chain(other)
+    }
+}
+
+impl ForwardModel for Skin {
+    fn channels(&self) -> usize {
+        self.elements.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        out.fill(0.0);
+        for contact in &stimulus.contacts {
+            self.add(contact, out);
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+
+    fn depth_at(&self, _: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        Some(self.tip(diameter).under(force).1)
+    }
+}
+
+impl World for LayerWorld {
+    fn model(&self) -> Arc<dyn ForwardModel> {
+        Arc::clone(&self.skin) as Arc<dyn ForwardModel>
+    }
+
+    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, WorldError> {
+        let channels = self.skin.elements.len();
+        let mut readings = self.pressed(script)?;
+        self.remember(script, &mut readings);
+        memory::gains(&self.causes, script, channels, &mut readings);
+        memory::electronics(&self.causes, script, channels, &mut readings);
+        if let Some((seed, factor)) = noise {
+            crate::add_noise(&self.skin.noise, (seed, factor), &mut readings);
+        }
+        memory::converter(&self.causes, script, channels, &mut readings);
+        for row in readings.chunks_mut(channels) {
+            for (value, range) in row.iter_mut().zip(&self.skin.range) {
+                *value = range.map_or(*value, |[low, high]| value.clamp(low, high));
+            }
+        }
+        Ok(readings)
+    }
+}
+
+impl LayerWorld {
+    /// What the field alone does \[Pa\], frame by frame.
+    fn pressed(&self, script: &Script) -> Result<Vec<f64>, WorldError> {
+        let channels = self.skin.elements.len();
+        let friction = self.causes.size("dragging-tip");
+        let mut readings = vec![0.0; channels * script.instants.len()];
+        let mut before: Option<(f64, Point3<f64>)> = None;
+        for (row, instant) in readings.chunks_mut(channels).zip(&script.instants) {
+            let mut stimulus = instant.moment.stimulus.clone();
+            if friction > 0.0 {
+                let now = stimulus.contacts.first().map(|c| (instant.time, c.position));
+                if let (Some((then, from)), Some((time, to)), Some(contact)) =
+                    (before, now, stimulus.contacts.first_mut())
+                {
+                    let speed = (to - from) / (time - then).max(1e-6);
+                    let pressing = -contact.force.z;
+                    let drag = friction * pressing * pressing.max(1e-3).powf(-1.0 / 9.0);
+                    contact.force += speed / (speed.norm() + 5e-4) * drag;
+                }
+                before = now;
+            }
+            self.skin.response(&stimulus, row)?;
+        }
+        Ok(readings)
+    }
+
+    /// What the material makes of it, which remembers.
+    fn remember(&self, script: &Script, readings: &mut [f64]) {
+        let channels = self.skin.elements.len();
+        if let Some((_, loss)) = self.causes.get("softening") {
+            memory::softening(channels, loss, readings);
+        }
+        if let Some((_, width)) = self.causes.get("inner-friction") {
+            memory::bouc_wen(channels, width, readings);
+        }
+        if let Some((_, share)) = self.causes.get("creeping") {
+            memory::creep(script, channels, (share, 0.25), readings);
+        }
+        if let Some((cause, share)) = self.causes.get("air-pocket") {
+            // A pocket of compressibility c / (p0 + s) shunts the stress that the element should see.
+            let own: Vec<f64> = cause.normals(channels).iter().map(|n| share * (0.35 * n).exp()).collect();
+            for (row, instant) in readings.chunks_mut(channels).zip(&script.instants) {
+                for (value, own) in row.iter_mut().zip(&own) {
+                    let atmosphere = 101_325.0 + value.max(-9e4);
+                    *value /= 1.0 + own * (101_325.0 / atmosphere).powi(4);
+                    *value += 0.2 * own * 101_325.0 * instant.warmth() / 293.15;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(super) fn line() -> SkinDescription {
+        let text = include_str!("../../../launch/skins/baro-line.toml");
+        SkinDescription::from_toml(text, "line").unwrap()
+    }
+
+    fn world(causes: &[Cause]) -> LayerWorld {
+        LayerWorld::new(&line(), &Form::default(), causes).unwrap()
+    }
+
+    #[test]
+    fn readings_add_up_and_fade_with_the_distance() {
+        let world = world(&[]);
+        let at = |x: f64, force: f64| {
+            let contact = Indentation {
+                position: Point3::new(x, 0.0, 0.0),
+                force: Vector3::new(0.0, 0.0, -force),
+                diameter: 0.004,
+            };
+            let mut out = vec![0.0; 6];
+            world
+                .skin
+                .response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)
+                .unwrap();
+            out
+        };
+        let readings = at(0.00325, 0.5);
+        // Above an element, five millimetres deep: half-space theory says 3.2 kPa for 0.5 N, the bonded base adds to it.
+        assert!((2500.0..4500.0).contains(&readings[3]), "{readings:?}");
+        assert!(readings[3] > readings[4] && readings[4] > readings[5]);
+        let mirrored = at(-0.00325, 0.5);
+        approx::assert_relative_eq!(readings[3], mirrored[2], max_relative = 1e-9);
+    }
+
+    #[test]
+    fn every_cause_moves_the_readings_and_unknown_ones_are_named() {
+        let nominal = world(&[]);
+        let rig = Rig { size: 0.2, ..LayerWorld::rig(&line(), 0.2) };
+        let script = Script::draw(&nominal.model(), &rig, crate::Climate::Varied, 3).unwrap();
+        let clean = nominal.readings(&script, None).unwrap();
+        for info in LayerWorld::causes() {
+            let cause = Cause { id: info.id.to_owned(), strength: 1.0, seed: 5 };
+            let other = world(&[cause]).readings(&script, None).unwrap();
+            let moved = crate::unexplained(&clean, &other, &script, 6);
+            assert!(other.iter().all(|v| v.is_finite()), "{}", info.id);
+            assert!(moved > 1e-4, "{} moves {moved} of the variance", info.id);
+        }
+        let made_up = Cause { id: "gremlins".to_owned(), strength: 1.0, seed: 5 };
+        let refused = LayerWorld::new(&line(), &Form::default(), &[made_up]).unwrap_err().to_string();
+        assert!(refused.contains("gremlins") && refused.contains("creeping"), "{refused}");
+    }
+}

@@ -1,0 +1,147 @@
+//! The "real" side of the check of the tool that diagnoses gaps between simulated and real skins.
+//!
+//! A [`World`] is a skin that is pressed as a rig would press it ([`Script`]), computed by other means than the models that
+//! the tool works with: another discretisation, other laws of contact, material and electronics, taken from the literature and
+//! not from any model of this workspace. What makes it differ from its design, its [`Cause`]s, is withheld: a [`pack`] of
+//! recordings is published with the hash of each secret, and [`score`]d after the tool has written its reports.
+//!
+//! No crate but the program and tests of the check may import this one, and the tool never (`cargo xtask layers`).
+
+mod cause;
+mod error;
+mod layer;
+mod memory;
+pub mod pack;
+mod record;
+pub mod score;
+mod script;
+
+use std::sync::Arc;
+
+use dermis_skin::{ForwardModel, SkinDescription};
+use rand::{Rng, SeedableRng};
+use serde::{Deserialize, Serialize};
+
+pub use cause::{Cause, CauseInfo, parameters};
+pub use error::WorldError;
+pub use record::record;
+pub use script::{Climate, Instant, Rig, Script};
+
+use memory::add_noise;
+
+/// How a world is computed: what differs between simulators and is no cause of a gap that a device has.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Form {
+    /// \[m\] after which a layer repeats.
+    pub period: f64,
+    /// Finite elements across a layer, or along the longer side of a shell.
+    pub elements: usize,
+    /// Whether a tip is the exact sphere, or a paraboloid.
+    pub sphere: bool,
+    /// Whether the pressure under a tip flattens with the contact's size.
+    pub flattening: bool,
+    /// Share of a tip's depth by which elements come nearer to it.
+    pub nearer: f64,
+}
+
+impl Default for Form {
+    fn default() -> Self {
+        Self { period: 0.12, elements: 24, sphere: true, flattening: true, nearer: 0.06 }
+    }
+}
+
+impl Form {
+    /// Another mesh and other laws, drawn by `seed`.
+    #[must_use]
+    pub fn varied(seed: u64) -> Self {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        Self {
+            period: [0.10, 0.12, 0.14][rng.random_range(0..3)],
+            elements: [18, 24, 32][rng.random_range(0..3)],
+            sphere: rng.random::<f64>() < 0.7,
+            flattening: rng.random(),
+            nearer: rng.random_range(0.0..0.10),
+        }
+    }
+}
+
+/// A skin as it would be in reality.
+pub trait World: Send + Sync {
+    /// What of it does not change with time, and how deep tips sink in: what a [`Script`] needs.
+    fn model(&self) -> Arc<dyn ForwardModel>;
+
+    /// One reading a channel, row after row, one row an instant of `script`, in the unit of the skin; with noise of this seed and
+    /// so many times that of the skin's channels.
+    ///
+    /// # Errors
+    ///
+    /// [`WorldError::Model`] where the script holds a contact that cannot be.
+    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, WorldError>;
+}
+
+/// The world that is like a skin.
+///
+/// # Errors
+///
+/// [`WorldError`] where no world is like it, or a cause is unknown.
+pub fn world(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Box<dyn World>, WorldError> {
+    crate::causes(skin)?;
+    Ok(Box::new(layer::LayerWorld::new(skin, form, causes)?))
+}
+
+/// The causes that a world of this skin can have.
+///
+/// # Errors
+///
+/// [`WorldError`] where no world is like it.
+pub fn causes(skin: &SkinDescription) -> Result<&'static [CauseInfo], WorldError> {
+    if layer::LayerWorld::is_like(skin) { Ok(layer::LayerWorld::causes()) } else { Err(unlike(skin)) }
+}
+
+/// What a rig presses such a skin with, `size` times the usual 150 presses.
+///
+/// # Errors
+///
+/// [`WorldError`] where no world is like it.
+pub fn rig(skin: &SkinDescription, size: f64) -> Result<Rig, WorldError> {
+    causes(skin)?;
+    Ok(layer::LayerWorld::rig(skin, size))
+}
+
+fn unlike(skin: &SkinDescription) -> WorldError {
+    WorldError::Skin {
+        skin: skin.name.clone(),
+        field: "surface".to_owned(),
+        reason:
+            "no world is like it: there are flat layers that read in Pa, and clamped panels that read strain"
+                .to_owned(),
+    }
+}
+
+/// Fraction of the variance of `of` that `other` leaves unexplained while something touches: both minus what they read at the
+/// start, when nothing does.
+#[must_use]
+pub fn unexplained(of: &[f64], other: &[f64], script: &Script, channels: usize) -> f64 {
+    let zero = |readings: &[f64]| {
+        let mut zero = vec![0.0; channels];
+        for row in readings.chunks(channels).take(script.quiet) {
+            zero.iter_mut().zip(row).for_each(|(z, v)| *z += v / script.quiet.max(1) as f64);
+        }
+        zero
+    };
+    let (zero_of, zero_other) = (zero(of), zero(other));
+    let (mut sum, mut squares, mut missed) = (vec![0.0; channels], 0.0, 0.0);
+    let mut count = 0.0f64;
+    let rows = of.chunks(channels).zip(other.chunks(channels)).zip(&script.instants);
+    for ((a, b), _) in rows.filter(|(_, i)| !i.moment.stimulus.contacts.is_empty()) {
+        count += 1.0;
+        for c in 0..channels {
+            let (a, b) = (a[c] - zero_of[c], b[c] - zero_other[c]);
+            sum[c] += a;
+            squares += a * a;
+            missed += (a - b) * (a - b);
+        }
+    }
+    let variance = squares - sum.iter().map(|s| s * s).sum::<f64>() / count.max(1.0);
+    if variance > 0.0 { missed / variance } else { f64::NAN }
+}

@@ -1,0 +1,524 @@
+//! Packs: recordings whose causes are withheld, sealed by the hash of what is withheld.
+//!
+//! A pack's folder is public: `manifest.json`, `skin.toml` and one bag a case under `bags/`. Its secrets lie in another folder, one
+//! file a case. A secret holds a salt, so that nobody guesses it from its hash; the seed that would rebuild it is in the secrets
+//! only.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use dermis_skin::SkinDescription;
+use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::{Cause, CauseInfo, Climate, Form, Script, World, WorldError, parameters, unexplained};
+
+/// Schema of a manifest.
+pub const PACK_SCHEMA: &str = "gap-pack/1";
+/// Schema of a secret.
+pub const SECRET_SCHEMA: &str = "gap-secret/1";
+/// Fraction of variance that counts as practically explained: part of every floor, beside the noise.
+pub const MARGIN: f64 = 0.005;
+
+/// What is withheld in the cases of a pack.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// One cause that the literature lists.
+    Singles,
+    /// Two of them.
+    Pairs,
+    /// Three of them.
+    Triples,
+    /// No cause: another mesh and other laws only.
+    Controls,
+    /// A cause that no list holds.
+    OutOfLibrary,
+    /// A cause that this recording cannot tell from another: the temperature only rises, or nothing else shows it.
+    Confounded,
+}
+
+impl Kind {
+    /// As a command line says it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Singles => "singles",
+            Self::Pairs => "pairs",
+            Self::Triples => "triples",
+            Self::Controls => "controls",
+            Self::OutOfLibrary => "out-of-library",
+            Self::Confounded => "confounded",
+        }
+    }
+}
+
+/// A cause, told to whoever opens the secret.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Told {
+    /// The cause itself.
+    #[serde(flatten)]
+    pub cause: Cause,
+    /// Physical description.
+    pub what: String,
+    /// Sizes in SI units.
+    pub parameters: BTreeMap<String, f64>,
+}
+
+/// What is withheld of one case.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Secret {
+    schema: String,
+    /// Program and version that made it.
+    pub generator: String,
+    /// Case that it belongs to.
+    pub case: String,
+    /// What the case counts as: controls are also those whose causes cannot reach the least gap.
+    pub kind: Kind,
+    /// Random, so that the hash tells nothing.
+    pub salt: String,
+    /// Seed of the whole pack.
+    pub seed: u64,
+    /// Causes at work.
+    pub causes: Vec<Told>,
+    /// Gap that was asked for, in multiples of `floor`; 0 for controls.
+    pub gap: f64,
+    /// Noise, in multiples of the skin's.
+    pub noise: f64,
+    /// Fraction of variance that noise and practical margin make up.
+    pub floor: f64,
+    /// Fraction of variance that the causes move, noise-free: validated, not asked for.
+    pub unexplained: f64,
+    /// The same of each cause alone, in their order.
+    pub alone: Vec<f64>,
+    /// How the world is computed.
+    pub form: Form,
+    /// How the temperature runs.
+    pub only_warmer: bool,
+}
+
+/// One case, as everybody may see it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Case {
+    /// Name.
+    pub id: String,
+    /// Folder of the bag, below that of the pack.
+    pub bag: PathBuf,
+    /// SHA-256 of the secret's file.
+    pub secret_sha256: String,
+    /// SHA-256 of the bag's files, one after another in the order of their names.
+    pub bag_sha256: String,
+}
+
+/// What everybody may see of a pack.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    schema: String,
+    /// Program and version that made it.
+    pub generator: String,
+    /// What was asked for.
+    pub kind: Kind,
+    /// Name of the skin.
+    pub skin: String,
+    /// Its hash.
+    pub skin_hash: String,
+    /// How many presses a case has, compared to the usual 150.
+    pub size: f64,
+    /// The cases.
+    pub cases: Vec<Case>,
+}
+
+/// What a pack is made of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Order {
+    /// What is withheld.
+    pub kind: Kind,
+    /// Number of cases.
+    pub count: usize,
+    /// Of everything.
+    pub seed: u64,
+    /// How many presses a case has, compared to the usual 150.
+    pub size: f64,
+}
+
+/// Hexadecimal SHA-256.
+#[must_use]
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+fn generator() -> String {
+    format!("{} {}", env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"))
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, WorldError> {
+    std::fs::read(path).map_err(WorldError::io(path, "read"))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), WorldError> {
+    std::fs::write(path, bytes).map_err(WorldError::io(path, "written"))
+}
+
+fn folder(path: &Path) -> Result<(), WorldError> {
+    std::fs::create_dir_all(path).map_err(WorldError::io(path, "made"))
+}
+
+fn parse<T: serde::de::DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T, WorldError> {
+    serde_json::from_slice(bytes)
+        .map_err(|e| WorldError::File { path: path.to_owned(), reason: e.to_string() })
+}
+
+fn json<T: Serialize>(path: &Path, value: &T) -> Result<Vec<u8>, WorldError> {
+    let mut bytes = serde_json::to_vec_pretty(value)
+        .map_err(|e| WorldError::File { path: path.to_owned(), reason: e.to_string() })?;
+    bytes.push(b'\n');
+    Ok(bytes)
+}
+
+/// SHA-256 of the files of a bag, in the order of their names.
+fn bag_hash(dir: &Path) -> Result<String, WorldError> {
+    let mut files: Vec<PathBuf> = std::fs::read_dir(dir)
+        .map_err(WorldError::io(dir, "read"))?
+        .filter_map(|entry| entry.ok().map(|e| e.path()))
+        .filter(|path| path.is_file())
+        .collect();
+    files.sort();
+    let mut hash = Sha256::new();
+    for file in files {
+        hash.update(read(&file)?);
+    }
+    Ok(hash.finalize().iter().map(|b| format!("{b:02x}")).collect())
+}
+
+impl Manifest {
+    /// Reads that of the pack `dir`.
+    ///
+    /// # Errors
+    ///
+    /// [`WorldError::File`] where it is none of ours.
+    pub fn load(dir: &Path) -> Result<Self, WorldError> {
+        let path = dir.join("manifest.json");
+        let manifest: Self = parse(&path, &read(&path)?)?;
+        if manifest.schema != PACK_SCHEMA {
+            let reason = format!("field `schema` is \"{}\" where \"{PACK_SCHEMA}\" is read", manifest.schema);
+            return Err(WorldError::File { path, reason });
+        }
+        Ok(manifest)
+    }
+
+    /// SHA-256 of the manifest's file: with it everything of the pack is said.
+    ///
+    /// # Errors
+    ///
+    /// [`WorldError::Io`] where it cannot be read.
+    pub fn hash(dir: &Path) -> Result<String, WorldError> {
+        Ok(sha256(&read(&dir.join("manifest.json"))?))
+    }
+}
+
+/// Opens the secret of `case` in the folder `secrets`.
+///
+/// # Errors
+///
+/// [`WorldError::Seal`] where it is not the one whose hash was published.
+pub fn unseal(secrets: &Path, case: &Case) -> Result<Secret, WorldError> {
+    let path = secrets.join(format!("{}.json", case.id));
+    let bytes = read(&path)?;
+    let found = sha256(&bytes);
+    if found != case.secret_sha256 {
+        return Err(WorldError::Seal { path, found, published: case.secret_sha256.clone() });
+    }
+    parse(&path, &bytes)
+}
+
+/// Causes that a recording cannot tell apart by construction.
+fn confusable(info: &CauseInfo) -> bool {
+    [
+        "common-gain",
+        "shifted-rig",
+        "air-pocket",
+        "weather",
+        "other-thickness-everywhere",
+        "creeping",
+        "zero-with-warmth",
+    ]
+    .contains(&info.id)
+}
+
+/// What one case is to hold.
+struct Wanted {
+    causes: Vec<&'static CauseInfo>,
+    gap: f64,
+    noise: f64,
+}
+
+/// The cases of an order: every cause as often as any other, over all gaps and noise levels.
+fn wanted(order: &Order, known: &'static [CauseInfo]) -> Vec<Wanted> {
+    let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
+    let of: Vec<&CauseInfo> = match order.kind {
+        Kind::Singles | Kind::Pairs | Kind::Triples => known.iter().filter(|k| k.listed).collect(),
+        Kind::OutOfLibrary => known.iter().filter(|k| !k.listed).collect(),
+        Kind::Confounded => known.iter().filter(|k| confusable(k)).collect(),
+        Kind::Controls => Vec::new(),
+    };
+    let at_once = match order.kind {
+        Kind::Controls => 0,
+        Kind::Pairs => 2,
+        Kind::Triples => 3,
+        _ => 1,
+    };
+    let mut deck: Vec<&CauseInfo> = Vec::new();
+    let (gaps, noises) = ([3.0, 10.0, 1.0], [1.0, 5.0]);
+    let mut dealt: BTreeMap<&str, usize> = BTreeMap::new();
+    (0..order.count)
+        .map(|i| {
+            let mut causes: Vec<&'static CauseInfo> = Vec::new();
+            while causes.len() < at_once && of.len() >= at_once {
+                if deck.is_empty() {
+                    deck.clone_from(&of);
+                    deck.shuffle(&mut rng);
+                }
+                match deck.iter().position(|k| !causes.iter().any(|c| c.id == k.id)) {
+                    Some(place) => causes.push(deck.swap_remove(place)),
+                    None => deck.clear(),
+                }
+            }
+            // Each cause walks through the gaps and noise levels for itself.
+            let turn = causes.first().map_or(i, |first| {
+                let count = dealt.entry(first.id).or_insert_with(|| rng.random_range(0..6));
+                *count += 1;
+                *count
+            });
+            Wanted {
+                gap: if causes.is_empty() { 0.0 } else { gaps[turn % 3] },
+                noise: noises[(turn / 3) % 2],
+                causes,
+            }
+        })
+        .collect()
+}
+
+/// One case, not yet written.
+struct Made {
+    secret: Secret,
+    script: Script,
+    readings: Vec<f64>,
+    world: Box<dyn World>,
+    seed: u64,
+}
+
+/// Share of the variance that noise of the skin's channels makes up, `factor` times as strong.
+fn noise_share(clean: &[f64], skin: &SkinDescription, script: &Script, factor: f64) -> f64 {
+    let sigma = skin.channel_noise();
+    // Readings that are off by one deviation everywhere but at the start, whose mean is the zero.
+    let mut off = clean.to_vec();
+    for row in off.chunks_mut(sigma.len()).skip(script.quiet) {
+        row.iter_mut().zip(&sigma).for_each(|(v, s)| *v += factor * s);
+    }
+    unexplained(clean, &off, script, sigma.len())
+}
+
+fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) -> Result<Made, WorldError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
+    rng.set_stream(1 + index as u64);
+    let case = format!("case-{:04}", index + 1);
+    let form = if order.kind == Kind::Controls { Form::varied(rng.random()) } else { Form::default() };
+    let climate = if order.kind == Kind::Confounded { Climate::OnlyWarmer } else { Climate::Varied };
+    let rig = crate::rig(skin, order.size)?;
+    let channels = skin.channels().len();
+    let script_seed = rng.random();
+    let noise_seed: u64 = rng.random();
+    let nominal = crate::world(skin, &form, &[])?;
+    let script = Script::draw(&nominal.model(), &rig, climate, script_seed)?;
+    let clean = nominal.readings(&script, None)?;
+    let floor = noise_share(&clean, skin, &script, wanted.noise) + MARGIN;
+
+    let moved = |causes: &[Cause]| -> Result<f64, WorldError> {
+        let other = crate::world(skin, &form, causes)?.readings(&script, None)?;
+        Ok(unexplained(&clean, &other, &script, channels))
+    };
+    let mut causes = Vec::new();
+    let mut alone = Vec::new();
+    let mut gap = wanted.gap;
+    let seeds: Vec<u64> = wanted.causes.iter().map(|_| rng.random()).collect();
+    // A cause that cannot be as strong is taken at the next smaller gap; one that cannot reach the least makes a control.
+    while gap > 0.0 {
+        causes.clear();
+        alone.clear();
+        for (info, seed) in wanted.causes.iter().zip(&seeds) {
+            let mut cause = Cause { id: info.id.to_owned(), strength: 0.25, seed: *seed };
+            let target = gap * floor;
+            let mut reached = moved(std::slice::from_ref(&cause))?;
+            for _ in 0..10 {
+                if (reached / target - 1.0).abs() < 0.08 || (cause.strength >= 1.0 && reached < target) {
+                    break;
+                }
+                // The variance that a cause moves grows about as the square of its strength.
+                let next = cause.strength * (target / reached.max(1e-9)).sqrt().clamp(0.2, 4.0);
+                cause.strength = next.clamp(1e-5, 1.0);
+                reached = moved(std::slice::from_ref(&cause))?;
+            }
+            causes.push(cause);
+            alone.push(reached);
+        }
+        if alone.iter().all(|a| (0.7 * gap * floor..1.5 * gap * floor).contains(a)) {
+            break;
+        }
+        gap = match gap {
+            g if g > 3.0 => 3.0,
+            g if g > 1.0 => 1.0,
+            _ => 0.0,
+        };
+    }
+    let kind = if gap > 0.0 { order.kind } else { Kind::Controls };
+    let world = crate::world(skin, &form, &causes)?;
+    // How deep a tip sinks in is what the rig sees of this world.
+    let script = Script::draw(&world.model(), &rig, climate, script_seed)?;
+    let readings = world.readings(&script, Some((noise_seed, wanted.noise)))?;
+    let known = crate::causes(skin)?;
+    let secret = Secret {
+        schema: SECRET_SCHEMA.to_owned(),
+        generator: generator(),
+        salt: sha256(format!("salt/{}/{case}/{}", order.seed, rng.random::<u128>()).as_bytes()),
+        case,
+        kind,
+        seed: order.seed,
+        unexplained: if causes.is_empty() { 0.0 } else { moved(&causes)? },
+        causes: causes
+            .into_iter()
+            .map(|cause| Told {
+                what: known.iter().find(|k| k.id == cause.id).map_or("", |k| k.what).to_owned(),
+                parameters: parameters(known, &cause),
+                cause,
+            })
+            .collect(),
+        gap,
+        noise: wanted.noise,
+        floor,
+        alone,
+        form,
+        only_warmer: climate == Climate::OnlyWarmer,
+    };
+    Ok(Made { secret, script, readings, world, seed: noise_seed ^ 0x7a51 })
+}
+
+/// Makes a pack in the folder `dir` and its secrets in `secrets`, neither of which may hold one yet. `skin_text` is the skin file,
+/// which goes into the pack. `done` is told of every case that is finished, and ends the work where it returns `false`; what is
+/// there by then is a valid, smaller pack.
+///
+/// # Errors
+///
+/// [`WorldError`] where no world is like the skin, or a file cannot be written.
+pub fn make_pack(
+    skin_text: &str,
+    order: &Order,
+    dir: &Path,
+    secrets: &Path,
+    mut done: impl FnMut(usize) -> bool,
+) -> Result<Manifest, WorldError> {
+    let skin = SkinDescription::from_toml(skin_text, "skin")?;
+    for path in [dir, secrets] {
+        let taken = std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
+        if taken {
+            let reason = "is not empty: a pack is made in a new folder".to_owned();
+            return Err(WorldError::File { path: path.to_owned(), reason });
+        }
+        folder(path)?;
+    }
+    folder(&dir.join("bags"))?;
+    write(&dir.join("skin.toml"), skin_text.as_bytes())?;
+    let mut manifest = Manifest {
+        schema: PACK_SCHEMA.to_owned(),
+        generator: generator(),
+        kind: order.kind,
+        skin: skin.name.clone(),
+        skin_hash: skin.hash(),
+        size: order.size,
+        cases: Vec::new(),
+    };
+    for (index, wanted) in wanted(order, crate::causes(&skin)?).iter().enumerate() {
+        let made = make(&skin, order, index, wanted)?;
+        let id = made.secret.case.clone();
+        let bag = Path::new("bags").join(&id);
+        crate::record(&skin, &*made.world.model(), &made.script, &made.readings, &dir.join(&bag), made.seed)?;
+        let path = secrets.join(format!("{id}.json"));
+        let bytes = json(&path, &made.secret)?;
+        write(&path, &bytes)?;
+        let bag_sha256 = bag_hash(&dir.join(&bag))?;
+        manifest.cases.push(Case { id, bag, secret_sha256: sha256(&bytes), bag_sha256 });
+        if !done(index + 1) {
+            break;
+        }
+    }
+    let path = dir.join("manifest.json");
+    write(&path, &json(&path, &manifest)?)?;
+    Ok(manifest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LINE: &str = include_str!("../../../launch/skins/baro-line.toml");
+
+    fn order(kind: Kind) -> Order {
+        Order { kind, count: 3, seed: 11, size: 0.12 }
+    }
+
+    #[test]
+    fn a_pack_is_sealed_and_the_same_every_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let (pack, secrets) = (dir.path().join("pack"), dir.path().join("secrets"));
+        let made = make_pack(LINE, &order(Kind::Singles), &pack, &secrets, |_| true).unwrap();
+        assert_eq!(Manifest::load(&pack).unwrap(), made);
+        for case in &made.cases {
+            let secret = unseal(&secrets, case).unwrap();
+            if secret.kind == Kind::Singles {
+                let [told] = &secret.causes[..] else { panic!("{secret:?}") };
+                assert!(!told.what.is_empty() && !told.parameters.is_empty());
+                let reached = secret.unexplained / (secret.gap * secret.floor);
+                assert!((0.7..1.5).contains(&reached), "{reached}: {secret:?}");
+            }
+            // Nothing public names what is withheld.
+            let public = std::fs::read_to_string(pack.join("manifest.json")).unwrap();
+            for told in &secret.causes {
+                assert!(!public.contains(&told.cause.id));
+            }
+        }
+        let (pack2, secrets2) = (dir.path().join("pack2"), dir.path().join("secrets2"));
+        let again = make_pack(LINE, &order(Kind::Singles), &pack2, &secrets2, |_| true).unwrap();
+        let seals = |m: &Manifest| m.cases.iter().map(|c| c.secret_sha256.clone()).collect::<Vec<_>>();
+        assert_eq!(seals(&again), seals(&made));
+
+        let case = &made.cases[0];
+        let path = secrets.join(format!("{}.json", case.id));
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.replace("\"seed\": 11", "\"seed\": 12")).unwrap();
+        let refused = unseal(&secrets, case).unwrap_err().to_string();
+        assert!(refused.contains("was changed after it was sealed"), "{refused}");
+        let taken =
+            make_pack(LINE, &order(Kind::Singles), &pack, &secrets, |_| true).unwrap_err().to_string();
+        assert!(taken.contains("is not empty"), "{taken}");
+    }
+
+    #[test]
+    fn every_cause_is_dealt_as_often_as_any_other() {
+        let skin = SkinDescription::from_toml(LINE, "line").unwrap();
+        let known = crate::causes(&skin).unwrap();
+        let listed = known.iter().filter(|k| k.listed).count();
+        assert!(listed >= 12 && known.len() - listed >= 8);
+        let cases = wanted(&Order { count: 6 * listed, ..order(Kind::Singles) }, known);
+        let mut seen: BTreeMap<(&str, u8, u8), usize> = BTreeMap::new();
+        for case in &cases {
+            *seen.entry((case.causes[0].id, case.gap as u8, case.noise as u8)).or_default() += 1;
+        }
+        assert_eq!(seen.len(), 6 * listed, "every cause at every gap and noise level, once");
+        for case in wanted(&order(Kind::Triples), known) {
+            assert_eq!(case.causes.len(), 3);
+        }
+        assert!(wanted(&order(Kind::Controls), known).iter().all(|c| c.causes.is_empty()));
+    }
+}
