@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dictionary::Dictionary;
 use crate::fit::{Datum, Minimum, Problem};
+use crate::pairs::Pairs;
 
 /// What an [`Inverter`] is told besides the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,6 +38,35 @@ pub struct Settings {
     /// \[m\] that contacts are apart at least.
     #[serde(default = "apart")]
     pub distance: f64,
+    /// How likely forces are before the reading.
+    #[serde(default, skip_serializing_if = "ForcePrior::is_default")]
+    pub force_prior: ForcePrior,
+}
+
+/// How likely forces are before the reading: what decides where a reading leaves it open.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ForcePrior {
+    /// Every force is as likely as any other.
+    #[default]
+    Uniform,
+    /// Every ratio is as likely as any other, up to the largest force. For skins with places where nothing gives way: without it,
+    /// a light touch looks like a strong one there.
+    Log,
+}
+
+impl ForcePrior {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// −2 times the logarithm of the prior's density, but for a constant.
+    fn penalty(self, contacts: &[Indentation]) -> f64 {
+        match self {
+            Self::Uniform => 0.0,
+            Self::Log => contacts.iter().map(|c| 2.0 * c.force.norm().max(1e-9).ln()).sum(),
+        }
+    }
 }
 
 fn one() -> usize {
@@ -65,6 +95,7 @@ impl Settings {
             model_error: 0.0,
             evidence: evidence(),
             distance: apart(),
+            force_prior: ForcePrior::default(),
         }
     }
 
@@ -212,6 +243,8 @@ const BROAD: f64 = 0.8;
 const PLAUSIBLE: f64 = 2.0;
 /// Starts of a further contact that are tried.
 const STARTS: usize = 2;
+/// Pairs of places, and single ones, that a search begins at.
+const PAIRS: usize = 5;
 /// \[m\] by which a contact is split in two, to both sides.
 const SPLIT: f64 = 3e-3;
 /// Places of a dictionary at most, roughly.
@@ -246,6 +279,7 @@ pub struct Inverter {
     /// \[m\] y of the middle line, where only x is looked for.
     line: Option<f64>,
     dictionary: Dictionary,
+    pairs: Pairs,
 }
 
 struct ModelBox(Arc<dyn ForwardModel>);
@@ -277,7 +311,8 @@ impl Inverter {
         let middle = points.iter().map(|p| p.y).sum::<f64>() / points.len().max(1) as f64;
         let line = (s.unknowns == Unknowns::Line).then_some(middle);
         let dictionary = Dictionary::new(model.as_ref(), line, spacing, s.diameter, s.force_max, &gains)?;
-        Ok(Self { model: ModelBox(model), settings, gains, rest, spacing, line, dictionary })
+        let pairs = Pairs::new(&dictionary, spacing);
+        Ok(Self { model: ModelBox(model), settings, gains, rest, spacing, line, dictionary, pairs })
     }
 
     /// What it was told.
@@ -345,7 +380,7 @@ impl Inverter {
                 }
                 for start in self.starts(kind, &data, &best, hint) {
                     let minimum = problem.minimise(start)?;
-                    if found.as_ref().is_none_or(|f| minimum.chi2 < f.chi2) {
+                    if found.as_ref().is_none_or(|f| self.score(&minimum) < self.score(f)) {
                         found = Some(minimum);
                     }
                 }
@@ -413,6 +448,64 @@ impl Inverter {
             best = fewer;
         }
         Ok(self.solution(&best, &data))
+    }
+
+    /// As [`solve`](Self::solve), but looks for two contacts among all pairs of places, not for the second beside the first:
+    /// where elements are few and each feels half of the surface, the best single contact may be none of the two. Takes some
+    /// milliseconds.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Channels`] for readings of another skin.
+    pub fn search(&self, readings: &[Reading]) -> Result<Solution, InverterError> {
+        self.check(readings)?;
+        let data = self.data(readings);
+        let problem = self.problem(&data);
+        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let s = &self.settings;
+        let most = s.contacts.min(counted / s.unknowns.count());
+        let untouched = vec![0.0; data.len()];
+        let mut best: Option<Minimum> = None;
+        for start in self.matches(&data, &untouched, PAIRS) {
+            let minimum = problem.minimise(vec![start])?;
+            if best.as_ref().is_none_or(|b| self.score(&minimum) < self.score(b)) {
+                best = Some(minimum);
+            }
+        }
+        let Some(mut best) = best else { return self.solve(readings, None) };
+        for contacts in 2..=most {
+            let left = best.chi2 - counted.saturating_sub(contacts * s.unknowns.count()) as f64;
+            if left < s.evidence {
+                break;
+            }
+            let mut starts: Vec<Vec<Indentation>> = Vec::new();
+            if contacts == 2 {
+                let bounds = (s.distance, s.force_max * 1.2, s.diameter);
+                let pairs = self.pairs.best(&self.dictionary, &data, bounds, PAIRS);
+                starts.extend(pairs.into_iter().map(Vec::from));
+            }
+            for kind in [Start::Dictionary, Start::Split] {
+                starts.extend(self.starts(kind, &data, &best, None));
+            }
+            let mut found: Option<Minimum> = None;
+            for start in starts {
+                let minimum = problem.minimise(start)?;
+                let better = |f: &Minimum| self.score(&minimum) < self.score(f);
+                if found.as_ref().is_none_or(better) && self.apart(&minimum) {
+                    found = Some(minimum);
+                }
+            }
+            match found {
+                Some(found) if best.chi2 - found.chi2 >= s.evidence => best = found,
+                _ => break,
+            }
+        }
+        Ok(self.solution(&best, &data))
+    }
+
+    /// How unlikely a minimum is, to be compared between minima of as many contacts.
+    fn score(&self, minimum: &Minimum) -> f64 {
+        minimum.chi2 + self.settings.force_prior.penalty(&minimum.contacts)
     }
 
     fn check(&self, readings: &[Reading]) -> Result<(), InverterError> {
@@ -639,6 +732,11 @@ impl Inverter {
             // The force is Gaussian about `found`, cut off at 0 (and, far away, at the largest).
             let deviation = 1.0 / square.sqrt();
             let (mass, mean, variance) = truncated(found, deviation);
+            let mass = match self.settings.force_prior {
+                ForcePrior::Uniform => mass,
+                ForcePrior::Log if found > self.settings.force_max + 2.0 * deviation => continue,
+                ForcePrior::Log => mass / mean.max(1e-9),
+            };
             let weight = spot.area * mass * deviation * (-(chi2 - least) / 2.0).exp();
             total += weight;
             force += weight * mean;
@@ -785,6 +883,30 @@ mod tests {
         let (error, said, bound) = (error.sqrt(), said.sqrt(), bound.sqrt());
         assert!(error < bound, "knowing the surface helps: {error}, unbiased {bound}");
         assert!((0.7..1.4).contains(&(said / error)), "{said} is said, {error} is true");
+    }
+
+    #[test]
+    fn pairs_are_found_among_all_pairs() {
+        let (inverter, model) = inverter(1e-3, |s| s.contacts = 3);
+        let mut random = random(8);
+        for _ in 0..20 {
+            let mut at = || random.random_range(-0.014..0.014);
+            let (a, b) = (press(at(), at(), 1.0), press(at(), at(), 0.7));
+            if (a.position - b.position).norm() < 0.008 {
+                continue;
+            }
+            let truth = [a, b];
+            let readings = model.read(&truth, &mut random);
+            let found = inverter.search(&readings).unwrap().contacts;
+            assert_eq!(found.len(), 2, "{truth:?} {found:?}");
+            for t in &truth {
+                let nearest = found.iter().map(|f| (f.position - t.position).norm()).fold(1.0, f64::min);
+                assert!(nearest < 5e-4, "{truth:?} {found:?}");
+            }
+        }
+        let single = inverter.search(&model.read(&[press(0.003, 0.004, 0.8)], &mut random)).unwrap();
+        assert_eq!(single.contacts.len(), 1);
+        assert!(inverter.search(&[Reading::Exact(0.0)]).is_err());
     }
 
     #[test]

@@ -13,6 +13,7 @@ mod corrected;
 mod dictionary;
 mod fit;
 mod inverter;
+mod pairs;
 mod peaks;
 mod sparse;
 #[cfg(test)]
@@ -20,6 +21,6 @@ mod testing;
 
 pub use calibrate::{Calibration, CalibrationError};
 pub use corrected::{Corrected, Correction, CorrectionSettings, Press};
-pub use inverter::{Found, Inverter, InverterError, Reading, Settings, Solution};
+pub use inverter::{ForcePrior, Found, Inverter, InverterError, Reading, Settings, Solution};
 pub use peaks::{Peak, PeakFinder, PeakSettings, suppress};
 pub use sparse::SparseSettings;

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 /// How peaks of a map become contacts. Serialised in the `[peaks]` table of a bundle's manifest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct PeakSettings {
     /// \[m\] along the surface within which a contact is the largest displacement.
     pub radius: f64,

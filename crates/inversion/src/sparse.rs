@@ -44,14 +44,19 @@ impl Inverter {
         let signal = self.whitened(readings)?;
         let dictionary = self.dictionary();
         let places = dictionary.places.len();
-        let amplitudes = lasso(&signal, dictionary.directions(), places, settings.penalty);
         let unit = dictionary.forces[SHAPE];
         let noise = self.noise();
-        let force = |place: usize| {
-            let response = dictionary.response(place, SHAPE).iter().zip(noise);
-            let length = response.map(|(v, n)| (f64::from(*v) / n).powi(2)).sum::<f64>().sqrt();
-            if length > 0.0 { amplitudes[place] / length * unit } else { 0.0 }
-        };
+        let lengths: Vec<f64> = (0..places)
+            .map(|place| {
+                let response = dictionary.response(place, SHAPE).iter().zip(noise);
+                response.map(|(v, n)| (f64::from(*v) / n).powi(2)).sum::<f64>().sqrt()
+            })
+            .collect();
+        // Where hardly anything is felt, an enormous force would explain whatever is left.
+        let most: Vec<f64> = lengths.iter().map(|l| l * self.settings().force_max / unit).collect();
+        let amplitudes = lasso(&signal, dictionary.directions(), &most, settings.penalty);
+        let force =
+            |place: usize| if lengths[place] > 0.0 { amplitudes[place] / lengths[place] * unit } else { 0.0 };
         let mut active: Vec<(f64, usize)> =
             (0..places).map(|p| (force(p), p)).filter(|(f, _)| *f > 0.0).collect();
         active.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -81,9 +86,9 @@ impl Inverter {
     }
 }
 
-/// Non-negative amplitudes of unit directions (`places` × channels, end to end).
-fn lasso(signal: &[f64], directions: &[f32], places: usize, share: f64) -> Vec<f64> {
-    let channels = signal.len();
+/// Amplitudes of unit directions (places × channels, end to end) from 0 up to the `most` of each place.
+fn lasso(signal: &[f64], directions: &[f32], most: &[f64], share: f64) -> Vec<f64> {
+    let (channels, places) = (signal.len(), most.len());
     let direction = |place: usize| &directions[place * channels..(place + 1) * channels];
     let dot = |a: &[f32], b: &[f64]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * b).sum::<f64>();
     let largest = (0..places).map(|p| dot(direction(p), signal)).fold(0.0, f64::max);
@@ -93,7 +98,7 @@ fn lasso(signal: &[f64], directions: &[f32], places: usize, share: f64) -> Vec<f
     let update = |place: usize, amplitudes: &mut [f64], left: &mut [f64]| {
         let d = direction(place);
         let before: f64 = amplitudes[place];
-        let after = (before + dot(d, left) - penalty).max(0.0);
+        let after = (before + dot(d, left) - penalty).clamp(0.0, most[place]);
         if after != before {
             left.iter_mut().zip(d).for_each(|(l, d)| *l -= (after - before) * f64::from(*d));
             amplitudes[place] = after;

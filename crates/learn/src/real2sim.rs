@@ -31,7 +31,7 @@ pub use contacts::{matched, tune};
 pub use pipeline::{Pipeline, PipelineSettings, Trained, train};
 pub use recordings::{Recorded, superpose};
 pub use regressor::{LinearMap, MapRegressor, NearestMaps, NetMap};
-pub use scenes::{Part, SceneSettings, Scenes};
+pub use scenes::{Compliance, Part, SceneSettings, Scenes};
 pub use sensors::{Simulated, VirtualSensors, simulate};
 pub use settings::Settings;
 pub use table::{Cell, Table, TableSettings, table};

@@ -10,17 +10,17 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
 use dermis_inversion::{
-    Corrected, Correction, CorrectionSettings, Inverter, Press, Reading, Settings, SparseSettings,
+    Corrected, Correction, CorrectionSettings, ForcePrior, Inverter, Press, Reading, Settings, SparseSettings,
 };
 use dermis_learn::cli::Labels;
-use dermis_learn::real2sim::{Recorded, matched, superpose};
+use dermis_learn::real2sim::{Compliance, Recorded, matched, superpose};
 use dermis_learn::{Dataset, Evaluation, Evaluator, SampleId, Truth, TruthContact, bounds, refine};
 use dermis_skin::{Estimate, ForwardModel, SkinDescription, Unknowns};
 use indicatif::ProgressBar;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::estimators::{Begin, Direct, Likely, Method, Peaks, Refined, Sparse, inverter};
+use super::estimators::{Begin, Direct, Likely, Method, Peaks, Refined, Searched, Sparse, inverter};
 use super::train::parts;
 use super::{flat, nominal, progress, save};
 use crate::figures::{Axes, Curve, Legend, Pen, curves, escape, figure, page, surface};
@@ -40,6 +40,9 @@ pub struct Options {
     /// Force [N] that every contact presses with at least.
     #[arg(long, default_value_t = 1.0)]
     least: f64,
+    /// Compare on contacts where nothing gives way, too, which no reading shows.
+    #[arg(long)]
+    rigid: bool,
     /// Readings of each number of contacts that are compared at most; of more, every n-th is taken.
     #[arg(long, default_value_t = 1500)]
     most: usize,
@@ -137,7 +140,8 @@ pub fn run(options: &Options) -> Result<()> {
     let labels = options.labels.options()?;
     let learned = Dataset::from_bags(&options.train, &skin, &labels)?;
     let data = Dataset::from_bags(&options.bags, &skin, &labels)?;
-    let test = frames(&data, options);
+    let compliance = Compliance::of(model.as_ref(), 0.010)?;
+    let test = frames(&data, options, &compliance);
     if test.values().all(Vec::is_empty) {
         bail!("these bags hold no frame of one or two contacts of {} N or more each", options.least);
     }
@@ -145,7 +149,7 @@ pub fn run(options: &Options) -> Result<()> {
     let all: Vec<SampleId> =
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
     let (learn, choose) = parts(&learned, &all);
-    let prepared = prepare(options, &skin, &model, &learned, (&learn, &choose), &bar)?;
+    let prepared = prepare(options, &skin, &model, &compliance, &learned, (&learn, &choose), &bar)?;
     let mut rows = Vec::new();
     let mut shown: Option<Shown> = None;
     let total = (prepared.methods.len() * test.values().map(Vec::len).sum::<usize>()) as u64;
@@ -181,12 +185,13 @@ pub fn run(options: &Options) -> Result<()> {
     let asks = asks(&rows);
     let record = json!({
         "skin": skin.name, "skin_hash": skin.hash(), "least_n": options.least, "bins_n": options.bins,
+        "rigid_places": options.rigid, "share_that_gives_way": compliance.share(),
         "learned": { "data_hash": learned.hash(), "notes": prepared.notes },
         "tested": { "data_hash": data.hash(),
                     "frames": test.iter().map(|(k, ids)| (k.name(), ids.len())).collect::<BTreeMap<_, _>>() },
         "rows": rows, "bound": bound, "asks": asks,
     });
-    let text = text(&skin, &rows, &test, &options.bins, &record["bound"], &asks);
+    let text = text(&skin, options.rigid, &rows, &test, &options.bins, &record["bound"], &asks);
     if let Some(folder) = &options.out {
         save(folder, "comparison.json", &format!("{record}\n"))?;
         save(folder, "comparison.html", &html(&skin, &model, &data, &rows, &text, shown)?)?;
@@ -200,9 +205,12 @@ pub fn run(options: &Options) -> Result<()> {
 }
 
 /// Touched frames of one and two contacts, evenly thinned.
-fn frames(data: &Dataset, options: &Options) -> BTreeMap<Kind, Vec<SampleId>> {
+fn frames(data: &Dataset, options: &Options, compliance: &Compliance) -> BTreeMap<Kind, Vec<SampleId>> {
     let mut all: BTreeMap<Kind, Vec<SampleId>> = BTreeMap::new();
-    let heavy = |c: &TruthContact| c.normal_force().is_some_and(|f| f >= options.least);
+    let heavy = |c: &TruthContact| {
+        c.normal_force().is_some_and(|f| f >= options.least)
+            && (options.rigid || compliance.gives_way(&c.position))
+    };
     for (id, sample, truth) in data.labelled() {
         if let Some(kind) = Kind::of(truth)
             && truth.contacts.iter().all(heavy)
@@ -228,13 +236,18 @@ fn prepare(
     options: &Options,
     skin: &SkinDescription,
     model: &Arc<dyn ForwardModel>,
+    compliance: &Compliance,
     learned: &Dataset,
     (learn, choose): (&[SampleId], &[SampleId]),
     bar: &ProgressBar,
 ) -> Result<Prepared> {
     let runtime = Runtime::load(&RuntimeConfig::default())?;
-    let recorded = Recorded::of(learned, learn, options.least * 0.5, options.learn);
-    let chosen = Recorded::of(learned, choose, options.least * 0.5, options.learn / 4);
+    let felt = |ids: &[SampleId], most: usize| {
+        let mut all = Recorded::of(learned, ids, options.least * 0.5, most);
+        all.retain(|r| compliance.gives_way(&r.contact.position));
+        all
+    };
+    let (recorded, chosen) = (felt(learn, options.learn), felt(choose, options.learn / 4));
     if recorded.is_empty() || chosen.is_empty() {
         bail!("the bags of `--train` hold no single contact of known place, force and tip");
     }
@@ -249,12 +262,13 @@ fn prepare(
     bar.set_message("gains of the channels");
     let mut plain = refine::settings(model.as_ref(), learned, learn, Unknowns::Normal, options.contacts)?;
     plain.distance = 0.008;
+    plain.force_prior = ForcePrior::Log;
     bar.set_message("what the model does not know");
     let (correction, settings, remainder) = correct(model.as_ref(), &recorded, &chosen, &plain.gains)?;
     let corrected: Arc<dyn ForwardModel> = Arc::new(Corrected::new(Arc::clone(model), correction)?);
     let mut better =
         refine::settings(corrected.as_ref(), learned, choose, Unknowns::Normal, options.contacts)?;
-    better.distance = plain.distance;
+    (better.distance, better.force_prior) = (plain.distance, plain.force_prior);
     // Gains are in the correction; measured once more on a few places they would only add noise.
     better.gains.clear();
     bar.set_message("how much evidence a contact needs");
@@ -269,6 +283,7 @@ fn prepare(
         Box::new(Sparse { inverter: inverter(model, &plain)?, settings: sparse }),
     ));
     methods.push(("corrected model, likelihood".into(), Box::new(Likely(inverter(&corrected, &better)?))));
+    methods.push(("corrected model, all pairs".into(), Box::new(Searched(inverter(&corrected, &better)?))));
     let generous = SparseSettings { share: 0.02, ..sparse };
     methods.push((
         "corrected model, from sparse".into(),
@@ -344,7 +359,7 @@ fn tune_evidence(model: &Arc<dyn ForwardModel>, settings: &mut Settings, frames:
         let tried = Inverter::new(Arc::clone(model), Settings { evidence, ..settings.clone() })?;
         let mut right = 0usize;
         for (stimulus, signal) in frames {
-            let found = tried.solve(&exact(signal), None)?.contacts.len();
+            let found = tried.search(&exact(signal))?.contacts.len();
             right += usize::from(found == stimulus.contacts.len());
         }
         if right as f64 > best.0 {
@@ -501,6 +516,7 @@ fn asks(rows: &[Row]) -> Vec<Ask> {
 
 fn text(
     skin: &SkinDescription,
+    rigid: bool,
     rows: &[Row],
     test: &BTreeMap<Kind, Vec<SampleId>>,
     bins: &[f64],
@@ -508,6 +524,9 @@ fn text(
     asks: &[Ask],
 ) -> String {
     let mut out = format!("{}: ways to contacts on recordings that nothing was learned from\n", skin.name);
+    if !rigid {
+        out.push_str("left out: contacts where the surface gives way by less than a tenth of its median\n");
+    }
     for kind in Kind::ALL {
         let found: Vec<&Row> = rows.iter().filter(|r| r.kind == kind.name()).collect();
         if found.is_empty() {

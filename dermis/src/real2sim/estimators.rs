@@ -87,6 +87,15 @@ impl Method for Likely {
     }
 }
 
+/// Maximum likelihood on a forward model that begins at the best of all pairs.
+pub struct Searched(pub Inverter);
+
+impl Method for Searched {
+    fn contacts(&mut self, sample: &Sample) -> Result<Vec<Contact>> {
+        Ok(self.0.search(&readings(sample))?.contacts.iter().map(contact).collect())
+    }
+}
+
 /// Where a refinement begins.
 pub enum Begin {
     /// At what another method finds.
@@ -142,7 +151,7 @@ impl Method for Sparse {
 
 /// Regression of x, y, z \[m\] and the pressing force \[N\] of one contact.
 enum Regression {
-    Vectors(Svr),
+    Vectors { place: Svr, force: Svr },
     Neighbours(Neighbours),
     Network { net: Mlp, scales: [f32; 2] },
 }
@@ -180,9 +189,13 @@ impl Direct {
         let step = recorded.len().div_ceil(most.max(1)).max(1);
         let some: Vec<Recorded> = recorded.iter().step_by(step).cloned().collect();
         let (inputs, targets) = Self::tables(skin, &some);
+        let places: Vec<f64> = targets.chunks_exact(4).flat_map(|t| [t[0], t[1], t[2]]).collect();
+        let forces: Vec<f64> = targets.chunks_exact(4).map(|t| t[3]).collect();
         let inputs = Rows::new(&inputs, skin.channels().len(), "readings")?;
-        let svr = Svr::fit(inputs, Rows::new(&targets, 4, "contacts")?, &SvrSettings::default())?;
-        Ok(Self::new(Regression::Vectors(svr), skin))
+        // Metres and newtons are scaled for themselves: outputs of one fit share a tube.
+        let place = Svr::fit(inputs, Rows::new(&places, 3, "places")?, &SvrSettings::default())?;
+        let force = Svr::fit(inputs, Rows::new(&forces, 1, "forces")?, &SvrSettings::default())?;
+        Ok(Self::new(Regression::Vectors { place, force }, skin))
     }
 
     /// Nearest neighbours.
@@ -234,7 +247,11 @@ impl Method for Direct {
         let row: Vec<f64> =
             whitened.map(|(v, n)| if v.is_finite() { f64::from(*v) / n } else { 0.0 }).collect();
         let answer: Vec<f64> = match &self.regression {
-            Regression::Vectors(svr) => svr.predict(&row)?,
+            Regression::Vectors { place, force } => {
+                let mut answer = place.predict(&row)?;
+                answer.extend(force.predict(&row)?);
+                answer
+            }
             Regression::Neighbours(neighbours) => neighbours.predict(&row)?,
             Regression::Network { net, scales } => net
                 .predict(&direction(&row, row.len()))

@@ -10,7 +10,7 @@ use dermis_inference::{
     RuntimeConfig, TrainingSection,
 };
 use dermis_learn::cli::Labels;
-use dermis_learn::real2sim::{Recorded, Scenes, Settings, train};
+use dermis_learn::real2sim::{Compliance, Recorded, Scenes, Settings, train};
 use dermis_learn::{Dataset, Evaluation, Evaluator, SampleId};
 use dermis_skin::Estimate;
 use serde_json::json;
@@ -46,8 +46,15 @@ pub fn run(options: &Options) -> Result<()> {
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
     let split = settings.split.apply(&data)?;
     let (learn, choose) = parts(&data, &split.train);
-    let recorded = Recorded::of(&data, &learn, settings.least, settings.most);
-    let choose = Recorded::of(&data, &choose, settings.least, settings.most / 4);
+    let compliance = Compliance::of(model.as_ref(), settings.scenes.diameter)?;
+    // What presses where nothing gives way shows in no reading.
+    let felt = |ids: &[SampleId], most: usize| {
+        let mut all = Recorded::of(&data, ids, settings.least, most);
+        all.retain(|r| compliance.gives_way(&r.contact.position));
+        all
+    };
+    let recorded = felt(&learn, settings.most);
+    let choose = felt(&choose, settings.most / 4);
     let scenes = Scenes::new(model.as_ref(), &settings.scenes)?;
     let sensors = sensors(&model, &skin, settings.pipeline.each)?;
     let runtime = Runtime::load(&RuntimeConfig::default())?;
@@ -65,7 +72,8 @@ pub fn run(options: &Options) -> Result<()> {
             let Some(truth) = sample.truth.as_ref().filter(|t| t.touched()) else { continue };
             let heavy =
                 |c: &dermis_learn::TruthContact| c.normal_force().is_some_and(|f| f >= settings.least);
-            if !truth.contacts.iter().all(heavy) || sample.tared.iter().any(|v| !v.is_finite()) {
+            let rigid = truth.contacts.iter().any(|c| !compliance.gives_way(&c.position));
+            if rigid || !truth.contacts.iter().all(heavy) || sample.tared.iter().any(|v| !v.is_finite()) {
                 continue;
             }
             let contacts = reader.contacts(&pipeline.map(&sample.tared)?)?;

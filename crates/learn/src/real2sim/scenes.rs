@@ -36,6 +36,65 @@ impl Default for SceneSettings {
     }
 }
 
+/// How far every point of a surface gives way to what presses there, as a share of the median: what is rigid feels nothing, and no
+/// estimator knows of a contact there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Compliance {
+    points: Vec<Point3<f64>>,
+    shares: Vec<f64>,
+}
+
+impl Compliance {
+    /// Presses every point of a model's surface with a tip of `diameter` \[m\].
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Training`] where the model knows no displacements.
+    pub fn of(model: &dyn ForwardModel, diameter: f64) -> Result<Self, LearnError> {
+        let wrong = |reason: String| LearnError::Training { reason };
+        let surface = model.surface();
+        let mut map = vec![0.0; surface.points.len()];
+        let mut shares = Vec::with_capacity(map.len());
+        for (i, (position, normal)) in surface.points.iter().zip(&surface.normals).enumerate() {
+            let contact = Indentation { position: *position, force: -normal, diameter };
+            let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+            if !model.displacement(&stimulus, &mut map).map_err(|e| wrong(e.to_string()))? {
+                return Err(unknown());
+            }
+            shares.push(map[i]);
+        }
+        let mut sorted = shares.clone();
+        sorted.sort_by(f64::total_cmp);
+        let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0).max(f64::MIN_POSITIVE);
+        shares.iter_mut().for_each(|s| *s /= median);
+        Ok(Self { points: surface.points.clone(), shares })
+    }
+
+    /// Whether the surface gives way at a place.
+    #[must_use]
+    pub fn gives_way(&self, place: &Point3<f64>) -> bool {
+        let distance = |p: &Point3<f64>| (p - place).norm_squared();
+        let nearest = (0..self.points.len())
+            .min_by(|a, b| distance(&self.points[*a]).total_cmp(&distance(&self.points[*b])));
+        nearest.is_some_and(|i| self.shares[i] >= RIGID)
+    }
+
+    /// Share of the points that give way.
+    #[must_use]
+    pub fn share(&self) -> f64 {
+        let give = self.shares.iter().filter(|s| **s >= RIGID).count();
+        give as f64 / self.shares.len().max(1) as f64
+    }
+}
+
+fn unknown() -> LearnError {
+    LearnError::Training {
+        reason: "the forward model of this skin knows no displacements, which real2sim goes by; it is for skins whose \
+                 surface bends"
+            .into(),
+    }
+}
+
 /// Places are held out whole, in the thesis' ratio of 3 : 1 : 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
@@ -100,11 +159,7 @@ impl Scenes {
             let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
             let known = model.displacement(&stimulus, &mut map).map_err(|e| wrong(format!("scenes: {e}")))?;
             if !known {
-                return Err(wrong(
-                    "the forward model of this skin knows no displacements, which real2sim goes by; it is for skins whose \
-                     surface bends"
-                        .into(),
-                ));
+                return Err(unknown());
             }
             found.push((map.iter().copied().fold(0.0, f64::max), (position, normal)));
         }

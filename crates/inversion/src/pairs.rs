@@ -1,0 +1,115 @@
+//! Where to begin with two contacts: the best of all pairs of places.
+
+use dermis_skin::Indentation;
+use nalgebra::{Point3, Vector3};
+
+use crate::dictionary::{Dictionary, SHAPE};
+use crate::fit::Datum;
+
+/// Places whose pairs are gone through, roughly.
+const PLACES: usize = 420;
+
+/// Some places of a dictionary, all over the surface.
+#[derive(Debug)]
+pub(crate) struct Pairs {
+    places: Vec<usize>,
+    /// \[m\] that they are apart.
+    spacing: f64,
+}
+
+impl Pairs {
+    pub fn new(dictionary: &Dictionary, spacing: f64) -> Self {
+        let share = (dictionary.places.len() as f64 / PLACES as f64).sqrt().max(1.0);
+        let spacing = spacing * share;
+        let mut places: Vec<usize> = Vec::new();
+        for (i, place) in dictionary.places.iter().enumerate() {
+            let near = |other: &usize| {
+                (dictionary.places[*other].position - place.position).norm() < spacing * 0.999
+            };
+            if share <= 1.0 || !places.iter().any(near) {
+                places.push(i);
+            }
+        }
+        Self { places, spacing }
+    }
+
+    /// The pairs, `apart` \[m\] or more from one another, whose best forces (between 0 and `force_max` \[N\]) explain most of
+    /// the data; at most `count`, no two of them alike. The medium is taken to be linear.
+    pub fn best(
+        &self,
+        dictionary: &Dictionary,
+        data: &[Datum],
+        (apart, force_max, diameter): (f64, f64, f64),
+        count: usize,
+    ) -> Vec<[Indentation; 2]> {
+        let (values, weights): (Vec<f64>, Vec<f64>) = data
+            .iter()
+            .map(|datum| match *datum {
+                Datum::Exact(v, w) | Datum::AtLeast(v, w) | Datum::AtMost(v, w) => (v * w, w),
+                Datum::None => (0.0, 0.0),
+            })
+            .unzip();
+        let channels = data.len();
+        let unit = dictionary.forces[SHAPE];
+        // Of every place: what one newton does to each channel, in units of its error.
+        let mut rows = Vec::with_capacity(self.places.len() * channels);
+        for place in &self.places {
+            let response = dictionary.response(*place, SHAPE);
+            rows.extend(response.iter().zip(&weights).map(|(v, w)| f64::from(*v) * w / unit));
+        }
+        let row = |i: usize| &rows[i * channels..(i + 1) * channels];
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let own: Vec<(f64, f64)> =
+            (0..self.places.len()).map(|i| (dot(row(i), &values), dot(row(i), row(i)))).collect();
+        let position = |i: usize| dictionary.places[self.places[i]].position;
+        let apart = apart * apart;
+        // The best partner of each.
+        let mut found: Vec<(f64, usize, usize, [f64; 2])> = Vec::new();
+        for i in 0..self.places.len() {
+            let (bi, gi) = own[i];
+            let mut best: Option<(f64, usize, usize, [f64; 2])> = None;
+            for (j, (bj, gj)) in own.iter().copied().enumerate().take(i) {
+                let g = dot(row(i), row(j));
+                let determinant = gi * gj - g * g;
+                if determinant <= 1e-9 * gi * gj {
+                    continue;
+                }
+                let (fi, fj) = ((gj * bi - g * bj) / determinant, (gi * bj - g * bi) / determinant);
+                if fi <= 0.0 || fj <= 0.0 || fi > force_max || fj > force_max {
+                    continue;
+                }
+                let gain = bi * fi + bj * fj;
+                if best.is_none_or(|(most, ..)| gain > most)
+                    && (position(i) - position(j)).norm_squared() >= apart
+                {
+                    best = Some((gain, i, j, [fi, fj]));
+                }
+            }
+            found.extend(best);
+        }
+        found.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut chosen: Vec<(usize, usize)> = Vec::new();
+        let mut all = Vec::new();
+        for (_, i, j, [fi, fj]) in found {
+            if all.len() == count {
+                break;
+            }
+            let near = |a: usize, b: usize| (position(a) - position(b)).norm() < 2.5 * self.spacing;
+            let alike = |(a, b): &(usize, usize)| near(*a, i) && near(*b, j) || near(*a, j) && near(*b, i);
+            if chosen.iter().any(alike) {
+                continue;
+            }
+            chosen.push((i, j));
+            let contact = |k: usize, force: f64| {
+                let place = &dictionary.places[self.places[k]];
+                press(place.position, place.normal, force, diameter)
+            };
+            all.push([contact(i, fi), contact(j, fj)]);
+        }
+        all
+    }
+}
+
+fn press(position: Point3<f64>, normal: Vector3<f64>, force: f64, diameter: f64) -> Indentation {
+    Indentation { position, force: -normal * force, diameter }
+}
