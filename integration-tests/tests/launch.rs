@@ -536,6 +536,8 @@ fn launch_files_of_ros_make_commands_that_the_program_takes() {
          --name palm --namespace /robot/left --remap contacts:=/all"
     );
     assert_eq!(commands.iter().map(|words| words.join(" ")).collect::<Vec<_>>(), [expected]);
+    let limb = described("barodome.launch.py", &["sensor:=hapdef", "skin:=s", "source:=t"]).unwrap();
+    assert_eq!(limb[0].join(" "), "dermis hapdef --backend ros2 --skin s --source t");
     let demo = root().join("launch/demo.launch.yaml").display().to_string();
     let through =
         described("dermis.launch.py", &[&format!("file:={demo}"), "arguments:=seed:=2 robot:=x"]).unwrap();

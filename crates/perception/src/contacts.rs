@@ -5,8 +5,10 @@ use nalgebra::Point3;
 
 /// A taxel belongs to a contact if it carries at least this share of the strongest taxel's amplitude.
 const TAXEL_SHARE: f64 = 0.2;
-/// \[s\] for which a contact may vanish and still be the same.
+/// \[s\] for which a contact may vanish and still be the same, at least.
 const HOLD: f64 = 0.1;
+/// Periods of the skin for which it may, at least: slow devices have gaps of single frames, too.
+const HOLD_FRAMES: f64 = 2.5;
 /// \[m\] that a contact may jump between frames and still be the same, at least.
 const LEAST_GATE: f64 = 0.005;
 
@@ -68,10 +70,12 @@ impl TaxelShares {
 
 /// Gives contacts an identity that lasts as long as they do.
 ///
-/// Nearest pairs within a gate are the same contact. A contact that was gone for longer than 0.1 s is a new one.
+/// Nearest pairs within a gate are the same contact. A contact that was gone for longer than 0.1 s, and than two frames, is a
+/// new one.
 #[derive(Debug, Clone)]
 pub struct Tracker {
     gate: f64,
+    hold: f64,
     next: u32,
     tracks: Vec<Track>,
 }
@@ -99,7 +103,12 @@ impl Tracker {
         nearest.sort_by(f64::total_cmp);
         // With one taxel there is no spacing, and one contact at most.
         let spacing = nearest.get(nearest.len() / 2).copied().unwrap_or(f64::INFINITY);
-        Self { gate: (2.0 * spacing).max(LEAST_GATE), next: 1, tracks: Vec::new() }
+        Self {
+            gate: (2.0 * spacing).max(LEAST_GATE),
+            hold: HOLD.max(HOLD_FRAMES / skin.rate),
+            next: 1,
+            tracks: Vec::new(),
+        }
     }
 
     /// Writes the identity of each contact of the frame acquired at `stamp`.
@@ -107,7 +116,7 @@ impl Tracker {
         // Backwards in time is another recording.
         self.tracks.retain(|t| {
             let gone = stamp.saturating_sub(t.seen) as f64 * 1e-9;
-            (0.0..=HOLD).contains(&gone)
+            (0.0..=self.hold).contains(&gone)
         });
         let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
         for (c, contact) in contacts.iter().enumerate() {
@@ -175,6 +184,15 @@ mod tests {
         assert_eq!(ids(&mut tracker, 1050, vec![]), [0; 0]);
         assert_eq!(ids(&mut tracker, 1060, vec![contact(9.9, 0.0)]), [1], "a flicker is no new contact");
         assert_eq!(ids(&mut tracker, 1300, vec![contact(9.9, 0.0)]), [2], "a gap ends a contact");
+    }
+
+    #[test]
+    fn a_slow_device_keeps_identities_from_frame_to_frame() {
+        let mut tracker = Tracker::new(&skin_with("rate = 10.0"));
+        assert_eq!(ids(&mut tracker, 0, vec![contact(0.0, 0.0)]), [1]);
+        assert_eq!(ids(&mut tracker, 103, vec![contact(0.1, 0.0)]), [1]);
+        assert_eq!(ids(&mut tracker, 305, vec![contact(0.2, 0.0)]), [1], "one frame was lost");
+        assert_eq!(ids(&mut tracker, 700, vec![contact(0.2, 0.0)]), [2]);
     }
 
     #[test]

@@ -1,0 +1,455 @@
+//! A shell with strain gauges, across processes: a device behind a pseudo-terminal in both of its protocols, the program, and
+//! what a planner hears: contacts, maps, and which gauges are out of order.
+
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use dermis_inference::onnx::GraphBuilder;
+use dermis_inference::{
+    Baseline, BundleWriter, FeatureConfig, Manifest, OutputConfig, OutputSpec, TrainingSection,
+};
+use dermis_integration_tests::{Peer, client_python, domain, program, root};
+use dermis_inversion::Settings;
+use dermis_msgs::Message;
+use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
+use dermis_msgs::msg::{Contact, ContactArray, DisplacementMap, ForceMap};
+use dermis_node::{HirozBackend, Node, NodeOptions, Qos, Subscription};
+use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface};
+use dermis_transport::Pty;
+use dermis_transport::framing::{NativeEncoder, NativeFormat};
+use nalgebra::{Point3, Vector3};
+
+const SOON: Duration = Duration::from_secs(90);
+/// \[N\] of every press.
+const FORCE: f64 = 12.0;
+/// \[m\] of the tip.
+const TIP: f64 = 0.01;
+
+fn shin() -> PathBuf {
+    root().join("launch/skins/hapdef-shin.toml")
+}
+
+/// The shin with another line, and gauges that tell a broken one from a press.
+fn wired(folder: &Path, protocol: &str, rate: f64) -> PathBuf {
+    let text = std::fs::read_to_string(shin()).unwrap();
+    let replaced = ["wire =", "rate =", "condition ="];
+    let skin = SkinDescription::load(shin()).unwrap();
+    let (scale, offset) = (skin.wire.scale, skin.wire.offset);
+    let mut lines: Vec<String> =
+        text.lines().filter(|l| !replaced.iter().any(|r| l.starts_with(r))).map(str::to_owned).collect();
+    let at = lines.iter().position(|l| l.starts_with("surface")).unwrap();
+    lines.insert(
+        at,
+        format!(
+            "rate = {rate:?}\ncondition = {{ coupled = true }}\n\
+             wire = {{ protocol = \"{protocol}\", scale = {scale:e}, offset = {offset:e}, counts = [0, 4095] }}"
+        ),
+    );
+    let path = folder.join(format!("shin-{protocol}.toml"));
+    std::fs::write(&path, lines.join("\n")).unwrap();
+    path
+}
+
+/// The place of the outside next to x and y \[m\].
+fn place(surface: &Surface, x: f64, y: f64) -> (Point3<f64>, Vector3<f64>) {
+    let away = |i: &usize| (surface.points[*i].x - x).hypot(surface.points[*i].y - y);
+    let nearest = (0..surface.points.len()).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
+    (surface.points[nearest], surface.normals[nearest])
+}
+
+/// A bundle that has learned nothing: all that is found, the forward model finds.
+fn bundle(folder: &Path) -> PathBuf {
+    let skin = SkinDescription::load(shin()).unwrap();
+    let channels = skin.channels().len();
+    let middle = place(&skin.surface(), 0.0, 0.0).0;
+    let input = FeatureConfig::newest(vec![0.0; channels], vec![1e-4; channels]);
+    let answers = [
+        ("position.x", "m", middle.x),
+        ("position.y", "m", middle.y),
+        ("position.z", "m", middle.z),
+        ("force.normal", "N", 5.0),
+    ];
+    let output = OutputConfig {
+        values: answers
+            .iter()
+            .map(|(name, unit, value)| OutputSpec::new(*name, *unit, *value, 1.0))
+            .collect(),
+    };
+    let mut graph = GraphBuilder::new("nothing");
+    let x = graph.input("input", &[1, channels]);
+    let w = graph.constant("weight", &[channels, answers.len()], &vec![0.0; channels * answers.len()]);
+    let y = graph.matmul(&x, &w);
+    graph.output("output", &y, &[1, answers.len()]);
+    let mut manifest =
+        Manifest::new("shin", &skin, Baseline::Tared, input, output, TrainingSection::default());
+    manifest.force_range = Some([0.0, 35.0]);
+    manifest.inversion = Some(Settings::new(TIP, 40.0));
+    let path = folder.join("bundle");
+    BundleWriter::new(manifest).write(&path, &graph.finish().unwrap()).unwrap();
+    path
+}
+
+/// What an operator hears.
+struct Operator {
+    folder: tempfile::TempDir,
+    node: Node,
+    subscriptions: Vec<Subscription>,
+    contacts: Receiver<ContactArray>,
+    diagnostics: Receiver<DiagnosticStatus>,
+}
+
+impl Operator {
+    fn new() -> Self {
+        let node = Node::open(
+            NodeOptions::new("operator").domain_id(domain()).localhost_only(true),
+            &HirozBackend::default(),
+        )
+        .unwrap();
+        let mut operator = Self {
+            folder: tempfile::tempdir().unwrap(),
+            node,
+            subscriptions: Vec::new(),
+            contacts: channel().1,
+            diagnostics: channel().1,
+        };
+        operator.contacts = operator.listen("contacts", Qos::sensor_data());
+        let (say, diagnostics) = channel();
+        let heard = operator
+            .node
+            .subscribe::<DiagnosticArray>("/diagnostics", Qos::reliable(10), move |array, _| {
+                array.status.into_iter().for_each(|status| {
+                    let _ = say.send(status);
+                });
+            })
+            .unwrap();
+        operator.subscriptions.push(heard);
+        operator.diagnostics = diagnostics;
+        operator
+    }
+
+    fn listen<T: Message>(&mut self, topic: &str, qos: Qos) -> Receiver<T> {
+        let (send, receive) = channel();
+        let heard = self.node.subscribe::<T>(topic, qos, move |message, _| {
+            let _ = send.send(message);
+        });
+        self.subscriptions.push(heard.unwrap());
+        receive
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Starts the node on the device `tty`; its log goes to the file `log`.
+    fn start(&self, skin: &Path, arguments: &[&str]) -> Peer {
+        let mut command = Command::new(program("dermis"));
+        command.current_dir(root()).args(["hapdef", "--source"]);
+        command.arg(format!("serial://{}?baud=115200", self.path("tty").display())).arg("--skin").arg(skin);
+        command.arg("--model").arg(bundle(self.folder.path())).args(arguments);
+        Peer::start(command.stderr(File::create(self.path("log")).unwrap()))
+    }
+
+    fn hears<T: std::fmt::Debug>(
+        &self,
+        from: &Receiver<T>,
+        what: &str,
+        mut fits: impl FnMut(&T) -> bool,
+    ) -> T {
+        let deadline = Instant::now() + SOON;
+        let mut last = None;
+        loop {
+            match from.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(message) if fits(&message) => return message,
+                Ok(message) => last = Some(message),
+                Err(_) => {
+                    let log = std::fs::read_to_string(self.path("log")).unwrap();
+                    panic!("nothing said {what}; the last: {last:#?}\n{log}")
+                }
+            }
+        }
+    }
+
+    fn contacts_say(&self, what: &str, fits: impl FnMut(&ContactArray) -> bool) -> ContactArray {
+        self.hears(&self.contacts, what, fits)
+    }
+}
+
+fn pressing(contact: &Contact) -> f64 {
+    -(contact.force.x * contact.normal.x
+        + contact.force.y * contact.normal.y
+        + contact.force.z * contact.normal.z)
+}
+
+fn apart(contact: &Contact, place: &Point3<f64>) -> f64 {
+    (Point3::new(contact.position.x, contact.position.y, contact.position.z) - place).norm()
+}
+
+/// \[m\] standard deviation of a contact's place, all directions together.
+fn deviation(contact: &Contact) -> f64 {
+    let c = &contact.position_covariance;
+    (c[0] + c[4] + c[8]).sqrt()
+}
+
+fn untouched(array: &ContactArray) -> bool {
+    array.status == ContactArray::STATUS_OK && array.contacts.is_empty()
+}
+
+/// A simulated limb on this line, pressed in two places over and over: both are found, and the maps say the same.
+fn pressed_and_found(protocol: &str, rate: f64) {
+    let mut operator = Operator::new();
+    let skin = wired(operator.folder.path(), protocol, rate);
+    let surface = SkinDescription::load(&skin).unwrap().surface();
+    let places = [place(&surface, 0.03, 0.005).0, place(&surface, -0.04, -0.02).0];
+    let at: Vec<String> = places.iter().map(|p| format!("[{:.6}, {:.6}, {:.6}]", p.x, p.y, p.z)).collect();
+    let plan = operator.path("plan.toml");
+    std::fs::write(
+        &plan,
+        format!(
+            "schema = \"dermis-plan/1\"\nname = \"two\"\nseed = 1\ndiameter = {TIP}\n[timing]\napproach = [0.1, 0.1]\n\
+             load = [0.3, 0.3]\nhold = [1.5, 1.5]\nunload = [0.3, 0.3]\ngap = [1.0, 1.0]\n\
+             [[steps]]\nkind = \"idle\"\nduration = 8.0\n\
+             [[steps]]\nkind = \"places\"\nat = [{}]\nforces = [{FORCE:?}]\n",
+            at.join(", ")
+        ),
+    )
+    .unwrap();
+    let forces: Receiver<ForceMap> = operator.listen("force_map", Qos::sensor_data());
+    let displacements: Receiver<DisplacementMap> = operator.listen("displacement_map", Qos::sensor_data());
+    // The device begins untouched, and the node takes its zero there: it must be there first.
+    let _node = operator.start(&skin, &[]);
+    operator.contacts_say("that no device is there", |a| a.status == ContactArray::STATUS_STALE);
+    let mut device = Peer::start(
+        Command::new(program("dermis"))
+            .args(["device", "simulate"])
+            .arg(&skin)
+            .arg("--plan")
+            .arg(&plan)
+            .arg("--link")
+            .arg(operator.path("tty")),
+    );
+    device.expect("", SOON);
+    operator.contacts_say("that nothing touches", untouched);
+
+    let held = |c: &Contact| (pressing(c) - FORCE).abs() < 0.1 * FORCE;
+    for place in &places {
+        let found = operator.contacts_say("where it is pressed", |array| {
+            array.contacts.iter().any(|c| held(c) && apart(c, place) < 0.004)
+        });
+        assert_eq!((found.status, found.contacts.len()), (ContactArray::STATUS_OK, 1), "{found:#?}");
+        let contact = &found.contacts[0];
+        assert!(contact.track_id > 0 && deviation(contact) < 0.01, "{contact:#?}");
+        // The same contact for as long as it lasts: \[s\] and identity, frame by frame.
+        let seconds = |array: &ContactArray| array.header.stamp.as_nanos() as f64 * 1e-9;
+        let mut seen = vec![(seconds(&found), contact.track_id)];
+        operator.contacts_say("that it ended", |array| {
+            seen.extend(array.contacts.iter().map(|c| (seconds(array), c.track_id)));
+            array.contacts.is_empty()
+        });
+        // A device that this machine left no time to sends nothing for a while, and begins anew.
+        let longest = 0.1_f64.max(2.0 / rate);
+        let changed = seen.windows(2).find(|pair| pair[1].0 - pair[0].0 < longest && pair[1].1 != pair[0].1);
+        assert_eq!(changed, None, "{seen:?}");
+    }
+
+    let map = operator.hears(&forces, "which forces press", |map| map.forces.iter().any(|f| *f > 1.0));
+    assert_eq!((map.kind, map.forces.len()), (ForceMap::KIND_NORMAL, surface.points.len()));
+    let sum = |map: &ForceMap| map.forces.iter().map(|f| f64::from(*f)).sum::<f64>();
+    let whole = operator.hears(&forces, "the whole force", |map| (sum(map) - FORCE).abs() < 0.1 * FORCE);
+    assert!(whole.geometry_id.starts_with("hapdef-shin/") && whole.header.frame_id == "shin_link");
+    // The deepest point is where it is pressed.
+    let deepest = |map: &DisplacementMap| {
+        let at = (0..map.displacements.len())
+            .max_by(|a, b| map.displacements[*a].total_cmp(&map.displacements[*b]));
+        at.map_or((Point3::origin(), 0.0), |i| (surface.points[i], map.displacements[i]))
+    };
+    let pushed = operator.hears(&displacements, "how far it gives way", |map| deepest(map).1 > 3e-4);
+    assert_eq!((pushed.displacements.len(), pushed.geometry_id), (surface.points.len(), whole.geometry_id));
+    operator.hears(&displacements, "that it is deepest under the press", |map| {
+        let (point, depth) = deepest(map);
+        depth > 3e-4 && places.iter().any(|place| (point - place).norm() < 0.015)
+    });
+    let flat = |map: &DisplacementMap| map.displacements.iter().all(|d| *d == 0.0);
+    operator.hears(&displacements, "that nothing touches", flat);
+}
+
+#[test]
+fn a_limb_that_sends_frames_a_thousand_times_a_second() {
+    pressed_and_found("native", 1000.0);
+}
+
+#[test]
+fn a_limb_that_sends_lines_of_counts_ten_times_a_second() {
+    pressed_and_found("ascii", 10.0);
+}
+
+/// Presses the middle of the shin.
+const PRESS: u8 = 1;
+/// g1 is at the upper end of its range.
+const FAILED: u8 = 2;
+
+/// The model of the shin, made once.
+fn model() -> &'static Arc<dyn ForwardModel> {
+    static MODEL: OnceLock<Arc<dyn ForwardModel>> = OnceLock::new();
+    MODEL.get_or_init(|| dermis_hapdef::model(&SkinDescription::load(shin()).unwrap()).unwrap())
+}
+
+/// Where and in which direction [`PRESS`] presses.
+fn pressed() -> (Point3<f64>, Vector3<f64>) {
+    place(model().surface(), 0.02, 0.0)
+}
+
+/// A limb with a gauge whose wire was never connected; it does what its mode says until it is dropped.
+struct Limb {
+    mode: Arc<AtomicU8>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Limb {
+    /// Frames a second.
+    const RATE: u32 = 100;
+
+    fn plug(link: &Path) -> Self {
+        let skin = SkinDescription::load(shin()).unwrap();
+        let (position, normal) = pressed();
+        let press = Indentation { position, force: -normal * FORCE, diameter: TIP };
+        let mut strain = vec![0.0; 10];
+        model().response(&Stimulus { contacts: vec![press], ..Stimulus::default() }, &mut strain).unwrap();
+        let mode = Arc::new(AtomicU8::new(0));
+        let stop = Arc::new(AtomicBool::new(false));
+        let (told, ended) = (Arc::clone(&mode), Arc::clone(&stop));
+        let mut pty = Pty::open().unwrap();
+        pty.link(link).unwrap();
+        let thread = std::thread::spawn(move || {
+            let mut encoder = NativeEncoder::new(NativeFormat::U16);
+            let mut random = 1_u64;
+            let mut noise = move || {
+                let mut uniform = || {
+                    random = random
+                        .wrapping_mul(6_364_136_223_846_793_005)
+                        .wrapping_add(1_442_695_040_888_963_407);
+                    (random >> 40) as f64 / f64::from(1_u32 << 23) - 1.0
+                };
+                skin.noise * (uniform() + uniform() + uniform())
+            };
+            let begun = Instant::now();
+            for k in 0_u32.. {
+                if ended.load(Ordering::Acquire) {
+                    return;
+                }
+                let mode = told.load(Ordering::Acquire);
+                let share = if mode & PRESS != 0 { 1.0 } else { 0.0 };
+                let mut counts: Vec<f32> = strain
+                    .iter()
+                    .map(|s| ((s * share + noise() - skin.wire.offset) / skin.wire.scale).round() as f32)
+                    .collect();
+                counts[6] = 0.0;
+                if mode & FAILED != 0 {
+                    counts[1] = 4095.0;
+                }
+                let time = u64::from(k) * u64::from(1_000_000 / Self::RATE) + 1;
+                let _ = pty.write_lossy(encoder.encode(k, time, &counts).unwrap());
+                let next = begun + Duration::from_secs(1) / Self::RATE * (k + 1);
+                std::thread::sleep(next.saturating_duration_since(Instant::now()));
+            }
+        });
+        Self { mode, stop, thread: Some(thread) }
+    }
+
+    fn becomes(&self, mode: u8) {
+        self.mode.store(mode, Ordering::Release);
+    }
+}
+
+impl Drop for Limb {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+#[test]
+fn gauges_that_fail_are_left_out_and_named() {
+    let operator = Operator::new();
+    let skin = wired(operator.folder.path(), "native", f64::from(Limb::RATE));
+    let limb = Limb::plug(&operator.path("tty"));
+    let _node = operator.start(&skin, &["--mask", "g9"]);
+    let named = |array: &ContactArray, gauges: &[&str]| {
+        array.status == ContactArray::STATUS_DEGRADED && gauges.iter().all(|g| array.status_text.contains(g))
+    };
+    let gone = ["2 of 10 channels are impaired", "g6 (dead, saturated)", "g9 (masked)"];
+    operator.contacts_say("what is out of order", |a| named(a, &gone) && a.contacts.is_empty());
+    let status = operator.hears(&operator.diagnostics, "which gauges", |s| s.message.contains("g6 (dead"));
+    let value = |key: &str| status.values.iter().find(|v| v.key == key).map_or("", |v| v.value.as_str());
+    assert_eq!((value("dead channels"), value("masked channels")), ("g6", "g9"));
+    assert_eq!(status.level, DiagnosticStatus::WARN);
+
+    // The other eight find it.
+    let there = |c: &Contact| (pressing(c) - FORCE).abs() < 0.15 * FORCE && apart(c, &pressed().0) < 0.008;
+    limb.becomes(PRESS);
+    let eight = operator.contacts_say("the press", |a| named(a, &gone) && a.contacts.iter().any(there));
+    assert!(deviation(&eight.contacts[0]) > 0.0 && eight.contacts[0].confidence < 0.9, "{eight:#?}");
+
+    // One more fails while nothing touches: it is no contact for long, and the other seven go on.
+    limb.becomes(0);
+    operator.contacts_say("the release", |a| a.contacts.is_empty());
+    limb.becomes(FAILED);
+    let gone = ["3 of 10 channels are impaired", "g1 (saturated, stuck)"];
+    operator.contacts_say("that it is broken", |a| named(a, &gone) && a.contacts.is_empty());
+    limb.becomes(FAILED | PRESS);
+    let seven = operator.contacts_say("the press again", |a| named(a, &gone) && a.contacts.iter().any(there));
+    let (before, now) = (deviation(&eight.contacts[0]), deviation(&seven.contacts[0]));
+    assert!(now > before, "with seven gauges {now} m, with eight {before} m");
+}
+
+#[test]
+fn lines_that_no_converter_sends_are_refused_in_a_sentence() {
+    let operator = Operator::new();
+    let skin = wired(operator.folder.path(), "ascii", 100.0);
+    let mut pty = Pty::open().unwrap();
+    pty.link(operator.path("tty")).unwrap();
+    let stop = Arc::new(AtomicBool::new(false));
+    let ended = Arc::clone(&stop);
+    // A converter of more bits than the skin's.
+    let sender = std::thread::spawn(move || {
+        while !ended.load(Ordering::Acquire) {
+            let _ = pty.write_lossy(b"2048,2050,2047,33120,2048,2049,2051,2048,2047,2048\r\n");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    });
+    let _node = operator.start(&skin, &[]);
+    let fault = operator.contacts_say("a fault", |a| a.status == ContactArray::STATUS_FAULT);
+    stop.store(true, Ordering::Release);
+    sender.join().unwrap();
+    assert!(
+        fault.status_text.contains("column 4 is `33120`, not a whole number from 0 to 4095"),
+        "{}",
+        fault.status_text
+    );
+    assert!(fault.contacts.is_empty());
+}
+
+#[test]
+fn maps_are_heard_without_ros() {
+    let Some(python) = client_python() else { return };
+    let operator = Operator::new();
+    let skin = wired(operator.folder.path(), "native", f64::from(Limb::RATE));
+    let limb = Limb::plug(&operator.path("tty"));
+    let _node = operator.start(&skin, &[]);
+    let _bridge = Peer::start(Command::new(program("dermis")).args(["bridge", "--robot", "rig"]));
+    operator.contacts_say("that nothing touches", |a| a.status <= ContactArray::STATUS_DEGRADED);
+    limb.becomes(PRESS);
+    let script = root().join("integration-tests/python/zenoh/maps.py");
+    let mut client = Peer::start(Command::new(python).arg(script).arg("hapdef-shin"));
+    let points = model().surface().points.len();
+    assert_eq!(client.expect("displacement_map ", SOON), format!("displacement_map {points}"));
+    assert_eq!(client.expect("force_map ", SOON), format!("force_map {points}"));
+}
