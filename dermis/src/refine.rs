@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use dermis_inference::Bundle;
-use dermis_inversion::Settings;
+use dermis_inversion::{ForcePrior, Settings};
 use dermis_learn::cli::Labels;
 use dermis_learn::{Dataset, Evaluation, SampleId, evaluate, refine};
 use dermis_skin::{SkinDescription, Unknowns};
@@ -29,6 +29,9 @@ pub struct Options {
     /// What is looked for in each contact.
     #[arg(long, value_enum, default_value_t = Looked::Normal)]
     unknowns: Looked,
+    /// How likely forces are before a reading; `log` for skins with places where nothing gives way.
+    #[arg(long, value_enum, default_value_t = Prior::Uniform)]
+    force_prior: Prior,
     /// Refine whatever the recordings say, and switch it on even where the model alone is better.
     #[arg(long)]
     always: bool,
@@ -51,6 +54,24 @@ pub enum Looked {
     Normal,
     /// Place on the surface, all of the force.
     Full,
+}
+
+/// [`ForcePrior`], as the command line says it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Prior {
+    /// Every force is as likely as any other.
+    Uniform,
+    /// Every ratio is as likely as any other.
+    Log,
+}
+
+impl From<Prior> for ForcePrior {
+    fn from(prior: Prior) -> Self {
+        match prior {
+            Prior::Uniform => Self::Uniform,
+            Prior::Log => Self::Log,
+        }
+    }
 }
 
 impl From<Looked> for Unknowns {
@@ -76,8 +97,9 @@ pub fn run(options: &Options) -> Result<()> {
     if choosing.is_empty() || reporting.is_empty() {
         bail!("fewer than two places are held out: record more, or hold out a larger share");
     }
-    let settings =
+    let mut settings =
         refine::settings(model.as_ref(), &data, &split.train, options.unknowns.into(), options.contacts)?;
+    settings.force_prior = options.force_prior.into();
 
     let trial = tempfile::tempdir().context("a folder for the trial cannot be made")?;
     let with = copy(&bundle, &skin, trial.path().join("with"), Some(&settings))?;

@@ -33,16 +33,19 @@ pub(crate) const SHAPE: usize = 1;
 
 impl Dictionary {
     /// Places about `spacing` \[m\] apart, out of the points of the model's surface; on its middle line along x where only
-    /// x is looked for.
+    /// x is looked for, and within a region where one is given.
     pub fn new(
         model: &dyn ForwardModel,
-        line: Option<f64>,
+        (line, region): (Option<f64>, Option<[[f64; 3]; 2]>),
         spacing: f64,
         diameter: f64,
         force_max: f64,
         gains: &[f64],
     ) -> Result<Self, ModelError> {
-        let places = thin(model.surface(), line, spacing);
+        let mut places = thin(model.surface(), line, spacing);
+        if let Some([low, high]) = region {
+            places.retain(|p| (0..3).all(|k| (low[k]..=high[k]).contains(&p.position[k])));
+        }
         let forces: Vec<f64> = LEVELS.iter().map(|share| share * force_max).collect();
         let channels = model.channels();
         let mut rest = vec![0.0; channels];

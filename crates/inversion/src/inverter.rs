@@ -41,6 +41,9 @@ pub struct Settings {
     /// How likely forces are before the reading.
     #[serde(default, skip_serializing_if = "ForcePrior::is_default")]
     pub force_prior: ForcePrior,
+    /// \[m\] two corners of the box that contacts are looked for in; all of the surface where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub region: Option<[[f64; 3]; 2]>,
 }
 
 /// How likely forces are before the reading: what decides where a reading leaves it open.
@@ -96,6 +99,7 @@ impl Settings {
             evidence: evidence(),
             distance: apart(),
             force_prior: ForcePrior::default(),
+            region: None,
         }
     }
 
@@ -126,6 +130,11 @@ impl Settings {
         if !(self.gains.is_empty() || self.gains.len() == channels) {
             let expected = format!("one number for each of {channels} channels");
             return wrong("gains", format!("{} long", self.gains.len()), &expected);
+        }
+        if let Some([low, high]) = self.region
+            && !low.iter().zip(&high).all(|(low, high)| low < high)
+        {
+            return wrong("region", format!("{low:?} to {high:?}"), "two corners of a box, the lower first");
         }
         if let Some(gain) = self.gains.iter().find(|g| !g.is_finite()) {
             return wrong("gains", gain.to_string(), "finite");
@@ -310,7 +319,8 @@ impl Inverter {
         let points = &model.surface().points;
         let middle = points.iter().map(|p| p.y).sum::<f64>() / points.len().max(1) as f64;
         let line = (s.unknowns == Unknowns::Line).then_some(middle);
-        let dictionary = Dictionary::new(model.as_ref(), line, spacing, s.diameter, s.force_max, &gains)?;
+        let dictionary =
+            Dictionary::new(model.as_ref(), (line, s.region), spacing, s.diameter, s.force_max, &gains)?;
         let pairs = Pairs::new(&dictionary, spacing);
         Ok(Self { model: ModelBox(model), settings, gains, rest, spacing, line, dictionary, pairs })
     }

@@ -1,7 +1,8 @@
 //! Refining what a bundle says on the skin's forward model: what recordings tell of that model.
 
 use dermis_inversion::{Calibration, Settings};
-use dermis_skin::{ChannelFlags, ForwardModel, Stimulus, Unknowns};
+use dermis_skin::{ChannelFlags, ForwardModel, Indentation, Stimulus, Surface, Unknowns};
+use nalgebra::{Point3, Vector3};
 
 use crate::LearnError;
 use crate::bounds::stimulus;
@@ -11,6 +12,10 @@ use crate::dataset::{Dataset, SampleId};
 const MOST: usize = 20_000;
 /// Room above the largest force of the data.
 const ROOM: f64 = 1.2;
+/// \[m\] around what was pressed where contacts are looked for, too.
+const AROUND: f64 = 3e-3;
+/// Share of the surface that may lie outside of what was pressed before it is left out.
+const LEFT_OUT: f64 = 0.02;
 
 /// Settings of an inversion that fit these samples: gains of the channels against the forward model, and how far the two
 /// still differ. The tip is the one that pressed most often.
@@ -58,5 +63,22 @@ pub fn settings(
     settings.model_error = calibration.model_error;
     settings.unknowns = unknowns;
     settings.contacts = contacts;
+    settings.region = region(model.surface(), frames.iter().flat_map(|(s, _)| &s.contacts));
     Ok(settings)
+}
+
+/// The box that was pressed, where it leaves out a part of the surface: nobody knows what the model is worth there.
+fn region<'a>(surface: &Surface, contacts: impl Iterator<Item = &'a Indentation>) -> Option<[[f64; 3]; 2]> {
+    let mut found: Option<(Point3<f64>, Point3<f64>)> = None;
+    for contact in contacts {
+        let p = contact.position;
+        found = Some(found.map_or((p, p), |(low, high)| (low.inf(&p), high.sup(&p))));
+    }
+    let (low, high) = found?;
+    let by = Vector3::repeat(AROUND);
+    let (low, high) = (low - by, high + by);
+    let inside = |p: &Point3<f64>| (0..3).all(|k| (low[k]..=high[k]).contains(&p[k]));
+    let outside = surface.points.iter().zip(&surface.areas).filter(|(p, _)| !inside(p));
+    let left: f64 = outside.map(|(_, area)| area).sum();
+    (left > LEFT_OUT * surface.areas.iter().sum::<f64>()).then_some([low.coords.into(), high.coords.into()])
 }
