@@ -22,11 +22,13 @@ use serde_json::json;
 
 pub use candidates::below_the_surface;
 
+/// Places that crlb looks at, at most.
+const SEEN: usize = 700;
 /// Points of the surface that the Gaussian process knows at most.
 const SITES: usize = 1600;
 /// Noise deviations that the strongest channel reads, in the median over the places, under the force that is taken where none
 /// is given.
-const CLEAR: f64 = 100.0;
+const CLEAR: f64 = 300.0;
 /// Of the distances between points of the surface: how far the centre of those around may lie off a candidate.
 const EDGE: f64 = 0.5;
 
@@ -42,7 +44,7 @@ pub struct Options {
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=64))]
     budget: u32,
     /// Pressing force [N]; of several any may be met, and the estimator does not know which. One under which the elements of
-    /// the skin read 100 times their noise where absent.
+    /// the skin read 300 times their noise where absent.
     #[arg(long)]
     force: Vec<f64>,
     /// Diameter of the tip [m].
@@ -54,11 +56,11 @@ pub struct Options {
     /// Share of the places that no method sees, and that all are judged on.
     #[arg(long, default_value_t = 0.25)]
     held_out: f64,
-    /// Places that searches look at, at most.
+    /// Places that greedy-svr cross-validates with at most, and pca-qr takes its components from.
     #[arg(long, default_value_t = 300)]
     searched: usize,
     /// Distance from where the skin is held [m] below which nothing is placed or pressed.
-    #[arg(long, default_value_t = 0.01)]
+    #[arg(long, default_value_t = 0.02)]
     margin: f64,
     /// Points of the surface around a candidate that say whether it is at an edge.
     #[arg(long, default_value_t = 12)]
@@ -288,7 +290,8 @@ fn find(options: &Options) -> Result<Findings> {
     };
     let (ask, teach) = (field.at(&sorted(&order[..out])), field.at(&sorted(&order[out..])));
     // The order is random: its beginning is spread over the skin.
-    let few = field.at(&sorted(&order[out..(out + options.searched).min(order.len())]));
+    let first = |count: usize| field.at(&sorted(&order[out..(out + count).min(order.len())]));
+    let (few, many) = (first(options.searched), first(SEEN));
     drop(field);
     bar.begin("which of them tell the others");
     let reduction = reduce(&few, options.unexplained)?;
@@ -311,7 +314,7 @@ fn find(options: &Options) -> Result<Findings> {
         skin,
         surface,
     };
-    choose(&mut findings, &taxels, [&few, &teach, &ask], options, &bar)?;
+    choose(&mut findings, &taxels, [&few, &many, &teach, &ask], options, &bar)?;
     bar.bar.finish_and_clear();
     if findings.choices.is_empty() {
         bail!("interrupted before any method was through");
@@ -323,7 +326,7 @@ fn find(options: &Options) -> Result<Findings> {
 fn choose(
     findings: &mut Findings,
     taxels: &[Taxel],
-    [few, teach, ask]: [&Field; 3],
+    [few, many, teach, ask]: [&Field; 4],
     options: &Options,
     bar: &Bar<'_>,
 ) -> Result<()> {
@@ -353,7 +356,10 @@ fn choose(
             Method::PcaQr => (pca_qr(few, budget)?, 1),
             Method::GpEntropy => (process.entropy(budget), 1),
             Method::GpMi => (process.mutual_information(budget)?, 1),
-            Method::Crlb => (by_bound(few, budget, &BoundSettings::default(), &watch).unwrap_or_default(), 1),
+            Method::Crlb => {
+                let among = &findings.reduction.chosen;
+                (by_bound(many, among, budget, &BoundSettings::default(), &watch).unwrap_or_default(), 1)
+            }
         };
         let seconds = begun.elapsed().as_secs_f64();
         if !bar.at(1.0) {
@@ -424,8 +430,7 @@ fn forces(skin: &SkinDescription, options: &Options, places: &[Place]) -> Result
     if !(median.is_finite() && median > 0.0) {
         bail!("the skin as it is feels nothing of 1 N in most places: give a force with `--force`");
     }
-    // Two digits say enough.
-    let force = CLEAR / median;
-    let digit = 10f64.powf(force.log10().floor() - 1.0);
-    Ok(vec![(force / digit).round() * digit])
+    // Two digits say enough, and are written as such.
+    let force = format!("{:.1e}", CLEAR / median);
+    Ok(vec![force.parse().context("a force cannot be found: give one with `--force`")?])
 }

@@ -26,7 +26,7 @@ pub struct SvrSettings {
 
 impl Default for SvrSettings {
     fn default() -> Self {
-        Self { c: 30.0, epsilon: 0.01, gamma: 3.0, tolerance: 5e-3, most_steps: 100_000 }
+        Self { c: 30.0, epsilon: 0.003, gamma: 3.0, tolerance: 5e-3, most_steps: 100_000 }
     }
 }
 

@@ -7,7 +7,8 @@
 //! - [`greedy_svr`] adds the element that reduces the cross-validated error of a support vector regression most (Alg. 1);
 //! - [`pca_qr`] takes the pivots of the principal components (Alg. 2);
 //! - [`GaussianField`] knows where elements are and nothing of what they read, by entropy or by mutual information (Alg. 3, 4);
-//! - [`by_bound`], ours, adds the element that reduces the Cramér–Rao bound of the contact most, and exchanges afterwards.
+//! - [`by_bound`], ours, adds the element that reduces the expected error of a contact most: its Cramér–Rao bound, and how far off
+//!   the places are that read alike.
 //!
 //! [`judge`] asks the same estimator of all of them: how far off it is on presses that nobody saw, and once elements fail.
 
@@ -43,7 +44,7 @@ pub enum Method {
     GpEntropy,
     /// Greedy on what the chosen say of the others.
     GpMi,
-    /// Greedy on the Cramér–Rao bound, with exchange.
+    /// Greedy on the Cramér–Rao bound and the places that read alike.
     Crlb,
 }
 

@@ -15,6 +15,8 @@ pub struct JudgeSettings {
     pub estimators: Vec<SvrSettings>,
     /// Parts of that cross-validation.
     pub folds: usize,
+    /// Presses that it uses at most.
+    pub chosen_on: usize,
     /// Each draws its own noise and its own `taught` share of the places.
     pub seeds: Vec<u64>,
     /// Share of the places that teach, of those that may.
@@ -27,7 +29,7 @@ pub struct JudgeSettings {
 
 /// What a support vector regression of places may be, from smooth to close.
 pub(super) fn estimators() -> Vec<SvrSettings> {
-    let pairs = [0.3, 1.0, 3.0, 10.0].into_iter().flat_map(|gamma| [10.0, 100.0].map(|c| (gamma, c)));
+    let pairs = [1.0, 3.0, 10.0].into_iter().flat_map(|gamma| [10.0, 100.0].map(|c| (gamma, c)));
     pairs.map(|(gamma, c)| SvrSettings { gamma, c, ..SvrSettings::default() }).collect()
 }
 
@@ -35,7 +37,8 @@ impl Default for JudgeSettings {
     fn default() -> Self {
         Self {
             estimators: estimators(),
-            folds: 3,
+            folds: 2,
+            chosen_on: 400,
             seeds: (1..=5).collect(),
             taught: 0.8,
             failures: 5,
@@ -113,8 +116,8 @@ impl Draw {
     fn new(teach: &Field, ask: &Field, seed: u64, share: f64) -> Self {
         let count = ((teach.places.len() as f64 * share).round() as usize).clamp(1, teach.places.len());
         let mut places = shuffled(teach.places.len(), seed);
+        // In random order: the first ones stand for all.
         places.truncate(count);
-        places.sort_unstable();
         let taught = teach.at(&places);
         let point = |field: &Field, p: usize| -> [f64; 3] { field.place_of(p).point.coords.into() };
         Self {
@@ -157,15 +160,14 @@ impl Draw {
 
     /// The estimator of the least error among what teaches.
     fn choose(&self, elements: &[usize], settings: &JudgeSettings) -> Result<SvrSettings, RegressError> {
-        let few = &settings.estimators;
         let fold = folds(&self.groups, settings.folds.max(2), 7);
         let inputs = Self::rows(&self.teach, elements);
-        let (width, rows) = (elements.len(), self.groups.len());
+        let (width, rows) = (elements.len(), self.groups.len().min(settings.chosen_on));
         let pick = |from: &[f64], width: usize, keep: &dyn Fn(usize) -> bool| -> Vec<f64> {
             (0..rows).filter(|r| keep(*r)).flat_map(|r| from[r * width..(r + 1) * width].to_vec()).collect()
         };
         let mut best: Option<(f64, SvrSettings)> = None;
-        for estimator in few {
+        for estimator in &settings.estimators {
             let mut sum = 0.0;
             for k in 0..settings.folds.max(2) {
                 let (x, y) =
