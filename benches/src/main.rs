@@ -6,6 +6,7 @@ mod model;
 mod node;
 mod publish;
 mod recording;
+mod shell;
 mod soak;
 mod subscriber;
 
@@ -32,6 +33,9 @@ enum Command {
     Node(node::Options),
     /// Samples per second of the forward model with its noise, against numpy and scipy on the same table.
     Model(model::Options),
+    /// A shell: its factor and loads against CHOLMOD with OpenBLAS and against CalculiX, and samples per second of its forward
+    /// model, with and without maps of displacement.
+    Shell(shell::Options),
     /// What publishing costs, with and without a subscriber.
     Publish(publish::Options),
     /// A long run of four skins and a recorder: memory, losses, latency.
@@ -51,6 +55,7 @@ fn main() -> Result<()> {
     let result = match cli.command {
         Command::Node(options) => node::run(&options)?,
         Command::Model(options) => model::run(&options)?,
+        Command::Shell(options) => shell::run(&options)?,
         Command::Publish(options) => publish::run(&options)?,
         Command::Soak(options) => soak::run(&options)?,
         Command::Recording(options) => recording::run(&options)?,

@@ -17,6 +17,8 @@ pub enum Name {
     Node,
     /// Samples per second of the forward model, against numpy and scipy.
     Model,
+    /// Factor and loads of a shell, against CHOLMOD and CalculiX, and samples per second of its forward model.
+    Shell,
     /// Publishing with and without a subscriber.
     Publish,
     /// Recording, against the disk.
@@ -40,7 +42,7 @@ const PROGRAMS: [&str; 3] = ["dermis", "dermis-train", "dermis-bench"];
 /// Builds what is measured, measures, and keeps the results.
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let names = match options.names.as_slice() {
-        [] => vec![Name::Model, Name::Node, Name::Publish, Name::Recording],
+        [] => vec![Name::Model, Name::Shell, Name::Node, Name::Publish, Name::Recording],
         names => names.to_vec(),
     };
     let clients = environment::clients(root)?;
@@ -75,6 +77,17 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             command.arg(text);
             if name == Name::Model {
                 command.arg("--peer-python").arg(&clients);
+            }
+            if name == Name::Shell {
+                if let Some(why) = environment::calculix() {
+                    eprintln!("{why}");
+                }
+                match environment::cholmod(root)? {
+                    Some(python) => _ = command.arg("--peer-python").arg(python),
+                    None => eprintln!(
+                        "CHOLMOD is left out: apt-get install libsuitesparse-dev libopenblas0-pthread"
+                    ),
+                }
             }
         }
         command.current_dir(root).env("DERMIS_BIN", &programs);

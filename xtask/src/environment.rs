@@ -27,6 +27,29 @@ pub fn clients(root: &Path) -> Result<PathBuf> {
 /// rights to install it, tests that need it say that they are skipped: answers why, then.
 pub fn calculix() -> Option<String> {
     let there = || Command::new("ccx").arg("-v").output().is_ok();
+    (!debian(&["calculix-ccx"], there)).then(|| {
+        "CalculiX cannot be installed here (apt-get install calculix-ccx): what it judges is not tested"
+            .to_owned()
+    })
+}
+
+/// Python with CHOLMOD, the solver that our factors are measured against, over OpenBLAS; `None` where Debian's packages for it
+/// cannot be installed.
+pub fn cholmod(root: &Path) -> Result<Option<PathBuf>> {
+    let there = || {
+        Path::new("/usr/include/suitesparse/cholmod.h").exists()
+            && output(Command::new("ldconfig").arg("-p"))
+                .is_ok_and(|known| known.contains("libopenblas.so.0"))
+    };
+    if !debian(&["libsuitesparse-dev", "libopenblas0-pthread"], there) {
+        return Ok(None);
+    }
+    let requirements = root.join("benches/python/cholmod.lock.txt");
+    venv(&home(root).join("cholmod"), &requirements).map(Some)
+}
+
+/// Whether what Debian's `packages` bring is `there`, if need be after installing them.
+fn debian(packages: &[&str], there: impl Fn() -> bool) -> bool {
     let ends_well = |c: &mut Command| {
         c.env("DEBIAN_FRONTEND", "noninteractive").output().is_ok_and(|o| o.status.success())
     };
@@ -36,14 +59,8 @@ pub fn calculix() -> Option<String> {
             || (std::env::var_os("CI").is_some()
                 && ends_well(Command::new("sudo").args(["-n", "apt-get"]).args(arguments)))
     };
-    let install = ["install", "-y", "--no-install-recommends", "calculix-ccx"];
-    if there() || apt(&install) || (apt(&["update"]) && apt(&install)) {
-        return None;
-    }
-    Some(
-        "CalculiX cannot be installed here (apt-get install calculix-ccx): what it judges is not tested"
-            .to_owned(),
-    )
+    let install = [&["install", "-y", "--no-install-recommends"], packages].concat();
+    there() || apt(&install) || (apt(&["update"]) && apt(&install))
 }
 
 /// Makes sure that cargo has a subcommand: the one on the path, or one that is built here once.

@@ -21,7 +21,7 @@ mod shell;
 pub use block::block_cases;
 pub use dome::dome_cases;
 pub use layer::layer_cases;
-pub use shell::{Panel, panel_cases, shell_cases};
+pub use shell::{Panel, panel_cases, panel_time, shell_cases};
 
 /// Debian's package, and what people are told to install.
 const INSTALL: &str = "install CalculiX (Debian and Ubuntu: apt-get install calculix-ccx)";
@@ -82,7 +82,7 @@ struct Model {
 }
 
 /// What acts on a model.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Load {
     /// Node and force \[N\].
     forces: Vec<(usize, Vector3<f64>)>,

@@ -436,6 +436,27 @@ impl Shell {
         self.stiffness.columns()
     }
 
+    /// Where a displacement (`axis` 0 to 2) or rotation (3 to 5) of a node is among the unknowns of [`Shell::stiffness`];
+    /// `None` where it is held.
+    ///
+    /// # Panics
+    ///
+    /// Where there is no such node.
+    #[must_use]
+    pub fn unknown(&self, node: usize, axis: usize) -> Option<usize> {
+        Some(self.unknowns[FREEDOMS * node + axis]).filter(|unknown| *unknown != HELD)
+    }
+
+    /// Looks for the order of elimination and factors the stiffness once more: for those who measure it.
+    ///
+    /// # Errors
+    ///
+    /// None that [`Shell::new`] has not had.
+    pub fn refactor(&mut self) -> Result<(), MechanicsError> {
+        self.factor = self.stiffness.factor(&self.stiffness.order(None)?)?;
+        Ok(())
+    }
+
     /// How the shell moves under each load; with a reading as the load, its adjoint: by how much the reading changes for
     /// each force \[1/N\] and moment \[1/(N·m)\].
     ///

@@ -3,6 +3,8 @@
 //! CalculiX' own shell elements are expanded into solids, and what their rotations are held by changes the answer of the roof
 //! tenfold; 20-node hexahedra of reduced integration leave nothing to hold but displacements.
 
+use std::time::{Duration, Instant};
+
 use nalgebra::{Point3, Vector3};
 
 use super::quadratic::{EDGES, FIRST_SIDE, LAST_SIDE, Quadratic, Share, serendipity};
@@ -152,44 +154,67 @@ struct Compared {
     strains: Vec<[f64; 2]>,
 }
 
-fn compare(panel: &Panel) -> Result<Compared, CalculixError> {
-    let Section { young_modulus, poisson_ratio, thickness, .. } = *panel.section;
-    let mesh = panel.quads.split();
-    let supports: Vec<Support> = panel.clamped.iter().map(|&n| Support::clamped(n)).collect();
-    let shell = Shell::new(mesh, std::slice::from_ref(panel.section), &supports)?;
-    let mesh = shell.mesh();
-    let normals = mesh.normals();
+/// A panel in both worlds.
+struct Both {
+    shell: Shell,
+    normals: Vec<Vector3<f64>>,
+    solid: Quadratic,
+    model: Model,
+    /// Forces on the shell.
+    points: Vec<Share>,
+}
 
-    let solid = extrude(panel.quads, &normals, thickness, |p| p);
-    let count = panel.quads.points.len();
-    let (forces, points) = press(&solid, mesh, &normals, panel)?;
-    let mut clamped = vec![false; count];
-    for &n in panel.clamped {
-        clamped[n] = true;
+impl Both {
+    fn new(panel: &Panel) -> Result<Self, CalculixError> {
+        let Section { young_modulus, poisson_ratio, thickness, .. } = *panel.section;
+        let supports: Vec<Support> = panel.clamped.iter().map(|&n| Support::clamped(n)).collect();
+        let shell = Shell::new(panel.quads.split(), std::slice::from_ref(panel.section), &supports)?;
+        let normals = shell.mesh().normals();
+        let solid = extrude(panel.quads, &normals, thickness, |p| p);
+        let (forces, points) = press(&solid, shell.mesh(), &normals, panel)?;
+        let count = normals.len();
+        let mut clamped = vec![false; count];
+        for &n in panel.clamped {
+            clamped[n] = true;
+        }
+        let model = Model {
+            nodes: solid.nodes.clone(),
+            element: "C3D20R",
+            elements: solid.cells.clone(),
+            young_modulus,
+            poisson_ratio,
+            held: clamped_nodes(&solid, |n| clamped[n % count]),
+            sensors: Vec::new(),
+            loads: vec![Load { forces, ..Load::default() }],
+        };
+        Ok(Self { shell, normals, solid, model, points })
     }
-    let held = clamped_nodes(&solid, |n| clamped[n % count]);
-    // The node that is nearest to the patch's middle, and the one in the solid's middle surface there.
-    let distance = |n: usize| (mesh.points[n] - panel.centre).norm_squared();
-    let Some(under) = (0..count).min_by(|&a, &b| distance(a).total_cmp(&distance(b))) else {
-        return Err(CalculixError::Results("node"));
-    };
-    let place = |p: &Point3<f64>| (p - mesh.points[under]).norm_squared();
-    let Some((middle, _)) =
-        solid.nodes.iter().enumerate().min_by(|(_, a), (_, b)| place(a).total_cmp(&place(b)))
-    else {
-        return Err(CalculixError::Results("node"));
-    };
+}
 
-    let model = Model {
-        nodes: solid.nodes.clone(),
-        element: "C3D20R",
-        elements: solid.cells.clone(),
-        young_modulus,
-        poisson_ratio,
-        held,
-        sensors: Vec::new(),
-        loads: vec![Load { forces, ..Load::default() }],
+/// How long CalculiX takes for the solid of `panel` under its load, `times` in a row.
+///
+/// # Errors
+///
+/// As [`panel_cases`].
+pub fn panel_time(panel: &Panel, times: usize) -> Result<Duration, CalculixError> {
+    let Both { mut model, .. } = Both::new(panel)?;
+    let load = model.loads.remove(0);
+    model.loads.resize(times, load);
+    let begun = Instant::now();
+    model.solve()?;
+    Ok(begun.elapsed())
+}
+
+fn compare(panel: &Panel) -> Result<Compared, CalculixError> {
+    let Both { shell, normals, solid, model, points } = Both::new(panel)?;
+    let mesh = shell.mesh();
+    // The node that is nearest to the patch's middle, and the one in the solid's middle surface there.
+    let nearest = |nodes: &[Point3<f64>], place: &Point3<f64>| {
+        let distance = |n: &usize| (nodes[*n] - place).norm_squared();
+        (0..nodes.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
     };
+    let under = nearest(&mesh.points, &panel.centre);
+    let middle = nearest(&solid.nodes, &mesh.points[under]);
     let answers = model.solve()?;
     let solid_moved = &answers[0].displacements;
 

@@ -1,0 +1,364 @@
+//! How fast a shell is factored and answers: against CHOLMOD with OpenBLAS on the same matrix, against CalculiX on the same
+//! load, and how many samples the forward model of a shell with gauges gives.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Barrier;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Args;
+use dermis_mechanics::calculix::{self, Panel};
+use dermis_mechanics::shell::{Action, Face, Gauge, Green, Quads, Section, Shell, ShellMesh, Support};
+use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface};
+use nalgebra::{Point3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde_json::{Value, json};
+
+/// Stimuli that are sampled again and again.
+const STIMULI: usize = 2048;
+/// Samples between two looks at the clock.
+const BATCH: usize = 256;
+/// \[N\] pressing forces.
+const FORCES: std::ops::Range<f64> = 0.5..34.0;
+/// \[m\] of the tip.
+const DIAMETER: f64 = 0.010;
+/// Contacts of a stimulus, at most.
+const CONTACTS: usize = 4;
+/// Load cases of a run of CalculiX, beside a run of one.
+const LOADS: usize = 5;
+/// What the shell is made of.
+const SECTION: Section = Section::isotropic(1.7e9, 0.394, 0.002);
+
+/// What to measure.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Python with numpy, scipy and scikit-sparse; leaves CHOLMOD out where absent.
+    #[arg(long)]
+    peer_python: Option<PathBuf>,
+    /// Root of the repository.
+    #[arg(long, default_value = ".")]
+    root: PathBuf,
+    /// Skin description: gauges on a panel.
+    #[arg(long, default_value = "launch/skins/hapdef-shin.toml")]
+    skin: PathBuf,
+    /// \[s\] of each measurement of samples.
+    #[arg(long, default_value_t = 10.0)]
+    seconds: f64,
+    /// Times that a factor is made; the best counts.
+    #[arg(long, default_value_t = 20)]
+    repeats: usize,
+    /// Threads that sample.
+    #[arg(long, default_value_t = 2)]
+    threads: usize,
+}
+
+/// Measures ours and the peers', one after the other.
+///
+/// # Errors
+///
+/// Where the skin has no shell, or a peer fails or disagrees.
+pub fn run(options: &Options) -> Result<Value> {
+    let skin = SkinDescription::load(options.root.join(&options.skin))?;
+    let begun = Instant::now();
+    let model = dermis_hapdef::model(&skin)?;
+    let set_up = begun.elapsed().as_secs_f64();
+    let surface = model.surface();
+    let mesh = ShellMesh { points: surface.points.clone(), triangles: surface.triangles.clone() };
+    let [low, high] = [f64::min, f64::max].map(|pick| mesh.points.iter().map(|p| p.x).fold(0.0, pick));
+    let clamped: Vec<usize> =
+        (0..mesh.points.len()).filter(|&n| mesh.points[n].x <= low || mesh.points[n].x >= high).collect();
+    let supports: Vec<Support> = clamped.iter().map(|&n| Support::clamped(n)).collect();
+
+    let mut shell = Shell::new(mesh, &[SECTION], &supports)?;
+    let factor = best(options.repeats, || Ok(shell.refactor()?))?;
+    let watch = Watch::new()?;
+    let green = shell.normal_green(&surface.normals)?;
+    let columns = watch.read()?;
+    let one = Action::force(surface.points.len() / 2, Vector3::z());
+    let load = best(options.repeats, || Ok(drop(shell.solve(std::slice::from_ref(&one))?)))?;
+    eprintln!(
+        "{} nodes, {} unknowns: factored in {:.1} ms, {} loads in {:.2} s ({:.2} s of CPU time), one in {:.2} ms",
+        surface.points.len(),
+        shell.unknowns(),
+        factor.clock * 1e3,
+        green.nodes(),
+        columns.clock,
+        columns.cpu,
+        load.clock * 1e3,
+    );
+    let mut result = json!({
+        "skin": skin.name,
+        "nodes": surface.points.len(),
+        "unknowns": shell.unknowns(),
+        "ours": { "factor_s": factor.json(), "all_loads_s": columns.json(), "one_load_s": load.json() },
+    });
+
+    if let Some(python) = &options.peer_python {
+        let folder = tempfile::tempdir()?;
+        export(folder.path(), &shell, &surface.normals, &green)?;
+        for threads in [1, options.threads] {
+            let peer = cholmod(python, folder.path(), threads, options)?;
+            // Alone by CPU time: what else runs on the machine meets both alike. Ours factors on one core and solves on all.
+            let kind = if threads == 1 { "cpu" } else { "clock" };
+            let [their_factor, their_loads] = ["factor_s", "loads_s"].map(|key| least(&peer[key], kind));
+            let of = |time: &Time| if threads == 1 { time.cpu } else { time.clock };
+            let ratio = json!({ "by": kind, "factor": their_factor / of(&factor), "all_loads": their_loads / of(&columns) });
+            eprintln!(
+                "CHOLMOD, threads: {threads}, by {kind}: factored in {:.1} ms, the same loads in {their_loads:.2} s: {ratio}",
+                their_factor * 1e3,
+            );
+            let name = format!("cholmod_{threads}_threads");
+            result["ratio"][&name] = ratio;
+            result[&name] = peer;
+        }
+    }
+
+    let judged = solids(&shell, surface, &clamped)?;
+    if let Some(seconds) = judged {
+        let per_load = columns.clock / green.nodes() as f64;
+        eprintln!(
+            "CalculiX, solids on the same cells: {:.2} s for one load, {:.2} s for each further one; {:.0} times ours one by \
+             one, {:.0} times ours together",
+            seconds[0],
+            seconds[1],
+            seconds[1] / load.clock,
+            seconds[1] / per_load
+        );
+        result["calculix"] = json!({ "first_load_s": seconds[0], "further_load_s": seconds[1] });
+        result["ratio"]["calculix"] =
+            json!({ "one_load": seconds[1] / load.clock, "all_loads": seconds[1] / per_load });
+    }
+
+    let samples = samples(model.as_ref(), &skin, options)?;
+    result["set_up_s"] = json!(set_up);
+    result["samples"] = samples;
+    Ok(result)
+}
+
+/// \[s\] by the clock, and of CPU time of this process.
+struct Time {
+    clock: f64,
+    cpu: f64,
+}
+
+impl Time {
+    fn json(&self) -> Value {
+        json!({ "clock": self.clock, "cpu": self.cpu })
+    }
+}
+
+struct Watch(Instant, f64);
+
+impl Watch {
+    fn new() -> Result<Self> {
+        Ok(Self(Instant::now(), process_time()?))
+    }
+
+    fn read(&self) -> Result<Time> {
+        Ok(Time { clock: self.0.elapsed().as_secs_f64(), cpu: process_time()? - self.1 })
+    }
+}
+
+/// The least of some.
+fn best(repeats: usize, mut work: impl FnMut() -> Result<()>) -> Result<Time> {
+    let mut least = Time { clock: f64::INFINITY, cpu: f64::INFINITY };
+    for _ in 0..repeats.max(1) {
+        let watch = Watch::new()?;
+        work()?;
+        let time = watch.read()?;
+        least = Time { clock: least.clock.min(time.clock), cpu: least.cpu.min(time.cpu) };
+    }
+    Ok(least)
+}
+
+/// The least of an object's times of this kind.
+fn least(times: &Value, kind: &str) -> f64 {
+    let times = times.as_object().into_iter().flatten();
+    times.filter_map(|(_, time)| time[kind].as_f64()).fold(f64::INFINITY, f64::min)
+}
+
+/// \[s\] of CPU time of this thread.
+fn cpu_time() -> Result<f64> {
+    let path = "/proc/thread-self/schedstat";
+    let text = std::fs::read_to_string(path).with_context(|| format!("{path} cannot be read"))?;
+    let nanoseconds: f64 = text.split(' ').next().unwrap_or_default().parse()?;
+    Ok(nanoseconds * 1e-9)
+}
+
+/// \[s\] of CPU time of this process, threads that have ended included.
+fn process_time() -> Result<f64> {
+    let time = nix::time::clock_gettime(nix::time::ClockId::CLOCK_PROCESS_CPUTIME_ID)?;
+    Ok(Duration::from(time).as_secs_f64())
+}
+
+/// Writes what the peer needs.
+fn export(folder: &Path, shell: &Shell, normals: &[Vector3<f64>], green: &Green) -> Result<()> {
+    let write = |name: &str, bytes: &mut dyn Iterator<Item = Vec<u8>>| -> Result<()> {
+        let mut file = std::io::BufWriter::new(std::fs::File::create(folder.join(name))?);
+        for bytes in bytes {
+            file.write_all(&bytes)?;
+        }
+        Ok(file.flush()?)
+    };
+    let whole = |n: &usize| (*n as i64).to_le_bytes().to_vec();
+    let (starts, rows, values) = shell.stiffness();
+    write("starts", &mut starts.iter().map(whole))?;
+    write("rows", &mut rows.iter().map(whole))?;
+    write("values", &mut values.iter().map(|v| v.to_le_bytes().to_vec()))?;
+    let nodes = 0..normals.len();
+    let unknowns =
+        nodes.flat_map(|node| (0..3).map(move |k| shell.unknown(node, k).map_or(-1, |u| u as i64)));
+    write("unknowns", &mut unknowns.map(|u| u.to_le_bytes().to_vec()))?;
+    write("normals", &mut normals.iter().flat_map(|n| n.iter()).map(|v| v.to_le_bytes().to_vec()))?;
+    write("green", &mut green.values().iter().map(|v| v.to_le_bytes().to_vec()))
+}
+
+fn cholmod(python: &Path, folder: &Path, threads: usize, options: &Options) -> Result<Value> {
+    let out = Command::new(python)
+        .arg(options.root.join("benches/python/cholmod_peer.py"))
+        .arg(folder)
+        .arg(options.repeats.to_string())
+        .env("OPENBLAS_NUM_THREADS", threads.to_string())
+        .output()
+        .with_context(|| format!("{} cannot be started", python.display()))?;
+    ensure!(out.status.success(), "CHOLMOD failed: {}", String::from_utf8_lossy(&out.stderr));
+    let peer: Value = serde_json::from_slice(&out.stdout).context("the peer printed something else")?;
+    let open = |file: &Value| file.as_str().is_some_and(|f| f.contains("openblas"));
+    // The reference BLAS would be no peer.
+    ensure!(
+        peer["blas"].as_array().is_some_and(|files| files.iter().any(open)),
+        "CHOLMOD has not loaded OpenBLAS but {}: install libopenblas0-pthread",
+        peer["blas"]
+    );
+    ensure!(
+        peer["deviation"].as_f64().is_some_and(|d| d < 1e-5),
+        "CHOLMOD's displacements are not ours: {}",
+        peer["deviation"]
+    );
+    Ok(peer)
+}
+
+/// \[s\] of CalculiX for the first load on 20-node hexahedra over the same cells, and for each further one. `None` where it is not
+/// installed, or the shell is not made of quadrilaterals.
+fn solids(shell: &Shell, surface: &Surface, clamped: &[usize]) -> Result<Option<[f64; 2]>> {
+    let Some(quads) = Quads::join(shell.mesh()).filter(|_| calculix::available()) else {
+        eprintln!("CalculiX is left out: it is not installed, or the shell is not made of quadrilaterals");
+        return Ok(None);
+    };
+    let centre = surface.project(&Point3::new(0.0, 0.0, 1.0)).0;
+    let gauge = Gauge { centre, along: Vector3::x(), length: 0.008, width: 0.005, face: Face::Inner };
+    let panel = Panel {
+        name: "bench",
+        quads: &quads,
+        section: &SECTION,
+        clamped,
+        centre,
+        patch: 0.005,
+        gauges: std::slice::from_ref(&gauge),
+        within: [0.1; 2],
+    };
+    let first = calculix::panel_time(&panel, 1)?.as_secs_f64();
+    let all = calculix::panel_time(&panel, LOADS)?.as_secs_f64();
+    Ok(Some([first, (all - first) / (LOADS - 1) as f64]))
+}
+
+/// Up to [`CONTACTS`] contacts on the surface.
+fn stimulus(surface: &Surface, rng: &mut ChaCha8Rng) -> Stimulus {
+    let contacts = (0..rng.random_range(1..=CONTACTS))
+        .map(|_| {
+            let triangle = surface.triangles[rng.random_range(0..surface.triangles.len())];
+            let [a, b, c] = triangle.map(|n| surface.points[n as usize].coords);
+            let (mut s, mut t) = (rng.random::<f64>(), rng.random::<f64>());
+            if s + t > 1.0 {
+                (s, t) = (1.0 - s, 1.0 - t);
+            }
+            let (position, normal) = surface.project(&Point3::from(a + (b - a) * s + (c - a) * t));
+            Indentation { position, force: normal * -rng.random_range(FORCES), diameter: DIAMETER }
+        })
+        .collect();
+    Stimulus { contacts, ..Stimulus::default() }
+}
+
+/// Samples per second of the forward model with its noise, without and with the displacement of every point.
+fn samples(model: &dyn ForwardModel, skin: &SkinDescription, options: &Options) -> Result<Value> {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let stimuli: Vec<Stimulus> = (0..STIMULI).map(|_| stimulus(model.surface(), &mut rng)).collect();
+    let begun = Instant::now();
+    let mut map = vec![0.0; model.surface().points.len()];
+    ensure!(model.displacement(&stimuli[0], &mut map)?, "skin `{}` knows no displacement", skin.name);
+    let maps_ready = begun.elapsed().as_secs_f64();
+    let mut result = json!({
+        "contacts": format!("1 to {CONTACTS}"),
+        "channels": model.channels(),
+        "points": map.len(),
+        "threads": options.threads,
+        "first_map_s": maps_ready,
+    });
+    for (name, maps) in [("readings", false), ("readings_and_maps", true)] {
+        let [clock, cpu] = sample(model, skin, &stimuli, maps, options)?;
+        let name_for_people = name.replace('_', " ");
+        eprintln!(
+            "{name_for_people:<20} {:>8.3} million samples/s, {:>8.3} by CPU time",
+            clock / 1e6,
+            cpu / 1e6
+        );
+        result[name] = json!({ "samples_per_s": clock, "by_cpu_time": cpu });
+    }
+    Ok(result)
+}
+
+fn sample(
+    model: &dyn ForwardModel,
+    skin: &SkinDescription,
+    stimuli: &[Stimulus],
+    maps: bool,
+    options: &Options,
+) -> Result<[f64; 2]> {
+    let duration = Duration::from_secs_f64(options.seconds);
+    let barrier = Barrier::new(options.threads);
+    let ranges: Vec<[f64; 2]> =
+        skin.channels().iter().map(|c| c.range.unwrap_or([f64::MIN, f64::MAX])).collect();
+    let rates = std::thread::scope(|scope| {
+        let work = |seed: usize| {
+            let (barrier, ranges) = (&barrier, &ranges);
+            move || -> Result<[f64; 2]> {
+                let mut rng = ChaCha8Rng::seed_from_u64(seed as u64);
+                let mut clean = vec![0.0; model.channels()];
+                let (mut values, mut count) = (vec![0.0f32; model.channels()], 0);
+                let mut map = vec![0.0; model.surface().points.len()];
+                barrier.wait();
+                let (begun, idle) = (Instant::now(), cpu_time()?);
+                let mut batches = stimuli.chunks(BATCH).cycle();
+                while begun.elapsed() < duration {
+                    let Some(batch) = batches.next() else { bail!("there is nothing to sample") };
+                    for stimulus in batch {
+                        model.response(stimulus, &mut clean)?;
+                        for (((value, clean), sigma), [low, high]) in
+                            values.iter_mut().zip(&clean).zip(model.noise()).zip(ranges)
+                        {
+                            let noise: f64 = rng.sample(StandardNormal);
+                            *value = (clean + sigma * noise).clamp(*low, *high) as f32;
+                        }
+                        if maps {
+                            model.displacement(stimulus, &mut map)?;
+                        }
+                        std::hint::black_box((&values, &map));
+                    }
+                    count += batch.len();
+                }
+                let count = count as f64;
+                Ok([count / begun.elapsed().as_secs_f64(), count / (cpu_time()? - idle)])
+            }
+        };
+        let threads: Vec<_> = (0..options.threads).map(|seed| scope.spawn(work(seed))).collect();
+        threads
+            .into_iter()
+            .map(|t| t.join().unwrap_or_else(|_| bail!("a thread broke off")))
+            .collect::<Result<Vec<_>>>()
+    })?;
+    Ok([0, 1].map(|i| rates.iter().map(|r| r[i]).sum()))
+}
