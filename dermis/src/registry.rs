@@ -54,7 +54,13 @@ pub const FAMILIES: &[Family] = &[
         model: |skin| Ok(dermis_hapdef::model(skin)?),
         effects: dermis_hapdef::effects::EFFECTS,
         estimator: |skin, bundles| estimator(&dermis_hapdef::FAMILY, skin, bundles),
-        verify: || Ok(Vec::new()),
+        verify: || {
+            let mut cases = dermis_hapdef::verify::cases()?;
+            if dermis_mechanics::calculix::available() {
+                cases.extend(dermis_hapdef::verify::judged()?);
+            }
+            Ok(cases)
+        },
         candidates: |skin| Ok(dermis_hapdef::candidates(skin)?),
         node: |request| crate::nodes::config(&dermis_hapdef::FAMILY, request),
     },

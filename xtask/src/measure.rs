@@ -28,6 +28,9 @@ pub enum Measurement {
     /// The same by networks that are trained and measured on devices with the default effects, against what the thesis
     /// measured on its real ones (Table 5.2).
     Realism,
+    /// Single contacts on the limb with strain gauges by the bundle that ships: as designed, with one dead gauge that nobody
+    /// told the node of, and on a device with the default effects.
+    Limb,
 }
 
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
@@ -36,6 +39,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Localisation => recorded(root, "position", "spatial_resolution")?,
         Measurement::Accuracy => accuracy(root)?,
         Measurement::Realism => realism(root)?,
+        Measurement::Limb => limb(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
     };
     println!("{value}");
@@ -143,6 +147,49 @@ fn accuracy(root: &Path) -> Result<Value> {
                 "position": binned["by_force"]["position"],
                 "bound": binned["bound"]["position"],
                 "several": { "position": binned["by_force"]["position of 2"], "of_3": binned["by_force"]["position of 3"] },
+            }),
+        );
+    }
+    Ok(Value::Object(all))
+}
+
+/// Evaluates the limb's bundle on freshly collected bags, in the bins of force of the thesis' Table 2.2.
+fn limb(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
+    let dermis = target_dir(root).join("release/dermis");
+    let dir = scratch(root, "limb")?;
+    let skin = root.join("launch/skins/hapdef-shin.toml");
+    let defaults = root.join("launch/effects/hapdef-default.toml");
+    let defaults = defaults.display().to_string();
+    let devices: [(&str, &[&str]); 3] = [
+        ("designed", &[]),
+        ("one dead gauge", &["--effect", "dead-gauge=1", "--seed", "3"]),
+        ("default effects", &["--effects", &defaults, "--seed", "7"]),
+    ];
+    let mut all = serde_json::Map::new();
+    for (name, device) in devices {
+        let bag = dir.join(name.replace(' ', "-"));
+        let mut collect = Command::new(&dermis);
+        collect
+            .arg("collect")
+            .arg(&skin)
+            .arg("--plan")
+            .arg(root.join("launch/plans/hapdef-shin-evaluate.toml"));
+        execute(collect.args(device).arg("--out").arg(&bag))?;
+        let mut evaluate = Command::new(&dermis);
+        evaluate.arg("evaluate").arg("--skin").arg(&skin).arg("--model").arg(root.join("models/hapdef-shin"));
+        let found =
+            evaluation(evaluate.args(["--bins", "0.5,4.9,9.8,19.6,34.3", "--in-range", "--json"]).arg(bag))?;
+        let mm = |key: &str| found["figures"][key].as_f64().map(|v| v * 1e3);
+        all.insert(
+            name.to_owned(),
+            json!({
+                "position_mean_mm": mm("position_mean"),
+                "position_median_mm": mm("position_median"),
+                "force_mean_n": found["figures"]["force_normal_mean"],
+                "position": found["by_force"]["position"],
+                "force": found["by_force"]["force.normal"],
+                "bound": found["bound"],
             }),
         );
     }

@@ -77,6 +77,9 @@ pub struct Bin {
     pub samples: usize,
     /// Root mean square of the error, in the unit of the quantity.
     pub rms: f64,
+    /// Mean of the error's magnitude; 0 in cards of dermis 0.1.0 before it was kept.
+    #[serde(default)]
+    pub mean: f64,
 }
 
 /// \[N\] from which on every contact must press for their number to be judged.
@@ -90,24 +93,26 @@ pub(crate) fn bin_of(force: f64) -> usize {
 /// Root mean squares of values by the true normal force \[N\] of each, of pairs of force and value; empty bins and values of
 /// unknown force are left out. `edges` \[N\] ascend; what lies below the first is left out, the last bin is open.
 pub fn bins(edges: &[f64], values: impl Iterator<Item = (f64, f64)>) -> Vec<Bin> {
-    let mut sums = vec![(0_usize, 0.0); edges.len()];
+    let mut sums = vec![(0_usize, 0.0, 0.0); edges.len()];
     for (force, value) in values.filter(|(force, _)| force.is_finite()) {
         // What a noisy force cell says of the lightest press may be below 0.
         let force = if edges.first() == Some(&0.0) { force.max(0.0) } else { force };
         let Some(index) = edges.iter().filter(|from| force >= **from).count().checked_sub(1) else {
             continue;
         };
-        let (samples, squares) = &mut sums[index];
+        let (samples, squares, magnitudes) = &mut sums[index];
         *samples += 1;
         *squares += value * value;
+        *magnitudes += value.abs();
     }
-    let bin = |(i, (samples, squares)): (usize, (usize, f64))| Bin {
+    let bin = |(i, (samples, squares, magnitudes)): (usize, (usize, f64, f64))| Bin {
         from: edges[i],
         to: edges.get(i + 1).copied(),
         samples,
         rms: (squares / samples as f64).sqrt(),
+        mean: magnitudes / samples as f64,
     };
-    sums.into_iter().enumerate().filter(|(_, (samples, _))| *samples > 0).map(bin).collect()
+    sums.into_iter().enumerate().filter(|(_, (samples, ..))| *samples > 0).map(bin).collect()
 }
 
 #[derive(Debug, Clone, Copy)]
