@@ -124,7 +124,8 @@ impl Scenes {
         let wrong = |reason: String| LearnError::Training { reason };
         let [low, high] = settings.force;
         let lengths = [settings.diameter, settings.distance];
-        if !(low > 0.0 && high > low && high.is_finite()) || lengths.iter().any(|l| !(*l > 0.0)) {
+        let possible = low > 0.0 && high > low && high.is_finite() && lengths.iter().all(|l| *l > 0.0);
+        if !possible {
             return Err(wrong(format!(
                 "scenes of {low} to {high} N, a tip of {} m and a distance of {} m cannot be simulated: all must be \
                  positive, and the range of forces not empty",
