@@ -41,7 +41,7 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// Frame → contacts with these model bundles; `masked` names channels to leave out.
+    /// Frame → contacts, without maps, with these model bundles; `masked` names channels to leave out.
     ///
     /// # Errors
     ///
@@ -57,6 +57,7 @@ impl Sensor {
             bundles.iter().map(|folder| Bundle::load(folder, skin)).collect::<Result<Vec<_>, _>>()?;
         let mut estimator = SkinEstimator::new(skin, masked)?;
         estimator.set_models(Models::load(self, skin, &bundles, runtime)?);
+        estimator.want_maps(Maps::NONE);
         Ok(Box::new(estimator))
     }
 
