@@ -280,7 +280,7 @@ fn held_out(view: &View<'_>, of: &[Option<usize>], bins: usize, fold: &[usize]) 
     for (i, row) in view.rows.rows.iter().enumerate() {
         let (r, s) = (view.row(i), &view.model[i * width..(i + 1) * width]);
         for &k in &usable {
-            let (a, c) = if of[i].is_some() { fits[at(i) * width + k][fold[row.group]] } else { (0.0, 0.0) };
+            let (a, c) = fits[at(i) * width + k][fold[row.group]];
             energy[row.group] += (f64::from(r[k]) - a - c * f64::from(s[k])).powi(2);
         }
     }
@@ -319,19 +319,23 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
             }
             if all > 0.0 { gained / all } else { 0.0 }
         };
-        let mut value = share(&mut (0..groups));
+        let mut by_chance = 0.0;
         if !channel {
-            let mut by_chance = 0.0;
             for _ in 0..PERMUTATIONS {
-                let mut of = axis.of.clone();
-                of.shuffle(&mut rng);
+                // Rows that the axis says nothing of stay where they are.
+                let mut known: Vec<usize> = axis.of.iter().flatten().copied().collect();
+                known.shuffle(&mut rng);
+                let mut drawn = known.into_iter();
+                let of: Vec<Option<usize>> = axis.of.iter().map(|o| o.and_then(|_| drawn.next())).collect();
                 let shuffled: f64 = held_out(view, &of, axis.labels.len(), &fold).iter().sum();
                 by_chance += (alone.iter().sum::<f64>() - shuffled) / total.max(1e-300) / PERMUTATIONS as f64;
             }
-            value -= by_chance;
         }
+        let value = share(&mut (0..groups)) - by_chance;
         let mut drawn: Vec<f64> = (0..200)
-            .map(|_| share(&mut (0..groups).map(|_| rand::Rng::random_range(&mut rng, 0..groups))))
+            .map(|_| {
+                share(&mut (0..groups).map(|_| rand::Rng::random_range(&mut rng, 0..groups))) - by_chance
+            })
             .collect();
         drawn.sort_by(f64::total_cmp);
         let bins = if channel { Vec::new() } else { bins(view, &axis) };

@@ -483,3 +483,133 @@ impl Trajectory for Along {
         self.inner.convert(readings);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::Indentation;
+
+    const SKIN: &str = r#"
+schema = "dermis-skin/1"
+name = "pad"
+sensor = "taxels"
+frame_id = "pad_link"
+unit = "Pa"
+rate = 100.0
+noise = 1.0
+surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
+taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", position = [0.005, 0.0, -0.005] }]
+"#;
+
+    /// Reads force over distance.
+    struct Plain {
+        surface: Surface,
+        taxels: Vec<Point3<f64>>,
+    }
+
+    impl ForwardModel for Plain {
+        fn channels(&self) -> usize {
+            self.taxels.len()
+        }
+        fn surface(&self) -> &Surface {
+            &self.surface
+        }
+        fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+            for (o, t) in out.iter_mut().zip(&self.taxels) {
+                *o = stimulus.contacts.iter().map(|c| c.force.norm() / (c.position - t).norm()).sum();
+            }
+            Ok(())
+        }
+        fn noise(&self) -> &[f64] {
+            &[1.0, 1.0]
+        }
+    }
+
+    fn made(effects: Vec<Effect>) -> Result<Arc<dyn ForwardModel>, ModelError> {
+        let mut skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+        skin.effects = effects;
+        device(&skin, |inner| {
+            assert!(inner.effects.iter().all(|e| e.name == "inner"));
+            Ok(Arc::new(Plain {
+                surface: inner.surface(),
+                taxels: inner.taxels.iter().map(dermis_skin::Taxel::point).collect(),
+            }))
+        })
+    }
+
+    fn press(x: f64, force: f64) -> Stimulus {
+        let contact = Indentation {
+            position: Point3::new(x, 0.0, 0.0),
+            force: Vector3::new(0.0, 0.0, -force),
+            diameter: 0.004,
+        };
+        Stimulus { contacts: vec![contact], ..Stimulus::default() }
+    }
+
+    fn read(effects: Vec<Effect>, stimulus: &Stimulus) -> [f64; 2] {
+        let mut out = [0.0; 2];
+        made(effects).unwrap().response(stimulus, &mut out).unwrap();
+        out
+    }
+
+    #[test]
+    fn nothing_is_around_a_skin_without_common_effects() {
+        assert_eq!(read(vec![Effect::new("inner")], &press(0.001, 1.0)), read(vec![], &press(0.001, 1.0)));
+    }
+
+    #[test]
+    fn electronics_come_after_the_medium() {
+        let plain = read(vec![], &press(0.0, 1.0));
+        let effects = vec![
+            Effect::new("channel-gain").with("a", 1.2).strength(0.5),
+            Effect::new("channel-offset").with("b", 3.0),
+            Effect::new("channel-order").with("a", 1.0).with("b", 0.0),
+        ];
+        let changed = read(effects, &press(0.0, 1.0));
+        approx::assert_relative_eq!(changed[0], plain[1] + 3.0, max_relative = 1e-12);
+        approx::assert_relative_eq!(changed[1], plain[0] * 1.1, max_relative = 1e-12);
+    }
+
+    #[test]
+    fn what_the_rig_says_is_not_what_touches() {
+        let shifted = read(vec![Effect::new("truth-shift").with("x", 0.002)], &press(0.001, 1.0));
+        assert_eq!(shifted, read(vec![], &press(0.003, 1.0)));
+        let stronger = vec![
+            Effect::new("force-scale").with("factor", 1.5),
+            Effect::new("force-zero").with("force", 0.1),
+        ];
+        let (found, wanted) = (read(stronger, &press(0.001, 1.0)), read(vec![], &press(0.001, 1.6)));
+        approx::assert_relative_eq!(found[0], wanted[0], max_relative = 1e-12);
+    }
+
+    #[test]
+    fn taxels_move() {
+        let moved = read(vec![Effect::new("taxel-position").with("a.x", 0.005)], &press(0.0, 1.0));
+        approx::assert_relative_eq!(moved[0], 1.0 / 0.005, max_relative = 1e-12);
+    }
+
+    #[test]
+    fn a_delay_is_one_of_all_readings() {
+        let model = made(vec![Effect::new("delay").with("time", 0.015)]).unwrap();
+        let mut way = model.trajectory();
+        let mut last = [0.0; 2];
+        for frame in 0..10 {
+            let stimulus = press(0.0, f64::from(frame));
+            model.response(&stimulus, &mut last).unwrap();
+            way.transduce(f64::from(frame) * 0.01, &stimulus, &mut last);
+        }
+        let before = read(vec![], &press(0.0, 7.5));
+        approx::assert_relative_eq!(last[0], before[0], max_relative = 1e-9);
+    }
+
+    #[test]
+    fn refusals_name_the_parameter() {
+        let refused = |effect| made(vec![effect]).err().unwrap().to_string();
+        insta::assert_snapshot!(refused(Effect::new("channel-gain").with("c", 1.0)), @"skin `pad`: field `effects[0].c`: is no channel of this skin; it has a, b");
+        insta::assert_snapshot!(refused(Effect::new("channel-gain").with("a", 0.0)), @"skin `pad`: field `effects[0].a`: is 0 and must not be 0: mask a dead channel");
+        insta::assert_snapshot!(refused(Effect::new("delay").with("time", -1.0)), @"skin `pad`: field `effects[0].time`: is -1 s and must be 0 or positive");
+        insta::assert_snapshot!(refused(Effect::new("truth-shift").with("w", 1.0)), @"skin `pad`: field `effects[0].w`: is no parameter of truth-shift; it has x, y, z, turn");
+        insta::assert_snapshot!(refused(Effect::new("taxel-position").with("a", 1.0)), @r#"skin `pad`: field `effects[0].a`: names a taxel and an axis, e.g. "t0.x""#);
+        insta::assert_snapshot!(refused(Effect::new("channel-order").with("a", 7.0)), @"skin `pad`: field `effects[0].a`: is 7 and must be a place from 0 to 1");
+    }
+}

@@ -19,13 +19,18 @@ use crate::library::{Candidate, Gram, Signatures};
 use crate::noise::{self, Gap};
 use crate::polish::{self, Free, Target};
 use crate::report::{
-    Alike, Closure, DataSummary, NamedEffect, Provenance, Report, SCHEMA, Unknown, Value, Verdict,
+    Alike, Closure, DataSummary, NamedEffect, Provenance, Report, SCHEMA, Suspect, Unknown, Value, Verdict,
 };
 use crate::rows::{RowOptions, Rows};
 use crate::select::{SelectOptions, Selection, Selector, Tier, normal};
 use crate::simulate::Simulator;
 use crate::statistics::{Column, Fit, Statistics};
 use crate::{GapError, checks, experiments, parity, store, unknown};
+
+/// Share of the gap below which it is not systematic enough to be explained.
+const UNSYSTEMATIC: f64 = 0.2;
+/// Share of the systematic gap that effects must explain on other contacts to be named.
+const NAMED: f64 = 0.3;
 
 /// How a recording is diagnosed.
 #[derive(Debug, Clone)]
@@ -179,7 +184,9 @@ pub fn diagnose(
         gap: &gap,
         options,
     };
-    let found = if none { Found::default() } else { data.causes(&fixed, &whitened)? };
+    // Where not even the sign of the systematic part is known there is nothing to explain.
+    let established = gap.interval[0] > 0.0 && gap.systematic >= UNSYSTEMATIC * gap.fvu_before;
+    let found = if none || !established { Found::default() } else { data.causes(&fixed, &whitened)? };
     let mut effects = Vec::new();
     if let (Some(before), Some(effect)) = (disordered, fixed.first()) {
         effects.push(order_effect(effect, before - gap.fvu_before));
@@ -189,7 +196,9 @@ pub fn diagnose(
     report.closure = found.closure;
     report.held_out = found.held_out;
     report.corrected = fixed.into_iter().chain(found.effects).collect();
-    let left = found.left.unwrap_or_else(|| whitened.clone());
+    // What does not hold on other contacts explains nothing: all of the gap is left.
+    let holds = found.library >= NAMED * gap.systematic;
+    let left = found.left.filter(|_| holds).unwrap_or_else(|| whitened.clone());
     {
         let view = view(&rows, &left, &modelled, &sigma, &gap);
         report.maps.push(axes::map(&view, &surface));
@@ -209,8 +218,11 @@ pub fn diagnose(
         }
     }
     alias(&mut effects, &rows);
+    report.suspects = suspects(&signatures.candidates, &found.selection, options.select.floor);
     report.verdict = verdict(&report.unknown, &effects, &found.selection, &gap);
-    if report.verdict == Verdict::UnknownSystematic {
+    if matches!(report.verdict, Verdict::UnknownSystematic | Verdict::Unmeasured) {
+        report.closure = None;
+        report.held_out = None;
         // A name for a small part of a gap would be taken for the cause.
         for effect in effects.iter().filter(|e| e.label != "channel-order") {
             report.warnings.push(format!(
@@ -258,6 +270,7 @@ fn empty(simulator: &Simulator<'_>, recording: &Recording, rows: &Rows, options:
         maps: Vec::new(),
         parity: Vec::new(),
         effects: Vec::new(),
+        suspects: Vec::new(),
         closure: None,
         held_out: None,
         unknown: Unknown::default(),
@@ -371,9 +384,9 @@ fn verdict(unknown: &Unknown, effects: &[NamedEffect], selection: &Selection, ga
     }
     if named {
         let explained = unknown.library + unknown.form;
-        return if unknown.library >= 0.8 || (explained >= 0.8 && unknown.library >= 0.3) {
+        return if unknown.library >= 0.8 || (explained >= 0.8 && unknown.library >= NAMED) {
             Verdict::Named
-        } else if unknown.library >= 0.3 {
+        } else if unknown.library >= NAMED {
             Verdict::NamedAndUnknown
         } else if unknown.explainable >= 0.3 {
             Verdict::UnknownSystematic
@@ -381,7 +394,7 @@ fn verdict(unknown: &Unknown, effects: &[NamedEffect], selection: &Selection, ga
             Verdict::Unmeasured
         };
     }
-    if gap.systematic < 0.2 * gap.fvu_before {
+    if gap.systematic < UNSYSTEMATIC * gap.fvu_before {
         // The gap is there, and another press of the same kind has another one.
         Verdict::Unmeasured
     } else if selection.form >= 0.5 * gap.systematic {
@@ -391,6 +404,19 @@ fn verdict(unknown: &Unknown, effects: &[NamedEffect], selection: &Selection, ga
     } else {
         Verdict::Unmeasured
     }
+}
+
+/// The best five effects when they come alone.
+fn suspects(candidates: &[Candidate], selection: &Selection, floor: f64) -> Vec<Suspect> {
+    let mut found: Vec<Suspect> = candidates
+        .iter()
+        .zip(&selection.alone)
+        .filter(|(_, [_, loose])| *loose >= floor)
+        .map(|(c, [strict, loose])| Suspect { name: c.name.clone(), gain: *loose, beyond_form: *strict })
+        .collect();
+    found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    found.truncate(5);
+    found
 }
 
 fn order_effect(effect: &Effect, gain: f64) -> NamedEffect {

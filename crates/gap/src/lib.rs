@@ -1,6 +1,18 @@
 //! Where a simulated skin and a real one differ, which effect makes them differ, and how far that closes the gap.
+//!
+//! | word | type | what it is |
+//! |---|---|---|
+//! | recording | [`Recording`] | what was done to a skin and what it read; [`read`] takes it from bags |
+//! | simulator | [`Simulator`] | the skin by design, its family's effects, and how its model is made |
+//! | common effects | [`COMMON`], [`device`] | effects that every skin can have, around its family's model |
+//! | diagnosis | [`diagnose`], [`Report`] | verdict, size, place, causes with their classes, closure |
+//!
+//! A gap is readings minus nominal model. Effects are compared by their signatures: what switching them on changes in our own
+//! simulator, over the presses of the recording. Whatever is measured of an effect is measured on places that it was not fitted
+//! to. Energies are in deviations of the noise squared; shares are of the readings' variance unless they say otherwise.
+//!
+//! Nothing here knows a sensor by name.
 
-#![allow(missing_docs)]
 mod algebra;
 mod axes;
 mod checks;

@@ -34,6 +34,7 @@ const FORESEEN: f64 = 0.9;
 const MOVED: f64 = 1e-3;
 /// What two effects must explain of each other to be two names of one thing.
 const SAME: f64 = 0.97;
+const NEARLY: f64 = 0.85;
 /// Relative tolerance of every number of a data sheet.
 const TOLERANCE: f64 = 0.05;
 /// Relative tolerance of a contact law: exponent of the force, width of a footprint.
@@ -371,7 +372,8 @@ impl Signatures {
                 }
                 let there = gram.explained(&family.columns, &common.columns);
                 let back = gram.explained(&common.columns, &family.columns);
-                if there > SAME && back > SAME {
+                // A device that is at the end of its range does not show all of a factor.
+                if there > NEARLY && back > SAME {
                     let (columns, linear, form) =
                         (common.columns.clone(), common.linear.clone(), common.name.clone());
                     let family = &mut self.candidates[f];

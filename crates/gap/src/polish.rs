@@ -66,8 +66,6 @@ pub struct Target<'a> {
 pub struct Polished {
     /// Effects with fitted values.
     pub effects: Vec<Effect>,
-    /// Weighted energy of what is left.
-    pub loss: f64,
     /// Simulated readings of all rows.
     pub readings: Vec<f32>,
     /// Half of the 90 % interval of each free number, over places.
@@ -228,7 +226,7 @@ pub fn polish(
             break;
         }
     }
-    Ok(Polished { effects, loss, readings: read, halves })
+    Ok(Polished { effects, readings: read, halves })
 }
 
 /// Half of each number's 90 % interval: contacts of one place are not independent, so that scores of groups are counted.

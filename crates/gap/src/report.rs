@@ -141,6 +141,17 @@ pub struct NamedEffect {
     pub written: bool,
 }
 
+/// An effect that alone would explain some of the gap. It is not named by that.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Suspect {
+    /// Name of the effect.
+    pub name: String,
+    /// Reduction of the held-out error, in shares of the readings' variance.
+    pub gain: f64,
+    /// The same beside the simulator's own error within its tolerances.
+    pub beyond_form: f64,
+}
+
 /// What the library does not explain.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Unknown {
@@ -210,6 +221,9 @@ pub struct Report {
     pub parity: Vec<Parity>,
     /// Named effects, the strongest first.
     pub effects: Vec<NamedEffect>,
+    /// Effects that explain most when they come alone, whether they are named or not, the strongest first: where to look where no
+    /// effect is named.
+    pub suspects: Vec<Suspect>,
     /// How far all of them close it.
     pub closure: Option<Closure>,
     /// Unexplained variance on the contacts kept for the end: before, after, floor.

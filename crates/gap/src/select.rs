@@ -630,3 +630,15 @@ pub fn normal(z: f64) -> f64 {
     let tail = 0.5 * poly * (-x * x).exp();
     if z > 0.0 { 1.0 - tail } else { tail }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_normal_distribution_is_that_of_the_tables() {
+        for (z, p) in [(0.0, 0.5), (-1.959_964, 0.025), (2.326_348, 0.99), (-5.0, 2.8665e-7)] {
+            approx::assert_abs_diff_eq!(normal(z), p, epsilon = 2e-7);
+        }
+    }
+}

@@ -111,31 +111,6 @@ impl Statistics {
         Self { columns: p, groups }
     }
 
-    /// The same columns with another residual.
-    #[must_use]
-    pub fn with_residual(&self, columns: &[Column], residual: &[f32], rows: &Rows, channels: usize) -> Self {
-        let mut other = self.clone();
-        for group in &mut other.groups {
-            group.b.fill(0.0);
-            group.rr = 0.0;
-        }
-        for (i, row) in rows.rows.iter().enumerate() {
-            let group = &mut other.groups[row.group];
-            let r = &residual[i * channels..(i + 1) * channels];
-            group.rr += r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
-            for (b, column) in group.b.iter_mut().zip(columns) {
-                *b += match column.channel {
-                    Some(k) => f64::from(column.values[i]) * f64::from(r[k]),
-                    None => {
-                        let values = &column.values[i * channels..(i + 1) * channels];
-                        values.iter().zip(r).map(|(c, r)| f64::from(*c) * f64::from(*r)).sum::<f64>()
-                    }
-                };
-            }
-        }
-        other
-    }
-
     /// Number of groups.
     #[must_use]
     pub fn groups(&self) -> usize {
@@ -253,18 +228,68 @@ impl Sum {
             free.remove(worst);
         }
     }
+}
 
-    /// What is left of the energy after a fit.
-    #[must_use]
-    pub fn loss(&self, fit: &Fit) -> f64 {
-        let p = self.b.len();
-        let mut loss = self.rr;
-        for (&i, x) in fit.set.iter().zip(&fit.theta) {
-            loss -= 2.0 * x * self.b[i];
-            for (&j, y) in fit.set.iter().zip(&fit.theta) {
-                loss += x * y * self.g[i * p + j];
-            }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::Phase;
+    use crate::rows::Row;
+
+    pub(crate) fn rows(groups: &[usize]) -> Rows {
+        let row = |group: usize| Row {
+            frame: 0,
+            group,
+            press: group,
+            location: (0, group as u32),
+            phase: Phase::Hold,
+            force: 1.0,
+            since: 0.1,
+            time: 0.0,
+            before: 0.0,
+            speed: 0.0,
+            temperature: f64::NAN,
+            position: [0.0; 3],
+            diameter: 0.004,
+            contacts: 1,
+            paired: false,
+        };
+        let number = groups.iter().max().map_or(0, |g| g + 1);
+        Rows {
+            rows: groups.iter().map(|g| row(*g)).collect(),
+            groups: number,
+            test: vec![false; number],
+            presses: number,
+            missing: 0,
         }
-        loss
+    }
+
+    #[test]
+    fn sums_are_those_of_all_rows() {
+        // Three rows of two channels; one column for all channels, one for the second.
+        let columns = vec![
+            Column { channel: None, values: vec![1.0, 2.0, 0.5, -1.0, 3.0, 1.0] },
+            Column { channel: Some(1), values: vec![1.0, 2.0, -1.0] },
+        ];
+        let residual = [2.0f32, 1.0, 0.0, 4.0, -1.0, 2.0];
+        let statistics = Statistics::new(&columns, &residual, &rows(&[0, 1, 0]), 2);
+        let sum = statistics.sum(&[1.0, 1.0]);
+        let wanted = [1.0 + 4.0 + 0.25 + 1.0 + 9.0 + 1.0, 2.0 - 2.0 - 1.0, -1.0, 1.0 + 4.0 + 1.0];
+        assert_eq!(sum.g, wanted);
+        assert_eq!((sum.b.clone(), sum.rr), (vec![2.0 + 2.0 - 4.0 - 3.0 + 2.0, 1.0 + 8.0 - 2.0], 26.0));
+        // What is left by groups is what is left of all.
+        let fit = sum.fit(&[0, 1], 0.0, &BTreeSet::new(), 1.0);
+        let left: f64 = (0..6)
+            .map(|i| {
+                let own = if i % 2 == 1 { fit.theta[1] * f64::from(columns[1].values[i / 2]) } else { 0.0 };
+                (f64::from(residual[i]) - fit.theta[0] * f64::from(columns[0].values[i]) - own).powi(2)
+            })
+            .sum();
+        let by_groups = statistics.loss(0, &fit) + statistics.loss(1, &fit);
+        approx::assert_relative_eq!(by_groups, left, max_relative = 1e-6);
+        // A bound is kept, and the others make the best of it.
+        let bounded = sum.fit(&[0, 1], 0.0, &BTreeSet::from([1]), 0.5);
+        let held = bounded.set.iter().position(|c| *c == 1).unwrap();
+        assert_eq!(bounded.theta[held].abs(), 0.5);
     }
 }

@@ -12,6 +12,11 @@ const KNOWN: usize = 4000;
 /// Neighbours.
 const NEAREST: usize = 6;
 
+/// What a residual goes with, in first order: the force where something touches.
+fn size(row: &Row) -> f64 {
+    if row.phase.touched() { row.force.max(0.02) } else { 1.0 }
+}
+
 /// Share of the energy of `residual` (rows × channels) that the nearest rows of other groups foresee.
 #[must_use]
 pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) -> f64 {
@@ -29,8 +34,8 @@ pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) ->
             spread[a] += (c[a] - mean[a]).powi(2) / n;
         }
     }
-    // Where a contact is and how hard it presses decides; the rest shades it.
-    let weight = [3.0, 3.0, 3.0, 3.0, 1.0, 1.0, 1.0, 0.5, 1.0];
+    // Where a contact is decides; the rest shades it.
+    let weight = [3.0, 3.0, 3.0, 1.0, 1.0, 1.0, 1.0, 0.5, 1.0];
     let scaled: Vec<[f64; 9]> = coordinates
         .iter()
         .map(|c| {
@@ -65,8 +70,13 @@ pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) ->
         for (away, j) in &near {
             let w = 1.0 / (away + 1e-3);
             weights += w;
+            let ratio = if rows.rows[i].phase.touched() == rows.rows[*j].phase.touched() {
+                size(&rows.rows[i]) / size(&rows.rows[*j])
+            } else {
+                0.0
+            };
             for (g, v) in guess.iter_mut().zip(&residual[j * channels..(j + 1) * channels]) {
-                *g += w * f64::from(*v);
+                *g += w * ratio * f64::from(*v);
             }
         }
         for (g, v) in guess.iter().zip(&residual[i * channels..(i + 1) * channels]) {

@@ -191,6 +191,15 @@ fn effects(body: &mut String, report: &Report) {
     let _ = writeln!(body, "<h2>What makes it</h2>");
     if report.effects.is_empty() {
         let _ = writeln!(body, "<p>No effect is named.</p>");
+        for suspect in &report.suspects {
+            let _ = writeln!(
+                body,
+                "<p>{} alone would explain {} of the variance, {} beyond the simulator's tolerances.</p>",
+                escape(&suspect.name),
+                percent(suspect.gain),
+                percent(suspect.beyond_form)
+            );
+        }
     }
     for effect in &report.effects {
         let class: Vec<String> = effect.class.iter().map(|a| escape(&a.name)).collect();

@@ -99,6 +99,18 @@ pub fn text(report: &Report) -> String {
             let _ = writeln!(out, "    a skin description cannot say it: the corrected skin is without it");
         }
     }
+    if report.effects.is_empty() && !report.suspects.is_empty() {
+        let _ = writeln!(out, "\nno effect is named; alone would explain of the variance");
+        for suspect in &report.suspects {
+            let _ = writeln!(
+                out,
+                "  {:32} {} ({} beyond the simulator's tolerances)",
+                suspect.name,
+                percent(suspect.gain),
+                percent(suspect.beyond_form)
+            );
+        }
+    }
     if let Some(closure) = &report.closure {
         let _ = writeln!(
             out,

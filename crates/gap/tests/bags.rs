@@ -1,0 +1,112 @@
+//! Recordings from bags.
+
+use std::path::Path;
+
+use dermis_bag::{BagQos, BagWriter};
+use dermis_gap::{GapError, Phase, Recording};
+use dermis_msgs::geometry_msgs::msg::{Point, Vector3};
+use dermis_msgs::msg::{Indentation, IndentationContact, TaxelFrame};
+use dermis_msgs::{Message, TypeSupport};
+use dermis_skin::{Frame, SkinDescription};
+
+const SKIN: &str = r#"
+schema = "dermis-skin/1"
+name = "pad"
+sensor = "taxels"
+frame_id = "pad_link"
+unit = "Pa"
+rate = 100.0
+noise = 1.0
+surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
+taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", position = [0.005, 0.0, -0.005] }]
+"#;
+
+fn skin() -> SkinDescription {
+    SkinDescription::from_toml(SKIN, "pad.toml").unwrap()
+}
+
+/// Twenty presses of ten frames; `scale` of the ground truth's lengths, `sign` of its forces.
+fn bag(path: &Path, skin: &SkinDescription, scale: f64, sign: f64) {
+    let mut writer = BagWriter::create(path).unwrap();
+    writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data()).unwrap();
+    writer.add_topic("truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data()).unwrap();
+    for index in 0..200_u64 {
+        let stamp = 1_700_000_000_000_000_000 + index as i64 * 10_000_000;
+        let mut frame = Frame::new(stamp, index, vec![index as f32, -(index as f32)]);
+        frame.temperature = 294.0;
+        writer
+            .write_cdr("taxels", TypeSupport::of::<TaxelFrame>(), &skin.frame_message(&frame).to_cdr(), stamp)
+            .unwrap();
+        let within = index % 10;
+        let touched = (2..8).contains(&within);
+        let contact = IndentationContact {
+            position: Point { x: scale * 0.003, y: 0.0, z: 0.0 },
+            normal: Vector3 { x: 0.0, y: 0.0, z: 1.0 },
+            force: Vector3 { x: 0.0, y: 0.0, z: -sign },
+            force_components: dermis_msgs::msg::Contact::FORCE_FULL,
+            depth: f64::NAN,
+            diameter: 0.004,
+        };
+        let truth = Indentation {
+            header: skin.header(stamp),
+            skin: skin.name.clone(),
+            session: "first".to_owned(),
+            press: index / 10 + 1,
+            location: 1 + (index / 10) as u32,
+            repeat: 0,
+            phase: if touched { Indentation::PHASE_HOLD } else { Indentation::PHASE_IDLE },
+            temperature: f32::NAN,
+            contacts: if touched { vec![contact] } else { Vec::new() },
+        };
+        writer.write_cdr("truth", TypeSupport::of::<Indentation>(), &truth.to_cdr(), stamp).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+fn read(scale: f64, sign: f64) -> Recording {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bag");
+    bag(&path, &skin(), scale, sign);
+    dermis_gap::read(&[path], &skin(), None).unwrap()
+}
+
+#[test]
+fn frames_and_ground_truth_are_joined() {
+    let recording = read(1.0, 1.0);
+    assert_eq!((recording.moments.len(), recording.contacts(), recording.channels), (200, 20, 2));
+    assert_eq!(recording.sessions, ["first"]);
+    assert!(recording.problems.is_empty(), "{:?}", recording.problems);
+    let moment = &recording.moments[33];
+    assert_eq!((moment.press, moment.location, moment.phase), (4, 4, Phase::Hold));
+    assert!((moment.time - 0.33).abs() < 1e-9 && moment.temperature == 294.0);
+    let contact = &moment.stimulus.as_ref().unwrap().contacts[0];
+    assert_eq!((contact.position.x, contact.force.z, contact.diameter), (0.003, -1.0, 0.004));
+    assert_eq!(recording.frame(33), [33.0, -33.0]);
+    assert_eq!(recording.moments[31].phase, Phase::Idle);
+}
+
+#[test]
+fn ground_truth_in_millimetres_or_turned_is_named() {
+    let far = read(1000.0, 1.0);
+    let problem = far.problems.iter().find(|p| p.code == "frame").unwrap();
+    assert!(problem.fatal && problem.what.contains("millimetres instead of metres"), "{}", problem.what);
+    let pulled = read(1.0, -1.0);
+    let problem = pulled.problems.iter().find(|p| p.code == "frame").unwrap();
+    assert!(problem.fatal && problem.what.contains("turn its sign"), "{}", problem.what);
+}
+
+#[test]
+fn bags_of_other_skins_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bag");
+    bag(&path, &skin(), 1.0, 1.0);
+    let refused = |from: &str, to: &str| {
+        let other = SkinDescription::from_toml(&SKIN.replace(from, to), "other.toml").unwrap();
+        let error = dermis_gap::read(&[&path], &other, None).unwrap_err();
+        assert!(matches!(error, GapError::Recording { .. }));
+        error.to_string().replace(&path.display().to_string(), "BAG")
+    };
+    insta::assert_snapshot!(refused("\"pad\"", "\"palm\""), @"BAG: holds no frames of skin `palm`");
+    insta::assert_snapshot!(refused("\"Pa\"", "\"kPa\""), @r#"BAG: its readings are in "Pa" where skin `pad` is in "kPa""#);
+    insta::assert_snapshot!(refused(", { name = \"b\", position = [0.005, 0.0, -0.005] }", ""), @"BAG: its frames have 2 channels where skin `pad` has 1: pass the description that it was recorded with");
+}
