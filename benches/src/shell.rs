@@ -79,7 +79,7 @@ pub fn run(options: &Options) -> Result<Value> {
     let green = shell.normal_green(&surface.normals)?;
     let columns = watch.read()?;
     let one = Action::force(surface.points.len() / 2, Vector3::z());
-    let load = best(options.repeats, || Ok(drop(shell.solve(std::slice::from_ref(&one))?)))?;
+    let load = best(options.repeats, || Ok(shell.solve(std::slice::from_ref(&one)).map(drop)?))?;
     eprintln!(
         "{} nodes, {} unknowns: factored in {:.1} ms, {} loads in {:.2} s ({:.2} s of CPU time), one in {:.2} ms",
         surface.points.len(),
