@@ -1,5 +1,6 @@
 //! Where a simulated skin and a real one differ, which effect makes them, and how far it closes the gap.
 
+mod baselines;
 mod check;
 mod close;
 mod pack;

@@ -57,15 +57,6 @@ pub(crate) struct LayerWorld {
     causes: Causes,
 }
 
-fn number(skin: &SkinDescription, key: &str) -> Result<f64, WorldError> {
-    let value = skin.medium.get(key).and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)));
-    value.ok_or_else(|| WorldError::Skin {
-        skin: skin.name.clone(),
-        field: format!("medium.{key}"),
-        reason: "is missing, or no number".to_owned(),
-    })
-}
-
 impl LayerWorld {
     /// Whether such a world is like this skin.
     pub fn is_like(skin: &SkinDescription) -> bool {
@@ -102,7 +93,7 @@ impl LayerWorld {
         if skin.medium.get("edge").and_then(|e| e.as_str()) == Some("free") {
             return Err(wrong("medium.edge", "is \"free\", and layer worlds go on: take \"wide\""));
         }
-        let drawn = number(skin, "thickness")?;
+        let drawn = crate::number(skin, "thickness")?;
         let mut elements: Vec<Point3<f64>> =
             skin.channel_taxels().into_iter().map(|t| skin.taxels[t].point()).collect();
         let mean = -elements.iter().map(|e| e.z).sum::<f64>() / elements.len() as f64;
@@ -116,7 +107,7 @@ impl LayerWorld {
                 element.z = element.z.clamp(-mean - AROUND, -mean + AROUND);
             }
         }
-        let poisson = number(skin, "poisson_ratio")?.min(0.4995);
+        let poisson = crate::number(skin, "poisson_ratio")?.min(0.4995);
         let slip = match skin.medium.get("base") {
             Some(toml::Value::String(base)) if base == "slip" => 1.0,
             Some(toml::Value::Float(share)) => *share,
@@ -132,7 +123,7 @@ impl LayerWorld {
         };
         let tip = Tip {
             radius: causes.size("other-tip"),
-            young: number(skin, "young_modulus")? * (1.0 + causes.size("other-modulus")),
+            young: crate::number(skin, "young_modulus")? * (1.0 + causes.size("other-modulus")),
             poisson,
             thickness,
             sphere: form.sphere,

@@ -15,6 +15,7 @@ pub mod pack;
 mod record;
 pub mod score;
 mod script;
+mod shell;
 
 use std::sync::Arc;
 
@@ -85,8 +86,11 @@ pub trait World: Send + Sync {
 ///
 /// [`WorldError`] where no world is like it, or a cause is unknown.
 pub fn world(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Box<dyn World>, WorldError> {
-    crate::causes(skin)?;
-    Ok(Box::new(layer::LayerWorld::new(skin, form, causes)?))
+    if layer::LayerWorld::is_like(skin) {
+        Ok(Box::new(layer::LayerWorld::new(skin, form, causes)?))
+    } else {
+        Ok(Box::new(shell::ShellWorld::new(skin, form, causes)?))
+    }
 }
 
 /// The causes that a world of this skin can have.
@@ -95,7 +99,13 @@ pub fn world(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Bo
 ///
 /// [`WorldError`] where no world is like it.
 pub fn causes(skin: &SkinDescription) -> Result<&'static [CauseInfo], WorldError> {
-    if layer::LayerWorld::is_like(skin) { Ok(layer::LayerWorld::causes()) } else { Err(unlike(skin)) }
+    if layer::LayerWorld::is_like(skin) {
+        Ok(layer::LayerWorld::causes())
+    } else if shell::ShellWorld::is_like(skin) {
+        Ok(shell::ShellWorld::causes())
+    } else {
+        Err(unlike(skin))
+    }
 }
 
 /// What a rig presses such a skin with, `size` times the usual 150 presses.
@@ -105,7 +115,21 @@ pub fn causes(skin: &SkinDescription) -> Result<&'static [CauseInfo], WorldError
 /// [`WorldError`] where no world is like it.
 pub fn rig(skin: &SkinDescription, size: f64) -> Result<Rig, WorldError> {
     causes(skin)?;
-    Ok(layer::LayerWorld::rig(skin, size))
+    Ok(if layer::LayerWorld::is_like(skin) {
+        layer::LayerWorld::rig(skin, size)
+    } else {
+        shell::ShellWorld::rig(skin, size)
+    })
+}
+
+/// A number of the medium.
+pub(crate) fn number(skin: &SkinDescription, key: &str) -> Result<f64, WorldError> {
+    let value = skin.medium.get(key).and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)));
+    value.ok_or_else(|| WorldError::Skin {
+        skin: skin.name.clone(),
+        field: format!("medium.{key}"),
+        reason: "is missing, or no number".to_owned(),
+    })
 }
 
 fn unlike(skin: &SkinDescription) -> WorldError {

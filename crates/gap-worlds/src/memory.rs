@@ -74,7 +74,7 @@ pub(crate) fn creep(script: &Script, channels: usize, (share, power): (f64, f64)
 /// What changes the gain of elements, their zero, or mixes them.
 pub(crate) fn gains(causes: &Causes, script: &Script, channels: usize, readings: &mut [f64]) {
     let mut gain = vec![1.0 + causes.size("common-gain"); channels];
-    if let Some((cause, deviation)) = causes.get("element-gains") {
+    for (cause, deviation) in ["element-gains", "gauge-factors"].into_iter().filter_map(|id| causes.get(id)) {
         for (gain, n) in gain.iter_mut().zip(cause.normals(channels)) {
             *gain *= (deviation * n).exp();
         }
@@ -176,6 +176,32 @@ pub(crate) fn electronics(causes: &Causes, script: &Script, channels: usize, rea
                 let part = back - back.floor();
                 let at = |frames: usize| clean[t.saturating_sub(frames) * channels + c];
                 *value = at(frames) * (1.0 - part) + at(frames + 1) * part;
+            }
+        }
+    }
+}
+
+/// How zeros move, by temperature and by themselves.
+pub(crate) fn zeros(causes: &Causes, script: &Script, channels: usize, readings: &mut [f64]) {
+    if let Some((cause, size)) = causes.get("warm-zero") {
+        let own = cause.normals(2 * channels);
+        for (row, instant) in readings.chunks_mut(channels).zip(&script.instants) {
+            let warmth = instant.warmth();
+            for (value, own) in row.iter_mut().zip(own.chunks(2)) {
+                *value += size * (own[0] * warmth + 0.05 * own[1] * warmth * warmth);
+            }
+        }
+    }
+    if let Some((cause, size)) = causes.get("walking-zero") {
+        let mut rng = cause.rng();
+        let mut zero = vec![0.0; channels];
+        let mut before = None;
+        for (row, instant) in readings.chunks_mut(channels).zip(&script.instants) {
+            let step = before.map_or(0.0, |b| instant.time - b);
+            before = Some(instant.time);
+            for (value, zero) in row.iter_mut().zip(&mut zero) {
+                *zero += size * f64::sqrt(step / 100.0) * rng.sample::<f64, _>(StandardNormal);
+                *value += *zero;
             }
         }
     }

@@ -241,9 +241,12 @@ fn confusable(info: &CauseInfo) -> bool {
         "shifted-rig",
         "air-pocket",
         "weather",
-        "other-thickness-everywhere",
         "creeping",
-        "zero-with-warmth",
+        "stiffer-wall",
+        "warm-zero",
+        "walking-zero",
+        "flowing-plastic",
+        "stretching",
     ]
     .contains(&info.id)
 }
@@ -352,12 +355,22 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
             let mut cause = Cause { id: info.id.to_owned(), strength: 0.25, seed: *seed };
             let target = gap * floor;
             let mut reached = moved(std::slice::from_ref(&cause))?;
-            for _ in 0..10 {
+            // The variance that a cause moves grows with its strength, about as its square: once there is one on either side of
+            // the target, the search stays between them.
+            let (mut weak, mut strong) = (None::<(f64, f64)>, None::<(f64, f64)>);
+            for _ in 0..12 {
                 if (reached / target - 1.0).abs() < 0.08 || (cause.strength >= 1.0 && reached < target) {
                     break;
                 }
-                // The variance that a cause moves grows about as the square of its strength.
-                let next = cause.strength * (target / reached.max(1e-9)).sqrt().clamp(0.2, 4.0);
+                let side = if reached < target { &mut weak } else { &mut strong };
+                *side = Some((cause.strength, reached));
+                let next = match (weak, strong) {
+                    (Some((a, below)), Some((b, above))) => {
+                        let part = (target / below.max(1e-12)).ln() / (above / below.max(1e-12)).ln();
+                        a * (b / a).powf(part.clamp(0.1, 0.9))
+                    }
+                    _ => cause.strength * (target / reached.max(1e-9)).sqrt().clamp(0.2, 4.0),
+                };
                 cause.strength = next.clamp(1e-5, 1.0);
                 reached = moved(std::slice::from_ref(&cause))?;
             }

@@ -91,6 +91,13 @@ impl Share {
         self.of += 1;
     }
 
+    /// With one more count, which hits in part.
+    #[must_use]
+    pub fn and(mut self, hit: f64) -> Self {
+        self.add(hit);
+        self
+    }
+
     /// The share; NaN of nothing.
     #[must_use]
     pub fn value(&self) -> f64 {
@@ -344,7 +351,10 @@ mod tests {
     #[test]
     fn every_cause_is_mapped_once() {
         let mapping = Mapping::from_toml(Mapping::TEXT).unwrap();
-        let skins = [include_str!("../../../launch/skins/baro-line.toml")];
+        let skins = [
+            include_str!("../../../launch/skins/baro-line.toml"),
+            include_str!("../../../launch/skins/hapdef-shin.toml"),
+        ];
         let mut known = BTreeSet::new();
         for text in skins {
             let skin = dermis_skin::SkinDescription::from_toml(text, "skin").unwrap();

@@ -8,7 +8,7 @@ use std::sync::atomic::Ordering;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_gap_worlds::pack::{self, Case, Manifest, Secret};
-use dermis_gap_worlds::score::{Answer, Card, Mapping, Named};
+use dermis_gap_worlds::score::{Answer, Card, Mapping, Named, Share};
 use dermis_skin::SkinDescription;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
@@ -29,6 +29,9 @@ pub struct Options {
     /// Diagnoses at once.
     #[arg(long, default_value_t = 1)]
     jobs: usize,
+    /// Leave the baselines out, which take some seconds a case.
+    #[arg(long)]
+    no_baselines: bool,
     /// Passed on to every diagnosis, e.g. --resamples 0.
     #[arg(last = true)]
     diagnose: Vec<String>,
@@ -46,7 +49,8 @@ pub fn run(options: &Options) -> Result<()> {
             options.secret.len()
         );
     }
-    let packs: Vec<Manifest> = options.pack.iter().map(|dir| Manifest::load(dir)).collect::<Result<_, _>>()?;
+    let packs: Vec<Manifest> =
+        options.pack.iter().map(|dir| Manifest::load(dir)).collect::<Result<_, _>>()?;
     let mut seals = Vec::new();
     for (dir, manifest) in options.pack.iter().zip(&packs) {
         let out = options.out.join(Manifest::hash(dir)?.get(..12).unwrap_or_default());
@@ -70,8 +74,8 @@ pub fn run(options: &Options) -> Result<()> {
         for case in &manifest.cases {
             let path = report(out, case);
             let text = std::fs::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
-            let read: Value = serde_json::from_slice(&text)
-                .with_context(|| format!("{} is no report", path.display()))?;
+            let read: Value =
+                serde_json::from_slice(&text).with_context(|| format!("{} is no report", path.display()))?;
             cases.push((pack::unseal(secrets, case)?, answer(&read), read));
         }
         tracing::info!("{}: reports sha256 {seal}", pack.display());
@@ -81,6 +85,8 @@ pub fn run(options: &Options) -> Result<()> {
     let effects = crate::registry::family(&skin)?.effects;
     let library: BTreeSet<String> = effects.iter().map(|e| e.name.to_owned()).collect();
     card.note_library(&mapping, &library);
+    let baselines =
+        if options.no_baselines { Vec::new() } else { baselines(options, &packs, &cases, &mapping)? };
     let each: Vec<Value> = cases
         .iter()
         .map(|(secret, answer, _)| {
@@ -95,6 +101,7 @@ pub fn run(options: &Options) -> Result<()> {
                 "sha256": Manifest::hash(dir)?, "reports_sha256": seal }))
         }).collect::<Result<Vec<_>>>()?,
         "scores": card,
+        "baselines": baselines.iter().map(|(name, card)| serde_json::json!({ "name": name, "scores": card })).collect::<Vec<_>>(),
         "cases": each,
     });
     let path = options.out.join("scores.json");
@@ -104,8 +111,71 @@ pub fn run(options: &Options) -> Result<()> {
         println!("{summary}");
     } else {
         println!("{}", card.table());
+        if !baselines.is_empty() {
+            println!("| baseline | top-1 | top-3 | false alarms |\n|---|---|---|---|");
+        }
+        for (name, card) in &baselines {
+            let s = &card.headline;
+            println!("| {name} | {} | {} | {} |", shown(s.top1), shown(s.top3), shown(s.false_alarms));
+        }
     }
     Ok(())
+}
+
+/// A share with its interval.
+fn shown(share: Share) -> String {
+    if share.of == 0 {
+        return "-".to_owned();
+    }
+    let [low, high] = share.interval();
+    format!("{:.3} ({low:.2} to {high:.2})", share.value())
+}
+
+/// Cards of the baselines on the same cases.
+fn baselines(
+    options: &Options,
+    packs: &[Manifest],
+    cases: &[(Secret, Answer, Value)],
+    mapping: &Mapping,
+) -> Result<Vec<(String, Card)>> {
+    let progress = ProgressBar::new(cases.len() as u64).with_style(ProgressStyle::with_template(
+        "baselines {wide_bar} {human_pos}/{human_len}, {eta} left",
+    )?);
+    progress.tick();
+    let mut answers: Vec<Vec<Answer>> = Vec::new();
+    let mut library: Vec<&str> = Vec::new();
+    for (manifest, dir) in packs.iter().zip(&options.pack) {
+        let skin = SkinDescription::load(dir.join("skin.toml"))?;
+        let family = crate::registry::family(&skin)?;
+        library = family.effects.iter().map(|e| e.name).collect();
+        for case in &manifest.cases {
+            answers.push(super::baselines::answers(&skin, family, &dir.join(&case.bag))?);
+            progress.inc(1);
+        }
+    }
+    progress.finish_and_clear();
+    let mut cards: Vec<(String, Card)> = super::baselines::NAMES
+        .iter()
+        .enumerate()
+        .map(|(i, name)| {
+            let of = cases.iter().zip(&answers).map(|((secret, _, _), all)| (secret, &all[i]));
+            ((*name).to_owned(), Card::new(of, mapping))
+        })
+        .collect();
+    // Blind choice has no cases of its own: its share of hits is that of accepted names among all.
+    let mut random = Card::default();
+    for (secret, _, _) in cases.iter().filter(|(s, _, _)| s.causes.len() == 1 && s.gap >= 3.0) {
+        let names = secret.causes.first().and_then(|t| mapping.causes.get(&t.cause.id)).map(|a| &a.names);
+        let accepted =
+            names.map_or(0, |names| library.iter().filter(|l| names.iter().any(|n| n == *l)).count());
+        if accepted > 0 {
+            let hit = accepted as f64 / library.len() as f64;
+            random.headline.top1 = random.headline.top1.and(hit.min(1.0));
+            random.headline.top3 = random.headline.top3.and((3.0 * hit).min(1.0));
+        }
+    }
+    cards.push(("random".to_owned(), random));
+    Ok(cards)
 }
 
 fn report(out: &Path, case: &Case) -> PathBuf {
@@ -136,7 +206,8 @@ fn diagnose(pack: &Path, manifest: &Manifest, out: &Path, options: &Options) -> 
         }
         let path = report(out, case);
         let part = path.with_extension("part");
-        std::fs::write(&part, &done.stdout).with_context(|| format!("{} cannot be written", part.display()))?;
+        std::fs::write(&part, &done.stdout)
+            .with_context(|| format!("{} cannot be written", part.display()))?;
         std::fs::rename(&part, &path).with_context(|| format!("{} cannot be made", path.display()))?;
         Ok(())
     };
@@ -186,9 +257,12 @@ fn answer(report: &Value) -> Answer {
     let pair = |v: &Value| -> Option<[f64; 2]> { Some([v.get(0)?.as_f64()?, v.get(1)?.as_f64()?]) };
     let verdict = text(&report["verdict"]);
     let mut answer = Answer {
-        gap: !verdict.starts_with("no") && !verdict.is_empty(),
-        unknown: verdict.starts_with("unknown"),
-        closure: report["closure"]["predicted"].as_f64().zip(report["closure"]["achieved"].as_f64()).map(<[f64; 2]>::from),
+        gap: matches!(verdict.as_str(), "named" | "named-and-unknown" | "unknown-systematic" | "unmeasured"),
+        unknown: matches!(verdict.as_str(), "unknown-systematic" | "unmeasured"),
+        closure: report["closure"]["predicted"]
+            .as_f64()
+            .zip(report["closure"]["achieved"].as_f64())
+            .map(<[f64; 2]>::from),
         interval: pair(&report["closure"]["interval"]),
         ..Answer::default()
     };
@@ -238,6 +312,6 @@ mod tests {
         assert!(answer.named[0].firm && !answer.named[1].firm);
         assert_eq!(answer.named[0].parameters["thickness.change"], (-0.001, Some([-0.002, 0.0])));
         assert_eq!((answer.closure, answer.interval), (Some([0.9, 0.8]), Some([0.7, 0.95])));
-        assert!(!super::answer(&serde_json::json!({ "verdict": "no_gap_beyond_noise" })).gap);
+        assert!(!super::answer(&serde_json::json!({ "verdict": "no-gap-beyond-noise" })).gap);
     }
 }

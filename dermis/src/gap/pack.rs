@@ -80,12 +80,8 @@ pub fn run(options: &Options) -> Result<()> {
     let text = std::fs::read_to_string(&options.skin)
         .with_context(|| format!("skin file {} cannot be read", options.skin.display()))?;
     SkinDescription::from_toml(&text, &options.skin.display().to_string())?;
-    let order = Order {
-        kind: options.kind.into(),
-        count: options.count,
-        seed: options.seed,
-        size: options.size,
-    };
+    let order =
+        Order { kind: options.kind.into(), count: options.count, seed: options.seed, size: options.size };
     let progress = ProgressBar::new(options.count as u64)
         .with_style(ProgressStyle::with_template("cases {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.tick();

@@ -1,0 +1,296 @@
+//! Worlds of strain gauges on the inner side of a thin curved wall with openings that is clamped at both ends.
+//!
+//! Flat rectangular facets ([`plate`]: Adini, Clough and Melosh's plate, Pian and Sumihara's membrane) and reciprocity ([`panel`]);
+//! a touch presses with a parabola over a round patch. Causes have laws of their own ([`causes`]).
+
+mod causes;
+mod panel;
+mod plate;
+
+use std::sync::Arc;
+
+use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface};
+use nalgebra::{Point3, Vector3};
+use rand::Rng;
+
+use crate::cause::{Cause, CauseInfo, Causes};
+use crate::script::{Rig, Script};
+use crate::{Form, World, WorldError, memory};
+use panel::{Build, Gauge, Influence, Shape};
+use plate::Material;
+
+/// What of the world does not change with time.
+#[derive(Debug)]
+struct Panel {
+    surface: Surface,
+    noise: Vec<f64>,
+    range: Vec<Option<[f64; 2]>>,
+    influence: Influence,
+    radius: f64,
+    patch: f64,
+    /// Power of the stiffening.
+    stretching: f64,
+    /// Tangential share of every force, along x and the arc.
+    askew: [f64; 2],
+}
+
+/// The world.
+#[derive(Debug)]
+pub(crate) struct ShellWorld {
+    panel: Arc<Panel>,
+    causes: Causes,
+}
+
+impl ShellWorld {
+    /// Whether such a world is like this skin.
+    pub fn is_like(skin: &SkinDescription) -> bool {
+        Shape::of(&skin.surface).is_some() && skin.unit == "1"
+    }
+
+    /// What presses such a skin.
+    pub fn rig(skin: &SkinDescription, size: f64) -> Rig {
+        Rig {
+            diameter: 0.010,
+            force: [1.0, 34.0],
+            margin: 0.0,
+            slide: [0.006, 0.015],
+            rate: skin.rate.min(100.0),
+            size,
+        }
+    }
+
+    pub const fn causes() -> &'static [CauseInfo] {
+        causes::CAUSES
+    }
+
+    pub fn new(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Self, WorldError> {
+        let wrong = |field: &str, reason: &str| WorldError::Skin {
+            skin: skin.name.clone(),
+            field: field.to_owned(),
+            reason: reason.to_owned(),
+        };
+        let causes = Causes::new(causes::CAUSES, causes)?;
+        let shape = Shape::of(&skin.surface).ok_or_else(|| crate::unlike(skin))?;
+        let wall = crate::number(skin, "thickness")?;
+        let young = crate::number(skin, "young_modulus")? * (1.0 + causes.size("stiffer-wall"));
+        let size = match skin.medium.get("gauge").and_then(|g| g.as_array()).map(Vec::as_slice) {
+            Some([along, across]) => [along, across].map(|v| v.as_float().unwrap_or(0.005)),
+            _ => return Err(wrong("medium.gauge", "is missing: two lengths along and across the axis")),
+        };
+        let mut gauges = Vec::new();
+        for index in skin.channel_taxels() {
+            let taxel = &skin.taxels[index];
+            let axis = taxel.axis.ok_or_else(|| wrong("taxels", "have no `axis`, as gauges need"))?;
+            let [x, y, z] = taxel.position;
+            let angle = y.atan2(z);
+            let tangent = Vector3::new(0.0, angle.cos(), -angle.sin());
+            let turn = Vector3::from(axis).dot(&tangent).atan2(axis[0]);
+            gauges.push(Gauge {
+                at: [x, shape.radius * angle],
+                angle: turn,
+                size,
+                across: causes.size("strain-across"),
+            });
+        }
+        let count = gauges.len();
+        if let Some((cause, deviation)) = causes.get("displaced-gauges") {
+            for (gauge, off) in gauges.iter_mut().zip(cause.normals(2 * count).chunks(2)) {
+                gauge.at[0] += deviation * off[0];
+                gauge.at[1] += deviation * off[1];
+            }
+        }
+        if let Some((cause, deviation)) = causes.get("turned-gauges") {
+            gauges.iter_mut().zip(cause.normals(count)).for_each(|(g, n)| g.angle += deviation * n);
+        }
+        let waves: Vec<[f64; 4]> = causes.get("uneven-wall").map_or_else(Vec::new, |(cause, deviation)| {
+            let mut rng = cause.rng();
+            let wave = |_| {
+                let turn = rng.random_range(0.0..std::f64::consts::TAU);
+                let number = std::f64::consts::TAU / rng.random_range(0.04..0.12);
+                [
+                    number * f64::cos(turn),
+                    number * f64::sin(turn),
+                    rng.random_range(0.0..6.3),
+                    deviation * 0.6,
+                ]
+            };
+            (0..6).map(wave).collect()
+        });
+        let broken = causes.get("broken-beam").map(|(cause, loss)| {
+            let mut rng = cause.rng();
+            let at = [0.35 * shape.size[0], 0.35 * shape.size[1]].map(|half| rng.random_range(-half..half));
+            (at, loss)
+        });
+        let thickness = |at: [f64; 2]| {
+            let wave = |w: &[f64; 4]| w[3] * (w[0] * at[0] + w[1] * at[1] + w[2]).cos();
+            let mut here = 1.0 + waves.iter().map(wave).sum::<f64>();
+            if let Some((place, loss)) = &broken {
+                let off = (at[0] - place[0]).hypot(at[1] - place[1]) / 0.015;
+                here *= 1.0 - loss * (-off * off).exp();
+            }
+            wall * here.clamp(0.15, 3.0)
+        };
+        let clamp = match causes.size("yielding-clamp") {
+            decades if decades > 0.0 => 1e11 * 10f64.powf(-decades),
+            _ => 1e12,
+        };
+        let influence = Influence::new(
+            shape,
+            &Build {
+                material: Material {
+                    young: [young, young * (1.0 - causes.size("printed-direction"))],
+                    poisson: crate::number(skin, "poisson_ratio")?,
+                },
+                thickness: &thickness,
+                wall,
+                clamp,
+                spacing: shape.size[0] * 0.4 / form.elements as f64,
+            },
+            &gauges,
+        )
+        .ok_or_else(|| wrong("surface", "makes a shell that cannot be solved"))?;
+        let askew = causes.get("askew-tip").map_or([0.0; 2], |(cause, angle)| {
+            let (sin, cos) = cause.rng().random_range(0.0..std::f64::consts::TAU).sin_cos();
+            [angle.tan() * cos, angle.tan() * sin]
+        });
+        let panel = Panel {
+            surface: skin.surface(),
+            noise: skin.channel_noise(),
+            range: skin.channels().iter().map(|c| c.range).collect(),
+            influence,
+            radius: shape.radius,
+            patch: crate::number(skin, "patch").unwrap_or(0.005) * if form.flattening { 1.1 } else { 1.25 },
+            stretching: causes.size("stretching"),
+            askew,
+        };
+        Ok(Self { panel: Arc::new(panel), causes })
+    }
+}
+
+impl Panel {
+    fn unroll(&self, at: &Point3<f64>) -> [f64; 2] {
+        [at.x, self.radius * at.y.atan2(at.z)]
+    }
+
+    /// Adds what one contact leaves in every gauge, `felt` being what a unit force at its place does.
+    fn add(&self, contact: &Indentation, felt: &[Vector3<f64>], out: &mut [f64]) {
+        let (sin, cos) = contact.position.y.atan2(contact.position.z).sin_cos();
+        let normal = Vector3::new(0.0, sin, cos);
+        let tangent = Vector3::new(0.0, cos, -sin);
+        let pressing = -contact.force.dot(&normal);
+        let mut force = contact.force + (Vector3::x() * self.askew[0] + tangent * self.askew[1]) * pressing;
+        force *= (1.0 + force.norm() / 10.0).powf(-self.stretching);
+        out.iter_mut().zip(felt).for_each(|(value, felt)| *value += felt.dot(&force));
+    }
+}
+
+impl ForwardModel for Panel {
+    fn channels(&self) -> usize {
+        self.noise.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        out.fill(0.0);
+        for contact in &stimulus.contacts {
+            let felt = self.influence.of_patch(self.unroll(&contact.position), self.patch);
+            self.add(contact, &felt, out);
+        }
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+}
+
+impl World for ShellWorld {
+    fn model(&self) -> Arc<dyn ForwardModel> {
+        Arc::clone(&self.panel) as Arc<dyn ForwardModel>
+    }
+
+    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, WorldError> {
+        let channels = self.panel.noise.len();
+        let friction = self.causes.size("dragging-tip");
+        let mut readings = vec![0.0; channels * script.instants.len()];
+        let mut before: Option<(f64, Point3<f64>)> = None;
+        // A tip that stays where it is leaves the same influence.
+        let mut last: Option<(Point3<f64>, Vec<Vector3<f64>>)> = None;
+        for (row, instant) in readings.chunks_mut(channels).zip(&script.instants) {
+            let now = instant.moment.stimulus.contacts.first().map(|c| (instant.time, c.position));
+            for contact in &instant.moment.stimulus.contacts {
+                let mut contact = contact.clone();
+                if let (true, Some((then, from)), Some((time, to))) = (friction > 0.0, before, now) {
+                    let speed = (to - from) / (time - then).max(1e-6);
+                    let pressing = contact.force.norm();
+                    let drag = friction * pressing * pressing.max(1e-3).powf(-1.0 / 9.0);
+                    contact.force += speed / (speed.norm() + 5e-4) * drag;
+                }
+                let felt = match &last {
+                    Some((at, felt)) if *at == contact.position => felt.clone(),
+                    _ => {
+                        self.panel.influence.of_patch(self.panel.unroll(&contact.position), self.panel.patch)
+                    }
+                };
+                self.panel.add(&contact, &felt, row);
+                last = Some((contact.position, felt));
+            }
+            before = now;
+        }
+        if let Some((_, width)) = self.causes.get("rubbing-joint") {
+            memory::bouc_wen(channels, width, &mut readings);
+        }
+        if let Some((_, share)) = self.causes.get("flowing-plastic") {
+            memory::creep(script, channels, (-share, 0.25), &mut readings);
+        }
+        if let Some((cause, loss)) = self.causes.get("leads-off") {
+            let which = cause.rng().random_range(0..channels);
+            readings.chunks_mut(channels).for_each(|row| row[which] *= 1.0 - loss);
+        }
+        memory::gains(&self.causes, script, channels, &mut readings);
+        memory::electronics(&self.causes, script, channels, &mut readings);
+        memory::zeros(&self.causes, script, channels, &mut readings);
+        if let Some((seed, factor)) = noise {
+            crate::add_noise(&self.panel.noise, (seed, factor), &mut readings);
+        }
+        memory::converter(&self.causes, script, channels, &mut readings);
+        for row in readings.chunks_mut(channels) {
+            for (value, range) in row.iter_mut().zip(&self.panel.range) {
+                *value = range.map_or(*value, |[low, high]| value.clamp(low, high));
+            }
+        }
+        Ok(readings)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shin() -> SkinDescription {
+        let text = include_str!("../../../launch/skins/hapdef-shin.toml");
+        SkinDescription::from_toml(text, "shin").unwrap()
+    }
+
+    #[test]
+    fn every_cause_moves_the_readings() {
+        let skin = shin();
+        let form = Form { elements: 20, ..Form::default() };
+        let world = |causes: &[Cause]| ShellWorld::new(&skin, &form, causes).unwrap();
+        let nominal = world(&[]);
+        let rig = ShellWorld::rig(&skin, 0.1);
+        let script = Script::draw(&nominal.model(), &rig, crate::Climate::Varied, 3).unwrap();
+        let clean = nominal.readings(&script, None).unwrap();
+        let largest = clean.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        assert!((1e-4..1e-2).contains(&largest), "strains up to {largest}");
+        for info in ShellWorld::causes() {
+            let cause = Cause { id: info.id.to_owned(), strength: 1.0, seed: 5 };
+            let other = world(&[cause]).readings(&script, None).unwrap();
+            let moved = crate::unexplained(&clean, &other, &script, skin.channels().len());
+            assert!(moved.is_finite() && moved > 1e-4, "{} moves {moved} of the variance", info.id);
+        }
+    }
+}
