@@ -44,12 +44,12 @@ pub fn text(findings: &Findings) -> String {
         seen + held_out
     );
     let budget = findings.choices.iter().map(|c| c.sets.0.len()).max().unwrap_or_default();
-    let shown: Vec<usize> = [1, 2, 3, 5, 7, budget].into_iter().filter(|k| *k <= budget).collect();
-    let mut shown = shown;
+    let mut shown: Vec<usize> = [1, 2, 3, 5, 7, budget].into_iter().filter(|k| *k <= budget).collect();
+    shown.sort_unstable();
     shown.dedup();
     let _ = write!(out, "  error [mm] with       ");
     for k in &shown {
-        let _ = write!(out, "{k:>10}");
+        let _ = write!(out, "{k:>12}");
     }
     let _ = writeln!(out, "     bound     search  outward");
     for choice in &findings.choices {
@@ -57,7 +57,7 @@ pub fn text(findings: &Findings) -> String {
         for k in &shown {
             let found = choice.judgement.by_count.iter().find(|c| c.elements == *k);
             let cell = found.map_or("-".into(), |c| format!("{} ±{:.1}", mm(c.mean), c.interval * 1e3));
-            let _ = write!(out, "{cell:>10}");
+            let _ = write!(out, "{cell:>12}");
         }
         let last = choice.judgement.by_count.last();
         let bound = last.and_then(|c| c.bound).map_or("-".into(), mm);
@@ -71,7 +71,7 @@ pub fn text(findings: &Findings) -> String {
     if failed.len() > 1 {
         let _ = write!(out, "\n  error [mm], failed    ");
         for k in &failed {
-            let _ = write!(out, "{k:>10}");
+            let _ = write!(out, "{k:>12}");
         }
         let _ = writeln!(out);
         for choice in &findings.choices {
@@ -83,7 +83,7 @@ pub fn text(findings: &Findings) -> String {
                     } else {
                         mm(f.untaught)
                     };
-                    format!("{cell:>10}")
+                    format!("{cell:>12}")
                 })
                 .collect()
             };
