@@ -19,6 +19,12 @@ pub const MAP_DISPLACEMENT: &str = "map.displacement";
 pub struct PeakSection {
     /// Which peaks are contacts.
     pub settings: PeakSettings,
+    /// Of every point of the surface: what its displacement is multiplied by before peaks are looked for; empty: 1. One over
+    /// the root of what a point gives way by itself puts the peak of one contact where that contact is, on a surface
+    /// that is softer elsewhere, too: of a positive definite matrix, no entry of a column is larger than the root of the product
+    /// of both entries of the diagonal. 0 for points that are rigid.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub weights: Vec<f32>,
     /// \[m\] root mean square error of places along either tangent, where it was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_sigma: Option<f64>,
@@ -47,6 +53,9 @@ impl PeakSection {
             if value.is_some_and(|v| !(v.is_finite() && v >= 0.0)) {
                 return Err((field.into(), "must be 0 or positive".into()));
             }
+        }
+        if let Some(i) = self.weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
+            return Err((format!("weights[{i}]"), "must be 0 or positive".into()));
         }
         let interface = &self.sensitivity.interface;
         if *interface != Self::interface() {
@@ -98,14 +107,24 @@ impl MapContacts {
         &self.section.settings
     }
 
-    /// Every peak of a map \[m\] above the least displacement, as a contact with its force; the largest displacement first. None
+    /// Every peak of a map \[m\] above the least displacement, as a contact with its force; the highest peak first. None
     /// is suppressed yet.
     ///
     /// # Errors
     ///
     /// [`ModelError`] where the sensitivity network fails.
     pub fn candidates(&mut self, map: &[f64]) -> Result<Vec<Contact>, ModelError> {
-        let peaks = self.finder.find(map, self.section.settings.least_displacement);
+        let weights = &self.section.weights;
+        let mut peaks = if weights.len() == map.len() {
+            let weighted: Vec<f64> = map.iter().zip(weights).map(|(d, w)| d * f64::from(*w)).collect();
+            self.finder.find(&weighted, 0.0)
+        } else {
+            self.finder.find(map, 0.0)
+        };
+        for peak in &mut peaks {
+            peak.displacement = map[peak.point];
+        }
+        peaks.retain(|p| p.displacement > self.section.settings.least_displacement);
         // Ripples are many where a map is little but noise; each costs one run.
         let most = 4 * self.section.settings.most;
         let mut contacts = Vec::with_capacity(peaks.len().min(most));

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use super::regressor::scale;
 use super::{
-    LinearMap, MapBasis, MapRegressor, NetMap, Part, Recorded, Scenes, Simulated, Told, VirtualSensors,
-    matched, simulate, superpose, tune,
+    Compliance, LinearMap, MapBasis, MapRegressor, NetMap, Part, Recorded, Scenes, Simulated, Told,
+    VirtualSensors, matched, simulate, superpose, tune,
 };
 use crate::LearnError;
 use crate::train::{Activation, Batch, Mlp, NetworkConfig, TrainingConfig, fit};
@@ -55,6 +55,9 @@ pub struct PipelineSettings {
     pub sensitivity: NetworkConfig,
     /// How it is fitted.
     pub sensitivity_training: TrainingConfig,
+    /// Whether displacements are divided by the root of what each point gives way before peaks are looked for; the thesis does
+    /// not.
+    pub weighted: bool,
     /// Which peaks are contacts, before the suppression is tuned.
     pub peaks: PeakSettings,
 }
@@ -80,6 +83,7 @@ impl Default for PipelineSettings {
             reconstruction_training: training(60),
             sensitivity: network(&[48, 48], Activation::Silu),
             sensitivity_training: training(120),
+            weighted: false,
             peaks: PeakSettings::default(),
         }
     }
@@ -137,6 +141,7 @@ pub struct Pipeline {
     basis: MapBasis,
     sensitivity: Sensitivity,
     peaks: PeakSettings,
+    weights: Vec<f32>,
 }
 
 /// Place and displacement of a peak → force: the displacement times e to the power of what a network says.
@@ -324,6 +329,11 @@ pub fn train(
         basis,
         sensitivity: nothing,
         peaks: settings.peaks.clone(),
+        weights: if settings.weighted {
+            Compliance::of(model.as_ref(), scenes.settings().diameter)?.weights()
+        } else {
+            Vec::new()
+        },
     };
     // Frames whose peaks are looked at: recorded singles, and sums of several, whatever the networks were trained on. The
     // thesis' network sees singles only; the suppression needs several, and sums of recorded ones are at hand.
@@ -450,6 +460,7 @@ impl Pipeline {
     pub fn section(&self) -> PeakSection {
         PeakSection {
             settings: self.peaks.clone(),
+            weights: self.weights.clone(),
             position_sigma: None,
             force_sigma: None,
             sensitivity: dermis_inference::ModelSection {

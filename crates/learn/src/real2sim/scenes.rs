@@ -70,6 +70,13 @@ impl Compliance {
         Ok(Self { points: surface.points.clone(), shares })
     }
 
+    /// Of every point: one over the root of what it gives way, 0 where it is rigid. A map times these has its peak where a
+    /// single contact is (see [`PeakSection::weights`](dermis_inference::PeakSection::weights)).
+    #[must_use]
+    pub fn weights(&self) -> Vec<f32> {
+        self.shares.iter().map(|s| if *s >= RIGID { (1.0 / s.sqrt()) as f32 } else { 0.0 }).collect()
+    }
+
     /// Whether the surface gives way at a place.
     #[must_use]
     pub fn gives_way(&self, place: &Point3<f64>) -> bool {

@@ -162,6 +162,17 @@ fn a_skin_without_displacements_is_refused() {
 }
 
 #[test]
+fn weighted_maps_peak_at_a_single_contact() {
+    let model = Sheet::new(0.0);
+    let weights = Compliance::of(&model, 0.01).unwrap().weights();
+    let surface = model.surface();
+    assert_eq!(weights.len(), surface.points.len());
+    // One end is half as soft again as the other.
+    let (left, right) = (weights[0], weights[25]);
+    assert!(left > right && right > 0.0, "{left} {right}");
+}
+
+#[test]
 fn the_table_has_every_cell_and_learned_numbers_are_the_best_known() {
     let model: Arc<dyn ForwardModel> = Arc::new(Sheet::new(0.0));
     let sensors = VirtualSensors::displacements(model.as_ref(), &skin(), 6);
