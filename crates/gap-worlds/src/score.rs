@@ -62,6 +62,8 @@ pub struct Named {
 /// What a tool says of one recording.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Answer {
+    /// Its verdict, in its own words.
+    pub verdict: String,
     /// Whether it sees a gap beyond noise and margin.
     pub gap: bool,
     /// Whether it says that none of its effects is the cause of most of it.
@@ -191,20 +193,14 @@ impl Scores {
                 self.top1.add(first.filter(|_| found).map_or(0.0, |n| 1.0 / n.class.len() as f64));
                 self.top3.add(yes(answer.ranking.iter().take(3).any(right)));
                 self.false_unknown.add(yes(answer.unknown));
-                let said = first.map_or_else(
-                    || if answer.unknown { "(unknown)" } else { "(no gap)" }.to_owned(),
-                    |n| n.class.join(" or "),
-                );
+                let said = first.map_or_else(|| format!("({})", answer.verdict), |n| n.class.join(" or "));
                 let id = &secret.causes[0].cause.id;
                 *self.confusion.entry(id.clone()).or_default().entry(said).or_default() += 1;
             }
             Kind::Singles | Kind::Confounded | Kind::OutOfLibrary => {
                 self.unknown_found.add(yes(answer.unknown));
                 let first = answer.named.first();
-                let said = first.map_or_else(
-                    || if answer.unknown { "(unknown)" } else { "(no gap)" }.to_owned(),
-                    |n| n.class.join(" or "),
-                );
+                let said = first.map_or_else(|| format!("({})", answer.verdict), |n| n.class.join(" or "));
                 if let Some(told) = secret.causes.first() {
                     *self.confusion.entry(told.cause.id.clone()).or_default().entry(said).or_default() += 1;
                 }

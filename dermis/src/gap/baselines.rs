@@ -41,7 +41,12 @@ fn read(bag: &Path) -> Result<Record> {
         let start = *start.get_or_insert(stamp);
         record.times.push((stamp - start) as f64 * 1e-9);
         record.readings.extend(frame.values.iter().map(|v| f64::from(*v)));
-        let contacts = label.contacts.iter().map(|c| Indentation {
+        // A light touch may pull, as far as a force cell with noise knows: models know no adhesion.
+        let pressing = label
+            .contacts
+            .iter()
+            .filter(|c| c.force.x * c.normal.x + c.force.y * c.normal.y + c.force.z * c.normal.z < 0.0);
+        let contacts = pressing.map(|c| Indentation {
             position: Point3::new(c.position.x, c.position.y, c.position.z),
             force: Vector3::new(c.force.x, c.force.y, c.force.z),
             diameter: c.diameter,

@@ -264,6 +264,7 @@ fn answer(report: &Value) -> Answer {
             .zip(report["closure"]["achieved"].as_f64())
             .map(<[f64; 2]>::from),
         interval: pair(&report["closure"]["interval"]),
+        verdict: verdict.clone(),
         ..Answer::default()
     };
     for effect in report["effects"].as_array().into_iter().flatten() {

@@ -247,6 +247,6 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         "uncompensated span",
         ("coefficient", "1/K", 0.12),
         true,
-        false,
+        true,
     ),
 ];
