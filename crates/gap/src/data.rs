@@ -165,8 +165,11 @@ impl Recording {
     pub fn hash(&self) -> String {
         let mut hasher = Sha256::new();
         hasher.update(self.stimulus_hash());
-        for v in &self.readings {
-            hasher.update(v.to_le_bytes());
+        let mut bytes = Vec::with_capacity(4 * 4096);
+        for values in self.readings.chunks(4096) {
+            bytes.clear();
+            values.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+            hasher.update(&bytes);
         }
         hex(&hasher.finalize())
     }

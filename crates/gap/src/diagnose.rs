@@ -764,15 +764,17 @@ impl Data<'_> {
             achieved = Some(closure(&after, &test));
             found.left = Some(residual(self.readings, &read, self.sigma));
             // What holds on contacts that nothing was fitted to is what is explained.
-            let gained = before.iter().zip(&after).zip(&test).map(|((b, a), w)| (b - a) * w).sum::<f64>();
             let form = found.both - found.library;
-            found.library = gained / self.scale(&test);
+            found.library = achieved.unwrap_or(0.0) * self.gap.systematic;
             found.both = found.library + form.max(0.0);
         }
         // The whole way again on other draws of places: selection, fit, and what is kept.
         let mut rng = ChaCha8Rng::seed_from_u64(self.options.select.seed ^ 0xb007);
         let train: Vec<usize> = (0..weights.len()).filter(|g| weights[*g] > 0.0).collect();
         let kept: Vec<usize> = (0..weights.len()).filter(|g| weights[*g] == 0.0).collect();
+        // The floor is an estimate, too: nothing closes more than all.
+        predicted = predicted.min(1.0);
+        let achieved = achieved.map(|a| a.min(1.0));
         let centre = achieved.unwrap_or(predicted);
         let mut drawn = Vec::new();
         for _ in 0..self.options.resamples {

@@ -13,7 +13,8 @@ use crate::rows::Rows;
 use crate::simulate::Simulator;
 use crate::statistics::Column;
 
-const MAGIC: &[u8; 8] = b"dgapsig1";
+/// Its digit goes up whenever signatures are made otherwise.
+const MAGIC: &[u8; 8] = b"dgapsig2";
 
 #[derive(Serialize, Deserialize)]
 struct Head {
