@@ -270,9 +270,11 @@ impl World for ShellWorld {
 mod tests {
     use super::*;
 
+    /// The skin that ships of which such a world is like.
     fn shin() -> SkinDescription {
-        let text = include_str!("../../../launch/skins/hapdef-shin.toml");
-        SkinDescription::from_toml(text, "shin").unwrap()
+        let skins = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../../launch/skins")).unwrap();
+        let skins = skins.filter_map(|entry| SkinDescription::load(entry.unwrap().path()).ok());
+        skins.into_iter().find(ShellWorld::is_like).unwrap()
     }
 
     #[test]
