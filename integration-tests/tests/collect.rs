@@ -208,5 +208,7 @@ fn effects_are_listed_for_people_and_programs() {
     let out = dermis().args(["effects", GRID]).output().unwrap();
     let text = String::from_utf8_lossy(&out.stdout);
     assert!(out.status.success() && text.contains("relaxation") && text.contains("Pa"), "{text}");
-    assert!(refused(dermis().args(["effects", "eel"])).contains("neither a sensor family (barodome, hapdef) nor"));
+    assert!(
+        refused(dermis().args(["effects", "eel"])).contains("neither a sensor family (barodome, hapdef) nor")
+    );
 }

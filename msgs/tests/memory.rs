@@ -4,7 +4,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use dermis_msgs::geometry_msgs::msg::WrenchStamped;
-use dermis_msgs::msg::{BodyContacts, ContactArray, DisplacementMap, ForceMap, Indentation, SkinGeometry, TaxelFrame};
+use dermis_msgs::msg::{
+    BodyContacts, ContactArray, DisplacementMap, ForceMap, Indentation, SkinGeometry, TaxelFrame,
+};
 use dermis_msgs::rcl_interfaces::msg::{ParameterEvent, ParameterValue};
 use dermis_msgs::rcl_interfaces::srv::{DescribeParametersResponse, SetParametersRequest};
 use dermis_msgs::sensor_msgs::msg::PointCloud2;

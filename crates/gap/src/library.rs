@@ -21,6 +21,13 @@ use crate::rows::Rows;
 use crate::simulate::Simulator;
 use crate::statistics::Column;
 
+/// A device with one effect of its family, its seed, and what it read.
+type DeviceReadings = (Effect, Option<u64>, Vec<f32>);
+/// What a change that any family may have is called, how large it was, and what the device read.
+type CommonReadings = (String, f64, Vec<f32>);
+/// A change of a field over the distance, in units of its width.
+type Shape = fn(f64) -> f64;
+
 /// Devices that an effect is drawn for.
 const DEVICES: u64 = 8;
 /// Share of the energy of realisations that columns hold.
@@ -137,8 +144,8 @@ impl Signatures {
                 .map(|(i, (a, b))| (f64::from(a - b) / noise[i % channels]) as f32)
                 .collect()
         };
-        let mut family: BTreeMap<usize, Vec<(Effect, Option<u64>, Vec<f32>)>> = BTreeMap::new();
-        let mut common: BTreeMap<&'static str, Vec<(String, f64, Vec<f32>)>> = BTreeMap::new();
+        let mut family: BTreeMap<usize, Vec<DeviceReadings>> = BTreeMap::new();
+        let mut common: BTreeMap<&'static str, Vec<CommonReadings>> = BTreeMap::new();
         let mut taxels: [Vec<(f64, Vec<f32>)>; 3] = Default::default();
         let mut forms: BTreeMap<String, Vec<(f64, Vec<f32>)>> = BTreeMap::new();
         let mut refused: BTreeMap<String, String> = BTreeMap::new();
@@ -212,7 +219,7 @@ impl Signatures {
         recording: &Recording,
         rows: &Rows,
         noise: &[f64],
-        simulated: BTreeMap<&'static str, Vec<(String, f64, Vec<f32>)>>,
+        simulated: BTreeMap<&'static str, Vec<CommonReadings>>,
         taxels: &[Vec<(f64, Vec<f32>)>; 3],
     ) {
         let (n, channels) = (rows.rows.len(), recording.channels);
@@ -444,7 +451,7 @@ impl Signatures {
         }
         let scale = scale / weight.max(1e-300);
         if scale > 0.0 {
-            let shapes: [(&str, fn(f64) -> f64); 3] = [
+            let shapes: [(&str, Shape); 3] = [
                 ("height of the spread", |q| (-q * q).exp()),
                 ("width of the spread", |q| q * q * (-q * q / 4.0).exp()),
                 ("tail of the spread", |q| q * q / (1.0 + q * q)),

@@ -131,7 +131,7 @@ fn homogeneity(view: &View<'_>, readings: &[f32]) -> Parity {
         let (a, b) = (&rows[pair[0]], &rows[pair[1]]);
         let near = a.position.iter().zip(b.position).all(|(x, y)| (x - y).abs() < 1e-4);
         let ratio = a.force / b.force.max(1e-9);
-        if a.location != b.location || !near || !(ratio > 1.3 || ratio < 0.77) || b.force <= 0.0 {
+        if a.location != b.location || !near || (0.77..=1.3).contains(&ratio) || b.force <= 0.0 {
             continue;
         }
         let (x, y) = (row(view.residual, view, pair[0]), row(view.residual, view, pair[1]));

@@ -12,6 +12,9 @@ use crate::data::Recording;
 use crate::device::{common_effect, device};
 use crate::rows::Rows;
 
+/// What a device would have read along a recording.
+type Simulated = Result<Vec<f32>, GapError>;
+
 /// Makes a family's forward model of a skin description; a sentence where it cannot be.
 pub type Make<'a> = &'a (dyn Fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>, String> + Sync);
 
@@ -140,8 +143,7 @@ impl Simulator<'_> {
     ) -> Result<Vec<Result<Vec<f32>, GapError>>, GapError> {
         let frames = rows.frames();
         let next = AtomicUsize::new(0);
-        let done: Vec<Mutex<Option<Result<Vec<f32>, GapError>>>> =
-            skins.iter().map(|_| Mutex::new(None)).collect();
+        let done: Vec<Mutex<Option<Simulated>>> = skins.iter().map(|_| Mutex::new(None)).collect();
         std::thread::scope(|scope| {
             for _ in 0..2.min(skins.len()) {
                 scope.spawn(|| {

@@ -1,5 +1,7 @@
 //! The engine on a small analytic skin. The worlds here are made by other laws than the signatures, and by other code.
 
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
+
 use std::sync::Arc;
 
 use dermis_gap::{Memory, Moment, Options, Phase, Recording, Report, Simulator, Tier, Verdict, diagnose};
@@ -11,6 +13,9 @@ use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+
+/// Time, phase, location, press, place, force and the rest of one frame of a world.
+type Instant = (f64, Phase, u64, u32, Point3<f64>, f64, f64);
 
 const SKIN: &str = r#"
 schema = "dermis-skin/1"
@@ -230,7 +235,7 @@ fn recorded(world: &World, presses: usize, repeats: usize, seed: u64) -> Recordi
     let mut recording = Recording::new("toy world", 6);
     recording.sessions.push("one".to_owned());
     let dt = 0.02;
-    let mut frames: Vec<(f64, Phase, u64, u32, Point3<f64>, f64, f64)> = Vec::new();
+    let mut frames: Vec<Instant> = Vec::new();
     let mut t = 0.0;
     let origin = Point3::origin();
     let idle = |t: &mut f64, frames: &mut Vec<_>| {

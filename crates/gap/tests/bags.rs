@@ -1,5 +1,7 @@
 //! Recordings from bags.
 
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
+
 use std::path::Path;
 
 use dermis_bag::{BagQos, BagWriter};

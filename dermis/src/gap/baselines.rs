@@ -72,7 +72,7 @@ fn simulate(model: &Arc<dyn ForwardModel>, record: &Record) -> Result<Vec<f64>> 
         match &kept {
             // Nothing changes while nothing touches.
             Some((contacts, same)) if contacts.is_empty() && stimulus.contacts.is_empty() => {
-                row.copy_from_slice(same)
+                row.copy_from_slice(same);
             }
             _ => model.response(&stimulus, row)?,
         }

@@ -107,7 +107,7 @@ fn places(body: &mut String, findings: &Findings) -> Result<()> {
 }
 
 /// A curve with its interval as thin lines around it.
-fn with_interval(choice: &Choice, points: Vec<(f64, f64, f64)>) -> [Curve; 3] {
+fn with_interval(choice: &Choice, points: &[(f64, f64, f64)]) -> [Curve; 3] {
     let n = colour(choice.method);
     let side = |sign: f64| {
         let shown = points.iter().map(|(x, y, i)| (*x, (y + sign * i).max(1e-3))).collect();
@@ -121,15 +121,14 @@ fn errors(body: &mut String, findings: &Findings) -> Result<()> {
     let (mut count, mut bound, mut failures, mut untaught) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for choice in &findings.choices {
         let (judged, n) = (&choice.judgement, colour(choice.method));
-        let by =
-            judged.by_count.iter().map(|c| (c.elements as f64, c.mean * 1e3, c.interval * 1e3)).collect();
-        count.extend(with_interval(choice, by));
+        let with = |at: usize, mean: f64, interval: f64| (at as f64, mean * 1e3, interval * 1e3);
+        let by: Vec<_> = judged.by_count.iter().map(|c| with(c.elements, c.mean, c.interval)).collect();
+        count.extend(with_interval(choice, &by));
         let least =
             judged.by_count.iter().filter_map(|c| Some((c.elements as f64, c.bound? * 1e3))).collect();
         bound.push(Curve::new(choice.method.name(), n, least));
-        let by =
-            judged.by_failures.iter().map(|f| (f.failed as f64, f.mean * 1e3, f.interval * 1e3)).collect();
-        failures.extend(with_interval(choice, by));
+        let by: Vec<_> = judged.by_failures.iter().map(|f| with(f.failed, f.mean, f.interval)).collect();
+        failures.extend(with_interval(choice, &by));
         let by = judged.by_failures.iter().map(|f| (f.failed as f64, f.untaught * 1e3)).collect();
         untaught.push(Curve::new(choice.method.name(), n, by));
     }

@@ -151,7 +151,7 @@ impl Method for Sparse {
 
 /// Regression of x, y, z \[m\] and the pressing force \[N\] of one contact.
 enum Regression {
-    Vectors { place: Svr, force: Svr },
+    Vectors { place: Box<Svr>, force: Box<Svr> },
     Neighbours(Neighbours),
     Network { net: Mlp, scales: [f32; 2] },
 }
@@ -195,6 +195,7 @@ impl Direct {
         // Metres and newtons are scaled for themselves: outputs of one fit share a tube.
         let place = Svr::fit(inputs, Rows::new(&places, 3, "places")?, &SvrSettings::default())?;
         let force = Svr::fit(inputs, Rows::new(&forces, 1, "forces")?, &SvrSettings::default())?;
+        let (place, force) = (Box::new(place), Box::new(force));
         Ok(Self::new(Regression::Vectors { place, force }, skin))
     }
 
@@ -225,7 +226,8 @@ impl Direct {
         };
         let network = NetworkConfig { hidden: vec![256, 256, 256], ..NetworkConfig::default() };
         let training = TrainingConfig { epochs: 60, learning_rate: 1e-3, ..TrainingConfig::default() };
-        Ok(Self::new(Regression::Network { net: fit(&data, &network, &training, 0)?, scales }, skin))
+        let net = fit(&data, &network, &training, 0)?;
+        Ok(Self::new(Regression::Network { net, scales }, skin))
     }
 }
 

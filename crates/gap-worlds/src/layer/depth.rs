@@ -67,8 +67,9 @@ impl Band {
             let mut pivot = self.get(i, i);
             for j in Self::reach(i) {
                 let mut sum = self.get(i, j);
-                for m in Self::reach(i).start.max(Self::reach(j).start)..j {
-                    sum -= self.get(i, m) * self.get(j, m) * d[m];
+                let first = Self::reach(i).start.max(Self::reach(j).start);
+                for (m, pivot) in d.iter().enumerate().take(j).skip(first) {
+                    sum -= self.get(i, m) * self.get(j, m) * pivot;
                 }
                 let l = sum / d[j];
                 self.lower[i * (BAND + 1) + BAND - (i - j)] = l;
