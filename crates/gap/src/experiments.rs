@@ -72,7 +72,7 @@ pub fn rank(
         let Some((recording, rows)) = carried_out(simulator, &menu) else { continue };
         let skins: Vec<_> = members.iter().map(|(_, effects)| simulator.with(effects)).collect();
         let hidden = ProgressBar::hidden();
-        let Ok(read) = simulator.many(&skins, &recording, &rows, stop, &hidden) else { continue };
+        let Ok(read) = simulator.many(&skins, &recording, (&rows, true), stop, &hidden) else { continue };
         let noise = simulator.skin.channel_noise();
         let mut worst: Option<(f64, usize, usize)> = None;
         for a in 0..members.len() {

@@ -41,7 +41,6 @@ const FORESEEN: f64 = 0.9;
 const MOVED: f64 = 1e-3;
 /// What two effects must explain of each other to be two names of one thing.
 const SAME: f64 = 0.97;
-const NEARLY: f64 = 0.85;
 /// Relative tolerance of every number of a data sheet.
 const TOLERANCE: f64 = 0.05;
 /// Relative tolerance of a contact law: exponent of the force, width of a footprint.
@@ -129,11 +128,13 @@ impl Signatures {
         let skin = simulator.skin;
         let channels = recording.channels;
         let nominal = simulator.readings(skin, recording, &frames)?;
+        // A signature that is cut off at the end of the range is no longer in proportion to its effect.
+        let open = simulator.unlimited(skin, recording, &frames)?;
         let noise = skin.channel_noise();
         let jobs = jobs(simulator, rows);
         progress.set_length(jobs.len() as u64);
         let skins: Vec<SkinDescription> = jobs.iter().map(|j| j.skin.clone()).collect();
-        let read = simulator.many(&skins, recording, rows, stop, progress)?;
+        let read = simulator.many(&skins, recording, (rows, false), stop, progress)?;
 
         let mut found = Self { nominal, ..Self::default() };
         let deviation = |readings: &[f32], against: &[f32]| -> Vec<f32> {
@@ -151,7 +152,7 @@ impl Signatures {
         let mut refused: BTreeMap<String, String> = BTreeMap::new();
         for (job, read) in jobs.into_iter().zip(read) {
             let changed = match read {
-                Ok(read) => deviation(&read, &found.nominal),
+                Ok(read) => deviation(&read, &open),
                 Err(error) => {
                     if let Use::Family(_, effect, _) = &job.use_ {
                         refused.insert(effect.name.clone(), error.to_string());
@@ -374,13 +375,12 @@ impl Signatures {
             }
             for c in 0..self.candidates.len() {
                 let (family, common) = (&self.candidates[f], &self.candidates[c]);
-                if common.family || !common.each || merged.contains(&c) {
+                if common.family || !common.each {
                     continue;
                 }
                 let there = gram.explained(&family.columns, &common.columns);
                 let back = gram.explained(&common.columns, &family.columns);
-                // A device that is at the end of its range does not show all of a factor.
-                if there > NEARLY && back > SAME {
+                if there > SAME && back > SAME {
                     let (columns, linear, form) =
                         (common.columns.clone(), common.linear.clone(), common.name.clone());
                     let family = &mut self.candidates[f];

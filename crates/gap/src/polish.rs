@@ -119,7 +119,7 @@ pub fn polish(
 ) -> Result<Polished, GapError> {
     let many = |all: &[Vec<Effect>]| {
         let skins: Vec<_> = all.iter().map(|effects| simulator.with(effects)).collect();
-        simulator.many(&skins, target.recording, target.rows, target.stop, target.progress)
+        simulator.many(&skins, target.recording, (target.rows, true), target.stop, target.progress)
     };
     let mut best: Option<(Vec<Effect>, Vec<f32>, f64)> = None;
     let mut refused = None;

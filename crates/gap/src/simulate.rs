@@ -78,6 +78,29 @@ impl Simulator<'_> {
         recording: &Recording,
         frames: &[usize],
     ) -> Result<Vec<f32>, GapError> {
+        let mut out = self.unlimited(skin, recording, frames)?;
+        let ranges: Vec<Option<[f64; 2]>> = skin.channels().iter().map(|c| c.range).collect();
+        for row in out.chunks_exact_mut(ranges.len().max(1)) {
+            for (v, range) in row.iter_mut().zip(&ranges) {
+                if let Some([low, high]) = range {
+                    *v = v.clamp(*low as f32, *high as f32);
+                }
+            }
+        }
+        Ok(out)
+    }
+
+    /// As [`readings`](Self::readings) of a device whose channels never end; what effects say of their ends holds.
+    ///
+    /// # Errors
+    ///
+    /// As [`readings`](Self::readings).
+    pub fn unlimited(
+        &self,
+        skin: &SkinDescription,
+        recording: &Recording,
+        frames: &[usize],
+    ) -> Result<Vec<f32>, GapError> {
         let model = self.model(skin)?;
         let channels = model.channels();
         if channels != recording.channels {
@@ -89,7 +112,6 @@ impl Simulator<'_> {
                 ),
             });
         }
-        let ranges: Vec<Option<[f64; 2]>> = skin.channels().iter().map(|c| c.range).collect();
         let mut out = Vec::with_capacity(frames.len() * channels);
         let mut read = vec![0.0; channels];
         let whole = self.remembers(skin);
@@ -119,16 +141,13 @@ impl Simulator<'_> {
             if wanted.peek() == Some(&frame) {
                 wanted.next();
                 way.convert(&mut read);
-                out.extend(read.iter().zip(&ranges).map(|(v, range)| {
-                    let cut = range.map_or(*v, |[low, high]| v.clamp(low, high));
-                    cut as f32
-                }));
+                out.extend(read.iter().map(|v| *v as f32));
             }
         }
         Ok(out)
     }
 
-    /// Readings of several skins, on two threads; what cannot be made is an error of its own.
+    /// Readings of several skins, on two threads; what cannot be made is an error of its own. `limited` says whether channels end.
     ///
     /// # Errors
     ///
@@ -137,7 +156,7 @@ impl Simulator<'_> {
         &self,
         skins: &[SkinDescription],
         recording: &Recording,
-        rows: &Rows,
+        (rows, limited): (&Rows, bool),
         stop: &AtomicBool,
         progress: &ProgressBar,
     ) -> Result<Vec<Result<Vec<f32>, GapError>>, GapError> {
@@ -152,7 +171,11 @@ impl Simulator<'_> {
                         let Some(skin) = skins.get(i).filter(|_| !stop.load(Ordering::Relaxed)) else {
                             break;
                         };
-                        let readings = self.readings(skin, recording, &frames);
+                        let readings = if limited {
+                            self.readings(skin, recording, &frames)
+                        } else {
+                            self.unlimited(skin, recording, &frames)
+                        };
                         if let Ok(mut slot) = done[i].lock() {
                             *slot = Some(readings);
                         }
