@@ -193,6 +193,9 @@ fn limb(root: &Path) -> Result<Value> {
             }),
         );
     }
+    let mean = |device: &str| all[device]["position_mean_mm"].as_f64();
+    let cost = mean("one dead gauge").zip(mean("designed")).map(|(dead, whole)| dead - whole);
+    all.insert("dead_gauge_costs_mm".to_owned(), json!(cost));
     Ok(Value::Object(all))
 }
 
