@@ -826,7 +826,10 @@ impl Data<'_> {
             let reach = before - best;
             tried.retain(|t| before - over(t) >= alike * reach || t.candidate == usize::MAX);
             tried.sort_by(|a, b| {
-                let each = |t: &Tried| candidates[t.candidate].each;
+                let each = |t: &Tried| {
+                    let candidate = &candidates[t.candidate];
+                    if candidate.each { candidate.columns.len() } else { 0 }
+                };
                 each(a).cmp(&each(b)).then(over(a).total_cmp(&over(b)))
             });
             let simulated: Vec<usize> = tried.iter().map(|t| t.candidate).collect();

@@ -37,6 +37,8 @@ const TOGETHER: usize = 5;
 const EACH: usize = 3;
 /// What components of the other devices must foresee of a device for an effect to act alike on all channels.
 const FORESEEN: f64 = 0.9;
+/// With so many of them.
+const FEW: usize = 3;
 /// In deviations of the noise, root mean square over rows and channels: below this an effect does not move the output.
 const MOVED: f64 = 1e-3;
 /// What two effects must explain of each other to be two names of one thing.
@@ -566,13 +568,23 @@ fn central(sides: &[(f64, Vec<f32>)]) -> Option<Vec<f32>> {
 
 /// Whether components of all devices but one foresee that one.
 fn foreseen(realised: &[(Effect, Option<u64>, Vec<f32>)]) -> bool {
-    let devices: Vec<&Vec<f32>> = realised.iter().filter(|r| r.1.is_some()).map(|(.., v)| v).collect();
+    let mut devices: Vec<Vec<f32>> =
+        realised.iter().filter(|r| r.1.is_some()).map(|(.., v)| v.clone()).collect();
+    // What all devices have in common says nothing of how they differ.
+    let count = devices.len().max(1) as f32;
+    let mut mean = vec![0.0f32; devices.first().map_or(0, Vec::len)];
+    for device in &devices {
+        mean.iter_mut().zip(device).for_each(|(m, v)| *m += v / count);
+    }
+    for device in &mut devices {
+        device.iter_mut().zip(&mean).for_each(|(v, m)| *v -= m);
+    }
     let mut shares = Vec::new();
     for left in 0..devices.len() {
         let others: Vec<Vec<f32>> =
-            devices.iter().enumerate().filter(|(i, _)| *i != left).map(|(_, v)| (*v).clone()).collect();
-        let (found, _) = components(&others, 0.9999, TOGETHER);
-        let target = devices[left];
+            devices.iter().enumerate().filter(|(i, _)| *i != left).map(|(_, v)| v.clone()).collect();
+        let (found, _) = components(&others, 0.9999, FEW);
+        let target = &devices[left];
         let energy = dot(target, target);
         let held: f64 = found.iter().map(|c| dot(c, target).powi(2) / dot(c, c).max(1e-300)).sum::<f64>();
         shares.push(if energy > 0.0 { held / energy } else { 1.0 });
