@@ -246,13 +246,13 @@ fn pressed_and_found(protocol: &str, rate: f64) {
         assert_eq!((found.status, found.contacts.len()), (ContactArray::STATUS_OK, 1), "{found:#?}");
         let contact = &found.contacts[0];
         assert!(contact.track_id > 0 && deviation(contact) < 0.01, "{contact:#?}");
-        // The same contact for as long as it lasts: \[s\] and identity, frame by frame. At its very end, when it fades into the
-        // noise, its place is open.
+        // The same contact for as long as it is found there: \[s\] and identity, frame by frame. At its very end, when it fades
+        // into the noise, its place is open.
         let seconds = |array: &ContactArray| array.header.stamp.as_nanos() as f64 * 1e-9;
         let mut seen = vec![(seconds(&found), contact.track_id)];
         operator.contacts_say("that it ended", |array| {
-            let pressed = array.contacts.iter().filter(|c| pressing(c) > 0.1 * FORCE);
-            seen.extend(pressed.map(|c| (seconds(array), c.track_id)));
+            let there = array.contacts.iter().filter(|c| apart(c, place) < 0.01);
+            seen.extend(there.map(|c| (seconds(array), c.track_id)));
             array.contacts.is_empty()
         });
         // A device that this machine left no time to sends nothing for a while, and begins anew.
