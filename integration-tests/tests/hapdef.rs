@@ -400,6 +400,8 @@ fn gauges_that_fail_are_left_out_and_named() {
     let eight = operator.contacts_say("the press", |a| named(a, &gone) && a.contacts.iter().any(there));
     assert!(deviation(&eight.contacts[0]) > 0.0 && eight.contacts[0].confidence < 0.9, "{eight:#?}");
 
+    let before = median_deviation(&operator, there);
+
     // One more fails while nothing touches: it is no contact for long, and the other seven go on.
     limb.becomes(0);
     operator.contacts_say("the release", |a| a.contacts.is_empty());
@@ -408,8 +410,20 @@ fn gauges_that_fail_are_left_out_and_named() {
     operator.contacts_say("that it is broken", |a| named(a, &gone) && a.contacts.is_empty());
     limb.becomes(FAILED | PRESS);
     let seven = operator.contacts_say("the press again", |a| named(a, &gone) && a.contacts.iter().any(there));
-    let (before, now) = (deviation(&eight.contacts[0]), deviation(&seven.contacts[0]));
+    assert!(deviation(&seven.contacts[0]) > 0.0, "{seven:#?}");
+    let now = median_deviation(&operator, there);
     assert!(now > before, "with seven gauges {now} m, with eight {before} m");
+}
+
+/// Median over frames of how well a contact's place is known \[m\]: one frame's word for it depends on its noise.
+fn median_deviation(operator: &Operator, there: impl Fn(&Contact) -> bool) -> f64 {
+    let mut seen = Vec::new();
+    operator.contacts_say("where it is pressed, many times", |array| {
+        seen.extend(array.contacts.iter().filter(|c| there(c)).map(deviation));
+        seen.len() >= 200
+    });
+    seen.sort_by(f64::total_cmp);
+    seen[seen.len() / 2]
 }
 
 #[test]
