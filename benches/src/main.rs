@@ -6,6 +6,7 @@ mod model;
 mod node;
 mod publish;
 mod recording;
+mod sampling;
 mod shell;
 mod soak;
 mod subscriber;

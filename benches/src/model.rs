@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Barrier;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -11,8 +10,9 @@ use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 use serde_json::{Value, json};
+
+use crate::sampling::sample;
 
 /// Stimuli that are sampled again and again.
 const STIMULI: usize = 2048;
@@ -20,8 +20,6 @@ const STIMULI: usize = 2048;
 const FORCES: std::ops::Range<f64> = 0.02..1.5;
 /// \[m\] of the tip.
 const DIAMETER: f64 = 0.004;
-/// Samples between two looks at the clock.
-const BATCH: usize = 256;
 
 /// What to measure.
 #[derive(Debug, Args)]
@@ -76,7 +74,7 @@ pub fn run(options: &Options) -> Result<Value> {
         ("three_contacts", &model, &three),
         ("without_edges", &layer, &normal),
     ] {
-        let rates = sample(model.as_ref(), &skin, stimuli, options)?;
+        let rates = sample(model.as_ref(), &skin, stimuli, false, options.seconds, options.threads)?;
         show(&format!("dermis, {}", name.replace('_', " ")), rates);
         ours.insert(name.into(), json!({ "samples_per_s": rates[0], "by_cpu_time": rates[1] }));
     }
@@ -134,62 +132,6 @@ fn response(model: &dyn ForwardModel, stimulus: &Stimulus) -> Result<Vec<f64>> {
     let mut out = vec![0.0; model.channels()];
     model.response(stimulus, &mut out)?;
     Ok(out)
-}
-
-/// \[s\] of CPU time that this thread has used.
-fn cpu_time() -> Result<f64> {
-    let path = "/proc/thread-self/schedstat";
-    let text = std::fs::read_to_string(path).with_context(|| format!("{path} cannot be read"))?;
-    let nanoseconds: f64 = text.split(' ').next().unwrap_or_default().parse()?;
-    Ok(nanoseconds * 1e-9)
-}
-
-/// Samples per second of all threads, by the clock and by their CPU time: response, noise, range.
-fn sample(
-    model: &dyn ForwardModel,
-    skin: &SkinDescription,
-    stimuli: &[Stimulus],
-    options: &Options,
-) -> Result<[f64; 2]> {
-    let duration = Duration::from_secs_f64(options.seconds);
-    let barrier = Barrier::new(options.threads);
-    let ranges: Vec<[f64; 2]> =
-        skin.channels().iter().map(|c| c.range.unwrap_or([f64::MIN, f64::MAX])).collect();
-    let rates = std::thread::scope(|scope| {
-        let work = |seed: usize| {
-            let (barrier, ranges) = (&barrier, &ranges);
-            move || -> Result<[f64; 2]> {
-                let mut rng = ChaCha8Rng::seed_from_u64(seed as u64);
-                let mut clean = vec![0.0; model.channels()];
-                let (mut values, mut count) = (vec![0.0f32; model.channels()], 0);
-                barrier.wait();
-                let (begun, idle) = (Instant::now(), cpu_time()?);
-                let mut batches = stimuli.chunks(BATCH).cycle();
-                while begun.elapsed() < duration {
-                    let Some(batch) = batches.next() else { bail!("there is nothing to sample") };
-                    for stimulus in batch {
-                        model.response(stimulus, &mut clean)?;
-                        for (((value, clean), sigma), [low, high]) in
-                            values.iter_mut().zip(&clean).zip(model.noise()).zip(ranges)
-                        {
-                            let noise: f64 = rng.sample(StandardNormal);
-                            *value = (clean + sigma * noise).clamp(*low, *high) as f32;
-                        }
-                        std::hint::black_box(&values);
-                    }
-                    count += batch.len();
-                }
-                let count = count as f64;
-                Ok([count / begun.elapsed().as_secs_f64(), count / (cpu_time()? - idle)])
-            }
-        };
-        let threads: Vec<_> = (0..options.threads).map(|seed| scope.spawn(work(seed))).collect();
-        threads
-            .into_iter()
-            .map(|t| t.join().unwrap_or_else(|_| bail!("a thread broke off")))
-            .collect::<Result<Vec<_>>>()
-    })?;
-    Ok([0, 1].map(|i| rates.iter().map(|r| r[i]).sum()))
 }
 
 /// \[Pa/N\] of a taxel over the cube root of the force (rows) and the distance (columns), as our model reads it.

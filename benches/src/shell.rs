@@ -4,10 +4,9 @@
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Barrier;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use dermis_mechanics::calculix::{self, Panel};
 use dermis_mechanics::shell::{Action, Face, Gauge, Green, Quads, Section, Shell, ShellMesh, Support};
@@ -15,13 +14,12 @@ use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface}
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 use serde_json::{Value, json};
+
+use crate::sampling::sample;
 
 /// Stimuli that are sampled again and again.
 const STIMULI: usize = 2048;
-/// Samples between two looks at the clock.
-const BATCH: usize = 256;
 /// \[N\] pressing forces.
 const FORCES: std::ops::Range<f64> = 0.5..34.0;
 /// \[m\] of the tip.
@@ -181,14 +179,6 @@ fn least(times: &Value, kind: &str) -> f64 {
     times.filter_map(|(_, time)| time[kind].as_f64()).fold(f64::INFINITY, f64::min)
 }
 
-/// \[s\] of CPU time of this thread.
-fn cpu_time() -> Result<f64> {
-    let path = "/proc/thread-self/schedstat";
-    let text = std::fs::read_to_string(path).with_context(|| format!("{path} cannot be read"))?;
-    let nanoseconds: f64 = text.split(' ').next().unwrap_or_default().parse()?;
-    Ok(nanoseconds * 1e-9)
-}
-
 /// \[s\] of CPU time of this process, threads that have ended included.
 fn process_time() -> Result<f64> {
     let time = nix::time::clock_gettime(nix::time::ClockId::CLOCK_PROCESS_CPUTIME_ID)?;
@@ -299,7 +289,7 @@ fn samples(model: &dyn ForwardModel, skin: &SkinDescription, options: &Options) 
         "first_map_s": maps_ready,
     });
     for (name, maps) in [("readings", false), ("readings_and_maps", true)] {
-        let [clock, cpu] = sample(model, skin, &stimuli, maps, options)?;
+        let [clock, cpu] = sample(model, skin, &stimuli, maps, options.seconds, options.threads)?;
         let name_for_people = name.replace('_', " ");
         eprintln!(
             "{name_for_people:<20} {:>8.3} million samples/s, {:>8.3} by CPU time",
@@ -309,56 +299,4 @@ fn samples(model: &dyn ForwardModel, skin: &SkinDescription, options: &Options) 
         result[name] = json!({ "samples_per_s": clock, "by_cpu_time": cpu });
     }
     Ok(result)
-}
-
-fn sample(
-    model: &dyn ForwardModel,
-    skin: &SkinDescription,
-    stimuli: &[Stimulus],
-    maps: bool,
-    options: &Options,
-) -> Result<[f64; 2]> {
-    let duration = Duration::from_secs_f64(options.seconds);
-    let barrier = Barrier::new(options.threads);
-    let ranges: Vec<[f64; 2]> =
-        skin.channels().iter().map(|c| c.range.unwrap_or([f64::MIN, f64::MAX])).collect();
-    let rates = std::thread::scope(|scope| {
-        let work = |seed: usize| {
-            let (barrier, ranges) = (&barrier, &ranges);
-            move || -> Result<[f64; 2]> {
-                let mut rng = ChaCha8Rng::seed_from_u64(seed as u64);
-                let mut clean = vec![0.0; model.channels()];
-                let (mut values, mut count) = (vec![0.0f32; model.channels()], 0);
-                let mut map = vec![0.0; model.surface().points.len()];
-                barrier.wait();
-                let (begun, idle) = (Instant::now(), cpu_time()?);
-                let mut batches = stimuli.chunks(BATCH).cycle();
-                while begun.elapsed() < duration {
-                    let Some(batch) = batches.next() else { bail!("there is nothing to sample") };
-                    for stimulus in batch {
-                        model.response(stimulus, &mut clean)?;
-                        for (((value, clean), sigma), [low, high]) in
-                            values.iter_mut().zip(&clean).zip(model.noise()).zip(ranges)
-                        {
-                            let noise: f64 = rng.sample(StandardNormal);
-                            *value = (clean + sigma * noise).clamp(*low, *high) as f32;
-                        }
-                        if maps {
-                            model.displacement(stimulus, &mut map)?;
-                        }
-                        std::hint::black_box((&values, &map));
-                    }
-                    count += batch.len();
-                }
-                let count = count as f64;
-                Ok([count / begun.elapsed().as_secs_f64(), count / (cpu_time()? - idle)])
-            }
-        };
-        let threads: Vec<_> = (0..options.threads).map(|seed| scope.spawn(work(seed))).collect();
-        threads
-            .into_iter()
-            .map(|t| t.join().unwrap_or_else(|_| bail!("a thread broke off")))
-            .collect::<Result<Vec<_>>>()
-    })?;
-    Ok([0, 1].map(|i| rates.iter().map(|r| r[i]).sum()))
 }

@@ -27,6 +27,18 @@ pub struct CauseInfo {
 }
 
 impl CauseInfo {
+    /// A cause whose fields come in their order.
+    pub(crate) const fn new(
+        id: &'static str,
+        what: &'static str,
+        source: &'static str,
+        size: (&'static str, &'static str, f64),
+        signed: bool,
+        listed: bool,
+    ) -> Self {
+        Self { id, what, source, size, signed, listed }
+    }
+
     /// Size in its SI unit.
     #[must_use]
     pub fn of(&self, cause: &Cause) -> f64 {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use dermis_bag::BagError;
-use dermis_skin::{ModelError, SkinError};
+use dermis_skin::{ModelError, SkinDescription, SkinError};
 use dermis_testbed::TestbedError;
 
 /// A world or a pack that cannot be, and why.
@@ -73,6 +73,11 @@ pub enum WorldError {
 }
 
 impl WorldError {
+    /// A skin that no world is like, by the field that says so.
+    pub(crate) fn skin(skin: &SkinDescription, field: &str, reason: &str) -> Self {
+        Self::Skin { skin: skin.name.clone(), field: field.to_owned(), reason: reason.to_owned() }
+    }
+
     pub(crate) fn io(path: &std::path::Path, action: &'static str) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::Io { path, action, source }

@@ -81,11 +81,7 @@ impl LayerWorld {
     }
 
     pub fn new(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Self, WorldError> {
-        let wrong = |field: &str, reason: &str| WorldError::Skin {
-            skin: skin.name.clone(),
-            field: field.to_owned(),
-            reason: reason.to_owned(),
-        };
+        let wrong = |field: &str, reason: &str| WorldError::skin(skin, field, reason);
         let causes = Causes::new(causes::CAUSES, causes)?;
         let SurfaceSpec::Rectangle { size, .. } = skin.surface else {
             return Err(wrong("surface", "is not flat"));

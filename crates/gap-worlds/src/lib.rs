@@ -125,21 +125,15 @@ pub fn rig(skin: &SkinDescription, size: f64) -> Result<Rig, WorldError> {
 /// A number of the medium.
 pub(crate) fn number(skin: &SkinDescription, key: &str) -> Result<f64, WorldError> {
     let value = skin.medium.get(key).and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)));
-    value.ok_or_else(|| WorldError::Skin {
-        skin: skin.name.clone(),
-        field: format!("medium.{key}"),
-        reason: "is missing, or no number".to_owned(),
-    })
+    value.ok_or_else(|| WorldError::skin(skin, &format!("medium.{key}"), "is missing, or no number"))
 }
 
 fn unlike(skin: &SkinDescription) -> WorldError {
-    WorldError::Skin {
-        skin: skin.name.clone(),
-        field: "surface".to_owned(),
-        reason:
-            "no world is like it: there are flat layers that read in Pa, and clamped panels that read strain"
-                .to_owned(),
-    }
+    WorldError::skin(
+        skin,
+        "surface",
+        "no world is like it: there are flat layers that read in Pa, and clamped panels that read strain",
+    )
 }
 
 /// Fraction of the variance of `of` that `other` leaves unexplained while something touches: both minus what they read at the

@@ -64,11 +64,7 @@ impl ShellWorld {
     }
 
     pub fn new(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Self, WorldError> {
-        let wrong = |field: &str, reason: &str| WorldError::Skin {
-            skin: skin.name.clone(),
-            field: field.to_owned(),
-            reason: reason.to_owned(),
-        };
+        let wrong = |field: &str, reason: &str| WorldError::skin(skin, field, reason);
         let causes = Causes::new(causes::CAUSES, causes)?;
         let shape = Shape::of(&skin.surface).ok_or_else(|| crate::unlike(skin))?;
         let wall = crate::number(skin, "thickness")?;

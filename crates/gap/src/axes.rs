@@ -2,14 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use dermis_skin::{SkinDescription, Surface};
+use dermis_skin::{Phase, SkinDescription, Surface};
 use nalgebra::Point3;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::data::Phase;
 use crate::rows::{Row, Rows};
 
 /// Permutations whose mean is what an axis explains by chance.
@@ -197,7 +196,17 @@ fn cells(rows: &[Row], most: usize) -> Option<Binned> {
 fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
     let rows = &view.rows.rows;
     let touched = |r: &Row| r.phase.touched();
-    let phase_name = |p: &Phase| p.name().to_owned();
+    let phase_name = |p: &Phase| {
+        let name = match p {
+            Phase::Idle => "idle",
+            Phase::Approach => "untouched between presses",
+            Phase::Load => "load",
+            Phase::Hold => "hold",
+            Phase::Slide => "slide",
+            Phase::Unload => "unload",
+        };
+        name.to_owned()
+    };
     let when = |r: &Row| if touched(r) { r.since } else { f64::NAN };
     let after = |r: &Row| if touched(r) { f64::NAN } else { r.since };
     let count = |r: &Row| if r.press == usize::MAX { f64::NAN } else { r.press as f64 };

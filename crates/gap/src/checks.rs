@@ -1,11 +1,11 @@
 //! Recordings that would make a diagnosis confidently wrong, and what one lacks.
 
-use dermis_skin::SkinDescription;
+use dermis_skin::{Phase, SkinDescription};
 use serde::{Deserialize, Serialize};
 
 use crate::GapError;
 use crate::axes::short;
-use crate::data::{Phase, Problem, Recording};
+use crate::data::{Problem, Recording};
 use crate::rows::Rows;
 use crate::simulate::Simulator;
 

@@ -1,46 +1,7 @@
 //! What was done to a skin, and what it read: the input of every diagnosis.
 
-use dermis_skin::Stimulus;
+use dermis_skin::{Phase, Stimulus};
 use sha2::{Digest, Sha256};
-
-/// What the rig was doing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, PartialOrd, Ord)]
-pub enum Phase {
-    /// Nothing is near, for long.
-    #[default]
-    Idle,
-    /// Before first contact.
-    Approach,
-    /// The force grows.
-    Load,
-    /// The force is constant.
-    Hold,
-    /// The force is constant and the contact moves.
-    Slide,
-    /// The force falls.
-    Unload,
-}
-
-impl Phase {
-    /// Whether the ground truth says that something touches in this phase.
-    #[must_use]
-    pub fn touched(self) -> bool {
-        matches!(self, Self::Load | Self::Hold | Self::Slide | Self::Unload)
-    }
-
-    /// For people.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Idle => "idle",
-            Self::Approach => "untouched between presses",
-            Self::Load => "load",
-            Self::Hold => "hold",
-            Self::Slide => "slide",
-            Self::Unload => "unload",
-        }
-    }
-}
 
 /// One instant of a recording.
 #[derive(Debug, Clone, PartialEq)]

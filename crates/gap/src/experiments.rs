@@ -2,12 +2,12 @@
 
 use std::sync::atomic::AtomicBool;
 
-use dermis_skin::{Effect, Indentation, Stimulus};
+use dermis_skin::{Effect, Indentation, Phase, Stimulus};
 use indicatif::ProgressBar;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::data::{Moment, Phase, Recording};
+use crate::data::{Moment, Recording};
 use crate::rows::{Row, Rows};
 use crate::select::normal;
 use crate::simulate::Simulator;

@@ -36,7 +36,8 @@ mod unknown;
 
 pub use axes::{Axis, Bin, Map};
 pub use checks::Missing;
-pub use data::{Moment, Phase, Problem, Recording};
+pub use data::{Moment, Problem, Recording};
+pub use dermis_skin::Phase;
 pub use device::{COMMON, CommonEffect, Parameters, common_effect, device};
 pub use diagnose::{Diagnosis, Memory, Options, diagnose};
 pub use error::GapError;

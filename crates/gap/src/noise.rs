@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use dermis_skin::SkinDescription;
+use dermis_skin::{Phase, SkinDescription};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::data::{Phase, Recording};
+use crate::data::Recording;
 use crate::rows::Rows;
 
 /// Frames that a channel's noise is measured on, at most.

@@ -1,9 +1,9 @@
 //! Checks of readings that need no model, or next to none: each isolates a kind of cause.
 
+use dermis_skin::Phase;
 use serde::{Deserialize, Serialize};
 
 use crate::axes::View;
-use crate::data::Phase;
 
 /// One check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -6,11 +6,11 @@ use dermis_bag::{BagReader, Filter};
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
 use dermis_msgs::msg::{Indentation, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
-use dermis_skin::{Frame, Indentation as Touch, SkinDescription, Stamp, Stimulus, Surface};
+use dermis_skin::{Frame, Indentation as Touch, Phase, SkinDescription, Stamp, Stimulus, Surface};
 use nalgebra::{Point3, Vector3};
 
 use crate::GapError;
-use crate::data::{Moment, Phase, Problem, Recording};
+use crate::data::{Moment, Problem, Recording};
 
 /// \[m\] off the surface that a true contact may lie before its frame is doubted: what a stage and a mould are off by.
 const OFF_SURFACE: f64 = 2e-3;

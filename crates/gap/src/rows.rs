@@ -1,12 +1,13 @@
 //! Which frames are looked at, and which of them belong together.
 
+use dermis_skin::Phase;
 use std::collections::BTreeMap;
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::data::{Phase, Recording};
+use crate::data::Recording;
 
 /// \[s\] after a contact has ended for which frames still belong to it.
 const AFTER: f64 = 2.0;

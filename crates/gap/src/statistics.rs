@@ -233,8 +233,8 @@ impl Sum {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::data::Phase;
     use crate::rows::Row;
+    use dermis_skin::Phase;
 
     pub(crate) fn rows(groups: &[usize]) -> Rows {
         let row = |group: usize| Row {

@@ -91,8 +91,8 @@ pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) ->
 fn coordinates(row: &Row) -> [f64; 9] {
     let or = |v: f64, other: f64| if v.is_finite() { v } else { other };
     let phase = match row.phase {
-        crate::data::Phase::Load => -1.0,
-        crate::data::Phase::Unload => 1.0,
+        dermis_skin::Phase::Load => -1.0,
+        dermis_skin::Phase::Unload => 1.0,
         p if p.touched() => 0.0,
         _ => 2.0,
     };

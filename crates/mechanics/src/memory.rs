@@ -1,18 +1,19 @@
 //! What devices remember, whatever they sense with, and the random numbers that tell one device from another.
 
+use dermis_skin::Effect;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// The random numbers of the effect called `name` on one channel (or taxel) of the device `seed`: a stream of its own, so that
-/// another effect, or another channel, changes nothing of it.
+/// The random numbers of an effect on one channel (or taxel) of a device: a stream of its own, so that another effect, or another
+/// channel, changes nothing of it.
 #[must_use]
-pub fn stream(name: &str, seed: u64, index: usize) -> ChaCha8Rng {
+pub fn stream(effect: &Effect, index: usize) -> ChaCha8Rng {
     // FNV-1a: the name says which stream, not the place in a table that may grow.
-    let name = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+    let name = effect.name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     });
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut rng = ChaCha8Rng::seed_from_u64(effect.seed.unwrap_or(0));
     rng.set_stream((name << 20) | index as u64);
     rng
 }
@@ -103,5 +104,26 @@ impl Walk {
         let draw: f64 = self.rng.sample(StandardNormal);
         self.value += self.rate * dt.sqrt() * draw;
         self.value
+    }
+}
+
+/// Warmth of a device above what it was balanced at: its own, and that of the room.
+#[derive(Debug, Clone)]
+pub struct Warmth {
+    self_heating: f64,
+    heating_time: f64,
+    room: Wander,
+}
+
+impl Warmth {
+    /// Of a device that warms up by `self_heating` \[K\] with the time `heating_time` \[s\] after it was switched on.
+    #[must_use]
+    pub fn new(self_heating: f64, heating_time: f64, room: Wander) -> Self {
+        Self { self_heating, heating_time, room }
+    }
+
+    /// \[K\] that it is warmer, `on` \[s\] after it was switched on and `dt` \[s\] after the last call.
+    pub fn kelvin(&mut self, on: f64, dt: f64) -> f64 {
+        self.self_heating * -(-on / self.heating_time).exp_m1() + self.room.next(dt)
     }
 }

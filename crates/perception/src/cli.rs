@@ -1,10 +1,12 @@
-//! The node's options on a command line.
+//! The node's options on a command line, and the program of a family.
 
 use std::path::PathBuf;
+use std::process::ExitCode;
 
-use clap::Args;
+use clap::{Args, Command, FromArgMatches};
+use dermis_node::HirozBackend;
 
-use crate::{Config, ConfigError};
+use crate::{Config, ConfigError, Sensor};
 
 /// The node's options on a command line.
 #[derive(Debug, Clone, Args)]
@@ -56,6 +58,27 @@ impl Arguments {
         config.name = self.name.or(config.name);
         config.namespace = self.namespace.unwrap_or(config.namespace);
         Ok(config)
+    }
+}
+
+/// The whole of a program that is one family's node: options, log, the node over the embedded backend until it is stopped. `name`
+/// and `version` are the program's, `about` says what it does.
+#[must_use]
+pub fn program(sensor: &Sensor, name: &'static str, version: &'static str, about: &'static str) -> ExitCode {
+    let options = Arguments::augment_args(Command::new(name).version(version).about(about)).get_matches();
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into());
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let run = || -> Result<(), Box<dyn std::error::Error>> {
+        let config = Arguments::from_arg_matches(&options)?.into_config()?;
+        let runtime = tokio::runtime::Runtime::new()?;
+        Ok(runtime.block_on(sensor.run(&config, &HirozBackend::default()))?)
+    };
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{name}: {error}");
+            ExitCode::FAILURE
+        }
     }
 }
 

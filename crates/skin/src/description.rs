@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 
 use crate::mesh::TriangleMesh;
 use crate::panel::Panel;
-use crate::{Effect, SkinError, Surface};
+use crate::{Effect, ModelError, SkinError, Surface};
 
 const SCHEMA: &str = "dermis-skin/1";
 
@@ -539,6 +539,22 @@ impl SkinDescription {
         let mut skin = Self { taxels, channels: Vec::new(), ..self.clone() };
         skin.finish(&format!("{}, with other taxels", self.name))?;
         Ok(skin)
+    }
+
+    /// What [`medium`](Self::medium) says, as a sensor family knows it.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Description`] with the field `medium.…` that is missing, unknown or of another type.
+    pub fn medium_as<T: serde::de::DeserializeOwned>(&self) -> Result<T, ModelError> {
+        serde_path_to_error::deserialize(toml::Value::Table(self.medium.clone())).map_err(|e| {
+            let field = match e.path().to_string() {
+                p if p == "." => "medium".to_owned(),
+                p => format!("medium.{p}"),
+            };
+            let reason = e.inner().message().trim().replace('\n', " ");
+            ModelError::Description { skin: self.name.clone(), field, reason }
+        })
     }
 
     /// Numbers of a frame, in order. `range` and `noise` have the skin's values filled in.

@@ -47,6 +47,7 @@ mod error;
 mod frame;
 mod mesh;
 mod panel;
+mod phase;
 #[cfg(feature = "test-suite")]
 pub mod suite;
 mod surface;
@@ -62,7 +63,8 @@ pub use description::{
 pub use effect::{Effect, EffectInfo, Memoryless, ParameterInfo, Trajectory};
 pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};
-pub use mesh::TriangleMesh;
+pub use mesh::{TriangleMesh, closest_on_triangle};
+pub use phase::Phase;
 pub use surface::Surface;
 pub use traits::{EstimateError, Estimator, ForwardModel, Indentation, ModelError, Stimulus};
 pub use unknowns::{Unknown, Unknowns, tangents};

@@ -50,7 +50,7 @@ impl RTreeObject for Face {
 impl PointDistance for Face {
     fn distance_2(&self, point: &[f64; 3]) -> f64 {
         let p = Point3::from(*point);
-        let at = closest(&self.corners, &p);
+        let at = closest_on_triangle(&self.corners, &p);
         (p - from_weights(&self.corners, at)).norm_squared()
     }
 }
@@ -59,8 +59,10 @@ fn from_weights(corners: &[Point3<f64>; 3], w: [f64; 3]) -> Point3<f64> {
     Point3::from(corners[0].coords * w[0] + corners[1].coords * w[1] + corners[2].coords * w[2])
 }
 
-/// Barycentric coordinates of the point of a triangle that is closest to `p` (Ericson, Real-Time Collision Detection, 5.1.5).
-fn closest([a, b, c]: &[Point3<f64>; 3], p: &Point3<f64>) -> [f64; 3] {
+/// The point of a triangle that is closest to `p`, as barycentric coordinates of its corners (C. Ericson, *Real-Time Collision
+/// Detection*, 5.1.5).
+#[must_use]
+pub fn closest_on_triangle([a, b, c]: &[Point3<f64>; 3], p: &Point3<f64>) -> [f64; 3] {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
     if d1 <= 0.0 && d2 <= 0.0 {
@@ -220,7 +222,7 @@ impl TriangleMesh {
     /// Closest point of the triangles, and the normal there: that of the corners, blended.
     pub(crate) fn project(&self, p: &Point3<f64>) -> (Point3<f64>, Vector3<f64>) {
         let Some(face) = self.0.faces.nearest_neighbor([p.x, p.y, p.z]) else { return (*p, Vector3::z()) };
-        let weights = closest(&face.corners, p);
+        let weights = closest_on_triangle(&face.corners, p);
         let corners = self.0.triangles[face.number].map(|i| self.0.normals[i as usize]);
         let normal = corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2];
         let [a, b, c] = &face.corners;

@@ -15,6 +15,40 @@ pub struct Indentation {
     pub diameter: f64,
 }
 
+impl Indentation {
+    /// \[m\] off the surface that a contact may lie: rounding of single precision, with room to spare.
+    pub const OFF_SURFACE: f64 = 1e-4;
+    /// \[m\] diameters of a tip that forward models speak of.
+    pub const DIAMETERS: std::ops::RangeInclusive<f64> = 1e-4..=0.1;
+
+    /// The outward normal under a contact that forward models can speak of; `index` is its place in the stimulus.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Stimulus`] where it is not a number, lies off `surface`, pulls, or has an impossible tip.
+    pub fn check(&self, index: usize, surface: &Surface) -> Result<Vector3<f64>, ModelError> {
+        let wrong = |reason: String| Err(ModelError::Stimulus { index, reason });
+        let p = self.position;
+        if !p.iter().chain(self.force.iter()).all(|v| v.is_finite()) {
+            return wrong("its position or force is not a number".into());
+        }
+        let (nearest, normal) = surface.project(&p);
+        let off = (p - nearest).norm();
+        if off > Self::OFF_SURFACE {
+            return wrong(format!("({}, {}, {}) m lies {off:.6} m off the surface", p.x, p.y, p.z));
+        }
+        let pressing = -self.force.dot(&normal);
+        if pressing < 0.0 {
+            return wrong(format!("it pulls with {} N, and this model knows no adhesion", -pressing));
+        }
+        if !Self::DIAMETERS.contains(&self.diameter) {
+            let (low, high) = (Self::DIAMETERS.start().to_owned(), Self::DIAMETERS.end().to_owned());
+            return wrong(format!("its diameter is {} m and must be {low} to {high} m", self.diameter));
+        }
+        Ok(normal)
+    }
+}
+
 /// What touches the skin at one instant, and what it is surrounded by.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stimulus {

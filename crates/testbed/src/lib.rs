@@ -19,8 +19,9 @@ mod testing;
 mod timeline;
 
 pub use collect::{CollectOptions, CollectReport, collect};
+pub use dermis_skin::Phase;
 pub use device::{DeviceStats, Outlet, ReplayDevice, ReplayOptions, VirtualDevice};
 pub use error::TestbedError;
 pub use plan::{Action, ForceDistribution, Level, Levels, Manner, Plan, Step, Timing};
 pub use sampler::Sampler;
-pub use timeline::{Moment, Phase, Timeline, Tip};
+pub use timeline::{Moment, Timeline, Tip};

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, IndentationContact};
-use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stamp, Stimulus, Surface};
+use dermis_skin::{ForwardModel, Indentation, Phase, SkinDescription, Stamp, Stimulus, Surface};
 use nalgebra::{Point3, Vector3};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
@@ -15,40 +15,6 @@ use rand_chacha::ChaCha8Rng;
 use crate::TestbedError;
 use crate::plan::{Action, ForceDistribution, Level, Levels, Manner, Plan};
 use sites::Sites;
-
-/// What the testbed is doing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
-#[non_exhaustive]
-pub enum Phase {
-    /// Nothing is near.
-    #[default]
-    Idle,
-    /// The indenter comes near; it does not touch yet.
-    Approach,
-    /// The force grows, across or along the surface.
-    Load,
-    /// The force is constant.
-    Hold,
-    /// The force is constant and the indenter moves along the surface.
-    Slide,
-    /// The force falls.
-    Unload,
-}
-
-impl Phase {
-    /// As `Indentation.phase` says it.
-    #[must_use]
-    pub fn code(self) -> u8 {
-        match self {
-            Self::Idle => msg::Indentation::PHASE_IDLE,
-            Self::Approach => msg::Indentation::PHASE_APPROACH,
-            Self::Load => msg::Indentation::PHASE_LOAD,
-            Self::Hold => msg::Indentation::PHASE_HOLD,
-            Self::Slide => msg::Indentation::PHASE_SLIDE,
-            Self::Unload => msg::Indentation::PHASE_UNLOAD,
-        }
-    }
-}
 
 /// The testbed at one instant: the ground truth.
 #[derive(Debug, Clone, PartialEq, Default)]

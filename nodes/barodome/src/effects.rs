@@ -15,14 +15,6 @@ mod table;
 mod tests;
 mod walk;
 
-use dermis_skin::Effect;
-use rand_chacha::ChaCha8Rng;
-
 pub(crate) use shape::shape;
 pub use table::EFFECTS;
 pub(crate) use walk::Dynamics;
-
-/// The random numbers of one effect on one channel (or taxel).
-fn stream(effect: &Effect, index: usize) -> ChaCha8Rng {
-    dermis_mechanics::stream(&effect.name, effect.seed.unwrap_or(0), index)
-}

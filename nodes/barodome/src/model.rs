@@ -20,11 +20,6 @@ use crate::parameters::Parameters;
 
 /// \[Pa\] that gauge pressures are relative to.
 const STANDARD_ATMOSPHERE: f64 = 101_325.0;
-/// \[m\] off the surface that a contact may lie: rounding of single precision, with room to spare.
-const OFF_SURFACE: f64 = 1e-4;
-/// \[m\] diameters of a tip that the theory can speak of.
-const DIAMETERS: std::ops::RangeInclusive<f64> = 1e-4..=0.1;
-
 /// Mean compressive stress that one contact makes at every sensing element.
 trait Field: std::fmt::Debug + Send + Sync {
     /// Adds the stress \[Pa\] under `contact` to `out`, one number a channel. The contact has been checked: its numbers are
@@ -169,27 +164,8 @@ impl ForwardModel for BarometerModel {
         debug_assert_eq!(out.len(), self.channels());
         out.fill(0.0);
         for (index, contact) in stimulus.contacts.iter().enumerate() {
-            let wrong = |reason: String| Err(ModelError::Stimulus { index, reason });
-            let p = contact.position;
-            if !p.iter().chain(contact.force.iter()).all(|v| v.is_finite()) {
-                return wrong("its position or force is not a number".into());
-            }
-            let (nearest, normal) = self.surface.project(&p);
-            let off = (p - nearest).norm();
-            if off > OFF_SURFACE {
-                return wrong(format!("({}, {}, {}) m lies {off:.6} m off the surface", p.x, p.y, p.z));
-            }
+            let normal = contact.check(index, &self.surface)?;
             let pressing = -contact.force.dot(&normal);
-            if pressing < 0.0 {
-                return wrong(format!("it pulls with {} N, and this model knows no adhesion", -pressing));
-            }
-            if !DIAMETERS.contains(&contact.diameter) {
-                let (low, high) = (DIAMETERS.start(), DIAMETERS.end());
-                return wrong(format!(
-                    "its diameter is {} m and must be {low} to {high} m",
-                    contact.diameter
-                ));
-            }
             if pressing == 0.0 {
                 continue;
             }

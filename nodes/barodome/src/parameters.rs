@@ -100,14 +100,7 @@ impl Parameters {
         if skin.unit != "Pa" {
             return Err(wrong("unit", format!("is \"{}\" where barometers read \"Pa\"", skin.unit)));
         }
-        let spec: MediumSpec = serde_path_to_error::deserialize(toml::Value::Table(skin.medium.clone()))
-            .map_err(|e| {
-                let field = match e.path().to_string() {
-                    p if p == "." => "medium".to_owned(),
-                    p => format!("medium.{p}"),
-                };
-                wrong(&field, e.inner().message().trim().replace('\n', " "))
-            })?;
+        let spec: MediumSpec = skin.medium_as()?;
         // One number at a time, so that the refusal names its field.
         let impossible = |field| move |e: dermis_mechanics::MechanicsError| wrong(field, e.to_string());
         Medium::half_space(1.0, spec.poisson_ratio).map_err(impossible("medium.poisson_ratio"))?;

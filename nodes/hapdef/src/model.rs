@@ -16,10 +16,6 @@ use crate::effects::{self, Dynamics};
 use crate::parameters::{Clamp, Parameters, StrainGauge, impossible, refusal};
 use nodes::Nodes;
 
-/// \[m\] off the surface that a contact may lie: rounding of single precision, with room to spare.
-const OFF_SURFACE: f64 = 1e-4;
-/// \[m\] diameters of a tip that this model speaks of.
-const DIAMETERS: std::ops::RangeInclusive<f64> = 1e-4..=0.1;
 /// Points of a map that are summed at once: they stay in the nearest cache.
 const PIECE: usize = 512;
 /// Of a gauge's rectangle that must lie on material.
@@ -169,29 +165,6 @@ impl ShellModel {
         &self.shell
     }
 
-    /// Refuses what is no touch of this shell; its normal.
-    fn check(&self, index: usize, contact: &Indentation) -> Result<Vector3<f64>, ModelError> {
-        let wrong = |reason: String| Err(ModelError::Stimulus { index, reason });
-        let p = contact.position;
-        if !p.iter().chain(contact.force.iter()).all(|v| v.is_finite()) {
-            return wrong("its position or force is not a number".into());
-        }
-        let (nearest, normal) = self.surface.project(&p);
-        let off = (p - nearest).norm();
-        if off > OFF_SURFACE {
-            return wrong(format!("({}, {}, {}) m lies {off:.6} m off the surface", p.x, p.y, p.z));
-        }
-        let pressing = -contact.force.dot(&normal);
-        if pressing < 0.0 {
-            return wrong(format!("it pulls with {} N, and this model knows no adhesion", -pressing));
-        }
-        if !DIAMETERS.contains(&contact.diameter) {
-            let (low, high) = (DIAMETERS.start(), DIAMETERS.end());
-            return wrong(format!("its diameter is {} m and must be {low} to {high} m", contact.diameter));
-        }
-        Ok(normal)
-    }
-
     /// How every point gives way \[m/N\] for touches of the nominal patch at every point.
     fn compliance(&self) -> &Compliance {
         self.compliance.get_or_init(|| {
@@ -244,7 +217,7 @@ impl ShellModel {
     }
 
     /// Share of the linear response that each touch keeps.
-    fn kept(&self, contacts: &[(Indentation, Vector3<f64>)]) -> Vec<f64> {
+    fn kept(&self, contacts: &[(&Indentation, Vector3<f64>)]) -> Vec<f64> {
         if self.stiffening == 0.0 {
             return vec![1.0; contacts.len()];
         }
@@ -261,9 +234,13 @@ impl ShellModel {
             .collect()
     }
 
-    fn checked(&self, stimulus: &Stimulus) -> Result<Vec<(Indentation, Vector3<f64>)>, ModelError> {
+    /// What touches, each with the normal there.
+    fn checked<'a>(
+        &self,
+        stimulus: &'a Stimulus,
+    ) -> Result<Vec<(&'a Indentation, Vector3<f64>)>, ModelError> {
         let contacts = stimulus.contacts.iter().enumerate();
-        contacts.map(|(i, c)| Ok((c.clone(), self.check(i, c)?))).collect()
+        contacts.map(|(i, c)| Ok((c, c.check(i, &self.surface)?))).collect()
     }
 }
 
@@ -363,7 +340,7 @@ impl ShellModel {
         let (at, normal) = self.surface.project(at);
         let place = self.nodes.corners(&self.surface, &at, &normal);
         let gives = self.gives(&place, &place);
-        (DIAMETERS.contains(&diameter) && gives > 0.0).then_some(gives)
+        (Indentation::DIAMETERS.contains(&diameter) && gives > 0.0).then_some(gives)
     }
 }
 

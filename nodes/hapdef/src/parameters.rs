@@ -140,14 +140,7 @@ impl Parameters {
         if skin.unit != "1" {
             return Err(wrong("unit", format!("is \"{}\" where strain gauges read \"1\"", skin.unit)));
         }
-        let spec: MediumSpec = serde_path_to_error::deserialize(toml::Value::Table(skin.medium.clone()))
-            .map_err(|e| {
-                let field = match e.path().to_string() {
-                    p if p == "." => "medium".to_owned(),
-                    p => format!("medium.{p}"),
-                };
-                wrong(&field, e.inner().message().trim().replace('\n', " "))
-            })?;
+        let spec: MediumSpec = skin.medium_as()?;
         let lengths = [
             ("medium.thickness", spec.thickness),
             ("medium.young_modulus", spec.young_modulus),

@@ -2,20 +2,9 @@
 
 use crate::cause::CauseInfo;
 
-const fn cause(
-    id: &'static str,
-    what: &'static str,
-    source: &'static str,
-    size: (&'static str, &'static str, f64),
-    signed: bool,
-    listed: bool,
-) -> CauseInfo {
-    CauseInfo { id, what, source, size, signed, listed }
-}
-
 /// All of them.
 pub(crate) const CAUSES: &[CauseInfo] = &[
-    cause(
+    CauseInfo::new(
         "other-modulus",
         "the elastomer is stiffer or softer than its data sheet says; under known forces only the contact's size shows it",
         "cure and mixing ratio, ±30 % and more",
@@ -23,7 +12,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "other-thickness",
         "the layer is thicker or thinner than drawn, with a slight wedge; elements keep their distance from the surface",
         "casting tolerances",
@@ -31,7 +20,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "loose-base",
         "the layer is held along the base by a weak shear spring instead of a bond",
         "partial adhesion; linear slip boundary (Navier)",
@@ -39,7 +28,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "displaced-elements",
         "every element lies elsewhere than drawn, independently along all axes",
         "placement and floating during casting",
@@ -47,7 +36,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "wide-port",
         "an element averages over a square area instead of reading a point",
         "lid of the package",
@@ -55,7 +44,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "element-gains",
         "every element has a gain of its own",
         "stress concentration at stiff inclusions, calibration",
@@ -63,7 +52,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "common-gain",
         "all elements read too much or too little by the same factor",
         "calibration of the reference",
@@ -71,7 +60,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "other-tip",
         "the tip's radius is not the one that the rig says",
         "exchanged tips",
@@ -79,7 +68,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "dragging-tip",
         "a tip that slides drags the surface along; friction grows less than the load, as between rubber and a sphere; \
          the rig's force cell has one axis and does not see it",
@@ -88,7 +77,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "softening",
         "where it was loaded before the material answers less below the load that it knows",
         "Ogden and Roxburgh 1999",
@@ -96,7 +85,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "inner-friction",
         "loading reads less than unloading, whatever the speed",
         "Bouc 1967, Wen 1976; amplitude in proportion to the load",
@@ -104,7 +93,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "creeping",
         "a reading that is held fades and leaves its negative behind, over a continuous spectrum of times",
         "power-law (fractional) relaxation spectrum, 0.03 to 100 s",
@@ -112,7 +101,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "air-pocket",
         "air in each port is compressed by Boyle's law, and expands with the temperature",
         "Boyle and Mariotte, Gay-Lussac",
@@ -120,7 +109,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "weather",
         "the pressure of the air wanders, and with it every reading",
         "barometric tendency, doors and fans",
@@ -128,7 +117,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "bus-order",
         "elements are read one after another on a bus and stamped with the end of the scan",
         "sequential conversion",
@@ -136,7 +125,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "soft-ceiling",
         "readings bend over towards a ceiling",
         "hyperbolic tangent above 60 % of the ceiling",
@@ -144,7 +133,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "coarse-counts",
         "the converter truncates to coarse counts",
         "few bits",
@@ -152,7 +141,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "shifted-rig",
         "the rig's frame lies beside and turned against that of the skin",
         "registration of stage and skin",
@@ -161,7 +150,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
     ),
     // What a library of known effects will hardly hold.
-    cause(
+    CauseInfo::new(
         "cavity",
         "a cavity under one area arches over and closes under high load",
         "air trapped while casting",
@@ -169,7 +158,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "crosstalk",
         "neighbours on the bus read a part of each other",
         "shared reference",
@@ -177,7 +166,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "mains-hum",
         "hum of the mains, aliased by the sampling, other in each element",
         "49.93 Hz at 100 frames a second",
@@ -185,7 +174,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "warming-up",
         "gain settles for minutes after power-on",
         "self-heating of the electronics",
@@ -193,7 +182,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "cable-tug",
         "on some presses a cable pulls at two elements, and they read a constant more",
         "strain relief missing",
@@ -201,7 +190,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "wearing",
         "readings fade with the number of presses that an element has felt",
         "fatigue, exp(-n / n0)",
@@ -209,7 +198,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "stale-frames",
         "bursts of frames repeat the last one before them",
         "lost transfers that a driver hides",
@@ -217,7 +206,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "forked-tip",
         "the tip is not a sphere but presses at two points",
         "worn or wrongly mounted tip",
@@ -225,7 +214,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "uneven-cure",
         "the modulus changes from the base to the surface",
         "cure inhibition",
@@ -233,7 +222,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "bent-characteristic",
         "every element has a quadratic share of its own",
         "non-linearity of the bridge",
@@ -241,7 +230,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "warm-gain",
         "gain changes with the temperature, in each element a little differently",
         "uncompensated span",

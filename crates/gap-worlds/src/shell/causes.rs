@@ -2,20 +2,9 @@
 
 use crate::cause::CauseInfo;
 
-const fn cause(
-    id: &'static str,
-    what: &'static str,
-    source: &'static str,
-    size: (&'static str, &'static str, f64),
-    signed: bool,
-    listed: bool,
-) -> CauseInfo {
-    CauseInfo { id, what, source, size, signed, listed }
-}
-
 /// All of them.
 pub(crate) const CAUSES: &[CauseInfo] = &[
-    cause(
+    CauseInfo::new(
         "stiffer-wall",
         "the wall's material is stiffer or softer than its data sheet says",
         "print batch, moisture",
@@ -23,7 +12,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "uneven-wall",
         "the wall is thicker here and thinner there, in waves of some centimetres",
         "printing tolerances; sum of random cosines",
@@ -31,7 +20,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "printed-direction",
         "the material is softer around the limb than along it; Huber's shear modulus follows",
         "layers of a print",
@@ -39,7 +28,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "yielding-clamp",
         "both ends are held by springs instead of a rigid clamp",
         "screws and brackets; stiffness per mesh node falls by decades",
@@ -47,7 +36,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "stretching",
         "a shell that is bent far carries more by stretching: strain grows as F (1 + F / 10 N)^-p",
         "membrane action of thin plates, as a power law of the force",
@@ -55,7 +44,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "gauge-factors",
         "every gauge has a gain of its own",
         "glue and carrier",
@@ -63,7 +52,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "displaced-gauges",
         "gauges lie elsewhere than drawn",
         "hand-glued",
@@ -71,8 +60,15 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause("turned-gauges", "gauges are glued askew", "hand-glued", ("deviation", "rad", 0.7), false, true),
-    cause(
+    CauseInfo::new(
+        "turned-gauges",
+        "gauges are glued askew",
+        "hand-glued",
+        ("deviation", "rad", 0.7),
+        false,
+        true,
+    ),
+    CauseInfo::new(
         "strain-across",
         "gauges feel a share of the strain across",
         "transverse sensitivity of foils",
@@ -80,7 +76,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "leads-off",
         "one gauge's lead makes poor contact and it reads a part only",
         "broken solder joint",
@@ -88,7 +84,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "askew-tip",
         "the indenter stands askew in a fixed direction; the rig's cell measures along the normal",
         "mounting of the rig",
@@ -96,7 +92,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "dragging-tip",
         "a tip that slides drags the surface along; friction grows less than the load; the rig does not see it",
         "F_t = μ F (F / 1 N)^(-1/9), smoothed at low speed",
@@ -104,7 +100,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "flowing-plastic",
         "under a force that stays strain goes on growing, over a continuous spectrum of times",
         "power-law creep spectrum, 0.03 to 100 s",
@@ -112,7 +108,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "warm-zero",
         "zeros move with the temperature, each gauge's differently and a little curved",
         "apparent strain",
@@ -120,7 +116,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "walking-zero",
         "zeros walk at random",
         "glue and moisture; Brownian motion",
@@ -128,7 +124,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    cause(
+    CauseInfo::new(
         "soft-ceiling",
         "readings bend over towards a ceiling",
         "hyperbolic tangent above 60 % of the ceiling",
@@ -137,7 +133,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
     ),
     // What a library of known effects will hardly hold.
-    cause(
+    CauseInfo::new(
         "crosstalk",
         "neighbours on the bus read a part of each other",
         "shared reference",
@@ -145,7 +141,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "mains-hum",
         "hum of the mains, aliased by the sampling, other in each gauge",
         "49.93 Hz at 100 frames a second",
@@ -153,7 +149,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "warming-up",
         "gain settles for minutes after power-on",
         "supply of the bridges",
@@ -161,7 +157,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "cable-tug",
         "on some presses a cable pulls at two gauges, and they read a constant more",
         "strain relief missing",
@@ -169,7 +165,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "wearing",
         "readings fade with the number of presses that a gauge has felt",
         "fatigue, exp(-n / n0)",
@@ -177,7 +173,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "stale-frames",
         "bursts of frames repeat the last one before them",
         "lost transfers that a driver hides",
@@ -185,7 +181,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "bent-characteristic",
         "every gauge has a quadratic share of its own",
         "non-linearity of the bridge",
@@ -193,7 +189,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "rubbing-joint",
         "a joint in the wall rubs: loading reads less than unloading, whatever the speed",
         "Bouc 1967, Wen 1976; amplitude in proportion to the load",
@@ -201,7 +197,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    cause(
+    CauseInfo::new(
         "broken-beam",
         "the wall is thin in one place, as after a crack",
         "overload",

@@ -1,5 +1,6 @@
 //! What a strain gauge on a face of the shell reads.
 
+use dermis_skin::closest_on_triangle;
 use nalgebra::{Matrix2, Point2, Point3, Vector2, Vector3};
 
 use super::element::{Element, Row};
@@ -69,44 +70,6 @@ pub(crate) struct Foot {
     pub at: [f64; 3],
 }
 
-/// The point of a triangle that is nearest to `p`, as area coordinates of its corners.
-///
-/// C. Ericson, *Real-Time Collision Detection*, §5.1.5.
-fn nearest_of_triangle(p: &Point3<f64>, [a, b, c]: [Point3<f64>; 3]) -> [f64; 3] {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return [1.0, 0.0, 0.0];
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return [0.0, 1.0, 0.0];
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        let v = d1 / (d1 - d3);
-        return [1.0 - v, v, 0.0];
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return [0.0, 0.0, 1.0];
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        let w = d2 / (d2 - d6);
-        return [1.0 - w, 0.0, w];
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
-        let w = (d4 - d3) / ((d4 - d3) + (d5 - d6));
-        return [0.0, 1.0 - w, w];
-    }
-    let sum = va + vb + vc;
-    [va / sum, vb / sum, vc / sum]
-}
-
 impl Foot {
     /// The point that is nearest to `p`; `None` where there is none with a normal.
     pub fn new(mesh: &ShellMesh, normals: &[Vector3<f64>], p: &Point3<f64>) -> Option<Self> {
@@ -114,7 +77,7 @@ impl Foot {
         let mut least = f64::INFINITY;
         for (triangle, t) in mesh.triangles.iter().enumerate() {
             let corners = t.map(|n| mesh.points[n as usize]);
-            let at = nearest_of_triangle(p, corners);
+            let at = closest_on_triangle(&corners, p);
             let point = corners.iter().zip(at).fold(Vector3::zeros(), |sum, (q, w)| sum + q.coords * w);
             let squared_distance = (p.coords - point).norm_squared();
             if squared_distance < least {

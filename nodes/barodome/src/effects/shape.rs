@@ -1,10 +1,11 @@
 //! Effects that change what the model is computed from.
 
+use dermis_mechanics::stream;
 use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription, SurfaceSpec};
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use rand::Rng;
 
-use super::{EFFECTS, stream};
+use super::EFFECTS;
 use crate::parameters::{Element, Parameters};
 
 /// Applies the static effects of a skin to the numbers that its model is computed from. Effects that act along a trajectory

@@ -3,11 +3,11 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use dermis_mechanics::{Friction, Prony, Wander};
+use dermis_mechanics::{Friction, Prony, Wander, Warmth, stream};
 use dermis_skin::{Effect, ModelError, SkinDescription, Stimulus, Trajectory};
 use rand::Rng;
 
-use super::{EFFECTS, stream};
+use super::EFFECTS;
 
 /// \[Pa\] that gauge pressures are relative to.
 const STANDARD_ATMOSPHERE: f64 = 101_325.0;
@@ -80,9 +80,11 @@ impl Dynamics {
                         shares: (0..channels)
                             .map(|c| mean * stream(effect, c).random_range(0.0..=2.0))
                             .collect(),
-                        self_heating: value("self_heating"),
-                        heating_time: value("heating_time"),
-                        room: Wander::new(value("room"), value("room_time"), stream(effect, channels)),
+                        warmth: Warmth::new(
+                            value("self_heating"),
+                            value("heating_time"),
+                            Wander::new(value("room"), value("room_time"), stream(effect, channels)),
+                        ),
                     });
                 }
                 "ambient-pressure" => {
@@ -167,7 +169,7 @@ impl Trajectory for Walk {
             }
         }
         if let Some(air) = &mut self.air {
-            let warm = air.warmth(time - first, dt) + stimulus.temperature - STANDARD_TEMPERATURE;
+            let warm = air.warmth.kelvin(time - first, dt) + stimulus.temperature - STANDARD_TEMPERATURE;
             // A sealed port: the pressure of its air follows the absolute temperature.
             let pressure = STANDARD_ATMOSPHERE * warm / STANDARD_TEMPERATURE;
             for (reading, share) in readings.iter_mut().zip(&air.shares) {
@@ -245,16 +247,7 @@ impl Hysteresis {
 struct Air {
     /// Of the port that is air, one a channel.
     shares: Vec<f64>,
-    self_heating: f64,
-    heating_time: f64,
-    room: Wander,
-}
-
-impl Air {
-    /// \[K\] of chips and room above their standard, `on` \[s\] after they were switched on and `dt` \[s\] after the last frame.
-    fn warmth(&mut self, on: f64, dt: f64) -> f64 {
-        self.self_heating * -(-on / self.heating_time).exp_m1() + self.room.next(dt)
-    }
+    warmth: Warmth,
 }
 
 /// Channels that are read one after another. The last one is read at the frame's time, channel i so many delays before as

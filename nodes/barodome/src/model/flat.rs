@@ -14,7 +14,7 @@ use dermis_skin::{Indentation, ModelError, SkinDescription};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::rim::Rim;
-use super::{Field, OFF_SURFACE, refusal};
+use super::{Field, refusal};
 use crate::parameters::{Edge, Element, Parameters};
 
 /// \[N\] up to which contacts are solved; readings grow in proportion to the force beyond.
@@ -123,7 +123,7 @@ impl Flat {
         Ok(Self {
             medium,
             layers,
-            reach: reach + OFF_SURFACE,
+            reach: reach + Indentation::OFF_SURFACE,
             tables: RwLock::default(),
             first: OnceLock::new(),
             rim,

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock};
 
 use dermis_mechanics::{Medium, SphereContacts};
-use dermis_skin::{ModelError, SkinDescription, SurfaceSpec};
+use dermis_skin::{Indentation, ModelError, SkinDescription, SurfaceSpec};
 use nalgebra::Point3;
 
-use super::{DIAMETERS, refusal};
+use super::refusal;
 use crate::parameters::Parameters;
 
 /// \[N\] up to which contacts are solved.
@@ -37,7 +37,7 @@ impl Sink {
 
     /// Contacts of a tip of `diameter` \[m\] at a point of the surface; `None` for a tip that the theory cannot speak of.
     pub(super) fn contacts(&self, at: &Point3<f64>, diameter: f64) -> Option<Arc<SphereContacts>> {
-        if !DIAMETERS.contains(&diameter) {
+        if !Indentation::DIAMETERS.contains(&diameter) {
             return None;
         }
         // Two spheres touch like one of the sum of their curvatures on a plane; a cylinder has the mean of both of its.

@@ -1,13 +1,14 @@
 //! Effects that change what the model is computed from.
 
 use dermis_mechanics::shell::{Orthotropy, Section};
+use dermis_mechanics::stream;
 use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use rand::Rng;
 use rand::seq::index;
 use rand_distr::StandardNormal;
 
-use super::{EFFECTS, stream};
+use super::EFFECTS;
 use crate::parameters::{Clamp, Parameters, refusal};
 
 /// Waves that make up a random field: many, so that it is close to Gaussian.

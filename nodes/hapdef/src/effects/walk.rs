@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use dermis_mechanics::{Friction, Prony, Walk as Drift, Wander};
+use dermis_mechanics::{Friction, Prony, Walk as Drift, Wander, Warmth, stream};
 use dermis_skin::{Effect, ModelError, SkinDescription, Stimulus, Surface, Trajectory, tangents};
 use nalgebra::{Unit, UnitQuaternion};
 use rand::Rng;
 
-use super::{EFFECTS, stream};
+use super::EFFECTS;
 use crate::parameters::Bridge;
 
 /// \[K\] at which gauges are balanced.
@@ -54,14 +54,11 @@ impl Dynamics {
                 "temperature" => {
                     // Each gauge keeps 0 to twice what is left on average.
                     let left = strength * value("expansion") * (1.0 - value("compensation"));
-                    walk.warmth = Some(Warmth {
-                        per_kelvin: (0..channels)
-                            .map(|c| left * stream(effect, c).random_range(0.0..=2.0))
-                            .collect(),
-                        self_heating: value("self_heating"),
-                        heating_time: value("heating_time"),
-                        room: Wander::new(value("room"), value("room_time"), stream(effect, channels)),
-                    });
+                    let room = Wander::new(value("room"), value("room_time"), stream(effect, channels));
+                    let per_kelvin =
+                        (0..channels).map(|c| left * stream(effect, c).random_range(0.0..=2.0)).collect();
+                    walk.warmth =
+                        Some((Warmth::new(value("self_heating"), value("heating_time"), room), per_kelvin));
                 }
                 "zero-drift" => {
                     let rate = strength * value("rate") / 3600f64.sqrt();
@@ -87,7 +84,8 @@ pub struct Walk {
     oblique: Option<Oblique>,
     friction: Option<Friction>,
     creep: Option<Prony>,
-    warmth: Option<Warmth>,
+    /// And strain per kelvin that is left of the expansion, one a channel.
+    warmth: Option<(Warmth, Vec<f64>)>,
     drift: Vec<Drift>,
     /// Strain either way beyond which readings grow by this share only.
     end: Option<(f64, f64)>,
@@ -117,10 +115,10 @@ impl Trajectory for Walk {
                 *reading += creep.faded(channel, dt, *reading);
             }
         }
-        if let Some(warmth) = &mut self.warmth {
+        if let Some((warmth, per_kelvin)) = &mut self.warmth {
             let warm = warmth.kelvin(time - first, dt) + stimulus.temperature - STANDARD_TEMPERATURE;
-            for (reading, per_kelvin) in readings.iter_mut().zip(&warmth.per_kelvin) {
-                *reading += per_kelvin * warm;
+            for (reading, per_kelvin) in readings.iter_mut().zip(per_kelvin) {
+                *reading += *per_kelvin * warm;
             }
         }
         for (reading, drift) in readings.iter_mut().zip(&mut self.drift) {
@@ -161,22 +159,5 @@ impl Oblique {
             let turned = UnitQuaternion::from_axis_angle(&axis, self.angle) * contact.force;
             contact.force = turned / self.angle.cos();
         }
-    }
-}
-
-/// Gauges that are warmer than when they were balanced.
-#[derive(Debug, Clone)]
-struct Warmth {
-    /// Strain per kelvin that is left of the expansion, one a channel.
-    per_kelvin: Vec<f64>,
-    self_heating: f64,
-    heating_time: f64,
-    room: Wander,
-}
-
-impl Warmth {
-    /// \[K\] above their standard, `on` \[s\] after they were switched on and `dt` \[s\] after the last frame.
-    fn kelvin(&mut self, on: f64, dt: f64) -> f64 {
-        self.self_heating * -(-on / self.heating_time).exp_m1() + self.room.next(dt)
     }
 }
