@@ -22,6 +22,19 @@ pub const PACK_SCHEMA: &str = "gap-pack/1";
 pub const SECRET_SCHEMA: &str = "gap-secret/1";
 /// Fraction of variance that counts as practically explained: part of every floor, beside the noise.
 pub const MARGIN: f64 = 0.005;
+/// Cases of a full pack, by what is withheld.
+pub const FULL: [(Kind, usize); 6] = [
+    (Kind::Singles, 180),
+    (Kind::Controls, 100),
+    (Kind::OutOfLibrary, 60),
+    (Kind::Pairs, 60),
+    (Kind::Triples, 20),
+    (Kind::Confounded, 20),
+];
+/// Gaps that are asked for, in multiples of the floor.
+const GAPS: [f64; 3] = [3.0, 10.0, 1.0];
+/// Noise, in multiples of the skin's.
+const NOISES: [f64; 5] = [1.0, 3.0, 1.5, 5.0, 2.0];
 
 /// What is withheld in the cases of a pack.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -111,6 +124,8 @@ pub struct Case {
     pub secret_sha256: String,
     /// SHA-256 of the bag's files, one after another in the order of their names.
     pub bag_sha256: String,
+    /// Which presses it has: cases of one number have the same ground truth.
+    pub presses: usize,
 }
 
 /// What everybody may see of a pack.
@@ -119,8 +134,8 @@ pub struct Manifest {
     schema: String,
     /// Program and version that made it.
     pub generator: String,
-    /// What was asked for.
-    pub kind: Kind,
+    /// What is withheld in every case; `None` where each case holds something else, and which is withheld, too.
+    pub kind: Option<Kind>,
     /// Name of the skin.
     pub skin: String,
     /// Its hash.
@@ -134,14 +149,41 @@ pub struct Manifest {
 /// What a pack is made of.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Order {
-    /// What is withheld.
-    pub kind: Kind,
-    /// Number of cases.
-    pub count: usize,
+    /// How many cases of each kind, in the order of kinds where there is one only, else mixed.
+    pub cases: Vec<(Kind, usize)>,
     /// Of everything.
     pub seed: u64,
     /// How many presses a case has, compared to the usual 150.
     pub size: f64,
+}
+
+impl Order {
+    /// The proportions of a full pack, at `share` of its cases, at least one of each kind.
+    #[must_use]
+    pub fn mixed(share: f64, seed: u64, size: f64) -> Self {
+        let scaled = |count: usize| (count as f64 * share).round().max(1.0) as usize;
+        Self { cases: FULL.map(|(kind, count)| (kind, scaled(count))).to_vec(), seed, size }
+    }
+
+    /// Number of cases.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.cases.iter().map(|(_, count)| count).sum()
+    }
+
+    /// Kind of all cases, where there is one only.
+    fn kind(&self) -> Option<Kind> {
+        match self.cases[..] {
+            [(kind, _)] => Some(kind),
+            _ => None,
+        }
+    }
+
+    /// How many scripts the cases share. What was done and how well the rig knows it is the same in all cases of a script, so that
+    /// a tool simulates its signatures once for them.
+    fn scripts(&self) -> usize {
+        (self.count() / 24).clamp(2, 16)
+    }
 }
 
 /// Hexadecimal SHA-256.
@@ -253,6 +295,7 @@ fn confusable(info: &CauseInfo) -> bool {
 
 /// What one case is to hold.
 struct Wanted {
+    kind: Kind,
     causes: Vec<&'static CauseInfo>,
     gap: f64,
     noise: f64,
@@ -261,23 +304,23 @@ struct Wanted {
 /// The cases of an order: every cause as often as any other, over all gaps and noise levels.
 fn wanted(order: &Order, known: &'static [CauseInfo]) -> Vec<Wanted> {
     let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
-    let of: Vec<&CauseInfo> = match order.kind {
-        Kind::Singles | Kind::Pairs | Kind::Triples => known.iter().filter(|k| k.listed).collect(),
-        Kind::OutOfLibrary => known.iter().filter(|k| !k.listed).collect(),
-        Kind::Confounded => known.iter().filter(|k| confusable(k)).collect(),
-        Kind::Controls => Vec::new(),
-    };
-    let at_once = match order.kind {
-        Kind::Controls => 0,
-        Kind::Pairs => 2,
-        Kind::Triples => 3,
-        _ => 1,
-    };
-    let mut deck: Vec<&CauseInfo> = Vec::new();
-    let (gaps, noises) = ([3.0, 10.0, 1.0], [1.0, 5.0]);
-    let mut dealt: BTreeMap<&str, usize> = BTreeMap::new();
-    (0..order.count)
-        .map(|i| {
+    let mut all = Vec::new();
+    for &(kind, count) in &order.cases {
+        let of: Vec<&'static CauseInfo> = match kind {
+            Kind::Singles | Kind::Pairs | Kind::Triples => known.iter().filter(|k| k.listed).collect(),
+            Kind::OutOfLibrary => known.iter().filter(|k| !k.listed).collect(),
+            Kind::Confounded => known.iter().filter(|k| confusable(k)).collect(),
+            Kind::Controls => Vec::new(),
+        };
+        let at_once = match kind {
+            Kind::Controls => 0,
+            Kind::Pairs => 2,
+            Kind::Triples => 3,
+            _ => 1,
+        };
+        let mut deck: Vec<&CauseInfo> = Vec::new();
+        let mut dealt: BTreeMap<&str, usize> = BTreeMap::new();
+        for i in 0..count {
             let mut causes: Vec<&'static CauseInfo> = Vec::new();
             while causes.len() < at_once && of.len() >= at_once {
                 if deck.is_empty() {
@@ -289,24 +332,31 @@ fn wanted(order: &Order, known: &'static [CauseInfo]) -> Vec<Wanted> {
                     None => deck.clear(),
                 }
             }
-            // Each cause walks through the gaps and noise levels for itself.
+            // Each cause walks through all pairs of gap and noise for itself: their numbers have no common divisor.
             let turn = causes.first().map_or(i, |first| {
-                let count = dealt.entry(first.id).or_insert_with(|| rng.random_range(0..6));
+                let count =
+                    dealt.entry(first.id).or_insert_with(|| rng.random_range(0..GAPS.len() * NOISES.len()));
                 *count += 1;
                 *count
             });
-            Wanted {
-                gap: if causes.is_empty() { 0.0 } else { gaps[turn % 3] },
-                noise: noises[(turn / 3) % 2],
+            all.push(Wanted {
+                kind,
+                gap: if causes.is_empty() { 0.0 } else { GAPS[turn % GAPS.len()] },
+                noise: NOISES[turn % NOISES.len()],
                 causes,
-            }
-        })
-        .collect()
+            });
+        }
+    }
+    if order.cases.len() > 1 {
+        all.shuffle(&mut rng);
+    }
+    all
 }
 
 /// One case, not yet written.
 struct Made {
     secret: Secret,
+    presses: usize,
     script: Script,
     readings: Vec<f64>,
     world: Box<dyn World>,
@@ -328,12 +378,21 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
     let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
     rng.set_stream(1 + index as u64);
     let case = format!("case-{:04}", index + 1);
-    let form = if order.kind == Kind::Controls { Form::varied(rng.random()) } else { Form::default() };
-    let climate = if order.kind == Kind::Confounded { Climate::OnlyWarmer } else { Climate::Varied };
+    let form = if wanted.kind == Kind::Controls { Form::varied(rng.random()) } else { Form::default() };
     let rig = crate::rig(skin, order.size)?;
     let channels = skin.channels().len();
-    let script_seed = rng.random();
     let noise_seed: u64 = rng.random();
+    let scripts = order.scripts();
+    let (climate, presses) = if wanted.kind == Kind::Confounded {
+        (Climate::OnlyWarmer, scripts + index % 2)
+    } else {
+        (Climate::Varied, rng.random_range(0..scripts))
+    };
+    let script_seed = {
+        let mut rng = ChaCha8Rng::seed_from_u64(order.seed ^ 0x5c81);
+        rng.set_stream(presses as u64);
+        rng.random()
+    };
     let nominal = crate::world(skin, &form, &[])?;
     let script = Script::draw(&nominal.model(), &rig, climate, script_seed)?;
     let clean = nominal.readings(&script, None)?;
@@ -386,7 +445,7 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
             _ => 0.0,
         };
     }
-    let kind = if gap > 0.0 { order.kind } else { Kind::Controls };
+    let kind = if gap > 0.0 { wanted.kind } else { Kind::Controls };
     let world = crate::world(skin, &form, &causes)?;
     // How deep a tip sinks in is what the rig sees of this world.
     let script = Script::draw(&world.model(), &rig, climate, script_seed)?;
@@ -415,7 +474,7 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
         form,
         only_warmer: climate == Climate::OnlyWarmer,
     };
-    Ok(Made { secret, script, readings, world, seed: noise_seed ^ 0x7a51 })
+    Ok(Made { secret, presses, script, readings, world, seed: script_seed ^ 0x7a51 })
 }
 
 /// Makes a pack in the folder `dir` and its secrets in `secrets`, neither of which may hold one yet. `skin_text` is the skin file,
@@ -446,7 +505,7 @@ pub fn make_pack(
     let mut manifest = Manifest {
         schema: PACK_SCHEMA.to_owned(),
         generator: generator(),
-        kind: order.kind,
+        kind: order.kind(),
         skin: skin.name.clone(),
         skin_hash: skin.hash(),
         size: order.size,
@@ -461,7 +520,13 @@ pub fn make_pack(
         let bytes = json(&path, &made.secret)?;
         write(&path, &bytes)?;
         let bag_sha256 = bag_hash(&dir.join(&bag))?;
-        manifest.cases.push(Case { id, bag, secret_sha256: sha256(&bytes), bag_sha256 });
+        manifest.cases.push(Case {
+            id,
+            bag,
+            secret_sha256: sha256(&bytes),
+            bag_sha256,
+            presses: made.presses,
+        });
         if !done(index + 1) {
             break;
         }
@@ -477,15 +542,15 @@ mod tests {
 
     const LINE: &str = include_str!("../../../launch/skins/baro-line.toml");
 
-    fn order(kind: Kind) -> Order {
-        Order { kind, count: 3, seed: 11, size: 0.12 }
+    fn order(kind: Kind, count: usize) -> Order {
+        Order { cases: vec![(kind, count)], seed: 11, size: 0.12 }
     }
 
     #[test]
     fn a_pack_is_sealed_and_the_same_every_time() {
         let dir = tempfile::tempdir().unwrap();
         let (pack, secrets) = (dir.path().join("pack"), dir.path().join("secrets"));
-        let made = make_pack(LINE, &order(Kind::Singles), &pack, &secrets, |_| true).unwrap();
+        let made = make_pack(LINE, &order(Kind::Singles, 3), &pack, &secrets, |_| true).unwrap();
         assert_eq!(Manifest::load(&pack).unwrap(), made);
         for case in &made.cases {
             let secret = unseal(&secrets, case).unwrap();
@@ -502,7 +567,7 @@ mod tests {
             }
         }
         let (pack2, secrets2) = (dir.path().join("pack2"), dir.path().join("secrets2"));
-        let again = make_pack(LINE, &order(Kind::Singles), &pack2, &secrets2, |_| true).unwrap();
+        let again = make_pack(LINE, &order(Kind::Singles, 3), &pack2, &secrets2, |_| true).unwrap();
         let seals = |m: &Manifest| m.cases.iter().map(|c| c.secret_sha256.clone()).collect::<Vec<_>>();
         assert_eq!(seals(&again), seals(&made));
 
@@ -513,7 +578,7 @@ mod tests {
         let refused = unseal(&secrets, case).unwrap_err().to_string();
         assert!(refused.contains("was changed after it was sealed"), "{refused}");
         let taken =
-            make_pack(LINE, &order(Kind::Singles), &pack, &secrets, |_| true).unwrap_err().to_string();
+            make_pack(LINE, &order(Kind::Singles, 3), &pack, &secrets, |_| true).unwrap_err().to_string();
         assert!(taken.contains("is not empty"), "{taken}");
     }
 
@@ -523,15 +588,15 @@ mod tests {
         let known = crate::causes(&skin).unwrap();
         let listed = known.iter().filter(|k| k.listed).count();
         assert!(listed >= 12 && known.len() - listed >= 8);
-        let cases = wanted(&Order { count: 6 * listed, ..order(Kind::Singles) }, known);
+        let cases = wanted(&order(Kind::Singles, 15 * listed), known);
         let mut seen: BTreeMap<(&str, u8, u8), usize> = BTreeMap::new();
         for case in &cases {
-            *seen.entry((case.causes[0].id, case.gap as u8, case.noise as u8)).or_default() += 1;
+            *seen.entry((case.causes[0].id, case.gap as u8, (2.0 * case.noise) as u8)).or_default() += 1;
         }
-        assert_eq!(seen.len(), 6 * listed, "every cause at every gap and noise level, once");
-        for case in wanted(&order(Kind::Triples), known) {
+        assert_eq!(seen.len(), 15 * listed, "every cause at every gap and noise level, once");
+        for case in wanted(&order(Kind::Triples, 3), known) {
             assert_eq!(case.causes.len(), 3);
         }
-        assert!(wanted(&order(Kind::Controls), known).iter().all(|c| c.causes.is_empty()));
+        assert!(wanted(&order(Kind::Controls, 3), known).iter().all(|c| c.causes.is_empty()));
     }
 }

@@ -185,7 +185,10 @@ fn report(out: &Path, case: &Case) -> PathBuf {
 /// Has every case diagnosed by this program, as anybody would call it, `--jobs` at once.
 fn diagnose(pack: &Path, manifest: &Manifest, out: &Path, options: &Options) -> Result<()> {
     let program = std::env::current_exe().context("this program does not know where it lies")?;
-    let open: Vec<&Case> = manifest.cases.iter().filter(|case| !report(out, case).exists()).collect();
+    let mut open: Vec<&Case> = manifest.cases.iter().filter(|case| !report(out, case).exists()).collect();
+    // One case of all presses first: the others find its signatures, which two that run at once would both simulate.
+    let mut seen = BTreeSet::new();
+    open.sort_by_cached_key(|case| !seen.insert(case.presses));
     let progress = ProgressBar::new(open.len() as u64).with_style(ProgressStyle::with_template(
         "diagnosing {wide_bar} {human_pos}/{human_len}, {eta} left",
     )?);

@@ -42,15 +42,19 @@ impl From<Kind> for pack::Kind {
 /// What to make.
 #[derive(Args)]
 pub struct Options {
-    /// What is withheld.
+    /// What is withheld; where absent, all kinds in the proportions of a full pack, mixed.
     #[arg(long, value_enum)]
-    kind: Kind,
+    kind: Option<Kind>,
     /// Skin description.
     #[arg(long)]
     skin: PathBuf,
-    /// Number of cases.
-    #[arg(long, default_value_t = 20)]
-    count: usize,
+    /// Number of cases, of one kind.
+    #[arg(long, requires = "kind")]
+    count: Option<usize>,
+    /// Share of a full pack, which has 180 cases with one cause, 100 without, 60 with one that no library holds, 60 with two, 20
+    /// with three and 20 with one that the recording cannot tell: `full`, `small` (0.15) or a number.
+    #[arg(long, default_value = "full", value_parser = share)]
+    share: f64,
     /// Of everything random. Who knows it can make the secrets again: publish it after they are opened, not before.
     #[arg(long)]
     seed: u64,
@@ -68,6 +72,17 @@ pub struct Options {
     json: bool,
 }
 
+fn share(text: &str) -> Result<f64, String> {
+    match text {
+        "full" => Ok(1.0),
+        "small" => Ok(0.15),
+        _ => match text.parse::<f64>() {
+            Ok(share) if share > 0.0 && share <= 100.0 => Ok(share),
+            _ => Err(format!("`{text}` is no share: write `full`, `small` or a number above 0, at most 100")),
+        },
+    }
+}
+
 fn size(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(size) if (0.05..=100.0).contains(&size) => Ok(size),
@@ -80,9 +95,14 @@ pub fn run(options: &Options) -> Result<()> {
     let text = std::fs::read_to_string(&options.skin)
         .with_context(|| format!("skin file {} cannot be read", options.skin.display()))?;
     SkinDescription::from_toml(&text, &options.skin.display().to_string())?;
-    let order =
-        Order { kind: options.kind.into(), count: options.count, seed: options.seed, size: options.size };
-    let progress = ProgressBar::new(options.count as u64)
+    let mut order = Order::mixed(options.share, options.seed, options.size);
+    if let Some(kind) = options.kind.map(pack::Kind::from) {
+        order.cases.retain(|(of, _)| *of == kind);
+        if let (Some(count), [(_, cases)]) = (options.count, &mut order.cases[..]) {
+            *cases = count;
+        }
+    }
+    let progress = ProgressBar::new(order.count() as u64)
         .with_style(ProgressStyle::with_template("cases {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.tick();
     let stop = crate::collect::stop_on_interrupt()?;
@@ -102,7 +122,7 @@ pub fn run(options: &Options) -> Result<()> {
             "{}: {} cases of {} on {}, sha256 {hash}; secrets in {}",
             options.out.display(),
             manifest.cases.len(),
-            order.kind.name(),
+            manifest.kind.map_or("all kinds", pack::Kind::name),
             manifest.skin,
             options.secret.display()
         );
