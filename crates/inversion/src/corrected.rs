@@ -31,6 +31,7 @@ impl Default for CorrectionSettings {
 /// about places of the surface for each channel. What gains cannot say (elements that sit elsewhere, a wall that is thinner
 /// here and there, a clamp that gives way) varies smoothly with the place of a contact, and presses all over the skin show it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Correction {
     /// \[m\] centres of the Gaussians.
     centres: Vec<[f64; 3]>,
@@ -42,7 +43,7 @@ pub struct Correction {
     /// Reading of the device per reading of the model, one a channel.
     gains: Vec<f64>,
     /// (centres × powers) × channels: unit of the skin per newton.
-    weights: Vec<f64>,
+    weights: Vec<f32>,
 }
 
 /// One labelled press: what pressed, and what the channels read minus their untouched readings (`NaN`: not known).
@@ -106,10 +107,50 @@ impl Correction {
         }
         let weights = gram.cholesky().map(|factor| factor.solve(&sums));
         fitted.weights = match weights {
-            Some(weights) => weights.transpose().as_slice().to_vec(),
+            Some(weights) => weights.transpose().iter().map(|w| *w as f32).collect(),
             None => vec![0.0; width * channels],
         };
         Ok(fitted)
+    }
+
+    /// Says what is impossible for a skin of `channels`.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Correction`] for one of another number of channels, [`InverterError::CorrectionValue`] names the field
+    /// that cannot be.
+    pub fn check(&self, channels: usize) -> Result<(), InverterError> {
+        let found = self.gains.len();
+        if found != channels {
+            return Err(InverterError::Correction { found, expected: channels });
+        }
+        let wrong = |field, reason: String| Err(InverterError::CorrectionValue { field, reason });
+        for (field, value) in [("length", self.length), ("force", self.force)] {
+            if !(value.is_finite() && value > 0.0) {
+                return wrong(field, format!("is {value} and must be positive"));
+            }
+        }
+        let expected = self.centres.len().checked_mul(self.powers).and_then(|n| n.checked_mul(channels));
+        if Some(self.weights.len()) != expected {
+            let reason = format!(
+                "has {} numbers where {} centres, {} powers of the force and {channels} channels need another number",
+                self.weights.len(),
+                self.centres.len(),
+                self.powers
+            );
+            return wrong("weights", reason);
+        }
+        let off = |i: usize| format!("number {i} is not finite");
+        if let Some(i) = self.gains.iter().position(|v| !v.is_finite()) {
+            return wrong("gains", off(i));
+        }
+        if let Some(i) = self.weights.iter().position(|v| !v.is_finite()) {
+            return wrong("weights", off(i));
+        }
+        if let Some(i) = self.centres.iter().position(|c| !c.iter().all(|v| v.is_finite())) {
+            return wrong("centres", off(i));
+        }
+        Ok(())
     }
 
     /// Root mean square of what remains of `presses`, in units of the noise, over channels that are known.
@@ -168,7 +209,7 @@ impl Correction {
             for power in 0..self.powers {
                 let start = (k * self.powers + power) * channels;
                 for (o, w) in out.iter_mut().zip(&self.weights[start..start + channels]) {
-                    *o += value * w;
+                    *o += value * f64::from(*w);
                 }
                 value *= share;
             }
@@ -220,13 +261,9 @@ impl Corrected {
     ///
     /// # Errors
     ///
-    /// [`InverterError::Correction`] where the correction is of a model with another number of channels.
+    /// As [`Correction::check`].
     pub fn new(model: Arc<dyn ForwardModel>, correction: Correction) -> Result<Self, InverterError> {
-        let (expected, width) = (model.channels(), correction.centres.len() * correction.powers);
-        let found = correction.gains.len();
-        if found != expected || correction.weights.len() != width * expected {
-            return Err(InverterError::Correction { found, expected });
-        }
+        correction.check(model.channels())?;
         let rest = rest(model.as_ref())?;
         Ok(Self { model, correction, rest })
     }
@@ -346,5 +383,23 @@ mod tests {
         correction.gains.pop();
         let told = Corrected::new(model, correction).unwrap_err().to_string();
         insta::assert_snapshot!(told, @"a correction of 24 channels for a model of 25; fit it anew");
+    }
+
+    #[test]
+    fn a_damaged_correction_is_refused() {
+        let presses = [press(0.0, 0.0, 1.0), press(0.004, 0.0, 0.5)];
+        let signals: Vec<Vec<f32>> = vec![vec![0.1; 25]; 2];
+        let presses: Vec<Press<'_>> = presses.iter().zip(signals.iter().map(Vec::as_slice)).collect();
+        let settings = CorrectionSettings { length: 0.004, powers: 1, ..CorrectionSettings::default() };
+        let good = Correction::fit(&Toy::grid(1e-3), &presses, &[1.0; 25], &settings).unwrap();
+        assert!(good.check(25).is_ok());
+        let told = |change: fn(&mut Correction)| {
+            let mut bad = good.clone();
+            change(&mut bad);
+            bad.check(25).unwrap_err().to_string()
+        };
+        insta::assert_snapshot!(told(|c| c.weights[3] = f32::NAN), @"the correction's `weights`: number 3 is not finite; fit it anew");
+        insta::assert_snapshot!(told(|c| c.length = 0.0), @"the correction's `length`: is 0 and must be positive; fit it anew");
+        insta::assert_snapshot!(told(|c| c.powers = usize::MAX), @"the correction's `weights`: has 100 numbers where 2 centres, 18446744073709551615 powers of the force and 25 channels need another number; fit it anew");
     }
 }

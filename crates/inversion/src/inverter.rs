@@ -8,7 +8,7 @@ use dermis_skin::{
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::dictionary::Dictionary;
+use crate::dictionary::{Dictionary, SHAPE};
 use crate::fit::{Datum, Minimum, Problem};
 use crate::pairs::Pairs;
 
@@ -172,6 +172,14 @@ pub enum InverterError {
         found: usize,
         /// Channels of the model.
         expected: usize,
+    },
+    /// A correction that cannot be.
+    #[error("the correction's `{field}`: {reason}; fit it anew")]
+    CorrectionValue {
+        /// Which of its fields.
+        field: &'static str,
+        /// What is wrong with it.
+        reason: String,
     },
     /// The model has no answer.
     #[error("the forward model has no answer: {0}")]
@@ -513,6 +521,67 @@ impl Inverter {
         Ok(self.solution(&best, &data))
     }
 
+    /// The contacts of the frame `before`, moved to where they explain these readings best: what [`search`](Self::search) finds,
+    /// in a fraction of its time, for as long as the same contacts last. `None` where that is not so: they leave more than noise
+    /// leaves, fewer would do, or their places are all but open. Then search anew.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Channels`] for readings of another skin.
+    pub fn follow(&self, readings: &[Reading], before: &[Found]) -> Result<Option<Solution>, InverterError> {
+        self.check(readings)?;
+        let s = &self.settings;
+        let data = self.data(readings);
+        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let Some(freedom) = counted.checked_sub(s.unknowns.count() * before.len()) else { return Ok(None) };
+        if before.is_empty() || before.len() > s.contacts || before.iter().any(|f| self.is_broad(f)) {
+            return Ok(None);
+        }
+        let problem = self.problem(&data);
+        let start = before
+            .iter()
+            .map(|f| Indentation { position: f.position, force: f.force, diameter: s.diameter })
+            .collect();
+        let moved = problem.minimise(start)?;
+        let freedom = freedom as f64;
+        if moved.chi2 > freedom + PLAUSIBLE * (2.0 * freedom).sqrt() || !self.apart(&moved) {
+            return Ok(None);
+        }
+        // Any of them may have ended, not the weakest alone.
+        for i in 0..if moved.contacts.len() > 1 { moved.contacts.len() } else { 0 } {
+            let mut fewer = moved.contacts.clone();
+            fewer.remove(i);
+            if problem.minimise(fewer)?.chi2 - moved.chi2 < s.evidence {
+                return Ok(None);
+            }
+        }
+        let solution = self.solution(&moved, &data);
+        Ok((!solution.contacts.iter().any(|f| self.is_broad(f))).then_some(solution))
+    }
+
+    /// Whether a contact's place is all but open.
+    fn is_broad(&self, found: &Found) -> bool {
+        let deviation = found.deviation();
+        deviation.is_nan() || deviation >= BROAD * self.spacing
+    }
+
+    /// Share of the surface where a press of `force` \[N\] lowers the sum of squared deviations by less than `evidence`, in
+    /// units of the noise: where it cannot be told from nothing.
+    #[must_use]
+    pub fn unfelt(&self, force: f64, evidence: f64) -> f64 {
+        let unit = self.dictionary.forces[SHAPE];
+        let (mut all, mut unfelt) = (0.0, 0.0);
+        for (index, place) in self.dictionary.places.iter().enumerate() {
+            let response = self.dictionary.response(index, SHAPE).iter().zip(self.noise());
+            let square: f64 = response.map(|(v, n)| (f64::from(*v) / n * force / unit).powi(2)).sum();
+            all += place.area;
+            if square < evidence {
+                unfelt += place.area;
+            }
+        }
+        if all > 0.0 { unfelt / all } else { 0.0 }
+    }
+
     /// How unlikely a minimum is, to be compared between minima of as many contacts.
     fn score(&self, minimum: &Minimum) -> f64 {
         minimum.chi2 + self.settings.force_prior.penalty(&minimum.contacts)
@@ -541,7 +610,7 @@ impl Inverter {
         let counted = data.iter().filter(|d| **d != Datum::None).count();
         let mut contacts = self.describe(best, data);
         if let [single] = contacts.as_mut_slice()
-            && (single.deviation().is_nan() || single.deviation() >= BROAD * self.spacing)
+            && self.is_broad(single)
         {
             *single = self.mean(data, single);
         }
@@ -917,6 +986,44 @@ mod tests {
         let single = inverter.search(&model.read(&[press(0.003, 0.004, 0.8)], &mut random)).unwrap();
         assert_eq!(single.contacts.len(), 1);
         assert!(inverter.search(&[Reading::Exact(0.0)]).is_err());
+    }
+
+    #[test]
+    fn contacts_that_last_are_followed() {
+        let (inverter, model) = inverter(1e-3, |s| s.contacts = 2);
+        let mut random = random(11);
+        let at = |share: f64| [press(0.007, 0.005, 1.0 + share), press(-0.008 + 0.002 * share, -0.006, 0.7)];
+        let mut before = inverter.search(&model.read(&at(0.0), &mut random)).unwrap().contacts;
+        let mut followed = 0;
+        for k in 1..=50 {
+            let truth = at(f64::from(k) / 50.0);
+            let readings = model.read(&truth, &mut random);
+            let answer = inverter.follow(&readings, &before).unwrap();
+            followed += usize::from(answer.is_some());
+            before = answer.unwrap_or_else(|| inverter.search(&readings).unwrap()).contacts;
+            for t in &truth {
+                let nearest = before.iter().map(|f| (f.position - t.position).norm()).fold(1.0, f64::min);
+                assert!(nearest < 5e-4, "{k}: {before:?}");
+            }
+        }
+        assert!(followed >= 40, "{followed} of 50 frames");
+        // One of them ends, a third begins, all end: what was there before is no answer.
+        let one = model.read(&at(1.0)[..1], &mut random);
+        assert_eq!(inverter.follow(&one, &before).unwrap(), None);
+        let mut third = at(1.0).to_vec();
+        third.push(press(0.012, -0.012, 0.8));
+        assert_eq!(inverter.follow(&model.read(&third, &mut random), &before).unwrap(), None);
+        assert_eq!(inverter.follow(&model.read(&[], &mut random), &before).unwrap(), None);
+        assert_eq!(inverter.follow(&one, &[]).unwrap(), None);
+        assert!(inverter.follow(&one[1..], &before).is_err());
+    }
+
+    #[test]
+    fn light_presses_are_not_felt_and_strong_ones_are() {
+        let (inverter, _) = inverter(20.0, |_| ());
+        assert!(inverter.unfelt(1e-4, 30.0) > 0.99 && inverter.unfelt(2.0, 30.0) < 0.01);
+        let some = inverter.unfelt(0.03, 30.0);
+        assert!((0.01..0.99).contains(&some), "{some}");
     }
 
     #[test]
