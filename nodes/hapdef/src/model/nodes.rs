@@ -143,7 +143,8 @@ impl Nodes {
     pub fn corners(&self, surface: &Surface, p: &Point3<f64>, normal: &Vector3<f64>) -> [(usize, f64); 3] {
         // The two nearest points: the triangle around `p` mostly has one of them, also on a stretched mesh.
         let mut nearest = [(f64::INFINITY, 0); 3];
-        let mut reach = self.edge * NARROWEST;
+        // The three nearest lie within an edge, mostly.
+        let mut reach = self.edge * 1.05;
         while nearest[2].0.is_infinite() && reach < 1e3 * self.edge {
             nearest = [(f64::INFINITY, 0); 3];
             self.near(p, reach, |i| {
