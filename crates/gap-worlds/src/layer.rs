@@ -17,7 +17,7 @@ use rand::Rng;
 
 use crate::cause::{Cause, CauseInfo, Causes};
 use crate::script::{Rig, Script};
-use crate::{Form, World, WorldError, memory};
+use crate::{Form, Region, World, WorldError, memory};
 use depth::Layer;
 use field::{Field, Grain, Profile};
 use tip::Tip;
@@ -26,6 +26,16 @@ use tip::Tip;
 const AROUND: f64 = 0.0025;
 /// \[m\] along the surface beyond which nothing is felt.
 const REACH: f64 = 0.045;
+
+/// \[m\] deviation of a cavity's reach.
+const CAVITY: f64 = 0.004;
+
+/// Where a cavity is: near one of the elements.
+fn cavity_at(elements: &[Point3<f64>], cause: &Cause) -> Vector2<f64> {
+    let mut rng = cause.rng();
+    let over = elements[rng.random_range(0..elements.len())];
+    over.xy().coords + Vector2::from_fn(|_, _| rng.random_range(-0.003..0.003))
+}
 
 /// A layer with its elements.
 #[derive(Debug)]
@@ -74,6 +84,17 @@ impl LayerWorld {
             rate: skin.rate.min(100.0),
             size,
         }
+    }
+
+    /// Where a cause sits on the surface.
+    pub fn place(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
+        if cause.id != "cavity" {
+            return None;
+        }
+        let elements: Vec<Point3<f64>> =
+            skin.channel_taxels().into_iter().map(|t| skin.taxels[t].point()).collect();
+        let at = cavity_at(&elements, cause);
+        Some(Region::Place { at: [at.x, at.y, 0.0], within: 2.0 * CAVITY })
     }
 
     pub const fn causes() -> &'static [CauseInfo] {
@@ -155,12 +176,7 @@ impl LayerWorld {
         }
         let fork =
             causes.get("forked-tip").map_or_else(Vector2::zeros, |(c, away)| direction(c) * away / 2.0);
-        let cavity = causes.get("cavity").map(|(cause, loss)| {
-            let mut rng = cause.rng();
-            let over = elements[rng.random_range(0..elements.len())];
-            let off = Vector2::from_fn(|_, _| rng.random_range(-0.003..0.003));
-            (over.xy().coords + off, loss)
-        });
+        let cavity = causes.get("cavity").map(|(cause, loss)| (cavity_at(&elements, cause), loss));
         let skin = Skin {
             surface: skin.surface(),
             noise: skin.channel_noise(),
@@ -209,8 +225,8 @@ impl Skin {
                 let along = if distance > 1e-9 { along.dot(&to) / distance } else { 0.0 };
                 let mut pressure = share * (pressing * normal + along * tangential);
                 if let Some((place, loss)) = &self.cavity {
-                    let near =
-                        (-(element.xy().coords - place).norm_squared() / (2.0 * 0.004f64.powi(2))).exp();
+                    let away = (element.xy().coords - place).norm() / CAVITY;
+                    let near = (-0.5 * away * away).exp();
                     pressure *= 1.0 - loss * near * (-pressing / 0.8).exp();
                 }
                 *value += pressure;
@@ -290,8 +306,13 @@ impl LayerWorld {
         let friction = self.causes.size("dragging-tip");
         let mut readings = vec![0.0; channels * script.instants.len()];
         let mut before: Option<(f64, Point3<f64>)> = None;
+        let bump = memory::bump(&self.causes, script);
         for (row, instant) in readings.chunks_mut(channels).zip(&script.instants) {
             let mut stimulus = instant.moment.stimulus.clone();
+            if let Some((_, by, angle)) = bump.filter(|(from, ..)| instant.time > *from) {
+                let off = Vector3::new(angle.cos(), angle.sin(), 0.0) * by;
+                stimulus.contacts.iter_mut().for_each(|c| c.position += off);
+            }
             if friction > 0.0 {
                 let now = stimulus.contacts.first().map(|c| (instant.time, c.position));
                 if let (Some((then, from)), Some((time, to)), Some(contact)) =

@@ -93,6 +93,40 @@ pub fn world(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Bo
     }
 }
 
+/// Where a cause sits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", tag = "kind")]
+pub enum Region {
+    /// On some channels.
+    Channels {
+        /// Their names.
+        names: Vec<String>,
+    },
+    /// Around one place of the surface.
+    Place {
+        /// \[m\] in the frame of the skin's link.
+        at: [f64; 3],
+        /// \[m\] around it where pressing shows it.
+        within: f64,
+    },
+}
+
+/// Where a cause of this skin's world sits; `None` where it does not sit in one place.
+#[must_use]
+pub fn region(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
+    let channels = skin.channels();
+    if let Some(which) = memory::on_channels(cause, channels.len()) {
+        return Some(Region::Channels {
+            names: which.into_iter().map(|c| channels[c].name.clone()).collect(),
+        });
+    }
+    if layer::LayerWorld::is_like(skin) {
+        layer::LayerWorld::place(skin, cause)
+    } else {
+        shell::ShellWorld::place(skin, cause)
+    }
+}
+
 /// The causes that a world of this skin can have.
 ///
 /// # Errors

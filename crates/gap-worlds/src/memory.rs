@@ -3,7 +3,7 @@
 use rand::Rng;
 use rand_distr::StandardNormal;
 
-use crate::cause::Causes;
+use crate::cause::{Cause, Causes};
 use crate::script::Script;
 
 /// Root mean square of the largest tenth of what is read: the scale of a large reading.
@@ -71,6 +71,19 @@ pub(crate) fn creep(script: &Script, channels: usize, (share, power): (f64, f64)
     }
 }
 
+/// The channels that a cause acts on, where it does not act on all.
+pub(crate) fn on_channels(cause: &Cause, channels: usize) -> Option<Vec<usize>> {
+    let mut rng = cause.rng();
+    match cause.id.as_str() {
+        "cable-tug" => {
+            let first = rng.random_range(0..channels);
+            Some(vec![first, (first + 1 + rng.random_range(0..channels.max(2) - 1)) % channels])
+        }
+        "leads-off" | "blocked-port" => Some(vec![rng.random_range(0..channels)]),
+        _ => None,
+    }
+}
+
 /// What changes the gain of elements, their zero, or mixes them.
 pub(crate) fn gains(causes: &Causes, script: &Script, channels: usize, readings: &mut [f64]) {
     let mut gain = vec![1.0 + causes.size("common-gain"); channels];
@@ -78,6 +91,9 @@ pub(crate) fn gains(causes: &Causes, script: &Script, channels: usize, readings:
         for (gain, n) in gain.iter_mut().zip(cause.normals(channels)) {
             *gain *= (deviation * n).exp();
         }
+    }
+    for (cause, loss) in ["leads-off", "blocked-port"].into_iter().filter_map(|id| causes.get(id)) {
+        on_channels(cause, channels).into_iter().flatten().for_each(|c| gain[c] *= 1.0 - loss);
     }
     let bent = causes.get("bent-characteristic").map(|(cause, size)| (cause.normals(channels), size));
     let warm = causes.get("warm-gain").map(|(cause, size)| {
@@ -151,8 +167,7 @@ pub(crate) fn electronics(causes: &Causes, script: &Script, channels: usize, rea
     }
     if let Some((cause, size)) = causes.get("cable-tug") {
         let mut rng = cause.rng();
-        let first = rng.random_range(0..channels);
-        let second = (first + 1 + rng.random_range(0..channels.max(2) - 1)) % channels;
+        rng.set_stream(3);
         let pulled: Vec<f64> = (0..=script.presses())
             .map(|_| if rng.random::<f64>() < 0.15 { rng.random_range(0.5..1.5) } else { 0.0 })
             .collect();
@@ -161,24 +176,48 @@ pub(crate) fn electronics(causes: &Causes, script: &Script, channels: usize, rea
                 continue;
             }
             let now = size * pulled[instant.moment.press as usize];
-            row[first] += now;
-            row[second] -= 0.7 * now;
-        }
-    }
-    if let Some((_, delay)) = causes.get("bus-order") {
-        let clean = readings.to_vec();
-        let step = script.step;
-        for (t, row) in readings.chunks_mut(channels).enumerate() {
-            for (c, value) in row.iter_mut().enumerate() {
-                // The last one is read at the stamp, the others before it.
-                let back = (channels - 1 - c) as f64 * delay / step;
-                let frames = back.floor() as usize;
-                let part = back - back.floor();
-                let at = |frames: usize| clean[t.saturating_sub(frames) * channels + c];
-                *value = at(frames) * (1.0 - part) + at(frames + 1) * part;
+            for (c, share) in on_channels(cause, channels).into_iter().flatten().zip([1.0, -0.7]) {
+                row[c] += share * now;
             }
         }
     }
+    if let Some((_, sag)) = causes.get("sagging-supply") {
+        let large = scale(readings) * channels as f64;
+        for row in readings.chunks_mut(channels) {
+            let drawn = row.iter().map(|v| v.abs()).sum::<f64>() / large;
+            row.iter_mut().for_each(|v| *v *= 1.0 - sag * drawn / (1.0 + drawn));
+        }
+    }
+    // The last one is read at the stamp, the others before it.
+    if let Some((_, delay)) = causes.get("bus-order") {
+        late(script, channels, |c| (channels - 1 - c) as f64 * delay, readings);
+    }
+    if let Some((_, delay)) = causes.get("late-stamps") {
+        late(script, channels, |_| delay, readings);
+    }
+}
+
+/// Every channel as it was some time \[s\] ago.
+fn late(script: &Script, channels: usize, by: impl Fn(usize) -> f64, readings: &mut [f64]) {
+    let clean = readings.to_vec();
+    for (t, row) in readings.chunks_mut(channels).enumerate() {
+        for (c, value) in row.iter_mut().enumerate() {
+            let back = by(c) / script.step;
+            let frames = back.floor() as usize;
+            let part = back - back.floor();
+            let at = |frames: usize| clean[t.saturating_sub(frames) * channels + c];
+            *value = at(frames) * (1.0 - part) + at(frames + 1) * part;
+        }
+    }
+}
+
+/// From which time \[s\] on, and by how much \[m\] along which angle \[rad\], a skin lies beside its place.
+pub(crate) fn bump(causes: &Causes, script: &Script) -> Option<(f64, f64, f64)> {
+    let (cause, shift) = causes.get("bumped-mount")?;
+    let mut rng = cause.rng();
+    let whole = script.instants.last()?.time;
+    // On a line of elements what goes across it hardly shows.
+    Some((whole * rng.random_range(0.3..0.7), cause.sign() * shift, rng.random_range(-0.6..0.6)))
 }
 
 /// How zeros move, by temperature and by themselves.
@@ -215,6 +254,14 @@ pub(crate) fn converter(causes: &Causes, script: &Script, channels: usize, readi
         for value in readings.iter_mut().filter(|v| v.abs() > knee) {
             let over = (value.abs() - knee) / (ceiling - knee);
             *value = value.signum() * (knee + (ceiling - knee) * over.tanh());
+        }
+    }
+    if let Some((_, depth)) = causes.get("uneven-steps") {
+        let large = scale(readings);
+        // One and a bit waves over what is read, as a converter of several stages has them.
+        for value in readings.iter_mut() {
+            let wave = 9.0 * *value / large;
+            *value += depth * large / 9.0 * wave.sin();
         }
     }
     if let Some((_, count)) = causes.get("coarse-counts") {

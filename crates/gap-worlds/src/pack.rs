@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{Cause, CauseInfo, Climate, Form, Script, World, WorldError, parameters, unexplained};
+use crate::{Cause, CauseInfo, Climate, Form, Region, Script, World, WorldError, parameters, unexplained};
 
 /// Schema of a manifest.
 pub const PACK_SCHEMA: &str = "gap-pack/1";
@@ -79,6 +79,9 @@ pub struct Told {
     pub what: String,
     /// Sizes in SI units.
     pub parameters: BTreeMap<String, f64>,
+    /// Where it sits, if it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub region: Option<Region>,
 }
 
 /// What is withheld of one case.
@@ -111,6 +114,8 @@ pub struct Secret {
     pub form: Form,
     /// How the temperature runs.
     pub only_warmer: bool,
+    /// How many presses, compared to the usual 150.
+    pub size: f64,
 }
 
 /// One case, as everybody may see it.
@@ -464,6 +469,7 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
             .map(|cause| Told {
                 what: known.iter().find(|k| k.id == cause.id).map_or("", |k| k.what).to_owned(),
                 parameters: parameters(known, &cause),
+                region: crate::region(skin, &cause),
                 cause,
             })
             .collect(),
@@ -473,8 +479,26 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
         alone,
         form,
         only_warmer: climate == Climate::OnlyWarmer,
+        size: order.size,
     };
     Ok(Made { secret, presses, script, readings, world, seed: script_seed ^ 0x7a51 })
+}
+
+/// Records the world of a secret once more in the bag `dir`: with other presses, without noise, and with the exact ground truth, so
+/// that what a tool claims of this world is measured on what it never saw.
+///
+/// # Errors
+///
+/// [`WorldError`] where the secret is of another skin, or the bag cannot be written.
+pub fn record_again(skin: &SkinDescription, secret: &Secret, dir: &Path) -> Result<(), WorldError> {
+    let causes: Vec<Cause> = secret.causes.iter().map(|told| told.cause.clone()).collect();
+    let world = crate::world(skin, &secret.form, &causes)?;
+    let climate = if secret.only_warmer { Climate::OnlyWarmer } else { Climate::Varied };
+    let rig = crate::rig(skin, secret.size)?;
+    let seed = secret.salt.bytes().fold(0xa9a1u64, |seed, b| seed.rotate_left(7) ^ u64::from(b));
+    let script = Script::draw(&world.model(), &rig, climate, seed)?;
+    let readings = world.readings(&script, None)?;
+    crate::record(skin, &*world.model(), &script, &readings, dir, None)
 }
 
 /// Makes a pack in the folder `dir` and its secrets in `secrets`, neither of which may hold one yet. `skin_text` is the skin file,
@@ -515,7 +539,14 @@ pub fn make_pack(
         let made = make(&skin, order, index, wanted)?;
         let id = made.secret.case.clone();
         let bag = Path::new("bags").join(&id);
-        crate::record(&skin, &*made.world.model(), &made.script, &made.readings, &dir.join(&bag), made.seed)?;
+        crate::record(
+            &skin,
+            &*made.world.model(),
+            &made.script,
+            &made.readings,
+            &dir.join(&bag),
+            Some(made.seed),
+        )?;
         let path = secrets.join(format!("{id}.json"));
         let bytes = json(&path, &made.secret)?;
         write(&path, &bytes)?;

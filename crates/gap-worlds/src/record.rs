@@ -20,7 +20,7 @@ const FORCE_NOISE: f64 = 0.004;
 const STAGE_NOISE: f64 = 7.5e-6;
 
 /// Writes the bag `dir`: topics `taxels`, `ground_truth` and `skin_geometry`. `readings` has one row an instant of `script`. The
-/// rig's force cell measures across the surface only.
+/// rig's force cell measures across the surface only; its instruments' errors are drawn by `seed`, and there are none without it.
 ///
 /// # Errors
 ///
@@ -31,14 +31,15 @@ pub fn record(
     script: &Script,
     readings: &[f64],
     dir: &Path,
-    seed: u64,
+    seed: Option<u64>,
 ) -> Result<(), WorldError> {
     let surface = model.surface();
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed.unwrap_or_default());
+    let [force_noise, stage_noise] = if seed.is_some() { [FORCE_NOISE, STAGE_NOISE] } else { [0.0; 2] };
     let mut writer = BagWriter::create(dir)?;
     writer.set_custom("skin_hash", skin.hash());
-    writer.set_custom("force_noise", FORCE_NOISE.to_string());
-    writer.set_custom("stage_noise", STAGE_NOISE.to_string());
+    writer.set_custom("force_noise", force_noise.to_string());
+    writer.set_custom("stage_noise", stage_noise.to_string());
     writer.add_topic("skin_geometry", TypeSupport::of::<SkinGeometry>(), BagQos::latched())?;
     writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data())?;
     writer.add_topic("ground_truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data())?;
@@ -62,13 +63,13 @@ pub fn record(
         let mut moment = instant.moment.clone();
         if moment.press != press {
             press = moment.press;
-            offset = Vector3::from_fn(|_, _| STAGE_NOISE * rng.sample::<f64, _>(StandardNormal));
+            offset = Vector3::from_fn(|_, _| stage_noise * rng.sample::<f64, _>(StandardNormal));
         }
         for contact in &mut moment.stimulus.contacts {
             let (_, normal) = surface.project(&contact.position);
             contact.position += offset - normal * offset.dot(&normal);
             contact.position = surface.project(&contact.position).0;
-            let pressing = -contact.force.dot(&normal) + FORCE_NOISE * rng.sample::<f64, _>(StandardNormal);
+            let pressing = -contact.force.dot(&normal) + force_noise * rng.sample::<f64, _>(StandardNormal);
             contact.force = -normal * pressing;
         }
         let session = format!("rig/{}", instant.session + 1);

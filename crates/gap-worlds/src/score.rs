@@ -5,10 +5,11 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
+use crate::Region;
 use crate::pack::{Kind, Secret};
 
 /// Which of a tool's names are right for a cause.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Accepted {
     /// Names of the tool's library; none where no library effect is this cause.
@@ -16,10 +17,17 @@ pub struct Accepted {
     /// The tool's parameter, as `effect.parameter`, that is the same physical quantity as the cause's own size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parameter: Option<String>,
+    /// What is added to the cause's size, times the second number, to have the tool's parameter: 0 and 1 where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<[f64; 2]>,
+    /// Axes along which the cause shows, where it is localised: on one channel, at one place, or along one axis. Any of them is
+    /// right.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub axes: Vec<String>,
 }
 
 /// From causes to the names of the tool, by cause.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Mapping {
     /// By the cause's name in secrets.
     pub causes: BTreeMap<String, Accepted>,
@@ -40,6 +48,14 @@ impl Mapping {
 
     fn of(&self, cause: &str) -> &[String] {
         self.causes.get(cause).map_or(&[], |a| &a.names)
+    }
+
+    /// The mapping for a tool that has the effects of `library` only: a cause without any of its names is outside of the library.
+    #[must_use]
+    pub fn within(&self, library: &BTreeSet<String>) -> Self {
+        let mut within = self.clone();
+        within.causes.values_mut().for_each(|a| a.names.retain(|n| library.contains(n)));
+        within
     }
 
     /// Whether the library has an effect for every cause.
@@ -76,6 +92,35 @@ pub struct Answer {
     pub closure: Option<[f64; 2]>,
     /// 90 % interval of the share that it says it closes.
     pub interval: Option<[f64; 2]>,
+    /// Share of the gap that what it names closes in another recording of the same world, where that was tried.
+    pub elsewhere: Option<f64>,
+    /// Share of the gap that it leaves unexplained; 0 where it sees none.
+    pub unexplained: Option<f64>,
+    /// Axes along which it sees the gap, the most telling first.
+    pub axes: Vec<String>,
+    /// Channel where it sees the largest gap.
+    pub channel: Option<String>,
+    /// \[m\] place where it sees the largest gap.
+    pub peak: Option<[f64; 3]>,
+}
+
+impl Answer {
+    /// The probability that its words give to any of the names `right`; of none of `library` where there are none. Nine tenths go to
+    /// what it answers, in equal parts to all members of the first class, and one tenth to all other answers alike.
+    #[must_use]
+    pub fn probability(&self, right: &[String], library: &BTreeSet<String>) -> f64 {
+        let others = library.len() as f64 + 1.0;
+        let (said, count) = match self.named.first() {
+            _ if self.unknown => (right.is_empty(), 1.0),
+            Some(first) if !first.class.is_empty() => {
+                let hits = first.class.iter().filter(|n| right.contains(n)).count();
+                (hits > 0, first.class.len() as f64 / (hits.max(1) as f64))
+            }
+            _ => (false, 1.0),
+        };
+        let rest = 0.1 * right.len().max(1) as f64 / others;
+        if said { 0.9 / count + rest } else { rest }
+    }
 }
 
 /// A share of counts.
@@ -119,13 +164,17 @@ impl Share {
     }
 }
 
-/// Scores of the cases of one gap size and noise level, or of all.
+/// Scores of the cases of one gap size, of one noise level, or of all.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Scores {
+    /// Cases.
+    pub cases: usize,
     /// Single causes of the library: first name right, a class counted as one over its size.
     pub top1: Share,
     /// First class holds the right name.
     pub class: Share,
+    /// Members of those classes.
+    pub class_sizes: Vec<f64>,
     /// Among the first three.
     pub top3: Share,
     /// Names that stand alone in their class and are firm: right.
@@ -136,14 +185,33 @@ pub struct Scores {
     pub any_alarms: Share,
     /// Causes outside of the library that are seen and called unknown.
     pub unknown_found: Share,
+    /// Causes outside of the library where a firm effect is named.
+    pub unknown_named: Share,
     /// Single causes of the library that are called unknown.
     pub false_unknown: Share,
+    /// Causes outside of the library that would be called unknown, were the limit of the unexplained share such that at most 2 % of
+    /// those inside are.
+    pub unknown_at_2: Share,
+    /// Causes that this recording cannot tell from others: the class holds the right name.
+    pub confounded: Share,
+    /// The same: one firm name, and a wrong one.
+    pub confounded_wrong: Share,
     /// Several causes: all found.
     pub all_found: Share,
     /// Several causes: at least one found.
     pub one_found: Share,
     /// Several causes: something else named besides.
     pub extra: Share,
+    /// Two causes: both found.
+    pub both_found: Share,
+    /// Localised causes: the first axis is right.
+    pub axis: Share,
+    /// One of the first two axes is.
+    pub axis_of_two: Share,
+    /// Causes on some channels or at one place: that is where the gap is seen.
+    pub region: Share,
+    /// Localised causes: one of the first two axes is right, and the region where there is one.
+    pub located: Share,
     /// 90 % intervals of parameters that hold the true value.
     pub covered: Share,
     /// Relative errors of parameters.
@@ -152,8 +220,16 @@ pub struct Scores {
     pub closure_errors: Vec<f64>,
     /// Intervals of the closure that hold what was achieved.
     pub closure_covered: Share,
+    /// Differences between predicted closure and that in another recording of the same world.
+    pub elsewhere_errors: Vec<f64>,
+    /// Intervals of the closure that hold that in another recording.
+    pub elsewhere_covered: Share,
+    /// Logarithms of the probability of the right answer, for single causes and those outside of the library.
+    pub log_scores: Vec<f64>,
     /// What was answered for each cause of single cases: counts by cause and first answer.
     pub confusion: BTreeMap<String, BTreeMap<String, usize>>,
+    #[serde(skip)]
+    unexplained: [Vec<f64>; 2],
 }
 
 /// The middle one; NaN of nothing.
@@ -168,79 +244,235 @@ pub fn median(values: &[f64]) -> f64 {
     }
 }
 
+/// 1 of what is so, 0 of what is not.
+fn yes(so: bool) -> f64 {
+    f64::from(u8::from(so))
+}
+
 impl Scores {
     /// Adds one case.
-    pub fn add(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping) {
+    pub fn add(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping, library: &BTreeSet<String>) {
+        self.cases += 1;
         let right = |name: &String| secret.causes.iter().any(|t| mapping.of(&t.cause.id).contains(name));
         let hit = |class: &[String]| class.iter().any(right);
-        let yes = |b: bool| f64::from(u8::from(b));
         for named in answer.named.iter().filter(|n| n.firm && n.class.len() == 1) {
             // A control may hold a cause that is too weak to matter: naming it right is no mistake.
             self.precision.add(yes(hit(&named.class)));
         }
+        let first = answer.named.first();
+        let firm = |n: &&Named| n.firm;
+        let wrong = |n: &Named| !hit(&n.class);
         match secret.kind {
             Kind::Controls => {
-                let wrong = |n: &&Named| !hit(&n.class);
-                self.false_alarms.add(yes(answer.named.iter().filter(|n| n.firm).any(|n| wrong(&n))));
+                self.false_alarms.add(yes(answer.named.iter().filter(firm).any(wrong)));
                 let unknown = answer.gap && answer.unknown;
-                self.any_alarms.add(yes(unknown || answer.named.iter().any(|n| wrong(&n))));
+                self.any_alarms.add(yes(unknown || answer.named.iter().any(wrong)));
+                self.confused("(nothing)", answer);
                 return;
-            }
-            Kind::Singles | Kind::Confounded if mapping.holds(secret) => {
-                let first = answer.named.first();
-                let found = first.is_some_and(|n| hit(&n.class));
-                self.class.add(yes(found));
-                self.top1.add(first.filter(|_| found).map_or(0.0, |n| 1.0 / n.class.len() as f64));
-                self.top3.add(yes(answer.ranking.iter().take(3).any(right)));
-                self.false_unknown.add(yes(answer.unknown));
-                let said = first.map_or_else(|| format!("({})", answer.verdict), |n| n.class.join(" or "));
-                let id = &secret.causes[0].cause.id;
-                *self.confusion.entry(id.clone()).or_default().entry(said).or_default() += 1;
-            }
-            Kind::Singles | Kind::Confounded | Kind::OutOfLibrary => {
-                self.unknown_found.add(yes(answer.unknown));
-                let first = answer.named.first();
-                let said = first.map_or_else(|| format!("({})", answer.verdict), |n| n.class.join(" or "));
-                if let Some(told) = secret.causes.first() {
-                    *self.confusion.entry(told.cause.id.clone()).or_default().entry(said).or_default() += 1;
-                }
             }
             Kind::Pairs | Kind::Triples => {
                 if mapping.holds(secret) {
-                    let found: Vec<bool> = secret
-                        .causes
-                        .iter()
-                        .map(|t| {
-                            let names = mapping.of(&t.cause.id);
-                            answer.named.iter().any(|n| n.class.iter().any(|name| names.contains(name)))
-                        })
-                        .collect();
-                    self.all_found.add(yes(found.iter().all(|f| *f)));
+                    let found = secret.causes.iter().map(|t| {
+                        let names = mapping.of(&t.cause.id);
+                        answer.named.iter().any(|n| n.class.iter().any(|name| names.contains(name)))
+                    });
+                    let found: Vec<bool> = found.collect();
+                    let all = yes(found.iter().all(|f| *f));
+                    self.all_found.add(all);
+                    if found.len() == 2 {
+                        self.both_found.add(all);
+                    }
                     self.one_found.add(yes(found.iter().any(|f| *f)));
-                    self.extra.add(yes(answer.named.iter().any(|n| !hit(&n.class))));
+                    self.extra.add(yes(answer.named.iter().any(wrong)));
                 }
             }
-        }
-        if let Some([predicted, achieved]) = answer.closure {
-            self.closure_errors.push((predicted - achieved).abs());
-            if let Some([low, high]) = answer.interval {
-                self.closure_covered.add(yes((low..=high).contains(&achieved)));
+            Kind::Confounded if mapping.holds(secret) => {
+                self.confounded.add(yes(first.is_some_and(|n| hit(&n.class))));
+                let sure = first.filter(|n| n.firm && n.class.len() == 1);
+                self.confounded_wrong.add(yes(sure.is_some_and(wrong)));
+            }
+            Kind::Singles | Kind::OutOfLibrary if mapping.holds(secret) => {
+                let found = first.is_some_and(|n| hit(&n.class));
+                self.class.add(yes(found));
+                self.class_sizes.extend(first.map(|n| n.class.len() as f64));
+                self.top1.add(first.filter(|_| found).map_or(0.0, |n| {
+                    n.class.iter().filter(|name| right(name)).count() as f64 / n.class.len() as f64
+                }));
+                self.top3.add(yes(answer.ranking.iter().take(3).any(right)));
+                self.false_unknown.add(yes(answer.unknown));
+                self.unexplained[0].push(answer.unexplained.unwrap_or(0.0));
+                self.single(secret, answer, mapping, library);
+            }
+            Kind::Singles | Kind::Confounded | Kind::OutOfLibrary => {
+                self.unknown_found.add(yes(answer.unknown));
+                self.unknown_named.add(yes(answer.named.iter().any(|n| n.firm)));
+                self.unexplained[1].push(answer.unexplained.unwrap_or(0.0));
+                self.single(secret, answer, mapping, library);
             }
         }
+        if secret.causes.len() == 1 {
+            self.located(secret, answer, mapping);
+        }
+        self.closure(answer);
+        self.parameters(secret, answer, mapping);
+    }
+
+    /// What was answered first.
+    fn confused(&mut self, cause: &str, answer: &Answer) {
+        let said = answer.named.first();
+        let said = said.map_or_else(|| format!("({})", answer.verdict), |n| n.class.join(" or "));
+        *self.confusion.entry(cause.to_owned()).or_default().entry(said).or_default() += 1;
+    }
+
+    fn single(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping, library: &BTreeSet<String>) {
+        if let Some(told) = secret.causes.first() {
+            self.confused(&told.cause.id, answer);
+            self.log_scores.push(answer.probability(mapping.of(&told.cause.id), library).ln());
+        }
+        let [inside, outside] = &self.unexplained;
+        let mut shares = inside.clone();
+        shares.sort_by(|a, b| b.total_cmp(a));
+        // The largest limit that leaves at most so many of those inside above it.
+        let limit = shares.get((0.02 * inside.len() as f64) as usize).copied().unwrap_or(0.0);
+        let over = outside.iter().filter(|share| **share > limit).count();
+        self.unknown_at_2 = Share { hits: over as f64, of: outside.len() };
+    }
+
+    fn located(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping) {
+        let Some(told) = secret.causes.first() else { return };
+        let Some(axes) = mapping.causes.get(&told.cause.id).map(|a| &a.axes).filter(|a| !a.is_empty()) else {
+            return;
+        };
+        let among = |first: usize| answer.axes.iter().take(first).any(|a| axes.contains(a));
+        self.axis.add(yes(among(1)));
+        self.axis_of_two.add(yes(among(2)));
+        let region = told.region.as_ref().map(|region| match region {
+            Region::Channels { names } => answer.channel.as_ref().is_some_and(|c| names.contains(c)),
+            Region::Place { at, within } => answer.peak.is_some_and(|peak| {
+                let off = peak.iter().zip(at).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
+                off.sqrt() <= *within
+            }),
+        });
+        if let Some(region) = region {
+            self.region.add(yes(region));
+        }
+        self.located.add(yes(among(2) && region.unwrap_or(true)));
+    }
+
+    fn closure(&mut self, answer: &Answer) {
+        let Some([predicted, achieved]) = answer.closure else { return };
+        self.closure_errors.push((predicted - achieved).abs());
+        let holds = |value: f64| answer.interval.map(|[low, high]| yes((low..=high).contains(&value)));
+        if let Some(holds) = holds(achieved) {
+            self.closure_covered.add(holds);
+        }
+        if let Some(elsewhere) = answer.elsewhere {
+            self.elsewhere_errors.push((predicted - elsewhere).abs());
+            if let Some(holds) = holds(elsewhere) {
+                self.elsewhere_covered.add(holds);
+            }
+        }
+    }
+
+    fn parameters(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping) {
         for told in &secret.causes {
-            let Some(parameter) = mapping.causes.get(&told.cause.id).and_then(|a| a.parameter.as_ref())
-            else {
+            let Some(accepted) = mapping.causes.get(&told.cause.id) else { continue };
+            let Some(parameter) = &accepted.parameter else { continue };
+            let Some(size) = told.parameters.values().next().copied().filter(|v| *v != 0.0) else {
                 continue;
             };
-            let Some(truth) = told.parameters.values().next().copied().filter(|v| *v != 0.0) else {
-                continue;
-            };
+            let [neutral, factor] = accepted.scale.unwrap_or([0.0, 1.0]);
+            let truth = neutral + factor * size;
             if let Some((value, interval)) = answer.named.iter().find_map(|n| n.parameters.get(parameter)) {
-                self.parameter_errors.push(((value - truth) / truth).abs());
+                self.parameter_errors.push(((value - truth) / (truth - neutral)).abs());
                 if let Some([low, high]) = interval {
                     self.covered.add(yes((*low..=*high).contains(&truth)));
                 }
             }
+        }
+    }
+
+    /// Every rate with its name and what is aimed at, in the order of tables.
+    #[must_use]
+    pub fn rates(&self) -> Vec<(&'static str, Share, Option<Aim>)> {
+        use Aim::{AtLeast, AtMost, Between};
+        vec![
+            ("top-1, class-weighted", self.top1, Some(AtLeast(0.90))),
+            ("first class holds it", self.class, None),
+            ("top-3", self.top3, Some(AtLeast(0.98))),
+            ("precision of single firm names", self.precision, Some(AtLeast(0.98))),
+            ("false alarms on controls", self.false_alarms, Some(AtMost(0.01))),
+            ("any alarm on controls", self.any_alarms, None),
+            ("out of library, called unknown", self.unknown_found, None),
+            ("out of library, called unknown at 2 % false-unknown", self.unknown_at_2, Some(AtLeast(0.85))),
+            ("out of library, a firm name", self.unknown_named, None),
+            ("in library, called unknown", self.false_unknown, Some(AtMost(0.02))),
+            ("two causes, both found", self.both_found, Some(AtLeast(0.80))),
+            ("several causes, all found", self.all_found, None),
+            ("several causes, one found", self.one_found, None),
+            ("several causes, another named besides", self.extra, None),
+            ("confounded, the class holds it", self.confounded, None),
+            ("confounded, one firm wrong name", self.confounded_wrong, None),
+            ("where: first axis", self.axis, None),
+            ("where: one of the first two axes", self.axis_of_two, None),
+            ("where: channel or place", self.region, None),
+            ("where: axis (of two) and region", self.located, Some(AtLeast(0.90))),
+            ("parameter intervals (90 %) that hold", self.covered, Some(Between(0.85, 0.95))),
+            ("closure intervals (90 %) that hold, held-out contacts", self.closure_covered, None),
+            (
+                "closure intervals (90 %) that hold, another recording",
+                self.elsewhere_covered,
+                Some(Between(0.85, 0.95)),
+            ),
+        ]
+    }
+
+    /// Every middle value with its name, count and what is aimed at.
+    #[must_use]
+    pub fn middles(&self) -> Vec<(&'static str, f64, usize, Option<Aim>)> {
+        let of = |name, values: &[f64], aim| (name, median(values), values.len(), aim);
+        let most = |limit| Some(Aim::AtMost(limit));
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        vec![
+            of("median parameter error", &self.parameter_errors, most(0.10)),
+            of("median |predicted - achieved| closure, held-out contacts", &self.closure_errors, most(0.03)),
+            of("median |predicted - achieved| closure, another recording", &self.elsewhere_errors, None),
+            ("mean members of the first class", mean(&self.class_sizes), self.class_sizes.len(), None),
+            ("mean log score [nat]", mean(&self.log_scores), self.log_scores.len(), None),
+        ]
+    }
+}
+
+/// What is aimed at.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Aim {
+    /// At least this.
+    AtLeast(f64),
+    /// At most this.
+    AtMost(f64),
+    /// From the first to the second.
+    Between(f64, f64),
+}
+
+impl Aim {
+    /// Whether a value reaches it.
+    #[must_use]
+    pub fn reached(&self, value: f64) -> bool {
+        match *self {
+            Self::AtLeast(least) => value >= least,
+            Self::AtMost(most) => value <= most,
+            Self::Between(low, high) => (low..=high).contains(&value),
+        }
+    }
+
+    /// As a table says it.
+    #[must_use]
+    pub fn text(&self) -> String {
+        match self {
+            Self::AtLeast(least) => format!("≥ {least}"),
+            Self::AtMost(most) => format!("≤ {most}"),
+            Self::Between(low, high) => format!("{low} to {high}"),
         }
     }
 }
@@ -252,65 +484,80 @@ pub struct Card {
     pub all: Scores,
     /// Gap at least three times the floor; controls and causes outside of the library included.
     pub headline: Scores,
-    /// By `gap 3, noise 1`.
-    pub by: BTreeMap<String, Scores>,
+    /// By gap, controls having none, in multiples of the floor.
+    pub by_gap: BTreeMap<String, Scores>,
+    /// By noise in multiples of the skin's, of those of the headline.
+    pub by_noise: BTreeMap<String, Scores>,
     /// Names that the mapping accepts and the tool does not have.
     pub not_in_library: Vec<String>,
 }
 
 impl Card {
-    /// Scores of answers, one a secret.
+    /// Scores of answers, one a secret, of a tool that has the effects of `library`.
     #[must_use]
-    pub fn new<'a>(cases: impl IntoIterator<Item = (&'a Secret, &'a Answer)>, mapping: &Mapping) -> Self {
-        let mut card = Self::default();
+    pub fn new<'a>(
+        cases: impl IntoIterator<Item = (&'a Secret, &'a Answer)>,
+        mapping: &Mapping,
+        library: &BTreeSet<String>,
+    ) -> Self {
+        let names: BTreeSet<&String> = mapping.causes.values().flat_map(|a| &a.names).collect();
+        let not_in_library = names.into_iter().filter(|n| !library.contains(*n)).cloned().collect();
+        let mut card = Self { not_in_library, ..Self::default() };
+        let mapping = mapping.within(library);
         for (secret, answer) in cases {
-            card.all.add(secret, answer, mapping);
+            card.all.add(secret, answer, &mapping, library);
+            let gap = card.by_gap.entry(format!("{}", secret.gap)).or_default();
+            gap.add(secret, answer, &mapping, library);
             if secret.gap == 0.0 || secret.gap >= 3.0 {
-                card.headline.add(secret, answer, mapping);
+                card.headline.add(secret, answer, &mapping, library);
+                let noise = card.by_noise.entry(format!("{}", secret.noise)).or_default();
+                noise.add(secret, answer, &mapping, library);
             }
-            let key = format!("gap {}, noise {}", secret.gap, secret.noise);
-            card.by.entry(key).or_default().add(secret, answer, mapping);
         }
         card
     }
 
-    /// As Markdown.
+    /// As Markdown: the headline with what is aimed at, the main rates by gap and noise, and what was answered for each cause.
     #[must_use]
     pub fn table(&self) -> String {
-        let mut text = String::from("| score | value | 95 % | of |\n|---|---|---|---|\n");
+        let mut text = String::from(
+            "Gap of at least three times the floor, controls, and causes outside of the library:\n\n\
+             | score | value | 95 % | of | aim | reached |\n|---|---|---|---|---|---|\n",
+        );
         let s = &self.headline;
-        for (name, share) in [
-            ("top-1, class-weighted", s.top1),
-            ("first class holds it", s.class),
-            ("top-3", s.top3),
-            ("precision of single firm names", s.precision),
-            ("false alarms on controls", s.false_alarms),
-            ("any alarm on controls", s.any_alarms),
-            ("out-of-library called unknown", s.unknown_found),
-            ("library called unknown", s.false_unknown),
-            ("several: all found", s.all_found),
-            ("several: one found", s.one_found),
-            ("several: extra named", s.extra),
-            ("parameter intervals that hold", s.covered),
-            ("closure intervals that hold", s.closure_covered),
-        ] {
-            if share.of > 0 {
-                let [low, high] = share.interval();
-                let _ = writeln!(
-                    text,
-                    "| {name} | {:.3} | {low:.2} to {high:.2} | {} |",
-                    share.value(),
-                    share.of
-                );
-            }
+        let reached = |aim: Option<Aim>, value: f64| {
+            aim.map_or((String::new(), ""), |a| (a.text(), if a.reached(value) { "yes" } else { "no" }))
+        };
+        for (name, share, aim) in s.rates().into_iter().filter(|(_, share, _)| share.of > 0) {
+            let [low, high] = share.interval();
+            let (aim, reached) = reached(aim, share.value());
+            let value = share.value();
+            let _ = writeln!(
+                text,
+                "| {name} | {value:.3} | {low:.2} to {high:.2} | {} | {aim} | {reached} |",
+                share.of
+            );
         }
-        for (name, values) in [
-            ("median parameter error", &s.parameter_errors),
-            ("median difference of predicted and achieved closure", &s.closure_errors),
-        ] {
-            if !values.is_empty() {
-                let _ = writeln!(text, "| {name} | {:.3} | | {} |", median(values), values.len());
+        for (name, value, count, aim) in s.middles().into_iter().filter(|(_, _, count, _)| *count > 0) {
+            let (aim, reached) = reached(aim, value);
+            let _ = writeln!(text, "| {name} | {value:.3} | | {count} | {aim} | {reached} |");
+        }
+        text.push_str(
+            "\n| cases | number | top-1 | top-3 | precision | false alarms | unknown found | both found | located |\n\
+             |---|---|---|---|---|---|---|---|---|\n",
+        );
+        let gaps = self.by_gap.iter().map(|(gap, s)| (format!("gap {gap} × floor"), s));
+        let noises = self.by_noise.iter().map(|(noise, s)| (format!("noise × {noise}"), s));
+        for (name, s) in gaps.chain(noises) {
+            let _ = write!(text, "| {name} | {}", s.cases);
+            let of = [s.top1, s.top3, s.precision, s.false_alarms, s.unknown_found, s.both_found, s.located];
+            for share in of {
+                let _ = match share.of {
+                    0 => write!(text, " | -"),
+                    of => write!(text, " | {:.2} of {of}", share.value()),
+                };
             }
+            text.push_str(" |\n");
         }
         if !s.confusion.is_empty() {
             text.push_str("\n| withheld | answered first |\n|---|---|\n");
@@ -322,12 +569,6 @@ impl Card {
             }
         }
         text
-    }
-
-    /// Notes which accepted names are none of `library`.
-    pub fn note_library(&mut self, mapping: &Mapping, library: &BTreeSet<String>) {
-        let names: BTreeSet<&String> = mapping.causes.values().flat_map(|a| &a.names).collect();
-        self.not_in_library = names.into_iter().filter(|n| !library.contains(*n)).cloned().collect();
     }
 }
 

@@ -15,7 +15,7 @@ use rand::Rng;
 
 use crate::cause::{Cause, CauseInfo, Causes};
 use crate::script::{Rig, Script};
-use crate::{Form, World, WorldError, memory};
+use crate::{Form, Region, World, WorldError, memory};
 use panel::{Build, Gauge, Influence, Shape};
 use plate::Material;
 
@@ -32,6 +32,15 @@ struct Panel {
     stretching: f64,
     /// Tangential share of every force, along x and the arc.
     askew: [f64; 2],
+}
+
+/// \[m\] from the middle of a thin place within which most of it is.
+const THIN: f64 = 0.015;
+
+/// Where the wall is thin, along x and the arc \[m\].
+fn thin_at(shape: &Shape, cause: &Cause) -> [f64; 2] {
+    let mut rng = cause.rng();
+    [0.35 * shape.size[0], 0.35 * shape.size[1]].map(|half| rng.random_range(-half..half))
 }
 
 /// The world.
@@ -57,6 +66,14 @@ impl ShellWorld {
             rate: skin.rate.min(100.0),
             size,
         }
+    }
+
+    /// Where a cause sits on the surface.
+    pub fn place(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
+        let shape = Shape::of(&skin.surface).filter(|_| cause.id == "broken-beam")?;
+        let [x, arc] = thin_at(&shape, cause);
+        let (sin, cos) = (arc / shape.radius).sin_cos();
+        Some(Region::Place { at: [x, shape.radius * sin, shape.radius * cos], within: 2.0 * THIN })
     }
 
     pub const fn causes() -> &'static [CauseInfo] {
@@ -112,16 +129,12 @@ impl ShellWorld {
             };
             (0..6).map(wave).collect()
         });
-        let broken = causes.get("broken-beam").map(|(cause, loss)| {
-            let mut rng = cause.rng();
-            let at = [0.35 * shape.size[0], 0.35 * shape.size[1]].map(|half| rng.random_range(-half..half));
-            (at, loss)
-        });
+        let broken = causes.get("broken-beam").map(|(cause, loss)| (thin_at(&shape, cause), loss));
         let thickness = |at: [f64; 2]| {
             let wave = |w: &[f64; 4]| w[3] * (w[0] * at[0] + w[1] * at[1] + w[2]).cos();
             let mut here = 1.0 + waves.iter().map(wave).sum::<f64>();
             if let Some((place, loss)) = &broken {
-                let off = (at[0] - place[0]).hypot(at[1] - place[1]) / 0.015;
+                let off = (at[0] - place[0]).hypot(at[1] - place[1]) / THIN;
                 here *= 1.0 - loss * (-off * off).exp();
             }
             wall * here.clamp(0.15, 3.0)
@@ -212,6 +225,7 @@ impl World for ShellWorld {
         let channels = self.panel.noise.len();
         let friction = self.causes.size("dragging-tip");
         let mut readings = vec![0.0; channels * script.instants.len()];
+        let bump = memory::bump(&self.causes, script);
         let mut before: Option<(f64, Point3<f64>)> = None;
         // A tip that stays where it is leaves the same influence.
         let mut last: Option<(Point3<f64>, Vec<Vector3<f64>>)> = None;
@@ -219,6 +233,12 @@ impl World for ShellWorld {
             let now = instant.moment.stimulus.contacts.first().map(|c| (instant.time, c.position));
             for contact in &instant.moment.stimulus.contacts {
                 let mut contact = contact.clone();
+                if let Some((_, by, angle)) = bump.filter(|(from, ..)| instant.time > *from) {
+                    let [x, arc] = self.panel.unroll(&contact.position);
+                    let (sin, cos) = ((arc + by * angle.sin()) / self.panel.radius).sin_cos();
+                    let radius = contact.position.y.hypot(contact.position.z);
+                    contact.position = Point3::new(x + by * angle.cos(), radius * sin, radius * cos);
+                }
                 if let (true, Some((then, from)), Some((time, to))) = (friction > 0.0, before, now) {
                     let speed = (to - from) / (time - then).max(1e-6);
                     let pressing = contact.force.norm();
@@ -241,10 +261,6 @@ impl World for ShellWorld {
         }
         if let Some((_, share)) = self.causes.get("flowing-plastic") {
             memory::creep(script, channels, (-share, 0.25), &mut readings);
-        }
-        if let Some((cause, loss)) = self.causes.get("leads-off") {
-            let which = cause.rng().random_range(0..channels);
-            readings.chunks_mut(channels).for_each(|row| row[which] *= 1.0 - loss);
         }
         memory::gains(&self.causes, script, channels, &mut readings);
         memory::electronics(&self.causes, script, channels, &mut readings);

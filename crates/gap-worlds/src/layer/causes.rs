@@ -149,6 +149,22 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
+    CauseInfo::new(
+        "blocked-port",
+        "one element reads a part only: its port is blocked, or air was left in it",
+        "Tenzer, Jentoft and Howe 2014: ports have to be filled under vacuum",
+        ("loss", "1", 1.0),
+        false,
+        true,
+    ),
+    CauseInfo::new(
+        "late-stamps",
+        "readings are stamped some time after they were taken",
+        "buffers of a driver",
+        ("time", "s", 0.06),
+        false,
+        true,
+    ),
     // What a library of known effects will hardly hold.
     CauseInfo::new(
         "cavity",
@@ -164,7 +180,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         "shared reference",
         ("share", "1", 0.5),
         false,
-        false,
+        true,
     ),
     CauseInfo::new(
         "mains-hum",
@@ -172,7 +188,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         "49.93 Hz at 100 frames a second",
         ("amplitude", "Pa", 4000.0),
         false,
-        false,
+        true,
     ),
     CauseInfo::new(
         "warming-up",
@@ -196,7 +212,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         "fatigue, exp(-n / n0)",
         ("loss", "1", 0.9),
         false,
-        false,
+        true,
     ),
     CauseInfo::new(
         "stale-frames",
@@ -237,5 +253,29 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("coefficient", "1/K", 0.12),
         true,
         true,
+    ),
+    CauseInfo::new(
+        "uneven-steps",
+        "the converter's error goes up and down with the reading",
+        "integral non-linearity of converters in stages",
+        ("depth", "1", 0.9),
+        false,
+        false,
+    ),
+    CauseInfo::new(
+        "sagging-supply",
+        "the more all channels read, the less is left for each: their common supply gives way",
+        "series resistance of the supply",
+        ("share", "1", 0.9),
+        false,
+        false,
+    ),
+    CauseInfo::new(
+        "bumped-mount",
+        "from one moment on the skin lies beside its place",
+        "a loose screw",
+        ("shift", "m", 0.004),
+        false,
+        false,
     ),
 ];
