@@ -1,15 +1,18 @@
-//! `dermis refine`: has a bundle's answers refined on the skin's forward model, where recordings show that this helps.
+//! `dermis refine`: has a bundle's answers refined on the skin's forward model, where recordings show that this helps; with
+//! `--correct` on that model as recorded presses correct it.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use dermis_inference::Bundle;
-use dermis_inversion::{ForcePrior, Settings};
+use dermis_inference::{Bundle, CorrectionSection, Manifest};
+use dermis_inversion::{Corrected, Correction, ForcePrior, Settings};
 use dermis_learn::cli::Labels;
-use dermis_learn::{Dataset, Evaluation, SampleId, evaluate, refine};
-use dermis_skin::{SkinDescription, Unknowns};
+use dermis_learn::refine::Learned;
+use dermis_learn::{Dataset, Evaluation, Recorded, SampleId, evaluate, refine, superpose};
+use dermis_skin::{ForwardModel, SkinDescription, Unknowns};
 use serde_json::json;
 
 use crate::evaluate::split_of;
@@ -32,6 +35,13 @@ pub struct Options {
     /// How likely forces are before a reading; `log` for skins with places where nothing gives way.
     #[arg(long, value_enum, default_value_t = Prior::Uniform)]
     force_prior: Prior,
+    /// Distance [m] that contacts are apart at least, where there are several.
+    #[arg(long, default_value_t = 0.002)]
+    distance: f64,
+    /// Learn, from the recorded single contacts, how the device differs from its forward model as a function of place and force,
+    /// and refine on the corrected model. Writes `correction.json` into the bundle.
+    #[arg(long)]
+    correct: bool,
     /// Refine whatever the recordings say, and switch it on even where the model alone is better.
     #[arg(long)]
     always: bool,
@@ -97,12 +107,11 @@ pub fn run(options: &Options) -> Result<()> {
     if choosing.is_empty() || reporting.is_empty() {
         bail!("fewer than two places are held out: record more, or hold out a larger share");
     }
-    let mut settings =
-        refine::settings(model.as_ref(), &data, &split.train, options.unknowns.into(), options.contacts)?;
-    settings.force_prior = options.force_prior.into();
+    let refinement = prepare(options, &skin, model, &data, &split.train)?;
+    let settings = &refinement.settings;
 
     let trial = tempfile::tempdir().context("a folder for the trial cannot be made")?;
-    let with = copy(&bundle, &skin, trial.path().join("with"), Some(&settings))?;
+    let with = copy(&bundle, &skin, trial.path().join("with"), Some(&refinement))?;
     let without = copy(&bundle, &skin, trial.path().join("without"), None)?;
     let measure = |folder: &Path, on: &[SampleId]| -> Result<Evaluation> {
         let mut estimator = (family.estimator)(&skin, &[folder.to_owned()])?;
@@ -115,20 +124,120 @@ pub fn run(options: &Options) -> Result<()> {
     let after = measure(&with, &reporting)?;
 
     let mut manifest = bundle.manifest().clone();
-    manifest.inversion = on.then(|| settings.clone());
+    let chosen_refinement = on.then_some(&refinement);
+    refined(&mut manifest, chosen_refinement);
     let chosen = if on { &after } else { &before };
     dermis_learn::card::measured(&mut manifest, chosen);
-    bundle.amend(manifest)?;
+    bundle.amend(manifest, chosen_refinement.and_then(Refinement::correction))?;
     let record = json!({
         "on": on, "ratio_on_chosen_half": ratio, "settings": settings, "before": before, "after": after,
+        "correction": refinement.correction.as_ref().map(|(learned, _)| json!({
+            "length_m": learned.settings.length, "ridge": learned.settings.ridge, "powers": learned.settings.powers,
+            "presses": learned.presses, "left_without_in_noise": learned.left[0], "left_with_in_noise": learned.left[1],
+        })),
     });
     amend_card(&options.model, &record)?;
     if options.json {
         println!("{record}");
     } else {
-        tell(&settings, ratio, on, &before, &after);
+        tell(&refinement, ratio, on, &before, &after);
     }
     Ok(())
+}
+
+/// What recordings tell of the forward model.
+struct Refinement {
+    settings: Settings,
+    /// Hash of the recordings besides.
+    correction: Option<(Learned, String)>,
+}
+
+impl Refinement {
+    fn correction(&self) -> Option<Correction> {
+        self.correction.as_ref().map(|(learned, _)| learned.correction.clone())
+    }
+}
+
+/// Has a manifest speak of a refinement, or of none.
+fn refined(manifest: &mut Manifest, refinement: Option<&Refinement>) {
+    manifest.inversion = refinement.map(|r| r.settings.clone());
+    manifest.correction =
+        refinement.and_then(|r| r.correction.as_ref()).map(|(learned, data_hash)| CorrectionSection {
+            data_hash: data_hash.clone(),
+            presses: learned.presses as u64,
+            left: learned.left,
+            ..CorrectionSection::default()
+        });
+}
+
+/// \[m\] from which on recorded contacts are far enough apart for their sum to be that of two.
+const FAR: f64 = 0.030;
+/// Recorded presses that a correction is learned from at most.
+const PRESSES: usize = 12_000;
+/// Sums of recorded contacts, of each number, on which the evidence for one contact more is chosen.
+const SUMS: usize = 60;
+
+/// Gains, correction and evidence, from the training part alone: four of five of its places to learn from, the fifth to choose
+/// by.
+fn prepare(
+    options: &Options,
+    skin: &SkinDescription,
+    model: Arc<dyn ForwardModel>,
+    data: &Dataset,
+    train: &[SampleId],
+) -> Result<Refinement> {
+    let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
+    let places: BTreeSet<u32> = train.iter().filter_map(place).collect();
+    let kept: BTreeSet<u32> = places.into_iter().step_by(5).collect();
+    let (choose, learn): (Vec<SampleId>, Vec<SampleId>) =
+        train.iter().copied().partition(|id| place(id).is_some_and(|p| kept.contains(&p)));
+    let unknowns = options.unknowns.into();
+    let set = |settings: &mut Settings| {
+        settings.distance = options.distance;
+        settings.force_prior = options.force_prior.into();
+    };
+    let mut settings = refine::settings(
+        model.as_ref(),
+        data,
+        if options.correct { &learn } else { train },
+        unknowns,
+        options.contacts,
+    )?;
+    set(&mut settings);
+    let chosen = Recorded::of(data, &choose, 0.0, PRESSES / 4);
+    let mut model = model;
+    let mut correction = None;
+    if options.correct {
+        let recorded = Recorded::of(data, &learn, 0.0, PRESSES);
+        if recorded.is_empty() || chosen.is_empty() {
+            bail!(
+                "the bags hold no single contacts of known place, force and tip at five places or more to learn from"
+            );
+        }
+        let learned = refine::correction(model.as_ref(), &recorded, &chosen, &settings.gains)?;
+        model = Arc::new(Corrected::new(model, learned.correction.clone())?);
+        settings = refine::settings(model.as_ref(), data, &choose, unknowns, options.contacts)?;
+        set(&mut settings);
+        // They are in the correction; measured once more on a few places they would only add noise.
+        settings.gains.clear();
+        correction = Some((learned, data.hash()));
+    }
+    if options.contacts > 1 && skin.channels().len() > settings.unknowns.count() {
+        let sums: Vec<_> = (1..=options.contacts.min(3))
+            .flat_map(|n| superpose(&chosen, n, SUMS, FAR.min(reach(&chosen) / 3.0), 77))
+            .collect();
+        if !sums.is_empty() {
+            refine::tune_evidence(&model, &mut settings, &sums)?;
+        }
+    }
+    Ok(Refinement { settings, correction })
+}
+
+/// \[m\] farthest that recorded contacts are from the first.
+fn reach(recorded: &[Recorded]) -> f64 {
+    let first = recorded.first().map(|r| r.contact.position);
+    let away = |r: &Recorded| first.map_or(0.0, |p| (r.contact.position - p).norm());
+    recorded.iter().map(away).fold(0.0, f64::max)
 }
 
 /// Held-out samples by place: every other place to each half.
@@ -139,12 +248,12 @@ fn halves(data: &Dataset, held_out: &[SampleId]) -> (Vec<SampleId>, Vec<SampleId
     held_out.iter().copied().partition(|id| place(id).is_some_and(|p| chosen.contains(&p)))
 }
 
-/// The bundle in another folder, with these settings.
+/// The bundle in another folder, refined like this.
 fn copy(
     bundle: &Bundle,
     skin: &SkinDescription,
     to: PathBuf,
-    settings: Option<&Settings>,
+    refinement: Option<&Refinement>,
 ) -> Result<PathBuf> {
     std::fs::create_dir(&to).with_context(|| format!("{} cannot be made", to.display()))?;
     for entry in std::fs::read_dir(bundle.path()).with_context(|| format!("{}", bundle.path().display()))? {
@@ -154,8 +263,8 @@ fn copy(
     }
     let mut copied = Bundle::load(&to, skin)?;
     let mut manifest = copied.manifest().clone();
-    manifest.inversion = settings.cloned();
-    copied.amend(manifest)?;
+    refined(&mut manifest, refinement);
+    copied.amend(manifest, refinement.and_then(Refinement::correction))?;
     Ok(to)
 }
 
@@ -194,13 +303,26 @@ fn amend_card(bundle: &Path, record: &serde_json::Value) -> Result<()> {
     Ok(())
 }
 
-fn tell(settings: &Settings, ratio: Option<f64>, on: bool, before: &Evaluation, after: &Evaluation) {
+fn tell(refinement: &Refinement, ratio: Option<f64>, on: bool, before: &Evaluation, after: &Evaluation) {
+    let settings = &refinement.settings;
+    if let Some((learned, _)) = &refinement.correction {
+        println!(
+            "correction: {} presses; at other places the forward model leaves {:.1} times the noise without it, {:.1} with it",
+            learned.presses, learned.left[0], learned.left[1]
+        );
+    }
     let (low, high) =
         settings.gains.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), g| (l.min(*g), h.max(*g)));
-    println!(
-        "channel gains against the forward model: {low:.3} to {high:.3}; model and device differ by {:.2} % of a signal",
-        settings.model_error * 100.0
-    );
+    if !settings.gains.is_empty() {
+        println!("channel gains against the forward model: {low:.3} to {high:.3}");
+    }
+    println!("model and device differ by {:.2} % of a signal", settings.model_error * 100.0);
+    if settings.contacts > 1 {
+        println!(
+            "{} contacts at most; one more must lower the squared deviations by {}",
+            settings.contacts, settings.evidence
+        );
+    }
     if let Some(ratio) = ratio {
         println!(
             "with the forward model the error is {ratio:.3} times that of the model alone (choosing half)"

@@ -1,13 +1,15 @@
-//! Model bundles: a folder with `bundle.toml`, `model.onnx`, `sensitivity.onnx` where contacts are read off a map, and, for
-//! people, `card.json`.
+//! Model bundles: a folder with `bundle.toml`, `model.onnx`, `sensitivity.onnx` where contacts are read off a map,
+//! `correction.json` where a forward model was corrected by what was recorded, and, for people, `card.json`.
 
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use dermis_inversion::Correction;
 use dermis_skin::SkinDescription;
 use sha2::{Digest, Sha256};
 
+use crate::correction::{self, CorrectionError};
 use crate::features::Features;
 use crate::interface::Interface;
 use crate::manifest::{Manifest, ManifestError, ModelSection, SkinSection};
@@ -20,6 +22,7 @@ use crate::runtime::Runtime;
 const MANIFEST: &str = "bundle.toml";
 const MODEL: &str = "model.onnx";
 const SENSITIVITY: &str = "sensitivity.onnx";
+const CORRECTION: &str = "correction.json";
 const CARD: &str = "card.json";
 
 /// A bundle that cannot be used or written, and why.
@@ -95,6 +98,14 @@ pub enum BundleError {
         /// What is wrong with it.
         source: ModelError,
     },
+    /// The correction of the forward model cannot be used.
+    #[error("model bundle file {path}: {source}")]
+    Correction {
+        /// Its file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: CorrectionError,
+    },
     /// The model was trained for another skin.
     #[error(transparent)]
     AnotherSkin(Box<SkinMismatch>),
@@ -159,6 +170,7 @@ pub struct Bundle {
     graph: Vec<u8>,
     /// The network that turns peaks into forces.
     sensitivity: Option<Vec<u8>>,
+    correction: Option<Correction>,
 }
 
 impl Bundle {
@@ -186,7 +198,23 @@ impl Bundle {
             Some(peaks) => Some(read_graph(path, SENSITIVITY, "peaks.sensitivity", &peaks.sensitivity)?),
             None => None,
         };
-        Ok(Self { path: path.to_owned(), manifest, graph, sensitivity })
+        let correction = match &manifest.correction {
+            Some(section) => {
+                let bytes =
+                    read_whole(path, CORRECTION, "correction", (section.bytes, section.hash.as_str()))?;
+                let correction = correction::decode(&bytes, &manifest.skin)
+                    .map_err(|source| BundleError::Correction { path: path.join(CORRECTION), source })?;
+                Some(correction)
+            }
+            None => None,
+        };
+        Ok(Self { path: path.to_owned(), manifest, graph, sensitivity, correction })
+    }
+
+    /// How the device differs from its forward model, where that was learned.
+    #[must_use]
+    pub fn correction(&self) -> Option<&Correction> {
+        self.correction.as_ref()
     }
 
     /// Folder that it was read from.
@@ -201,32 +229,53 @@ impl Bundle {
         &self.manifest
     }
 
-    /// Writes another manifest into the folder, whole or not at all; the graph stays.
+    /// Writes another manifest into the folder, whole or not at all, and with it the correction that its `correction` speaks
+    /// of, whose length and hash are filled in; the graphs stay. Without a correction the manifest speaks of none.
     ///
     /// # Errors
     ///
-    /// [`BundleError`] where the manifest contradicts itself or the file cannot be written.
-    pub fn amend(&mut self, manifest: Manifest) -> Result<(), BundleError> {
+    /// [`BundleError`] where manifest or correction contradict themselves, or a file cannot be written.
+    pub fn amend(
+        &mut self,
+        mut manifest: Manifest,
+        correction: Option<Correction>,
+    ) -> Result<(), BundleError> {
         let path = self.path.join(MANIFEST);
-        manifest.validate(&path.display().to_string())?;
-        let text = toml::to_string(&manifest).map_err(|e| BundleError::Encode {
-            path: self.path.clone(),
-            file: MANIFEST,
-            reason: e.to_string(),
-        })?;
-        let failed = |source| BundleError::Io { path: path.clone(), action: "written", source };
-        let mut scratch =
-            tempfile::Builder::new().prefix(".manifest-").tempfile_in(&self.path).map_err(failed)?;
-        scratch.write_all(text.as_bytes()).and_then(|()| scratch.as_file().sync_all()).map_err(failed)?;
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            let readable = std::fs::Permissions::from_mode(0o644);
-            scratch.as_file().set_permissions(readable).map_err(failed)?;
+        match (&correction, &mut manifest.correction) {
+            (Some(correction), section @ Some(_)) => {
+                let file = self.path.join(CORRECTION);
+                correction
+                    .check(manifest.skin.channels.len())
+                    .map_err(|e| BundleError::Correction { path: file.clone(), source: e.into() })?;
+                let text = correction::encode(correction, &manifest.skin)
+                    .map_err(|e| self.encode(CORRECTION, &e))?;
+                if let Some(section) = section {
+                    (section.bytes, section.hash) = (text.len() as u64, hash(text.as_bytes()));
+                }
+                manifest.validate(&path.display().to_string())?;
+                if self.manifest.correction.is_some() {
+                    // Whatever comes in between, the manifest never speaks of another file than is there.
+                    let mut bare = self.manifest.clone();
+                    bare.correction = None;
+                    replace(&path, &toml::to_string(&bare).map_err(|e| self.encode(MANIFEST, &e))?)?;
+                }
+                replace(&file, &text)?;
+            }
+            (_, section) => *section = None,
         }
-        scratch.persist(&path).map_err(|e| failed(e.error))?;
+        manifest.validate(&path.display().to_string())?;
+        replace(&path, &toml::to_string(&manifest).map_err(|e| self.encode(MANIFEST, &e))?)?;
+        self.correction = correction.filter(|_| manifest.correction.is_some());
+        if self.correction.is_none() {
+            // Nothing speaks of it any more, so that it does no harm where it cannot be removed.
+            let _ = std::fs::remove_file(self.path.join(CORRECTION));
+        }
         self.manifest = manifest;
         Ok(())
+    }
+
+    fn encode(&self, file: &'static str, reason: &dyn std::fmt::Display) -> BundleError {
+        BundleError::Encode { path: self.path.clone(), file, reason: reason.to_string() }
     }
 
     /// Turns frames into its input; starts with an empty history.
@@ -271,18 +320,46 @@ fn read_graph(
     field: &'static str,
     section: &ModelSection,
 ) -> Result<Vec<u8>, BundleError> {
-    let graph = read(folder, file)?;
-    let path = folder.join(file);
-    let found = graph.len() as u64;
-    if found != section.bytes {
-        return Err(BundleError::Length { path, field, found, expected: section.bytes });
-    }
-    let found = hash(&graph);
-    if !found.eq_ignore_ascii_case(&section.hash) {
-        return Err(BundleError::Content { path, field, found, expected: section.hash.clone() });
-    }
-    onnx::check(&graph, &section.interface).map_err(|source| BundleError::Model { path, source })?;
+    let graph = read_whole(folder, file, field, (section.bytes, section.hash.as_str()))?;
+    onnx::check(&graph, &section.interface)
+        .map_err(|source| BundleError::Model { path: folder.join(file), source })?;
     Ok(graph)
+}
+
+/// Reads a file and checks that it has the length and the hash that the manifest says.
+fn read_whole(
+    folder: &Path,
+    file: &'static str,
+    field: &'static str,
+    (bytes, expected): (u64, &str),
+) -> Result<Vec<u8>, BundleError> {
+    let content = read(folder, file)?;
+    let path = folder.join(file);
+    let found = content.len() as u64;
+    if found != bytes {
+        return Err(BundleError::Length { path, field, found, expected: bytes });
+    }
+    let found = hash(&content);
+    if !found.eq_ignore_ascii_case(expected) {
+        return Err(BundleError::Content { path, field, found, expected: expected.to_owned() });
+    }
+    Ok(content)
+}
+
+/// Replaces a file of a bundle, whole or not at all.
+fn replace(path: &Path, text: &str) -> Result<(), BundleError> {
+    let failed = |source| BundleError::Io { path: path.to_owned(), action: "written", source };
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut scratch = tempfile::Builder::new().prefix(".amended-").tempfile_in(folder).map_err(failed)?;
+    scratch.write_all(text.as_bytes()).and_then(|()| scratch.as_file().sync_all()).map_err(failed)?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let readable = std::fs::Permissions::from_mode(0o644);
+        scratch.as_file().set_permissions(readable).map_err(failed)?;
+    }
+    scratch.persist(path).map_err(|e| failed(e.error))?;
+    Ok(())
 }
 
 fn read(folder: &Path, file: &'static str) -> Result<Vec<u8>, BundleError> {

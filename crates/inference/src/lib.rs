@@ -13,6 +13,7 @@
 //! A frame's way through this crate is `Features::push` → `Features::input` → `Model::run` → `Outputs::decode`.
 
 mod bundle;
+mod correction;
 mod features;
 mod interface;
 mod manifest;
@@ -24,6 +25,7 @@ mod runtime;
 mod runtime_config;
 
 pub use bundle::{Bundle, BundleError, BundleWriter, SkinMismatch};
+pub use correction::{CorrectionError, CorrectionSection};
 pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
 pub use interface::Interface;
 pub use manifest::{Baseline, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection};

@@ -6,6 +6,7 @@ use dermis_inversion::Settings;
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize};
 
+use crate::correction::CorrectionSection;
 use crate::features::{FeatureConfig, FeatureError};
 use crate::interface::Interface;
 use crate::outputs::{OutputConfig, OutputError};
@@ -102,6 +103,9 @@ pub struct Manifest {
     /// Refines the model's answer on the skin's forward model, with these settings; the model only where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inversion: Option<Settings>,
+    /// How the device differs from that forward model; it is as designed where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correction: Option<CorrectionSection>,
     /// Reads contacts off the displacement map that the model gives; it gives none where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peaks: Option<PeakSection>,
@@ -179,6 +183,7 @@ impl Manifest {
             output,
             training,
             inversion: None,
+            correction: None,
             peaks: None,
             metrics: BTreeMap::new(),
         }
@@ -275,6 +280,14 @@ impl Manifest {
             && let Err(error) = settings.check(self.skin.channels.len())
         {
             return wrong("inversion", error.to_string());
+        }
+        if let Some(correction) = &self.correction {
+            if let Err((field, reason)) = correction.check() {
+                return wrong(&format!("correction.{field}"), reason);
+            }
+            if self.inversion.is_none() {
+                return wrong("correction", "there is no `inversion` whose forward model it corrects".into());
+            }
         }
         if let Some(peaks) = &self.peaks {
             if let Err((field, reason)) = peaks.check() {

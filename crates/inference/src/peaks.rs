@@ -107,6 +107,12 @@ impl MapContacts {
         &self.section.settings
     }
 
+    /// \[N\] root mean square error of its forces, where it was measured.
+    #[must_use]
+    pub fn force_sigma(&self) -> Option<f64> {
+        self.section.force_sigma
+    }
+
     /// Every peak of a map \[m\] above the least displacement, as a contact with its force; the highest peak first. None
     /// is suppressed yet.
     ///

@@ -32,6 +32,7 @@ mod metrics;
 pub mod plot;
 #[cfg(feature = "train")]
 pub mod real2sim;
+mod recordings;
 pub mod refine;
 mod split;
 #[cfg(feature = "train")]
@@ -44,4 +45,5 @@ pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, Verdicts, evalua
 pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
 pub use metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, MapScores, MapSummary, Scores, Summary, bins};
+pub use recordings::{Recorded, superpose};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -19,17 +19,16 @@
 mod basis;
 mod contacts;
 mod pipeline;
-mod recordings;
 mod regressor;
 mod scenes;
 mod sensors;
 mod settings;
 mod table;
 
+pub use crate::recordings::{Recorded, superpose};
 pub use basis::MapBasis;
 pub use contacts::{matched, tune};
 pub use pipeline::{Pipeline, PipelineSettings, Trained, train};
-pub use recordings::{Recorded, superpose};
 pub use regressor::{LinearMap, MapRegressor, NearestMaps, NetMap};
 pub use scenes::{Compliance, Part, SceneSettings, Scenes};
 pub use sensors::{Simulated, VirtualSensors, simulate};

@@ -1,12 +1,17 @@
 //! Refining what a bundle says on the skin's forward model: what recordings tell of that model.
 
-use dermis_inversion::{Calibration, Settings};
+use std::sync::Arc;
+
+use dermis_inversion::{
+    Calibration, Correction, CorrectionSettings, Inverter, InverterError, Press, Reading, Settings,
+};
 use dermis_skin::{ChannelFlags, ForwardModel, Indentation, Stimulus, Surface, Unknowns};
 use nalgebra::{Point3, Vector3};
 
 use crate::LearnError;
 use crate::bounds::stimulus;
 use crate::dataset::{Dataset, SampleId};
+use crate::recordings::Recorded;
 
 /// Frames that are measured on at most; of more, every n-th is taken.
 const MOST: usize = 20_000;
@@ -65,6 +70,86 @@ pub fn settings(
     settings.contacts = contacts;
     settings.region = region(model.surface(), frames.iter().flat_map(|(s, _)| &s.contacts));
     Ok(settings)
+}
+
+/// A correction, and what is known about it.
+#[derive(Debug, Clone)]
+pub struct Learned {
+    /// What it is.
+    pub correction: Correction,
+    /// How it was learned.
+    pub settings: CorrectionSettings,
+    /// Recorded presses that it was learned from.
+    pub presses: usize,
+    /// Root mean square, in units of the noise, of what the model leaves of `chosen`: without it, and with it.
+    pub left: [f64; 2],
+}
+
+/// The correction, learned from `recorded`, that leaves least of presses at other places (`chosen`). `gains` are those of
+/// [`settings`].
+///
+/// # Errors
+///
+/// [`InverterError::Model`] where the model has no answer for a press.
+pub fn correction(
+    model: &dyn ForwardModel,
+    recorded: &[Recorded],
+    chosen: &[Recorded],
+    gains: &[f64],
+) -> Result<Learned, InverterError> {
+    fn presses(recorded: &[Recorded], most: usize) -> Vec<Press<'_>> {
+        let step = recorded.len().div_ceil(most).max(1);
+        recorded.iter().step_by(step).map(|r| (&r.contact, r.signal.as_slice())).collect()
+    }
+    let (some, all, test) = (presses(recorded, 3000), presses(recorded, 12_000), presses(chosen, 1500));
+    let without =
+        Correction::fit(model, &[], gains, &CorrectionSettings::default())?.remainder(model, &test)?;
+    let (mut least, mut settings) = (f64::INFINITY, CorrectionSettings::default());
+    for length in [0.006, 0.009, 0.013, 0.019] {
+        for ridge in [1e-6, 1e-4, 1e-2] {
+            let tried = CorrectionSettings { length, ridge, ..CorrectionSettings::default() };
+            let left = Correction::fit(model, &some, gains, &tried)?.remainder(model, &test)?;
+            if left < least {
+                (least, settings) = (left, tried);
+            }
+        }
+    }
+    let correction = Correction::fit(model, &all, gains, &settings)?;
+    let with = correction.remainder(model, &test)?;
+    Ok(Learned { correction, settings, presses: all.len(), left: [without, with] })
+}
+
+/// Readings, all of them known.
+#[must_use]
+pub fn exact(signal: &[f32]) -> Vec<Reading> {
+    signal.iter().map(|v| Reading::Exact(f64::from(*v))).collect()
+}
+
+/// Sets the [evidence](Settings::evidence) that gives the right number of contacts most often on `frames`, sums of recorded
+/// contacts ([`superpose`](crate::superpose)).
+///
+/// # Errors
+///
+/// [`InverterError`] where the settings cannot be or the model has no answer.
+pub fn tune_evidence(
+    model: &Arc<dyn ForwardModel>,
+    settings: &mut Settings,
+    frames: &[(Stimulus, Vec<f32>)],
+) -> Result<(), InverterError> {
+    let mut best = (0, settings.evidence);
+    for evidence in [6.0, 10.0, 15.0, 22.0, 30.0, 45.0, 70.0] {
+        let tried = Inverter::new(Arc::clone(model), Settings { evidence, ..settings.clone() })?;
+        let mut right = 0;
+        for (stimulus, signal) in frames {
+            let found = tried.search(&exact(signal))?.contacts.len();
+            right += usize::from(found == stimulus.contacts.len());
+        }
+        if right > best.0 {
+            best = (right, evidence);
+        }
+    }
+    settings.evidence = best.1;
+    Ok(())
 }
 
 /// The box that was pressed, where it leaves out a part of the surface: nobody knows what the model is worth there.

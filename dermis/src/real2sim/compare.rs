@@ -6,14 +6,13 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
-use dermis_inversion::{
-    Corrected, Correction, CorrectionSettings, ForcePrior, Inverter, Press, Reading, Settings, SparseSettings,
-};
+use dermis_inversion::{Corrected, ForcePrior, Inverter, SparseSettings};
 use dermis_learn::cli::Labels;
 use dermis_learn::real2sim::{Compliance, Recorded, matched, superpose};
+use dermis_learn::refine::Learned;
 use dermis_learn::{Dataset, Evaluation, Evaluator, SampleId, Truth, TruthContact, bounds, refine};
 use dermis_skin::{Estimate, ForwardModel, SkinDescription, Unknowns};
 use indicatif::ProgressBar;
@@ -264,7 +263,8 @@ fn prepare(
     plain.distance = 0.008;
     plain.force_prior = ForcePrior::Log;
     bar.set_message("what the model does not know");
-    let (correction, settings, remainder) = correct(model.as_ref(), &recorded, &chosen, &plain.gains)?;
+    let Learned { correction, settings, left, .. } =
+        refine::correction(model.as_ref(), &recorded, &chosen, &plain.gains)?;
     let corrected: Arc<dyn ForwardModel> = Arc::new(Corrected::new(Arc::clone(model), correction)?);
     let mut better =
         refine::settings(corrected.as_ref(), learned, choose, Unknowns::Normal, options.contacts)?;
@@ -273,8 +273,8 @@ fn prepare(
     better.gains.clear();
     bar.set_message("how much evidence a contact needs");
     let pairs: Vec<_> = (1..=3).flat_map(|n| superpose(&chosen, n, 60, FAR, 77)).collect();
-    tune_evidence(model, &mut plain, &pairs)?;
-    tune_evidence(&corrected, &mut better, &pairs)?;
+    refine::tune_evidence(model, &mut plain, &pairs)?;
+    refine::tune_evidence(&corrected, &mut better, &pairs)?;
 
     methods.push(("forward model, likelihood".into(), Box::new(Likely(inverter(model, &plain)?))));
     let sparse = tune_sparse(&inverter(model, &plain)?, &pairs)?;
@@ -310,65 +310,13 @@ fn prepare(
         "recorded": recorded.len(), "gains": plain.gains, "model_error": plain.model_error,
         "evidence": plain.evidence, "sparse": { "penalty": sparse.penalty, "share": sparse.share },
         "correction": { "length_m": settings.length, "ridge": settings.ridge, "powers": settings.powers,
-                        "remainder_before_in_noise": remainder[0], "remainder_after_in_noise": remainder[1],
+                        "remainder_before_in_noise": left[0], "remainder_after_in_noise": left[1],
                         "model_error": better.model_error, "evidence": better.evidence },
     });
     Ok(Prepared { methods, notes })
 }
 
-/// The correction that leaves least at places that it was not fitted to; and how much is left without and with it.
-fn correct(
-    model: &dyn ForwardModel,
-    recorded: &[Recorded],
-    chosen: &[Recorded],
-    gains: &[f64],
-) -> Result<(Correction, CorrectionSettings, [f64; 2])> {
-    fn presses(recorded: &[Recorded], most: usize) -> Vec<Press<'_>> {
-        let step = recorded.len().div_ceil(most).max(1);
-        recorded.iter().step_by(step).map(|r| (&r.contact, r.signal.as_slice())).collect()
-    }
-    let (some, all, test) = (presses(recorded, 3000), presses(recorded, 12_000), presses(chosen, 1500));
-    let without =
-        Correction::fit(model, &[], gains, &CorrectionSettings::default())?.remainder(model, &test)?;
-    let mut best: Option<(f64, CorrectionSettings)> = None;
-    for length in [0.006, 0.009, 0.013, 0.019] {
-        for ridge in [1e-6, 1e-4, 1e-2] {
-            let settings = CorrectionSettings { length, ridge, ..CorrectionSettings::default() };
-            let left = Correction::fit(model, &some, gains, &settings)?.remainder(model, &test)?;
-            if best.is_none_or(|(least, _)| left < least) {
-                best = Some((left, settings));
-            }
-        }
-    }
-    let (_, settings) = best.context("no correction was tried")?;
-    let correction = Correction::fit(model, &all, gains, &settings)?;
-    let with = correction.remainder(model, &test)?;
-    Ok((correction, settings, [without, with]))
-}
-
 type Sum = (dermis_skin::Stimulus, Vec<f32>);
-
-fn exact(signal: &[f32]) -> Vec<Reading> {
-    signal.iter().map(|v| Reading::Exact(f64::from(*v))).collect()
-}
-
-/// The evidence that gives the right number of contacts most often on sums of recorded contacts, each number alike.
-fn tune_evidence(model: &Arc<dyn ForwardModel>, settings: &mut Settings, frames: &[Sum]) -> Result<()> {
-    let mut best = (f64::NEG_INFINITY, settings.evidence);
-    for evidence in [6.0, 10.0, 15.0, 22.0, 30.0, 45.0, 70.0] {
-        let tried = Inverter::new(Arc::clone(model), Settings { evidence, ..settings.clone() })?;
-        let mut right = 0usize;
-        for (stimulus, signal) in frames {
-            let found = tried.search(&exact(signal))?.contacts.len();
-            right += usize::from(found == stimulus.contacts.len());
-        }
-        if right as f64 > best.0 {
-            best = (right as f64, evidence);
-        }
-    }
-    settings.evidence = best.1;
-    Ok(())
-}
 
 /// Penalty and share that give the right number most often, and places that are nearest.
 fn tune_sparse(inverter: &Inverter, frames: &[Sum]) -> Result<SparseSettings> {
@@ -378,8 +326,9 @@ fn tune_sparse(inverter: &Inverter, frames: &[Sum]) -> Result<SparseSettings> {
             let tried = SparseSettings { penalty, share, radius: 0.015 };
             let mut right = 0usize;
             for (stimulus, signal) in frames {
-                right +=
-                    usize::from(inverter.sparse(&exact(signal), &tried)?.len() == stimulus.contacts.len());
+                right += usize::from(
+                    inverter.sparse(&refine::exact(signal), &tried)?.len() == stimulus.contacts.len(),
+                );
             }
             if right as f64 > best.0 {
                 best = (right as f64, tried);

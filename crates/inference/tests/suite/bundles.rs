@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use dermis_inference::{
-    Baseline, Bundle, BundleWriter, FeatureConfig, Manifest, Missing, OutputConfig, OutputSpec, Taps,
-    TrainingSection,
+    Baseline, Bundle, BundleWriter, CorrectionSection, FeatureConfig, Manifest, Missing, OutputConfig,
+    OutputSpec, Taps, TrainingSection,
 };
+use dermis_inversion::{Correction, Settings};
 use dermis_skin::SkinDescription;
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
@@ -272,4 +273,89 @@ proptest! {
             let _ = model.run(&[0.5; 5], &mut Vec::new());
         }
     }
+}
+
+/// A correction of nothing for five channels.
+fn correction() -> Correction {
+    let text = r#"{"centres":[[0.0,0.0,0.0]],"length":0.01,"force":2.0,"powers":1,"gains":[1.0,1.1,1.0,0.9,1.0],"weights":[0.5,0.25,0.0,-1.5,2.0]}"#;
+    serde_json::from_str(text).unwrap()
+}
+
+impl OnDisk {
+    /// With a correction.
+    fn corrected() -> Self {
+        let disk = Self::new();
+        let mut bundle = Bundle::load(&disk.path, &pad()).unwrap();
+        let mut manifest = bundle.manifest().clone();
+        manifest.inversion = Some(Settings::new(0.004, 8.0));
+        let section = CorrectionSection {
+            data_hash: "sha256:1".into(),
+            presses: 40,
+            left: [12.5, 1.25],
+            ..CorrectionSection::default()
+        };
+        manifest.correction = Some(section);
+        bundle.amend(manifest, Some(correction())).unwrap();
+        assert_eq!(bundle.correction(), Some(&correction()));
+        disk
+    }
+
+    /// Changes the correction's file, and makes the manifest agree with it.
+    fn edit_correction(&self, from: &str, to: &str) {
+        let path = self.path.join("correction.json");
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{from} is not in\n{text}");
+        let text = text.replacen(from, to, 1);
+        std::fs::write(&path, &text).unwrap();
+        let manifest = self.path.join("bundle.toml");
+        let mut table: toml::Table = std::fs::read_to_string(&manifest).unwrap().parse().unwrap();
+        let section = table["correction"].as_table_mut().unwrap();
+        let hex: String = Sha256::digest(text.as_bytes()).iter().map(|b| format!("{b:02x}")).collect();
+        section.insert("bytes".into(), (text.len() as i64).into());
+        section.insert("hash".into(), format!("sha256:{hex}").into());
+        std::fs::write(manifest, table.to_string()).unwrap();
+    }
+}
+
+#[test]
+fn a_correction_is_part_of_a_bundle() {
+    let disk = OnDisk::corrected();
+    let mut bundle = Bundle::load(&disk.path, &pad()).unwrap();
+    assert_eq!(bundle.correction(), Some(&correction()));
+    let section = bundle.manifest().correction.clone().unwrap();
+    assert_eq!((section.presses, section.left), (40, [12.5, 1.25]));
+    // Again, with another one; then without.
+    let manifest = bundle.manifest().clone();
+    bundle.amend(manifest.clone(), Some(correction())).unwrap();
+    assert_eq!(Bundle::load(&disk.path, &pad()).unwrap().manifest(), &manifest);
+    bundle.amend(manifest, None).unwrap();
+    let bare = Bundle::load(&disk.path, &pad()).unwrap();
+    assert!(bare.correction().is_none() && bare.manifest().correction.is_none());
+    assert!(!disk.path.join("correction.json").exists());
+}
+
+#[test]
+fn a_correction_that_cannot_be_is_refused() {
+    let disk = OnDisk::corrected();
+    std::fs::remove_file(disk.path.join("correction.json")).unwrap();
+    insta::assert_snapshot!(disk.refusal(&pad()), @"model bundle /pad-mlp: holds no `correction.json`, so it is not a whole bundle; copy it again or train it anew");
+    let refused = |from: &str, to: &str| {
+        let disk = OnDisk::corrected();
+        disk.edit_correction(from, to);
+        disk.refusal(&pad())
+    };
+    insta::assert_snapshot!(refused("[0.5,0.25", "[NaN,0.25"), @"model bundle file /pad-mlp/correction.json: cannot be read as a correction: expected value at line 1 column 308; copy the bundle again, or learn the correction anew with `dermis refine --correct`");
+    insta::assert_snapshot!(refused("[0.5,0.25", "[1e300,0.25"), @"model bundle file /pad-mlp/correction.json: the correction's `weights`: number 0 is not finite; fit it anew");
+    insta::assert_snapshot!(refused("\"gains\":[1.0,", "\"gains\":["), @"model bundle file /pad-mlp/correction.json: a correction of 4 channels for a model of 5; fit it anew");
+    insta::assert_snapshot!(refused("dermis-correction/1", "dermis-correction/2"), @r#"model bundle file /pad-mlp/correction.json: field `schema` is "dermis-correction/2" where this program reads "dermis-correction/1"; copy the bundle again, or learn the correction anew with `dermis refine --correct`"#);
+    let disk = OnDisk::corrected();
+    disk.edit_correction("\"name\":\"pad\",\"hash\":\"sha256:", "\"name\":\"other\",\"hash\":\"sha256:0");
+    let told = disk.refusal(&pad());
+    assert!(
+        told.contains("was learned on skin `other`") && told.contains("not on the bundle's `pad`"),
+        "{told}"
+    );
+    let disk = OnDisk::corrected();
+    disk.edit("[inversion]", "[unknown]");
+    assert!(Bundle::load(&disk.path, &pad()).is_err());
 }
