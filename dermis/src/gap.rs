@@ -43,6 +43,9 @@ pub struct Diagnose {
     /// Take the ground truth from a robot's pose and a force sensor's wrench, as this file maps them; see launch/labels/.
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
+    /// Zero of readings: as they were recorded, from the first second of a run, or from before each press.
+    #[arg(long, value_enum, default_value_t = Zero::AsRead)]
+    zero: Zero,
     /// Folder for report.html, report.json and the corrected skin.toml.
     #[arg(short, long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -61,6 +64,17 @@ pub struct Diagnose {
     /// The report as JSON.
     #[arg(long)]
     json: bool,
+}
+
+/// What readings are counted from.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Zero {
+    /// As they were recorded: an offset is part of the gap.
+    AsRead,
+    /// From what was read untouched in the first second of a run.
+    Start,
+    /// From what was read in the half second before each press.
+    Press,
 }
 
 fn share(text: &str) -> Result<f64, String> {
@@ -104,7 +118,12 @@ fn diagnose(options: &Diagnose) -> Result<Diagnosis> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
     let map = options.map.as_ref().map(LabelMap::load).transpose()?;
-    let recording = dermis_gap::read(&options.real, &skin, map.as_ref())?;
+    let mut recording = dermis_gap::read(&options.real, &skin, map.as_ref())?;
+    recording.tare(match options.zero {
+        Zero::AsRead => dermis_gap::Zero::AsRead,
+        Zero::Start => dermis_gap::Zero::Start,
+        Zero::Press => dermis_gap::Zero::Press,
+    });
     let progress = ProgressBar::new(0)
         .with_style(ProgressStyle::with_template("{msg} {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.set_message("simulating effects");

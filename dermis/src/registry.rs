@@ -73,7 +73,7 @@ fn estimator(sensor: &Sensor, skin: &SkinDescription, bundles: &[PathBuf]) -> Re
 
 /// The forward model of a skin that was read from `path`, effects that every skin can have included; refusals name that file.
 pub fn forward(path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
-    dermis_gap::device(skin, family(skin)?.model).map_err(|error| match error.downcast() {
+    (family(skin)?.model)(skin).map_err(|error| match error.downcast() {
         Ok(ModelError::Description { field, reason, .. }) => {
             anyhow!("skin file {}: field `{field}`: {reason}", path.display())
         }

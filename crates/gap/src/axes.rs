@@ -232,7 +232,7 @@ fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
         listed(
             "session",
             rows,
-            |r| Some(r.location.0),
+            |r| Some(r.session),
             |run| recorded.get(*run as usize).cloned().unwrap_or_else(|| format!("run {run}")),
         ),
     ];

@@ -343,3 +343,85 @@ fn order(tared: &Tared) -> Option<Vec<usize>> {
     sources.sort_unstable();
     (moved.len() >= 2 && targets == sources).then_some(order)
 }
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::{Indentation, Stimulus};
+    use nalgebra::{Point3, Vector3};
+
+    use super::*;
+    use crate::data::Moment;
+    use crate::rows::RowOptions;
+
+    /// Twelve presses in two sessions, of two tips, with everything that a recording can have.
+    fn whole() -> Recording {
+        let mut recording = Recording::new("whole", 1);
+        recording.sessions = vec!["one".to_owned(), "two".to_owned()];
+        for i in 0..12 * 300_u32 {
+            let (press, within) = (u64::from(i / 300), i % 300);
+            let touched = within >= 100;
+            let contact = |x: f64| Indentation {
+                position: Point3::new(x, 0.0, 0.0),
+                force: Vector3::new(0.0, 0.0, -1.0),
+                diameter: if press < 6 { 0.004 } else { 0.008 },
+            };
+            let mut contacts = if touched { vec![contact(0.0)] } else { Vec::new() };
+            if touched && press == 3 {
+                contacts.push(contact(0.01));
+            }
+            let temperature = 293.0 + f64::from(i) * 1e-3;
+            recording.push(
+                Moment {
+                    time: f64::from(i) * 0.01,
+                    run: 0,
+                    press,
+                    location: 1,
+                    phase: if touched { Phase::Hold } else { Phase::Idle },
+                    stimulus: Some(Stimulus { contacts, temperature, ..Stimulus::default() }),
+                    temperature,
+                },
+                &[0.0],
+            );
+            recording.session.push(u32::from(press >= 6));
+        }
+        recording
+    }
+
+    fn lacks(repeats: usize, change: impl FnOnce(&mut Recording)) -> Vec<String> {
+        let mut recording = whole();
+        change(&mut recording);
+        let rows = Rows::draw(&recording, &[true], &RowOptions::default());
+        missing(&recording, &rows, repeats).into_iter().map(|m| m.what).collect()
+    }
+
+    #[test]
+    fn what_is_missing_is_said_and_nothing_else() {
+        assert_eq!(lacks(10, |_| ()), [""; 0]);
+        assert!(lacks(9, |_| ())[0].starts_with("repeats"));
+        assert_eq!(
+            lacks(10, |r| {
+                r.sessions.pop();
+            }),
+            ["a second session"]
+        );
+        let each = |change: fn(&mut Moment)| lacks(10, |r| r.moments.iter_mut().for_each(change));
+        assert_eq!(each(|m| m.temperature = f64::NAN), ["the temperature"]);
+        assert_eq!(each(|m| m.temperature = 293.0), ["a temperature that changes"]);
+        assert_eq!(
+            each(|m| m.stimulus.iter_mut().for_each(|s| s.contacts.truncate(1))),
+            ["several contacts at once"]
+        );
+        assert_eq!(
+            each(|m| m.stimulus.iter_mut().flat_map(|s| &mut s.contacts).for_each(|c| c.diameter = 0.004)),
+            ["a second tip"]
+        );
+        // Presses of half a second, and no pause that is longer than a frame.
+        assert_eq!(each(|m| m.time *= 0.25), ["presses that are held for a second or more"]);
+        let busy = lacks(10, |r| {
+            for m in r.moments.iter_mut().filter(|m| m.phase == Phase::Idle) {
+                m.phase = Phase::Approach;
+            }
+        });
+        assert_eq!(busy, ["windows without contact, at least half a second each"]);
+    }
+}

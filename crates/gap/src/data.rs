@@ -30,6 +30,22 @@ impl Moment {
     }
 }
 
+/// \[s\] from the first untouched frame on that [`Zero::Start`] takes, and before a press that [`Zero::Press`] does.
+const START: f64 = 1.0;
+const BEFORE: f64 = 0.5;
+
+/// What readings are counted from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Zero {
+    /// As they were recorded: the zero of the device is part of the gap.
+    #[default]
+    AsRead,
+    /// From what was read untouched at the beginning of each run, as a node does that is tared once.
+    Start,
+    /// From what was read just before each press: drift between presses is no part of the gap.
+    Press,
+}
+
 /// Something about a recording that a person should know.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Problem {
@@ -62,8 +78,10 @@ pub struct Recording {
     pub moments: Vec<Moment>,
     /// What was read, `channels` numbers a moment, in the unit of the skin; NaN where a channel gave none.
     pub readings: Vec<f32>,
-    /// One name a run: readings of one share mounting, zero and temperature history.
+    /// Names of sessions: readings of one share mounting, zero and temperature history.
     pub sessions: Vec<String>,
+    /// Which session each moment belongs to; empty where runs and sessions are the same.
+    pub session: Vec<u32>,
     /// What was noticed on reading it.
     pub problems: Vec<Problem>,
 }
@@ -80,6 +98,12 @@ impl Recording {
         self.moments.push(moment);
         let whole = readings.iter().copied().chain(std::iter::repeat(f32::NAN));
         self.readings.extend(whole.take(self.channels));
+    }
+
+    /// Place in [`sessions`](Self::sessions) of a frame's session.
+    #[must_use]
+    pub fn session_of(&self, frame: usize) -> u32 {
+        self.session.get(frame).or(self.moments.get(frame).map(|m| &m.run)).copied().unwrap_or(0)
     }
 
     /// Readings of one frame.
@@ -135,6 +159,58 @@ impl Recording {
         hex(&hasher.finalize())
     }
 
+    /// Takes from each reading what its channel read while nothing touched.
+    pub fn tare(&mut self, zero: Zero) {
+        let n = self.channels;
+        let mut begin = 0;
+        while begin < self.moments.len() {
+            let run = self.moments[begin].run;
+            let end = begin + self.moments[begin..].iter().take_while(|m| m.run == run).count();
+            let free = |i: usize| self.moments[i].phase == Phase::Idle;
+            // Each block of frames, and the untouched ones that its zero comes from.
+            let mut blocks: Vec<(usize, Vec<usize>)> = Vec::new();
+            match zero {
+                Zero::AsRead => return,
+                Zero::Start => {
+                    let first = (begin..end).find(|i| free(*i)).map_or(f64::NAN, |i| self.moments[i].time);
+                    let early = (begin..end).filter(|i| free(*i) && self.moments[*i].time - first <= START);
+                    blocks.push((begin, early.collect()));
+                }
+                Zero::Press => {
+                    for i in begin + 1..end {
+                        if !free(i) && free(i - 1) {
+                            let since = self.moments[i].time - BEFORE;
+                            let rest = (begin..i).rev().take_while(|j| free(*j));
+                            let rest = rest.take_while(|j| self.moments[*j].time >= since).collect();
+                            // What comes before the first press has no zero but its.
+                            blocks.push((if blocks.is_empty() { begin } else { i }, rest));
+                        }
+                    }
+                }
+            }
+            // All zeros first: those of a press are within what the zero of the press before it changes.
+            let levels: Vec<Vec<f32>> = blocks.iter().map(|(_, frames)| self.levels(frames)).collect();
+            for (at, ((from, _), level)) in blocks.iter().zip(&levels).enumerate() {
+                let to = blocks.get(at + 1).map_or(end, |b| b.0);
+                for row in self.readings[from * n..to * n].chunks_exact_mut(n.max(1)) {
+                    row.iter_mut().zip(level).for_each(|(r, l)| *r -= l);
+                }
+            }
+            begin = end;
+        }
+    }
+
+    /// Mean of each channel over some frames; 0 where none has a number.
+    fn levels(&self, frames: &[usize]) -> Vec<f32> {
+        let of = |k: usize| {
+            let values = frames.iter().map(|i| f64::from(self.readings[i * self.channels + k]));
+            let (sum, count) =
+                values.filter(|v| v.is_finite()).fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
+            (sum / f64::max(count, 1.0)) as f32
+        };
+        (0..self.channels).map(of).collect()
+    }
+
     /// Says where the clock runs backwards: at such a place nobody knows which readings belong to which stimulus.
     pub(crate) fn clock(&self) -> Option<Problem> {
         let (mut back, mut stood, mut first) = (0usize, 0usize, None);
@@ -172,4 +248,38 @@ impl Recording {
 pub(crate) fn hex(bytes: &[u8]) -> String {
     let digits: String = bytes.iter().map(|b| format!("{b:02x}")).collect();
     format!("sha256:{digits}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rests at 10 and drifts by 1 from press to press; each press adds 5.
+    fn drifting(zero: Zero) -> Vec<f32> {
+        let mut recording = Recording::new("drifting", 1);
+        for i in 0..400_u32 {
+            let (press, within) = (u64::from(i / 200) + 1, i % 200);
+            let touched = (150..180).contains(&within);
+            let moment = Moment {
+                time: f64::from(i) * 0.01,
+                run: 0,
+                press,
+                location: 1,
+                phase: if touched { Phase::Hold } else { Phase::Idle },
+                stimulus: Some(Stimulus::default()),
+                temperature: f64::NAN,
+            };
+            let value = 9.0 + press as f32 + if touched { 5.0 } else { 0.0 };
+            recording.push(moment, &[value]);
+        }
+        recording.tare(zero);
+        [10, 160, 190, 360].map(|i| recording.readings[i]).to_vec()
+    }
+
+    #[test]
+    fn readings_count_from_the_zero_that_was_asked_for() {
+        assert_eq!(drifting(Zero::AsRead), [10.0, 15.0, 10.0, 16.0]);
+        assert_eq!(drifting(Zero::Start), [0.0, 5.0, 0.0, 6.0]);
+        assert_eq!(drifting(Zero::Press), [0.0, 5.0, 0.0, 5.0]);
+    }
 }

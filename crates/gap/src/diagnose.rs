@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-use dermis_skin::{Effect, SkinDescription};
+use dermis_skin::{Effect, SkinDescription, common_effect};
 use indicatif::ProgressBar;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -14,8 +14,7 @@ use sha2::{Digest, Sha256};
 
 use crate::axes::{self, View};
 use crate::data::{Problem, Recording, hex};
-use crate::device::common_effect;
-use crate::library::{Candidate, Gram, Signatures};
+use crate::library::{CHANNELS, Candidate, Gram, Signatures};
 use crate::noise::{self, Gap};
 use crate::polish::{self, Free, Target};
 use crate::report::{
@@ -110,6 +109,13 @@ pub fn diagnose(
     report.provenance.library_hash = hex(&Sha256::digest(report.provenance.tried.join(",")));
 
     let channels = recording.channels;
+    if channels > CHANNELS {
+        report.warnings.push(format!(
+            "effects that differ from channel to channel are looked for in the {CHANNELS} channels that these presses move most; \
+             of the other {} channels no gain, offset or place is told",
+            channels - CHANNELS
+        ));
+    }
     let mut readings: Vec<f32> =
         rows.rows.iter().flat_map(|r| recording.frame(r.frame).iter().copied()).collect();
     let agreement = checks::agreement(simulator, recording, &rows, &readings, &signatures.nominal, &sigma)?;
@@ -448,7 +454,7 @@ fn alias(effects: &mut [NamedEffect], rows: &Rows) {
     let series: [(&str, Vec<f64>); 3] = [
         ("temperature", rows.rows.iter().map(|r| r.temperature).collect()),
         ("session time", rows.rows.iter().map(|r| r.time).collect()),
-        ("session", rows.rows.iter().map(|r| f64::from(r.location.0)).collect()),
+        ("session", rows.rows.iter().map(|r| f64::from(r.session)).collect()),
     ];
     for effect in effects {
         if !effect.label.contains("thermal") {

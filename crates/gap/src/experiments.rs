@@ -252,6 +252,7 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Row
         group: 0,
         press: 0,
         location: (0, 1),
+        session: 0,
         phase: m.phase,
         force: m.force(),
         since: 0.0,

@@ -9,14 +9,13 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
-use dermis_skin::{Effect, EffectInfo, SkinDescription};
+use dermis_skin::{Effect, EffectInfo, SkinDescription, common_effect};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 
 use crate::GapError;
 use crate::algebra::{cholesky_solve, components, dot};
 use crate::data::Recording;
-use crate::device::common_effect;
 use crate::rows::Rows;
 use crate::simulate::Simulator;
 use crate::statistics::Column;
@@ -50,7 +49,7 @@ const LAW: f64 = 0.05;
 /// Columns of the simulator's own error, at most.
 const FORMS: usize = 12;
 /// Channels for each of which an effect may have columns of its own; beyond it, those that it moves most do.
-const CHANNELS: usize = 48;
+pub(crate) const CHANNELS: usize = 48;
 
 /// An effect that may be the cause.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

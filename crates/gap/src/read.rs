@@ -65,7 +65,6 @@ fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result
     }
     let (mut frames, mut truths) = (Vec::new(), Vec::new());
     let expected: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
-    let mut session = None;
     for message in bag.messages_where(Filter::default().types(wanted.iter().map(|s| s.name))) {
         let message = message?;
         if *message.type_name == *TaxelFrame::TYPE_NAME {
@@ -92,7 +91,6 @@ fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result
         } else {
             let truth: Indentation = message.decode()?;
             if truth.skin == skin.name {
-                session.get_or_insert_with(|| truth.session.clone());
                 truths.push(truth);
             }
         }
@@ -109,8 +107,16 @@ fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result
     }
     // Frames stay in the order in which they were recorded, so that a clock that runs backwards shows; truth is looked up.
     truths.sort_by_key(|t| t.header.stamp.as_nanos());
-    let run = recording.sessions.len() as u32;
-    recording.sessions.push(session.filter(|s| !s.is_empty()).unwrap_or(place.clone()));
+    let run = recording.moments.last().map_or(0, |m| m.run + 1);
+    // A bag may hold several sessions, and several bags sessions of one name.
+    let first_session = recording.sessions.len();
+    for truth in &truths {
+        let name = if truth.session.is_empty() { &place } else { &truth.session };
+        if !recording.sessions[first_session..].contains(name) {
+            recording.sessions.push(name.clone());
+        }
+    }
+    let mut session = first_session;
     let begin = frames[0].stamp;
     let tolerance = ((0.5 / skin.rate).max(0.01) * 1e9) as Stamp;
     let surface = skin.surface();
@@ -133,6 +139,9 @@ fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result
         match truth {
             None => doubts.unknown += 1,
             Some(truth) => {
+                let name = if truth.session.is_empty() { &place } else { &truth.session };
+                let within = recording.sessions[first_session..].iter().position(|s| s == name);
+                session = first_session + within.unwrap_or(0);
                 moment.press = truth.press;
                 moment.location = truth.location;
                 moment.phase = phase(truth.phase, !truth.contacts.is_empty());
@@ -148,6 +157,7 @@ fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result
             }
         }
         recording.push(moment, &frame.values);
+        recording.session.push(session as u32);
     }
     doubts.tell(&place, recording);
     Ok(())

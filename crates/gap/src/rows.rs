@@ -23,6 +23,8 @@ pub struct Row {
     pub press: usize,
     /// Place.
     pub location: (u32, u32),
+    /// Place of its session in [`Recording::sessions`].
+    pub session: u32,
     /// What the rig was doing.
     pub phase: Phase,
     /// \[N\] total.
@@ -169,6 +171,7 @@ impl Rows {
                 group,
                 press: number,
                 location: (moment.run, moment.location),
+                session: recording.session_of(frame),
                 phase: moment.phase,
                 force: moment.force(),
                 since: facts[frame].since,

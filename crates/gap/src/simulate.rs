@@ -4,12 +4,11 @@ use std::sync::Arc;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use dermis_skin::{Effect, EffectInfo, ForwardModel, SkinDescription};
+use dermis_skin::{Effect, EffectInfo, ForwardModel, SkinDescription, common_effect, device};
 use indicatif::ProgressBar;
 
 use crate::GapError;
 use crate::data::Recording;
-use crate::device::{common_effect, device};
 use crate::rows::Rows;
 
 /// What a device would have read along a recording.

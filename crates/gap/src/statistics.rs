@@ -242,6 +242,7 @@ mod tests {
             group,
             press: group,
             location: (0, group as u32),
+            session: 0,
             phase: Phase::Hold,
             force: 1.0,
             since: 0.1,

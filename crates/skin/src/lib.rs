@@ -42,6 +42,7 @@
 mod contact;
 mod convert;
 mod description;
+mod device;
 mod effect;
 mod error;
 mod frame;
@@ -60,6 +61,7 @@ pub use convert::contact_array;
 pub use description::{
     Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
 };
+pub use device::{COMMON, CommonEffect, CommonParameters, common_effect, device};
 pub use effect::{Effect, EffectInfo, Memoryless, ParameterInfo, Trajectory};
 pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
-use clap::Args;
+use clap::{Args, ValueEnum as _};
 use dermis_gap::Downstream;
 use serde_json::Value;
 
 use super::Diagnose;
+use crate::refine::Looked;
 
 /// What to close, and with which estimator to see it.
 #[derive(Args, Clone)]
@@ -22,6 +23,9 @@ pub struct Close {
     /// Training configuration; see launch/train/.
     #[arg(long, requires = "plan")]
     config: Option<PathBuf>,
+    /// Refine both estimators on their forward models, too: what is looked for in each contact.
+    #[arg(long, requires = "plan", value_enum)]
+    refine: Option<Looked>,
     /// Held-out real bag that both estimators are measured on; the diagnosed one where absent.
     #[arg(long, value_name = "BAG")]
     held_out: Option<PathBuf>,
@@ -46,13 +50,18 @@ pub fn run(options: &Close) -> Result<()> {
         }
         let before = estimator(&options.diagnose.skin, plan, config, &out.join("nominal"), bag, options)?;
         let after = estimator(&out.join("skin.toml"), plan, config, &out.join("corrected"), bag, options)?;
-        for (metric, unit) in [("position_rms", "m"), ("force_normal_rms", "N")] {
-            if let (Some(before), Some(after)) = (figure(&before, metric), figure(&after, metric)) {
-                found.report.downstream.push(Downstream {
-                    metric: format!("{metric} of the estimator on the real recording [{unit}]"),
-                    before,
-                    after,
-                });
+        let which =
+            if options.held_out.is_some() { "a held-out real recording" } else { "the real recording" };
+        for (name, metric) in [
+            ("position_rms", "root mean square error of the position [m]"),
+            ("position_median", "median error of the position [m]"),
+            ("force_normal_rms", "root mean square error of the pressing force [N]"),
+            ("force_normal_median", "median error of the pressing force [N]"),
+            ("missed", "share of missed contacts [1]"),
+        ] {
+            if let (Some(before), Some(after)) = (figure(&before, name), figure(&after, name)) {
+                let metric = format!("estimator on {which}: {metric}");
+                found.report.downstream.push(Downstream { metric, before, after });
             }
         }
         super::write(&out, &found)?;
@@ -84,6 +93,12 @@ fn estimator(
     let trained =
         ["train", "--skin", &path(skin), "--config", &path(config), "--out", &path(&model), &path(&bag)];
     dermis(&trained.map(str::to_owned))?;
+    if let Some(unknowns) = &options.refine {
+        let unknowns = unknowns.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
+        let refined =
+            ["refine", "--skin", &path(skin), "--model", &path(&model), "--unknowns", &unknowns, &path(&bag)];
+        dermis(&refined.map(str::to_owned))?;
+    }
     let mut evaluate =
         ["evaluate", "--skin", &path(skin), "--model", &path(&model), "--json"].map(str::to_owned).to_vec();
     if let Some(map) = &options.diagnose.map {

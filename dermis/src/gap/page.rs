@@ -24,6 +24,17 @@ pub fn html(report: &Report) -> Result<String> {
         let kind = if problem.fatal { "Wrong" } else { "Note" };
         let _ = writeln!(body, "<p><b>{kind}:</b> {}</p>", escape(&problem.what));
     }
+    if !data.missing.is_empty() {
+        let items: String = data
+            .missing
+            .iter()
+            .map(|m| format!("<li>{}; open: {}</li>", escape(&m.what), escape(&m.blocks)))
+            .collect();
+        let _ = writeln!(
+            body,
+            "<details><summary>What this recording cannot tell</summary><ul>{items}</ul></details>"
+        );
+    }
     if let Some(gap) = &report.gap {
         bar(&mut body, report, gap);
     }
@@ -346,13 +357,7 @@ fn tables(body: &mut String, report: &Report) {
         }
     }
     for down in &report.downstream {
-        let _ = writeln!(
-            body,
-            "<p>{}: {} before, {} after.</p>",
-            escape(&down.metric),
-            short(down.before),
-            short(down.after)
-        );
+        let _ = writeln!(body, "<p>{}.</p>", escape(&super::text::downstream(down)));
     }
 }
 

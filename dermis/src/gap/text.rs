@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use dermis_gap::{Report, Tier, Value};
+use dermis_gap::{Downstream, Report, Tier, Value};
 
 /// The report as text.
 pub fn text(report: &Report) -> String {
@@ -141,7 +141,7 @@ pub fn text(report: &Report) -> String {
         );
     }
     for down in &report.downstream {
-        let _ = writeln!(out, "{}: {} before, {} after", down.metric, short(down.before), short(down.after));
+        let _ = writeln!(out, "{}", downstream(down));
     }
     for warning in &report.warnings {
         let _ = writeln!(out, "note: {warning}");
@@ -155,6 +155,15 @@ pub fn value(v: &Value) -> String {
     let interval =
         v.interval.map_or(String::new(), |[low, high]| format!(" ({} to {})", short(low), short(high)));
     format!("{} = {}{unit}{interval}", v.name, short(v.value))
+}
+
+/// What an estimator does before and after; lengths in millimetres.
+pub fn downstream(down: &Downstream) -> String {
+    let (metric, scale) = match down.metric.strip_suffix("[m]") {
+        Some(metric) => (format!("{metric}[mm]"), 1e3),
+        None => (down.metric.trim_end_matches(" [1]").to_owned(), 1.0),
+    };
+    format!("{metric}: {} before, {} after", short(scale * down.before), short(scale * down.after))
 }
 
 /// A share in percent.

@@ -26,5 +26,5 @@ pub const FAMILY: Sensor = Sensor { name: SENSOR, model };
 ///
 /// [`ModelError::Description`] where the medium is unknown, or one that the model does not cover.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
-    Ok(Arc::new(model::BarometerModel::new(skin)?))
+    dermis_skin::device(skin, |inner| Ok(Arc::new(model::BarometerModel::new(inner)?)))
 }

@@ -5,6 +5,7 @@
 //! contacts there can be, gauge pressure (0 when untouched at one standard atmosphere), the gain of a sensing element, and
 //! what its package does to a contact above it.
 
+mod bore;
 mod dome;
 mod flat;
 mod rim;
@@ -77,7 +78,8 @@ pub struct BarometerModel {
 
 impl BarometerModel {
     /// The model of a skin whose `medium` names `thickness` \[m\], `young_modulus` \[Pa\], `poisson_ratio`, `base`
-    /// (`"bonded"`, the default, `"slip"`, or a share of slip from 0 to 1) and `edge` (`"wide"`, the default).
+    /// (`"bonded"`, the default, `"slip"`, or a share of slip from 0 to 1) and `edge` (`"wide"`, the default, or `"free"`); or a
+    /// `bore` through it.
     ///
     /// # Errors
     ///
@@ -90,7 +92,10 @@ impl BarometerModel {
 
     fn from_parameters(skin: &SkinDescription, parameters: &Parameters) -> Result<Self, ModelError> {
         let field: Box<dyn Field> = match parameters.surface {
-            SurfaceSpec::Rectangle { size, .. } => Box::new(flat::Flat::new(skin, parameters, size)?),
+            SurfaceSpec::Rectangle { size, .. } => match parameters.bore {
+                Some(spec) => Box::new(bore::Bore::new(skin, parameters, spec)?),
+                None => Box::new(flat::Flat::new(skin, parameters, size)?),
+            },
             SurfaceSpec::Dome { radius, cylinder, .. } => {
                 Box::new(dome::Dome::new(skin, parameters, radius, cylinder)?)
             }
@@ -348,7 +353,7 @@ mod tests {
     fn impossible_skins_are_refused_by_field() {
         let refused = |from: &str, to: &str| BarometerModel::new(&skin(from, to)).unwrap_err().to_string();
         insta::assert_snapshot!(refused("thickness = 0.010", "thickness = 0.004"), @"skin `baro-grid`: field `taxels[0].position`: z of `b00` is -0.005 m and must lie in the medium: below 0 and not below -0.004 m");
-        insta::assert_snapshot!(refused("thickness = 0.010", "thicknes = 0.010"), @"skin `baro-grid`: field `medium.thicknes`: unknown field `thicknes`, expected one of `thickness`, `young_modulus`, `poisson_ratio`, `base`, `edge`");
+        insta::assert_snapshot!(refused("thickness = 0.010", "thicknes = 0.010"), @"skin `baro-grid`: field `medium.thicknes`: unknown field `thicknes`, expected one of `thickness`, `young_modulus`, `poisson_ratio`, `base`, `edge`, `bore`");
         insta::assert_snapshot!(refused("poisson_ratio = 0.49", ""), @"skin `baro-grid`: field `medium`: missing field `poisson_ratio`");
         insta::assert_snapshot!(refused("poisson_ratio = 0.49", "poisson_ratio = 0.5"), @"skin `baro-grid`: field `medium.poisson_ratio`: Poisson's ratio is 0.5 and must be between 0 and 0.4999");
         insta::assert_snapshot!(refused("base = \"bonded\"", "base = \"glued\""), @"skin `baro-grid`: field `medium.base`: must be \"bonded\", \"slip\", or a share of slip from 0 to 1");

@@ -45,6 +45,25 @@ struct MediumSpec {
     base: Option<BaseSpec>,
     #[serde(default)]
     edge: Edge,
+    #[serde(default)]
+    bore: Option<BoreSpec>,
+}
+
+/// A bore full of fluid, instead of an elastomer that the sensing elements lie in.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoreSpec {
+    /// \[Pa\] rise of pressure per share of the volume that is squeezed: the pressure itself for a gas, what walls and bubbles
+    /// allow for a liquid.
+    pub fluid_stiffness: f64,
+    /// \[m\] of bore that hold as much fluid as tube and sensor beyond each end.
+    pub dead_length: f64,
+    /// \[m\] of bore that a large force squeezes out.
+    pub displaced_length: f64,
+    /// \[N\] that squeeze half of it out.
+    pub half_force: f64,
+    /// \[N\] from which on the bore is closed under the tip.
+    pub pinch_force: f64,
 }
 
 /// One channel's sensing element.
@@ -75,6 +94,10 @@ pub struct Parameters {
     pub slip: f64,
     /// What becomes of the elastomer at the edge of a flat surface.
     pub edge: Edge,
+    /// A bore through it that the sensing elements lie at the ends of, if any.
+    pub bore: Option<BoreSpec>,
+    /// \[Pa\] of the elastomer as the description says, whatever effects made of it.
+    pub design_modulus: f64,
     /// Local stiffening by the packages: relative rise of the modulus that a contact straight above one feels.
     pub stiffening: f64,
     /// \[m\] distance from a package at which that has fallen to e^(-1/2).
@@ -139,6 +162,8 @@ impl Parameters {
             poisson_ratio: spec.poisson_ratio,
             slip,
             edge: spec.edge,
+            bore: spec.bore,
+            design_modulus: spec.young_modulus,
             stiffening: 0.0,
             stiffening_reach: 0.004,
             diameter_scale: 1.0,

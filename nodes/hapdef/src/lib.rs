@@ -27,5 +27,5 @@ pub const FAMILY: Sensor = Sensor { name: SENSOR, model };
 ///
 /// [`ModelError::Description`] where the shell, or one of its gauges, cannot be.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
-    Ok(Arc::new(model::ShellModel::new(skin)?))
+    dermis_skin::device(skin, |inner| Ok(Arc::new(model::ShellModel::new(inner)?)))
 }

@@ -30,6 +30,17 @@ const PRESS_STEP: i64 = 1_000_000_000;
 const PASCAL_PER_VOLT: f64 = 5000.0;
 /// \[N/V\] of the load cell, pressing counted positive, by the authors' script.
 const NEWTON_PER_VOLT: f64 = -4.1448;
+/// \[N\] above the load cell's rest from which on something touches, and \[s\] that a press lasts and rests at least.
+const TOUCHED: f64 = 0.12;
+const SHORTEST: f64 = 0.5;
+const REST: f64 = 1.0;
+/// \[s\] by which the way back to the first place is longer than that to the next one.
+const WAY_BACK: [f64; 2] = [0.6, 3.0];
+/// Places of a sweep along the line, and \[m\] between them: 10 to 90 mm.
+const SWEEP: usize = 9;
+const SWEEP_STEP: f64 = 0.010;
+/// Share of a press's usual force that tells holding from loading and unloading.
+const HELD: f64 = 0.9;
 /// \[s\] at the start of a time series that give the load cell's zero.
 const ZERO_TIME: f64 = 1.0;
 /// Largest array that a recording can hold: a day at 100 Hz.
@@ -57,8 +68,10 @@ pub(super) fn recognises(path: &Path) -> bool {
 /// the untouched skin.
 ///
 /// **Time series.** Readings at the recorded rate in Pa, 5000 Pa/V and not zeroed (the sensors rest at about
-/// 2.5 V). The force is −4.1448 N/V of the load cell minus its mean over the first second; where the skin is pressed is not
-/// recorded: the contact's position is NaN. Stamps count from 2025-01-01 on.
+/// 2.5 V). The force is −4.1448 N/V of the load cell minus its mean over the first second. Where the skin is pressed is not
+/// recorded. The rhythm of presses on the line tells it where they come in sweeps of nine places with a longer way back after
+/// each: then presses, phases and places are those, forces are above those before the press, and each press is a location
+/// of its own, for its depth is another. Otherwise the contact's position is NaN throughout. Stamps count from 2025-01-01 on.
 ///
 /// # Errors
 /// File and cell of what is wrong, or why the bag cannot be written.
@@ -323,36 +336,155 @@ fn time_series(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError>
     } else {
         skin
     };
+    let newtons: Vec<f64> = rows.iter().map(|row| NEWTON_PER_VOLT * (f64::from(row[0]) - zero)).collect();
+    let series = if session.starts_with("1D") { sweeps(&newtons, rate) } else { Vec::new() };
     let mut target = Target::create(file, out_dir, &session, skin, EPOCH)?;
+    let untouched = |press: usize| Label {
+        press: press as u64,
+        location: press as u32,
+        repeat: 0,
+        phase: Indentation::PHASE_IDLE,
+        contact: None,
+    };
+    let mut next = 0;
     for (index, row) in rows.iter().enumerate() {
         let stamp = EPOCH + (index as f64 * 1e9 / rate).round() as i64;
-        let force = NEWTON_PER_VOLT * (f64::from(row[0]) - zero);
-        let label = Label {
-            press: 0,
-            location: 0,
-            repeat: 0,
-            phase: Indentation::PHASE_UNKNOWN,
-            contact: Some(pressed(unknown_point(), force, f64::NAN)),
-        };
         let values = row[1..].iter().map(|volt| (f64::from(*volt) * PASCAL_PER_VOLT) as f32).collect();
+        while series.get(next).is_some_and(|sweep| sweep.end <= index) {
+            next += 1;
+        }
+        let label = match series.get(next) {
+            _ if series.is_empty() => Label {
+                phase: Indentation::PHASE_UNKNOWN,
+                contact: Some(pressed(unknown_point(), newtons[index], f64::NAN)),
+                ..untouched(0)
+            },
+            Some(found) if index >= found.begin => {
+                let force = newtons[index] - found.rest;
+                let phase = if index < found.held[0] {
+                    Indentation::PHASE_LOAD
+                } else if index < found.held[1] {
+                    Indentation::PHASE_HOLD
+                } else {
+                    Indentation::PHASE_UNLOAD
+                };
+                let at = found.place.map_or(unknown_point(), |place| Point {
+                    x: line_place(place),
+                    y: 0.0,
+                    z: 0.0,
+                });
+                Label { phase, contact: Some(pressed(at, force, f64::NAN)), ..untouched(next + 1) }
+            }
+            _ => untouched(next),
+        };
         target.write(stamp, values, label)?;
     }
+    let placed = series.iter().filter(|press| press.place.is_some()).count() as u64;
     let facts = Facts {
         data_set: format!("tactile FSI, time series ({LICENCE})"),
-        presses: 0,
-        locations: 0,
+        presses: placed,
+        locations: if placed > 0 { SWEEP as u64 } else { 0 },
         worst_mismatch: None,
         assumed: vec![
             "5000 Pa/V for the pressures, not zeroed, and -4.1448 N/V for the force, by the authors' script"
                 .into(),
             format!("nothing touches during the first {ZERO_TIME} s: their mean is the load cell's zero"),
             format!("the log has no date: stamps count from 2025-01-01 on, {rate} a second"),
+            if placed > 0 {
+                format!(
+                    "{placed} of {} presses are in sweeps of {SWEEP}, told by the longer way back after each: they are taken to be \
+                     at 10, 20, … 90 mm",
+                    series.len()
+                )
+            } else {
+                "presses follow no rhythm that tells their places".to_owned()
+            },
         ],
-        missing: vec![
-            "temperature, diameter of the indenter, depth".into(),
-            "where and when the skin is pressed: a contact of unknown position carries the force throughout"
-                .into(),
-        ],
+        missing: if placed > 0 {
+            vec!["temperature, diameter of the indenter, depth".into()]
+        } else {
+            vec![
+                "temperature, diameter of the indenter, depth".into(),
+                "where and when the skin is pressed: a contact of unknown position carries the force throughout"
+                    .into(),
+            ]
+        },
     };
     target.finish(facts, file)
+}
+
+/// One press of a time series, in samples.
+#[derive(Debug, Clone, PartialEq)]
+struct Pressed {
+    begin: usize,
+    end: usize,
+    /// First and last (exclusive) sample in which it is held.
+    held: [usize; 2],
+    /// \[N\] that the load cell reads before it.
+    rest: f64,
+    /// Which place of its sweep; `None` for presses outside of whole sweeps.
+    place: Option<usize>,
+}
+
+/// \[m\] from the middle of the line.
+fn line_place(place: usize) -> f64 {
+    (place as f64 - (SWEEP as f64 - 1.0) / 2.0) * SWEEP_STEP
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// The presses of a time series of forces \[N\], where these come in sweeps; none where most do not.
+fn sweeps(newtons: &[f64], rate: f64) -> Vec<Pressed> {
+    let samples = |seconds: f64| (seconds * rate).round() as usize;
+    let rest = median(newtons.to_vec());
+    let wide = samples(0.04).max(1);
+    let smooth = |i: usize| {
+        let of = &newtons[i.saturating_sub(wide)..(i + wide + 1).min(newtons.len())];
+        of.iter().sum::<f64>() / of.len() as f64
+    };
+    let mut spans: Vec<[usize; 2]> = Vec::new();
+    for i in (0..newtons.len()).filter(|&i| smooth(i) - rest > TOUCHED) {
+        match spans.last_mut() {
+            Some(span) if i - span[1] < samples(REST) => span[1] = i + 1,
+            _ => spans.push([i, i + 1]),
+        }
+    }
+    spans.retain(|span| span[1] - span[0] > samples(SHORTEST));
+    let mut found: Vec<Pressed> = spans
+        .iter()
+        .map(|&[begin, end]| {
+            let before =
+                newtons[begin.saturating_sub(samples(0.6))..begin.saturating_sub(samples(0.2))].to_vec();
+            let rest = if before.is_empty() { rest } else { median(before) };
+            let usual = median(newtons[begin..end].to_vec()) - rest;
+            let strong = |i: &usize| newtons[*i] - rest >= HELD * usual;
+            let first = (begin..end).find(strong).unwrap_or(begin);
+            let last = (begin..end).rfind(strong).map_or(end, |i| i + 1);
+            Pressed { begin, end, held: [first, last], rest, place: None }
+        })
+        .collect();
+    let periods: Vec<f64> = found.windows(2).map(|p| (p[1].begin - p[0].begin) as f64 / rate).collect();
+    let usual = median(periods.clone());
+    let mut starts: Vec<usize> = periods
+        .iter()
+        .enumerate()
+        .filter(|(_, p)| (WAY_BACK[0]..WAY_BACK[1]).contains(&(**p - usual)))
+        .map(|(i, _)| i + 1)
+        .collect();
+    // The last sweep has no way back after it.
+    starts.push(found.len());
+    let mut placed = 0;
+    for pair in starts.windows(2) {
+        let last = pair[1] == found.len();
+        if pair[1] - pair[0] == SWEEP || (last && pair[1] - pair[0] < SWEEP) {
+            for (place, press) in found[pair[0]..pair[1]].iter_mut().enumerate() {
+                press.place = Some(place);
+                placed += 1;
+            }
+        }
+    }
+    if placed * 5 < found.len() * 4 || placed < 3 * SWEEP { Vec::new() } else { found }
 }

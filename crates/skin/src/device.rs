@@ -6,8 +6,9 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use dermis_skin::{Effect, ForwardModel, ModelError, SkinDescription, Stimulus, Surface, Trajectory};
 use nalgebra::{Point3, Rotation3, Vector3};
+
+use crate::{Effect, ForwardModel, ModelError, SkinDescription, Stimulus, Surface, Trajectory};
 
 /// An effect that every skin can have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,7 +18,7 @@ pub struct CommonEffect {
     /// One sentence for people.
     pub what: &'static str,
     /// What its parameters are called: channels, taxels with an axis, or these.
-    pub parameters: Parameters,
+    pub parameters: CommonParameters,
     /// Unit of its parameters; empty: that of the skin.
     pub unit: &'static str,
     /// Whether readings depend on what happened before.
@@ -28,7 +29,7 @@ pub struct CommonEffect {
 
 /// What the parameters of a common effect are called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Parameters {
+pub enum CommonParameters {
     /// Names of channels.
     Channels,
     /// Names of taxels with `.x`, `.y` or `.z`.
@@ -40,7 +41,7 @@ pub enum Parameters {
 const fn common(
     name: &'static str,
     what: &'static str,
-    parameters: Parameters,
+    parameters: CommonParameters,
     unit: &'static str,
     stateful: bool,
     rig: bool,
@@ -53,7 +54,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "channel-offset",
         "Channels read something where nothing touches.",
-        Parameters::Channels,
+        CommonParameters::Channels,
         "",
         false,
         false,
@@ -61,7 +62,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "channel-gain",
         "Channels read too much or too little, each by a factor of its own.",
-        Parameters::Channels,
+        CommonParameters::Channels,
         "1",
         false,
         false,
@@ -69,7 +70,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "taxel-position",
         "Taxels do not lie where they were designed to.",
-        Parameters::Taxels,
+        CommonParameters::Taxels,
         "m",
         false,
         false,
@@ -77,7 +78,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "thermal-zero",
         "The zero of channels follows the temperature; neutral at 20 °C.",
-        Parameters::Channels,
+        CommonParameters::Channels,
         "",
         false,
         false,
@@ -85,7 +86,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "thermal-span",
         "The gain of channels follows the temperature; neutral at 20 °C.",
-        Parameters::Channels,
+        CommonParameters::Channels,
         "1/K",
         false,
         false,
@@ -93,7 +94,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "delay",
         "Readings come late against the ground truth.",
-        Parameters::Named(&["time"]),
+        CommonParameters::Named(&["time"]),
         "s",
         true,
         false,
@@ -101,7 +102,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "low-pass",
         "Readings follow with a time constant.",
-        Parameters::Named(&["time"]),
+        CommonParameters::Named(&["time"]),
         "s",
         true,
         false,
@@ -109,7 +110,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "truth-shift",
         "Contacts are elsewhere than the ground truth says: the skin is mounted askew on the rig.",
-        Parameters::Named(&["x", "y", "z", "turn"]),
+        CommonParameters::Named(&["x", "y", "z", "turn"]),
         "m",
         false,
         true,
@@ -117,7 +118,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "force-scale",
         "The force cell reads too much or too little: the true force is that factor of what it says.",
-        Parameters::Named(&["factor"]),
+        CommonParameters::Named(&["factor"]),
         "1",
         false,
         true,
@@ -125,7 +126,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "force-zero",
         "The zero of the force cell is off: the true force is that much larger.",
-        Parameters::Named(&["force"]),
+        CommonParameters::Named(&["force"]),
         "N",
         false,
         true,
@@ -133,7 +134,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "tip-scale",
         "The tip is larger, or smaller, than the ground truth says.",
-        Parameters::Named(&["factor"]),
+        CommonParameters::Named(&["factor"]),
         "1",
         false,
         true,
@@ -141,7 +142,7 @@ pub const COMMON: &[CommonEffect] = &[
     common(
         "channel-order",
         "Channels are read in another order: each parameter names the place, from 0, from which the channel's readings come.",
-        Parameters::Channels,
+        CommonParameters::Channels,
         "1",
         false,
         false,
@@ -258,7 +259,7 @@ impl Around {
         let strength = effect.strength;
         let scaled = strength * value;
         match info.parameters {
-            Parameters::Channels => {
+            CommonParameters::Channels => {
                 let Some(k) = self.channels.iter().position(|c| c == name) else {
                     return Err(format!("is no channel of this skin; it has {}", self.channels.join(", ")));
                 };
@@ -287,7 +288,7 @@ impl Around {
                     }
                 }
             }
-            Parameters::Taxels => {
+            CommonParameters::Taxels => {
                 let place = name.rsplit_once('.').and_then(|(taxel, axis)| {
                     let axis = ["x", "y", "z"].iter().position(|a| *a == axis)?;
                     Some((self.taxels.iter().position(|t| t == taxel)?, axis))
@@ -297,7 +298,7 @@ impl Around {
                 };
                 inner.taxels[taxel].position[axis] += scaled;
             }
-            Parameters::Named(names) => {
+            CommonParameters::Named(names) => {
                 if !names.contains(&name) {
                     return Err(format!("is no parameter of {}; it has {}", info.name, names.join(", ")));
                 }
@@ -487,7 +488,7 @@ impl Trajectory for Along {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis_skin::Indentation;
+    use crate::Indentation;
 
     const SKIN: &str = r#"
 schema = "dermis-skin/1"
@@ -532,7 +533,7 @@ taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", positi
             assert!(inner.effects.iter().all(|e| e.name == "inner"));
             Ok(Arc::new(Plain {
                 surface: inner.surface(),
-                taxels: inner.taxels.iter().map(dermis_skin::Taxel::point).collect(),
+                taxels: inner.taxels.iter().map(crate::Taxel::point).collect(),
             }))
         })
     }
