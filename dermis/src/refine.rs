@@ -8,7 +8,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use dermis_inference::{Bundle, CorrectionSection, Manifest};
-use dermis_inversion::{Corrected, Correction, ForcePrior, Settings};
+use dermis_inversion::{Corrected, Correction, ForcePrior, Search, Settings};
 use dermis_learn::cli::Labels;
 use dermis_learn::refine::Learned;
 use dermis_learn::{Dataset, Evaluation, Recorded, SampleId, evaluate, refine, superpose};
@@ -38,6 +38,10 @@ pub struct Options {
     /// Distance [m] that contacts are apart at least, where there are several.
     #[arg(long, default_value_t = 0.002)]
     distance: f64,
+    /// How several contacts are looked for: one after the other, or the first two among all pairs of places, for skins whose elements
+    /// are few and feel half of the surface each.
+    #[arg(long, value_enum, default_value_t = How::Greedy)]
+    search: How,
     /// Learn, from the recorded single contacts, how the device differs from its forward model as a function of place and force,
     /// and refine on the corrected model. Writes `correction.json` into the bundle.
     #[arg(long)]
@@ -75,6 +79,24 @@ pub enum Prior {
     Log,
 }
 
+/// [`Search`], as the command line says it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum How {
+    /// One after the other.
+    Greedy,
+    /// The first two among all pairs of places.
+    Pairs,
+}
+
+impl From<How> for Search {
+    fn from(how: How) -> Self {
+        match how {
+            How::Greedy => Self::Greedy,
+            How::Pairs => Self::Pairs,
+        }
+    }
+}
+
 impl From<Prior> for ForcePrior {
     fn from(prior: Prior) -> Self {
         match prior {
@@ -107,7 +129,7 @@ pub fn run(options: &Options) -> Result<()> {
     if choosing.is_empty() || reporting.is_empty() {
         bail!("fewer than two places are held out: record more, or hold out a larger share");
     }
-    let refinement = prepare(options, &skin, model, &data, &split.train)?;
+    let refinement = prepare(options, model, &data, &split.train)?;
     let settings = &refinement.settings;
 
     let trial = tempfile::tempdir().context("a folder for the trial cannot be made")?;
@@ -181,7 +203,6 @@ const SUMS: usize = 60;
 /// by.
 fn prepare(
     options: &Options,
-    skin: &SkinDescription,
     model: Arc<dyn ForwardModel>,
     data: &Dataset,
     train: &[SampleId],
@@ -194,6 +215,7 @@ fn prepare(
     let unknowns = options.unknowns.into();
     let set = |settings: &mut Settings| {
         settings.distance = options.distance;
+        settings.search = options.search.into();
         settings.force_prior = options.force_prior.into();
     };
     let mut settings = refine::settings(
@@ -222,7 +244,7 @@ fn prepare(
         settings.gains.clear();
         correction = Some((learned, data.hash()));
     }
-    if options.contacts > 1 && skin.channels().len() > settings.unknowns.count() {
+    if settings.in_pairs() {
         let sums: Vec<_> = (1..=options.contacts.min(3))
             .flat_map(|n| superpose(&chosen, n, SUMS, FAR.min(reach(&chosen) / 3.0), 77))
             .collect();

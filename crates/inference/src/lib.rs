@@ -8,6 +8,7 @@
 //! | outputs | [`Outputs`] | output of the graph → named quantities in SI units, with their sigma |
 //! | model | [`Model`] | one loaded graph: input slice → output vector |
 //! | peaks | [`MapContacts`] | a displacement map → contacts |
+//! | correction | [`Bundle::correction`] | how a device differs from its forward model, as recorded presses showed |
 //! | graph builder | [`onnx::GraphBuilder`] | writes the ONNX graphs that training exports |
 //!
 //! A frame's way through this crate is `Features::push` → `Features::input` → `Model::run` → `Outputs::decode`.

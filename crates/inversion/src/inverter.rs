@@ -41,9 +41,30 @@ pub struct Settings {
     /// How likely forces are before the reading.
     #[serde(default, skip_serializing_if = "ForcePrior::is_default")]
     pub force_prior: ForcePrior,
+    /// How several contacts are looked for.
+    #[serde(default, skip_serializing_if = "Search::is_default")]
+    pub search: Search,
     /// \[m\] two corners of the box that contacts are looked for in; all of the surface where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region: Option<[[f64; 3]; 2]>,
+}
+
+/// How several contacts are looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Search {
+    /// One after the other ([`Inverter::solve`]): where elements are many and each feels what is near.
+    #[default]
+    Greedy,
+    /// The first two among all pairs of places ([`Inverter::search`]), and from frame to frame ([`Inverter::follow`]): where
+    /// elements are few and each feels half of the surface.
+    Pairs,
+}
+
+impl Search {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// How likely forces are before the reading: what decides where a reading leaves it open.
@@ -99,8 +120,15 @@ impl Settings {
             evidence: evidence(),
             distance: apart(),
             force_prior: ForcePrior::default(),
+            search: Search::default(),
             region: None,
         }
+    }
+
+    /// Whether contacts are searched among all pairs of places.
+    #[must_use]
+    pub fn in_pairs(&self) -> bool {
+        self.contacts > 1 && self.search == Search::Pairs
     }
 
     /// Says what is impossible for a skin of `channels`.

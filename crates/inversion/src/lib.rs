@@ -21,6 +21,6 @@ mod testing;
 
 pub use calibrate::{Calibration, CalibrationError};
 pub use corrected::{Corrected, Correction, CorrectionSettings, Press};
-pub use inverter::{ForcePrior, Found, Inverter, InverterError, Reading, Settings, Solution};
+pub use inverter::{ForcePrior, Found, Inverter, InverterError, Reading, Search, Settings, Solution};
 pub use peaks::{Peak, PeakFinder, PeakSettings, suppress};
 pub use sparse::SparseSettings;

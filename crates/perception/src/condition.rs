@@ -11,6 +11,8 @@ const RELEASE: f64 = 0.6;
 const AT_REST: f64 = 3.0;
 /// Fewest unchanged readings that count as evidence of a stuck channel.
 const FEWEST_UNCHANGED: f64 = 20.0;
+/// A press that takes one of coupled channels to the end of its range is felt by another at this share of it or more.
+const SOLITARY: f64 = 1.0 / 30.0;
 /// Misjudging a healthy channel takes this many expected waiting times without a change (e⁻²⁰).
 const SURE: f64 = 20.0;
 
@@ -140,7 +142,18 @@ impl Conditioner {
         }
         out.signal.clone_from(&out.reading);
         self.zero.subtract(&mut out.signal);
+        let before = (self.touched, self.peak);
         self.judge(&out.signal.values);
+        if self.health.disown(&mut out.reading, &out.signal.values, &self.condition) {
+            for (value, flags) in out.signal.values.iter_mut().zip(&out.reading.flags) {
+                if flags.is_invalid() {
+                    *value = f32::NAN;
+                }
+            }
+            out.signal.flags.clone_from(&out.reading.flags);
+            (self.touched, self.peak) = before;
+            self.judge(&out.signal.values);
+        }
         if self.came_to_rest(&out.reading) {
             // What hysteresis left behind is where untouched is now.
             self.zero.set_zero(&self.rest.mean);
@@ -150,7 +163,6 @@ impl Conditioner {
             self.zero.subtract(&mut out.signal);
             self.judge(&out.signal.values);
         }
-        self.health.disown(&out.reading, &out.signal.values, &self.condition);
         out.level = self.level;
         out.touched = self.touched;
     }
@@ -371,33 +383,38 @@ impl Health {
         self.last = None;
     }
 
-    /// Where channels are coupled: takes one for broken from the next frame on that has stood still at the end of its range
-    /// while no other feels anything. It is believed again as soon as it moves.
-    fn disown(&mut self, reading: &Frame, signal: &[f32], condition: &Condition) {
+    /// Where channels are coupled: takes those for broken that stand at the end of their range while no other feels anything.
+    /// At once, where no press could be felt by one alone so much; otherwise once it has stood still there. It is believed again as
+    /// soon as it moves. Whether the frame has changed by this.
+    fn disown(&mut self, reading: &mut Frame, signal: &[f32], condition: &Condition) -> bool {
         if !condition.coupled {
-            return;
+            return false;
         }
         let railed = |flags: &ChannelFlags| flags.contains(ChannelFlags::SATURATED);
+        let level = |i: usize, channels: &[Watch]| f64::from(signal[i]).abs() / channels[i].noise;
+        let mut changed = false;
         for i in 0..self.channels.len() {
-            let flags = &reading.flags[i];
-            if !railed(flags)
-                || flags.is_invalid()
-                || !self.channels[i].stands_still(reading.stamp, condition.stuck_time)
-            {
+            if !railed(&reading.flags[i]) || reading.flags[i].is_invalid() {
                 continue;
             }
-            let mut others = signal
-                .iter()
-                .zip(&self.channels)
-                .zip(&reading.flags)
-                .enumerate()
-                .filter(|(j, (_, flags))| *j != i && !railed(flags))
-                .map(|(_, ((value, watch), _))| f64::from(*value).abs() / watch.noise)
-                .filter(|z| z.is_finite())
-                .peekable();
-            self.channels[i].broken =
-                others.peek().is_some() && others.all(|z| z < condition.contact_threshold);
+            let others = (0..self.channels.len())
+                .filter(|j| *j != i && !railed(&reading.flags[*j]))
+                .map(|j| level(j, &self.channels))
+                .filter(|z| z.is_finite());
+            let Some(most) = others.reduce(f64::max).filter(|most| *most < condition.contact_threshold)
+            else {
+                continue;
+            };
+            let alone = most.max(condition.contact_threshold) < SOLITARY * level(i, &self.channels);
+            let watch = &mut self.channels[i];
+            if alone || watch.stands_still(reading.stamp, condition.stuck_time) {
+                watch.broken = true;
+                reading.flags[i] |= watch.fault();
+                reading.values[i] = f32::NAN;
+                changed = true;
+            }
         }
+        changed
     }
 
     fn flag(&mut self, frame: &mut Frame, condition: &Condition) {
@@ -478,20 +495,23 @@ impl Watch {
         if railed {
             flags |= ChannelFlags::SATURATED;
         }
-        if !self.stands_still(stamp, stuck_time) {
-            return flags;
-        }
         // At its rail a channel stands still however noisy it is, and a hard press may hold it there for minutes:
         // only one that never left it since the start is known to be dead, and one that nothing else feels broken.
+        let still = self.stands_still(stamp, stuck_time);
         let suspicious = if railed {
-            !self.ever_changed || self.broken
+            self.broken || still && !self.ever_changed
         } else {
-            f64::from(self.unchanged) >= SURE / change_probability(step / self.noise)
+            still && f64::from(self.unchanged) >= SURE / change_probability(step / self.noise)
         };
         if suspicious {
-            flags |= if self.ever_changed { ChannelFlags::STUCK } else { ChannelFlags::DEAD };
+            flags |= self.fault();
         }
         flags
+    }
+
+    /// What is wrong with it, where something is.
+    fn fault(&self) -> ChannelFlags {
+        if self.ever_changed { ChannelFlags::STUCK } else { ChannelFlags::DEAD }
     }
 }
 
@@ -722,11 +742,9 @@ mod tests {
             let values = [110_000.0, noisy(), noisy(), noisy()];
             run.raw(values).clone()
         };
-        assert!(broken(&mut run, 0.0).touched, "at first it cannot be told from a press");
-        let mut frames = 0;
-        while broken(&mut run, 0.0).touched {
-            frames += 1;
-            assert!(frames < 520, "it is taken for a contact after {frames} frames");
+        for _ in 0..600 {
+            let out = broken(&mut run, 0.0);
+            assert!(!out.touched && out.signal.values[0].is_nan(), "no press is felt by one alone: {out:?}");
         }
         let out = broken(&mut run, 3000.0);
         assert!(out.reading.flags[0].contains(ChannelFlags::STUCK) && out.signal.values[0].is_nan());

@@ -5,8 +5,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use dermis_inference::{Baseline, Bundle, BundleError, Features, Missing, Model, Outputs, Runtime};
-use dermis_inversion::{Found, Inverter, InverterError, Reading};
+use dermis_inference::{
+    Baseline, Bundle, BundleError, Features, MAP_DISPLACEMENT, MapContacts, Missing, Model, Outputs, Runtime,
+};
+use dermis_inversion::{Corrected, Found, Inverter, InverterError, Reading, Solution};
 use dermis_skin::{
     ChannelFlags, Condition, Contact, DisplacementMap, Estimate, EstimateError, Estimator, ForceComponents,
     ForceMap, ForceValues, Frame, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec,
@@ -28,8 +30,8 @@ const PRESENT: (f64, f64) = (0.5, 0.4);
 const MAP_NORMAL: &str = "map.normal";
 /// Output that gives x, y and z of the force at every point of the surface \[N\].
 const MAP_FORCE: &str = "map.force";
-/// Output that gives how far every point of the surface gives way, inwards along its normal \[m\].
-const MAP_DISPLACEMENT: &str = "map.displacement";
+/// Share of the largest force that a light press has.
+const LIGHT: f64 = 0.1;
 /// \[m\] about a contact of unknown diameter that its force is spread over.
 const REACH: f64 = 0.005;
 
@@ -60,6 +62,14 @@ pub enum SetupError {
         path: PathBuf,
         /// Why there is none.
         source: ModelError,
+    },
+    /// A bundle whose correction is not one of this skin's forward model.
+    #[error("model bundle {path}: field `correction`: {source}")]
+    Correction {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: InverterError,
     },
     /// A bundle whose answers cannot be refined as it says.
     #[error("model bundle {path}: field `inversion`: {source}")]
@@ -137,8 +147,12 @@ struct Pipeline {
     raw: Vec<f32>,
     outputs: Outputs,
     fresh: bool,
+    /// Reads contacts off the displacement map that it gives.
+    peaks: Option<MapContacts>,
     /// Refines what it says on the skin's forward model.
     inverter: Option<Inverter>,
+    /// \[N\] and the share of the surface where so light a press is not felt, by that model.
+    unfelt: Option<(f64, f64)>,
     /// That model knows how far the surface gives way.
     displaces: bool,
     /// It has been asked before, which may take seconds the first time: whether it has answered.
@@ -156,8 +170,13 @@ impl Pipeline {
         let inverter = match &bundle.manifest().inversion {
             None => None,
             Some(settings) => {
-                let model = (sensor.model)(skin)
+                let mut model = (sensor.model)(skin)
                     .map_err(|source| SetupError::NoForwardModel { path: path(), source })?;
+                if let Some(correction) = bundle.correction() {
+                    let corrected = Corrected::new(model, correction.clone())
+                        .map_err(|source| SetupError::Correction { path: path(), source })?;
+                    model = Arc::new(corrected);
+                }
                 let inverter = Inverter::new(model, settings.clone())
                     .map_err(|source| SetupError::Inversion { path: path(), source })?;
                 Some(inverter)
@@ -168,8 +187,14 @@ impl Pipeline {
             let mut points = vec![0.0; model.surface().points.len()];
             matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true))
         });
+        let unfelt = inverter.as_ref().map(|inverter| {
+            let force = LIGHT * inverter.settings().force_max;
+            (force, inverter.unfelt(force, EXPLAINED.0))
+        });
         Ok(Self {
+            peaks: MapContacts::of(bundle, &skin.surface(), runtime)?,
             inverter,
+            unfelt,
             displaces,
             answered: None,
             path: bundle.path().to_owned(),
@@ -248,6 +273,16 @@ impl Models {
                     });
                 }
             }
+            let weights = bundle.manifest().peaks.as_ref().map_or(0, |peaks| peaks.weights.len());
+            if weights != 0 && weights != points {
+                return Err(SetupError::Output {
+                    path: pipeline.path,
+                    output: MAP_DISPLACEMENT.into(),
+                    reason: format!(
+                        "`peaks.weights` has {weights} numbers where the surface needs {points}; was `surface.spacing` changed?"
+                    ),
+                });
+            }
             models.0.push(pipeline);
         }
         Ok(models)
@@ -267,15 +302,18 @@ fn gives(pipelines: &[Pipeline], outputs: &[&str]) -> bool {
 /// What a model gives as it is comes before what a forward model makes of contacts.
 fn maps(pipelines: &[Pipeline]) -> Maps {
     Maps {
-        force: gives(pipelines, &[MAP_NORMAL, MAP_FORCE]) || pipelines.iter().any(|p| p.inverter.is_some()),
+        force: gives(pipelines, &[MAP_NORMAL, MAP_FORCE])
+            || pipelines.iter().any(|p| p.inverter.is_some() || p.peaks.is_some()),
         displacement: gives(pipelines, &[MAP_DISPLACEMENT]) || pipelines.iter().any(|p| p.displaces),
     }
 }
 
 /// Frame → contacts of a skin whose channels are read together.
 ///
-/// Presence, position and force come from learned models, one contact at a time; a bundle whose manifest has `inversion`
-/// has its answer refined on the skin's forward model, which also tells several contacts apart. A frame goes through
+/// Presence, position and force come from learned models, one contact at a time; a bundle whose manifest has `peaks` gives a
+/// displacement map whose peaks are the contacts. One whose manifest has `inversion` has its answer refined on the skin's forward
+/// model (corrected, where it has a `correction`), which may tell several contacts apart: one after the other or, where it says so,
+/// among all pairs of places when contacts come and go, and from those of the frame before while they last. A frame goes through
 /// [`Conditioner`], the models' features, the models, [`Inverter`] and [`Tracker`]; nothing but the frames and the loaded
 /// bundles goes in, so that a recording gives the same contacts offline as it gave in the node.
 pub struct SkinEstimator {
@@ -292,6 +330,12 @@ pub struct SkinEstimator {
     probable: bool,
     /// A forward model explains the latest signal by a contact.
     explained: bool,
+    /// Something touched at the latest frame that was estimated.
+    present: bool,
+    /// What a forward model that searches in pairs found in the latest frame, where it was asked.
+    solution: Option<Solution>,
+    /// The contacts that it found in the latest frame that had any.
+    before: Vec<Found>,
     /// The latest signal, as an inverter takes it.
     readings: Vec<Reading>,
     /// What a forward model makes of the channels that have no reading out of those that have one; empty where none is
@@ -320,6 +364,9 @@ impl SkinEstimator {
             least_force: 0.0,
             probable: false,
             explained: false,
+            present: false,
+            solution: None,
+            before: Vec::new(),
             readings: Vec::new(),
             guessed: Vec::new(),
             maps: Maps::ALL,
@@ -333,6 +380,7 @@ impl SkinEstimator {
     /// Uses these models from the next frame on.
     pub fn set_models(&mut self, models: Models) {
         self.pipelines = models.0;
+        self.before.clear();
         self.probable = false;
     }
 
@@ -341,6 +389,7 @@ impl SkinEstimator {
         self.pipelines
             .retain(|old| !models.0.iter().any(|new| old.names().any(|n| new.names().any(|m| m == n))));
         self.pipelines.extend(models.0);
+        self.before.clear();
         self.probable = false;
     }
 
@@ -416,7 +465,8 @@ impl SkinEstimator {
     pub fn force_threshold(&self) -> f64 {
         let sigma = ["force.normal", "force.z"]
             .iter()
-            .find_map(|name| self.pipelines.iter().find_map(|p| p.outputs.sigma(name, 0.0)));
+            .find_map(|name| self.pipelines.iter().find_map(|p| p.outputs.sigma(name, 0.0)))
+            .or_else(|| self.pipelines.iter().find_map(|p| p.peaks.as_ref()?.force_sigma()));
         if self.least_force > 0.0 { self.least_force } else { sigma.unwrap_or(f64::NAN) }
     }
 
@@ -427,7 +477,7 @@ impl SkinEstimator {
     }
 
     fn force_range(&self) -> Option<[f64; 2]> {
-        let gives_force = |p: &&Pipeline| p.names().any(|n| n.starts_with("force."));
+        let gives_force = |p: &&Pipeline| p.peaks.is_some() || p.names().any(|n| n.starts_with("force."));
         self.pipelines.iter().find(gives_force).and_then(|p| p.force_range)
     }
 
@@ -440,6 +490,20 @@ impl SkinEstimator {
     /// Names of everything that the loaded models give.
     pub fn outputs(&self) -> impl Iterator<Item = &str> {
         self.pipelines.iter().flat_map(Pipeline::names)
+    }
+
+    /// Whether contacts come with a force.
+    #[must_use]
+    pub fn gives_force(&self) -> bool {
+        self.outputs().any(|o| o.starts_with("force."))
+            || self.pipelines.iter().any(|p| p.peaks.is_some() || p.inverter.is_some())
+    }
+
+    /// A light force \[N\], and the share of the surface where a press of it is not felt, by the forward model that refines;
+    /// `None` where none does. There, nothing is reported although something may touch.
+    #[must_use]
+    pub fn unfelt(&self) -> Option<(f64, f64)> {
+        self.pipelines.iter().find_map(|p| p.unfelt)
     }
 
     /// Maps that can be had with the loaded models.
@@ -497,8 +561,8 @@ impl SkinEstimator {
         false
     }
 
-    /// Runs what is needed of the models. Returns whether a contact is there and whether every model could answer.
-    fn infer(&mut self) -> Result<(bool, bool), String> {
+    /// Hands the latest frame to the features of the models.
+    fn push(&mut self) -> Result<(), String> {
         let cleaned = &self.cleaned;
         for pipeline in &mut self.pipelines {
             pipeline.fresh = false;
@@ -525,6 +589,12 @@ impl SkinEstimator {
             };
             pushed.map_err(|e| e.to_string())?;
         }
+        Ok(())
+    }
+
+    /// Runs what is needed of the models. Returns whether a contact is there and whether every model could answer.
+    fn infer(&mut self) -> Result<(bool, bool), String> {
+        self.push()?;
         // A model that says whether there is a contact is asked on every frame, the others only during contacts.
         let mut probability = None;
         for pipeline in &mut self.pipelines {
@@ -577,35 +647,83 @@ impl SkinEstimator {
         self.guessed.resize(self.readings.len(), 0.0);
         let shows = self.cleaned.touched || inverter.evidence(&self.readings).0 > EXPLAINED.1;
         if shows {
-            let found = inverter.solve(&self.readings, None)?.contacts;
-            inverter.signal(&indentations(&found, inverter.settings().diameter), &mut self.guessed)?;
+            let solution = if inverter.settings().in_pairs() {
+                locate(inverter, &self.readings, &self.before)?
+            } else {
+                inverter.solve(&self.readings, None)?
+            };
+            let found = indentations(&solution.contacts, inverter.settings().diameter);
+            inverter.signal(&found, &mut self.guessed)?;
+            // Asked once a frame: what it costs is the frame's time.
+            self.solution = (inverter.settings().in_pairs()).then_some(solution);
         }
         Ok(())
     }
 
+    /// Contacts as the learned models give them: the peaks of a map or, without any, one from position and force.
+    fn learned(&mut self) -> Result<Vec<Contact>, String> {
+        let refined = self.pipelines.iter().any(|p| p.inverter.is_some());
+        let Some(pipeline) = self.pipelines.iter_mut().find(|p| p.fresh && p.peaks.is_some() && !refined)
+        else {
+            return Ok(vec![self.contact()]);
+        };
+        let Pipeline { peaks, outputs, path, .. } = pipeline;
+        let map = outputs.values(MAP_DISPLACEMENT).unwrap_or_default();
+        let mut contacts = match peaks {
+            Some(peaks) => peaks.contacts(map).map_err(|e| format!("model {}: {e}", path.display()))?,
+            None => Vec::new(),
+        };
+        let single = contacts.len() == 1;
+        for contact in &mut contacts {
+            contact.confidence = self.confidence(contact.normal_force()) as f32;
+            contact.taxels = if single { self.carrying() } else { self.shares.near(&contact.position) };
+            if self.channels_missing() {
+                contact.position_covariance.fill(f64::NAN);
+                contact.force_covariance.fill(f64::NAN);
+            }
+        }
+        Ok(contacts)
+    }
+
+    /// Taxels that carry the signal.
+    fn carrying(&mut self) -> Vec<u32> {
+        self.shares.of(&self.cleaned.signal, self.conditioner.condition().contact_threshold)
+    }
+
     /// What the learned models say, refined on the forward model where a bundle asks for it, and which bundle did.
     fn contacts(&mut self) -> Result<(Vec<Contact>, Option<usize>), String> {
-        let learned = self.contact();
+        let learned = self.learned()?;
         let Some((index, inverter)) =
             self.pipelines.iter().enumerate().find_map(|(i, p)| Some((i, p.inverter.as_ref()?)))
         else {
-            return Ok((vec![learned], None));
+            return Ok((learned, None));
         };
         let settings = inverter.settings();
-        let known = learned.position.iter().chain(&learned.force).all(|v| v.is_finite());
-        let hint = (known && learned.normal_force() > 0.0).then_some(Indentation {
-            position: learned.position,
-            force: learned.force,
-            diameter: settings.diameter,
-        });
-        let solution = inverter
-            .solve(&self.readings, hint.as_ref())
-            .map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
+        let solution = if settings.in_pairs() {
+            match self.solution.take() {
+                Some(solution) => Ok(solution),
+                None => locate(inverter, &self.readings, &self.before),
+            }
+        } else {
+            let known = |c: &&Contact| {
+                c.position.iter().chain(&c.force).all(|v| v.is_finite()) && c.normal_force() > 0.0
+            };
+            let hint = learned.first().filter(known).map(|c| Indentation {
+                position: c.position,
+                force: c.force,
+                diameter: settings.diameter,
+            });
+            inverter.solve(&self.readings, hint.as_ref())
+        };
+        let solution =
+            solution.map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
+        self.before.clone_from(&solution.contacts);
         if solution.contacts.is_empty() {
-            return Ok((vec![learned], None));
+            return Ok((learned, None));
         }
         let components = settings.unknowns.force_components();
         let single = solution.contacts.len() == 1;
+        let carrying = self.carrying();
         let contacts = solution
             .contacts
             .into_iter()
@@ -617,7 +735,7 @@ impl SkinEstimator {
                 contact.position_covariance = position_covariance;
                 contact.force_covariance = force_covariance;
                 contact.confidence = self.confidence(contact.normal_force()) as f32;
-                contact.taxels = if single { learned.taxels.clone() } else { self.shares.near(&position) };
+                contact.taxels = if single { carrying.clone() } else { self.shares.near(&position) };
                 contact
             })
             .collect();
@@ -678,7 +796,7 @@ impl SkinEstimator {
             contact.position_covariance.fill(f64::NAN);
             contact.force_covariance.fill(f64::NAN);
         }
-        contact.taxels = self.shares.of(&self.cleaned.signal, self.conditioner.condition().contact_threshold);
+        contact.taxels = self.carrying();
         contact.confidence = self.confidence(magnitude) as f32;
         contact
     }
@@ -708,15 +826,16 @@ impl SkinEstimator {
         self.pipelines.iter().filter(|p| p.fresh).find_map(|p| p.outputs.values(output))
     }
 
-    /// What a learned model gives or, where none does, the forces of contacts that a forward model refined.
+    /// What a learned model gives or, where none does, the forces of contacts that a forward model refined or that are peaks.
     fn force_map(&self, contacts: &[Contact], refined: bool) -> Option<ForceMap> {
+        let placed = refined || self.pipelines.iter().any(|p| p.fresh && p.peaks.is_some());
         let forces = if let Some(map) = self.map(MAP_FORCE) {
             ForceValues::Vector(
                 map.chunks_exact(3).map(|f| [f[0] as f32, f[1] as f32, f[2] as f32]).collect(),
             )
         } else if let Some(map) = self.map(MAP_NORMAL) {
             ForceValues::Normal(map.iter().map(|f| *f as f32).collect())
-        } else if refined {
+        } else if placed {
             ForceValues::Normal(spread(&self.surface, contacts))
         } else {
             return None;
@@ -825,8 +944,24 @@ impl SkinEstimator {
     }
 }
 
-impl Estimator for SkinEstimator {
-    fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
+impl SkinEstimator {
+    /// Takes a frame that nobody waits for, because a newer one is there: channel health, zero and the models' history go on as
+    /// with every frame, contacts are not looked for.
+    ///
+    /// # Errors
+    ///
+    /// [`EstimateError::Channels`] for a frame of another skin.
+    pub fn pass(&mut self, frame: &Frame) -> Result<(), EstimateError> {
+        let quality = self.receive(frame)?;
+        self.guessed.clear();
+        let pushed = if quality <= Quality::Degraded { self.push() } else { Ok(()) };
+        self.verdict.touched |= self.present;
+        self.conditioner.follow(&self.cleaned, self.present);
+        pushed.map_err(|reason| EstimateError::Model { sequence: frame.sequence, reason })
+    }
+
+    /// Conditions a frame and judges it.
+    fn receive(&mut self, frame: &Frame) -> Result<Quality, EstimateError> {
         let expected = self.skin.channels().len();
         if frame.values.len() != expected {
             return Err(EstimateError::Channels {
@@ -851,12 +986,24 @@ impl Estimator for SkinEstimator {
             touched: self.cleaned.touched,
             probability: None,
         };
+        Ok(quality)
+    }
+}
+
+impl Estimator for SkinEstimator {
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
+        let quality = self.receive(frame)?;
+        self.solution = None;
         self.read();
         let inferred = if quality <= Quality::Degraded {
             self.guess().map_err(|e| e.to_string()).and_then(|()| self.infer())
         } else {
             Ok((false, true))
         };
+        self.present = matches!(inferred, Ok((true, _)));
+        if !self.present {
+            self.before.clear();
+        }
         let (present, complete) = match inferred {
             Ok(answer) => answer,
             Err(reason) => {
@@ -914,6 +1061,17 @@ impl Estimator for SkinEstimator {
         self.verdict = Verdict { level: f64::NAN, ..Verdict::default() };
         self.probable = false;
         self.explained = false;
+        self.present = false;
+        self.solution = None;
+        self.before.clear();
+    }
+}
+
+/// Several contacts: those of the frame before for as long as they last, otherwise whatever explains the readings best.
+fn locate(inverter: &Inverter, readings: &[Reading], before: &[Found]) -> Result<Solution, InverterError> {
+    match inverter.follow(readings, before)? {
+        Some(solution) => Ok(solution),
+        None => inverter.search(readings),
     }
 }
 
@@ -1289,6 +1447,122 @@ mod tests {
         );
         let blind = pressed(&mut estimator, 83, None, &[0, 1, 2, 3, 4, 5]);
         assert!(blind.force_map.is_none() && estimator.verdict().quality == Quality::Fault);
+    }
+
+    /// One frame of the pad of nine under presses at \[m\] with \[N\].
+    fn both(k: u64, presses: &[([f64; 2], f64)]) -> Frame {
+        let contacts = presses.iter().map(|([x, y], force)| Indentation {
+            position: Point3::new(*x, *y, 0.0),
+            force: Vector3::new(0.0, 0.0, -force),
+            diameter: 0.004,
+        });
+        let mut signal = [0.0; 9];
+        let stimulus = Stimulus { contacts: contacts.collect(), ..Stimulus::default() };
+        Membrane::new(&nine()).response(&stimulus, &mut signal).unwrap();
+        let wiggle = |i: usize| [6.0, -6.0, -6.0, 6.0][(k as usize + i) % 4];
+        let values = signal.iter().enumerate().map(|(i, s)| IDLE + *s as f32 + wiggle(i)).collect();
+        Frame::new(k as i64 * 10_000_000, k, values)
+    }
+
+    #[test]
+    fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
+        let skin = nine();
+        let mut settings = Settings::new(0.004, 5.0);
+        (settings.contacts, settings.distance) = (2, 0.006);
+        settings.search = dermis_inversion::Search::Pairs;
+        let bundle = TestBundle { inversion: Some(settings), ..TestBundle::default() };
+        let dir = tempfile::tempdir().unwrap();
+        bundle.write(&skin, dir.path());
+        let mut estimator = load_for(&STRETCHED, &skin, &[dir.path()], &[]).unwrap();
+        for k in 0..80 {
+            estimator.estimate(&both(k, &[])).unwrap();
+        }
+        let (a, b) = ([-0.007, -0.006], [0.006, 0.007]);
+        let near = |c: &Contact, [x, y]: [f64; 2]| (c.position - Point3::new(x, y, 0.0)).norm() < 1e-3;
+        let one = estimator.estimate(&both(80, &[(a, 1.0)])).unwrap().contacts;
+        assert!(one.len() == 1 && near(&one[0], a) && one[0].track_id == 1, "{one:?}");
+        for k in 81..100 {
+            // The second grows above the first.
+            let second = 0.4 + 0.08 * (k - 80) as f64;
+            let estimate = estimator.estimate(&both(k, &[(a, 1.0), (b, second)])).unwrap();
+            let mut found = estimate.contacts;
+            found.sort_by_key(|c| c.track_id);
+            assert_eq!(found.iter().map(|c| c.track_id).collect::<Vec<_>>(), [1, 2], "{found:?}");
+            assert!(near(&found[0], a) && near(&found[1], b), "{found:?}");
+            assert!((found[1].normal_force() - second).abs() < 0.15, "{found:?}");
+            assert!(!found[0].taxels.is_empty() && found[0].taxels != found[1].taxels);
+            let ForceValues::Normal(forces) = estimate.force_map.unwrap().forces else {
+                panic!("vector map")
+            };
+            let sum: f64 = forces.iter().map(|f| f64::from(*f)).sum();
+            assert!((sum - found[0].normal_force() - found[1].normal_force()).abs() < 1e-4);
+            let depth = estimate.displacement_map.unwrap().displacements;
+            let at = |[x, y]: [f64; 2]| {
+                let place = Point3::new(x, y, 0.0);
+                let near =
+                    skin.surface().points.iter().zip(&depth).filter(|(p, _)| (*p - place).norm() < 2e-3);
+                near.map(|(_, d)| f64::from(*d)).collect::<Vec<_>>().into_iter().fold(0.0, f64::max)
+            };
+            assert!(at(a) > 0.8 * Membrane::GIVES && at(b) > 0.3 * Membrane::GIVES);
+        }
+        // One that ends leaves the other alone; a frame that is passed over changes nothing.
+        estimator.pass(&both(100, &[(a, 1.0), (b, 2.0)])).unwrap();
+        assert!(estimator.verdict().touched);
+        let left = estimator.estimate(&both(101, &[(b, 2.0)])).unwrap().contacts;
+        assert!(left.len() == 1 && near(&left[0], b) && left[0].track_id == 2, "{left:?}");
+        assert!(estimator.estimate(&both(102, &[])).unwrap().contacts.is_empty());
+        assert!(estimator.unfelt().is_some_and(|(force, share)| force > 0.0 && (0.0..1.0).contains(&share)));
+    }
+
+    #[test]
+    fn frames_that_are_passed_over_are_conditioned_all_the_same() {
+        let bundle = TestBundle { taps: vec![0, 5], ..TestBundle::default() };
+        let (mut estimator, _dir) = tared_estimator(&bundle);
+        for k in 80..86 {
+            estimator.pass(&frame(k, [2000.0, 0.0, 0.0, 0.0])).unwrap();
+        }
+        let contacts = press(&mut estimator, 86, [2000.0, 0.0, 0.0, 0.0]).contacts;
+        assert_eq!(contacts.len(), 1, "the history is filled: {}", estimator.verdict().text);
+        assert!(estimator.pass(&Frame::new(0, 9, vec![0.0; 5])).is_err());
+    }
+
+    #[test]
+    fn a_forward_model_is_corrected_by_what_was_recorded() {
+        let skin = nine();
+        let channels = skin.channels().len();
+        let weights = vec![0.0_f32; channels];
+        let text = |gains: &[f64]| {
+            format!(
+                "{{\"centres\":[[0.0,0.0,0.0]],\"length\":0.01,\"force\":1.0,\"powers\":1,\"gains\":{gains:?},\"weights\":{weights:?}}}"
+            )
+        };
+        // Channels that read half and twice of what the design says.
+        let gains: Vec<f64> = (0..channels).map(|i| if i % 2 == 0 { 0.5 } else { 2.0 }).collect();
+        let bundle = TestBundle { inversion: Some(Settings::new(0.004, 5.0)), ..TestBundle::default() };
+        let dir = tempfile::tempdir().unwrap();
+        bundle.write(&skin, dir.path());
+        let error = |corrected: bool| {
+            let mut loaded = Bundle::load(dir.path(), &skin).unwrap();
+            let mut manifest = loaded.manifest().clone();
+            manifest.correction = corrected.then(dermis_inference::CorrectionSection::default);
+            let correction = corrected.then(|| serde_json::from_str(&text(&gains)).unwrap());
+            loaded.amend(manifest, correction).unwrap();
+            let mut estimator = load_for(&STRETCHED, &skin, &[dir.path()], &[]).unwrap();
+            let device = |k: u64, presses: &[([f64; 2], f64)]| {
+                let mut frame = both(k, presses);
+                for (value, gain) in frame.values.iter_mut().zip(&gains) {
+                    *value = IDLE + (*value - IDLE) * *gain as f32;
+                }
+                frame
+            };
+            for k in 0..80 {
+                estimator.estimate(&device(k, &[])).unwrap();
+            }
+            let found = estimator.estimate(&device(80, &[([0.003, 0.004], 1.0)])).unwrap().contacts;
+            (found[0].position - Point3::new(0.003, 0.004, 0.0)).norm()
+        };
+        let (without, with) = (error(false), error(true));
+        assert!(with < 3e-4 && without > 5.0 * with, "{without} m, {with} m with the correction");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The node: a source of bytes at one end, ROS topics at the other, one thread between them.
 
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -31,6 +32,12 @@ use crate::messages::{
 
 /// Longest wait for bytes, and so the longest time until a stop or a silence is noticed.
 const TICK: Duration = Duration::from_millis(50);
+/// How long a frame may wait, and at least so many periods of the skin, before it is passed over for the newest one.
+const LATE: (Duration, f64) = (Duration::from_millis(25), 2.0);
+/// Events that are taken from a source in a row, before a frame is looked at.
+const MOST_EVENTS: usize = 1024;
+/// Share of frames that may be passed over before diagnostics warn of it: any machine is busy elsewhere now and then.
+const PASSED: f64 = 0.01;
 /// Period at which a blind skin says that it is blind.
 const BLIND_PERIOD: Duration = Duration::from_millis(500);
 /// Shortest time between two marker messages: viewers draw 30 times a second.
@@ -515,8 +522,12 @@ struct Figures {
     /// \[ns\] from acquisition to publication.
     latency_sum: i64,
     latency_max: i64,
-    /// \[ns\] from the bytes to the last message.
+    /// \[ns\] from a frame to its last message, over those whose contacts were looked for.
+    work_sum: i64,
     work_max: i64,
+    /// Frames that were passed over, because a newer one was there.
+    passed: u64,
+    passed_total: u64,
     asked: Option<Instant>,
 }
 
@@ -551,10 +562,15 @@ impl Shared {
         let mut source: Option<Source> = None;
         let mut last_frame = Instant::now();
         let mut last_blind: Option<Instant> = None;
-        let mut frames = Vec::new();
+        // Frames that wait, and when they came [ns since the Unix epoch].
+        let mut waiting: VecDeque<(i64, Frame)> = VecDeque::new();
+        // A recording waits for whoever reads it: nothing of it is passed over.
+        let live = !matches!(self.url, SourceUrl::Replay { .. });
+        let patience = LATE.0.max(Duration::from_secs_f64(LATE.1 / self.skin.rate));
         while !self.stopping() {
             if !self.active.load(Ordering::Acquire) {
                 if source.take().is_some() {
+                    waiting.clear();
                     let mut core = self.lock();
                     core.reader = None;
                     core.blind = None;
@@ -578,43 +594,67 @@ impl Shared {
             }
             let source =
                 source.get_or_insert_with(|| Source::open(self.url.clone(), SourceOptions::default()));
-            let event = source.next_timeout(TICK);
+            let mut event = match (waiting.is_empty(), live) {
+                (true, _) => source.next_timeout(TICK),
+                (false, true) => source.next_timeout(Duration::ZERO),
+                (false, false) => None,
+            };
             let mut core = self.lock();
             core.source = source.stats();
-            match event {
-                Some(Event::Bytes { data, received_ns }) => {
-                    if let Some(reader) = &mut core.reader {
-                        reader.push(&data, received_ns, &mut frames);
-                    }
-                    self.warn_of_jumps(&mut core);
-                    if !frames.is_empty() {
-                        last_frame = Instant::now();
-                        if core.enabled {
-                            last_blind = None;
-                            core.blind = None;
+            let mut taken = 0;
+            while let Some(next) = event.take() {
+                taken += 1;
+                match next {
+                    Event::Bytes { data, received_ns } => {
+                        let mut frames = Vec::new();
+                        if let Some(reader) = &mut core.reader {
+                            reader.push(&data, received_ns, &mut frames);
                         }
+                        self.warn_of_jumps(&mut core);
+                        if !frames.is_empty() {
+                            last_frame = Instant::now();
+                            if core.enabled {
+                                last_blind = None;
+                                core.blind = None;
+                            }
+                        }
+                        waiting.extend(frames.into_iter().map(|frame| (received_ns, frame)));
                     }
-                    for frame in frames.drain(..) {
-                        self.take(&mut core, frame);
+                    Event::Overflow { .. } => core.gap(),
+                    Event::Disconnected { reason, .. } => {
+                        tracing::warn!("skin `{}`: {reason}", self.skin.name);
+                        core.gap();
                     }
+                    Event::Connected { description } => {
+                        tracing::info!("skin `{}`: connected to {description}", self.skin.name);
+                    }
+                    Event::Ended => {
+                        // Every later event is this one again: the wait is ours.
+                        if waiting.is_empty() {
+                            drop(core);
+                            std::thread::sleep(TICK);
+                            core = self.lock();
+                        }
+                        break;
+                    }
+                    _ => {}
                 }
-                Some(Event::Overflow { .. }) => core.gap(),
-                Some(Event::Disconnected { reason, .. }) => {
-                    tracing::warn!("skin `{}`: {reason}", self.skin.name);
-                    core.gap();
+                if live && taken < MOST_EVENTS {
+                    event = source.next_timeout(Duration::ZERO);
                 }
-                Some(Event::Connected { description }) => {
-                    tracing::info!("skin `{}`: connected to {description}", self.skin.name);
-                }
-                Some(Event::Ended) => {
-                    // Every later event is this one again: the wait is ours.
-                    drop(core);
-                    std::thread::sleep(TICK);
-                    core = self.lock();
-                }
-                _ => {}
             }
+            // Before a frame is looked at, which may take long: what comes meanwhile is in the queue.
             let silence = last_frame.elapsed();
+            if let Some((received_ns, frame)) = waiting.pop_front() {
+                let mut newest = frame;
+                let waited = u64::try_from(now_ns().saturating_sub(received_ns)).unwrap_or(0);
+                if live && Duration::from_nanos(waited) > patience {
+                    for (_, newer) in waiting.drain(..) {
+                        self.pass(&mut core, std::mem::replace(&mut newest, newer));
+                    }
+                }
+                self.take(&mut core, newest);
+            }
             let stale = silence.as_secs_f64() > core.estimator.condition().stale_time;
             if stale || !core.enabled {
                 let (status, text) = if core.enabled {
@@ -673,14 +713,36 @@ impl Shared {
         (ContactArray::STATUS_STALE, format!("no frame for {:.1} s: {why}", silence.as_secs_f64()))
     }
 
-    /// One frame through conditioning, inference and publication.
-    fn take(&self, core: &mut Core, mut frame: Frame) {
-        let begun = Instant::now();
+    /// Stamps a frame that came. Whether anybody wants it.
+    fn receive(&self, core: &mut Core, frame: &mut Frame) -> bool {
         core.sequence = frame.sequence;
         if self.node.clock().is_simulated() {
             frame.stamp = frame.stamp.saturating_sub(now_ns()).saturating_add(self.node.clock().now());
         }
-        if !core.enabled {
+        core.enabled
+    }
+
+    /// One frame through conditioning, for a newer one is there to look for contacts in.
+    fn pass(&self, core: &mut Core, mut frame: Frame) {
+        if !self.receive(core, &mut frame) {
+            return;
+        }
+        if let Err(error) = core.estimator.pass(&frame) {
+            tracing::debug!("skin `{}`: {error}", self.skin.name);
+        }
+        // A recording of them has every frame.
+        let Core { estimator, publishers, figures, .. } = core;
+        send(&publishers.taxels, || Some(self.skin.frame_message(&estimator.conditioned().reading)));
+        figures.frames_total += 1;
+        figures.frames += 1;
+        figures.passed += 1;
+        figures.passed_total += 1;
+    }
+
+    /// One frame through conditioning, inference and publication.
+    fn take(&self, core: &mut Core, mut frame: Frame) {
+        let begun = Instant::now();
+        if !self.receive(core, &mut frame) {
             return;
         }
         let mut wanted = core.publishers.wanted();
@@ -698,8 +760,9 @@ impl Shared {
         let latency = now.saturating_sub(frame.stamp);
         figures.latency_sum = figures.latency_sum.saturating_add(latency);
         figures.latency_max = figures.latency_max.max(latency);
-        figures.work_max =
-            figures.work_max.max(i64::try_from(begun.elapsed().as_nanos()).unwrap_or(i64::MAX));
+        let work = i64::try_from(begun.elapsed().as_nanos()).unwrap_or(i64::MAX);
+        figures.work_sum = figures.work_sum.saturating_add(work);
+        figures.work_max = figures.work_max.max(work);
     }
 
     fn publish(&self, core: &mut Core, frame: &Frame, estimate: &Estimate) {
@@ -719,7 +782,7 @@ impl Shared {
             self.clear_arrows(core);
             return;
         }
-        if estimator.outputs().any(|o| o.starts_with("force.")) {
+        if estimator.gives_force() {
             send(&publishers.wrench, || wrench_message(skin, stamp, contacts));
         }
         send(&publishers.points, || Some(points_message(skin, stamp, contacts)));
@@ -872,13 +935,28 @@ impl Shared {
                 );
             }
         }
-        if figures.frames > 0 {
-            let mean = figures.latency_sum as f64 / figures.frames as f64 * 1e-6;
-            status.value("latency mean [ms]", format!("{mean:.3}"));
+        let taken = figures.frames - figures.passed;
+        if taken > 0 {
+            let mean = |sum: i64| sum as f64 / taken as f64 * 1e-6;
+            status.value("latency mean [ms]", format!("{:.3}", mean(figures.latency_sum)));
             status.value("latency max [ms]", format!("{:.3}", figures.latency_max as f64 * 1e-6));
+            status.value("processing mean [ms]", format!("{:.3}", mean(figures.work_sum)));
             status.value("processing max [ms]", format!("{:.3}", figures.work_max as f64 * 1e-6));
+            if active && core.blind.is_none() && figures.passed as f64 > PASSED * figures.frames as f64 {
+                status.worsen(
+                    Level::Warn,
+                    format!(
+                        "contacts are known for {taken} of {} frames: a frame takes {:.1} ms where one comes every {:.1} ms, so \
+                         that the newest is taken and others are passed over",
+                        figures.frames,
+                        mean(figures.work_sum),
+                        1e3 / self.skin.rate
+                    ),
+                );
+            }
         }
         status.value("frames", figures.frames_total);
+        status.value("frames passed over", figures.passed_total);
         if let Some(reader) = &core.reader {
             let stats = reader.stats();
             let rejected = &stats.rejected;
@@ -916,6 +994,10 @@ impl Shared {
         }
         status.value("level [noise deviations]", format!("{:.2}", verdict.level));
         status.value("touched", verdict.touched);
+        if let Some((force, share)) = core.estimator.unfelt() {
+            status
+                .value("not felt [% of surface]", format!("{:.1} (a press of {force:.2} N)", 100.0 * share));
+        }
         status.value(
             "tare",
             match core.estimator.tare_state() {
@@ -928,8 +1010,8 @@ impl Shared {
         status.value("models", if models.is_empty() { "none".into() } else { models.join(", ") });
         status.value("runtime", self.runtime.report());
         status.value("source", &self.url);
-        core.figures =
-            Figures { frames_total: core.figures.frames_total, asked: Some(now), ..Figures::default() };
+        let Figures { frames_total, passed_total, .. } = core.figures;
+        core.figures = Figures { frames_total, passed_total, asked: Some(now), ..Figures::default() };
         status
     }
 }
