@@ -5,6 +5,7 @@ mod check;
 mod close;
 mod pack;
 mod page;
+mod summary;
 mod text;
 
 use std::path::{Path, PathBuf};

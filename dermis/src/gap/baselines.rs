@@ -1,6 +1,7 @@
 //! What simpler ways to a cause answer, for comparison: they see the same recording and the same effects of the same model.
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
@@ -93,10 +94,46 @@ fn zeroed(readings: &mut [f64], channels: usize, times: &[f64]) {
     readings.chunks_mut(channels).for_each(|row| row.iter_mut().zip(&zero).for_each(|(v, z)| *v -= z));
 }
 
-/// The answers of all baselines on one recording.
-pub fn answers(skin: &SkinDescription, family: &Family, bag: &Path) -> Result<Vec<Answer>> {
+/// Noise-free readings of the nominal model along some presses, and what each effect changes in them, by its name.
+struct Simulated {
+    nominal: Vec<f64>,
+    changed: Vec<(&'static str, Vec<f64>)>,
+}
+
+/// What was simulated already, by pack and number of presses.
+#[derive(Default)]
+pub struct Columns(BTreeMap<(PathBuf, usize), Simulated>);
+
+fn simulated(skin: &SkinDescription, family: &Family, record: &Record) -> Result<Simulated> {
+    let nominal = simulate(&(family.model)(skin)?, record)?;
+    let mut changed = Vec::new();
+    for info in family.effects {
+        for seed in 0..if info.random { DEVICES } else { 1 } {
+            let mut other = skin.clone();
+            other.effects = vec![Effect::new(info.name).seed(seed)];
+            let Ok(model) = (family.model)(&other) else { continue };
+            let Ok(readings) = simulate(&model, record) else { continue };
+            changed.push((info.name, readings));
+        }
+    }
+    Ok(Simulated { nominal, changed })
+}
+
+/// The answers of all baselines on one recording, whose presses are those of all that have the same `key`.
+pub fn answers(
+    skin: &SkinDescription,
+    family: &Family,
+    bag: &Path,
+    key: (PathBuf, usize),
+    columns: &mut Columns,
+) -> Result<Vec<Answer>> {
     let mut record = read(bag).with_context(|| format!("bag {}", bag.display()))?;
-    let nominal = simulate(&(family.model)(skin)?, &record)?;
+    if !columns.0.contains_key(&key) {
+        columns.0.insert(key.clone(), simulated(skin, family, &record)?);
+    }
+    let Some(Simulated { nominal, changed }) = columns.0.get(&key) else {
+        return Ok(vec![Answer::default(); NAMES.len()]);
+    };
     let sigma = skin.channel_noise();
     let channels = sigma.len();
     zeroed(&mut record.readings, channels, &record.times);
@@ -106,22 +143,16 @@ pub fn answers(skin: &SkinDescription, family: &Family, bag: &Path) -> Result<Ve
         let values = rows.flat_map(|row| row.iter().zip(&sigma).map(|(v, s)| v / s));
         DVector::from_vec(values.collect())
     };
-    let base = whitened(&nominal);
+    let base = whitened(nominal);
     let residual = whitened(&record.readings) - &base;
     let mut columns: Vec<DVector<f64>> = Vec::new();
     let mut of: Vec<&str> = Vec::new();
-    for info in family.effects {
-        for seed in 0..if info.random { DEVICES } else { 1 } {
-            let mut other = skin.clone();
-            other.effects = vec![Effect::new(info.name).seed(seed)];
-            let Ok(model) = (family.model)(&other) else { continue };
-            let Ok(readings) = simulate(&model, &record) else { continue };
-            let column = whitened(&readings) - &base;
-            let norm = column.norm();
-            if norm > 1e-6 && norm.is_finite() {
-                columns.push(column / norm);
-                of.push(info.name);
-            }
+    for (name, readings) in changed {
+        let column = whitened(readings) - &base;
+        let norm = column.norm();
+        if norm > 1e-6 && norm.is_finite() {
+            columns.push(column / norm);
+            of.push(name);
         }
     }
     if columns.is_empty() {

@@ -3,15 +3,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Mutex;
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use dermis_gap::{RowOptions, Rows, Simulator};
 use dermis_gap_worlds::pack::{self, Case, Manifest, Secret};
-use dermis_gap_worlds::score::{Answer, Card, Mapping, Named, Share};
-use dermis_skin::SkinDescription;
+use dermis_gap_worlds::score::{Answer, Card, Mapping, Named};
+use dermis_skin::{Effect, SkinDescription};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
+
+use super::summary;
 
 /// Which packs to check on.
 #[derive(Args)]
@@ -23,15 +27,19 @@ pub struct Options {
     /// opened.
     #[arg(long, value_name = "DIR")]
     secret: Vec<PathBuf>,
-    /// Folder for reports, their hashes and the scores; reports that are there already are not made again.
+    /// Folder for reports, their hashes, scores.json (every case) and summary.json, .md and .svg; reports that are there already
+    /// are not made again.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
     /// Diagnoses at once.
     #[arg(long, default_value_t = 1)]
     jobs: usize,
-    /// Leave the baselines out, which take some seconds a case.
+    /// Leave the baselines out.
     #[arg(long)]
     no_baselines: bool,
+    /// Do not try what reports switch on in another recording of the same world.
+    #[arg(long)]
+    no_elsewhere: bool,
     /// Passed on to every diagnosis, e.g. --resamples 0.
     #[arg(last = true)]
     diagnose: Vec<String>,
@@ -67,8 +75,8 @@ pub fn run(options: &Options) -> Result<()> {
     }
     // From here on the reports must not change: their hashes lie on the disk.
     let mapping = Mapping::from_toml(Mapping::TEXT).map_err(anyhow::Error::msg)?;
-    let mut cases: Vec<(Secret, Answer, Value)> = Vec::new();
-    for (((manifest, secrets), (out, seal)), pack) in
+    let mut cases: Vec<Opened> = Vec::new();
+    for (((manifest, secrets), (out, _)), pack) in
         packs.iter().zip(&options.secret).zip(&seals).zip(&options.pack)
     {
         for case in &manifest.cases {
@@ -76,98 +84,187 @@ pub fn run(options: &Options) -> Result<()> {
             let text = std::fs::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
             let read: Value =
                 serde_json::from_slice(&text).with_context(|| format!("{} is no report", path.display()))?;
-            cases.push((pack::unseal(secrets, case)?, answer(&read), read));
+            let (secret, answer) = (pack::unseal(secrets, case)?, answer(&read));
+            cases.push(Opened {
+                secret,
+                answer,
+                report: read,
+                bag: pack.join(&case.bag),
+                presses: case.presses,
+            });
         }
-        tracing::info!("{}: reports sha256 {seal}", pack.display());
     }
-    let mut card = Card::new(cases.iter().map(|(secret, answer, _)| (secret, answer)), &mapping);
+    let library = library(&cases);
     let skin = SkinDescription::load(options.pack[0].join("skin.toml"))?;
-    let effects = crate::registry::family(&skin)?.effects;
-    let library: BTreeSet<String> = effects.iter().map(|e| e.name.to_owned()).collect();
-    card.note_library(&mapping, &library);
+    if !options.no_elsewhere {
+        elsewhere(&skin, &mut cases, options)?;
+    }
+    let card = Card::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
     let baselines =
-        if options.no_baselines { Vec::new() } else { baselines(options, &packs, &cases, &mapping)? };
-    let each: Vec<Value> = cases
-        .iter()
-        .map(|(secret, answer, _)| {
-            serde_json::json!({ "case": secret.case, "kind": secret.kind, "gap": secret.gap, "noise": secret.noise,
-                "unexplained": secret.unexplained, "causes": secret.causes, "answer": answer })
-        })
-        .collect();
-    let summary = serde_json::json!({
+        if options.no_baselines { Vec::new() } else { baselines(&skin, &cases, &mapping, &library)? };
+    let head = serde_json::json!({
         "schema": "gap-check/1",
+        "tool": format!("dermis {}", env!("CARGO_PKG_VERSION")),
+        "command": command(options),
+        "skin": skin.name,
+        "mapping_sha256": pack::sha256(Mapping::TEXT.as_bytes()),
         "packs": packs.iter().zip(&options.pack).zip(&seals).map(|((manifest, dir), (_, seal))| {
-            Ok(serde_json::json!({ "kind": manifest.kind, "skin": manifest.skin, "cases": manifest.cases.len(),
+            Ok(serde_json::json!({ "kind": manifest.kind, "cases": manifest.cases.len(), "generator": manifest.generator,
                 "sha256": Manifest::hash(dir)?, "reports_sha256": seal }))
         }).collect::<Result<Vec<_>>>()?,
-        "scores": card,
-        "baselines": baselines.iter().map(|(name, card)| serde_json::json!({ "name": name, "scores": card })).collect::<Vec<_>>(),
-        "cases": each,
+        "library": library,
     });
-    let path = options.out.join("scores.json");
-    std::fs::write(&path, serde_json::to_string_pretty(&summary)?)
-        .with_context(|| format!("{} cannot be written", path.display()))?;
+    let summary = summary::json(&head, &card, &baselines);
+    let mut whole = summary.clone();
+    whole["cases"] = cases
+        .iter()
+        .map(|c| {
+            let s = &c.secret;
+            serde_json::json!({ "case": s.case, "kind": s.kind, "gap": s.gap, "noise": s.noise,
+                "unexplained": s.unexplained, "causes": s.causes, "answer": c.answer })
+        })
+        .collect();
+    let markdown = summary::markdown(&head, &card, &baselines);
+    let put = |name: &str, text: &str| {
+        let path = options.out.join(name);
+        std::fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))
+    };
+    put("scores.json", &format!("{}\n", serde_json::to_string_pretty(&whole)?))?;
+    put("summary.json", &format!("{}\n", serde_json::to_string_pretty(&summary)?))?;
+    put("summary.md", &markdown)?;
+    put("summary.svg", &summary::svg(&skin.name, &card, &baselines))?;
     if options.json {
-        println!("{summary}");
+        println!("{whole}");
     } else {
-        println!("{}", card.table());
-        if !baselines.is_empty() {
-            println!("| baseline | top-1 | top-3 | false alarms |\n|---|---|---|---|");
-        }
-        for (name, card) in &baselines {
-            let s = &card.headline;
-            println!("| {name} | {} | {} | {} |", shown(s.top1), shown(s.top3), shown(s.false_alarms));
-        }
+        print!("{markdown}");
     }
     Ok(())
 }
 
-/// A share with its interval.
-fn shown(share: Share) -> String {
-    if share.of == 0 {
-        return "-".to_owned();
+/// A case whose secret is open.
+struct Opened {
+    secret: Secret,
+    answer: Answer,
+    report: Value,
+    bag: PathBuf,
+    presses: usize,
+}
+
+/// How this check was called.
+fn command(options: &Options) -> String {
+    let path = |p: &Path| p.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let mut text = "dermis gap check".to_owned();
+    for (flag, folders) in [("--pack", &options.pack), ("--secret", &options.secret)] {
+        folders.iter().for_each(|folder| text.push_str(&format!(" {flag} {}", path(folder))));
     }
-    let [low, high] = share.interval();
-    format!("{:.3} ({low:.2} to {high:.2})", share.value())
+    text.push_str(&format!(" --out {}", path(&options.out)));
+    if !options.diagnose.is_empty() {
+        text.push_str(&format!(" -- {}", options.diagnose.join(" ")));
+    }
+    text
+}
+
+/// The effects that the reports say were tried, or could not be seen.
+fn library(cases: &[Opened]) -> BTreeSet<String> {
+    let mut library = BTreeSet::new();
+    for case in cases {
+        let of = &case.report["provenance"];
+        let tried = of["tried"].as_array().into_iter().flatten();
+        let silent = of["silent"].as_array().into_iter().flatten().filter_map(|pair| pair.get(0));
+        library.extend(tried.chain(silent).filter_map(Value::as_str).map(str::to_owned));
+    }
+    library
+}
+
+/// Tries what each report switches on in another recording of the same world, which no report has seen.
+fn elsewhere(skin: &SkinDescription, cases: &mut [Opened], options: &Options) -> Result<()> {
+    let family = crate::registry::family(skin)?;
+    let make = |skin: &SkinDescription| (family.model)(skin).map_err(|e| format!("{e:#}"));
+    let simulator = Simulator { skin, effects: family.effects, make: &make };
+    let sigma = skin.channel_noise();
+    let open: Vec<&mut Opened> = cases.iter_mut().filter(|c| c.answer.closure.is_some()).collect();
+    let progress = ProgressBar::new(open.len() as u64).with_style(ProgressStyle::with_template(
+        "recording again {wide_bar} {human_pos}/{human_len}, {eta} left",
+    )?);
+    progress.tick();
+    let one = |case: &Opened| -> Result<Option<f64>> {
+        let effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
+            .with_context(|| format!("{}: field `corrected` of its report", case.secret.case))?;
+        if effects.is_empty() {
+            return Ok(None);
+        }
+        let folder = tempfile::tempdir().context("no folder for another recording can be made")?;
+        let bag = folder.path().join("again");
+        pack::record_again(skin, &case.secret, &bag)?;
+        let recording = dermis_gap::read(&[&bag], skin, None)?;
+        let usable = vec![true; sigma.len()];
+        let rows = Rows::draw(&recording, &usable, &RowOptions::default());
+        let frames = rows.frames();
+        let left = |of: &SkinDescription| -> Result<f64> {
+            let read = simulator.readings(of, &recording, &frames)?;
+            let rows = frames.iter().zip(read.chunks(sigma.len()));
+            Ok(rows
+                .flat_map(|(frame, row)| recording.frame(*frame).iter().zip(row).zip(&sigma))
+                .map(|((y, s), sigma)| (f64::from(y - s) / sigma).powi(2))
+                .filter(|square| square.is_finite())
+                .sum())
+        };
+        let (before, after) = (left(skin)?, left(&simulator.with(&effects))?);
+        Ok((before > 0.0).then(|| 1.0 - after / before))
+    };
+    let next = Mutex::new(open.into_iter());
+    let worker = || -> Result<()> {
+        loop {
+            let Some(case) = next.lock().map_err(|_| anyhow::anyhow!("a worker was cut off"))?.next() else {
+                return Ok(());
+            };
+            case.answer.elsewhere = one(case)?;
+            progress.inc(1);
+        }
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..options.jobs.max(1)).map(|_| scope.spawn(worker)).collect();
+        workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| bail!("a recording was cut off")))
+    })?;
+    progress.finish_and_clear();
+    Ok(())
 }
 
 /// Cards of the baselines on the same cases.
 fn baselines(
-    options: &Options,
-    packs: &[Manifest],
-    cases: &[(Secret, Answer, Value)],
+    skin: &SkinDescription,
+    cases: &[Opened],
     mapping: &Mapping,
+    library: &BTreeSet<String>,
 ) -> Result<Vec<(String, Card)>> {
+    let family = crate::registry::family(skin)?;
     let progress = ProgressBar::new(cases.len() as u64).with_style(ProgressStyle::with_template(
         "baselines {wide_bar} {human_pos}/{human_len}, {eta} left",
     )?);
     progress.tick();
     let mut answers: Vec<Vec<Answer>> = Vec::new();
-    let mut library: Vec<&str> = Vec::new();
-    for (manifest, dir) in packs.iter().zip(&options.pack) {
-        let skin = SkinDescription::load(dir.join("skin.toml"))?;
-        let family = crate::registry::family(&skin)?;
-        library = family.effects.iter().map(|e| e.name).collect();
-        for case in &manifest.cases {
-            answers.push(super::baselines::answers(&skin, family, &dir.join(&case.bag))?);
-            progress.inc(1);
-        }
+    let mut columns = super::baselines::Columns::default();
+    for case in cases {
+        // Cases of the same pack and presses have the same signatures.
+        let key = (case.bag.parent().map(Path::to_owned).unwrap_or_default(), case.presses);
+        answers.push(super::baselines::answers(skin, family, &case.bag, key, &mut columns)?);
+        progress.inc(1);
     }
     progress.finish_and_clear();
     let mut cards: Vec<(String, Card)> = super::baselines::NAMES
         .iter()
         .enumerate()
         .map(|(i, name)| {
-            let of = cases.iter().zip(&answers).map(|((secret, _, _), all)| (secret, &all[i]));
-            ((*name).to_owned(), Card::new(of, mapping))
+            let of = cases.iter().zip(&answers).map(|(case, all)| (&case.secret, &all[i]));
+            ((*name).to_owned(), Card::new(of, mapping, library))
         })
         .collect();
     // Blind choice has no cases of its own: its share of hits is that of accepted names among all.
     let mut random = Card::default();
-    for (secret, _, _) in cases.iter().filter(|(s, _, _)| s.causes.len() == 1 && s.gap >= 3.0) {
-        let names = secret.causes.first().and_then(|t| mapping.causes.get(&t.cause.id)).map(|a| &a.names);
-        let accepted =
-            names.map_or(0, |names| library.iter().filter(|l| names.iter().any(|n| n == *l)).count());
+    let within = mapping.within(library);
+    for case in cases.iter().filter(|c| c.secret.kind == pack::Kind::Singles && c.secret.gap >= 3.0) {
+        let told = case.secret.causes.first();
+        let accepted = told.and_then(|t| within.causes.get(&t.cause.id)).map_or(0, |a| a.names.len());
         if accepted > 0 {
             let hit = accepted as f64 / library.len() as f64;
             random.headline.top1 = random.headline.top1.and(hit.min(1.0));
@@ -270,6 +367,16 @@ fn answer(report: &Value) -> Answer {
         verdict: verdict.clone(),
         ..Answer::default()
     };
+    answer.unexplained = if answer.gap { report["unknown"]["share"].as_f64() } else { None };
+    let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
+    answer.axes = list(&report["where"]).iter().map(|axis| text(&axis["axis"])).collect();
+    let largest = |bins: &[Value]| {
+        let fvu = |bin: &Value| bin["fvu"].as_f64().unwrap_or(0.0);
+        bins.iter().max_by(|a, b| fvu(a).total_cmp(&fvu(b))).map(|bin| text(&bin["label"]))
+    };
+    answer.channel = largest(&list(&report["channels"]));
+    let peak = &report["maps"][0]["peak"];
+    answer.peak = peak[0].as_f64().zip(peak[1].as_f64()).zip(peak[2].as_f64()).map(|((x, y), z)| [x, y, z]);
     for effect in report["effects"].as_array().into_iter().flatten() {
         let mut named = Named { firm: effect["tier"] == "strict", ..Named::default() };
         for member in effect["class"].as_array().into_iter().flatten() {
