@@ -16,20 +16,22 @@ use crate::axes::{self, View};
 use crate::data::{Problem, Recording, hex};
 use crate::library::{CHANNELS, Candidate, Gram, Signatures};
 use crate::noise::{self, Gap};
-use crate::polish::{self, Free, Target};
+use crate::polish::{self, Form, Free, Target};
 use crate::report::{
     Alike, Closure, DataSummary, NamedEffect, Provenance, Report, SCHEMA, Suspect, Unknown, Value, Verdict,
 };
 use crate::rows::{RowOptions, Rows};
-use crate::select::{SelectOptions, Selection, Selector, Tier, normal};
+use crate::select::{SelectOptions, Selection, Selector, Tier};
 use crate::simulate::Simulator;
 use crate::statistics::{Column, Fit, Statistics};
-use crate::{GapError, checks, experiments, parity, store, unknown};
+use crate::{GapError, checks, experiments, parity, steps, store, unknown};
 
 /// Share of the gap below which it is not systematic enough to be explained.
 const UNSYSTEMATIC: f64 = 0.2;
 /// Share of the systematic gap that effects must explain on other contacts to be named.
 const NAMED: f64 = 0.3;
+/// Share of what single presses leave that must differ between presses that were done alike to be a gap of its own.
+const RESTLESS: f64 = 0.5;
 
 /// How a recording is diagnosed.
 #[derive(Debug, Clone)]
@@ -56,7 +58,7 @@ impl Default for Options {
             rows: RowOptions::default(),
             select: SelectOptions::default(),
             resamples: 16,
-            polish: 4,
+            polish: 8,
             cache: None,
             stop: Arc::default(),
             progress: ProgressBar::hidden(),
@@ -124,18 +126,19 @@ pub fn diagnose(
         return Ok(unusable(report, simulator));
     }
     let mut fixed: Vec<Effect> = Vec::new();
-    let mut disordered = None;
+    // Effects that something else than the size of a residual shows, and the gap before each.
+    let mut certain: Vec<(NamedEffect, f64)> = Vec::new();
     if let Some(order) = agreement.order {
         let whitened = residual(&readings, &signatures.nominal, &sigma);
         let scaled = whiten(&readings, &sigma);
-        disordered = Some(measure(&whitened, &scaled, &rows, &sigma, options).fvu_before);
+        let before = measure(&whitened, &scaled, &rows, &sigma, options).fvu_before;
         let read = readings.clone();
-        let before = sigma.clone();
+        let deviations = sigma.clone();
         let mut effect = Effect::new("channel-order");
         let mut told = Vec::new();
         for (at, from) in order.iter().enumerate() {
             if at != *from {
-                sigma[*from] = before[at];
+                sigma[*from] = deviations[at];
                 for i in 0..rows.rows.len() {
                     readings[i * channels + from] = read[i * channels + at];
                 }
@@ -151,14 +154,40 @@ pub fn diagnose(
                 told.join(", ")
             ),
         ));
+        certain.push((
+            known_effect(
+                &effect,
+                "Channels are read in another order than the skin's description says.",
+                "place",
+            ),
+            before,
+        ));
         fixed.push(effect);
     }
-    let whitened = residual(&readings, &signatures.nominal, &sigma);
+    let mut nominal = signatures.nominal.clone();
+    if let Some(coarse) = coarse(simulator, recording, &rows, &readings, &sigma)? {
+        let whitened = residual(&readings, &nominal, &sigma);
+        let before = measure(&whitened, &whiten(&readings, &sigma), &rows, &sigma, options).fvu_before;
+        readings.iter_mut().for_each(|r| *r += coarse.shift as f32);
+        nominal = coarse.nominal;
+        let info = simulator.effects.iter().find(|i| i.name == coarse.effect.name);
+        certain.push((known_effect(&coarse.effect, info.map_or("", |i| i.what), &skin.unit), before));
+        fixed.push(coarse.effect);
+    }
+    let whitened = residual(&readings, &nominal, &sigma);
     let scaled = whiten(&readings, &sigma);
     let gap = measure(&whitened, &scaled, &rows, &sigma, options);
+    let mut before = gap.fvu_before;
+    for (effect, of) in certain.iter_mut().rev() {
+        effect.gain = *of - before;
+        effect.solo = effect.gain;
+        effect.class[0].gain = effect.gain;
+        before = *of;
+    }
+    let certain: Vec<NamedEffect> = certain.into_iter().map(|(effect, _)| effect).collect();
     report.data.repeats = gap.repeats;
     report.data.missing = checks::missing(recording, &rows, gap.repeats);
-    let modelled = whiten(&signatures.nominal, &sigma);
+    let modelled = whiten(&nominal, &sigma);
     let surface = skin.surface();
     {
         let view = view(&rows, &whitened, &modelled, &sigma, &gap);
@@ -168,7 +197,9 @@ pub fn diagnose(
         report.parity = parity::checks(&view, &scaled);
     }
     report.gap = Some(gap.clone());
-    let none = gap.interval[1] < options.select.margin;
+    // What differs from press to press is a gap as well, where it is no noise of single frames.
+    let restless = gap.irreproducible.is_some_and(|i| i > options.select.margin.max(RESTLESS * gap.floor));
+    let none = gap.interval[1] < options.select.margin && !restless;
     if none && fixed.is_empty() {
         report.verdict = Verdict::NoGapBeyondNoise;
         report.sentence = format!(
@@ -191,12 +222,12 @@ pub fn diagnose(
         options,
     };
     // Where not even the sign of the systematic part is known there is nothing to explain.
-    let established = gap.interval[0] > 0.0 && gap.systematic >= UNSYSTEMATIC * gap.fvu_before;
+    let established = restless || (gap.interval[0] > 0.0 && gap.systematic >= UNSYSTEMATIC * gap.fvu_before);
     let found = if none || !established { Found::default() } else { data.causes(&fixed, &whitened)? };
-    let mut effects = Vec::new();
-    if let (Some(before), Some(effect)) = (disordered, fixed.first()) {
-        effects.push(order_effect(effect, before - gap.fvu_before));
-    }
+    let gap = found.gap.clone().unwrap_or(gap);
+    report.gap = Some(gap.clone());
+    let mut effects = certain;
+    let sure = effects.len();
     effects.extend(found.named);
     report.warnings.extend(found.warnings);
     report.closure = found.closure;
@@ -225,21 +256,23 @@ pub fn diagnose(
     }
     alias(&mut effects, &rows);
     report.suspects = suspects(&signatures.candidates, &found.selection, options.select.floor);
-    report.verdict = verdict(&report.unknown, &effects, &found.selection, &gap);
+    report.verdict = verdict(&report.unknown, (sure, effects.len()), &found.selection, &gap);
     if matches!(report.verdict, Verdict::UnknownSystematic | Verdict::Unmeasured) {
         report.closure = None;
         report.held_out = None;
         // A name for a small part of a gap would be taken for the cause.
-        for effect in effects.iter().filter(|e| e.label != "channel-order") {
+        for effect in &effects[sure..] {
             report.warnings.push(format!(
                 "{} explains {} % of the systematic gap: too little to be named its cause",
                 effect.label,
                 percent(report.unknown.library)
             ));
         }
-        effects.retain(|e| e.label == "channel-order");
-        report.corrected.retain(|e| e.name == "channel-order");
+        effects.truncate(sure);
+        report.corrected.retain(|e| effects.iter().any(|s| s.label == e.name));
     }
+    // The strongest first.
+    effects.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     report.effects = effects;
     report.next_experiments = experiments::rank(simulator, &found.members, &rows, &options.stop);
     report.sentence = sentence(&report);
@@ -382,10 +415,10 @@ fn explainable(view: &View<'_>, gap: &Gap, seed: u64) -> f64 {
     if systematic > 0.02 * all { (share * all / systematic).clamp(0.0, 1.0) } else { 0.0 }
 }
 
-fn verdict(unknown: &Unknown, effects: &[NamedEffect], selection: &Selection, gap: &Gap) -> Verdict {
-    let order = effects.iter().any(|e| e.label == "channel-order");
-    let named = effects.iter().any(|e| e.label != "channel-order");
-    if order && !named {
+/// `sure` effects are named by what else shows them than residuals, out of `all`.
+fn verdict(unknown: &Unknown, (sure, all): (usize, usize), selection: &Selection, gap: &Gap) -> Verdict {
+    let named = all > sure;
+    if sure > 0 && !named {
         return Verdict::Named;
     }
     if named {
@@ -425,28 +458,71 @@ fn suspects(candidates: &[Candidate], selection: &Selection, floor: f64) -> Vec<
     found
 }
 
-fn order_effect(effect: &Effect, gain: f64) -> NamedEffect {
+/// An effect that something else than the size of a residual shows; its gain is still to come.
+fn known_effect(effect: &Effect, what: &str, unit: &str) -> NamedEffect {
     let theta = effect.parameters.iter().map(|(name, value)| Value {
         name: name.clone(),
         value: *value,
-        unit: "place".to_owned(),
+        unit: unit.to_owned(),
         interval: None,
     });
+    let member = Alike { name: effect.name.clone(), gain: 0.0, p_confuse: 0.0, angle: Some(0.0), rig: false };
     NamedEffect {
         label: effect.name.clone(),
-        what: "Channels are read in another order than the skin's description says.".to_owned(),
-        class: vec![Alike { name: effect.name.clone(), gain, p_confuse: 0.0, angle: Some(0.0), rig: false }],
+        what: what.to_owned(),
+        class: vec![member],
         covers: Vec::new(),
         tier: Tier::Strict,
         theta: theta.collect(),
-        gain,
-        solo: gain,
+        gain: 0.0,
+        solo: 0.0,
         shapley: 0.0,
         p_max_t: 0.0,
         p_confuse: 0.0,
         covariate_alias: Vec::new(),
         written: true,
     }
+}
+
+/// Readings that come in steps, and the effect of the family that makes such.
+struct Coarse {
+    effect: Effect,
+    /// Readings of the model with it.
+    nominal: Vec<f32>,
+    /// What is added to readings of a converter that rounds down instead of to the nearest step.
+    shift: f64,
+}
+
+/// Finds the step that readings come in where it is more than their declared noise, and the family's effect with a parameter that
+/// is such a step.
+fn coarse(
+    simulator: &Simulator<'_>,
+    recording: &Recording,
+    rows: &Rows,
+    readings: &[f32],
+    sigma: &[f64],
+) -> Result<Option<Coarse>, GapError> {
+    let noise = simulator.skin.channel_noise();
+    let noise = noise.iter().sum::<f64>() / noise.len().max(1) as f64;
+    let Some(found) = steps::step(readings).filter(|s| *s > noise) else { return Ok(None) };
+    for info in simulator.effects.iter().filter(|i| !i.random) {
+        for parameter in info.parameters.iter().filter(|p| p.unit == simulator.skin.unit) {
+            let value = found.clamp(parameter.limits[0], parameter.limits[1]);
+            let effect = Effect::new(info.name).with(parameter.name, value);
+            let skin = simulator.with(std::slice::from_ref(&effect));
+            let Ok(read) = simulator.readings(&skin, recording, &rows.frames()) else { continue };
+            if steps::step(&read).is_some_and(|s| (s / found - 1.0).abs() < 0.02) {
+                let left = |shift: f64| -> f64 {
+                    let apart = readings.iter().zip(&read).map(|(r, m)| f64::from(r - m) + shift);
+                    let shares = apart.enumerate().map(|(i, d)| (d / sigma[i % sigma.len()]).powi(2));
+                    shares.filter(|s| s.is_finite()).sum()
+                };
+                let shift = [0.0, 0.5 * found].into_iter().min_by(|a, b| left(*a).total_cmp(&left(*b)));
+                return Ok(Some(Coarse { effect, nominal: read, shift: shift.unwrap_or(0.0) }));
+            }
+        }
+    }
+    Ok(None)
 }
 
 /// What rises and falls with the temperature or with time, for effects that do.
@@ -552,6 +628,8 @@ fn sentence(report: &Report) -> String {
 /// Causes and what they come to.
 #[derive(Default)]
 struct Found {
+    /// The gap, where it is more than what presses have in common.
+    gap: Option<Gap>,
     named: Vec<NamedEffect>,
     effects: Vec<Effect>,
     closure: Option<Closure>,
@@ -572,10 +650,17 @@ struct Found {
 struct Tried {
     candidate: usize,
     effects: Vec<Effect>,
-    /// Training loss of each group.
-    losses: Vec<f64>,
+    /// What it leaves, in deviations of the noise.
+    left: Vec<f32>,
+    /// The energy of it in training, with the simulator's own error making the best of it.
+    energy: f64,
+    /// How badly its model does ([`Selector::weigh`]).
+    score: f64,
     values: Vec<Value>,
 }
+
+/// Effects with their values, what the full simulator reads with them, and half of the interval of each number.
+type Refined = (Vec<Effect>, Vec<f32>, Vec<(Free, f64)>);
 
 struct Data<'a> {
     simulator: &'a Simulator<'a>,
@@ -604,8 +689,7 @@ impl Data<'_> {
     }
 
     /// Whitened energy that is left in each group.
-    fn group_losses(&self, simulated: &[f32]) -> Vec<f64> {
-        let left = residual(self.readings, simulated, self.sigma);
+    fn group_losses(&self, left: &[f32]) -> Vec<f64> {
         let mut losses = vec![0.0; self.rows.groups];
         for (row, r) in self.rows.rows.iter().zip(left.chunks_exact(self.channels())) {
             losses[row.group] += r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
@@ -613,8 +697,15 @@ impl Data<'_> {
         losses
     }
 
-    fn target<'b>(&'b self, weights: &'b [f64], progress: &'b ProgressBar) -> Target<'b> {
+    /// What simulated readings leave, and the energy of it in training with the simulator's own error making the best of it.
+    fn leaves(&self, simulated: &[f32], weights: &[f64], form: &Form) -> (Vec<f32>, f64) {
+        let (_, energy) = self.target(weights, form, &self.options.progress).residual(simulated);
+        (residual(self.readings, simulated, self.sigma), energy)
+    }
+
+    fn target<'b>(&'b self, weights: &'b [f64], form: &'b Form, progress: &'b ProgressBar) -> Target<'b> {
         Target {
+            form,
             recording: self.recording,
             rows: self.rows,
             readings: self.readings,
@@ -625,6 +716,18 @@ impl Data<'_> {
         }
     }
 
+    fn selector<'b>(&'b self, statistics: &'b Statistics, gram: &'b Gram, weights: &[f64]) -> Selector<'b> {
+        Selector::new(
+            statistics,
+            &self.signatures.candidates,
+            &self.signatures.form,
+            gram,
+            (self.scale(weights), self.gap.systematic.max(0.0)),
+            weights,
+            &self.options.select,
+        )
+    }
+
     fn causes(&self, fixed: &[Effect], whitened: &[f32]) -> Result<Found, GapError> {
         let declared = self.simulator.skin.channel_noise();
         let columns: Vec<Column> =
@@ -633,20 +736,34 @@ impl Data<'_> {
         let gram = Gram::new(&columns, self.rows, self.channels());
         let candidates = &self.signatures.candidates;
         let weights = self.rows.training();
-        let systematic = self.gap.systematic.max(0.0);
-        let selector = |weights: &[f64]| {
-            Selector::new(
-                &statistics,
-                candidates,
-                &self.signatures.form,
-                &gram,
-                (self.scale(weights), systematic),
-                weights,
-                &self.options.select,
-            )
-        };
-        let training = selector(&weights);
+        let training = self.selector(&statistics, &gram, &weights);
         let selection = training.select();
+        // What goes its own way through time is in no two presses alike: all but the noise of frames is a gap then.
+        let wanders = selection.picks.iter().any(|p| candidates[p.candidate].wanders);
+        if wanders && let Some(part) = self.gap.irreproducible {
+            let mut gap = self.gap.clone();
+            gap.floor -= part;
+            gap.systematic += part;
+            gap.interval.iter_mut().for_each(|e| *e += part);
+            let again = Data { gap: &gap, ..*self };
+            let mut found = again.explained(fixed, &columns, (&statistics, &gram), selection)?;
+            found.gap = Some(gap);
+            return Ok(found);
+        }
+        self.explained(fixed, &columns, (&statistics, &gram), selection)
+    }
+
+    /// What a selection comes to on the full simulator, and how much of the gap it closes.
+    fn explained(
+        &self,
+        fixed: &[Effect],
+        columns: &[Column],
+        (statistics, gram): (&Statistics, &Gram),
+        selection: Selection,
+    ) -> Result<Found, GapError> {
+        let candidates = &self.signatures.candidates;
+        let weights = self.rows.training();
+        let training = self.selector(statistics, gram, &weights);
         let mut found = Found { library: selection.library, both: selection.both, ..Found::default() };
         if selection.picks.is_empty() {
             found.selection = selection;
@@ -655,30 +772,26 @@ impl Data<'_> {
         let set: Vec<usize> = selection.picks.iter().map(|p| p.candidate).collect();
         let fit = training.fit_all(&set, Tier::Loose);
 
+        let form = {
+            let own: Vec<&Column> = self.signatures.form.iter().map(|c| &columns[*c]).collect();
+            let prior = self.signatures.form.first().map_or(1.0, |f| training.prior(*f));
+            Form::new(&own, self.rows, self.channels(), &weights, prior)
+        };
         // Each named effect with values on the full simulator, beside what else may be meant.
         let mut tried: Vec<Vec<Tried>> = Vec::new();
         for (i, pick) in selection.picks.iter().enumerate() {
-            let mut others = vec![pick.candidate];
-            others.extend(pick.class.iter().skip(1).map(|m| m.candidate));
             // What linear signatures put behind may be before once it is simulated in full.
-            let near = |e: &usize| {
-                let gains = selection.alone[*e];
-                let gain = gains[usize::from(pick.tier == Tier::Loose)];
-                selection.picks.len() == 1
-                    && gain > 0.8 * pick.gain
-                    && !others.contains(e)
-                    && !pick.covers.contains(e)
-                    && !candidates[*e].starts.is_empty()
-            };
-            let near: Vec<usize> = (0..candidates.len()).filter(near).collect();
-            others.extend(near);
+            let mut others: Vec<usize> = pick.class.iter().map(|m| m.candidate).collect();
+            // What another one is named needs no second name.
+            let taken = |c: &usize| tried.iter().any(|t: &Vec<Tried>| t.iter().any(|t| t.candidate == *c));
+            others.retain(|c| *c == pick.candidate || !taken(c));
             others.truncate(self.options.polish.max(1));
             let mut of = Vec::new();
             let beside: Vec<Effect> = {
                 let mut beside = fixed.to_vec();
                 for (j, other) in selection.picks.iter().enumerate().filter(|(j, _)| *j != i) {
                     let done = tried.get(j).and_then(|t| t.first()).map(|t| t.effects.clone());
-                    let linear = || self.linear(&columns, other.candidate, &fit, &weights);
+                    let linear = || self.linear(columns, other.candidate, &fit, &weights);
                     Effect::merge(&mut beside, done.unwrap_or_else(linear));
                 }
                 beside
@@ -691,8 +804,13 @@ impl Data<'_> {
                         set.iter().map(|c| if *c == pick.candidate { candidate } else { *c }).collect();
                     training.fit_all(&with, Tier::Loose)
                 };
-                match self.tried(&columns, candidate, &refit, &beside, &weights, &statistics) {
-                    Ok(Some(one)) => of.push(one),
+                match self.tried(columns, candidate, &refit, &beside, (&weights, &form), statistics) {
+                    Ok(Some(mut one)) => {
+                        let model: Vec<usize> =
+                            set.iter().map(|c| if *c == pick.candidate { candidate } else { *c }).collect();
+                        one.score = training.weigh(one.energy, 0.0, &model);
+                        of.push(one);
+                    }
                     Ok(None) => {}
                     Err(GapError::Interrupted) => return Err(GapError::Interrupted),
                     Err(error) => found.warnings.push(format!("{}: {error}", candidates[candidate].name)),
@@ -703,7 +821,7 @@ impl Data<'_> {
         let before = (0..self.rows.groups).map(|g| statistics.energy(g)).collect::<Vec<f64>>();
         let over = |losses: &[f64]| losses.iter().zip(&weights).map(|(l, w)| l * w).sum::<f64>();
         for (pick, of) in selection.picks.iter().zip(&mut tried) {
-            found.named.push(self.name(pick, of, over(&before), &weights));
+            found.named.push(self.name(pick, of, over(&before)));
         }
         let mut effects: Vec<Effect> = Vec::new();
         for of in &tried {
@@ -717,7 +835,7 @@ impl Data<'_> {
                     .to_owned(),
             );
         }
-        self.close(&mut found, &effects, fixed, &statistics, &training, &set, &weights, &selector)?;
+        self.close(&mut found, &effects, fixed, (statistics, gram), &training, &set, &weights)?;
         if let Some((_, of)) =
             found.named.iter().zip(&tried).find(|(n, of)| n.class.len() > 1 && of.len() > 1)
         {
@@ -731,16 +849,15 @@ impl Data<'_> {
 
     /// Closure: predicted by what was fitted, achieved on what was kept, and its interval.
     #[allow(clippy::too_many_arguments)]
-    fn close<'s>(
+    fn close(
         &self,
         found: &mut Found,
         effects: &[Effect],
         fixed: &[Effect],
-        statistics: &Statistics,
+        (statistics, gram): (&Statistics, &Gram),
         training: &Selector<'_>,
         set: &[usize],
         weights: &[f64],
-        selector: &dyn Fn(&[f64]) -> Selector<'s>,
     ) -> Result<(), GapError> {
         let test: Vec<f64> = weights.iter().map(|w| 1.0 - w).collect();
         let floor = |weights: &[f64]| self.gap.floor * self.scale(weights);
@@ -748,7 +865,7 @@ impl Data<'_> {
         let closure = |losses: &[f64], weights: &[f64]| {
             let sum = |l: &[f64]| l.iter().zip(weights).map(|(l, w)| l * w).sum::<f64>();
             let (b, a) = (sum(&before), sum(losses));
-            (b - a) / (b - floor(weights)).max(1e-9 * b)
+            (b - a) / (b - floor(weights)).max(0.05 * b)
         };
         let fit = training.fit_all(set, Tier::Loose);
         let linear: Vec<f64> = (0..self.rows.groups).map(|g| statistics.loss(g, &fit)).collect();
@@ -765,10 +882,11 @@ impl Data<'_> {
             Effect::merge(&mut all, effects.to_vec());
             let skin = self.simulator.with(&all);
             let read = self.simulator.readings(&skin, self.recording, &self.rows.frames())?;
-            after = self.group_losses(&read);
+            let left = residual(self.readings, &read, self.sigma);
+            after = self.group_losses(&left);
             predicted = closure(&after, weights) - optimism.max(0.0);
             achieved = Some(closure(&after, &test));
-            found.left = Some(residual(self.readings, &read, self.sigma));
+            found.left = Some(left);
             // What holds on contacts that nothing was fitted to is what is explained.
             let form = found.both - found.library;
             found.library = achieved.unwrap_or(0.0) * self.gap.systematic;
@@ -792,7 +910,7 @@ impl Data<'_> {
             for _ in 0..kept.len() {
                 ends[kept[rng.random_range(0..kept.len())]] += 1.0;
             }
-            let selector = selector(&again);
+            let selector = self.selector(statistics, gram, &again);
             let picks: Vec<usize> = selector.quick();
             let fit = selector.fit_all(&picks, Tier::Loose);
             let losses: Vec<f64> = (0..self.rows.groups).map(|g| statistics.loss(g, &fit)).collect();
@@ -813,59 +931,39 @@ impl Data<'_> {
     }
 
     /// Names an effect: the label may change, where the full simulator says so.
-    fn name(
-        &self,
-        pick: &crate::select::Pick,
-        tried: &mut Vec<Tried>,
-        before: f64,
-        weights: &[f64],
-    ) -> NamedEffect {
+    fn name(&self, pick: &crate::select::Pick, tried: &mut Vec<Tried>, before: f64) -> NamedEffect {
         let candidates = &self.signatures.candidates;
-        let over = |t: &Tried| t.losses.iter().zip(weights).map(|(l, w)| l * w).sum::<f64>();
-        let mut class: Vec<(usize, f64, f64, f64)> =
-            pick.class.iter().map(|m| (m.candidate, m.gain, m.confusion, m.angle)).collect();
-        if tried.len() > 1 {
-            let scale = self.scale(weights);
-            let best = tried.iter().map(&over).fold(f64::INFINITY, f64::min);
-            let alike = self.options.select.alike;
-            // What explains as much of what can be explained, the simplest first.
-            let reach = before - best;
-            tried.retain(|t| before - over(t) >= alike * reach || t.candidate == usize::MAX);
-            tried.sort_by(|a, b| {
-                let each = |t: &Tried| {
-                    let candidate = &candidates[t.candidate];
-                    if candidate.each { candidate.columns.len() } else { 0 }
-                };
-                each(a).cmp(&each(b)).then(over(a).total_cmp(&over(b)))
-            });
-            let simulated: Vec<usize> = tried.iter().map(|t| t.candidate).collect();
-            let leader = tried[0].clone();
-            let mut again = Vec::new();
-            for t in tried.iter() {
-                let apart: Vec<f64> =
-                    t.losses.iter().zip(&leader.losses).zip(weights).map(|((a, b), w)| (a - b) * w).collect();
-                let (sum, square) = apart.iter().fold((0.0, 0.0f64), |(s, q), d| (s + d, q + d * d));
-                let confusion = if t.candidate == leader.candidate {
-                    0.0
-                } else {
-                    normal(-sum / square.sqrt().max(1e-300))
-                };
-                let angle = class.iter().find(|c| c.0 == t.candidate).map_or(f64::NAN, |c| c.3);
-                let gain = pick.gain * (before - over(t)) / reach.max(1e-300 * scale);
-                again.push((t.candidate, gain, confusion, angle));
-            }
-            // Members that were not simulated stay; those that fell behind do not.
-            let fallen = |c: usize| !simulated.contains(&c);
-            let untried: Vec<(usize, f64, f64, f64)> = class
-                .iter()
-                .copied()
-                .filter(|c| {
-                    fallen(c.0) && candidates[c.0].linear.is_empty() && candidates[c.0].starts.is_empty()
-                })
-                .collect();
-            again.extend(untried);
-            class = again;
+        let open = 2.0 * self.options.select.odds.ln();
+        let chance = |worse: f64| 1.0 / (1.0 + (0.5 * worse).min(300.0).exp());
+        tried.sort_by(|a, b| a.score.total_cmp(&b.score));
+        let best = tried.first().map_or(f64::INFINITY, |t| t.score);
+        // Those that cannot be simulated are where their linear signatures put them.
+        let linear: Vec<&crate::select::Member> =
+            pick.class.iter().filter(|m| !tried.iter().any(|t| t.candidate == m.candidate)).collect();
+        let simulated = |m: &crate::select::Member| {
+            let of = &candidates[m.candidate];
+            !of.linear.is_empty() || !of.starts.is_empty()
+        };
+        let linear: Vec<&crate::select::Member> =
+            linear.into_iter().filter(|m| tried.is_empty() || !simulated(m)).collect();
+        let best = linear.iter().map(|m| m.score).fold(best, f64::min);
+        tried.retain(|t| t.score - best < open);
+        let weights = self.rows.training();
+        let gain = |t: &Tried| {
+            let left: f64 = self.group_losses(&t.left).iter().zip(&weights).map(|(l, w)| l * w).sum();
+            (before - left) / self.scale(&weights)
+        };
+        let angle = |candidate: usize| {
+            pick.class.iter().find(|m| m.candidate == candidate).map_or(f64::NAN, |m| m.angle)
+        };
+        let mut class: Vec<(usize, f64, f64, f64)> = tried
+            .iter()
+            .map(|t| (t.candidate, gain(t), chance(t.score - best), angle(t.candidate)))
+            .collect();
+        for member in linear.iter().filter(|m| m.score - best < open) {
+            class.push((member.candidate, member.gain, chance(member.score - best), member.angle));
         }
+        class.sort_by(|a, b| b.2.total_cmp(&a.2));
         let label = class.first().map_or(pick.candidate, |c| c.0);
         let candidate = &candidates[label];
         let values =
@@ -904,7 +1002,7 @@ impl Data<'_> {
         candidate: usize,
         fit: &Fit,
         beside: &[Effect],
-        weights: &[f64],
+        (weights, form): (&[f64], &Form),
         statistics: &Statistics,
     ) -> Result<Option<Tried>, GapError> {
         let of = &self.signatures.candidates[candidate];
@@ -915,10 +1013,7 @@ impl Data<'_> {
             if own.is_empty() {
                 return Ok(None);
             }
-            let mut all = beside;
-            Effect::merge(&mut all, own.clone());
-            let skin = self.simulator.with(&all);
-            let read = self.simulator.readings(&skin, self.recording, &self.rows.frames())?;
+            let (own, read, fitted) = self.refined(own, &beside, weights, form)?;
             let halves = half_widths(statistics, fit, &of.columns, weights);
             let mut values = Vec::new();
             for effect in &own {
@@ -926,7 +1021,11 @@ impl Data<'_> {
                 let unit = if unit.is_empty() { self.simulator.skin.unit.as_str() } else { unit };
                 for (name, value) in &effect.parameters {
                     let at = of.linear.iter().position(|(e, p, _)| *e == effect.name && p == name);
-                    let half = at.map(|i| halves[i] * of.linear[i].2.abs());
+                    let half = fitted
+                        .iter()
+                        .find(|(f, _)| f.effect == effect.name && f.parameter == *name)
+                        .map(|(_, half)| *half)
+                        .or_else(|| at.map(|i| halves[i] * of.linear[i].2.abs()));
                     values.push(Value {
                         name: if own.len() > 1 {
                             format!("{} of {}", name, effect.name)
@@ -939,7 +1038,8 @@ impl Data<'_> {
                     });
                 }
             }
-            return Ok(Some(Tried { candidate, effects: own, losses: self.group_losses(&read), values }));
+            let (left, energy) = self.leaves(&read, weights, form);
+            return Ok(Some(Tried { candidate, effects: own, left, energy, score: f64::INFINITY, values }));
         }
         let Some(info) = self.simulator.effects.iter().find(|i| i.name == of.name) else { return Ok(None) };
         if info.random {
@@ -955,7 +1055,7 @@ impl Data<'_> {
                 all
             })
             .collect();
-        let target = self.target(weights, &self.options.progress);
+        let target = self.target(weights, form, &self.options.progress);
         let (starts, free) = if self.options.polish == 0 {
             (starts.into_iter().take(1).collect(), Vec::new())
         } else {
@@ -975,8 +1075,48 @@ impl Data<'_> {
                 Value { name: p.name.to_owned(), value, unit: p.unit.to_owned(), interval }
             })
             .collect();
-        let losses = self.group_losses(&polished.readings);
-        Ok(Some(Tried { candidate, effects: vec![effect], losses, values }))
+        let (left, energy) = self.leaves(&polished.readings, weights, form);
+        Ok(Some(Tried { candidate, effects: vec![effect], left, energy, score: f64::INFINITY, values }))
+    }
+
+    /// Effects with values of a linear fit, fitted on the full simulator where they have few of them: what is linear in small
+    /// (a shift, a delay) is not in large, and a parameter that hardly shows must not run away. Their readings beside `beside`,
+    /// and half of the 90 % interval of what was fitted.
+    fn refined(
+        &self,
+        own: Vec<Effect>,
+        beside: &[Effect],
+        weights: &[f64],
+        form: &Form,
+    ) -> Result<Refined, GapError> {
+        let period = 1.0 / self.simulator.skin.rate;
+        let free: Vec<Free> = own.iter().flat_map(|e| polish::free_common(e, period)).collect();
+        let with = |own: &[Effect]| {
+            let mut all = beside.to_vec();
+            Effect::merge(&mut all, own.iter().cloned());
+            all
+        };
+        if free.is_empty() || self.options.polish == 0 {
+            let skin = self.simulator.with(&with(&own));
+            let read = self.simulator.readings(&skin, self.recording, &self.rows.frames())?;
+            return Ok((own, read, Vec::new()));
+        }
+        let mut neutral = own.clone();
+        for effect in &mut neutral {
+            for f in free.iter().filter(|f| f.effect == effect.name) {
+                effect.parameters.insert(f.parameter.clone(), f.typical);
+            }
+        }
+        let starts: Vec<Vec<Effect>> = [&own, &neutral].into_iter().map(|e| with(e)).collect();
+        let polished = polish::polish(
+            self.simulator,
+            &self.target(weights, form, &self.options.progress),
+            &starts,
+            &free,
+        )?;
+        let fitted =
+            own.iter().filter_map(|e| polished.effects.iter().find(|p| p.name == e.name).cloned()).collect();
+        Ok((fitted, polished.readings, free.into_iter().zip(polished.halves).collect()))
     }
 
     /// Realisations that are nearest to what the linear fit says, the nearest first.
@@ -1002,7 +1142,7 @@ impl Data<'_> {
             })
             .collect();
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut found: Vec<Effect> = ranked.into_iter().take(3).map(|(_, e)| e.clone()).collect();
+        let mut found: Vec<Effect> = ranked.into_iter().take(8).map(|(_, e)| e.clone()).collect();
         // A strength that is not 1 is what the file said; values are fitted at full strength.
         found.iter_mut().for_each(|e| e.strength = 1.0);
         found

@@ -30,6 +30,7 @@ mod rows;
 mod select;
 mod simulate;
 mod statistics;
+mod steps;
 mod store;
 mod unknown;
 

@@ -66,6 +66,9 @@ pub struct Candidate {
     pub columns: Vec<usize>,
     /// Whether each channel has columns of its own.
     pub each: bool,
+    /// Whether it goes its own way through time: repeats do not show it, and no device foresees another.
+    #[serde(default)]
+    pub wanders: bool,
     /// A common effect that is the same thing, in which its values are written.
     pub form: Option<String>,
     /// Realisations: what was switched on, and coordinates of what it changed.
@@ -196,6 +199,7 @@ impl Signatures {
             rig: info.rig,
             columns: Vec::new(),
             each,
+            wanders: false,
             form: None,
             starts: Vec::new(),
             linear: Vec::new(),
@@ -330,8 +334,11 @@ impl Signatures {
             return;
         }
         let each = info.random && !foreseen(realised);
+        let wanders = info.random.then(|| wander(realised, rows, channels)).flatten();
         let mut columns: Vec<Column> = Vec::new();
-        if each {
+        if let Some(common) = &wanders {
+            columns = drifts(rows, common, &self.loudest(channels));
+        } else if each {
             for k in self.loudest(channels) {
                 let own: Vec<Vec<f32>> =
                     vectors.iter().map(|v| (0..n).map(|i| v[i * channels + k]).collect()).collect();
@@ -344,7 +351,7 @@ impl Signatures {
         }
         let first = self.columns.len();
         let norms: Vec<f64> = columns.iter().map(|c| dot(&c.values, &c.values)).collect();
-        let starts = if each {
+        let starts = if each || wanders.is_some() {
             Vec::new()
         } else {
             let coordinates = |v: &[f32]| -> Vec<f64> {
@@ -358,7 +365,8 @@ impl Signatures {
             family: true,
             rig: false,
             columns: (first..first + columns.len()).collect(),
-            each,
+            each: each || wanders.is_some(),
+            wanders: wanders.is_some(),
             form: None,
             starts,
             linear: Vec::new(),
@@ -591,6 +599,169 @@ fn foreseen(realised: &[(Effect, Option<u64>, Vec<f32>)]) -> bool {
     shares.sort_by(f64::total_cmp);
     shares.get(shares.len() / 2).is_some_and(|s| *s > FORESEEN)
 }
+
+/// Bends of a way through time, in each run.
+const BENDS: usize = 12;
+
+/// Ways through time that are straight between as many bends: one value a row each, and which stretch of time each belongs to.
+fn bends(rows: &Rows) -> (Vec<Vec<f32>>, Vec<usize>) {
+    let n = rows.rows.len();
+    let mut found: Vec<Vec<f32>> = Vec::new();
+    let mut stretches = Vec::new();
+    let mut start = 0;
+    while start < n {
+        // A pause, and another run, part it.
+        let mut end = start + 1;
+        while end < n
+            && rows.rows[end].location.0 == rows.rows[start].location.0
+            && (0.0..PAUSE).contains(&(rows.rows[end].time - rows.rows[end - 1].time))
+        {
+            end += 1;
+        }
+        let (first, last) = (rows.rows[start].time, rows.rows[end - 1].time);
+        let bends = BENDS.min((end - start) / 20 + 1);
+        let apart = (last - first).max(1e-9) / bends as f64;
+        for bend in 0..=bends {
+            let mut values = vec![0.0f32; n];
+            for i in start..end {
+                let at = (rows.rows[i].time - first) / apart;
+                values[i] = (1.0 - (at - bend as f64).abs()).max(0.0) as f32;
+            }
+            found.push(values);
+            stretches.push(start);
+        }
+        start = end;
+    }
+    (found, stretches)
+}
+
+/// \[s\] without rows after which a way through time starts anew.
+const PAUSE: f64 = 120.0;
+/// What the bends must hold of a device's way for it to be one.
+const SMOOTH: f64 = 0.9;
+
+/// Takes the straight line from the first to the last value out.
+fn straighten(values: &mut [f64]) {
+    let (Some(&first), Some(&last)) = (values.first(), values.last()) else { return };
+    let steps = (values.len() - 1).max(1) as f64;
+    for (i, v) in values.iter_mut().enumerate() {
+        *v -= first + (last - first) * i as f64 / steps;
+    }
+}
+
+/// What an effect does to each channel beside the others, where it goes its own way through time, whatever touches: one number a
+/// channel where it is the same way in all of them, none where each has its own.
+fn wander(realised: &[(Effect, Option<u64>, Vec<f32>)], rows: &Rows, channels: usize) -> Option<Vec<f64>> {
+    let n = rows.rows.len();
+    let (ways, stretches) = bends(rows);
+    let devices: Vec<&Vec<f32>> = realised.iter().filter(|r| r.1.is_some()).map(|(.., v)| v).collect();
+    if devices.len() < 3 || ways.is_empty() {
+        return None;
+    }
+    let m = ways.len();
+    let mut normal = vec![0.0; m * m];
+    for i in 0..m {
+        for j in 0..m {
+            normal[i * m + j] = dot(&ways[i], &ways[j]);
+        }
+        normal[i * m + i] += 1e-6;
+    }
+    // Coefficients of every device's ways, a channel after another, and how much they hold.
+    let mut along: Vec<Vec<f64>> = Vec::new();
+    for device in &devices {
+        let (mut held, mut all) = (0.0, 0.0);
+        let mut own = Vec::new();
+        for k in 0..channels {
+            let values: Vec<f32> = (0..n).map(|i| device[i * channels + k]).collect();
+            let b: Vec<f64> = ways.iter().map(|w| dot(w, &values)).collect();
+            let mut x = b.clone();
+            cholesky_solve(&mut normal.clone(), m, &mut x)?;
+            held += x.iter().zip(&b).map(|(x, b)| x * b).sum::<f64>();
+            all += dot(&values, &values);
+            own.extend(x);
+        }
+        if held < SMOOTH * all {
+            return None;
+        }
+        along.push(own);
+    }
+    // What follows the temperature has one shape of way in all devices: it is foreseen. Where a way starts and ends is no shape.
+    for way in along.iter_mut().flat_map(|own| own.chunks_exact_mut(m)) {
+        let mut rest = way;
+        for stretch in stretches.chunk_by(|a, b| a == b) {
+            let (part, other) = rest.split_at_mut(stretch.len());
+            straighten(part);
+            rest = other;
+        }
+    }
+    let (mut seen, mut all) = (0.0, 0.0);
+    for (d, own) in along.iter().enumerate() {
+        for way in own.chunks_exact(m) {
+            let others: Vec<Vec<f32>> = along
+                .iter()
+                .enumerate()
+                .filter(|(o, _)| *o != d)
+                .flat_map(|(_, o)| o.chunks_exact(m))
+                .map(|o| o.iter().map(|v| *v as f32).collect())
+                .collect();
+            let (found, _) = components(&others, 0.9999, 1);
+            let way: Vec<f32> = way.iter().map(|v| *v as f32).collect();
+            seen += found.iter().map(|c| dot(c, &way).powi(2) / dot(c, c).max(1e-300)).sum::<f64>();
+            all += dot(&way, &way);
+        }
+    }
+    if seen > SMOOTH * all {
+        return None;
+    }
+    // One way for all channels?
+    let mut patterns: Vec<Vec<f32>> = Vec::new();
+    for own in &along {
+        for w in 0..m {
+            patterns.push((0..channels).map(|k| own[k * m + w] as f32).collect());
+        }
+    }
+    let (found, _) = components(&patterns, 0.9999, 1);
+    let energy: f64 = patterns.iter().map(|p| dot(p, p)).sum();
+    let first = found.first()?;
+    let held: f64 =
+        patterns.iter().map(|p| dot(first, p).powi(2)).sum::<f64>() / dot(first, first).max(1e-300);
+    if held > 0.97 * energy {
+        let largest = first.iter().fold(0.0f32, |l, v| if v.abs() > l.abs() { *v } else { l });
+        Some(first.iter().map(|v| f64::from(v / largest)).collect())
+    } else {
+        Some(Vec::new())
+    }
+}
+
+/// Columns of ways through time: those of all channels by the numbers `common`, or each channel's own.
+fn drifts(rows: &Rows, common: &[f64], loud: &[usize]) -> Vec<Column> {
+    let (ways, _) = bends(rows);
+    if common.is_empty() {
+        // As many as a fit can bear.
+        let every = (loud.len() * ways.len()).div_ceil(DRIFTS).max(1);
+        let merged: Vec<Vec<f32>> = ways
+            .chunks(every)
+            .map(|of| {
+                let mut sum = vec![0.0f32; rows.rows.len()];
+                of.iter().for_each(|w| sum.iter_mut().zip(w).for_each(|(s, v)| *s += v));
+                sum
+            })
+            .collect();
+        return loud
+            .iter()
+            .flat_map(|&k| merged.iter().map(move |w| Column { channel: Some(k), values: w.clone() }))
+            .collect();
+    }
+    ways.iter()
+        .map(|way| {
+            let values = way.iter().flat_map(|v| common.iter().map(move |c| v * *c as f32)).collect();
+            Column { channel: None, values }
+        })
+        .collect()
+}
+
+/// Columns of drifts, at most.
+const DRIFTS: usize = 160;
 
 /// Products of all columns over all rows.
 pub(crate) struct Gram {

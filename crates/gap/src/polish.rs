@@ -10,6 +10,7 @@ use crate::algebra::cholesky_solve;
 use crate::data::Recording;
 use crate::rows::Rows;
 use crate::simulate::Simulator;
+use crate::statistics::Column;
 
 /// Rounds of Levenberg and Marquardt.
 const ROUNDS: usize = 6;
@@ -27,6 +28,8 @@ pub struct Free {
     pub limits: [f64; 2],
     /// What is a large change of it.
     pub scale: f64,
+    /// Value where nothing says another.
+    pub typical: f64,
 }
 
 /// Numbers of a family's effect that can be fitted.
@@ -39,6 +42,27 @@ pub fn free(info: &EffectInfo) -> Vec<Free> {
             parameter: p.name.to_owned(),
             limits: p.limits,
             scale: (p.range[1] - p.range[0]).abs().max(1e-12),
+            typical: p.typical,
+        })
+        .collect()
+}
+
+/// Numbers of a common effect that can be fitted; none where it has one for each channel. `period` is the time between frames.
+#[must_use]
+pub fn free_common(effect: &Effect, period: f64) -> Vec<Free> {
+    effect
+        .parameters
+        .keys()
+        .filter_map(|parameter| {
+            let (limits, scale, typical) = match (effect.name.as_str(), parameter.as_str()) {
+                ("delay" | "low-pass", _) => ([0.0, 100.0 * period], 4.0 * period, 0.0),
+                ("truth-shift", "turn") => ([-0.5, 0.5], 0.05, 0.0),
+                ("truth-shift", _) => ([-0.02, 0.02], 1e-3, 0.0),
+                ("force-scale" | "tip-scale", _) => ([0.1, 10.0], 0.2, 1.0),
+                ("force-zero", _) => ([-2.0, 2.0], 0.05, 0.0),
+                _ => return None,
+            };
+            Some(Free { effect: effect.name.clone(), parameter: parameter.clone(), limits, scale, typical })
         })
         .collect()
 }
@@ -55,10 +79,70 @@ pub struct Target<'a> {
     pub sigma: &'a [f64],
     /// Weight of each group.
     pub weights: &'a [f64],
+    /// What the simulator's own error may make of a residual.
+    pub form: &'a Form,
     /// Set it to end early.
     pub stop: &'a AtomicBool,
     /// Counts simulations.
     pub progress: &'a ProgressBar,
+}
+
+/// The simulator's own error, which makes the best of every residual under its prior.
+#[derive(Debug, Clone, Default)]
+pub struct Form {
+    /// Columns, rows × channels, times the root of the weight of each row's group.
+    columns: Vec<Vec<f32>>,
+    /// Products of columns, with the prior.
+    normal: Vec<f64>,
+    /// Root of the inverse variance of a coefficient.
+    root: f64,
+}
+
+impl Form {
+    /// From columns, the weights of groups and the inverse variance of coefficients.
+    #[must_use]
+    pub fn new(columns: &[&Column], rows: &Rows, channels: usize, weights: &[f64], prior: f64) -> Self {
+        let columns: Vec<Vec<f32>> = columns
+            .iter()
+            .map(|column| {
+                let mut values = vec![0.0f32; rows.rows.len() * channels];
+                for (i, row) in rows.rows.iter().enumerate() {
+                    let w = weights[row.group].sqrt() as f32;
+                    for (k, v) in values[i * channels..(i + 1) * channels].iter_mut().enumerate() {
+                        *v = w * match column.channel {
+                            Some(own) if own == k => column.values[i],
+                            Some(_) => 0.0,
+                            None => column.values[i * channels + k],
+                        };
+                    }
+                }
+                values
+            })
+            .collect();
+        let n = columns.len();
+        let mut normal = vec![0.0; n * n];
+        for i in 0..n {
+            for j in 0..n {
+                normal[i * n + j] = crate::algebra::dot(&columns[i], &columns[j]);
+            }
+            normal[i * n + i] += prior;
+        }
+        Self { columns, normal, root: prior.sqrt() }
+    }
+
+    /// Takes the best of the simulator's own error out of a weighted residual, and appends what that costs: the energy of all is
+    /// what is minimised.
+    fn take(&self, residual: &mut Vec<f32>) {
+        let n = self.columns.len();
+        let mut x: Vec<f64> = self.columns.iter().map(|c| crate::algebra::dot(c, residual)).collect();
+        if cholesky_solve(&mut self.normal.clone(), n, &mut x).is_none() {
+            return;
+        }
+        for (column, x) in self.columns.iter().zip(&x) {
+            residual.iter_mut().zip(column).for_each(|(r, c)| *r -= *x as f32 * c);
+        }
+        residual.extend(x.iter().map(|x| (x * self.root) as f32));
+    }
 }
 
 /// What a fit on the full simulator gave.
@@ -73,10 +157,9 @@ pub struct Polished {
 }
 
 impl Target<'_> {
-    /// Weighted residual, and its energy.
+    /// Weighted residual without what the simulator's own error makes of it, with what that costs at its end; and its energy.
     pub(crate) fn residual(&self, simulated: &[f32]) -> (Vec<f32>, f64) {
         let channels = self.sigma.len();
-        let mut energy = 0.0;
         let mut out = Vec::with_capacity(simulated.len());
         for (i, row) in self.rows.rows.iter().enumerate() {
             let w = self.weights[row.group].sqrt();
@@ -87,17 +170,18 @@ impl Target<'_> {
                 } else {
                     0.0
                 };
-                energy += r * r;
                 out.push(r as f32);
             }
         }
+        self.form.take(&mut out);
+        let energy = crate::algebra::dot(&out, &out);
         (out, energy)
     }
 }
 
-fn value(effects: &[Effect], free: &Free, typical: f64) -> f64 {
+fn value(effects: &[Effect], free: &Free) -> f64 {
     let effect = effects.iter().find(|e| e.name == free.effect);
-    effect.and_then(|e| e.parameters.get(&free.parameter)).copied().unwrap_or(typical)
+    effect.and_then(|e| e.parameters.get(&free.parameter)).copied().unwrap_or(free.typical)
 }
 
 fn put(effects: &mut [Effect], free: &Free, value: f64) {
@@ -137,14 +221,6 @@ pub fn polish(
     let Some((mut effects, mut read, mut loss)) = best else {
         return Err(refused.unwrap_or(GapError::Interrupted));
     };
-    let typical: Vec<f64> = free
-        .iter()
-        .map(|f| {
-            let info = simulator.effects.iter().find(|i| i.name == f.effect);
-            let parameter = info.and_then(|i| i.parameters.iter().find(|p| p.name == f.parameter));
-            parameter.map_or(0.0, |p| p.typical)
-        })
-        .collect();
     let n = free.len();
     let mut halves = vec![f64::NAN; n];
     let mut damping = 1e-3;
@@ -152,7 +228,7 @@ pub fn polish(
         if n == 0 {
             break;
         }
-        let now: Vec<f64> = free.iter().zip(&typical).map(|(f, t)| value(&effects, f, *t)).collect();
+        let now: Vec<f64> = free.iter().map(|f| value(&effects, f)).collect();
         let steps: Vec<f64> = free
             .iter()
             .zip(&now)

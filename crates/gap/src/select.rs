@@ -1,10 +1,10 @@
-//! Which effects make the gap: selection on held-out groups, in two tiers, with what cannot be told apart.
+//! Which effects make the gap: models are compared on held-out groups, with what cannot be told apart.
 //!
-//! A model is the columns of the effects in it. In the strict tier the columns of the simulator's own error are in every model,
-//! with coefficients of at most twice their tolerance, so that an effect has to explain what tolerances cannot. In the loose tier
-//! they are left out: an effect that passes there only may as well be such an error.
-
-use std::collections::BTreeSet;
+//! A model is the columns of the effects in it, beside those of the simulator's own error: laws that it simplifies. The error has
+//! a prior: it may make up a gap that does not matter ([`SelectOptions::margin`]), and what goes beyond costs. What no model
+//! explains is no noise but the error of laws, which goes on from press to press: so the likelihood is that of as many independent
+//! pieces as there are places, with the spread that the best model leaves. An effect that beats the simulator's own error by that
+//! measure is named firmly; one that does not may as well be it.
 
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
@@ -32,9 +32,10 @@ pub struct SelectOptions {
     pub folds: usize,
     /// Sign flips.
     pub flips: usize,
-    /// An effect whose gain is this share of the leader's or more cannot be told from it, whatever the statistics say: our laws
-    /// are not that good.
-    pub alike: f64,
+    /// Odds against an effect from which on it can be told from the one that is named.
+    pub odds: f64,
+    /// Independent pieces of evidence that a place of contact gives.
+    pub pieces: f64,
     /// Of everything random.
     pub seed: u64,
 }
@@ -49,7 +50,8 @@ impl Default for SelectOptions {
             most: 5,
             folds: 6,
             flips: 299,
-            alike: 0.97,
+            odds: 20.0,
+            pieces: 0.5,
             seed: 1,
         }
     }
@@ -72,8 +74,8 @@ pub struct Member {
     pub candidate: usize,
     /// Its gain in the place of the one that is named.
     pub gain: f64,
-    /// Probability that other contacts would have put it before the one that is named.
-    pub confusion: f64,
+    /// How badly its model does ([`Selector::weigh`]).
+    pub score: f64,
     /// \[rad\] between what the one that is named changes and the nearest that this one can.
     pub angle: f64,
 }
@@ -110,23 +112,28 @@ pub struct Selection {
     pub library: f64,
     /// Reduction by both.
     pub both: f64,
-    /// What the best of the library gains where the gap is the simulator's own error within its tolerance, 95 % of the time.
-    pub form_limit: f64,
     /// Gains of every candidate alone: strict, loose.
     pub alone: Vec<[f64; 2]>,
 }
 
-/// Coefficients of the simulator's own error stay within so many tolerances.
-const TOLERANCES: f64 = 2.0;
 /// Weak prior on coefficients of effects.
 const PRIOR: f64 = 0.05;
+/// Share of the energy of what an effect does that its law leaves at least: a fifth of the amplitude.
+const LAW: f64 = 0.04;
+/// Share of the information criterion's price of a column that is asked: cross-validation has paid some of it.
+const OCCAM: f64 = 0.5;
+/// Columns of one effect that are paid for, at most.
+const MANY: usize = 6;
 
 /// Selection over one set of groups.
 pub struct Selector<'a> {
     statistics: &'a Statistics,
     candidates: &'a [Candidate],
     form: &'a [usize],
-    bounded: BTreeSet<usize>,
+    /// Inverse variance of coefficients of the simulator's own error, in its prior.
+    tight: f64,
+    /// Energy that one independent piece of evidence leaves.
+    piece: f64,
     gram: &'a Gram,
     /// Energy of the readings about their means.
     scale: f64,
@@ -165,11 +172,16 @@ impl<'a> Selector<'a> {
                 (own, sum)
             })
             .collect();
-        Self {
+        // Coefficients of a standard deviation of `1/sqrt(tight)` make up the margin on average.
+        let p = total.b.len();
+        let energy: f64 = form.iter().map(|&f| total.g[f * p + f]).sum();
+        let tight = energy / (options.margin * scale).max(1e-300);
+        let mut made = Self {
             statistics,
             candidates,
             form,
-            bounded: form.iter().copied().collect(),
+            tight,
+            piece: 1.0,
             gram,
             scale,
             systematic,
@@ -177,7 +189,59 @@ impl<'a> Selector<'a> {
             weights: weights.to_vec(),
             total,
             folds,
+        };
+        // What the best of all models leaves, with the simulator's own error nearly free.
+        let pieces = options.pieces * weights.iter().filter(|w| **w > 0.0).count().max(2) as f64;
+        made.piece = 0.1 * tight.recip();
+        let left = |set: &[usize]| made.losses(set, Tier::Strict).iter().sum::<f64>();
+        let best = (0..candidates.len()).map(|e| left(&[e])).fold(left(&[]), f64::min);
+        // The law of no effect is known better than to some share of what the effect does.
+        let least = LAW * systematic * scale;
+        made.piece = (best.max(least) / pieces).max(1e-300);
+        made
+    }
+
+    /// How badly a model does: twice the negative logarithm of its posterior probability, up to a constant.
+    fn score(&self, set: &[usize]) -> f64 {
+        let fit = self.fit_all(set, Tier::Strict);
+        if set.iter().any(|e| !self.possible(*e, &fit)) {
+            return f64::INFINITY;
         }
+        let left: f64 = self.losses(set, Tier::Strict).iter().sum();
+        self.weigh(left, self.form_cost(&fit), set)
+    }
+
+    /// Whether an effect can be what a fit makes of it: many act in one direction only.
+    fn possible(&self, effect: usize, fit: &Fit) -> bool {
+        let of = &self.candidates[effect];
+        let p = self.total.b.len();
+        let theta = |c: usize| fit.set.iter().position(|s| *s == c).map_or(0.0, |i| fit.theta[i]);
+        let along = |at: &[f64]| -> f64 {
+            of.columns.iter().zip(at).map(|(&c, a)| theta(c) * a * self.total.g[c * p + c]).sum()
+        };
+        of.starts.is_empty() || of.starts.iter().any(|(_, at)| along(at) > 0.0)
+    }
+
+    /// The same from what a model leaves, what its share of the simulator's own error costs, and the effects in it.
+    #[must_use]
+    pub fn weigh(&self, left: f64, form: f64, set: &[usize]) -> f64 {
+        let pieces = self.options.pieces * self.weights.iter().filter(|w| **w > 0.0).count().max(2) as f64;
+        // Columns of one effect that differ from channel to channel, or go through time, hang together.
+        let columns: usize = set.iter().map(|e| self.candidates[*e].columns.len().min(MANY)).sum();
+        left / self.piece + form + columns as f64 * pieces.ln() * OCCAM
+    }
+
+    /// What coefficients of the simulator's own error cost under their prior.
+    #[must_use]
+    pub fn form_cost(&self, fit: &Fit) -> f64 {
+        let of = fit.set.iter().zip(&fit.theta).filter(|(c, _)| self.form.contains(c));
+        of.map(|(_, x)| x * x * self.tight).sum()
+    }
+
+    /// Inverse variance of a coefficient, in units of the residual's.
+    #[must_use]
+    pub fn prior(&self, column: usize) -> f64 {
+        if self.form.contains(&column) { self.tight * self.piece } else { PRIOR }
     }
 
     /// Columns of these candidates, and of the simulator's own error in the strict tier.
@@ -191,7 +255,7 @@ impl<'a> Selector<'a> {
     }
 
     fn fit(&self, sum: &Sum, set: &[usize], tier: Tier) -> Fit {
-        sum.fit(&self.columns(set, tier), PRIOR, &self.bounded, TOLERANCES)
+        sum.fit(&self.columns(set, tier), |c| self.prior(c))
     }
 
     /// Fit of these candidates on all groups.
@@ -235,42 +299,41 @@ impl<'a> Selector<'a> {
                 ]
             })
             .collect();
-        found.form_limit = self.form_limit();
         let mut set: Vec<usize> = Vec::new();
         let mut tier = Tier::Strict;
         let mut ps: Vec<f64> = Vec::new();
+        let mut score = self.score(&set);
         while set.len() < self.options.most {
-            let before = self.losses(&set, Tier::Strict);
-            let Some((best, gain)) = self.best(&set, &before, Tier::Strict) else { break };
-            if gain < self.least() {
+            let Some((best, better)) = self.best(&set) else { break };
+            let with: Vec<usize> = set.iter().copied().chain([best]).collect();
+            // The first is held against the gap itself, later ones against what is left beside the simulator's own error.
+            let measure = if set.is_empty() { Tier::Loose } else { Tier::Strict };
+            let gain = self.gain(&self.losses(&set, measure), &self.losses(&with, measure));
+            if gain < self.least() || better >= score {
                 break;
             }
-            let p = self.significance(&set, best, Tier::Strict);
+            let firm = score - better > self.firm();
+            if !firm && !set.is_empty() {
+                break;
+            }
+            let p = self.significance(&set, best);
             if p > self.options.level {
                 break;
             }
-            let best = self.simplest(&set, best, gain, &before, Tier::Strict);
-            set.push(best);
+            if !firm {
+                tier = Tier::Loose;
+            }
+            set = with;
+            score = better;
             ps.push(p);
             self.prune(&mut set, &mut ps);
+            score = score.min(self.score(&set));
+            if !firm {
+                break;
+            }
         }
         if set.len() > 1 {
             self.swap(&mut set);
-        }
-        if set.is_empty() {
-            let gains = found.alone.iter().map(|g| g[1]);
-            let best = gains.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
-            if let Some((best, gain)) = best
-                && gain >= self.least().max(found.form_limit)
-                && gain >= 0.5 * found.form
-            {
-                let p = self.significance(&[], best, Tier::Loose);
-                if p <= self.options.level {
-                    tier = Tier::Loose;
-                    set.push(self.simplest(&[], best, gain, &none, Tier::Loose));
-                    ps.push(p);
-                }
-            }
         }
         let after = self.losses(&set, Tier::Loose);
         found.library = self.gain(&none, &after);
@@ -298,46 +361,35 @@ impl<'a> Selector<'a> {
     #[must_use]
     pub fn quick(&self) -> Vec<usize> {
         let mut set: Vec<usize> = Vec::new();
-        let mut before = self.losses(&set, Tier::Strict);
+        let mut score = self.score(&set);
         while set.len() < self.options.most {
-            let Some((best, gain)) = self.best(&set, &before, Tier::Strict) else { break };
-            if gain < self.least() {
+            let Some((best, better)) = self.best(&set) else { break };
+            let with: Vec<usize> = set.iter().copied().chain([best]).collect();
+            let measure = if set.is_empty() { Tier::Loose } else { Tier::Strict };
+            let gain = self.gain(&self.losses(&set, measure), &self.losses(&with, measure));
+            if gain < self.least() || (!set.is_empty() && score - better < self.firm()) {
                 break;
             }
-            set.push(best);
-            before = self.losses(&set, Tier::Strict);
-        }
-        if set.is_empty() {
-            let none = self.losses(&[], Tier::Loose);
-            set.extend(self.best(&[], &none, Tier::Loose).map(|b| b.0));
+            set = with;
+            score = better;
         }
         set
     }
 
-    fn best(&self, set: &[usize], before: &[f64], tier: Tier) -> Option<(usize, f64)> {
+    /// By how much an effect has to beat the simulator's own error: every one of the library has its chance to by accident.
+    fn firm(&self) -> f64 {
+        2.0 * (self.candidates.len().max(1) as f64 / self.options.level).ln()
+    }
+
+    /// The effect beside `set` that makes the best model, and its score.
+    fn best(&self, set: &[usize]) -> Option<(usize, f64)> {
         (0..self.candidates.len())
             .filter(|e| !set.contains(e))
             .map(|e| {
                 let with: Vec<usize> = set.iter().copied().chain([e]).collect();
-                (e, self.gain(before, &self.losses(&with, tier)))
+                (e, self.score(&with))
             })
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-    }
-
-    /// The candidate with fewest columns among those that gain about as much as `best`.
-    fn simplest(&self, set: &[usize], best: usize, gain: f64, before: &[f64], tier: Tier) -> usize {
-        let alike = (0..self.candidates.len()).filter(|e| !set.contains(e)).filter_map(|e| {
-            let with: Vec<usize> = set.iter().copied().chain([e]).collect();
-            let other = self.gain(before, &self.losses(&with, tier));
-            (other >= self.options.alike * gain).then_some((e, other))
-        });
-        let found = alike.min_by(|a, b| {
-            let size = |e: usize| self.candidates[e].columns.len();
-            // Of two that are as simple, one of each channel aside, the better one.
-            let coarse = |e: usize| if self.candidates[e].each { size(e) } else { 0 };
-            coarse(a.0).cmp(&coarse(b.0)).then(b.1.total_cmp(&a.1))
-        });
-        found.map_or(best, |f| f.0)
+            .min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Drops what is no longer needed.
@@ -360,7 +412,7 @@ impl<'a> Selector<'a> {
     /// Exchanges an accepted effect for another where that is clearly better.
     fn swap(&self, set: &mut [usize]) {
         for _ in 0..set.len() {
-            let now: f64 = self.losses(set, Tier::Strict).iter().sum();
+            let now = self.score(set);
             let mut best: Option<(usize, usize, f64)> = None;
             for i in 0..set.len() {
                 for e in 0..self.candidates.len() {
@@ -369,14 +421,14 @@ impl<'a> Selector<'a> {
                     }
                     let mut other = set.to_vec();
                     other[i] = e;
-                    let loss: f64 = self.losses(&other, Tier::Strict).iter().sum();
-                    if best.is_none_or(|b| loss < b.2) {
-                        best = Some((i, e, loss));
+                    let score = self.score(&other);
+                    if best.is_none_or(|b| score < b.2) {
+                        best = Some((i, e, score));
                     }
                 }
             }
             match best {
-                Some((i, e, loss)) if (now - loss) / self.scale > 0.5 * self.least() => set[i] = e,
+                Some((i, e, score)) if now - score > 2.0 * self.options.odds.ln() => set[i] = e,
                 _ => break,
             }
         }
@@ -386,24 +438,21 @@ impl<'a> Selector<'a> {
     fn class(&self, named: usize, others: &[usize], tier: Tier) -> (Vec<Member>, Vec<usize>) {
         let with = |e: usize| -> Vec<usize> { others.iter().copied().chain([e]).collect() };
         let before = self.losses(others, tier);
-        let own = self.losses(&with(named), tier);
-        let gain = self.gain(&before, &own);
+        let gain = self.gain(&before, &self.losses(&with(named), tier));
+        let (none, score) = (self.score(others), self.score(&with(named)));
         let fit = self.fit_all(&with(named), tier);
-        let mut members = vec![Member { candidate: named, gain, confusion: 0.0, angle: 0.0 }];
+        let mut members = vec![Member { candidate: named, gain, score, angle: 0.0 }];
         let mut covers = Vec::new();
         for e in 0..self.candidates.len() {
             if e == named || others.contains(&e) {
                 continue;
             }
-            let losses = self.losses(&with(e), tier);
-            let other = self.gain(&before, &losses);
-            let apart: Vec<f64> = losses.iter().zip(&own).map(|(a, b)| a - b).collect();
-            let (sum, square): (f64, f64) = apart.iter().fold((0.0, 0.0), |(s, q), d| (s + d, q + d * d));
-            let z = sum / square.sqrt().max(1e-300);
-            let alike = other >= self.options.alike * gain || z < 1.64;
-            if !alike || other < 0.5 * gain || other < self.least() {
+            let own = self.score(&with(e));
+            // What linear signatures put behind may be before once it is simulated in full.
+            if own > none {
                 continue;
             }
+            let other = self.gain(&before, &self.losses(&with(e), tier));
             let (a, b) = (&self.candidates[named], &self.candidates[e]);
             let inside = self.gram.explained(&a.columns, &b.columns);
             let general = b.columns.len() >= 2 * a.columns.len() && inside > 0.95;
@@ -411,14 +460,9 @@ impl<'a> Selector<'a> {
                 covers.push(e);
                 continue;
             }
-            members.push(Member {
-                candidate: e,
-                gain: other,
-                confusion: normal(-z),
-                angle: self.angle(named, e, &fit),
-            });
+            members.push(Member { candidate: e, gain: other, score: own, angle: self.angle(named, e, &fit) });
         }
-        members[1..].sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        members[1..].sort_by(|a, b| a.score.total_cmp(&b.score));
         (members, covers)
     }
 
@@ -447,8 +491,8 @@ impl<'a> Selector<'a> {
 
     /// Westfall and Young's max-T: how often the best of the library is as good as `chosen` where the sign of each group's
     /// residual is drawn.
-    fn significance(&self, set: &[usize], chosen: usize, tier: Tier) -> f64 {
-        let base = self.fit_all(set, tier);
+    fn significance(&self, set: &[usize], chosen: usize) -> f64 {
+        let base = self.fit_all(set, Tier::Loose);
         let inside = base.set.clone();
         let p = self.total.b.len();
         let at = |i: usize, j: usize| self.total.g[i * p + j];
@@ -542,45 +586,6 @@ impl<'a> Selector<'a> {
         (above + 1) as f64 / (self.options.flips + 1) as f64
     }
 
-    /// What the best effect gains where the gap is the simulator's own error within its tolerance.
-    fn form_limit(&self) -> f64 {
-        let p = self.total.b.len();
-        let at = |i: usize, j: usize| self.total.g[i * p + j];
-        let mut rng = ChaCha8Rng::seed_from_u64(self.options.seed ^ 0xf0a);
-        let factors: Vec<(Vec<f64>, &Vec<usize>)> = self
-            .candidates
-            .iter()
-            .map(|c| {
-                let n = c.columns.len();
-                let mut a: Vec<f64> =
-                    c.columns.iter().flat_map(|&i| c.columns.iter().map(move |&j| at(i, j))).collect();
-                (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + PRIOR);
-                (a, &c.columns)
-            })
-            .collect();
-        let mut best: Vec<f64> = (0..60)
-            .map(|_| {
-                let alpha: Vec<f64> = self.form.iter().map(|_| rng.sample::<f64, _>(Standard)).collect();
-                factors
-                    .iter()
-                    .map(|(a, columns)| {
-                        let b: Vec<f64> = columns
-                            .iter()
-                            .map(|&c| self.form.iter().zip(&alpha).map(|(&f, x)| x * at(c, f)).sum())
-                            .collect();
-                        let mut x = b.clone();
-                        if cholesky_solve(&mut a.clone(), b.len(), &mut x).is_none() {
-                            return 0.0;
-                        }
-                        x.iter().zip(&b).map(|(x, b)| x * b).sum::<f64>() / self.scale
-                    })
-                    .fold(0.0, f64::max)
-            })
-            .collect();
-        best.sort_by(f64::total_cmp);
-        best.get(best.len() * 95 / 100).copied().unwrap_or(0.0)
-    }
-
     /// Shapley's values of the reductions over all orders, in shares of their sum.
     fn shapley(&self, set: &[usize], tier: Tier) -> Vec<f64> {
         let n = set.len();
@@ -606,16 +611,6 @@ impl<'a> Selector<'a> {
         let all: f64 = shares.iter().sum();
         shares.iter_mut().for_each(|s| *s /= if all > 0.0 { all } else { 1.0 });
         shares
-    }
-}
-
-/// Normal numbers, without a crate of distributions.
-struct Standard;
-
-impl rand::distr::Distribution<f64> for Standard {
-    fn sample<R: Rng + ?Sized>(&self, rng: &mut R) -> f64 {
-        let (u, v): (f64, f64) = (rng.random_range(f64::MIN_POSITIVE..1.0), rng.random_range(0.0..1.0));
-        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
     }
 }
 

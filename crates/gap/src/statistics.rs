@@ -1,7 +1,5 @@
 //! Sufficient statistics per group of contacts: every fold, subset, resampling and permutation is algebra over them.
 
-use std::collections::BTreeSet;
-
 use crate::algebra::cholesky_solve;
 use crate::rows::Rows;
 
@@ -187,51 +185,27 @@ impl Sum {
         Self { g: subtract(&self.g, &other.g), b: subtract(&self.b, &other.b), rr: self.rr - other.rr }
     }
 
-    /// Least squares on the columns of `set` under the prior that coefficients are of standard deviation 1/√`prior`. Those of
-    /// `bounded` stay within ±`bound`.
+    /// Least squares on the columns of `set`, each coefficient under a prior of mean 0: `prior` gives the inverse of its variance.
     #[must_use]
-    pub fn fit(&self, set: &[usize], prior: f64, bounded: &BTreeSet<usize>, bound: f64) -> Fit {
-        let p = self.b.len();
-        let mut free: Vec<usize> = set.to_vec();
-        let mut held: Vec<(usize, f64)> = Vec::new();
-        loop {
-            let n = free.len();
-            let mut a = vec![0.0; n * n];
-            let mut x: Vec<f64> = free.iter().map(|&i| self.b[i]).collect();
-            for (r, &i) in free.iter().enumerate() {
-                for (c, &j) in free.iter().enumerate() {
-                    a[r * n + c] = self.g[i * p + j];
-                }
-                a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + prior + 1e-12;
-                for (j, value) in &held {
-                    x[r] -= self.g[i * p + j] * value;
-                }
+    pub fn fit(&self, set: &[usize], prior: impl Fn(usize) -> f64) -> Fit {
+        let (n, p) = (set.len(), self.b.len());
+        let mut a = vec![0.0; n * n];
+        let mut theta: Vec<f64> = set.iter().map(|&i| self.b[i]).collect();
+        for (r, &i) in set.iter().enumerate() {
+            for (c, &j) in set.iter().enumerate() {
+                a[r * n + c] = self.g[i * p + j];
             }
-            if cholesky_solve(&mut a, n, &mut x).is_none() {
-                x = vec![0.0; n];
-            }
-            let beyond: Vec<usize> =
-                (0..n).filter(|r| bounded.contains(&free[*r]) && x[*r].abs() > bound).collect();
-            if beyond.is_empty() || held.len() >= set.len() {
-                let mut fit = Fit { set: free, theta: x };
-                for (j, value) in held {
-                    fit.set.push(j);
-                    fit.theta.push(value);
-                }
-                return fit;
-            }
-            // The farthest first: the others may come back once it is held.
-            let Some(&worst) = beyond.iter().max_by(|a, b| x[**a].abs().total_cmp(&x[**b].abs())) else {
-                return Fit::default();
-            };
-            held.push((free[worst], bound.copysign(x[worst])));
-            free.remove(worst);
+            a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + prior(i) + 1e-12;
         }
+        if cholesky_solve(&mut a, n, &mut theta).is_none() {
+            theta = vec![0.0; n];
+        }
+        Fit { set: set.to_vec(), theta }
     }
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::rows::Row;
     use dermis_skin::Phase;
@@ -279,7 +253,7 @@ mod tests {
         assert_eq!(sum.g, wanted);
         assert_eq!((sum.b.clone(), sum.rr), (vec![2.0 + 2.0 - 4.0 - 3.0 + 2.0, 1.0 + 8.0 - 2.0], 26.0));
         // What is left by groups is what is left of all.
-        let fit = sum.fit(&[0, 1], 0.0, &BTreeSet::new(), 1.0);
+        let fit = sum.fit(&[0, 1], |_| 0.0);
         let left: f64 = (0..6)
             .map(|i| {
                 let own = if i % 2 == 1 { fit.theta[1] * f64::from(columns[1].values[i / 2]) } else { 0.0 };
@@ -288,9 +262,9 @@ mod tests {
             .sum();
         let by_groups = statistics.loss(0, &fit) + statistics.loss(1, &fit);
         approx::assert_relative_eq!(by_groups, left, max_relative = 1e-6);
-        // A bound is kept, and the others make the best of it.
-        let bounded = sum.fit(&[0, 1], 0.0, &BTreeSet::from([1]), 0.5);
-        let held = bounded.set.iter().position(|c| *c == 1).unwrap();
-        assert_eq!(bounded.theta[held].abs(), 0.5);
+        // A strong prior holds a coefficient back, and the other makes the best of it.
+        let held = sum.fit(&[0, 1], |c| if c == 1 { 1e12 } else { 0.0 });
+        assert!(held.theta[1].abs() < 1e-6);
+        approx::assert_relative_eq!(held.theta[0], sum.b[0] / sum.g[0], max_relative = 1e-6);
     }
 }
