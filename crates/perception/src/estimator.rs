@@ -1477,7 +1477,7 @@ mod tests {
         for k in 0..80 {
             estimator.estimate(&both(k, &[])).unwrap();
         }
-        let (a, b) = ([-0.007, -0.006], [0.006, 0.007]);
+        let (a, b, surface) = ([-0.007, -0.006], [0.006, 0.007], skin.surface());
         let near = |c: &Contact, [x, y]: [f64; 2]| (c.position - Point3::new(x, y, 0.0)).norm() < 1e-3;
         let one = estimator.estimate(&both(80, &[(a, 1.0)])).unwrap().contacts;
         assert!(one.len() == 1 && near(&one[0], a) && one[0].track_id == 1, "{one:?}");
@@ -1499,9 +1499,8 @@ mod tests {
             let depth = estimate.displacement_map.unwrap().displacements;
             let at = |[x, y]: [f64; 2]| {
                 let place = Point3::new(x, y, 0.0);
-                let near =
-                    skin.surface().points.iter().zip(&depth).filter(|(p, _)| (*p - place).norm() < 2e-3);
-                near.map(|(_, d)| f64::from(*d)).collect::<Vec<_>>().into_iter().fold(0.0, f64::max)
+                let under = surface.points.iter().zip(&depth).filter(|(p, _)| (*p - place).norm() < 2e-3);
+                under.fold(0.0, |most, (_, d)| f64::from(*d).max(most))
             };
             assert!(at(a) > 0.8 * Membrane::GIVES && at(b) > 0.3 * Membrane::GIVES);
         }
