@@ -403,8 +403,29 @@ pub fn surface(
     values: &[f64],
     taxels: &[(f64, f64)],
 ) -> Result<String> {
+    dots(axes, name, points, values, taxels, &Scale::of(values.iter().copied()))
+}
+
+/// As [`surface`], with colours from the first to the second value of `range`, whatever the values are.
+pub fn surface_within(
+    axes: &Axes,
+    name: &str,
+    points: &[(f64, f64)],
+    values: &[f64],
+    range: [f64; 2],
+) -> Result<String> {
+    dots(axes, name, points, values, &[], &Scale { low: range[0], high: range[1], log: false })
+}
+
+fn dots(
+    axes: &Axes,
+    name: &str,
+    points: &[(f64, f64)],
+    values: &[f64],
+    taxels: &[(f64, f64)],
+    scale: &Scale,
+) -> Result<String> {
     let (width, height) = (430, 430);
-    let scale = Scale::of(values.iter().copied());
     let span = points.iter().flat_map(|p| [p.0.abs(), p.1.abs()]).fold(1e-4, f64::max) * 1.06;
     // Dots as large as the points are apart.
     let apart = 2.0 * span / (points.len() as f64).sqrt();
@@ -438,7 +459,7 @@ pub fn page(title: &str, body: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\n\
          <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222;\
-         background:#fff}}pre{{background:#f4f4f2;padding:1rem;overflow-x:auto;font-size:12px}}svg{{max-width:100%;\
+         background:#fff}}pre{{background:#f4f4f2;padding:1rem;overflow-x:auto;white-space:pre-wrap;font-size:12px}}svg{{max-width:100%;\
          height:auto}}figure{{margin:1.2rem 0}}figure>div{{display:flex;flex-wrap:wrap;gap:.5rem}}figcaption{{\
          max-width:60rem;color:#444;font-size:14px}}table{{border-collapse:collapse;font-size:13px}}td,th{{border:1px \
          solid #ccc;padding:.2rem .5rem;text-align:right}}</style></head>\n<body><h1>{title}</h1>\n{body}</body></html>\n"

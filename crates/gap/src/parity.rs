@@ -58,16 +58,15 @@ fn return_to_zero(view: &View<'_>, readings: &[f32]) -> Parity {
     let mut last = usize::MAX;
     let channels = view.sigma.iter().filter(|s| s.is_finite()).count().max(1) as f64;
     for (i, r) in rows.iter().enumerate() {
-        if r.press != last {
+        // Rows without a press lie between presses.
+        if r.press != last && r.phase.touched() {
             (last, strong) = (r.press, None);
         }
         if r.phase == Phase::Hold {
             strong = Some(i);
         }
         if !r.phase.touched() {
-            if let (Some(before), Some(held)) = (rest, strong)
-                && r.press != usize::MAX
-            {
+            if let (Some(before), Some(held)) = (rest, strong) {
                 let (a, b) = (row(readings, view, before), row(readings, view, i));
                 square += a.iter().zip(b).map(|(a, b)| f64::from(b - a).powi(2)).sum::<f64>() / channels;
                 let h = row(readings, view, held);

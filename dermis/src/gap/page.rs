@@ -6,7 +6,7 @@ use anyhow::Result;
 use dermis_gap::{Axis, Bin, Gap, Map, Report, Tier};
 
 use super::text::{percent, short, value};
-use crate::figures::{Axes, escape, figure, page, surface};
+use crate::figures::{Axes, escape, figure, page, surface_within};
 
 /// The whole page.
 pub fn html(report: &Report) -> Result<String> {
@@ -23,17 +23,6 @@ pub fn html(report: &Report) -> Result<String> {
     for problem in &data.problems {
         let kind = if problem.fatal { "Wrong" } else { "Note" };
         let _ = writeln!(body, "<p><b>{kind}:</b> {}</p>", escape(&problem.what));
-    }
-    if !data.missing.is_empty() {
-        let items: String = data
-            .missing
-            .iter()
-            .map(|m| format!("<li>{}; open: {}</li>", escape(&m.what), escape(&m.blocks)))
-            .collect();
-        let _ = writeln!(
-            body,
-            "<details><summary>What this recording cannot tell</summary><ul>{items}</ul></details>"
-        );
     }
     if let Some(gap) = &report.gap {
         bar(&mut body, report, gap);
@@ -151,21 +140,23 @@ fn maps(body: &mut String, report: &Report) -> Result<()> {
     if report.maps.iter().all(|m| m.points.is_empty()) {
         return Ok(());
     }
-    let top = report.maps.iter().flat_map(|m| &m.rms).flatten().copied().fold(0.0, f64::max);
     let mut pictures = Vec::new();
-    for (map, name) in report.maps.iter().zip(["before", "after"]) {
-        if map.points.is_empty() {
-            continue;
+    // Before and after on one scale each; what lies below the noise is not drawn.
+    let most = |of: fn(&Map) -> &Vec<Option<f64>>| {
+        report.maps.iter().flat_map(|m| of(m)).flatten().map(|v| v.abs()).fold(0.0, f64::max)
+    };
+    let rms: fn(&Map) -> &Vec<Option<f64>> = |m| &m.rms;
+    let mean: fn(&Map) -> &Vec<Option<f64>> = |m| &m.mean;
+    for (of, what, low) in [(rms, "root mean square", 0.0), (mean, "mean", -1.0)] {
+        let top = most(of);
+        for (map, name) in report.maps.iter().zip(["before", "after"]) {
+            if map.points.is_empty() || top <= 0.0 {
+                continue;
+            }
+            let values: Vec<f64> = of(map).iter().map(|v| v.unwrap_or(f64::NAN)).collect();
+            let axes = Axes::new(format!("{name}: {what}"), "[mm]", "[mm]");
+            pictures.push(surface_within(&axes, &report.data.unit, &flat(map), &values, [low * top, top])?);
         }
-        // Both on one scale: what lies below the noise is drawn as nothing.
-        let mut points = flat(map);
-        let mut values: Vec<f64> = map.rms.iter().map(|v| v.unwrap_or(0.0)).collect();
-        points.push((1e9, 1e9));
-        values.push(top);
-        let shown: Vec<(f64, f64)> = points[..points.len() - 1].to_vec();
-        let values = values[..shown.len()].to_vec();
-        let axes = Axes::new(format!("{name}: root mean square, 0 to {}", short(top)), "[mm]", "[mm]");
-        pictures.push(surface(&axes, &report.data.unit, &shown, &values, &[])?);
     }
     let _ = writeln!(body, "<h2>Where on the surface</h2>");
     let peak = report.maps.first().and_then(|m| m.peak.map(|p| (p, m.prominence)));
@@ -180,7 +171,9 @@ fn maps(body: &mut String, report: &Report) -> Result<()> {
     });
     body.push_str(&figure(
         &pictures,
-        &format!("Readings minus model over where was pressed; 0 is below the noise.{peak}"),
+        &format!(
+            "Readings minus model over where was pressed; nothing is drawn where it is below the noise.{peak}"
+        ),
     ));
     Ok(())
 }
