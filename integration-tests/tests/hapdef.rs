@@ -14,10 +14,11 @@ use std::time::{Duration, Instant};
 
 use dermis_inference::onnx::GraphBuilder;
 use dermis_inference::{
-    Baseline, BundleWriter, FeatureConfig, Manifest, OutputConfig, OutputSpec, TrainingSection,
+    Baseline, Bundle, BundleWriter, CorrectionSection, FeatureConfig, MAP_DISPLACEMENT, Manifest,
+    ModelSection, OutputConfig, OutputSpec, PeakSection, TrainingSection,
 };
 use dermis_integration_tests::{Peer, client_python, domain, program, root};
-use dermis_inversion::Settings;
+use dermis_inversion::{Correction, CorrectionSettings, ForcePrior, PeakSettings, Search, Settings};
 use dermis_msgs::Message;
 use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use dermis_msgs::msg::{Contact, ContactArray, DisplacementMap, ForceMap};
@@ -25,7 +26,7 @@ use dermis_node::{HirozBackend, Node, NodeOptions, Qos, Subscription};
 use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface};
 use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{DMatrix, Point3, Vector3};
 
 const SOON: Duration = Duration::from_secs(90);
 /// \[N\] of every press.
@@ -65,8 +66,8 @@ fn place(surface: &Surface, x: f64, y: f64) -> (Point3<f64>, Vector3<f64>) {
     (surface.points[nearest], surface.normals[nearest])
 }
 
-/// A bundle that has learned nothing: all that is found, the forward model finds.
-fn bundle(folder: &Path) -> PathBuf {
+/// A bundle that has learned nothing: all that is found, the forward model finds, with these settings.
+fn bundle(folder: &Path, settings: Settings) -> PathBuf {
     let skin = SkinDescription::load(shin()).unwrap();
     let channels = skin.channels().len();
     let middle = place(&skin.surface(), 0.0, 0.0).0;
@@ -91,7 +92,7 @@ fn bundle(folder: &Path) -> PathBuf {
     let mut manifest =
         Manifest::new("shin", &skin, Baseline::Tared, input, output, TrainingSection::default());
     manifest.force_range = Some([0.0, 35.0]);
-    manifest.inversion = Some(Settings::new(TIP, 40.0));
+    manifest.inversion = Some(settings);
     let path = folder.join("bundle");
     BundleWriter::new(manifest).write(&path, &graph.finish().unwrap()).unwrap();
     path
@@ -148,12 +149,17 @@ impl Operator {
         self.folder.path().join(name)
     }
 
-    /// Starts the node on the device `tty`; its log goes to the file `log`.
+    /// Starts the node on the device `tty` with a bundle for one contact; its log goes to the file `log`.
     fn start(&self, skin: &Path, arguments: &[&str]) -> Peer {
+        self.start_with(skin, &bundle(self.folder.path(), Settings::new(TIP, 40.0)), arguments)
+    }
+
+    /// The same with another bundle.
+    fn start_with(&self, skin: &Path, model: &Path, arguments: &[&str]) -> Peer {
         let mut command = Command::new(program("dermis"));
         command.current_dir(root()).args(["hapdef", "--source"]);
         command.arg(format!("serial://{}?baud=115200", self.path("tty").display())).arg("--skin").arg(skin);
-        command.arg("--model").arg(bundle(self.folder.path())).args(arguments);
+        command.arg("--model").arg(model).args(arguments);
         Peer::start(command.stderr(File::create(self.path("log")).unwrap()))
     }
 
@@ -296,6 +302,8 @@ fn a_limb_that_sends_lines_of_counts_ten_times_a_second() {
 const PRESS: u8 = 1;
 /// g1 is at the upper end of its range.
 const FAILED: u8 = 2;
+/// Presses the shin in two places.
+const TWO: u8 = 4;
 
 /// The model of the shin, made once.
 fn model() -> &'static Arc<dyn ForwardModel> {
@@ -308,7 +316,28 @@ fn pressed() -> (Point3<f64>, Vector3<f64>) {
     place(model().surface(), 0.02, 0.0)
 }
 
-/// A limb with a gauge whose wire was never connected; it does what its mode says until it is dropped.
+/// Where [`TWO`] presses.
+fn both() -> [Point3<f64>; 2] {
+    [place(model().surface(), 0.03, 0.005).0, place(model().surface(), -0.04, -0.02).0]
+}
+
+/// Presses of [`FORCE`] in these places.
+fn presses(places: &[Point3<f64>]) -> Vec<Indentation> {
+    let press = |at: &Point3<f64>| {
+        let (position, normal) = model().surface().project(at);
+        Indentation { position, force: -normal * FORCE, diameter: TIP }
+    };
+    places.iter().map(press).collect()
+}
+
+/// What the gauges read of these presses.
+fn strain(contacts: Vec<Indentation>) -> Vec<f64> {
+    let mut strain = vec![0.0; 10];
+    model().response(&Stimulus { contacts, ..Stimulus::default() }, &mut strain).unwrap();
+    strain
+}
+
+/// A limb; it does what its mode says until it is dropped.
 struct Limb {
     mode: Arc<AtomicU8>,
     stop: Arc<AtomicBool>,
@@ -319,12 +348,16 @@ impl Limb {
     /// Frames a second.
     const RATE: u32 = 100;
 
+    /// With a gauge whose wire was never connected.
     fn plug(link: &Path) -> Self {
+        Self::made(link, Some(6), [1.0; 10])
+    }
+
+    /// With a gauge that is not connected, and gauges that read so many times what the design says.
+    fn made(link: &Path, open: Option<usize>, gains: [f64; 10]) -> Self {
         let skin = SkinDescription::load(shin()).unwrap();
-        let (position, normal) = pressed();
-        let press = Indentation { position, force: -normal * FORCE, diameter: TIP };
-        let mut strain = vec![0.0; 10];
-        model().response(&Stimulus { contacts: vec![press], ..Stimulus::default() }, &mut strain).unwrap();
+        let one = strain(presses(&[pressed().0]));
+        let two = strain(presses(&both()));
         let mode = Arc::new(AtomicU8::new(0));
         let stop = Arc::new(AtomicBool::new(false));
         let (told, ended) = (Arc::clone(&mode), Arc::clone(&stop));
@@ -348,12 +381,17 @@ impl Limb {
                     return;
                 }
                 let mode = told.load(Ordering::Acquire);
-                let share = if mode & PRESS != 0 { 1.0 } else { 0.0 };
-                let mut counts: Vec<f32> = strain
+                let share = |flag: u8| if mode & flag != 0 { 1.0 } else { 0.0 };
+                let mut counts: Vec<f32> = one
                     .iter()
-                    .map(|s| ((s * share + noise() - skin.wire.offset) / skin.wire.scale).round() as f32)
+                    .zip(&two)
+                    .zip(&gains)
+                    .map(|((one, two), gain)| gain * (one * share(PRESS) + two * share(TWO)))
+                    .map(|s| ((s + noise() - skin.wire.offset) / skin.wire.scale).round() as f32)
                     .collect();
-                counts[6] = 0.0;
+                if let Some(open) = open {
+                    counts[open] = 0.0;
+                }
                 if mode & FAILED != 0 {
                     counts[1] = 4095.0;
                 }
@@ -376,6 +414,24 @@ impl Drop for Limb {
         self.stop.store(true, Ordering::Release);
         let _ = self.thread.take().map(JoinHandle::join);
     }
+}
+
+/// What tells a gauge that fails from a press (`condition.coupled` of the skin).
+#[test]
+fn no_press_is_felt_by_one_gauge_alone() {
+    let skin = SkinDescription::load(shin()).unwrap();
+    let [_, rail] = skin.channels()[0].range.unwrap();
+    let mut least = f64::INFINITY;
+    for (position, normal) in model().surface().points.iter().zip(&model().surface().normals) {
+        let press = Indentation { position: *position, force: -normal * FORCE, diameter: TIP };
+        let mut strain: Vec<f64> = strain(vec![press]).iter().map(|s| s.abs()).collect();
+        strain.sort_by(f64::total_cmp);
+        // Only one that is at its rail comes into question, and a harder press is felt more by the others, too.
+        if strain[9] > 0.02 * rail {
+            least = least.min(strain[8] / strain[9]);
+        }
+    }
+    assert!(least > 1.0 / 15.0, "the second feels 1/{:.0} of the first", 1.0 / least);
 }
 
 #[test]
@@ -402,12 +458,17 @@ fn gauges_that_fail_are_left_out_and_named() {
 
     let before = median_deviation(&operator, there);
 
-    // One more fails while nothing touches: it is no contact for long, and the other seven go on.
+    // One more fails while nothing touches: it is never taken for a contact, and the other seven go on.
     limb.becomes(0);
     operator.contacts_say("the release", |a| a.contacts.is_empty());
     limb.becomes(FAILED);
     let gone = ["3 of 10 channels are impaired", "g1 (saturated, stuck)"];
-    operator.contacts_say("that it is broken", |a| named(a, &gone) && a.contacts.is_empty());
+    let mut contacts = 0;
+    operator.contacts_say("that it is broken", |a| {
+        contacts += a.contacts.len();
+        named(a, &gone) && a.contacts.is_empty()
+    });
+    assert_eq!(contacts, 0, "a gauge that fails is no contact");
     limb.becomes(FAILED | PRESS);
     let seven = operator.contacts_say("the press again", |a| named(a, &gone) && a.contacts.iter().any(there));
     assert!(deviation(&seven.contacts[0]) > 0.0, "{seven:#?}");
@@ -424,6 +485,221 @@ fn median_deviation(operator: &Operator, there: impl Fn(&Contact) -> bool) -> f6
     });
     seen.sort_by(f64::total_cmp);
     seen[seen.len() / 2]
+}
+
+/// Settings of an inversion that tells two contacts apart.
+fn two() -> Settings {
+    let mut settings = Settings::new(TIP, 40.0);
+    (settings.contacts, settings.distance) = (2, 0.012);
+    (settings.force_prior, settings.search) = (ForcePrior::Log, Search::Pairs);
+    settings
+}
+
+/// Adds a correction to a bundle: gauges that read so many times what the design says, learned from a few presses.
+fn correct(path: &Path, gains: &[f64]) {
+    let mut bundle = Bundle::load(path, &SkinDescription::load(shin()).unwrap()).unwrap();
+    let all = presses(&[both()[0], both()[1], pressed().0]);
+    let read: Vec<Vec<f32>> = all
+        .iter()
+        .map(|press| strain(vec![press.clone()]).iter().zip(gains).map(|(s, g)| (s * g) as f32).collect())
+        .collect();
+    let labelled: Vec<_> = all.iter().zip(read.iter().map(Vec::as_slice)).collect();
+    let settings = CorrectionSettings::default();
+    let correction = Correction::fit(model().as_ref(), &labelled, gains, &settings).unwrap();
+    let left = [0.0, correction.remainder(model().as_ref(), &labelled).unwrap()];
+    assert!(left[1] < 0.1, "{left:?}");
+    let mut manifest = bundle.manifest().clone();
+    manifest.correction =
+        Some(CorrectionSection { data_hash: "sha256:0".into(), presses: 3, left, ..Default::default() });
+    bundle.amend(manifest, Some(correction)).unwrap();
+}
+
+/// Both contacts are there, each near its place, with identities of their own that last; the sum of their forces.
+fn both_are_found(operator: &Operator, near: f64) -> f64 {
+    let found = |array: &ContactArray| {
+        array.contacts.len() == 2
+            && both().iter().all(|place| array.contacts.iter().any(|c| apart(c, place) < near))
+    };
+    let first = operator.contacts_say("two contacts", found);
+    let ids = |array: &ContactArray| {
+        both().map(|place| {
+            let nearest = |a: &&Contact, b: &&Contact| apart(a, &place).total_cmp(&apart(b, &place));
+            array.contacts.iter().min_by(nearest).map_or(0, |c| c.track_id)
+        })
+    };
+    let seconds = |array: &ContactArray| array.header.stamp.as_nanos() as f64 * 1e-9;
+    let mut seen = vec![(seconds(&first), ids(&first))];
+    operator.contacts_say("them again and again", |array| {
+        if found(array) {
+            seen.push((seconds(array), ids(array)));
+        }
+        seen.len() > 20
+    });
+    assert!(seen.iter().all(|(_, [a, b])| a != b && *a > 0 && *b > 0), "{seen:?}");
+    // Frames that lie further apart have been passed over.
+    let changed = seen.windows(2).find(|pair| pair[1].0 - pair[0].0 < 0.1 && pair[1].1 != pair[0].1);
+    assert_eq!(changed, None, "{seen:?}");
+    first.contacts.iter().map(pressing).sum()
+}
+
+#[test]
+fn two_contacts_on_a_limb_that_is_not_as_designed() {
+    let mut operator = Operator::new();
+    let skin = wired(operator.folder.path(), "native", f64::from(Limb::RATE));
+    let gains = [1.2, 0.85, 1.1, 0.9, 0.8, 1.15, 1.2, 0.85, 1.1, 0.9];
+    let model = bundle(operator.folder.path(), two());
+    correct(&model, &gains);
+    let displacements: Receiver<DisplacementMap> = operator.listen("displacement_map", Qos::sensor_data());
+    let forces: Receiver<ForceMap> = operator.listen("force_map", Qos::sensor_data());
+    let limb = Limb::made(&operator.path("tty"), None, gains);
+    let _node = operator.start_with(&skin, &model, &[]);
+    operator.contacts_say("that nothing touches", untouched);
+    limb.becomes(TWO);
+    let sum = both_are_found(&operator, 0.004);
+    assert!((sum - 2.0 * FORCE).abs() < 0.1 * FORCE, "{sum} N");
+    // Both maps are of both.
+    let surface = SkinDescription::load(&skin).unwrap().surface();
+    let under = |place: &Point3<f64>, values: &[f32], reach: f64| {
+        let near = surface.points.iter().zip(values).filter(|(p, _)| (*p - place).norm() < reach);
+        near.map(|(_, v)| *v).fold(0.0, f32::max)
+    };
+    operator.hears(&forces, "forces in both places", |map| {
+        both().iter().all(|place| under(place, &map.forces, 0.008) > 0.5)
+    });
+    operator.hears(&displacements, "that both places give way", |map| {
+        both().iter().all(|place| under(place, &map.displacements, 0.004) > 3e-4)
+    });
+    limb.becomes(0);
+    operator.contacts_say("the release", untouched);
+}
+
+#[test]
+fn two_contacts_a_thousand_times_a_second_are_looked_for_in_the_newest_frame() {
+    let operator = Operator::new();
+    let skin = wired(operator.folder.path(), "native", 1000.0);
+    let at: Vec<String> = both().iter().map(|p| format!("[{:.6}, {:.6}, {:.6}]", p.x, p.y, p.z)).collect();
+    let plan = operator.path("plan.toml");
+    std::fs::write(
+        &plan,
+        format!(
+            "schema = \"dermis-plan/1\"\nname = \"many\"\nseed = 1\ndiameter = {TIP}\n[timing]\napproach = [0.1, 0.1]\n\
+             load = [0.3, 0.3]\nhold = [3.0, 3.0]\nunload = [0.3, 0.3]\ngap = [1.0, 1.0]\n\
+             [[steps]]\nkind = \"idle\"\nduration = 8.0\n\
+             [[steps]]\nkind = \"multi\"\ncount = 20\ncontacts = [2, 2]\ndistance = 0.05\nforce = [10.0, 30.0]\n\
+             [[steps]]\nkind = \"places\"\nat = [{}]\nforces = [{FORCE:?}]\n",
+            at.join(", ")
+        ),
+    )
+    .unwrap();
+    let _node = operator.start_with(&skin, &bundle(operator.folder.path(), two()), &[]);
+    operator.contacts_say("that no device is there", |a| a.status == ContactArray::STATUS_STALE);
+    let mut simulate = Command::new(program("dermis"));
+    simulate.args(["device", "simulate"]).arg(&skin).arg("--plan").arg(&plan);
+    let mut device = Peer::start(simulate.arg("--link").arg(operator.path("tty")));
+    device.expect("", SOON);
+    operator.contacts_say("that nothing touches", untouched);
+    operator.contacts_say("two contacts", |a| a.contacts.len() == 2);
+    let status = operator.hears(&operator.diagnostics, "that frames are passed over", |s| {
+        s.message.contains("the newest is taken and others are passed over")
+    });
+    assert_eq!(status.level, DiagnosticStatus::WARN);
+    let value = |key: &str| {
+        let found = status.values.iter().find(|v| v.key == key).map(|v| v.value.clone());
+        found.unwrap_or_else(|| panic!("{key} is not in {status:#?}"))
+    };
+    assert!(value("frames passed over").parse::<u64>().unwrap() > 0, "{status:#?}");
+    assert_eq!(value("bytes dropped"), "0", "nothing of the line is lost");
+    assert!(value("not felt [% of surface]").contains("(a press of 4.00 N)"), "{status:#?}");
+}
+
+/// A bundle whose network knows two presses: the map of any readings is the sum of a bell about either place, as high as
+/// what of the readings is along what that press reads.
+fn maps_bundle(folder: &Path) -> PathBuf {
+    let skin = SkinDescription::load(shin()).unwrap();
+    let (channels, points) = (skin.channels().len(), skin.surface().points.len());
+    let columns: Vec<f64> = both().iter().flat_map(|place| strain(presses(&[*place]))).collect();
+    let signals = DMatrix::from_column_slice(channels, 2, &columns);
+    let amplitudes = signals.pseudo_inverse(1e-12).unwrap();
+    let bells = DMatrix::from_fn(points, 2, |i, k| {
+        let distance = (skin.surface().points[i] - both()[k]).norm();
+        DEEP * (-distance * distance / (2.0 * 0.012 * 0.012)).exp()
+    });
+    // Inputs × outputs, row by row, for inputs in units of 1e-4.
+    let weights: Vec<f32> = (bells * amplitudes * 1e-4).iter().map(|v| *v as f32).collect();
+    let mut graph = GraphBuilder::new("maps");
+    let x = graph.input("input", &[1, channels]);
+    let w = graph.constant("weight", &[channels, points], &weights);
+    let y = graph.matmul(&x, &w);
+    graph.output("output", &y, &[1, points]);
+    let mut sensitivity = GraphBuilder::new("sensitivity");
+    let x = sensitivity.input("input", &[1, 4]);
+    let w = sensitivity.constant("weight", &[4, 1], &[0.0, 0.0, 0.0, (FORCE / DEEP) as f32]);
+    let y = sensitivity.matmul(&x, &w);
+    sensitivity.output("output", &y, &[1, 1]);
+    let mut map = OutputSpec::new(MAP_DISPLACEMENT, "m", 0.0, 1.0);
+    map.count = points;
+    let input = FeatureConfig::newest(vec![0.0; channels], vec![1e-4; channels]);
+    let output = OutputConfig { values: vec![map] };
+    let mut manifest =
+        Manifest::new("maps", &skin, Baseline::Tared, input, output, TrainingSection::default());
+    manifest.force_range = Some([0.0, 35.0]);
+    manifest.peaks = Some(PeakSection {
+        settings: PeakSettings { least_force: 2.0, share: 0.2, ..PeakSettings::default() },
+        weights: Vec::new(),
+        position_sigma: Some(0.003),
+        force_sigma: Some(0.5),
+        sensitivity: ModelSection::default(),
+    });
+    let mut writer = BundleWriter::new(manifest);
+    writer.sensitivity = Some(sensitivity.finish().unwrap());
+    let path = folder.join("maps");
+    writer.write(&path, &graph.finish().unwrap()).unwrap();
+    path
+}
+
+/// \[m\] by which the surface of [`maps_bundle`] gives way.
+const DEEP: f64 = 1e-3;
+
+#[test]
+fn contacts_are_the_peaks_of_a_map_where_a_bundle_says_so() {
+    let mut operator = Operator::new();
+    let skin = wired(operator.folder.path(), "native", f64::from(Limb::RATE));
+    let displacements: Receiver<DisplacementMap> = operator.listen("displacement_map", Qos::sensor_data());
+    let forces: Receiver<ForceMap> = operator.listen("force_map", Qos::sensor_data());
+    let limb = Limb::made(&operator.path("tty"), None, [1.0; 10]);
+    let _node = operator.start_with(&skin, &maps_bundle(operator.folder.path()), &[]);
+    operator.contacts_say("that nothing touches", untouched);
+    limb.becomes(TWO);
+    let sum = both_are_found(&operator, 0.005);
+    assert!((sum - 2.0 * FORCE).abs() < 0.1 * FORCE, "{sum} N");
+    let deepest = |map: &DisplacementMap| map.displacements.iter().copied().fold(0.0, f32::max);
+    operator.hears(&displacements, "how far it gives way", |map| {
+        (f64::from(deepest(map)) - DEEP).abs() < 0.1 * DEEP
+    });
+    let whole = |map: &ForceMap| map.forces.iter().map(|f| f64::from(*f)).sum::<f64>();
+    operator.hears(&forces, "both forces", |map| (whole(map) - sum).abs() < 0.1 * FORCE);
+    limb.becomes(0);
+    operator.contacts_say("the release", untouched);
+}
+
+#[test]
+fn a_correction_of_another_skin_or_a_damaged_one_is_refused() {
+    let operator = Operator::new();
+    let skin = wired(operator.folder.path(), "native", f64::from(Limb::RATE));
+    let model = bundle(operator.folder.path(), two());
+    correct(&model, &[1.0; 10]);
+    let path = model.join("correction.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replacen("\"gains\":[1.0", "\"gains\":[NaN", 1)).unwrap();
+    let _limb = Limb::made(&operator.path("tty"), None, [1.0; 10]);
+    let _node = operator.start_with(&skin, &model, &[]);
+    let array = operator.contacts_say("what is wrong", |a| a.status == ContactArray::STATUS_UNCALIBRATED);
+    assert!(
+        array.status_text.contains("correction.json")
+            && array.status_text.contains("field `correction.hash`"),
+        "{}",
+        array.status_text
+    );
 }
 
 #[test]

@@ -344,8 +344,8 @@ fn a_correction_that_cannot_be_is_refused() {
         disk.edit_correction(from, to);
         disk.refusal(&pad())
     };
-    insta::assert_snapshot!(refused("[0.5,0.25", "[NaN,0.25"), @"model bundle file /pad-mlp/correction.json: cannot be read as a correction: expected value at line 1 column 308; copy the bundle again, or learn the correction anew with `dermis refine --correct`");
-    insta::assert_snapshot!(refused("[0.5,0.25", "[1e300,0.25"), @"model bundle file /pad-mlp/correction.json: the correction's `weights`: number 0 is not finite; fit it anew");
+    insta::assert_snapshot!(refused("[0.5,0.25", "[NaN,0.25"), @"model bundle file /pad-mlp/correction.json: cannot be read as a correction: expected value at line 1 column 299; copy the bundle again, or learn the correction anew with `dermis refine --correct`");
+    insta::assert_snapshot!(refused("[0.5,0.25", "[1e300,0.25"), @"model bundle file /pad-mlp/correction.json: cannot be read as a correction: number out of range at line 1 column 303; copy the bundle again, or learn the correction anew with `dermis refine --correct`");
     insta::assert_snapshot!(refused("\"gains\":[1.0,", "\"gains\":["), @"model bundle file /pad-mlp/correction.json: a correction of 4 channels for a model of 5; fit it anew");
     insta::assert_snapshot!(refused("dermis-correction/1", "dermis-correction/2"), @r#"model bundle file /pad-mlp/correction.json: field `schema` is "dermis-correction/2" where this program reads "dermis-correction/1"; copy the bundle again, or learn the correction anew with `dermis refine --correct`"#);
     let disk = OnDisk::corrected();
