@@ -11,21 +11,9 @@ fn gap() -> Command {
     command
 }
 
-fn make(kind: &str, dir: &Path) -> serde_json::Value {
+fn make(what: &[&str], dir: &Path) -> serde_json::Value {
     let mut command = gap();
-    command.args([
-        "make-pack",
-        "--json",
-        "--kind",
-        kind,
-        "--count",
-        "2",
-        "--seed",
-        "5",
-        "--size",
-        "0.3",
-        "--skin",
-    ]);
+    command.args(["make-pack", "--json", "--seed", "5", "--size", "0.3"]).args(what).arg("--skin");
     command.arg(root().join("launch/skins/baro-line.toml"));
     command.arg("--secret").arg(dir.join("secrets")).arg("--out").arg(dir.join("pack"));
     json(&finish(&mut command))
@@ -34,7 +22,7 @@ fn make(kind: &str, dir: &Path) -> serde_json::Value {
 #[test]
 fn a_small_pack_is_diagnosed_sealed_and_scored() {
     let dir = tempfile::tempdir().unwrap();
-    let made = make("singles", dir.path());
+    let made = make(&["--kind", "singles", "--count", "2"], dir.path());
     assert_eq!(made["cases"], 2);
     let (pack, secrets, out) =
         (dir.path().join("pack"), dir.path().join("secrets"), dir.path().join("check"));
@@ -63,6 +51,14 @@ fn a_small_pack_is_diagnosed_sealed_and_scored() {
         );
     }
     assert_eq!(scores["baselines"].as_array().unwrap().len(), 4);
+    assert!(scores["tool"].as_str().is_some_and(|tool| tool.starts_with("dermis ")), "{scores}");
+    assert!(scores["by_gap"].as_object().is_some_and(|gaps| !gaps.is_empty()), "{scores}");
+    for (name, holds) in
+        [("summary.json", "gap-check/1"), ("summary.md", "| score | value |"), ("summary.svg", "</svg>")]
+    {
+        let text = std::fs::read_to_string(out.join(name)).unwrap();
+        assert!(text.contains(holds) && !text.contains(&*dir.path().to_string_lossy()), "{name}: {text}");
+    }
 
     // A report that is changed once the secrets may have been seen is refused.
     let folder = std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().path()).find(|p| p.is_dir()).unwrap();
@@ -79,4 +75,20 @@ fn a_small_pack_is_diagnosed_sealed_and_scored() {
     std::fs::write(&secret, format!("{text} ")).unwrap();
     let said = refused(&mut check(&out));
     assert!(said.contains("changed after it was sealed"), "{said}");
+}
+
+#[test]
+fn a_mixed_pack_tells_nobody_what_a_case_holds() {
+    let dir = tempfile::tempdir().unwrap();
+    let made = make(&["--share", "0.01"], dir.path());
+    // In the proportions of a full pack, one of each kind at least.
+    assert_eq!(made["cases"], 7);
+    let manifest = std::fs::read_to_string(dir.path().join("pack/manifest.json")).unwrap();
+    for word in ["singles", "controls", "out-of-library", "pairs", "triples", "confounded"] {
+        assert!(!manifest.contains(word), "{manifest}");
+    }
+    let manifest: serde_json::Value = serde_json::from_str(&manifest).unwrap();
+    let presses: Vec<u64> =
+        manifest["cases"].as_array().unwrap().iter().map(|c| c["presses"].as_u64().unwrap()).collect();
+    assert!(presses.iter().collect::<std::collections::BTreeSet<_>>().len() < presses.len(), "{presses:?}");
 }
