@@ -8,7 +8,7 @@
 //! - [`pca_qr`] takes the pivots of the principal components (Alg. 2);
 //! - [`GaussianField`] knows where elements are and nothing of what they read, by entropy or by mutual information (Alg. 3, 4);
 //! - [`by_bound`], ours, adds the element that reduces the expected error of a contact most: its Cramér–Rao bound, and how far off
-//!   the places are that read alike.
+//!   a press is foretold from the others.
 //!
 //! [`judge`] asks the same estimator of all of them: how far off it is on presses that nobody saw, and once elements fail.
 
@@ -44,7 +44,7 @@ pub enum Method {
     GpEntropy,
     /// Greedy on what the chosen say of the others.
     GpMi,
-    /// Greedy on the Cramér–Rao bound and the places that read alike.
+    /// Greedy on the Cramér–Rao bound and on what is left between the presses that are known.
     Crlb,
 }
 

@@ -25,6 +25,19 @@ fn flat(findings: &Findings, points: &[Point3<f64>]) -> (Vec<(f64, f64)>, [&'sta
     crate::theory::flat(&findings.surface, points)
 }
 
+/// \[m\] mean distance of points from the rim of the skin laid flat, which is taken for a rectangle.
+pub fn rim(findings: &Findings, points: &[Point3<f64>]) -> f64 {
+    let (all, _) = flat(findings, &findings.surface.points);
+    let (first, last) = all
+        .iter()
+        .fold(((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY)), |(low, high), p| {
+            ((low.0.min(p.0), low.1.min(p.1)), (high.0.max(p.0), high.1.max(p.1)))
+        });
+    let (flat, _) = flat(findings, points);
+    let away = flat.iter().map(|p| (p.0 - first.0).min(last.0 - p.0).min(p.1 - first.1).min(last.1 - p.1));
+    away.sum::<f64>() / points.len().max(1) as f64 * 1e-3
+}
+
 /// The whole page.
 pub fn html(findings: &Findings, text: &str) -> Result<String> {
     let mut body = format!("<pre>{}</pre>\n", escape(text));

@@ -51,7 +51,7 @@ pub fn text(findings: &Findings) -> String {
     for k in &shown {
         let _ = write!(out, "{k:>12}");
     }
-    let _ = writeln!(out, "     bound     search  outward");
+    let _ = writeln!(out, "     bound     search  outward  to rim");
     for choice in &findings.choices {
         let _ = write!(out, "  {:<22}", choice.method.name());
         for k in &shown {
@@ -61,7 +61,8 @@ pub fn text(findings: &Findings) -> String {
         }
         let last = choice.judgement.by_count.last();
         let bound = last.and_then(|c| c.bound).map_or("-".into(), mm);
-        let _ = writeln!(out, "{bound:>10} {:>10} {:>8.2}", seconds(choice.seconds), choice.outwardness);
+        let (time, rim) = (seconds(choice.seconds), mm(choice.rim));
+        let _ = writeln!(out, "{bound:>10} {time:>10} {:>8.2} {rim:>7}", choice.outwardness);
     }
     let failed: Vec<usize> = findings
         .choices
@@ -91,8 +92,13 @@ pub fn text(findings: &Findings) -> String {
             let _ = writeln!(out, "  {:<22}{}", "  not taught anew", of(false));
         }
     }
+    let all = mm(super::page::rim(findings, &findings.sites));
+    let _ = writeln!(
+        out,
+        "\nsearch: CPU time; to rim: mean distance [mm] from it, {all} of all that can be built"
+    );
     if let Some(times) = faster(&findings.choices) {
-        let _ = writeln!(out, "\ncrlb searches {times:.0} times as fast as greedy-svr");
+        let _ = writeln!(out, "crlb searches {times:.0} times as fast as greedy-svr");
     }
     if findings.interrupted {
         let _ = writeln!(out, "\ninterrupted: what was not through is left out");

@@ -1,9 +1,15 @@
-//! Placement by what elements tell of contacts: the Cramér–Rao bound of place and force, and which places read alike.
+//! Placement by what elements tell of contacts: the Cramér–Rao bound of place and force, and what is left between the presses that
+//! an estimator has learnt.
 //!
 //! The bound is local and takes the model for known: it is blind to distant places that read alike, and to how an estimator
-//! fills in between the presses that it has learnt. Both show in one further number a press: how far off the mean of all other
-//! places is, weighted by how alike they read. The expected error of a press is the root of the sum of both squares.
+//! fills in between the presses that it has learnt. Both show when every press is foretold from all the others: the mean of a
+//! Gaussian process from readings to places, whose errors on what is left out have a closed form (C. E. Rasmussen,
+//! C. K. I. Williams, *Gaussian Processes for Machine Learning*, 2006, 5.4.2). The expected error of a press is the root of the
+//! sum of both squares. It takes the inverse of a matrix for every set of elements that is tried, so that all candidates are
+//! compared first by something cheaper: how far off the mean of all other places is, weighted by how alike they read.
 
+use faer::linalg::solvers::DenseSolveCore;
+use faer::{Mat, Side};
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
@@ -14,22 +20,28 @@ use super::{Field, Sets, Watch};
 pub struct BoundSettings {
     /// Whether places that read alike count, beside the bound.
     pub alike: bool,
-    /// Share of a channel's spread within which readings count as alike, beside its noise.
+    /// Share of a channel's spread within which readings count as alike, beside its noise, in the first comparison.
     pub share: f64,
-    /// Places that all candidates are compared on. Those that do best there are compared on all places.
+    /// Places that all candidates are compared on.
     pub coarse: usize,
-    /// How many do best: one in so many.
+    /// Those that do best there are compared by what a Gaussian process foretells: one in so many.
     pub one_in: usize,
-    /// Rounds in which each element may be exchanged for a better one, for every budget. This fits the places at hand better,
-    /// and others no better: 0 is as good.
-    pub rounds: usize,
+    /// Places that it is compared on.
+    pub fine: usize,
+    /// γ of its kernel exp(−γd/k), d the squared distance of the standardised readings of k elements.
+    pub gamma: f64,
+    /// Variance on top of the process, whose own is 1.
+    pub ridge: f64,
 }
 
 impl Default for BoundSettings {
     fn default() -> Self {
-        Self { alike: true, share: 0.15, coarse: 250, one_in: 6, rounds: 0 }
+        Self { alike: true, share: 0.15, coarse: 250, one_in: 12, fine: 450, gamma: 3.0, ridge: 1e-2 }
     }
 }
+
+/// Fewest candidates that are compared by what a process foretells.
+const FEWEST: usize = 10;
 
 /// What is known of every press before any element, and what elements add.
 struct Problem {
@@ -38,17 +50,29 @@ struct Problem {
     forces: usize,
     /// Candidate by candidate: derivatives by both directions and by the force, in units of the noise.
     slopes: Vec<[Vec<f32>; 3]>,
-    /// Candidate by candidate: readings in units of what counts as alike.
+    /// Candidate by candidate: readings in units of what counts as alike, or standardised for a process.
     readings: Vec<Vec<f32>>,
     /// \[m\] coordinates of the presses from their middle.
     places: [Vec<f32>; 3],
     /// Covariance of directions and force before anything is read.
     prior: Matrix3<f64>,
-    alike: bool,
+    beside: Beside,
+}
+
+/// What counts beside the bound.
+#[derive(Clone, Copy)]
+enum Beside {
+    Nothing,
+    /// How far off the mean of the other places is that read alike.
+    Alike,
+    /// What a process leaves of each press that it is foretold from the others.
+    Process {
+        gamma: f32,
+        ridge: f32,
+    },
 }
 
 /// What a set of elements leaves open.
-#[derive(Clone)]
 struct State {
     elements: usize,
     /// Covariance of every press: xx, xy, yy, xf, yf, ff.
@@ -58,7 +82,23 @@ struct State {
 }
 
 impl Problem {
-    fn new(field: &Field, settings: &BoundSettings) -> Self {
+    /// To compare all candidates, in a moment.
+    fn coarse(field: &Field, settings: &BoundSettings) -> Self {
+        let spreads = field.spreads();
+        let unit = |j: usize| field.noise[j].hypot(settings.share * spreads[j].1);
+        Self::new(field, if settings.alike { Beside::Alike } else { Beside::Nothing }, &unit)
+    }
+
+    /// To choose by.
+    fn fine(field: &Field, settings: &BoundSettings) -> Self {
+        let spreads = field.spreads();
+        // What hardly varies more than its noise tells little apart.
+        let unit = |j: usize| field.noise[j].hypot(spreads[j].1);
+        let process = Beside::Process { gamma: settings.gamma as f32, ridge: settings.ridge as f32 };
+        Self::new(field, if settings.alike { process } else { Beside::Nothing }, &unit)
+    }
+
+    fn new(field: &Field, beside: Beside, unit: &dyn Fn(usize) -> f64) -> Self {
         let presses = field.presses();
         let column = |matrix: &nalgebra::DMatrix<f64>, j: usize, unit: f64| -> Vec<f32> {
             matrix.column(j).iter().map(|v| (v / unit) as f32).collect()
@@ -66,8 +106,6 @@ impl Problem {
         let candidates = field.candidates();
         let slopes =
             (0..candidates).map(|j| [0, 1, 2].map(|k| column(&field.slopes[k], j, field.noise[j]))).collect();
-        let spreads = field.spreads();
-        let unit = |j: usize| field.noise[j].hypot(settings.share * spreads[j].1);
         let readings = (0..candidates).map(|j| column(&field.readings, j, unit(j))).collect();
         let sum: nalgebra::Vector3<f64> = field.places.iter().map(|p| p.point.coords).sum();
         let middle = sum / field.places.len().max(1) as f64;
@@ -81,32 +119,18 @@ impl Problem {
         // Any force of the range; known where there is but one.
         let force = (high - low).max(0.0).powi(2) / 12.0;
         let prior = Matrix3::from_diagonal(&nalgebra::Vector3::new(place, place, force));
-        Self {
-            presses,
-            forces: field.forces.len().max(1),
-            slopes,
-            readings,
-            places,
-            prior,
-            alike: settings.alike,
-        }
+        Self { presses, forces: field.forces.len().max(1), slopes, readings, places, prior, beside }
     }
 
     fn start(&self) -> State {
         let p = &self.prior;
         let each = [p[(0, 0)], 0.0, p[(1, 1)], 0.0, 0.0, p[(2, 2)]];
-        let pairs = if self.alike { self.presses * self.presses } else { 0 };
+        let pairs = if matches!(self.beside, Beside::Nothing) { 0 } else { self.presses * self.presses };
         State {
             elements: 0,
             covariance: each.map(|v| vec![v as f32; self.presses]),
             unlike: vec![0.0; pairs],
         }
-    }
-
-    fn of(&self, elements: &[usize]) -> State {
-        let mut state = self.start();
-        elements.iter().for_each(|e| self.add(&mut state, *e));
-        state
     }
 
     /// P g, and 1 + gᵀPg, of press `m`.
@@ -133,7 +157,7 @@ impl Problem {
             yf[m] -= y * f / s;
             ff[m] -= f * f / s;
         }
-        if self.alike {
+        if !state.unlike.is_empty() {
             let read = &self.readings[element];
             for (row, own) in state.unlike.chunks_exact_mut(self.presses).zip(read) {
                 row.iter_mut().zip(read).for_each(|(d, r)| *d += (own - r) * (own - r));
@@ -146,14 +170,57 @@ impl Problem {
     /// single bad places do not decide.
     fn score(&self, state: &State, element: usize) -> f64 {
         let [xx, _, yy, ..] = &state.covariance;
+        let left = match self.beside {
+            Beside::Process { gamma, ridge } => self.left_out(state, element, gamma, ridge),
+            _ => Vec::new(),
+        };
         let mut sum = 0.0;
         for m in 0..self.presses {
             let ([x, y, _], s) = self.gain(state, element, m);
             let local = (xx[m] + yy[m] - (x * x + y * y) / s).max(0.0);
-            let mistaken = if self.alike { self.mistaken(state, element, m) } else { 0.0 };
-            sum += f64::from(local + mistaken).sqrt();
+            let more = match self.beside {
+                Beside::Nothing => 0.0,
+                Beside::Alike => self.mistaken(state, element, m),
+                Beside::Process { .. } => left[m],
+            };
+            sum += f64::from(local + more).sqrt();
         }
         sum / self.presses.max(1) as f64
+    }
+
+    /// \[m²\] how far off every press is foretold from the others by the mean of a process: with K the covariance of the readings
+    /// and b the presses at one place, K⁻¹[b, b]⁻¹ (K⁻¹ Y)[b], Y the places from their middle.
+    fn left_out(&self, state: &State, element: usize, gamma: f32, ridge: f32) -> Vec<f32> {
+        let n = self.presses;
+        let read = &self.readings[element];
+        let by = -gamma / (state.elements + 1) as f32;
+        let covariance = Mat::from_fn(n, n, |i, j| {
+            let step = read[i] - read[j];
+            let ridge = if i == j { ridge } else { 0.0 };
+            // The lower half is looked at.
+            if i < j { 0.0 } else { (by * (state.unlike[i * n + j] + step * step)).exp() + ridge }
+        });
+        // The ridge keeps it positive definite; were it not, this element would tell nothing.
+        let Ok(factor) = covariance.llt(Side::Lower) else {
+            return (0..n).map(|m| self.places.iter().map(|p| p[m] * p[m]).sum()).collect();
+        };
+        let inverse = factor.inverse();
+        let mut out = vec![0.0f32; n];
+        let count = self.forces;
+        for begin in (0..n).step_by(count) {
+            let block = nalgebra::DMatrix::from_fn(count, count, |i, j| inverse[(begin + i, begin + j)]);
+            let Some(block) = block.try_inverse() else { continue };
+            for places in &self.places {
+                let weights = nalgebra::DVector::from_fn(count, |i, _| {
+                    let column = inverse.col(begin + i);
+                    column.iter().zip(places).map(|(a, b)| a * b).sum::<f32>()
+                });
+                for (out, error) in out[begin..].iter_mut().zip((&block * weights).iter()) {
+                    *out += error * error;
+                }
+            }
+        }
+        out
     }
 
     /// \[m²\] how far off the mean of all other places is that read like press `m`. The weights (1 + d²/k)⁻² of readings of
@@ -188,11 +255,12 @@ impl Problem {
             0.0
         }
     }
+}
 
-    /// The candidate of the least score among `open`.
-    fn best(&self, state: &State, open: &[usize]) -> Option<(f64, usize)> {
-        open.iter().map(|c| (self.score(state, *c), *c)).min_by(|a, b| a.0.total_cmp(&b.0))
-    }
+/// As many of the places, evenly.
+fn thinned(field: &Field, most: usize) -> Field {
+    let (all, most) = (field.places.len(), most.clamp(1, field.places.len().max(1)));
+    field.at(&(0..most).map(|n| n * all / most).collect::<Vec<_>>())
 }
 
 /// Elements of `among` that make the expected error of contacts least, one after the other, for every budget. `None` where
@@ -205,62 +273,49 @@ pub fn by_bound(
     settings: &BoundSettings,
     watch: Watch<'_>,
 ) -> Option<Sets> {
-    let fine = Problem::new(field, settings);
-    let every = field.places.len().div_ceil(settings.coarse.max(1)).max(1);
-    let coarse = (every > 1).then(|| {
-        let few: Vec<usize> = (0..field.places.len()).step_by(every).collect();
-        Problem::new(&field.at(&few), settings)
-    });
+    let coarse = Problem::coarse(&thinned(field, settings.coarse), settings);
+    let fine = Problem::fine(&thinned(field, settings.fine), settings);
+    let (mut roughly, mut closely) = (coarse.start(), fine.start());
     let budget = budget.min(among.len());
     let mut order: Vec<usize> = Vec::new();
-    let mut sets = Vec::new();
-    for k in 1..=budget {
-        let mut open: Vec<usize> = among.iter().copied().filter(|c| !order.contains(c)).collect();
-        if let Some(coarse) = &coarse {
-            let state = coarse.of(&order);
-            let mut scored = Vec::with_capacity(open.len());
-            for (n, candidate) in open.iter().enumerate() {
-                if !watch((k as f64 - 1.0 + 0.5 * n as f64 / open.len() as f64) / budget as f64) {
-                    return None;
-                }
-                scored.push((coarse.score(&state, *candidate), *candidate));
+    for k in 0..budget {
+        let open: Vec<usize> = among.iter().copied().filter(|c| !order.contains(c)).collect();
+        let best = (open.len() / settings.one_in.max(1)).max(FEWEST).min(open.len());
+        let steps = (open.len() + best) as f64;
+        let at = |done: usize| watch((k as f64 + done as f64 / steps) / budget as f64);
+        let mut scored = Vec::with_capacity(open.len());
+        for (n, candidate) in open.iter().enumerate() {
+            if !at(n) {
+                return None;
             }
-            scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-            scored.truncate((open.len() / settings.one_in.max(1)).max(10));
-            open = scored.into_iter().map(|(_, c)| c).collect();
+            scored.push((coarse.score(&roughly, *candidate), *candidate));
         }
-        if !watch((k as f64 - 0.5) / budget as f64) {
-            return None;
-        }
-        let (mut reached, first) = fine.best(&fine.of(&order), &open)?;
-        order.push(first);
-        for _ in 0..if k > 1 { settings.rounds } else { 0 } {
-            let mut better = false;
-            for at in 0..order.len() {
-                let mut rest = order.clone();
-                rest.remove(at);
-                let open: Vec<usize> = among.iter().copied().filter(|c| !order.contains(c)).collect();
-                if let Some((score, candidate)) = fine.best(&fine.of(&rest), &open)
-                    && score < reached * (1.0 - 1e-6)
-                {
-                    (reached, order[at], better) = (score, candidate, true);
-                }
+        scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+        scored.truncate(best);
+        for (n, (score, candidate)) in scored.iter_mut().enumerate() {
+            if !at(open.len() + n) {
+                return None;
             }
-            if !better {
-                break;
-            }
+            *score = fine.score(&closely, *candidate);
         }
-        sets.push(order.clone());
+        let (_, next) = scored.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+        coarse.add(&mut roughly, next);
+        fine.add(&mut closely, next);
+        order.push(next);
     }
-    Some(Sets(sets))
+    Some(Sets::nested(&order))
 }
 
 /// \[m\] what [`by_bound`] makes least, of any elements; the spread of the places where there are none.
 #[must_use]
 pub fn expected_error(field: &Field, elements: &[usize], settings: &BoundSettings) -> f64 {
-    let problem = Problem::new(field, settings);
+    let problem = Problem::fine(field, settings);
     match elements.split_last() {
-        Some((last, before)) => problem.score(&problem.of(before), *last),
+        Some((last, before)) => {
+            let mut state = problem.start();
+            before.iter().for_each(|e| problem.add(&mut state, *e));
+            problem.score(&state, *last)
+        }
         None => (problem.prior[(0, 0)] * 2.0).sqrt(),
     }
 }
@@ -301,7 +356,7 @@ mod tests {
     #[test]
     fn it_stays_near_an_exhaustive_search() {
         let field = plate(5, 3);
-        let settings = BoundSettings { rounds: 3, ..BoundSettings::default() };
+        let settings = BoundSettings::default();
         let found = by_bound(&field, &(0..15).collect::<Vec<_>>(), 3, &settings, &|_| true).unwrap();
         let pairs = (0..15).flat_map(|a| (a + 1..15).map(move |b| [a, b]));
         let least = pairs.map(|p| expected_error(&field, &p, &settings)).fold(f64::INFINITY, f64::min);
