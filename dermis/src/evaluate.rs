@@ -1,5 +1,7 @@
 //! Measuring model bundles on labelled bags, with the node's own estimator.
 
+mod beside;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -46,6 +48,10 @@ pub struct Options {
     /// A figure that must be reached, in SI units, e.g. `position_rms<=0.0005`; may be repeated.
     #[arg(long)]
     require: Vec<Requirement>,
+    /// Labelled bag with single contacts that support vectors, nearest neighbours and a feed-forward network learn from, to be
+    /// measured beside the model on frames of one contact, by force; may be repeated.
+    #[arg(long)]
+    beside: Vec<PathBuf>,
     /// One JSON object.
     #[arg(long)]
     json: bool,
@@ -81,6 +87,11 @@ pub fn run(options: &Options) -> Result<()> {
     let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
     let evaluation = evaluate_by(estimator.as_mut(), &data, test.as_deref(), &options.bins, name)?;
     let bound = bound(family, &skin, &data, test.as_deref(), &evaluation, &options.bins)?;
+    let others = if options.beside.is_empty() {
+        Vec::new()
+    } else {
+        beside::beside(&skin, &options.beside, &options.labels, &data, test.as_deref(), &options.bins)?
+    };
     let verdicts = Verdicts::of(&options.require, &evaluation);
     if options.json {
         let mut value = evaluation.to_json();
@@ -88,12 +99,18 @@ pub fn run(options: &Options) -> Result<()> {
             object.insert("figures".to_owned(), json!(evaluation.figures()));
             object.insert("requirements".to_owned(), json!(verdicts));
             object.insert("bound".to_owned(), json!(bound));
+            if !others.is_empty() {
+                object.insert("beside".to_owned(), json!(others));
+            }
         }
         println!("{value}");
     } else {
         print!("{evaluation}");
         if let Some(bound) = &bound {
             print!("{bound}");
+        }
+        if !others.is_empty() {
+            println!("{}", beside::table(&evaluation, &others, bound.as_ref()));
         }
         print!("{verdicts}");
     }

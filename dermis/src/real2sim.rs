@@ -1,9 +1,9 @@
 //! `dermis real2sim`: several contacts from few readings by way of a simulation, and who else could find them.
 
 mod compare;
-mod estimators;
+pub mod estimators;
 mod table;
-mod train;
+pub mod train;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

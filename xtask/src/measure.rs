@@ -1,5 +1,6 @@
 //! Measurements behind `targets.toml`; each prints one line of JSON at the end.
 
+use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
@@ -29,8 +30,11 @@ pub enum Measurement {
     /// measured on its real ones (Table 5.2).
     Realism,
     /// Single contacts on the limb with strain gauges by the bundle that ships: as designed, with one dead gauge that nobody
-    /// told the node of, and on a device with the default effects.
+    /// told the node of, and on a device with the default effects; as designed beside support vectors, nearest neighbours and a
+    /// network that learn from the same presses.
     Limb,
+    /// One and two contacts on a limb with the default effects: all ways, learned from recorded single contacts.
+    Real2sim,
 }
 
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
@@ -40,6 +44,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Accuracy => accuracy(root)?,
         Measurement::Realism => realism(root)?,
         Measurement::Limb => limb(root)?,
+        Measurement::Real2sim => real2sim(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
     };
     println!("{value}");
@@ -153,50 +158,141 @@ fn accuracy(root: &Path) -> Result<Value> {
     Ok(Value::Object(all))
 }
 
-/// Evaluates the limb's bundle on freshly collected bags, in the bins of force of the thesis' Table 2.2.
+/// What measures the limb: only the program itself.
+const PROGRAM: [&str; 4] = ["build", "--release", "--package", "dermis"];
+/// The limb's skin, and a file of its effects as a command takes it.
+const LIMB: &str = "launch/skins/hapdef-shin.toml";
+const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
+
+/// A bag of the limb under a plan, made anew only where the skin, the plan or what makes the device differ have changed since.
+fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) -> Result<PathBuf> {
+    let plan = root.join(format!("launch/plans/hapdef-shin-{plan}.toml"));
+    let mut hasher = std::hash::DefaultHasher::new();
+    for file in [&root.join(LIMB), &plan, &root.join(LIMB_EFFECTS)] {
+        std::fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?.hash(&mut hasher);
+    }
+    device.hash(&mut hasher);
+    let folder = root.join(".dermis/measure/bags");
+    std::fs::create_dir_all(&folder)?;
+    let bag = folder.join(format!("limb-{:016x}", hasher.finish()));
+    // Metadata are written last.
+    if !bag.join("metadata.yaml").exists() {
+        if bag.exists() {
+            std::fs::remove_dir_all(&bag)?;
+        }
+        let mut collect = Command::new(dermis);
+        collect.arg("collect").arg(LIMB).arg("--plan").arg(&plan).args(device).arg("--out").arg(&bag);
+        execute(collect.current_dir(root))?;
+    }
+    Ok(bag)
+}
+
+/// Evaluates the limb's bundle in the bins of force of the thesis' Table 2.2.
 fn limb(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
+    execute(cargo(root).args(PROGRAM))?;
     let dermis = target_dir(root).join("release/dermis");
-    let dir = scratch(root, "limb")?;
-    let skin = root.join("launch/skins/hapdef-shin.toml");
-    let defaults = root.join("launch/effects/hapdef-default.toml");
-    let defaults = defaults.display().to_string();
     let devices: [(&str, &[&str]); 3] = [
         ("designed", &[]),
         ("one dead gauge", &["--effect", "dead-gauge=1", "--seed", "3"]),
-        ("default effects", &["--effects", &defaults, "--seed", "7"]),
+        ("default effects", &["--effects", LIMB_EFFECTS, "--seed", "7"]),
     ];
     let mut all = serde_json::Map::new();
     for (name, device) in devices {
-        let bag = dir.join(name.replace(' ', "-"));
-        let mut collect = Command::new(&dermis);
-        collect
-            .arg("collect")
-            .arg(&skin)
-            .arg("--plan")
-            .arg(root.join("launch/plans/hapdef-shin-evaluate.toml"));
-        execute(collect.args(device).arg("--out").arg(&bag))?;
+        let bag = limb_bag(root, &dermis, "evaluate", device)?;
         let mut evaluate = Command::new(&dermis);
-        evaluate.arg("evaluate").arg("--skin").arg(&skin).arg("--model").arg(root.join("models/hapdef-shin"));
+        evaluate.arg("evaluate").args(["--skin", LIMB, "--model", "models/hapdef-shin"]).current_dir(root);
+        if device.is_empty() {
+            evaluate.arg("--beside").arg(limb_bag(root, &dermis, "train", device)?);
+        }
         let found =
             evaluation(evaluate.args(["--bins", "0.5,4.9,9.8,19.6,34.3", "--in-range", "--json"]).arg(bag))?;
         let mm = |key: &str| found["figures"][key].as_f64().map(|v| v * 1e3);
+        let beside: serde_json::Map<String, Value> = found["beside"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .filter_map(|other| {
+                let by = &other["evaluation"]["by_force"];
+                let row = json!({
+                    "settings": other["settings"], "position": by["position"], "force": by["force.normal"],
+                });
+                Some((other["method"].as_str()?.to_owned(), row))
+            })
+            .collect();
         all.insert(
             name.to_owned(),
             json!({
                 "position_mean_mm": mm("position_mean"),
                 "position_median_mm": mm("position_median"),
                 "force_mean_n": found["figures"]["force_normal_mean"],
+                "missed": found["missed"],
                 "position": found["by_force"]["position"],
                 "force": found["by_force"]["force.normal"],
                 "bound": found["bound"],
+                "beside": beside,
             }),
         );
     }
     let mean = |device: &str| all[device]["position_mean_mm"].as_f64();
     let cost = mean("one dead gauge").zip(mean("designed")).map(|(dead, whole)| dead - whole);
     all.insert("dead_gauge_costs_mm".to_owned(), json!(cost));
+    // The least of how many times further off the best other way is, over the bins.
+    let errors = |row: &Value| -> Vec<f64> {
+        row["position"].as_array().into_iter().flatten().take(4).filter_map(|b| b["mean"].as_f64()).collect()
+    };
+    let ours = errors(&all["designed"]);
+    let margin = all["designed"]["beside"].as_object().into_iter().flatten().flat_map(|(_, row)| {
+        errors(row).into_iter().zip(&ours).map(|(other, own)| other / own).collect::<Vec<_>>()
+    });
+    let margin = margin.fold(f64::INFINITY, f64::min);
+    all.insert("margin".to_owned(), json!(margin));
     Ok(Value::Object(all))
+}
+
+/// Learns from single contacts of one device with the default effects, and compares all ways on its doubles.
+fn real2sim(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(PROGRAM))?;
+    let dermis = target_dir(root).join("release/dermis");
+    let dir = scratch(root, "real2sim")?;
+    let device = ["--effects", LIMB_EFFECTS, "--seed", "7"];
+    let (train, doubles) =
+        (limb_bag(root, &dermis, "train", &device)?, limb_bag(root, &dermis, "doubles", &device)?);
+    let bundle = dir.join("hapdef-shin-real2sim");
+    let mut learn = Command::new(&dermis);
+    learn.args(["real2sim", "train", "--skin", LIMB, "--settings", "launch/real2sim/hapdef-shin.toml"]);
+    execute(learn.arg("--out").arg(&bundle).arg(&train).current_dir(root))?;
+    let mut compare = Command::new(&dermis);
+    compare.args(["real2sim", "compare", "--skin", LIMB, "--model"]).arg(&bundle).arg("--train").arg(&train);
+    compare.args(["--most", "250", "--learn", "12000", "--vectors", "1500", "--json"]);
+    let found = evaluation(compare.arg(&doubles).current_dir(root))?;
+    let rows = |method: &str| -> Value {
+        let of = found["rows"].as_array().into_iter().flatten().filter(|row| row["method"] == method);
+        let (mut frames, mut place, mut force) = (0.0, 0.0, 0.0);
+        let mut all = serde_json::Map::new();
+        for row in of {
+            if let Some(kind) = row["kind"].as_str() {
+                let number = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+                if kind != "single" {
+                    frames += number("frames");
+                    place += number("frames") * number("position_mean");
+                    force += number("frames") * number("force_mean");
+                }
+                all.insert(
+                    kind.to_owned(),
+                    json!({ "position_mean_mm": number("position_mean") * 1e3, "force_mean_n": number("force_mean"),
+                            "count_right": row["count_right"], "frames": row["frames"] }),
+                );
+            }
+        }
+        let double = json!({ "position_mean_mm": place / frames * 1e3, "force_mean_n": force / frames });
+        all.insert("double".to_owned(), double);
+        Value::Object(all)
+    };
+    Ok(json!({
+        "corrected": rows("corrected model, all pairs"),
+        "hapdefx": rows("hapdef-shin-real2sim: peaks"),
+        "asks": found["asks"],
+    }))
 }
 
 /// Table 5.2 of the thesis: RMS errors [mm] of its networks on real sensors, in the bins of [`BINS`].

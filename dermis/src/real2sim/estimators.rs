@@ -151,9 +151,17 @@ impl Method for Sparse {
 
 /// Regression of x, y, z \[m\] and the pressing force \[N\] of one contact.
 enum Regression {
-    Vectors { place: Box<Svr>, force: Box<Svr> },
+    Vectors {
+        place: Box<Svr>,
+        force: Box<Svr>,
+    },
+    /// One for each of x, y, z and the force.
+    Tuned(Box<[Svr; 4]>),
     Neighbours(Neighbours),
-    Network { net: Mlp, scales: [f32; 2] },
+    Network {
+        net: Mlp,
+        scales: [f32; 2],
+    },
 }
 
 /// One contact by regression from readings.
@@ -166,6 +174,14 @@ pub struct Direct {
 
 /// Neighbours of the thesis.
 const NEIGHBOURS: usize = 6;
+/// Presses that settings are tried with at most, to learn from and to ask.
+const TRIED: usize = 800;
+
+/// γ, C and ε of support vectors that are tried.
+fn grid() -> impl Iterator<Item = (f64, f64, f64)> {
+    let gammas = [0.3, 1.0, 3.0, 10.0].into_iter();
+    gammas.flat_map(|g| [3.0, 30.0, 300.0].map(|c| (g, c))).flat_map(|(g, c)| [1e-3, 1e-2].map(|e| (g, c, e)))
+}
 
 impl Direct {
     fn new(regression: Regression, skin: &SkinDescription) -> Self {
@@ -197,6 +213,80 @@ impl Direct {
         let force = Svr::fit(inputs, Rows::new(&forces, 1, "forces")?, &SvrSettings::default())?;
         let (place, force) = (Box::new(place), Box::new(force));
         Ok(Self::new(Regression::Vectors { place, force }, skin))
+    }
+
+    /// Support vectors, x, y, z and the force each with the settings of the least error on `choose`, which are returned, too. Of
+    /// more than `most` presses every n-th is learned from, and fewer while settings are tried.
+    pub fn tuned_vectors(
+        skin: &SkinDescription,
+        learn: &[Recorded],
+        choose: &[Recorded],
+        most: usize,
+    ) -> Result<(Self, [SvrSettings; 4])> {
+        let few = |of: &[Recorded], most: usize| -> Vec<Recorded> {
+            of.iter().step_by(of.len().div_ceil(most.max(1)).max(1)).cloned().collect()
+        };
+        let width = skin.channels().len();
+        let tables = |of: &[Recorded]| {
+            let (inputs, targets) = Self::tables(skin, of);
+            let columns = [0, 1, 2, 3].map(|k| targets.chunks_exact(4).map(|t| t[k]).collect::<Vec<f64>>());
+            (inputs, columns)
+        };
+        let (some, some_columns) = tables(&few(learn, TRIED));
+        let (asked, answers) = tables(&few(choose, TRIED));
+        let (all, all_columns) = tables(&few(learn, most));
+        let tune = |k: usize| -> Result<(Svr, SvrSettings)> {
+            let mut best: Option<(f64, SvrSettings)> = None;
+            for (gamma, c, epsilon) in grid() {
+                let settings = SvrSettings { gamma, c, epsilon, ..SvrSettings::default() };
+                let targets = Rows::new(&some_columns[k], 1, "targets")?;
+                let svr = Svr::fit(Rows::new(&some, width, "readings")?, targets, &settings)?;
+                let mut error = 0.0;
+                for (row, answer) in asked.chunks_exact(width).zip(&answers[k]) {
+                    error += svr.predict(row)?.first().map_or(f64::INFINITY, |v| (v - answer).abs());
+                }
+                if best.is_none_or(|(least, _)| error < least) {
+                    best = Some((error, settings));
+                }
+            }
+            let settings = best.map_or_else(SvrSettings::default, |(_, s)| s);
+            let targets = Rows::new(&all_columns[k], 1, "targets")?;
+            Ok((Svr::fit(Rows::new(&all, width, "readings")?, targets, &settings)?, settings))
+        };
+        let [x, y, z, force] = [tune(0)?, tune(1)?, tune(2)?, tune(3)?];
+        let settings = [x.1, y.1, z.1, force.1];
+        Ok((Self::new(Regression::Tuned(Box::new([x.0, y.0, z.0, force.0])), skin), settings))
+    }
+
+    /// Nearest neighbours, as many as locate best on `choose`; their number, too.
+    pub fn tuned_neighbours(
+        skin: &SkinDescription,
+        learn: &[Recorded],
+        choose: &[Recorded],
+    ) -> Result<(Self, usize)> {
+        let ((inputs, targets), (asked, answers)) = (Self::tables(skin, learn), Self::tables(skin, choose));
+        let width = skin.channels().len();
+        let fit = |count: usize| {
+            Neighbours::fit(
+                Rows::new(&inputs, width, "readings")?,
+                Rows::new(&targets, 4, "contacts")?,
+                count,
+            )
+        };
+        let every = choose.len().div_ceil(TRIED).max(1);
+        let mut best = (f64::INFINITY, NEIGHBOURS);
+        for count in [1, 2, 3, 4, 6, 9, 13, 19] {
+            let neighbours = fit(count)?;
+            let mut error = 0.0;
+            for (row, answer) in asked.chunks_exact(width).zip(answers.chunks_exact(4)).step_by(every) {
+                let found = neighbours.predict(row)?;
+                error += found.iter().zip(&answer[..3]).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+            }
+            if error < best.0 {
+                best = (error, count);
+            }
+        }
+        Ok((Self::new(Regression::Neighbours(fit(best.1)?), skin), best.1))
     }
 
     /// Nearest neighbours.
@@ -252,6 +342,13 @@ impl Method for Direct {
             Regression::Vectors { place, force } => {
                 let mut answer = place.predict(&row)?;
                 answer.extend(force.predict(&row)?);
+                answer
+            }
+            Regression::Tuned(each) => {
+                let mut answer = Vec::with_capacity(4);
+                for svr in each.iter() {
+                    answer.extend(svr.predict(&row)?);
+                }
                 answer
             }
             Regression::Neighbours(neighbours) => neighbours.predict(&row)?,

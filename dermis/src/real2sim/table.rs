@@ -45,6 +45,7 @@ pub fn run(options: &Options) -> Result<()> {
     let record = json!({
         "skin": skin.name, "skin_hash": skin.hash(), "scenes": settings.scenes, "table": found,
         "messages": { "linear_extrapolates_best_from_single_contacts": line, "network_best_where_learned": network },
+        "margins": { "linear": found.margins()[0], "network": found.margins()[1] },
         "seconds": started.elapsed().as_secs_f64(),
     });
     let text = text(&skin.name, &found);
