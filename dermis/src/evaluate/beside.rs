@@ -137,3 +137,52 @@ pub fn table(own: &Evaluation, others: &[Beside], bound: Option<&Bounds>) -> Str
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use dermis_learn::{Truth, TruthContact};
+    use dermis_skin::{Contact, ForceComponents};
+    use nalgebra::{Point3, Vector3};
+
+    use super::*;
+
+    /// One press of 2 N and one of 7 N, found so far off.
+    fn evaluation(metres: f64, newtons: f64) -> Evaluation {
+        let mut evaluator = Evaluator::new().by_force(&[0.5, 4.9, 9.8]);
+        for (location, force) in [(0, 2.0), (1, 7.0)] {
+            let at = Point3::new(0.0, 0.0, 0.0);
+            let truth = Truth {
+                location,
+                press: u64::from(location),
+                idle: false,
+                contacts: vec![TruthContact {
+                    position: at,
+                    normal: Vector3::z(),
+                    force: Vector3::new(0.0, 0.0, -force),
+                    components: ForceComponents::Full,
+                    diameter: 0.01,
+                }],
+            };
+            let mut contact = Contact::at(at + Vector3::x() * metres * force, Vector3::z());
+            contact.force = Vector3::new(0.0, 0.0, -force - newtons);
+            contact.force_components = ForceComponents::Normal;
+            evaluator.push(0, &truth, &Estimate { contacts: vec![contact], ..Estimate::default() });
+        }
+        evaluator.finish("made up")
+    }
+
+    #[test]
+    fn people_read_every_way_by_force() {
+        let others =
+            [Beside { method: "support vectors", settings: Value::Null, evaluation: evaluation(0.001, 0.5) }];
+        insta::assert_snapshot!(table(&evaluation(0.0002, 0.1), &others, None), @r#"
+position error [mm]            0.5–4.9 N         4.9–9.8 N
+support vectors               2.00 ±0.00        7.00 ±0.00
+the model                     0.40 ±0.00        1.40 ±0.00
+
+force error [N]                0.5–4.9 N         4.9–9.8 N
+support vectors               0.50 ±0.00        0.50 ±0.00
+the model                     0.10 ±0.00        0.10 ±0.00
+"#);
+    }
+}

@@ -140,3 +140,115 @@ pub fn taxels(choice: &Choice, skin: &str) -> String {
     }
     out + "]\n"
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use std::path::Path;
+
+    use dermis_regress::SvrSettings;
+    use dermis_skin::SkinDescription;
+    use dermis_theory::placement::{ByCount, ByFailures, Judgement, Reduction, Sets, Verdict};
+
+    use super::super::Counts;
+    use super::*;
+
+    /// Two methods on the grid of barometers, with made-up figures.
+    pub(crate) fn findings() -> Findings {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch/skins/baro-grid.toml");
+        let skin = SkinDescription::load(path).unwrap();
+        let surface = skin.surface();
+        let sites: Vec<_> = skin.taxels.iter().map(|t| surface.project(&t.point()).0).collect();
+        let count = |elements: usize, mean: f64, bound| ByCount {
+            elements,
+            errors: vec![mean],
+            mean,
+            interval: 0.1 * mean,
+            bound,
+            estimator: SvrSettings::default(),
+        };
+        let failures = |failed: usize, mean: f64| ByFailures {
+            failed,
+            errors: vec![mean],
+            mean,
+            interval: 0.1 * mean,
+            untaught: 3.0 * mean,
+        };
+        let choice = |method, seconds, order: &[usize], unit: f64| Choice {
+            method,
+            seconds,
+            clock: seconds,
+            threads: 1,
+            sets: Sets::nested(order),
+            elements: order.iter().map(|i| skin.taxels[*i].clone()).collect(),
+            outwardness: unit,
+            rim: 0.004 * unit,
+            judgement: Judgement {
+                by_count: vec![count(1, 0.02 * unit, None), count(2, 0.004 * unit, Some(0.0003 * unit))],
+                by_failures: vec![failures(0, 0.004 * unit), failures(1, 0.02 * unit)],
+            },
+        };
+        let mut choices =
+            vec![choice(Method::GreedySvr, 74.2, &[12, 3], 1.0), choice(Method::Crlb, 0.251, &[12, 20], 0.9)];
+        choices[1].elements[1].axis = Some([1.0, 0.0, -0.0]);
+        Findings {
+            feet: sites.iter().map(|p| (*p, Verdict::Feasible)).chain([(sites[0], Verdict::Edge)]).collect(),
+            sites,
+            counts: Counts { all: 26, edge: 1, held: 0, feasible: 25, reduced: 3 },
+            reduction: Reduction { chosen: vec![3, 12, 20], unexplained: vec![(1, 0.4), (3, 0.008)] },
+            forces: vec![0.42],
+            places: [900, 300],
+            choices,
+            interrupted: true,
+            skin,
+            surface,
+        }
+    }
+
+    #[test]
+    fn people_read_errors_failures_and_times() {
+        insta::assert_snapshot!(text(&findings()), @r#"
+baro-grid: 26 candidates, 1 at edges, 0 close to supports, 25 can be built, of which 3 tell the others
+pressed with 0.42 N at 1200 places; judged at 300 of them, by support vector regression that learns the other 900
+
+  error [mm] with                  1           2     bound     search  outward  to rim
+  greedy-svr              20.00 ±2.0   4.00 ±0.4      0.30       74 s     1.00    4.00
+  crlb                    18.00 ±1.8   3.60 ±0.4      0.27      0.3 s     0.90    3.60
+
+  error [mm], failed               0           1
+  greedy-svr               4.00 ±0.4  20.00 ±2.0
+    not taught anew            12.00       60.00
+  crlb                     3.60 ±0.4  18.00 ±1.8
+    not taught anew            10.80       54.00
+
+search: CPU time; to rim: mean distance [mm] from it, 6.60 of all that can be built
+crlb searches 296 times as fast as greedy-svr
+
+interrupted: what was not through is left out
+"#);
+    }
+
+    #[test]
+    fn elements_fit_into_a_skin_file() {
+        let findings = findings();
+        let table = taxels(&findings.choices[1], "baro-grid");
+        insta::assert_snapshot!(table, @r#"
+# Placed by `dermis place` for baro-grid, method crlb: in place of the `taxels` of a skin file, without `channels`.
+taxels = [
+    { name = "b12", position = [0.0, 0.0, -0.005], normal = [0.0, 0.0, 1.0] },
+    { name = "b20", position = [-0.013, 0.013, -0.005], normal = [0.0, 0.0, 1.0], axis = [1.0, 0.0, 0.0] },
+]
+"#);
+        let file = include_str!("../../../launch/skins/baro-grid.toml");
+        let (before, rest) = file.split_once("taxels = [").unwrap();
+        let (_, after) = rest.split_once("\n]").unwrap();
+        let skin = SkinDescription::from_toml(&format!("{before}{table}{after}"), "pasted").unwrap();
+        assert_eq!(skin.taxels.len(), 2);
+    }
+
+    #[test]
+    fn pages_show_every_method() {
+        let findings = findings();
+        let html = super::super::page::html(&findings, &text(&findings)).unwrap();
+        assert!(html.contains("greedy-svr, 74 s") && html.contains("crlb, 0.3 s") && !html.contains("NaN"));
+    }
+}
