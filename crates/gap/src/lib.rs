@@ -20,6 +20,7 @@ mod data;
 mod diagnose;
 mod error;
 mod experiments;
+mod hum;
 mod library;
 mod noise;
 mod parity;

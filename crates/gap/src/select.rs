@@ -6,6 +6,8 @@
 //! pieces as there are places, with the spread that the best model leaves. An effect that beats the simulator's own error by that
 //! measure is named firmly; one that does not may as well be it.
 
+use std::cell::Cell;
+
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -24,6 +26,8 @@ pub struct SelectOptions {
     pub floor: f64,
     /// Least gain of an effect as a share of the systematic gap.
     pub share: f64,
+    /// The same of an effect beside others: what their laws leave may look like one.
+    pub beside: f64,
     /// Probability of a false alarm over the whole library.
     pub level: f64,
     /// Effects at most.
@@ -46,6 +50,7 @@ impl Default for SelectOptions {
             margin: 0.005,
             floor: 0.002,
             share: 0.05,
+            beside: 0.12,
             level: 0.01,
             most: 5,
             folds: 6,
@@ -133,12 +138,14 @@ pub struct Selector<'a> {
     /// Inverse variance of coefficients of the simulator's own error, in its prior.
     tight: f64,
     /// Energy that one independent piece of evidence leaves.
-    piece: f64,
+    piece: Cell<f64>,
     gram: &'a Gram,
     /// Energy of the readings about their means.
     scale: f64,
     /// Energy of the systematic gap, as a share of it.
     systematic: f64,
+    /// Whether the gap is surely more than what does not matter.
+    sure: bool,
     options: &'a SelectOptions,
     weights: Vec<f64>,
     total: Sum,
@@ -148,14 +155,14 @@ pub struct Selector<'a> {
 
 impl<'a> Selector<'a> {
     /// Selection over groups with these weights. `variance` is the readings' variance times their number over these groups,
-    /// `systematic` the share of it that is systematic gap.
+    /// `systematic` the share of it that is systematic gap, and `sure` whether that is surely more than what does not matter.
     #[must_use]
     pub fn new(
         statistics: &'a Statistics,
         candidates: &'a [Candidate],
         form: &'a [usize],
         gram: &'a Gram,
-        (scale, systematic): (f64, f64),
+        (scale, systematic, sure): (f64, f64, bool),
         weights: &[f64],
         options: &'a SelectOptions,
     ) -> Self {
@@ -176,29 +183,41 @@ impl<'a> Selector<'a> {
         let p = total.b.len();
         let energy: f64 = form.iter().map(|&f| total.g[f * p + f]).sum();
         let tight = energy / (options.margin * scale).max(1e-300);
-        let mut made = Self {
+        let made = Self {
             statistics,
             candidates,
             form,
             tight,
-            piece: 1.0,
+            piece: Cell::new(1.0),
             gram,
             scale,
             systematic,
+            sure,
             options,
             weights: weights.to_vec(),
             total,
             folds,
         };
-        // What the best of all models leaves, with the simulator's own error nearly free.
-        let pieces = options.pieces * weights.iter().filter(|w| **w > 0.0).count().max(2) as f64;
-        made.piece = 0.1 * tight.recip();
-        let left = |set: &[usize]| made.losses(set, Tier::Strict).iter().sum::<f64>();
-        let best = (0..candidates.len()).map(|e| left(&[e])).fold(left(&[]), f64::min);
-        // The law of no effect is known better than to some share of what the effect does.
-        let least = LAW * systematic * scale;
-        made.piece = (best.max(least) / pieces).max(1e-300);
+        made.calibrate(&[]);
         made
+    }
+
+    /// Independent pieces of evidence.
+    fn pieces(&self) -> f64 {
+        self.options.pieces * self.weights.iter().filter(|w| **w > 0.0).count().max(2) as f64
+    }
+
+    /// Measures what a piece of evidence leaves on the best model with at most one effect beside `set`, with the simulator's own
+    /// error nearly free.
+    fn calibrate(&self, set: &[usize]) {
+        self.piece.set(0.1 / self.tight);
+        let left = |set: &[usize]| self.losses(set, Tier::Strict).iter().sum::<f64>();
+        let with = |e: usize| -> Vec<usize> { set.iter().copied().chain([e]).collect() };
+        let others = (0..self.candidates.len()).filter(|e| !set.contains(e));
+        let best = others.map(|e| left(&with(e))).fold(left(set), f64::min);
+        // The law of no effect is known better than to some share of what the effect does.
+        let least = LAW * self.systematic * self.scale;
+        self.piece.set((best.max(least) / self.pieces()).max(1e-300));
     }
 
     /// How badly a model does: twice the negative logarithm of its posterior probability, up to a constant.
@@ -225,10 +244,9 @@ impl<'a> Selector<'a> {
     /// The same from what a model leaves, what its share of the simulator's own error costs, and the effects in it.
     #[must_use]
     pub fn weigh(&self, left: f64, form: f64, set: &[usize]) -> f64 {
-        let pieces = self.options.pieces * self.weights.iter().filter(|w| **w > 0.0).count().max(2) as f64;
         // Columns of one effect that differ from channel to channel, or go through time, hang together.
         let columns: usize = set.iter().map(|e| self.candidates[*e].columns.len().min(MANY)).sum();
-        left / self.piece + form + columns as f64 * pieces.ln() * OCCAM
+        left / self.piece.get() + form + columns as f64 * self.pieces().ln() * OCCAM
     }
 
     /// What coefficients of the simulator's own error cost under their prior.
@@ -241,7 +259,7 @@ impl<'a> Selector<'a> {
     /// Inverse variance of a coefficient, in units of the residual's.
     #[must_use]
     pub fn prior(&self, column: usize) -> f64 {
-        if self.form.contains(&column) { self.tight * self.piece } else { PRIOR }
+        if self.form.contains(&column) { self.tight * self.piece.get() } else { PRIOR }
     }
 
     /// Columns of these candidates, and of the simulator's own error in the strict tier.
@@ -280,9 +298,10 @@ impl<'a> Selector<'a> {
         (before.iter().sum::<f64>() - after.iter().sum::<f64>()) / self.scale
     }
 
-    /// Least gain that counts.
-    fn least(&self) -> f64 {
-        self.options.floor.max(self.options.share * self.systematic)
+    /// Least gain of an effect that counts beside so many others.
+    fn least(&self, others: usize) -> f64 {
+        let share = if others == 0 { self.options.share } else { self.options.beside };
+        self.options.floor.max(share * self.systematic)
     }
 
     /// Selects.
@@ -302,18 +321,20 @@ impl<'a> Selector<'a> {
         let mut set: Vec<usize> = Vec::new();
         let mut tier = Tier::Strict;
         let mut ps: Vec<f64> = Vec::new();
-        let mut score = self.score(&set);
         while set.len() < self.options.most {
+            self.calibrate(&set);
+            let score = self.score(&set);
             let Some((best, better)) = self.best(&set) else { break };
             let with: Vec<usize> = set.iter().copied().chain([best]).collect();
             // The first is held against the gap itself, later ones against what is left beside the simulator's own error.
             let measure = if set.is_empty() { Tier::Loose } else { Tier::Strict };
             let gain = self.gain(&self.losses(&set, measure), &self.losses(&with, measure));
-            if gain < self.least() || better >= score {
+            if gain < self.least(set.len()) || better >= score {
                 break;
             }
             let firm = score - better > self.firm();
-            if !firm && !set.is_empty() {
+            // A gap that does not matter may be the simulator's own error anyway.
+            if !firm && !(set.is_empty() && self.sure) {
                 break;
             }
             let p = self.significance(&set, best);
@@ -324,14 +345,13 @@ impl<'a> Selector<'a> {
                 tier = Tier::Loose;
             }
             set = with;
-            score = better;
             ps.push(p);
             self.prune(&mut set, &mut ps);
-            score = score.min(self.score(&set));
             if !firm {
                 break;
             }
         }
+        self.calibrate(&set[..set.len().saturating_sub(1)]);
         if set.len() > 1 {
             self.swap(&mut set);
         }
@@ -361,17 +381,17 @@ impl<'a> Selector<'a> {
     #[must_use]
     pub fn quick(&self) -> Vec<usize> {
         let mut set: Vec<usize> = Vec::new();
-        let mut score = self.score(&set);
         while set.len() < self.options.most {
+            self.calibrate(&set);
+            let score = self.score(&set);
             let Some((best, better)) = self.best(&set) else { break };
             let with: Vec<usize> = set.iter().copied().chain([best]).collect();
             let measure = if set.is_empty() { Tier::Loose } else { Tier::Strict };
             let gain = self.gain(&self.losses(&set, measure), &self.losses(&with, measure));
-            if gain < self.least() || (!set.is_empty() && score - better < self.firm()) {
+            if gain < self.least(set.len()) || (!set.is_empty() && score - better < self.firm()) {
                 break;
             }
             set = with;
-            score = better;
         }
         set
     }
@@ -400,7 +420,7 @@ impl<'a> Selector<'a> {
             let rest: Vec<usize> = set.iter().copied().filter(|c| *c != set[index]).collect();
             let lost = self.gain(&self.losses(&rest, Tier::Strict), &all);
             // The last one has just been accepted.
-            if lost < self.least() && index + 1 < set.len() {
+            if lost < self.least(1) && index + 1 < set.len() {
                 set.remove(index);
                 ps.remove(index);
             } else {

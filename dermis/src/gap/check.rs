@@ -358,7 +358,7 @@ fn answer(report: &Value) -> Answer {
     let verdict = text(&report["verdict"]);
     let mut answer = Answer {
         gap: matches!(verdict.as_str(), "named" | "named-and-unknown" | "unknown-systematic" | "unmeasured"),
-        unknown: matches!(verdict.as_str(), "unknown-systematic" | "unmeasured"),
+        unknown: matches!(verdict.as_str(), "unknown-systematic" | "unmeasured" | "named-and-unknown"),
         closure: report["closure"]["predicted"]
             .as_f64()
             .zip(report["closure"]["achieved"].as_f64())
