@@ -176,8 +176,9 @@ pub fn diagnose(
         fixed.push(coarse.effect);
         fixed.extend(coarse.down);
     }
-    let whitened = residual(&readings, &nominal, &sigma);
     let scaled = whiten(&readings, &sigma);
+    cut(&mut readings, &nominal, skin, &sigma);
+    let whitened = residual(&readings, &nominal, &sigma);
     let gap = measure(&whitened, &scaled, &rows, &sigma, options);
     let mut before = gap.fvu_before;
     for (effect, of) in certain.iter_mut().rev() {
@@ -413,6 +414,21 @@ fn signatures(
     Ok((found, seconds))
 }
 
+/// Makes readings NaN that lie at the end of their channel's range, or whose model does: how far beyond it they would be nobody
+/// knows, and a fit must not take the end for a reading.
+fn cut(readings: &mut [f32], nominal: &[f32], skin: &SkinDescription, sigma: &[f64]) {
+    let ranges: Vec<Option<[f64; 2]>> = skin.channels().iter().map(|c| c.range).collect();
+    for (i, (reading, model)) in readings.iter_mut().zip(nominal).enumerate() {
+        let k = i % sigma.len();
+        let Some([low, high]) = ranges[k] else { continue };
+        let near = if sigma[k].is_finite() { sigma[k].min(0.01 * (high - low)) } else { 0.0 };
+        let ends = |v: f64| v <= low + near || v >= high - near;
+        if ends(f64::from(*reading)) || ends(f64::from(*model)) {
+            *reading = f32::NAN;
+        }
+    }
+}
+
 fn residual(readings: &[f32], model: &[f32], sigma: &[f64]) -> Vec<f32> {
     readings
         .iter()
@@ -420,7 +436,7 @@ fn residual(readings: &[f32], model: &[f32], sigma: &[f64]) -> Vec<f32> {
         .enumerate()
         .map(|(i, (y, s))| {
             let r = (f64::from(*y) - f64::from(*s)) / sigma[i % sigma.len()];
-            // A channel that gives nothing has an infinite deviation, and NaN readings.
+            // A channel that gives nothing has an infinite deviation; readings that were cut off are NaN.
             if r.is_finite() { r as f32 } else { 0.0 }
         })
         .collect()
@@ -785,8 +801,12 @@ impl Data<'_> {
 
     fn causes(&self, fixed: &[Effect], whitened: &[f32]) -> Result<Found, GapError> {
         let declared = self.simulator.skin.channel_noise();
-        let columns: Vec<Column> =
-            self.signatures.columns.iter().map(|c| rescale(c, &declared, self.sigma)).collect();
+        let columns: Vec<Column> = self
+            .signatures
+            .columns
+            .iter()
+            .map(|c| rescale(c, &declared, self.sigma, self.readings))
+            .collect();
         let statistics = Statistics::new(&columns, whitened, self.rows, self.channels());
         let gram = Gram::new(&columns, self.rows, self.channels());
         let candidates = &self.signatures.candidates;
@@ -834,6 +854,7 @@ impl Data<'_> {
         };
         // Each named effect with values on the full simulator, beside what else may be meant.
         let mut tried: Vec<Vec<Tried>> = Vec::new();
+        let mut attempted: Vec<Vec<usize>> = Vec::new();
         for (i, pick) in selection.picks.iter().enumerate() {
             // What linear signatures put behind may be before once it is simulated in full.
             let mut others: Vec<usize> = pick.class.iter().map(|m| m.candidate).collect();
@@ -841,6 +862,7 @@ impl Data<'_> {
             let taken = |c: &usize| tried.iter().any(|t: &Vec<Tried>| t.iter().any(|t| t.candidate == *c));
             others.retain(|c| *c == pick.candidate || !taken(c));
             others.truncate(self.options.polish.max(1));
+            attempted.push(others.clone());
             let mut of = Vec::new();
             let beside: Vec<Effect> = {
                 let mut beside = fixed.to_vec();
@@ -875,8 +897,8 @@ impl Data<'_> {
         }
         let before = (0..self.rows.groups).map(|g| statistics.energy(g)).collect::<Vec<f64>>();
         let over = |losses: &[f64]| losses.iter().zip(&weights).map(|(l, w)| l * w).sum::<f64>();
-        for (pick, of) in selection.picks.iter().zip(&mut tried) {
-            found.named.push(self.name(pick, of, over(&before)));
+        for ((pick, of), attempted) in selection.picks.iter().zip(&mut tried).zip(&attempted) {
+            found.named.push(self.name(pick, of, attempted, over(&before)));
         }
         let mut effects: Vec<Effect> = Vec::new();
         for of in &tried {
@@ -964,7 +986,8 @@ impl Data<'_> {
             found.left = Some(left);
             // What holds on contacts that nothing was fitted to is what is explained.
             let form = found.both - found.library;
-            found.library = achieved.unwrap_or(0.0) * self.gap.systematic;
+            // Where the words of a skin description say an effect badly, its signature still does.
+            found.library = found.library.max(achieved.unwrap_or(0.0) * self.gap.systematic);
             found.both = found.library + form.max(0.0);
         }
         // The whole way again on other draws of places: selection, fit, and what is kept.
@@ -1006,21 +1029,24 @@ impl Data<'_> {
     }
 
     /// Names an effect: the label may change, where the full simulator says so.
-    fn name(&self, pick: &crate::select::Pick, tried: &mut Vec<Tried>, before: f64) -> NamedEffect {
+    fn name(
+        &self,
+        pick: &crate::select::Pick,
+        tried: &mut Vec<Tried>,
+        attempted: &[usize],
+        before: f64,
+    ) -> NamedEffect {
         let candidates = &self.signatures.candidates;
         let open = 2.0 * self.options.select.odds.ln();
         let chance = |worse: f64| 1.0 / (1.0 + (0.5 * worse).min(300.0).exp());
         tried.sort_by(|a, b| a.score.total_cmp(&b.score));
         let best = tried.first().map_or(f64::INFINITY, |t| t.score);
         // Those that cannot be simulated are where their linear signatures put them.
-        let linear: Vec<&crate::select::Member> =
-            pick.class.iter().filter(|m| !tried.iter().any(|t| t.candidate == m.candidate)).collect();
-        let simulated = |m: &crate::select::Member| {
-            let of = &candidates[m.candidate];
-            !of.linear.is_empty() || !of.starts.is_empty()
-        };
-        let linear: Vec<&crate::select::Member> =
-            linear.into_iter().filter(|m| tried.is_empty() || !simulated(m)).collect();
+        let linear: Vec<&crate::select::Member> = pick
+            .class
+            .iter()
+            .filter(|m| attempted.contains(&m.candidate) && !tried.iter().any(|t| t.candidate == m.candidate))
+            .collect();
         let best = linear.iter().map(|m| m.score).fold(best, f64::min);
         tried.retain(|t| t.score - best < open);
         let weights = self.rows.training();
@@ -1349,16 +1375,17 @@ fn half_widths(statistics: &Statistics, fit: &Fit, of: &[usize], weights: &[f64]
         .collect()
 }
 
-/// A column in deviations of the measured noise instead of the declared one.
-fn rescale(column: &Column, declared: &[f64], sigma: &[f64]) -> Column {
+/// A column in deviations of the measured noise instead of the declared one, where there are `readings`.
+fn rescale(column: &Column, declared: &[f64], sigma: &[f64], readings: &[f32]) -> Column {
     let channels = sigma.len();
-    let factor = |k: usize| {
+    let factor = |i: usize| {
+        let k = i % channels;
         let f = declared[k] / sigma[k];
-        if f.is_finite() { f as f32 } else { 0.0 }
+        if f.is_finite() && readings[i].is_finite() { f as f32 } else { 0.0 }
     };
     let values = match column.channel {
-        Some(k) => column.values.iter().map(|v| v * factor(k)).collect(),
-        None => column.values.iter().enumerate().map(|(i, v)| v * factor(i % channels)).collect(),
+        Some(k) => column.values.iter().enumerate().map(|(row, v)| v * factor(row * channels + k)).collect(),
+        None => column.values.iter().enumerate().map(|(i, v)| v * factor(i)).collect(),
     };
     Column { channel: column.channel, values }
 }

@@ -165,12 +165,9 @@ impl Target<'_> {
             let w = self.weights[row.group].sqrt();
             for k in 0..channels {
                 let at = i * channels + k;
-                let r = if self.sigma[k].is_finite() {
-                    w * f64::from(self.readings[at] - simulated[at]) / self.sigma[k]
-                } else {
-                    0.0
-                };
-                out.push(r as f32);
+                let r = w * f64::from(self.readings[at] - simulated[at]) / self.sigma[k];
+                // A channel that gives nothing, and a reading that was cut off, ask nothing.
+                out.push(if r.is_finite() { r as f32 } else { 0.0 });
             }
         }
         self.form.take(&mut out);

@@ -338,7 +338,8 @@ impl<'a> Selector<'a> {
                 break;
             }
             let p = self.significance(&set, best);
-            if p > self.options.level {
+            // Effects of many columns have little power in that test; evidence this strong needs none.
+            if p > self.options.level && score - better < 3.0 * self.firm() {
                 break;
             }
             if !firm {
