@@ -35,7 +35,18 @@ pub enum Measurement {
     Limb,
     /// One and two contacts on a limb with the default effects: all ways, learned from recorded single contacts.
     Real2sim,
+    /// The diagnosis of gaps on packs with withheld causes, for the row of barometers, the pad and the limb.
+    Gap,
 }
+
+/// Skins that gaps are diagnosed on, and the seeds of their packs.
+const GAPS: [(&str, &str, &str); 3] = [
+    ("line", "launch/skins/baro-line.toml", "30301"),
+    ("grid", "crates/gap-worlds/skins/baro-grid-wide.toml", "30302"),
+    ("shin", LIMB, "30303"),
+];
+/// Share of the full proportions.
+const GAP_SHARE: &str = "0.4";
 
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
     let value = match measurement {
@@ -45,6 +56,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Realism => realism(root)?,
         Measurement::Limb => limb(root)?,
         Measurement::Real2sim => real2sim(root)?,
+        Measurement::Gap => gap(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
     };
     println!("{value}");
@@ -250,6 +262,25 @@ fn limb(root: &Path) -> Result<Value> {
 }
 
 /// Learns from single contacts of one device with the default effects, and compares all ways on its doubles.
+fn gap(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(PROGRAM))?;
+    let dermis = target_dir(root).join("release/dermis");
+    let dir = scratch(root, "gap")?;
+    let mut found = serde_json::Map::new();
+    for (name, skin, seed) in GAPS {
+        let folder = |what: &str| dir.join(format!("{name}{what}"));
+        let mut make = Command::new(&dermis);
+        make.args(["gap", "make-pack", "--share", GAP_SHARE, "--skin", skin, "--seed", seed, "--secret"]);
+        execute(make.arg(folder("-secret")).arg("-o").arg(folder("")).current_dir(root))?;
+        let mut check = Command::new(&dermis);
+        check.args(["gap", "check", "--jobs", "2", "--pack"]).arg(folder("")).arg("--secret");
+        execute(check.arg(folder("-secret")).arg("--out").arg(folder("-out")).current_dir(root))?;
+        let summary = std::fs::read(folder("-out").join("summary.json"))?;
+        found.insert(name.to_owned(), serde_json::from_slice(&summary)?);
+    }
+    Ok(Value::Object(found))
+}
+
 fn real2sim(root: &Path) -> Result<Value> {
     execute(cargo(root).args(PROGRAM))?;
     let dermis = target_dir(root).join("release/dermis");
