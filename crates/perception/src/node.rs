@@ -32,10 +32,13 @@ use crate::messages::{
 
 /// Longest wait for bytes, and so the longest time until a stop or a silence is noticed.
 const TICK: Duration = Duration::from_millis(50);
-/// How long a frame may wait, and at least so many periods of the skin, before it is passed over for the newest one.
+/// How long a frame may wait, and at least so many periods of the skin, before it is passed over for the newest one; and how long
+/// all that wait would take.
 const LATE: (Duration, f64) = (Duration::from_millis(25), 2.0);
 /// Events that are taken from a source in a row, before a frame is looked at.
 const MOST_EVENTS: usize = 1024;
+/// Weight of the last frame in the average of what frames take.
+const PACE: f64 = 0.1;
 /// Share of frames that may be passed over before diagnostics warn of it: any machine is busy elsewhere now and then.
 const PASSED: f64 = 0.01;
 /// Period at which a blind skin says that it is blind.
@@ -567,6 +570,8 @@ impl Shared {
         // A recording waits for whoever reads it: nothing of it is passed over.
         let live = !matches!(self.url, SourceUrl::Replay { .. });
         let patience = LATE.0.max(Duration::from_secs_f64(LATE.1 / self.skin.rate));
+        // What a frame takes, on average over the last few.
+        let mut pace = 0.0f64;
         while !self.stopping() {
             if !self.active.load(Ordering::Acquire) {
                 if source.take().is_some() {
@@ -648,12 +653,16 @@ impl Shared {
             if let Some((received_ns, frame)) = waiting.pop_front() {
                 let mut newest = frame;
                 let waited = u64::try_from(now_ns().saturating_sub(received_ns)).unwrap_or(0);
-                if live && Duration::from_nanos(waited) > patience {
+                // A burst that is soon worked off is worked off.
+                let backlog = pace * (waiting.len() + 1) as f64 > patience.as_secs_f64();
+                if live && backlog && Duration::from_nanos(waited) > patience {
                     for (_, newer) in waiting.drain(..) {
                         self.pass(&mut core, std::mem::replace(&mut newest, newer));
                     }
                 }
+                let begun = Instant::now();
                 self.take(&mut core, newest);
+                pace += PACE * (begun.elapsed().as_secs_f64() - pace);
             }
             let stale = silence.as_secs_f64() > core.estimator.condition().stale_time;
             if stale || !core.enabled {
