@@ -30,6 +30,10 @@ use crate::{GapError, checks, experiments, hum, parity, steps, store, unknown};
 const UNSYSTEMATIC: f64 = 0.2;
 /// Share of the systematic gap that effects must explain on other contacts to be named.
 const NAMED: f64 = 0.3;
+/// Margins that a gap must surely exceed for a name that may as well be the simulator's own error.
+const SURELY: f64 = 2.0;
+/// Share of the gap that an effect closes on other contacts at least, if its signature is to be believed beyond that.
+const HELPS: f64 = 0.15;
 /// Share of the systematic gap that named effects may leave: laws are not known better.
 const REMAINDER: f64 = 0.26;
 /// Share of what single presses leave that must differ between presses that were done alike to be a gap of its own.
@@ -792,7 +796,7 @@ impl Data<'_> {
             (
                 self.scale(weights),
                 self.gap.systematic.max(0.0),
-                self.gap.interval[0] > self.options.select.margin,
+                self.gap.interval[0] > SURELY * self.options.select.margin,
             ),
             weights,
             &self.options.select,
@@ -986,8 +990,11 @@ impl Data<'_> {
             found.left = Some(left);
             // What holds on contacts that nothing was fitted to is what is explained.
             let form = found.both - found.library;
-            // Where the words of a skin description say an effect badly, its signature still does.
-            found.library = found.library.max(achieved.unwrap_or(0.0) * self.gap.systematic);
+            let closed = achieved.unwrap_or(0.0);
+            // Where the words of a skin description say an effect badly, its signature still does; where they are no help at all
+            // on other contacts, it was none.
+            let signature = if closed > HELPS { found.library } else { 0.0 };
+            found.library = signature.max(closed * self.gap.systematic);
             found.both = found.library + form.max(0.0);
         }
         // The whole way again on other draws of places: selection, fit, and what is kept.

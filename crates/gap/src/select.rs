@@ -129,6 +129,8 @@ const LAW: f64 = 0.04;
 const OCCAM: f64 = 0.5;
 /// Columns of one effect that are paid for, at most.
 const MANY: usize = 6;
+/// The same of one that goes its own way through time, which can follow the temperature as well.
+const BENDS: usize = 12;
 
 /// Selection over one set of groups.
 pub struct Selector<'a> {
@@ -245,7 +247,8 @@ impl<'a> Selector<'a> {
     #[must_use]
     pub fn weigh(&self, left: f64, form: f64, set: &[usize]) -> f64 {
         // Columns of one effect that differ from channel to channel, or go through time, hang together.
-        let columns: usize = set.iter().map(|e| self.candidates[*e].columns.len().min(MANY)).sum();
+        let price = |c: &Candidate| c.columns.len().min(if c.wanders { BENDS } else { MANY });
+        let columns: usize = set.iter().map(|e| price(&self.candidates[*e])).sum();
         left / self.piece.get() + form + columns as f64 * self.pieces().ln() * OCCAM
     }
 
