@@ -623,9 +623,9 @@ fn bends(rows: &Rows) -> (Vec<Vec<f32>>, Vec<usize>) {
         let apart = (last - first).max(1e-9) / bends as f64;
         for bend in 0..=bends {
             let mut values = vec![0.0f32; n];
-            for i in start..end {
-                let at = (rows.rows[i].time - first) / apart;
-                values[i] = (1.0 - (at - bend as f64).abs()).max(0.0) as f32;
+            for (value, row) in values[start..end].iter_mut().zip(&rows.rows[start..end]) {
+                let at = (row.time - first) / apart;
+                *value = (1.0 - (at - bend as f64).abs()).max(0.0) as f32;
             }
             found.push(values);
             stretches.push(start);

@@ -337,7 +337,7 @@ impl<'a> Selector<'a> {
             }
             let firm = score - better > self.firm();
             // A gap that does not matter may be the simulator's own error anyway.
-            if !firm && !(set.is_empty() && self.sure) {
+            if !(firm || set.is_empty() && self.sure) {
                 break;
             }
             let p = self.significance(&set, best);

@@ -61,7 +61,7 @@ pub fn beside(
     let felt = |id: &SampleId| {
         data.sample(*id).is_some_and(|s| {
             let heavy = |t: &dermis_learn::Truth| {
-                t.single().and_then(|c| c.normal_force()).is_some_and(|f| f >= least)
+                t.single().and_then(dermis_learn::TruthContact::normal_force).is_some_and(|f| f >= least)
             };
             s.tared.iter().any(|v| v.is_finite()) && s.truth.as_ref().is_some_and(heavy)
         })

@@ -124,14 +124,14 @@ pub fn answers(
     skin: &SkinDescription,
     family: &Family,
     bag: &Path,
-    key: (PathBuf, usize),
+    key: &(PathBuf, usize),
     columns: &mut Columns,
 ) -> Result<Vec<Answer>> {
     let mut record = read(bag).with_context(|| format!("bag {}", bag.display()))?;
-    if !columns.0.contains_key(&key) {
+    if !columns.0.contains_key(key) {
         columns.0.insert(key.clone(), simulated(skin, family, &record)?);
     }
-    let Some(Simulated { nominal, changed }) = columns.0.get(&key) else {
+    let Some(Simulated { nominal, changed }) = columns.0.get(key) else {
         return Ok(vec![Answer::default(); NAMES.len()]);
     };
     let sigma = skin.channel_noise();

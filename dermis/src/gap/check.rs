@@ -247,7 +247,7 @@ fn baselines(
     for case in cases {
         // Cases of the same pack and presses have the same signatures.
         let key = (case.bag.parent().map(Path::to_owned).unwrap_or_default(), case.presses);
-        answers.push(super::baselines::answers(skin, family, &case.bag, key, &mut columns)?);
+        answers.push(super::baselines::answers(skin, family, &case.bag, &key, &mut columns)?);
         progress.inc(1);
     }
     progress.finish_and_clear();
@@ -370,11 +370,10 @@ fn answer(report: &Value) -> Answer {
     answer.unexplained = if answer.gap { report["unknown"]["share"].as_f64() } else { None };
     let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
     answer.axes = list(&report["where"]).iter().map(|axis| text(&axis["axis"])).collect();
-    let largest = |bins: &[Value]| {
-        let fvu = |bin: &Value| bin["fvu"].as_f64().unwrap_or(0.0);
-        bins.iter().max_by(|a, b| fvu(a).total_cmp(&fvu(b))).map(|bin| text(&bin["label"]))
-    };
-    answer.channel = largest(&list(&report["channels"]));
+    let fvu = |bin: &Value| bin["fvu"].as_f64().unwrap_or(0.0);
+    let channels = list(&report["channels"]);
+    let worst = channels.iter().max_by(|a, b| fvu(a).total_cmp(&fvu(b)));
+    answer.channel = worst.map(|bin| text(&bin["label"]));
     let peak = &report["maps"][0]["peak"];
     answer.peak = peak[0].as_f64().zip(peak[1].as_f64()).zip(peak[2].as_f64()).map(|((x, y), z)| [x, y, z]);
     for effect in report["effects"].as_array().into_iter().flatten() {

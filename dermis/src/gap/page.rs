@@ -143,7 +143,7 @@ fn maps(body: &mut String, report: &Report) -> Result<()> {
     let mut pictures = Vec::new();
     // Before and after on one scale each; what lies below the noise is not drawn.
     let most = |of: fn(&Map) -> &Vec<Option<f64>>| {
-        report.maps.iter().flat_map(|m| of(m)).flatten().map(|v| v.abs()).fold(0.0, f64::max)
+        report.maps.iter().flat_map(of).flatten().map(|v| v.abs()).fold(0.0, f64::max)
     };
     let rms: fn(&Map) -> &Vec<Option<f64>> = |m| &m.rms;
     let mean: fn(&Map) -> &Vec<Option<f64>> = |m| &m.mean;
