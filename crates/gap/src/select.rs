@@ -132,6 +132,17 @@ const MANY: usize = 6;
 /// The same of one that goes its own way through time, which can follow the temperature as well.
 const BENDS: usize = 12;
 
+/// The effect that makes the best model beside those that are accepted.
+struct Step {
+    best: usize,
+    /// All of them.
+    with: Vec<usize>,
+    /// Reduction of the held-out error.
+    gain: f64,
+    /// By how much the model with it is better.
+    won: f64,
+}
+
 /// Selection over one set of groups.
 pub struct Selector<'a> {
     statistics: &'a Statistics,
@@ -325,24 +336,18 @@ impl<'a> Selector<'a> {
         let mut tier = Tier::Strict;
         let mut ps: Vec<f64> = Vec::new();
         while set.len() < self.options.most {
-            self.calibrate(&set);
-            let score = self.score(&set);
-            let Some((best, better)) = self.best(&set) else { break };
-            let with: Vec<usize> = set.iter().copied().chain([best]).collect();
-            // The first is held against the gap itself, later ones against what is left beside the simulator's own error.
-            let measure = if set.is_empty() { Tier::Loose } else { Tier::Strict };
-            let gain = self.gain(&self.losses(&set, measure), &self.losses(&with, measure));
-            if gain < self.least(set.len()) || better >= score {
+            let Some(Step { best, with, gain, won }) = self.step(&set) else { break };
+            if gain < self.least(set.len()) || won <= 0.0 {
                 break;
             }
-            let firm = score - better > self.firm();
+            let firm = won > self.firm();
             // A gap that does not matter may be the simulator's own error anyway.
             if !(firm || set.is_empty() && self.sure) {
                 break;
             }
             let p = self.significance(&set, best);
             // Effects of many columns have little power in that test; evidence this strong needs none.
-            if p > self.options.level && score - better < 3.0 * self.firm() {
+            if p > self.options.level && won < 3.0 * self.firm() {
                 break;
             }
             if !firm {
@@ -386,13 +391,8 @@ impl<'a> Selector<'a> {
     pub fn quick(&self) -> Vec<usize> {
         let mut set: Vec<usize> = Vec::new();
         while set.len() < self.options.most {
-            self.calibrate(&set);
-            let score = self.score(&set);
-            let Some((best, better)) = self.best(&set) else { break };
-            let with: Vec<usize> = set.iter().copied().chain([best]).collect();
-            let measure = if set.is_empty() { Tier::Loose } else { Tier::Strict };
-            let gain = self.gain(&self.losses(&set, measure), &self.losses(&with, measure));
-            if gain < self.least(set.len()) || (!set.is_empty() && score - better < self.firm()) {
+            let Some(Step { with, gain, won, .. }) = self.step(&set) else { break };
+            if gain < self.least(set.len()) || (!set.is_empty() && won < self.firm()) {
                 break;
             }
             set = with;
@@ -403,6 +403,19 @@ impl<'a> Selector<'a> {
     /// By how much an effect has to beat the simulator's own error: every one of the library has its chance to by accident.
     fn firm(&self) -> f64 {
         2.0 * (self.candidates.len().max(1) as f64 / self.options.level).ln()
+    }
+
+    /// The step forwards from `set`; `None` where every effect is in it.
+    fn step(&self, set: &[usize]) -> Option<Step> {
+        self.calibrate(set);
+        let score = self.score(set);
+        let (best, better) = self.best(set)?;
+        let with: Vec<usize> = set.iter().copied().chain([best]).collect();
+        // The first is held against the gap itself, later ones against what is left beside the simulator's own error.
+        let measure = if set.is_empty() { Tier::Loose } else { Tier::Strict };
+        let gain = self.gain(&self.losses(set, measure), &self.losses(&with, measure));
+        let won = if better < score { score - better } else { 0.0 };
+        Some(Step { best, with, gain, won })
     }
 
     /// The effect beside `set` that makes the best model, and its score.
