@@ -8,6 +8,7 @@
 //! No crate but the program and tests of the check may import this one, and the tool never (`cargo xtask layers`).
 
 mod cause;
+mod common;
 mod error;
 mod layer;
 mod memory;

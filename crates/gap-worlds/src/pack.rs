@@ -92,7 +92,7 @@ pub struct Secret {
     pub generator: String,
     /// Case that it belongs to.
     pub case: String,
-    /// What the case counts as: controls are also those whose causes cannot reach the least gap.
+    /// What the case counts as: by the causes that reach the least gap, so that it is a control where none does.
     pub kind: Kind,
     /// Random, so that the hash tells nothing.
     pub salt: String,
@@ -411,7 +411,7 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
     let mut alone = Vec::new();
     let mut gap = wanted.gap;
     let seeds: Vec<u64> = wanted.causes.iter().map(|_| rng.random()).collect();
-    // A cause that cannot be as strong is taken at the next smaller gap; one that cannot reach the least makes a control.
+    // A cause that cannot be as strong is taken at the next smaller gap.
     while gap > 0.0 {
         causes.clear();
         alone.clear();
@@ -450,7 +450,20 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
             _ => 0.0,
         };
     }
-    let kind = if gap > 0.0 { wanted.kind } else { Kind::Controls };
+    if gap == 0.0 && !causes.is_empty() {
+        // One that cannot be as weak counts at the largest gap that it surely has; one that cannot reach the least is left out.
+        let all = causes.into_iter().zip(alone);
+        (causes, alone) = all.filter(|(_, reached)| *reached >= 0.7 * floor).unzip();
+        let least = alone.iter().copied().fold(f64::INFINITY, f64::min);
+        let surely = |g: &&f64| **g <= wanted.gap && least >= 0.7 * **g * floor;
+        gap = if causes.is_empty() { 0.0 } else { GAPS.iter().filter(surely).copied().fold(0.0, f64::max) };
+    }
+    let kind = match causes.len() {
+        0 => Kind::Controls,
+        n if n == wanted.causes.len() => wanted.kind,
+        1 => Kind::Singles,
+        _ => Kind::Pairs,
+    };
     let world = crate::world(skin, &form, &causes)?;
     // How deep a tip sinks in is what the rig sees of this world.
     let script = Script::draw(&world.model(), &rig, climate, script_seed)?;

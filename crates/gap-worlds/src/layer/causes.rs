@@ -1,6 +1,7 @@
 //! What can make a layer with pressure-reading elements differ from its design.
 
 use crate::cause::CauseInfo;
+use crate::common;
 
 /// All of them.
 pub(crate) const CAUSES: &[CauseInfo] = &[
@@ -68,15 +69,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         true,
     ),
-    CauseInfo::new(
-        "dragging-tip",
-        "a tip that slides drags the surface along; friction grows less than the load, as between rubber and a sphere; \
-         the rig's force cell has one axis and does not see it",
-        "Schallamach; F_t = μ F (F / 1 N)^(-1/9), smoothed at low speed",
-        ("friction", "1", 1.2),
-        false,
-        true,
-    ),
+    common::DRAGGING_TIP,
     CauseInfo::new(
         "softening",
         "where it was loaded before the material answers less below the load that it knows",
@@ -125,14 +118,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    CauseInfo::new(
-        "soft-ceiling",
-        "readings bend over towards a ceiling",
-        "hyperbolic tangent above 60 % of the ceiling",
-        ("depth", "1", 0.95),
-        false,
-        true,
-    ),
+    common::SOFT_CEILING,
     CauseInfo::new(
         "coarse-counts",
         "the converter truncates to coarse counts",
@@ -157,14 +143,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    CauseInfo::new(
-        "late-stamps",
-        "readings are stamped some time after they were taken",
-        "buffers of a driver",
-        ("time", "s", 0.06),
-        false,
-        true,
-    ),
+    common::LATE_STAMPS,
     // What a library of known effects will hardly hold.
     CauseInfo::new(
         "cavity",
@@ -174,54 +153,12 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    CauseInfo::new(
-        "crosstalk",
-        "neighbours on the bus read a part of each other",
-        "shared reference",
-        ("share", "1", 0.5),
-        false,
-        true,
-    ),
-    CauseInfo::new(
-        "mains-hum",
-        "hum of the mains, aliased by the sampling, other in each element",
-        "49.93 Hz at 100 frames a second",
-        ("amplitude", "Pa", 4000.0),
-        false,
-        true,
-    ),
-    CauseInfo::new(
-        "warming-up",
-        "gain settles for minutes after power-on",
-        "self-heating of the electronics",
-        ("start", "1", 0.9),
-        true,
-        false,
-    ),
-    CauseInfo::new(
-        "cable-tug",
-        "on some presses a cable pulls at two elements, and they read a constant more",
-        "strain relief missing",
-        ("deviation", "Pa", 9000.0),
-        true,
-        false,
-    ),
-    CauseInfo::new(
-        "wearing",
-        "readings fade with the number of presses that an element has felt",
-        "fatigue, exp(-n / n0)",
-        ("loss", "1", 0.9),
-        false,
-        true,
-    ),
-    CauseInfo::new(
-        "stale-frames",
-        "bursts of frames repeat the last one before them",
-        "lost transfers that a driver hides",
-        ("share", "1", 0.9),
-        false,
-        false,
-    ),
+    common::CROSSTALK,
+    common::MAINS_HUM,
+    common::WARMING_UP,
+    common::CABLE_TUG,
+    common::WEARING,
+    common::STALE_FRAMES,
     CauseInfo::new(
         "forked-tip",
         "the tip is not a sphere but presses at two points",
@@ -254,28 +191,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
         true,
     ),
-    CauseInfo::new(
-        "uneven-steps",
-        "the converter's error goes up and down with the reading",
-        "integral non-linearity of converters in stages",
-        ("depth", "1", 0.9),
-        false,
-        false,
-    ),
-    CauseInfo::new(
-        "sagging-supply",
-        "the more all channels read, the less is left for each: their common supply gives way",
-        "series resistance of the supply",
-        ("share", "1", 0.9),
-        false,
-        false,
-    ),
-    CauseInfo::new(
-        "bumped-mount",
-        "from one moment on the skin lies beside its place",
-        "a loose screw",
-        ("shift", "m", 0.004),
-        false,
-        false,
-    ),
+    common::UNEVEN_STEPS,
+    common::SAGGING_SUPPLY,
+    common::BUMPED_MOUNT,
 ];

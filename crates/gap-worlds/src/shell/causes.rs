@@ -1,6 +1,7 @@
 //! What can make a shell with strain gauges differ from its design.
 
 use crate::cause::CauseInfo;
+use crate::common;
 
 /// All of them.
 pub(crate) const CAUSES: &[CauseInfo] = &[
@@ -92,14 +93,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    CauseInfo::new(
-        "dragging-tip",
-        "a tip that slides drags the surface along; friction grows less than the load; the rig does not see it",
-        "F_t = μ F (F / 1 N)^(-1/9), smoothed at low speed",
-        ("friction", "1", 1.2),
-        false,
-        true,
-    ),
+    common::DRAGGING_TIP,
     CauseInfo::new(
         "flowing-plastic",
         "under a force that stays strain goes on growing, over a continuous spectrum of times",
@@ -124,71 +118,15 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         true,
     ),
-    CauseInfo::new(
-        "soft-ceiling",
-        "readings bend over towards a ceiling",
-        "hyperbolic tangent above 60 % of the ceiling",
-        ("depth", "1", 0.95),
-        false,
-        true,
-    ),
-    CauseInfo::new(
-        "late-stamps",
-        "readings are stamped some time after they were taken",
-        "buffers of a driver",
-        ("time", "s", 0.06),
-        false,
-        true,
-    ),
+    common::SOFT_CEILING,
+    common::LATE_STAMPS,
     // What a library of known effects will hardly hold.
-    CauseInfo::new(
-        "crosstalk",
-        "neighbours on the bus read a part of each other",
-        "shared reference",
-        ("share", "1", 0.8),
-        false,
-        true,
-    ),
-    CauseInfo::new(
-        "mains-hum",
-        "hum of the mains, aliased by the sampling, other in each gauge",
-        "49.93 Hz at 100 frames a second",
-        ("amplitude", "1", 5e-4),
-        false,
-        true,
-    ),
-    CauseInfo::new(
-        "warming-up",
-        "gain settles for minutes after power-on",
-        "supply of the bridges",
-        ("start", "1", 0.9),
-        true,
-        false,
-    ),
-    CauseInfo::new(
-        "cable-tug",
-        "on some presses a cable pulls at two gauges, and they read a constant more",
-        "strain relief missing",
-        ("deviation", "1", 1e-3),
-        true,
-        false,
-    ),
-    CauseInfo::new(
-        "wearing",
-        "readings fade with the number of presses that a gauge has felt",
-        "fatigue, exp(-n / n0)",
-        ("loss", "1", 0.9),
-        false,
-        true,
-    ),
-    CauseInfo::new(
-        "stale-frames",
-        "bursts of frames repeat the last one before them",
-        "lost transfers that a driver hides",
-        ("share", "1", 0.9),
-        false,
-        false,
-    ),
+    CauseInfo { size: ("share", "1", 0.8), ..common::CROSSTALK },
+    CauseInfo { size: ("amplitude", "1", 5e-4), ..common::MAINS_HUM },
+    common::WARMING_UP,
+    CauseInfo { size: ("deviation", "1", 1e-3), ..common::CABLE_TUG },
+    common::WEARING,
+    common::STALE_FRAMES,
     CauseInfo::new(
         "bent-characteristic",
         "every gauge has a quadratic share of its own",
@@ -213,28 +151,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
         false,
     ),
-    CauseInfo::new(
-        "uneven-steps",
-        "the converter's error goes up and down with the reading",
-        "integral non-linearity of converters in stages",
-        ("depth", "1", 0.9),
-        false,
-        false,
-    ),
-    CauseInfo::new(
-        "sagging-supply",
-        "the more all channels read, the less is left for each: their common supply gives way",
-        "series resistance of the supply",
-        ("share", "1", 0.9),
-        false,
-        false,
-    ),
-    CauseInfo::new(
-        "bumped-mount",
-        "from one moment on the skin lies beside its place",
-        "a loose screw",
-        ("shift", "m", 0.02),
-        false,
-        false,
-    ),
+    common::UNEVEN_STEPS,
+    common::SAGGING_SUPPLY,
+    CauseInfo { size: ("shift", "m", 0.02), ..common::BUMPED_MOUNT },
 ];

@@ -1,0 +1,111 @@
+//! Causes that skins of every kind can have: of cables, converters, drivers, tips and mounts. Sizes are those of a layer.
+
+use crate::cause::CauseInfo;
+
+pub(crate) const DRAGGING_TIP: CauseInfo = CauseInfo::new(
+    "dragging-tip",
+    "a tip that slides drags the surface along; friction grows less than the load; the rig's force cell has one axis and does not see it",
+    "Schallamach; F_t = μ F (F / 1 N)^(-1/9), smoothed at low speed",
+    ("friction", "1", 1.2),
+    false,
+    true,
+);
+
+pub(crate) const SOFT_CEILING: CauseInfo = CauseInfo::new(
+    "soft-ceiling",
+    "readings bend over towards a ceiling",
+    "hyperbolic tangent above 60 % of the ceiling",
+    ("depth", "1", 0.95),
+    false,
+    true,
+);
+
+pub(crate) const LATE_STAMPS: CauseInfo = CauseInfo::new(
+    "late-stamps",
+    "readings are stamped some time after they were taken",
+    "buffers of a driver",
+    ("time", "s", 0.06),
+    false,
+    true,
+);
+
+pub(crate) const CROSSTALK: CauseInfo = CauseInfo::new(
+    "crosstalk",
+    "neighbours on the bus read a part of each other",
+    "shared reference",
+    ("share", "1", 0.5),
+    false,
+    true,
+);
+
+pub(crate) const MAINS_HUM: CauseInfo = CauseInfo::new(
+    "mains-hum",
+    "hum of the mains, aliased by the sampling, other on each channel",
+    "49.93 Hz at 100 frames a second",
+    ("amplitude", "Pa", 4000.0),
+    false,
+    true,
+);
+
+pub(crate) const WARMING_UP: CauseInfo = CauseInfo::new(
+    "warming-up",
+    "gain settles for minutes after power-on",
+    "self-heating of the electronics, supply of bridges",
+    ("start", "1", 0.9),
+    true,
+    false,
+);
+
+pub(crate) const CABLE_TUG: CauseInfo = CauseInfo::new(
+    "cable-tug",
+    "on some presses a cable pulls at two channels, and they read a constant more",
+    "strain relief missing",
+    ("deviation", "Pa", 9000.0),
+    true,
+    false,
+);
+
+pub(crate) const WEARING: CauseInfo = CauseInfo::new(
+    "wearing",
+    "readings fade with the number of presses that a channel has felt",
+    "fatigue, exp(-n / n0)",
+    ("loss", "1", 0.9),
+    false,
+    true,
+);
+
+pub(crate) const STALE_FRAMES: CauseInfo = CauseInfo::new(
+    "stale-frames",
+    "bursts of frames repeat the last one before them",
+    "lost transfers that a driver hides",
+    ("share", "1", 0.9),
+    false,
+    false,
+);
+
+pub(crate) const UNEVEN_STEPS: CauseInfo = CauseInfo::new(
+    "uneven-steps",
+    "the converter's error goes up and down with the reading",
+    "integral non-linearity of converters in stages",
+    ("depth", "1", 0.9),
+    false,
+    false,
+);
+
+pub(crate) const SAGGING_SUPPLY: CauseInfo = CauseInfo::new(
+    "sagging-supply",
+    "the more all channels read, the less is left for each: their common supply gives way",
+    "series resistance of the supply",
+    ("share", "1", 0.9),
+    false,
+    false,
+);
+
+pub(crate) const BUMPED_MOUNT: CauseInfo = CauseInfo::new(
+    "bumped-mount",
+    "from one moment on the skin lies beside its place",
+    "a loose screw",
+    ("shift", "m", 0.004),
+    false,
+    false,
+);
