@@ -249,7 +249,9 @@ pub(crate) fn zeros(causes: &Causes, script: &Script, channels: usize, readings:
 /// What the converter and the driver do, noise included in what they get.
 pub(crate) fn converter(causes: &Causes, script: &Script, channels: usize, readings: &mut [f64]) {
     if let Some((_, depth)) = causes.get("soft-ceiling") {
-        let ceiling = 2.0 * scale(readings) * (1.0 - depth);
+        // At no depth even the largest reading stays below the knee.
+        let most = readings.iter().fold(0.0f64, |most, v| most.max(v.abs()));
+        let ceiling = most / 0.6 * (1.0 - depth);
         let knee = 0.6 * ceiling;
         for value in readings.iter_mut().filter(|v| v.abs() > knee) {
             let over = (value.abs() - knee) / (ceiling - knee);

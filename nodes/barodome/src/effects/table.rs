@@ -209,10 +209,18 @@ pub const EFFECTS: &[EffectInfo] = &[
     EffectInfo {
         name: "hysteresis",
         what: "Loading reads less than unloading: inner friction.",
-        source: "Prandtl-Ishlinskii: four play operators at 5, 10, 20 and 40 % of the scale",
+        source: "Prandtl-Ishlinskii: four play operators at 5, 10, 20 and 40 % of the scale; what grows with the load after Dahl (1968)",
         parameters: &[
             ParameterInfo::new("width", "1", "of the loop, per scale", 0.1, [0.05, 0.2], [0.0, 0.375]),
             ParameterInfo::new("scale", "Pa", "a large signal", 5e3, [1e3, 2e4], [1.0, 1e7]),
+            ParameterInfo::new(
+                "with_load",
+                "1",
+                "share of the loop whose width is in proportion to the signal instead of the scale",
+                0.0,
+                [0.0, 1.0],
+                [0.0, 1.0],
+            ),
         ],
         stateful: true,
         random: false,

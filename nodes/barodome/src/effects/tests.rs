@@ -233,6 +233,13 @@ fn hysteresis_has_the_loop_that_was_asked_for() {
     let out = walk(Effect::new("hysteresis"), cycle.iter().enumerate().map(|(i, s)| (i as f64, *s)));
     // In the middle of the second loading and of the unloading before.
     approx::assert_relative_eq!(out[151] - out[252], 0.1 * 5000.0, max_relative = 1e-9);
+    // Where it grows with the load it is a share of the signal, 5 and 2 kPa, but for what friction takes to turn round.
+    let with_load = Effect::new("hysteresis").with("with_load", 1.0);
+    let out = walk(with_load, cycle.iter().enumerate().map(|(i, s)| (i as f64, *s)));
+    for (unloading, loading, stress) in [(151, 252, 5000.0), (181, 222, 2000.0)] {
+        let loop_ = out[unloading] - out[loading];
+        approx::assert_relative_eq!(loop_, 0.1 * stress, max_relative = 1e-3);
+    }
 }
 
 #[test]

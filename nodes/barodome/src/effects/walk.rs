@@ -15,6 +15,8 @@ const STANDARD_ATMOSPHERE: f64 = 101_325.0;
 const STANDARD_TEMPERATURE: f64 = 293.15;
 /// Thresholds of the play operators, per scale.
 const PLAYS: [f64; 4] = [0.05, 0.1, 0.2, 0.4];
+/// Stress on which friction that grows with the load turns round, per scale.
+const DAHL: f64 = 0.05;
 
 /// What a device that was just switched on will remember: the effects of a skin that act along a trajectory.
 #[derive(Debug, Clone)]
@@ -59,12 +61,16 @@ impl Dynamics {
                         Some(Mullins { loss, onset: value("onset"), largest: vec![0.0; channels] });
                 }
                 "hysteresis" => {
-                    let weight = strength * value("width") / (2.0 * PLAYS.iter().sum::<f64>());
-                    all(weight * PLAYS.len() as f64)?;
+                    let (width, with_load) = (strength * value("width"), value("with_load"));
+                    let weight = width * (1.0 - with_load) / (2.0 * PLAYS.iter().sum::<f64>());
+                    all(weight * PLAYS.len() as f64 + 0.5 * width * with_load)?;
                     walk.hysteresis = Some(Hysteresis {
                         weight,
                         thresholds: PLAYS.map(|p| p * value("scale")),
                         plays: vec![[0.0; PLAYS.len()]; channels],
+                        amplitude: 0.5 * width * with_load,
+                        turns: DAHL * value("scale"),
+                        friction: vec![[0.0; 2]; channels],
                     });
                 }
                 "relaxation" => {
@@ -223,12 +229,19 @@ impl Mullins {
     }
 }
 
-/// Prandtl and Ishlinskii: a sum of play operators of equal weight.
+/// Prandtl and Ishlinskii: a sum of play operators of equal weight. Beside it Dahl's friction, in proportion to the load: between
+/// grains of a filler that are pressed together.
 #[derive(Debug, Clone)]
 struct Hysteresis {
     weight: f64,
     thresholds: [f64; PLAYS.len()],
     plays: Vec<[f64; PLAYS.len()]>,
+    /// Of the signal, to either side.
+    amplitude: f64,
+    /// \[Pa\] on which friction turns round.
+    turns: f64,
+    /// Friction from -1 to 1, and the last stress \[Pa\].
+    friction: Vec<[f64; 2]>,
 }
 
 impl Hysteresis {
@@ -238,7 +251,13 @@ impl Hysteresis {
             *play = play.clamp(stress - threshold, stress + threshold);
             lag += stress - *play;
         }
-        stress - self.weight * lag
+        let [friction, last] = &mut self.friction[channel];
+        let change = stress - *last;
+        *last = stress;
+        // Dahl's law along a stress that goes one way is exponential in it, whatever the steps.
+        let side = change.signum();
+        *friction = side + (*friction - side) * (-change.abs() / self.turns).exp();
+        stress * (1.0 - self.amplitude * *friction) - self.weight * lag
     }
 }
 
