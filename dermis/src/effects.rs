@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use clap::Args;
-use dermis_skin::{Effect, EffectInfo, SkinDescription};
+use dermis_skin::{COMMON, CommonEffect, CommonParameters, Effect, EffectInfo, SkinDescription};
 
 use crate::registry::{FAMILIES, Family};
 
@@ -95,7 +95,15 @@ pub fn run(options: &Options) -> Result<()> {
             Ok(serde_json::json!({ "name": family.name, "effects": effects.collect::<Result<Vec<_>>>()? }))
         };
         let families = families.iter().map(of).collect::<Result<Vec<_>>>()?;
-        println!("{}", serde_json::json!({ "families": families }));
+        let common = COMMON.iter().map(|info| {
+            let mut value = serde_json::to_value(info)?;
+            if skin.is_some() {
+                value["of_skin"] = serde_json::to_value(on(info.name))?;
+            }
+            Ok(value)
+        });
+        let common = common.collect::<Result<Vec<_>>>()?;
+        println!("{}", serde_json::json!({ "families": families, "common": common }));
         return Ok(());
     }
     for family in families {
@@ -104,7 +112,49 @@ pub fn run(options: &Options) -> Result<()> {
             print!("{}", describe(info, on(info.name)));
         }
     }
+    println!("every skin");
+    for info in COMMON {
+        print!("{}", describe_common(info, on(info.name)));
+    }
     Ok(())
+}
+
+/// One effect that every skin can have for people; with what a skin says of it, where it does.
+fn describe_common(info: &CommonEffect, of_skin: Option<&Effect>) -> String {
+    let mut text = format!("  {}", info.name);
+    if let Some(effect) = of_skin {
+        let _ = write!(text, "  [strength {} on this skin]", effect.strength);
+    }
+    let remembers = if info.stateful { " Remembers." } else { "" };
+    let rig = if info.rig { " Of the rig." } else { "" };
+    let _ = writeln!(text, "\n      {}{remembers}{rig}", info.what);
+    let unit = match info.unit {
+        "" => " in the unit of the skin".to_owned(),
+        "1" => String::new(),
+        unit => format!(" in {unit}"),
+    };
+    match info.parameters {
+        CommonParameters::Channels | CommonParameters::ChannelsAnd(_) => {
+            let _ = writeln!(text, "      names of channels, each a number{unit}");
+        }
+        CommonParameters::Taxels => {
+            let _ = writeln!(text, "      names of taxels with .x, .y or .z, each a number{unit}");
+        }
+        CommonParameters::Named(_) => {}
+    }
+    for p in info.named() {
+        let value = of_skin.and_then(|effect| effect.parameters.get(p.name)).copied();
+        let unit = if p.unit == "1" || p.unit.is_empty() { String::new() } else { format!(" {}", p.unit) };
+        let [low, high] = p.range;
+        let _ = writeln!(
+            text,
+            "      {:14} {}{unit} ({low} to {high}{unit})  {}",
+            p.name,
+            value.unwrap_or(p.typical),
+            p.what
+        );
+    }
+    text
 }
 
 /// One effect for people; with what a skin says of it, where it does.
@@ -174,6 +224,18 @@ mod tests {
                 Effect::new("friction").strength(2.0).seed(9),
             ]
         );
+    }
+
+    #[test]
+    fn an_effect_of_every_skin_is_described_alike() {
+        let info = dermis_skin::common_effect("warm-up").unwrap();
+        insta::assert_snapshot!(describe_common(info, None), @r#"
+warm-up
+    The zero of channels, and the sensitivity of all, are off when the device is switched on, and go home as it warms itself. Remembers.
+    names of channels, each a number in the unit of the skin
+    time           300 s (30 to 1800 s)  after which 37 % of it is left
+    span           0 (-0.3 to 0.3)  by which the sensitivity is too large at first
+"#);
     }
 
     #[test]
