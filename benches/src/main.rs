@@ -1,6 +1,7 @@
 //! `dermis-bench`: measurements of speed, each against a named peer in the same run. Start it by `cargo xtask bench`.
 
 mod device;
+mod gap;
 mod machine;
 mod model;
 mod node;
@@ -37,6 +38,8 @@ enum Command {
     /// A shell: its factor and loads against CHOLMOD with OpenBLAS and against CalculiX, and samples per second of its forward
     /// model, with and without maps of displacement.
     Shell(shell::Options),
+    /// A diagnosis of ten thousand contacts on a fabric of 784 channels: seconds after its signatures are kept, and memory.
+    Gap(gap::Options),
     /// What publishing costs, with and without a subscriber.
     Publish(publish::Options),
     /// A long run of four skins and a recorder: memory, losses, latency.
@@ -57,6 +60,7 @@ fn main() -> Result<()> {
         Command::Node(options) => node::run(&options)?,
         Command::Model(options) => model::run(&options)?,
         Command::Shell(options) => shell::run(&options)?,
+        Command::Gap(options) => gap::run(&options)?,
         Command::Publish(options) => publish::run(&options)?,
         Command::Soak(options) => soak::run(&options)?,
         Command::Recording(options) => recording::run(&options)?,

@@ -19,6 +19,8 @@ pub enum Name {
     Model,
     /// Factor and loads of a shell, against CHOLMOD and CalculiX, and samples per second of its forward model.
     Shell,
+    /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
+    Gap,
     /// Publishing with and without a subscriber.
     Publish,
     /// Recording, against the disk.

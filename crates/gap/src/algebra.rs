@@ -4,6 +4,14 @@ use nalgebra::{DMatrix, SymmetricEigen};
 
 /// Solves `a x = b` for a symmetric positive definite matrix of `n` rows, in place; `None` where it is not.
 pub fn cholesky_solve(a: &mut [f64], n: usize, b: &mut [f64]) -> Option<()> {
+    cholesky(a, n)?;
+    forward(a, n, b);
+    backward(a, n, b);
+    Some(())
+}
+
+/// Upper factor R of a = RᵀR, in the upper half of `a`; `None` where there is none.
+pub fn cholesky(a: &mut [f64], n: usize) -> Option<()> {
     for j in 0..n {
         let (done, rest) = a.split_at_mut(j * n);
         for k in 0..j {
@@ -24,7 +32,11 @@ pub fn cholesky_solve(a: &mut [f64], n: usize, b: &mut [f64]) -> Option<()> {
             *x /= root;
         }
     }
-    // a now holds the upper factor R, a = RᵀR.
+    Some(())
+}
+
+/// Solves Rᵀ x = b in place.
+pub fn forward(a: &[f64], n: usize, b: &mut [f64]) {
     for i in 0..n {
         let mut s = b[i];
         for k in 0..i {
@@ -32,6 +44,10 @@ pub fn cholesky_solve(a: &mut [f64], n: usize, b: &mut [f64]) -> Option<()> {
         }
         b[i] = s / a[i * n + i];
     }
+}
+
+/// Solves R x = b in place.
+pub fn backward(a: &[f64], n: usize, b: &mut [f64]) {
     for i in (0..n).rev() {
         let mut s = b[i];
         for k in i + 1..n {
@@ -39,17 +55,16 @@ pub fn cholesky_solve(a: &mut [f64], n: usize, b: &mut [f64]) -> Option<()> {
         }
         b[i] = s / a[i * n + i];
     }
-    Some(())
 }
 
 /// Principal components of `vectors`, each scaled so that a coefficient of standard deviation 1 gives back the spread of the
 /// vectors about zero; as many as hold `share` of their energy, `most` at most. Also the share that they hold.
-pub fn components(vectors: &[Vec<f32>], share: f64, most: usize) -> (Vec<Vec<f32>>, f64) {
+pub fn components(vectors: &[impl AsRef<[f32]>], share: f64, most: usize) -> (Vec<Vec<f32>>, f64) {
     let m = vectors.len();
     let mut gram = DMatrix::<f64>::zeros(m, m);
     for i in 0..m {
         for j in 0..=i {
-            let dot = dot(&vectors[i], &vectors[j]);
+            let dot = dot(vectors[i].as_ref(), vectors[j].as_ref());
             (gram[(i, j)], gram[(j, i)]) = (dot, dot);
         }
     }
@@ -67,10 +82,10 @@ pub fn components(vectors: &[Vec<f32>], share: f64, most: usize) -> (Vec<Vec<f32
             break;
         }
         let scale = 1.0 / (m as f64).sqrt();
-        let mut component = vec![0.0f32; vectors[0].len()];
+        let mut component = vec![0.0f32; vectors[0].as_ref().len()];
         for (i, vector) in vectors.iter().enumerate() {
             let f = (eigen.eigenvectors[(i, index)] * scale) as f32;
-            for (c, v) in component.iter_mut().zip(vector) {
+            for (c, v) in component.iter_mut().zip(vector.as_ref()) {
                 *c += f * v;
             }
         }
@@ -79,6 +94,22 @@ pub fn components(vectors: &[Vec<f32>], share: f64, most: usize) -> (Vec<Vec<f32
         held += value;
     }
     (found, held / total)
+}
+
+/// The direction of unit length that many short vectors of `n` numbers have most in common.
+pub fn direction<'a>(vectors: impl Iterator<Item = &'a [f64]>, n: usize) -> Vec<f64> {
+    let mut spread = DMatrix::<f64>::zeros(n, n);
+    for vector in vectors {
+        for i in 0..n {
+            for j in 0..=i {
+                spread[(i, j)] += vector[i] * vector[j];
+            }
+        }
+    }
+    spread.fill_upper_triangle_with_lower_triangle();
+    let eigen = SymmetricEigen::new(spread);
+    let largest = (0..n).max_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+    largest.map_or_else(Vec::new, |at| eigen.eigenvectors.column(at).iter().copied().collect())
 }
 
 /// Dot product in double precision.

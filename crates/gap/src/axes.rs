@@ -17,6 +17,8 @@ const PERMUTATIONS: usize = 8;
 const BINS: usize = 8;
 /// Rows that a bin must hold to be fitted.
 const LEAST: usize = 8;
+/// Name of the axis that has no bins: each channel is one.
+const CHANNEL: &str = "channel";
 /// Points of a map, at most.
 const POINTS: usize = 400;
 
@@ -38,7 +40,8 @@ pub struct Bin {
 pub struct Axis {
     /// Name.
     pub axis: String,
-    /// Share of the gap on held-out contacts that a mean and a factor for each bin and channel explain, beyond chance.
+    /// Share of the gap on held-out contacts that a mean and a factor for each bin explain beyond those of each channel, and beyond
+    /// chance.
     pub share: f64,
     /// 95 % interval of it, over places.
     pub interval: [f64; 2],
@@ -237,7 +240,7 @@ fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
         ),
     ];
     let mut found: Vec<Binned> = found.into_iter().flatten().collect();
-    found.push(Binned { name: "channel", of: vec![Some(0); rows.len()], labels: vec!["all".to_owned()] });
+    found.push(Binned { name: CHANNEL, of: vec![Some(0); rows.len()], labels: vec!["all".to_owned()] });
     found
 }
 
@@ -272,31 +275,62 @@ impl Line {
     }
 }
 
-/// Held-out energy of each group after a mean and a factor for each bin and channel; two folds.
-fn held_out(view: &View<'_>, of: &[Option<usize>], bins: usize, fold: &[usize]) -> Vec<f64> {
+/// How a fit shares its numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Pool {
+    /// A mean and a factor for each bin and channel.
+    Channels,
+    /// A mean and a factor for each bin, alike on all channels.
+    Bins,
+}
+
+/// What a residual leaves, rows × channels, after a mean and a factor for each bin, fitted on the other one of two folds.
+fn held_out(
+    view: &View<'_>,
+    residual: &[f32],
+    (of, bins): (&[Option<usize>], usize),
+    fold: &[usize],
+    pool: Pool,
+) -> Vec<f32> {
     let usable = view.usable();
     let width = view.channels;
     let mut lines = vec![[Line::default(); 2]; (bins + 1) * width];
-    let at = |i: usize| of[i].unwrap_or(bins);
+    let at = |i: usize, k: usize| {
+        let bin = of[i].unwrap_or(bins);
+        if pool == Pool::Bins { bin } else { bin * width + k }
+    };
     for (i, row) in view.rows.rows.iter().enumerate() {
-        let (r, s) = (view.row(i), &view.model[i * width..(i + 1) * width]);
         for &k in &usable {
-            lines[at(i) * width + k][fold[row.group]].add(f64::from(s[k]), f64::from(r[k]));
+            let (x, y) = (view.model[i * width + k], residual[i * width + k]);
+            lines[at(i, k)][fold[row.group]].add(f64::from(x), f64::from(y));
         }
     }
     let fits: Vec<[(f64, f64); 2]> = lines.iter().map(|l| [l[1].fit(), l[0].fit()]).collect();
-    let mut energy = vec![0.0; view.rows.groups];
+    let mut left = vec![0.0; residual.len()];
     for (i, row) in view.rows.rows.iter().enumerate() {
-        let (r, s) = (view.row(i), &view.model[i * width..(i + 1) * width]);
         for &k in &usable {
-            let (a, c) = fits[at(i) * width + k][fold[row.group]];
-            energy[row.group] += (f64::from(r[k]) - a - c * f64::from(s[k])).powi(2);
+            let (a, c) = fits[at(i, k)][fold[row.group]];
+            let (x, y) = (view.model[i * width + k], residual[i * width + k]);
+            left[i * width + k] = (f64::from(y) - a - c * f64::from(x)) as f32;
         }
+    }
+    left
+}
+
+/// Energy of each group.
+fn energies(view: &View<'_>, residual: &[f32]) -> Vec<f64> {
+    let mut energy = vec![0.0; view.rows.groups];
+    for (row, values) in view.rows.rows.iter().zip(residual.chunks_exact(view.channels)) {
+        energy[row.group] += values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
     }
     energy
 }
 
 /// How much of the gap goes along each axis, the most telling first.
+///
+/// What all channels have in common, a mean and a factor, goes along no axis. The channel's share is what a mean and a factor of its own
+/// explain beyond that; of every other axis, what one for each bin explains beyond the channel's, be it alike on all channels or
+/// different on each.
 #[must_use]
 pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xa7e5);
@@ -305,22 +339,14 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
     order.shuffle(&mut rng);
     let mut fold = vec![0; groups];
     order.iter().enumerate().for_each(|(i, g)| fold[*g] = i % 2);
-    let before: Vec<f64> = {
-        let mut energy = vec![0.0; groups];
-        for (i, row) in view.rows.rows.iter().enumerate() {
-            energy[row.group] += view.row(i).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
-        }
-        energy
-    };
-    let total: f64 = before.iter().sum();
-    // What a mean and a factor for each channel explain is the channel's, not any other axis'.
-    let alone = held_out(view, &vec![Some(0); view.rows.rows.len()], 1, &fold);
+    let before = energies(view, view.residual);
+    let all = vec![Some(0); view.rows.rows.len()];
+    let common = energies(view, &held_out(view, view.residual, (&all, 1), &fold, Pool::Bins));
+    let alone = held_out(view, view.residual, (&all, 1), &fold, Pool::Channels);
+    let own = energies(view, &alone);
     let mut found = Vec::new();
     for axis in axes(view, sessions) {
-        let after = held_out(view, &axis.of, axis.labels.len(), &fold);
-        let channel = axis.name == "channel";
-        let base = if channel { &before } else { &alone };
-        let share = |groups: &mut dyn Iterator<Item = usize>| {
+        let share = |base: &[f64], after: &[f64], groups: &mut dyn Iterator<Item = usize>| {
             let (mut gained, mut all) = (0.0, 0.0);
             for g in groups {
                 gained += base[g] - after[g];
@@ -328,26 +354,43 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
             }
             if all > 0.0 { gained / all } else { 0.0 }
         };
-        let mut by_chance = 0.0;
-        if !channel {
-            for _ in 0..PERMUTATIONS {
-                // Rows that the axis says nothing of stay where they are.
-                let mut known: Vec<usize> = axis.of.iter().flatten().copied().collect();
-                known.shuffle(&mut rng);
-                let mut drawn = known.into_iter();
-                let of: Vec<Option<usize>> = axis.of.iter().map(|o| o.and_then(|_| drawn.next())).collect();
-                let shuffled: f64 = held_out(view, &of, axis.labels.len(), &fold).iter().sum();
-                by_chance += (alone.iter().sum::<f64>() - shuffled) / total.max(1e-300) / PERMUTATIONS as f64;
+        let bins_of = axis.labels.len();
+        let (base, after, by_chance) = if axis.name == CHANNEL {
+            (&common, own.clone(), 0.0)
+        } else {
+            let mut best: Option<(f64, Vec<f64>, f64)> = None;
+            for pool in [Pool::Channels, Pool::Bins] {
+                let left = |of: &[Option<usize>]| {
+                    energies(view, &held_out(view, &alone, (of, bins_of), &fold, pool))
+                };
+                let mut by_chance = 0.0;
+                for _ in 0..PERMUTATIONS {
+                    // Rows that the axis says nothing of stay where they are.
+                    let mut known: Vec<usize> = axis.of.iter().flatten().copied().collect();
+                    known.shuffle(&mut rng);
+                    let mut drawn = known.into_iter();
+                    let of: Vec<Option<usize>> =
+                        axis.of.iter().map(|o| o.and_then(|_| drawn.next())).collect();
+                    by_chance += share(&own, &left(&of), &mut (0..groups)) / PERMUTATIONS as f64;
+                }
+                let after = left(&axis.of);
+                let value = share(&own, &after, &mut (0..groups)) - by_chance;
+                if best.as_ref().is_none_or(|b| value > b.0) {
+                    best = Some((value, after, by_chance));
+                }
             }
-        }
-        let value = share(&mut (0..groups)) - by_chance;
+            let Some((_, after, by_chance)) = best else { continue };
+            (&own, after, by_chance)
+        };
+        let value = share(base, &after, &mut (0..groups)) - by_chance;
         let mut drawn: Vec<f64> = (0..200)
             .map(|_| {
-                share(&mut (0..groups).map(|_| rand::Rng::random_range(&mut rng, 0..groups))) - by_chance
+                let mut draw = (0..groups).map(|_| rand::Rng::random_range(&mut rng, 0..groups));
+                share(base, &after, &mut draw) - by_chance
             })
             .collect();
         drawn.sort_by(f64::total_cmp);
-        let bins = if channel { Vec::new() } else { bins(view, &axis) };
+        let bins = if axis.name == CHANNEL { Vec::new() } else { bins(view, &axis) };
         found.push(Axis { axis: axis.name.to_owned(), share: value, interval: [drawn[5], drawn[194]], bins });
     }
     found.sort_by(|a, b| b.share.total_cmp(&a.share));

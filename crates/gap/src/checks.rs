@@ -272,7 +272,13 @@ pub fn agreement(
     let frames: Vec<usize> = rows.frames();
     let surface = simulator.skin.surface();
     for (name, signs, exchange) in turns {
-        let mut other = recording.clone();
+        // What was read is of no concern, and may be large.
+        let mut other = Recording {
+            name: recording.name.clone(),
+            channels: recording.channels,
+            moments: recording.moments.clone(),
+            ..Recording::default()
+        };
         for m in &mut other.moments {
             for contact in m.stimulus.iter_mut().flat_map(|s| &mut s.contacts) {
                 let (p, f) = (contact.position, contact.force);

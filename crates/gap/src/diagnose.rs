@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -14,28 +14,30 @@ use sha2::{Digest, Sha256};
 
 use crate::axes::{self, Axis, View};
 use crate::data::{Problem, Recording, hex};
-use crate::library::{CHANNELS, Candidate, Gram, Signatures};
+use crate::library::{Candidate, Gram, Signatures};
 use crate::noise::{self, Gap};
 use crate::polish::{self, Form, Free, Target};
 use crate::report::{
     Alike, Closure, DataSummary, NamedEffect, Provenance, Report, SCHEMA, Suspect, Unknown, Value, Verdict,
 };
 use crate::rows::{RowOptions, Rows};
-use crate::select::{SelectOptions, Selection, Selector, Tier};
+use crate::select::{Member, SelectOptions, Selection, Selector, Tier};
 use crate::simulate::Simulator;
 use crate::statistics::{Column, Fit, Statistics};
-use crate::{GapError, checks, experiments, hum, parity, steps, store, unknown};
+use crate::{GapError, checks, experiments, hum, library, parity, steps, store, unknown};
 
 /// Share of the gap below which it is not systematic enough to be explained.
 const UNSYSTEMATIC: f64 = 0.2;
 /// Share of the systematic gap that effects must explain on other contacts to be named.
 const NAMED: f64 = 0.3;
-/// Margins that a gap must surely exceed for a name that may as well be the simulator's own error.
-const SURELY: f64 = 2.0;
 /// Share of the gap that an effect closes on other contacts at least, if its signature is to be believed beyond that.
 const HELPS: f64 = 0.15;
 /// Share of the systematic gap that named effects may leave: laws are not known better.
 const REMAINDER: f64 = 0.26;
+/// What the closure in another recording of the same device differs by, beyond what resampling says.
+const ELSEWHERE: f64 = 0.03;
+/// Relative error of the floor.
+const FLOOR_ERROR: f64 = 0.1;
 /// Share of what single presses leave that must differ between presses that were done alike to be a gap of its own.
 const RESTLESS: f64 = 0.5;
 
@@ -114,14 +116,18 @@ pub fn diagnose(
     report.provenance.silent = signatures.silent.iter().map(|(a, b)| [a.clone(), b.clone()]).collect();
     report.provenance.form.clone_from(&signatures.form_names);
     report.provenance.tried = signatures.candidates.iter().map(|c| c.name.clone()).collect();
+    // No residual shows it: the spectrum of untouched frames does.
+    report.provenance.tried.push("interference".to_owned());
     report.provenance.library_hash = hex(&Sha256::digest(report.provenance.tried.join(",")));
 
     let channels = recording.channels;
-    if channels > CHANNELS {
+    if rows.glances > 0 {
         report.warnings.push(format!(
-            "effects that differ from channel to channel are looked for in the {CHANNELS} channels that these presses move most; \
-             of the other {} channels no gain, offset or place is told",
-            channels - CHANNELS
+            "of {} presses every phase is looked at in {}, and one held frame in {} others: {} frames in all",
+            report.data.presses,
+            rows.presses,
+            rows.glances,
+            rows.rows.len()
         ));
     }
     let mut readings: Vec<f32> =
@@ -183,7 +189,7 @@ pub fn diagnose(
     let scaled = whiten(&readings, &sigma);
     cut(&mut readings, &nominal, skin, &sigma);
     let whitened = residual(&readings, &nominal, &sigma);
-    let gap = measure(&whitened, &scaled, &rows, &sigma, options);
+    let mut gap = measure(&whitened, &scaled, &rows, &sigma, options);
     let mut before = gap.fvu_before;
     for (effect, of) in certain.iter_mut().rev() {
         effect.gain = *of - before;
@@ -203,37 +209,62 @@ pub fn diagnose(
         report.maps.push(axes::map(&view, &surface));
         report.parity = parity::checks(&view, &scaled);
     }
-    report.gap = Some(gap.clone());
     // What differs from press to press is a gap as well, where it is no noise of single frames.
     let restless = gap.irreproducible.is_some_and(|i| i > options.select.margin.max(RESTLESS * gap.floor));
-    let hum = hum::find(recording, skin.rate)
-        .map(|hum| (hum, hum.share * (gap.floor - gap.irreproducible.unwrap_or(0.0))));
-    let hum = hum.filter(|(_, size)| *size > options.select.margin);
+    let irreproducible = gap.irreproducible.unwrap_or(0.0);
+    let hum = hum::find(recording, skin.rate).map(|hum| {
+        // Frames that follow each other differ by more than a hum itself where it turns round between them, and by less where it hardly
+        // moves.
+        let turn = (std::f64::consts::TAU * hum.frequency / skin.rate).cos();
+        let twins = gap.floor - irreproducible;
+        let noise = twins / (1.0 - turn * hum.share);
+        (hum, noise - twins, hum.share * noise)
+    });
+    let hum = hum.filter(|(.., size)| *size > options.select.margin).map(|(hum, by, size)| {
+        gap.floor += by;
+        gap.systematic -= by;
+        gap.interval.iter_mut().for_each(|e| *e -= by);
+        (hum, size)
+    });
     if let Some((hum, size)) = &hum {
+        let share = |of: f64| {
+            let size = of.clamp(0.0, 1.0) / hum.share * size;
+            size / (size + gap.systematic.max(0.0) + irreproducible)
+        };
         report.axes.push(Axis {
             axis: "frequency".to_owned(),
-            share: size / (size + gap.systematic.max(0.0) + gap.irreproducible.unwrap_or(0.0)),
-            interval: [0.0, 1.0],
+            share: share(hum.share),
+            interval: [share(hum.share - hum.half), share(hum.share + hum.half)],
             bins: Vec::new(),
         });
         report.axes.sort_by(|a, b| b.share.total_cmp(&a.share));
+        let mains = hum::mains(hum.frequency, skin.rate);
         report.warnings.push(format!(
-            "{} % of the energy of untouched frames is a hum that shows at {} Hz: {} % of what the readings do, which counts as noise below; \
+            "{} % of the energy of untouched frames is a hum that shows at {} Hz{}: {} % of what the readings do, which counts as noise below; \
              look at mains, motors and their shielding",
             percent(hum.share),
             axes::short(hum.frequency),
+            mains.map_or(String::new(), |f| format!(", as mains of {f} Hz do in these frames")),
             percent(*size)
         ));
     }
+    report.gap = Some(gap.clone());
     let none = gap.interval[1] < options.select.margin && !restless;
-    if none && fixed.is_empty() && hum.is_some() {
-        report.verdict = Verdict::Unmeasured;
+    let hum = hum.map(|(hum, size)| humming(hum, size, &skin.unit));
+    if none
+        && fixed.is_empty()
+        && let Some((named, effect)) = hum
+    {
+        report.verdict = Verdict::Named;
         report.sentence = format!(
-            "No gap between model and presses that matters, but {}.",
+            "No gap between model and presses that matters, but interference: {}.",
             report.warnings.last().map_or("", |w| w)
         );
+        report.effects = vec![named];
+        report.corrected = vec![effect];
         report.provenance.seconds[1] = begun.elapsed().as_secs_f64() - seconds;
-        return Ok(Diagnosis { report, corrected: skin.clone() });
+        let corrected = simulator.with(&report.corrected);
+        return Ok(Diagnosis { report, corrected });
     }
     if none && fixed.is_empty() {
         report.verdict = Verdict::NoGapBeyondNoise;
@@ -267,6 +298,7 @@ pub fn diagnose(
     report.warnings.extend(found.warnings);
     report.closure = found.closure;
     report.held_out = found.held_out;
+    let certainly = fixed.len();
     report.corrected = fixed.into_iter().chain(found.effects).collect();
     // What does not hold on other contacts explains nothing: all of the gap is left.
     let holds = found.library >= NAMED * gap.systematic;
@@ -300,11 +332,6 @@ pub fn diagnose(
     alias(&mut effects, &rows);
     report.suspects = suspects(&signatures.candidates, &found.selection, options.select.floor);
     report.verdict = verdict(&report.unknown, (sure, effects.len()), &found.selection, &gap);
-    if matches!(report.verdict, Verdict::UnknownSystematic | Verdict::Unmeasured) && sure > 0 {
-        report.verdict = Verdict::NamedAndUnknown;
-        effects.truncate(sure);
-        report.corrected.retain(|e| effects.iter().any(|s| s.label == e.name));
-    }
     if matches!(report.verdict, Verdict::UnknownSystematic | Verdict::Unmeasured) {
         report.closure = None;
         report.held_out = None;
@@ -317,7 +344,20 @@ pub fn diagnose(
             ));
         }
         effects.truncate(sure);
-        report.corrected.retain(|e| effects.iter().any(|s| s.label == e.name));
+        report.corrected.truncate(certainly);
+        if sure > 0 {
+            report.verdict = Verdict::NamedAndUnknown;
+        }
+    }
+    if let Some((named, effect)) = hum {
+        report.verdict = match report.verdict {
+            Verdict::Named => Verdict::Named,
+            // Beside a hum that is larger than what presses have in common there is nothing sure to explain.
+            _ if !established || none => Verdict::Named,
+            _ => Verdict::NamedAndUnknown,
+        };
+        report.corrected.push(effect);
+        effects.push(named);
     }
     // The strongest first.
     effects.sort_by(|a, b| b.gain.total_cmp(&a.gain));
@@ -418,9 +458,9 @@ fn signatures(
     Ok((found, seconds))
 }
 
-/// Makes readings NaN that lie at the end of their channel's range, or whose model does: how far beyond it they would be nobody
-/// knows, and a fit must not take the end for a reading.
-fn cut(readings: &mut [f32], nominal: &[f32], skin: &SkinDescription, sigma: &[f64]) {
+/// Makes readings (rows × channels) NaN that lie at the end of their channel's range, or whose model does: how far beyond it they would
+/// be nobody knows, and a fit must not take the end for a reading. `sigma` is the deviation of each channel's noise.
+pub fn cut(readings: &mut [f32], nominal: &[f32], skin: &SkinDescription, sigma: &[f64]) {
     let ranges: Vec<Option<[f64; 2]>> = skin.channels().iter().map(|c| c.range).collect();
     for (i, (reading, model)) in readings.iter_mut().zip(nominal).enumerate() {
         let k = i % sigma.len();
@@ -466,6 +506,13 @@ fn view<'a>(rows: &'a Rows, residual: &'a [f32], model: &'a [f32], sigma: &'a [f
         variance: gap.variance,
         noise: gap.floor * gap.variance,
     }
+}
+
+/// Says what is being done, in so many steps.
+fn stage(progress: &ProgressBar, what: &'static str, steps: usize) {
+    progress.set_message(what);
+    progress.set_length(steps as u64);
+    progress.set_position(0);
 }
 
 /// Share of the systematic part of what is left that a smoother foresees.
@@ -518,6 +565,22 @@ fn suspects(candidates: &[Candidate], selection: &Selection, floor: f64) -> Vec<
     found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     found.truncate(5);
     found
+}
+
+/// A hum as an effect that is named: its gain is its size, since no residual holds it.
+fn humming(hum: hum::Hum, size: f64, unit: &str) -> (NamedEffect, Effect) {
+    let effect =
+        Effect::new("interference").with("amplitude", hum.amplitude).with("frequency", hum.frequency);
+    let info = common_effect(&effect.name);
+    let mut named = known_effect(&effect, info.map_or("", |i| i.what), unit);
+    for value in &mut named.theta {
+        value.unit = match info.map_or("", |i| i.unit_of(&value.name)) {
+            "" => unit.to_owned(),
+            other => other.to_owned(),
+        };
+    }
+    (named.gain, named.solo, named.class[0].gain) = (size, size, size);
+    (named, effect)
 }
 
 /// An effect that something else than the size of a residual shows; its gain is still to come.
@@ -793,11 +856,7 @@ impl Data<'_> {
             &self.signatures.candidates,
             &self.signatures.form,
             gram,
-            (
-                self.scale(weights),
-                self.gap.systematic.max(0.0),
-                self.gap.interval[0] > SURELY * self.options.select.margin,
-            ),
+            (self.scale(weights), self.gap.systematic.max(0.0), self.gap.interval[0]),
             weights,
             &self.options.select,
         )
@@ -812,22 +871,35 @@ impl Data<'_> {
             .map(|c| rescale(c, &declared, self.sigma, self.readings))
             .collect();
         let statistics = Statistics::new(&columns, whitened, self.rows, self.channels());
-        let gram = Gram::new(&columns, self.rows, self.channels());
-        let candidates = &self.signatures.candidates;
+        let gram = Gram::of(&statistics);
         let weights = self.rows.training();
-        let training = self.selector(&statistics, &gram, &weights);
+        let progress = &self.options.progress;
+        stage(progress, "comparing effects", 0);
+        let training = self.selector(&statistics, &gram, &weights).watched(&self.options.stop, progress);
         let selection = training.select();
-        // What goes its own way through time is in no two presses alike: all but the noise of frames is a gap then.
-        let wanders = selection.picks.iter().any(|p| candidates[p.candidate].wanders);
-        if wanders && let Some(part) = self.gap.irreproducible {
-            let mut gap = self.gap.clone();
-            gap.floor -= part;
-            gap.systematic += part;
-            gap.interval.iter_mut().for_each(|e| *e += part);
-            let again = Data { gap: &gap, ..*self };
-            let mut found = again.explained((fixed, whitened), &columns, (&statistics, &gram), selection)?;
-            found.gap = Some(gap);
-            return Ok(found);
+        if self.options.stop.load(Ordering::Relaxed) {
+            return Err(GapError::Interrupted);
+        }
+        // What differs between presses that were done alike, and goes away with the effects, is a part of the gap that these make: they go
+        // with time or temperature.
+        if let Some(part) = self.gap.irreproducible.filter(|_| !selection.picks.is_empty()) {
+            let set: Vec<usize> = selection.picks.iter().map(|p| p.candidate).collect();
+            let left = self.without(whitened, &columns, training.fit_all(&set, Tier::Loose).terms());
+            let scaled = whiten(self.readings, self.sigma);
+            let still = measure(&left, &scaled, self.rows, self.sigma, self.options).irreproducible;
+            let part = part - still.unwrap_or(part);
+            if part > 0.0 {
+                let mut gap = self.gap.clone();
+                gap.floor -= part;
+                gap.systematic += part;
+                gap.interval.iter_mut().for_each(|e| *e += part);
+                gap.irreproducible = still;
+                let again = Data { gap: &gap, ..*self };
+                let mut found =
+                    again.explained((fixed, whitened), &columns, (&statistics, &gram), selection)?;
+                found.gap = Some(gap);
+                return Ok(found);
+            }
         }
         self.explained((fixed, whitened), &columns, (&statistics, &gram), selection)
     }
@@ -856,54 +928,78 @@ impl Data<'_> {
             let prior = self.signatures.form.first().map_or(1.0, |f| training.prior(*f));
             Form::new(&own, self.rows, self.channels(), &weights, prior)
         };
+        stage(&self.options.progress, "fitting values", 0);
         // Each named effect with values on the full simulator, beside what else may be meant.
+        let before: f64 = (0..self.rows.groups).map(|g| statistics.energy(g) * weights[g]).sum();
         let mut tried: Vec<Vec<Tried>> = Vec::new();
-        let mut attempted: Vec<Vec<usize>> = Vec::new();
         for (i, pick) in selection.picks.iter().enumerate() {
             // What linear signatures put behind may be before once it is simulated in full.
-            let mut others: Vec<usize> = pick.class.iter().map(|m| m.candidate).collect();
+            let mut others: Vec<&Member> = pick.class.iter().collect();
             // What another one is named needs no second name.
-            let taken = |c: &usize| tried.iter().any(|t: &Vec<Tried>| t.iter().any(|t| t.candidate == *c));
-            others.retain(|c| *c == pick.candidate || !taken(c));
+            let taken = |c: usize| tried.iter().any(|t: &Vec<Tried>| t.iter().any(|t| t.candidate == c));
+            others.retain(|m| m.candidate == pick.candidate || !taken(m.candidate));
             others.truncate(self.options.polish.max(1));
-            attempted.push(others.clone());
-            let mut of = Vec::new();
-            let beside: Vec<Effect> = {
-                let mut beside = fixed.to_vec();
-                for (j, other) in selection.picks.iter().enumerate().filter(|(j, _)| *j != i) {
-                    let done = tried.get(j).and_then(|t| t.first()).map(|t| t.effects.clone());
-                    let linear = || self.linear(columns, other.candidate, &fit, &weights);
-                    Effect::merge(&mut beside, done.unwrap_or_else(linear));
+            let mut beside = fixed.to_vec();
+            beside.retain(|e| e.name != "channel-order");
+            // What cannot be written is taken out of the readings as its signature says.
+            let mut unwritten: Vec<usize> = Vec::new();
+            for (j, other) in selection.picks.iter().enumerate().filter(|(j, _)| *j != i) {
+                let done = tried.get(j).map(|t| t.first().map_or_else(Vec::new, |t| t.effects.clone()));
+                let effects = done.unwrap_or_else(|| self.linear(columns, other.candidate, &fit, &weights));
+                if effects.is_empty() {
+                    unwritten.extend(&candidates[other.candidate].columns);
                 }
-                beside
-            };
-            for candidate in others {
+                Effect::merge(&mut beside, effects);
+            }
+            let readings = self.without_columns(columns, &fit, &unwritten);
+            let alone = Data { readings: &readings, ..*self };
+            let mut of = Vec::new();
+            let mut open: Vec<Member> = Vec::new();
+            for member in others {
+                let candidate = member.candidate;
+                let model: Vec<usize> =
+                    set.iter().map(|c| if *c == pick.candidate { candidate } else { *c }).collect();
                 let refit = if candidate == pick.candidate {
                     fit.clone()
                 } else {
-                    let with: Vec<usize> =
-                        set.iter().map(|c| if *c == pick.candidate { candidate } else { *c }).collect();
-                    training.fit_all(&with, Tier::Loose)
+                    training.fit_all(&model, Tier::Loose)
                 };
-                match self.tried(columns, candidate, &refit, &beside, (&weights, &form), statistics) {
+                match alone.tried(columns, candidate, &refit, &beside, (&weights, &form), statistics) {
                     Ok(Some(mut one)) => {
-                        let model: Vec<usize> =
-                            set.iter().map(|c| if *c == pick.candidate { candidate } else { *c }).collect();
                         one.score = training.weigh(one.energy, 0.0, &model);
                         of.push(one);
                     }
-                    Ok(None) => {}
+                    Ok(None) => open.push(member.clone()),
                     Err(GapError::Interrupted) => return Err(GapError::Interrupted),
-                    Err(error) => found.warnings.push(format!("{}: {error}", candidates[candidate].name)),
+                    Err(error) => {
+                        found.warnings.push(format!("{}: {error}", candidates[candidate].name));
+                        open.push(member.clone());
+                    }
                 }
+            }
+            // Those that cannot be simulated are where their signatures put them beside what is simulated in full.
+            if !open.is_empty() && selection.picks.len() > 1 {
+                let skin = self.simulator.with(&beside);
+                let read = self.simulator.readings(&skin, self.recording, &self.rows.frames())?;
+                let rest = residual(&readings, &read, self.sigma);
+                let rest = Statistics::new(columns, &rest, self.rows, self.channels());
+                let selector = self.selector(&rest, gram, &weights).measured_as(&training);
+                let others: Vec<usize> = set.iter().copied().filter(|c| *c != pick.candidate).collect();
+                for member in &mut open {
+                    member.score = selector.score(&[member.candidate]) + training.weigh(0.0, 0.0, &others);
+                }
+            }
+            found.named.push(self.name(pick, &mut of, &open, before));
+            // The label decides what the others stand beside: the first, or none where it cannot be written.
+            let label = found.named.last().map(|n| n.label.clone()).unwrap_or_default();
+            if of.first().is_some_and(|t| candidates[t.candidate].name != label) {
+                of.clear();
             }
             tried.push(of);
         }
-        let before = (0..self.rows.groups).map(|g| statistics.energy(g)).collect::<Vec<f64>>();
-        let over = |losses: &[f64]| losses.iter().zip(&weights).map(|(l, w)| l * w).sum::<f64>();
-        for ((pick, of), attempted) in selection.picks.iter().zip(&mut tried).zip(&attempted) {
-            found.named.push(self.name(pick, of, attempted, over(&before)));
-        }
+        let mut set = set;
+        self.dropped((&mut found, &mut tried, &mut set), fixed, columns, (statistics, &training), &form)?;
+        let fit = training.fit_all(&set, Tier::Loose);
         let mut effects: Vec<Effect> = Vec::new();
         for of in &tried {
             if let Some(first) = of.first() {
@@ -916,7 +1012,15 @@ impl Data<'_> {
                     .to_owned(),
             );
         }
-        self.close(&mut found, &effects, fixed, (statistics, gram), &training, &set, &weights)?;
+        let unwritten: Vec<usize> = set
+            .iter()
+            .zip(&tried)
+            .filter(|(_, of)| of.is_empty())
+            .flat_map(|(c, _)| candidates[*c].columns.iter().copied())
+            .collect();
+        let readings = self.without_columns(columns, &fit, &unwritten);
+        let rest = Data { readings: &readings, ..*self };
+        rest.close(&mut found, &effects, fixed, (statistics, gram), &training, &set, &weights)?;
         if let Some((_, of)) =
             found.named.iter().zip(&tried).find(|(n, of)| n.class.len() > 1 && of.len() > 1)
         {
@@ -924,19 +1028,82 @@ impl Data<'_> {
                 of.iter().map(|t| (candidates[t.candidate].name.clone(), t.effects.clone())).collect();
         }
         if found.left.is_none() {
-            found.left = Some(self.without(whitened, columns, &fit));
+            found.left = Some(self.without(whitened, columns, fit.terms()));
         }
         found.effects = effects;
         found.selection = selection;
         Ok(found)
     }
 
+    /// Drops effects that the others, fitted again on the full simulator, do as well without: signatures are linear, and what is large
+    /// may have needed one more of them.
+    fn dropped(
+        &self,
+        (found, tried, set): (&mut Found, &mut Vec<Vec<Tried>>, &mut Vec<usize>),
+        fixed: &[Effect],
+        columns: &[Column],
+        (statistics, training): (&Statistics, &Selector<'_>),
+        form: &Form,
+    ) -> Result<(), GapError> {
+        let weights = self.rows.training();
+        let Some(mut score) = tried.last().and_then(|of| of.first()).map(|t| t.score) else { return Ok(()) };
+        let mut i = 0;
+        while set.len() > 1 && i < set.len() && tried.iter().all(|of| !of.is_empty()) {
+            // The others, the strongest of them fitted again.
+            let again = (0..set.len())
+                .filter(|j| *j != i)
+                .max_by(|a, b| found.named[*a].gain.total_cmp(&found.named[*b].gain));
+            let Some(again) = again else { return Ok(()) };
+            let mut beside = fixed.to_vec();
+            beside.retain(|e| e.name != "channel-order");
+            for (_, of) in tried.iter().enumerate().filter(|(j, _)| *j != i && *j != again) {
+                Effect::merge(&mut beside, of[0].effects.clone());
+            }
+            let candidate = tried[again][0].candidate;
+            let named = |j: usize| if j == again { candidate } else { set[j] };
+            let model: Vec<usize> = (0..set.len()).filter(|j| *j != i).map(named).collect();
+            let fit = training.fit_all(&model, Tier::Loose);
+            let one = self.tried(columns, candidate, &fit, &beside, (&weights, form), statistics)?;
+            match one {
+                Some(mut one) => {
+                    one.score = training.weigh(one.energy, 0.0, &model);
+                    if one.score <= score {
+                        score = one.score;
+                        found.named[again].theta.clone_from(&one.values);
+                        tried[again][0] = one;
+                        tried.remove(i);
+                        found.named.remove(i);
+                        set.remove(i);
+                        continue;
+                    }
+                }
+                None => return Ok(()),
+            }
+            i += 1;
+        }
+        Ok(())
+    }
+
+    /// Readings without what a fit makes of these columns.
+    fn without_columns(&self, columns: &[Column], fit: &Fit, of: &[usize]) -> Vec<f32> {
+        let nothing = vec![0.0; self.readings.len()];
+        let less = self.without(&nothing, columns, fit.terms().filter(|(c, _)| of.contains(c)));
+        let scaled = less.iter().zip(self.sigma.iter().cycle());
+        let moved = scaled.map(|(l, sigma)| if sigma.is_finite() { l * *sigma as f32 } else { 0.0 });
+        self.readings.iter().zip(moved).map(|(r, m)| r + m).collect()
+    }
+
     /// A residual without what a fit makes of it.
-    fn without(&self, residual: &[f32], columns: &[Column], fit: &Fit) -> Vec<f32> {
+    fn without(
+        &self,
+        residual: &[f32],
+        columns: &[Column],
+        terms: impl Iterator<Item = (usize, f64)>,
+    ) -> Vec<f32> {
         let mut left = residual.to_vec();
         let channels = self.channels();
-        for (column, x) in fit.set.iter().zip(&fit.theta) {
-            let (column, x) = (&columns[*column], *x as f32);
+        for (column, x) in terms {
+            let (column, x) = (&columns[column], x as f32);
             match column.channel {
                 Some(k) => {
                     let own = left.iter_mut().skip(k).step_by(channels);
@@ -1005,27 +1172,48 @@ impl Data<'_> {
         predicted = predicted.min(1.0);
         let achieved = achieved.map(|a| a.min(1.0));
         let centre = achieved.unwrap_or(predicted);
-        let mut drawn = Vec::new();
-        for _ in 0..self.options.resamples {
-            let mut again = vec![0.0; weights.len()];
-            for _ in 0..train.len() {
-                again[train[rng.random_range(0..train.len())]] += 1.0;
+        let mut draw = |from: &[usize]| {
+            let mut weights = vec![0.0; weights.len()];
+            for _ in 0..from.len() {
+                weights[from[rng.random_range(0..from.len())]] += 1.0;
             }
-            let mut ends = vec![0.0; weights.len()];
-            for _ in 0..kept.len() {
-                ends[kept[rng.random_range(0..kept.len())]] += 1.0;
+            weights
+        };
+        let draws: Vec<[Vec<f64>; 2]> =
+            (0..self.options.resamples).map(|_| [draw(&train), draw(&kept)]).collect();
+        stage(&self.options.progress, "drawing other places", self.options.resamples);
+        let again = |[again, ends]: &[Vec<f64>; 2]| {
+            if self.options.stop.load(Ordering::Relaxed) {
+                return None;
             }
-            let selector = self.selector(statistics, gram, &again);
+            let selector = self.selector(statistics, gram, again);
             let picks: Vec<usize> = selector.quick();
             let fit = selector.fit_all(&picks, Tier::Loose);
             let losses: Vec<f64> = (0..self.rows.groups).map(|g| statistics.loss(g, &fit)).collect();
+            self.options.progress.inc(1);
             // How far this draw is from the one at hand, by the same linear signatures; and what other contacts would give.
             let moved = closure(&losses, &test) - closure(&linear, &test);
-            drawn.push(moved + closure(&after, &ends) - closure(&after, &test));
-        }
+            Some(moved + closure(&after, ends) - closure(&after, &test))
+        };
+        // Two threads, as all simulations have.
+        let (first, last) = draws.split_at(draws.len() / 2);
+        let drawn: Option<Vec<f64>> = std::thread::scope(|scope| {
+            let other = scope.spawn(|| last.iter().map(again).collect::<Option<Vec<f64>>>());
+            let mut found = first.iter().map(again).collect::<Option<Vec<f64>>>()?;
+            match other.join() {
+                Ok(more) => found.extend(more?),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+            Some(found)
+        });
+        let drawn = drawn.ok_or(GapError::Interrupted)?;
         let n = drawn.len().max(1) as f64;
         let spread = (drawn.iter().map(|d| d * d).sum::<f64>() / n).sqrt();
-        let half = (1.645 * spread).max((centre - predicted).abs().min(0.02));
+        // Other presses meet the laws elsewhere, and the floor is an estimate.
+        let doubt = FLOOR_ERROR * floor(&test)
+            / (before.iter().zip(&test).map(|(b, w)| b * w).sum::<f64>() - floor(&test)).max(1e-300);
+        let parts = [1.645 * spread, centre - predicted, ELSEWHERE, doubt.clamp(0.0, 1.0)];
+        let half = parts.iter().map(|p| p * p).sum::<f64>().sqrt();
         found.closure =
             Some(Closure { predicted, achieved, interval: [centre - half, (centre + half).min(1.0)] });
         let share = |losses: &[f64]| {
@@ -1040,7 +1228,7 @@ impl Data<'_> {
         &self,
         pick: &crate::select::Pick,
         tried: &mut Vec<Tried>,
-        attempted: &[usize],
+        linear: &[Member],
         before: f64,
     ) -> NamedEffect {
         let candidates = &self.signatures.candidates;
@@ -1048,12 +1236,6 @@ impl Data<'_> {
         let chance = |worse: f64| 1.0 / (1.0 + (0.5 * worse).min(300.0).exp());
         tried.sort_by(|a, b| a.score.total_cmp(&b.score));
         let best = tried.first().map_or(f64::INFINITY, |t| t.score);
-        // Those that cannot be simulated are where their linear signatures put them.
-        let linear: Vec<&crate::select::Member> = pick
-            .class
-            .iter()
-            .filter(|m| attempted.contains(&m.candidate) && !tried.iter().any(|t| t.candidate == m.candidate))
-            .collect();
         let best = linear.iter().map(|m| m.score).fold(best, f64::min);
         tried.retain(|t| t.score - best < open);
         let weights = self.rows.training();
@@ -1115,25 +1297,23 @@ impl Data<'_> {
     ) -> Result<Option<Tried>, GapError> {
         let of = &self.signatures.candidates[candidate];
         let own = self.linear(columns, candidate, fit, weights);
-        let mut beside: Vec<Effect> = beside.to_vec();
-        beside.retain(|e| e.name != "channel-order");
         if of.starts.is_empty() || !of.linear.is_empty() {
             if own.is_empty() {
                 return Ok(None);
             }
-            let (own, read, fitted) = self.refined(own, &beside, weights, form)?;
+            let (own, read, fitted) = self.refined(own, beside, weights, form)?;
             let halves = half_widths(statistics, fit, &of.columns, weights);
             let mut values = Vec::new();
             for effect in &own {
-                let unit = common_effect(&effect.name).map_or("", |c| c.unit);
-                let unit = if unit.is_empty() { self.simulator.skin.unit.as_str() } else { unit };
                 for (name, value) in &effect.parameters {
+                    let unit = common_effect(&effect.name).map_or("", |c| c.unit_of(name));
+                    let unit = if unit.is_empty() { self.simulator.skin.unit.as_str() } else { unit };
                     let at = of.linear.iter().position(|(e, p, _)| *e == effect.name && p == name);
                     let half = fitted
                         .iter()
                         .find(|(f, _)| f.effect == effect.name && f.parameter == *name)
                         .map(|(_, half)| *half)
-                        .or_else(|| at.map(|i| halves[i] * of.linear[i].2.abs()));
+                        .or_else(|| at.filter(|_| !of.timed).map(|i| halves[i] * of.linear[i].2.abs()));
                     values.push(Value {
                         name: if own.len() > 1 {
                             format!("{} of {}", name, effect.name)
@@ -1158,7 +1338,7 @@ impl Data<'_> {
             .starts(columns, of, fit)
             .into_iter()
             .map(|effect| {
-                let mut all = beside.clone();
+                let mut all = beside.to_vec();
                 Effect::merge(&mut all, [effect]);
                 all
             })
@@ -1229,11 +1409,7 @@ impl Data<'_> {
 
     /// Realisations that are nearest to what the linear fit says, the nearest first.
     fn starts(&self, columns: &[Column], of: &Candidate, fit: &Fit) -> Vec<Effect> {
-        let theta: Vec<f64> = of
-            .columns
-            .iter()
-            .map(|c| fit.set.iter().position(|s| s == c).map_or(0.0, |i| fit.theta[i]))
-            .collect();
+        let theta: Vec<f64> = of.columns.iter().map(|c| fit.of(*c)).collect();
         let norms: Vec<f64> = of
             .columns
             .iter()
@@ -1256,10 +1432,62 @@ impl Data<'_> {
         found
     }
 
+    /// What goes home from switching on: the columns say the way of each channel and of all, a file its start and one time for all.
+    fn warming(&self, columns: &[Column], of: &Candidate, coefficient: &dyn Fn(usize) -> f64) -> Vec<Effect> {
+        let n = self.rows.rows.len();
+        let parts: Vec<(&str, f64, &Column, f32)> = of
+            .columns
+            .iter()
+            .zip(&of.linear)
+            .map(|(&c, (_, name, amount))| (name.as_str(), *amount, &columns[c], coefficient(c) as f32))
+            .collect();
+        let mut names: Vec<&str> = Vec::new();
+        let mut ways: Vec<Vec<f32>> = Vec::new();
+        let mut units: Vec<f64> = Vec::new();
+        // Readings in deviations of the noise, root mean square: what a share of the sensitivity is worth.
+        let model = whiten(&self.signatures.nominal, self.sigma);
+        let weight = (crate::algebra::dot(&model, &model) / n.max(1) as f64).sqrt().max(1e-9);
+        let cooling = library::cooling(self.rows);
+        let mut seen = 0;
+        for (name, amount, column, x) in parts {
+            if names.last() != Some(&name) {
+                names.push(name);
+                ways.push(vec![0.0; n]);
+                units.push(column.channel.map_or(1.0 / weight, |k| self.sigma[k]));
+                seen = 0;
+            }
+            let Some(way) = ways.last_mut() else { continue };
+            match column.channel {
+                Some(_) => way.iter_mut().zip(&column.values).for_each(|(w, v)| *w += x * v),
+                // Of a column of all channels only the way itself is wanted.
+                None => {
+                    let factor = x * (amount * weight) as f32;
+                    let of = cooling.get(seen).map_or(&[][..], Vec::as_slice);
+                    way.iter_mut().zip(of).for_each(|(w, v)| *w += factor * v);
+                }
+            }
+            seen += 1;
+        }
+        let (values, time) = library::warming(self.rows, &ways);
+        let mut effect = Effect::new(of.name.clone()).with("time", time);
+        for ((name, value), unit) in names.iter().zip(values).zip(units) {
+            let value = value * unit;
+            if value.is_finite() {
+                effect
+                    .parameters
+                    .insert((*name).to_owned(), if *name == "span" { value.max(-0.9) } else { value });
+            }
+        }
+        vec![effect]
+    }
+
     /// What a linear effect is in the words of a skin description; empty where there are none for it.
     fn linear(&self, columns: &[Column], candidate: usize, fit: &Fit, weights: &[f64]) -> Vec<Effect> {
         let of = &self.signatures.candidates[candidate];
-        let coefficient = |c: usize| fit.set.iter().position(|s| *s == c).map_or(0.0, |i| fit.theta[i]);
+        let coefficient = |c: usize| fit.of(c);
+        if of.name == "warm-up" {
+            return self.warming(columns, of, &coefficient);
+        }
         if !of.linear.is_empty() {
             let parts = of.columns.iter().zip(&of.linear).map(|(c, part)| (part, coefficient(*c)));
             return written(parts);
@@ -1329,7 +1557,8 @@ impl Data<'_> {
 /// Coefficients of linear parts as effects of a skin description.
 fn written<'p>(parts: impl Iterator<Item = (&'p (String, String, f64), f64)>) -> Vec<Effect> {
     let mut found: Vec<Effect> = Vec::new();
-    for ((name, parameter, amount), coefficient) in parts {
+    // A direction that stands for no amount is fitted with the one that does.
+    for ((name, parameter, amount), coefficient) in parts.filter(|((.., amount), _)| *amount != 0.0) {
         let factor = ["channel-gain", "force-scale", "tip-scale"].contains(&name.as_str());
         let mut value = coefficient * amount + if factor { 1.0 } else { 0.0 };
         match name.as_str() {
@@ -1352,7 +1581,6 @@ fn written<'p>(parts: impl Iterator<Item = (&'p (String, String, f64), f64)>) ->
 /// Half of the 90 % interval of coefficients, from the spread of scores over groups.
 fn half_widths(statistics: &Statistics, fit: &Fit, of: &[usize], weights: &[f64]) -> Vec<f64> {
     let sum = statistics.sum(weights);
-    let (n, p) = (fit.set.len(), sum.b.len());
     let scores: Vec<Vec<f64>> = (0..statistics.groups())
         .filter(|g| weights[*g] > 0.0)
         .map(|g| {
@@ -1360,21 +1588,14 @@ fn half_widths(statistics: &Statistics, fit: &Fit, of: &[usize], weights: &[f64]
             fit.set.iter().zip(fitted).map(|(&c, f)| weights[g] * (statistics.score(g)[c] - f)).collect()
         })
         .collect();
+    let factor = sum.factor(&fit.set, |_, g| g * (1.0 + 1e-9) + 0.05);
     of.iter()
         .map(|c| {
-            let Some(at) = fit.set.iter().position(|s| s == c) else { return f64::NAN };
-            let mut a: Vec<f64> = fit
-                .set
-                .iter()
-                .flat_map(|&i| fit.set.iter().map(move |&j| (i, j)))
-                .map(|(i, j)| sum.g[i * p + j])
-                .collect();
-            (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + 0.05);
-            let mut row = vec![0.0; n];
+            let at = fit.set.iter().position(|s| s == c);
+            let (Some(at), Some(factor)) = (at, &factor) else { return f64::NAN };
+            let mut row = vec![0.0; fit.set.len()];
             row[at] = 1.0;
-            if crate::algebra::cholesky_solve(&mut a, n, &mut row).is_none() {
-                return f64::NAN;
-            }
+            let row = factor.solve(&row);
             let variance: f64 =
                 scores.iter().map(|s| row.iter().zip(s).map(|(r, s)| r * s).sum::<f64>().powi(2)).sum();
             1.645 * variance.sqrt()

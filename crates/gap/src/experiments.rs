@@ -265,6 +265,7 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Row
         contacts: 0,
         paired: false,
     });
-    let rows = Rows { rows: rows.collect(), groups: 1, test: vec![false], presses: 1, missing: 0 };
+    let rows =
+        Rows { rows: rows.collect(), groups: 1, test: vec![false], presses: 1, glances: 0, missing: 0 };
     Some((recording, rows))
 }

@@ -18,6 +18,10 @@ pub struct Hum {
     pub frequency: f64,
     /// Share of the energy of untouched frames, about their mean and trend, that is in the line.
     pub share: f64,
+    /// Half of the 95 % interval of it, over stretches of frames.
+    pub half: f64,
+    /// Amplitude, root mean square over channels, in the unit of the readings.
+    pub amplitude: f64,
 }
 
 /// Finds the strongest line in the spectrum of untouched frames that follow each other.
@@ -39,7 +43,10 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Hum> {
     }
     let half = STRETCH / 2;
     let mut power = vec![0.0f64; half + 1];
+    let mut spectra: Vec<Vec<f64>> = Vec::new();
     let mut taken = 0;
+    let mut variance = 0.0;
+    let many = stretches.len();
     for start in stretches {
         for k in 0..recording.channels {
             let mut values: Vec<f64> =
@@ -53,7 +60,9 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Hum> {
                 continue;
             }
             taken += 1;
-            for (f, p) in power.iter_mut().enumerate() {
+            variance += energy / STRETCH as f64;
+            let mut own = vec![0.0f64; half + 1];
+            for (f, p) in own.iter_mut().enumerate() {
                 let (mut re, mut im) = (0.0, 0.0);
                 for (i, v) in values.iter().enumerate() {
                     // A window keeps a line in its place.
@@ -64,8 +73,10 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Hum> {
                 }
                 // Lines at the ends of the spectrum stand there once, all others twice.
                 let twice = if f == 0 || f == half { 0.5 } else { 1.0 };
-                *p += twice * (re * re + im * im) / energy;
+                *p = twice * (re * re + im * im) / energy;
             }
+            power.iter_mut().zip(&own).for_each(|(p, o)| *p += o);
+            spectra.push(own);
         }
     }
     if taken < FEWEST {
@@ -80,10 +91,37 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Hum> {
     if power[peak] < ABOVE * median {
         return None;
     }
-    let line: f64 =
-        (peak.saturating_sub(2)..=(peak + 2).min(half)).map(|f| (power[f] - median).max(0.0)).sum();
-    let share = line / power.iter().sum::<f64>();
-    Some(Hum { frequency: peak as f64 * rate / STRETCH as f64, share })
+    let line = peak.saturating_sub(2)..=(peak + 2).min(half);
+    let of = |power: &[f64], median: f64| -> f64 {
+        let above: f64 = line.clone().map(|f| (power[f] - median).max(0.0)).sum();
+        above / power.iter().sum::<f64>().max(1e-300)
+    };
+    let share = of(&power, median);
+    // Channels of a stretch hum together.
+    let each: Vec<f64> = spectra.iter().map(|own| of(own, median / taken as f64)).collect();
+    let mean = each.iter().sum::<f64>() / each.len() as f64;
+    let variance_of = each.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / each.len() as f64;
+    let spread = 1.96 * (variance_of / many as f64).sqrt();
+    let amplitude = (2.0 * share * variance / taken as f64).sqrt();
+    let between = if peak < half { between([power[peak - 1], power[peak], power[peak + 1]]) } else { 0.0 };
+    Some(Hum { frequency: (peak as f64 + between) * rate / STRETCH as f64, share, half: spread, amplitude })
+}
+
+/// How far beside the middle of three powers in a row, of a window that is half a cosine squared, their line lies.
+fn between([below, peak, above]: [f64; 3]) -> f64 {
+    let ratio = |side: f64| {
+        let root = (side / peak.max(1e-300)).sqrt();
+        (2.0 * root - 1.0) / (root + 1.0)
+    };
+    let by = if above > below { ratio(above) } else { -ratio(below) };
+    by.clamp(-0.5, 0.5)
+}
+
+/// What mains shows at frames of this rate, where it is the frequency `seen` within what a stretch resolves: \[Hz\] of the mains.
+#[must_use]
+pub fn mains(seen: f64, rate: f64) -> Option<f64> {
+    let folded = |f: f64| (f - rate * (f / rate).round()).abs();
+    [50.0, 60.0].into_iter().find(|f| (folded(*f) - seen).abs() < 0.5 * rate / STRETCH as f64)
 }
 
 /// Takes mean and straight line out.
@@ -100,5 +138,39 @@ fn detrend(values: &mut [f64]) {
     let slope = xy / xx;
     for (i, v) in values.iter_mut().enumerate() {
         *v -= mean + slope * (i as f64 - middle);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Moment;
+    use dermis_skin::{Phase, Stimulus};
+
+    #[test]
+    fn a_hum_has_a_frequency_and_an_amplitude() {
+        for (frequency, shows, of) in [(7.3, 7.3, None), (50.0, 30.0, Some(50.0)), (60.0, 20.0, Some(60.0))] {
+            let mut recording = Recording::new("hum", 1);
+            let mut noise = 1u32;
+            for i in 0..2000_u32 {
+                let t = f64::from(i) / 80.0;
+                let moment = Moment {
+                    time: t,
+                    run: 0,
+                    press: 0,
+                    location: 0,
+                    phase: Phase::Idle,
+                    stimulus: Some(Stimulus::default()),
+                    temperature: f64::NAN,
+                };
+                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let jitter = f64::from(noise >> 8) / f64::from(1u32 << 24) - 0.5;
+                recording.push(moment, &[(4.0 * (TAU * frequency * t).sin() + jitter) as f32]);
+            }
+            let hum = find(&recording, 80.0).unwrap();
+            approx::assert_abs_diff_eq!(hum.frequency, shows, epsilon = 0.1);
+            approx::assert_relative_eq!(hum.amplitude, 4.0, max_relative = 0.05);
+            assert_eq!(mains(hum.frequency, 80.0), of);
+        }
     }
 }

@@ -39,7 +39,7 @@ pub use axes::{Axis, Bin, Map};
 pub use checks::Missing;
 pub use data::{Moment, Problem, Recording, Zero};
 pub use dermis_skin::{COMMON, CommonEffect, CommonParameters, Phase, common_effect, device};
-pub use diagnose::{Diagnosis, Memory, Options, diagnose};
+pub use diagnose::{Diagnosis, Memory, Options, cut, diagnose};
 pub use error::GapError;
 pub use experiments::Experiment;
 pub use noise::Gap;

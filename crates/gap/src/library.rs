@@ -9,16 +9,16 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
-use dermis_skin::{Effect, EffectInfo, SkinDescription, common_effect};
+use dermis_skin::{Effect, EffectInfo, SkinDescription, common_effect, full_scale};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 
 use crate::GapError;
-use crate::algebra::{cholesky_solve, components, dot};
+use crate::algebra::{cholesky_solve, components, direction, dot};
 use crate::data::Recording;
 use crate::rows::Rows;
 use crate::simulate::Simulator;
-use crate::statistics::Column;
+use crate::statistics::{Column, Statistics, Sum};
 
 /// A device with one effect of its family, its seed, and what it read.
 type DeviceReadings = (Effect, Option<u64>, Vec<f32>);
@@ -40,6 +40,8 @@ const FORESEEN: f64 = 0.9;
 const FEW: usize = 3;
 /// In deviations of the noise, root mean square over rows and channels: below this an effect does not move the output.
 const MOVED: f64 = 1e-3;
+/// Share of the energy of a change that must not be in proportion to its amount to be a direction of its own.
+const BEND: f64 = 0.01;
 /// What two effects must explain of each other to be two names of one thing.
 const SAME: f64 = 0.97;
 /// Relative tolerance of every number of a data sheet.
@@ -48,8 +50,8 @@ const TOLERANCE: f64 = 0.05;
 const LAW: f64 = 0.05;
 /// Columns of the simulator's own error, at most.
 const FORMS: usize = 12;
-/// Channels for each of which an effect may have columns of its own; beyond it, those that it moves most do.
-pub(crate) const CHANNELS: usize = 48;
+/// Simulations whose readings are held at once, about: those of one effect stay together.
+const AT_ONCE: usize = 16;
 
 /// An effect that may be the cause.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -69,6 +71,13 @@ pub struct Candidate {
     /// Whether it goes its own way through time: repeats do not show it, and no device foresees another.
     #[serde(default)]
     pub wanders: bool,
+    /// Whether it is drawn at random and acts on readings other than in proportion to what is drawn: where it is large its columns
+    /// leave what looks like other effects.
+    #[serde(default)]
+    pub bent: bool,
+    /// Whether it follows the time since power-on: repeats do not show it either.
+    #[serde(default)]
+    pub timed: bool,
     /// A common effect that is the same thing, in which its values are written.
     pub form: Option<String>,
     /// Realisations: what was switched on, and coordinates of what it changed.
@@ -111,6 +120,22 @@ enum Use {
     Form(String, f64),
 }
 
+/// What one parameter of an effect changes.
+struct Part {
+    /// The effect in whose words it is written, where that is another one.
+    effect: Option<&'static str>,
+    parameter: String,
+    /// Value for which the column is.
+    amount: f64,
+    column: Column,
+}
+
+impl Part {
+    fn new(parameter: impl Into<String>, amount: f64, column: Column) -> Self {
+        Self { effect: None, parameter: parameter.into(), amount, column }
+    }
+}
+
 /// How far things are moved to see what that changes.
 const SHIFT: f64 = 2e-4;
 const TURN: f64 = 0.02;
@@ -137,37 +162,40 @@ impl Signatures {
         let noise = skin.channel_noise();
         let jobs = jobs(simulator, rows);
         progress.set_length(jobs.len() as u64);
-        let skins: Vec<SkinDescription> = jobs.iter().map(|j| j.skin.clone()).collect();
-        let read = simulator.many(&skins, recording, (rows, false), stop, progress)?;
-
         let mut found = Self { nominal, ..Self::default() };
-        let deviation = |readings: &[f32], against: &[f32]| -> Vec<f32> {
+        let deviation = |readings: &[f32]| -> Vec<f32> {
             readings
                 .iter()
-                .zip(against)
+                .zip(&open)
                 .enumerate()
                 .map(|(i, (a, b))| (f64::from(a - b) / noise[i % channels]) as f32)
                 .collect()
         };
-        let mut family: BTreeMap<usize, Vec<DeviceReadings>> = BTreeMap::new();
+        let mut refused: BTreeMap<String, String> = BTreeMap::new();
+        let mut run = |jobs: Vec<Job>| -> Result<Vec<(Use, Vec<f32>)>, GapError> {
+            let (skins, uses): (Vec<SkinDescription>, Vec<Use>) =
+                jobs.into_iter().map(|j| (j.skin, j.use_)).unzip();
+            let read = simulator.many(&skins, recording, (rows, false), stop, progress)?;
+            let mut changed = Vec::new();
+            for (use_, read) in uses.into_iter().zip(read) {
+                match (read, use_) {
+                    (Ok(read), use_) => changed.push((use_, deviation(&read))),
+                    (Err(error), Use::Family(_, effect, _)) => {
+                        refused.insert(effect.name, error.to_string());
+                    }
+                    (Err(_), _) => {}
+                }
+            }
+            Ok(changed)
+        };
+        let (families, others): (Vec<Job>, Vec<Job>) =
+            jobs.into_iter().partition(|j| matches!(j.use_, Use::Family(..)));
         let mut common: BTreeMap<&'static str, Vec<CommonReadings>> = BTreeMap::new();
         let mut taxels: [Vec<(f64, Vec<f32>)>; 3] = Default::default();
         let mut forms: BTreeMap<String, Vec<(f64, Vec<f32>)>> = BTreeMap::new();
-        let mut refused: BTreeMap<String, String> = BTreeMap::new();
-        for (job, read) in jobs.into_iter().zip(read) {
-            let changed = match read {
-                Ok(read) => deviation(&read, &open),
-                Err(error) => {
-                    if let Use::Family(_, effect, _) = &job.use_ {
-                        refused.insert(effect.name.clone(), error.to_string());
-                    }
-                    continue;
-                }
-            };
-            match job.use_ {
-                Use::Family(index, effect, device) => {
-                    family.entry(index).or_default().push((effect, device, changed));
-                }
+        for (use_, changed) in run(others)? {
+            match use_ {
+                Use::Family(..) => {}
                 Use::Common(name, parameter, amount) => {
                     common.entry(name).or_default().push((parameter, amount, changed));
                 }
@@ -176,8 +204,24 @@ impl Signatures {
             }
         }
         found.common(skin, recording, rows, &noise, common, &taxels);
-        for (index, realised) in family {
-            found.family(&simulator.effects[index], &realised, rows, channels);
+        let effect = |job: &Job| if let Use::Family(index, ..) = job.use_ { index } else { 0 };
+        let mut batch: Vec<Job> = Vec::new();
+        let mut left = families.into_iter().peekable();
+        while let Some(job) = left.next() {
+            let ends = left.peek().is_none_or(|next| effect(next) != effect(&job));
+            batch.push(job);
+            if !ends || (batch.len() < AT_ONCE && left.peek().is_some()) {
+                continue;
+            }
+            let mut family: BTreeMap<usize, Vec<DeviceReadings>> = BTreeMap::new();
+            for (use_, changed) in run(std::mem::take(&mut batch))? {
+                if let Use::Family(index, effect, device) = use_ {
+                    family.entry(index).or_default().push((effect, device, changed));
+                }
+            }
+            for (index, realised) in family {
+                found.family(&simulator.effects[index], &realised, rows, channels);
+            }
         }
         for (name, reason) in refused {
             if !found.candidates.iter().any(|c| c.name == name) {
@@ -190,7 +234,7 @@ impl Signatures {
     }
 
     /// Adds an effect that is known by its columns, each of one parameter; those that move nothing are left out.
-    fn add_linear(&mut self, name: &str, each: bool, parts: Vec<(String, f64, Column)>, least: f64) {
+    fn add_linear(&mut self, name: &str, each: bool, parts: Vec<Part>, least: f64) {
         let Some(info) = common_effect(name) else { return };
         let mut candidate = Candidate {
             name: name.to_owned(),
@@ -200,16 +244,18 @@ impl Signatures {
             columns: Vec::new(),
             each,
             wanders: false,
+            bent: name == "taxel-position",
+            timed: ["warm-up", "ageing"].contains(&name),
             form: None,
             starts: Vec::new(),
             linear: Vec::new(),
         };
-        for (parameter, amount, column) in parts {
+        for Part { effect, parameter, amount, column } in parts {
             if dot(&column.values, &column.values).sqrt() < least {
                 continue;
             }
             candidate.columns.push(self.columns.len());
-            candidate.linear.push((name.to_owned(), parameter, amount));
+            candidate.linear.push((effect.unwrap_or(name).to_owned(), parameter, amount));
             self.columns.push(column);
         }
         if candidate.columns.is_empty() {
@@ -231,12 +277,11 @@ impl Signatures {
         let (n, channels) = (rows.rows.len(), recording.channels);
         let least = MOVED * ((n * channels) as f64).sqrt();
         let names: Vec<String> = skin.channels().iter().map(|c| c.name.clone()).collect();
-        let loud = self.loudest(channels);
-        let of_channel = |amount: f64, value: &dyn Fn(usize, usize) -> f64| -> Vec<(String, f64, Column)> {
-            loud.iter()
-                .map(|&k| {
+        let of_channel = |amount: f64, value: &dyn Fn(usize, usize) -> f64| -> Vec<Part> {
+            (0..channels)
+                .map(|k| {
                     let values = (0..n).map(|i| (amount * value(i, k) / noise[k]) as f32).collect();
-                    (names[k].clone(), amount, Column { channel: Some(k), values })
+                    Part::new(&names[k], amount, Column { channel: Some(k), values })
                 })
                 .collect()
         };
@@ -244,6 +289,8 @@ impl Signatures {
         let sigma = noise.iter().sum::<f64>() / noise.len().max(1) as f64;
         let offsets = of_channel(sigma, &|_, _| 1.0);
         let gains = of_channel(0.05, &nominal);
+        let full: Vec<f64> = skin.channels().iter().map(|c| full_scale(c, skin.noise)).collect();
+        let bends = of_channel(0.05, &|i, k| nominal(i, k).powi(2) / full[k]);
         // A temperature that hardly changes tells nothing.
         let kelvin: Vec<f64> = rows.rows.iter().map(|r| r.temperature).collect();
         let known = kelvin.iter().all(|t| t.is_finite());
@@ -251,10 +298,40 @@ impl Signatures {
             kelvin.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(*t), h.max(*t)));
         let thermal = (known && high - low > 0.2).then(|| {
             let warm = |i: usize| kelvin[i] - 293.15;
-            (of_channel(sigma, &|i, _| warm(i)), of_channel(0.01, &|i, k| warm(i) * nominal(i, k)))
+            let mut zeros = of_channel(sigma, &|i, _| warm(i));
+            let bends = of_channel(0.1 * sigma, &|i, _| warm(i) * warm(i));
+            zeros.extend(bends.into_iter().map(|part| Part { effect: Some("thermal-bend"), ..part }));
+            (zeros, of_channel(0.01, &|i, k| warm(i) * nominal(i, k)))
         });
+        // Sensitivity goes with the time in use and with presses, and what is cold goes home from switching on.
+        let scaled = |way: &dyn Fn(usize) -> f64| -> Column {
+            let value =
+                |i: usize| way(i / channels) * nominal(i / channels, i % channels) / noise[i % channels];
+            Column { channel: None, values: (0..n * channels).map(|i| value(i) as f32).collect() }
+        };
+        let largest = |values: &[f64]| values.iter().copied().fold(0.0, f64::max).max(1e-9);
+        let times: Vec<f64> = rows.rows.iter().map(|r| r.time).collect();
+        let counts = presses(rows);
+        let (rate, wear) = (0.1 / largest(&times), 0.1 / largest(&counts));
+        let ageing = vec![
+            Part::new("rate", rate, scaled(&|row| -rate * times[row])),
+            Part::new("wear", wear, scaled(&|row| -wear * counts[row])),
+        ];
+        let ways = cooling(rows);
+        let mut warming: Vec<Part> = Vec::new();
+        for k in 0..channels {
+            for way in &ways {
+                let factor = (sigma / noise[k]) as f32;
+                let values = way.iter().map(|v| v * factor).collect();
+                warming.push(Part::new(&names[k], sigma, Column { channel: Some(k), values }));
+            }
+        }
+        for way in &ways {
+            warming.push(Part::new("span", 0.1, scaled(&|row| 0.1 * f64::from(way[row]))));
+        }
         self.add_linear("channel-offset", true, offsets, least);
         self.add_linear("channel-gain", true, gains, least);
+        self.add_linear("channel-curvature", true, bends, least);
         if let Some((zero, span)) = thermal {
             self.add_linear("thermal-zero", true, zero, least);
             self.add_linear("thermal-span", true, span, least);
@@ -268,14 +345,16 @@ impl Signatures {
                 self.silent.push((name.to_owned(), why.to_owned()));
             }
         }
+        self.add_linear("ageing", false, ageing, least);
+        self.add_linear("warm-up", true, warming, least);
         let owners = skin.channel_taxels();
         let mut parts = Vec::new();
         for (axis, realised) in taxels.iter().enumerate() {
             let Some(slope) = central(realised) else { continue };
-            for &k in &loud {
+            for k in 0..channels {
                 let values = (0..n).map(|i| slope[i * channels + k] * SHIFT as f32).collect();
                 let name = format!("{}.{}", skin.taxels[owners[k]].name, ["x", "y", "z"][axis]);
-                parts.push((name, SHIFT, Column { channel: Some(k), values }));
+                parts.push(Part::new(name, SHIFT, Column { channel: Some(k), values }));
             }
         }
         // Channels of one taxel move together, which columns of a channel each cannot say.
@@ -294,27 +373,21 @@ impl Signatures {
                     .collect();
                 let reach = of.iter().map(|(a, _)| a.abs()).fold(0.0, f64::max);
                 if let Some(slope) = central(&of) {
-                    let values = slope.iter().map(|v| v * reach as f32).collect();
-                    parts.push((parameter, reach, Column { channel: None, values }));
+                    let values: Vec<f32> = slope.iter().map(|v| v * reach as f32).collect();
+                    let along = dot(&values, &values);
+                    // What a large amount changes beyond that is a direction of its own; the first one says the amount.
+                    let bend = of.iter().find(|(amount, _)| *amount == reach).map(|(_, large)| {
+                        let part = (dot(large, &values) / along.max(1e-300)) as f32;
+                        large.iter().zip(&values).map(|(l, v)| l - part * v).collect::<Vec<f32>>()
+                    });
+                    parts.push(Part::new(&parameter, reach, Column { channel: None, values }));
+                    if let Some(values) = bend.filter(|b| dot(b, b) > BEND * along) {
+                        parts.push(Part::new(parameter, 0.0, Column { channel: None, values }));
+                    }
                 }
             }
             self.add_linear(name, false, parts, least);
         }
-    }
-
-    /// Channels that the recording moves most, in order.
-    fn loudest(&self, channels: usize) -> Vec<usize> {
-        let mut energy = vec![0.0f64; channels];
-        for row in self.nominal.chunks_exact(channels) {
-            for (e, v) in energy.iter_mut().zip(row) {
-                *e += f64::from(*v).powi(2);
-            }
-        }
-        let mut order: Vec<usize> = (0..channels).collect();
-        order.sort_by(|a, b| energy[*b].total_cmp(&energy[*a]));
-        order.truncate(CHANNELS);
-        order.sort_unstable();
-        order
     }
 
     /// Adds a family's effect by the components of its realisations.
@@ -326,7 +399,7 @@ impl Signatures {
         channels: usize,
     ) {
         let n = rows.rows.len();
-        let vectors: Vec<Vec<f32>> = realised.iter().map(|(.., v)| v.clone()).collect();
+        let vectors: Vec<&[f32]> = realised.iter().map(|(.., v)| v.as_slice()).collect();
         let rms = |v: &[f32]| (dot(v, v) / (n * channels).max(1) as f64).sqrt();
         if vectors.iter().map(|v| rms(v)).fold(0.0, f64::max) < MOVED {
             self.silent
@@ -335,14 +408,18 @@ impl Signatures {
         }
         let each = info.random && !foreseen(realised);
         let wanders = info.random.then(|| wander(realised, rows, channels)).flatten();
+        let mut bent = info.random && wanders.is_none();
         let mut columns: Vec<Column> = Vec::new();
         if let Some(common) = &wanders {
-            columns = drifts(rows, common, &self.loudest(channels));
+            columns = drifts(rows, common, channels);
         } else if each {
-            for k in self.loudest(channels) {
+            // One for each channel says that it is in proportion.
+            bent = false;
+            for k in 0..channels {
                 let own: Vec<Vec<f32>> =
                     vectors.iter().map(|v| (0..n).map(|i| v[i * channels + k]).collect()).collect();
                 let (found, _) = components(&own, HELD, EACH);
+                bent |= found.len() > 1;
                 columns.extend(found.into_iter().map(|values| Column { channel: Some(k), values }));
             }
         } else {
@@ -367,6 +444,8 @@ impl Signatures {
             columns: (first..first + columns.len()).collect(),
             each: each || wanders.is_some(),
             wanders: wanders.is_some(),
+            bent,
+            timed: false,
             form: None,
             starts,
             linear: Vec::new(),
@@ -376,7 +455,8 @@ impl Signatures {
 
     /// A family's effect that a common one says as well, and the other way round, is that one under the family's name.
     fn name_alike(&mut self, rows: &Rows, channels: usize) {
-        let gram = Gram::new(&self.columns, rows, channels);
+        let nothing = vec![0.0f32; rows.rows.len() * channels];
+        let gram = Gram::of(&Statistics::new(&self.columns, &nothing, rows, channels));
         let mut merged: Vec<usize> = Vec::new();
         for f in 0..self.candidates.len() {
             if !(self.candidates[f].family && self.candidates[f].each) {
@@ -522,12 +602,18 @@ fn jobs(simulator: &Simulator<'_>, rows: &Rows) -> Vec<Job> {
     };
     let period = 1.0 / skin.rate;
     common("delay", "time", period, period);
+    common("delay", "time", 5.0 * period, 5.0 * period);
     common("low-pass", "time", period, period);
     common("low-pass", "time", 10.0 * period, 10.0 * period);
     let flat = rows.rows.iter().all(|r| !r.position[2].is_finite() || r.position[2].abs() < 1e-6);
     for axis in ["x", "y", "z"].into_iter().take(if flat { 2 } else { 3 }) {
         for side in [1.0, -1.0] {
             common("truth-shift", axis, side * SHIFT, side * SHIFT);
+        }
+    }
+    if skin.channels().len() > 1 {
+        for side in ["before", "after"] {
+            common("crosstalk", side, 0.05, 0.05);
         }
     }
     for side in [1.0, -1.0] {
@@ -560,6 +646,57 @@ fn jobs(simulator: &Simulator<'_>, rows: &Rows) -> Vec<Job> {
     jobs
 }
 
+/// \[s\] of zeros that go home from switching on: half an order of magnitude apart.
+const WARMING: [f64; 5] = [30.0, 95.0, 300.0, 950.0, 3000.0];
+/// Ways of them that columns are made for.
+const WARM: usize = 2;
+
+/// What all zeros that go home from switching on have in common: a few ways, one value a row each.
+pub(crate) fn cooling(rows: &Rows) -> Vec<Vec<f32>> {
+    let ways: Vec<Vec<f32>> = WARMING.iter().map(|tau| going_home(rows, *tau)).collect();
+    components(&ways, 0.9999, WARM).0
+}
+
+/// What is left of a zero at power-on, one value a row.
+fn going_home(rows: &Rows, time: f64) -> Vec<f32> {
+    rows.rows.iter().map(|r| (-r.time / time).exp() as f32).collect()
+}
+
+/// Presses that have begun so far in the run of each row.
+fn presses(rows: &Rows) -> Vec<f64> {
+    let mut first: BTreeMap<u32, usize> = BTreeMap::new();
+    let mut last = 0.0;
+    rows.rows
+        .iter()
+        .map(|r| {
+            // What comes between two presses has the count of the one before.
+            if r.press != usize::MAX {
+                last = (r.press - *first.entry(r.location.0).or_insert(r.press) + 1) as f64;
+            } else if !first.contains_key(&r.location.0) {
+                last = 0.0;
+            }
+            last
+        })
+        .collect()
+}
+
+/// The values at power-on, and the time, that come nearest to what `ways` (one value a row) say.
+pub(crate) fn warming(rows: &Rows, ways: &[Vec<f32>]) -> (Vec<f64>, f64) {
+    // Half an order of magnitude in twelve steps.
+    let times = (0..=48).map(|i| WARMING[0] * 10f64.powf(f64::from(i) / 24.0));
+    let mut best = (f64::INFINITY, vec![0.0; ways.len()], WARMING[2]);
+    for time in times {
+        let way = going_home(rows, time);
+        let energy = dot(&way, &way).max(1e-300);
+        let along: Vec<f64> = ways.iter().map(|values| dot(&way, values)).collect();
+        let left: f64 = ways.iter().zip(&along).map(|(v, a)| dot(v, v) - a * a / energy).sum();
+        if left < best.0 {
+            best = (left, along.iter().map(|a| a / energy).collect(), time);
+        }
+    }
+    (best.1, best.2)
+}
+
 /// Change for an amount of 1: central where both sides are known, of one side otherwise.
 fn central(sides: &[(f64, Vec<f32>)]) -> Option<Vec<f32>> {
     let plus = sides.iter().find(|(a, _)| *a > 0.0);
@@ -588,8 +725,8 @@ fn foreseen(realised: &[(Effect, Option<u64>, Vec<f32>)]) -> bool {
     }
     let mut shares = Vec::new();
     for left in 0..devices.len() {
-        let others: Vec<Vec<f32>> =
-            devices.iter().enumerate().filter(|(i, _)| *i != left).map(|(_, v)| v.clone()).collect();
+        let others: Vec<&[f32]> =
+            devices.iter().enumerate().filter(|(i, _)| *i != left).map(|(_, v)| v.as_slice()).collect();
         let (found, _) = components(&others, 0.9999, FEW);
         let target = &devices[left];
         let energy = dot(target, target);
@@ -696,18 +833,11 @@ fn wander(realised: &[(Effect, Option<u64>, Vec<f32>)], rows: &Rows, channels: u
     }
     let (mut seen, mut all) = (0.0, 0.0);
     for (d, own) in along.iter().enumerate() {
+        let others = along.iter().enumerate().filter(|(o, _)| *o != d);
+        let first = direction(others.flat_map(|(_, o)| o.chunks_exact(m)), m);
         for way in own.chunks_exact(m) {
-            let others: Vec<Vec<f32>> = along
-                .iter()
-                .enumerate()
-                .filter(|(o, _)| *o != d)
-                .flat_map(|(_, o)| o.chunks_exact(m))
-                .map(|o| o.iter().map(|v| *v as f32).collect())
-                .collect();
-            let (found, _) = components(&others, 0.9999, 1);
-            let way: Vec<f32> = way.iter().map(|v| *v as f32).collect();
-            seen += found.iter().map(|c| dot(c, &way).powi(2) / dot(c, c).max(1e-300)).sum::<f64>();
-            all += dot(&way, &way);
+            seen += first.iter().zip(way).map(|(c, w)| c * w).sum::<f64>().powi(2);
+            all += way.iter().map(|w| w * w).sum::<f64>();
         }
     }
     if seen > SMOOTH * all {
@@ -734,11 +864,11 @@ fn wander(realised: &[(Effect, Option<u64>, Vec<f32>)], rows: &Rows, channels: u
 }
 
 /// Columns of ways through time: those of all channels by the numbers `common`, or each channel's own.
-fn drifts(rows: &Rows, common: &[f64], loud: &[usize]) -> Vec<Column> {
+fn drifts(rows: &Rows, common: &[f64], channels: usize) -> Vec<Column> {
     let (ways, _) = bends(rows);
     if common.is_empty() {
-        // As many as a fit can bear.
-        let every = (loud.len() * ways.len()).div_ceil(DRIFTS).max(1);
+        // As many as a fit can bear, and a few for each of many channels.
+        let every = (channels * ways.len()).div_ceil(DRIFTS.max(FEW * channels)).max(1);
         let merged: Vec<Vec<f32>> = ways
             .chunks(every)
             .map(|of| {
@@ -747,9 +877,8 @@ fn drifts(rows: &Rows, common: &[f64], loud: &[usize]) -> Vec<Column> {
                 sum
             })
             .collect();
-        return loud
-            .iter()
-            .flat_map(|&k| merged.iter().map(move |w| Column { channel: Some(k), values: w.clone() }))
+        return (0..channels)
+            .flat_map(|k| merged.iter().map(move |w| Column { channel: Some(k), values: w.clone() }))
             .collect();
     }
     ways.iter()
@@ -765,35 +894,25 @@ const DRIFTS: usize = 160;
 
 /// Products of all columns over all rows.
 pub(crate) struct Gram {
-    g: Vec<f64>,
-    p: usize,
+    sum: Sum,
 }
 
 impl Gram {
-    pub(crate) fn new(columns: &[Column], rows: &Rows, channels: usize) -> Self {
-        let nothing = vec![0.0f32; rows.rows.len() * channels];
-        let statistics = crate::statistics::Statistics::new(columns, &nothing, rows, channels);
-        let sum = statistics.sum(&vec![1.0; statistics.groups()]);
-        Self { g: sum.g, p: columns.len() }
+    /// Over all groups of these statistics.
+    pub(crate) fn of(statistics: &Statistics) -> Self {
+        Self { sum: statistics.sum(&vec![1.0; statistics.groups()]) }
     }
 
     /// Share of the energy of columns `of` that lies in the span of columns `by`.
     pub(crate) fn explained(&self, of: &[usize], by: &[usize]) -> f64 {
-        let n = by.len();
+        let factor = self.sum.factor(by, |_, g| g * (1.0 + 1e-9) + 1e-12);
         let (mut held, mut all) = (0.0, 0.0);
         for &t in of {
-            let mut a: Vec<f64> = Vec::with_capacity(n * n);
-            for (r, &i) in by.iter().enumerate() {
-                a.extend(by.iter().map(|&j| self.g[i * self.p + j]));
-                a[r * n + r] *= 1.0 + 1e-9;
-                a[r * n + r] += 1e-12;
+            if let Some(factor) = &factor {
+                let b: Vec<f64> = by.iter().map(|&i| self.sum.at(i, t)).collect();
+                held += factor.held(&b);
             }
-            let b: Vec<f64> = by.iter().map(|&i| self.g[i * self.p + t]).collect();
-            let mut x = b.clone();
-            if cholesky_solve(&mut a, n, &mut x).is_some() {
-                held += x.iter().zip(&b).map(|(x, b)| x * b).sum::<f64>();
-            }
-            all += self.g[t * self.p + t];
+            all += self.sum.diagonal(t);
         }
         if all > 0.0 { held / all } else { 0.0 }
     }

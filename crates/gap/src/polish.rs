@@ -14,6 +14,8 @@ use crate::statistics::Column;
 
 /// Rounds of Levenberg and Marquardt.
 const ROUNDS: usize = 6;
+/// Relative deviation of a number from what another law of the same effect would have: laws are known that well.
+const LAW: f64 = 0.08;
 /// Relative gain below which a round was the last.
 const ENOUGH: f64 = 1e-3;
 
@@ -30,6 +32,8 @@ pub struct Free {
     pub scale: f64,
     /// Value where nothing says another.
     pub typical: f64,
+    /// Value that changes nothing.
+    pub neutral: f64,
 }
 
 /// Numbers of a family's effect that can be fitted.
@@ -43,6 +47,7 @@ pub fn free(info: &EffectInfo) -> Vec<Free> {
             limits: p.limits,
             scale: (p.range[1] - p.range[0]).abs().max(1e-12),
             typical: p.typical,
+            neutral: if p.unit == "1" && p.limits[0] > 0.0 { 1.0 } else { 0.0 },
         })
         .collect()
 }
@@ -56,13 +61,18 @@ pub fn free_common(effect: &Effect, period: f64) -> Vec<Free> {
         .filter_map(|parameter| {
             let (limits, scale, typical) = match (effect.name.as_str(), parameter.as_str()) {
                 ("delay" | "low-pass", _) => ([0.0, 100.0 * period], 4.0 * period, 0.0),
+                ("warm-up", "time") => ([1.0, 1e5], 300.0, 300.0),
+                ("warm-up", "span") => ([-0.9, 9.0], 0.1, 0.0),
+                ("ageing", _) => ([-0.1, 0.1], 1e-4, 0.0),
+                ("crosstalk", _) => ([-0.49, 0.49], 0.1, 0.0),
                 ("truth-shift", "turn") => ([-0.5, 0.5], 0.05, 0.0),
                 ("truth-shift", _) => ([-0.02, 0.02], 1e-3, 0.0),
                 ("force-scale" | "tip-scale", _) => ([0.1, 10.0], 0.2, 1.0),
                 ("force-zero", _) => ([-2.0, 2.0], 0.05, 0.0),
                 _ => return None,
             };
-            Some(Free { effect: effect.name.clone(), parameter: parameter.clone(), limits, scale, typical })
+            let (effect, parameter) = (effect.name.clone(), parameter.clone());
+            Some(Free { effect, parameter, limits, scale, typical, neutral: typical })
         })
         .collect()
 }
@@ -200,6 +210,7 @@ pub fn polish(
 ) -> Result<Polished, GapError> {
     let many = |all: &[Vec<Effect>]| {
         let skins: Vec<_> = all.iter().map(|effects| simulator.with(effects)).collect();
+        target.progress.inc_length(skins.len() as u64);
         simulator.many(&skins, target.recording, (target.rows, true), target.stop, target.progress)
     };
     let mut best: Option<(Vec<Effect>, Vec<f32>, f64)> = None;
@@ -298,6 +309,9 @@ pub fn polish(
         if gained < ENOUGH || round + 1 == ROUNDS {
             break;
         }
+    }
+    for (half, free) in halves.iter_mut().zip(free) {
+        *half = half.hypot(1.645 * LAW * (value(&effects, free) - free.neutral).abs());
     }
     Ok(Polished { effects, readings: read, halves })
 }

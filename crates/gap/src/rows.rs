@@ -58,8 +58,10 @@ pub struct Rows {
     pub groups: usize,
     /// Which groups are kept for the end: neither fitted nor selected on.
     pub test: Vec<bool>,
-    /// Presses that they come from.
+    /// Presses of which every phase is looked at.
     pub presses: usize,
+    /// Presses of which one held frame is, where there are too many.
+    pub glances: usize,
     /// Rows that were left out because a reading is missing.
     pub missing: usize,
 }
@@ -67,7 +69,8 @@ pub struct Rows {
 /// How rows are drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RowOptions {
-    /// Readings (rows × channels) that are looked at, at most.
+    /// Readings (rows × channels) that are looked at, at most, where every phase of a press is; where there are more presses
+    /// than these hold, as many again of one held frame a press.
     pub readings: usize,
     /// Groups, at most.
     pub groups: usize,
@@ -122,6 +125,19 @@ impl Rows {
                 } else {
                     missing += 1;
                 }
+            }
+        }
+        // Of the others one frame each, so that every channel is touched as often as can be.
+        let others = presses.iter().enumerate().filter(|(number, _)| number % keep != 0);
+        let mut glances = 0;
+        for (number, press) in
+            others.step_by((presses.len() - presses.len().div_ceil(keep)).div_ceil(budget).max(1))
+        {
+            let held: Vec<usize> =
+                press.iter().copied().filter(|i| recording.moments[*i].phase == Phase::Hold).collect();
+            if let Some(&frame) = held.get(held.len() / 2).filter(|frame| whole(**frame)) {
+                chosen.push((frame, number, false));
+                glances += 1;
             }
         }
         let most = (chosen.len() / 10).clamp(20, 400);
@@ -198,7 +214,7 @@ impl Rows {
         for group in numbers.iter().take((touched as f64 * options.test).round() as usize) {
             test[*group] = true;
         }
-        Self { rows, groups, test, presses: taken, missing }
+        Self { rows, groups, test, presses: taken, glances, missing }
     }
 
     /// Indices of the frames, in order.

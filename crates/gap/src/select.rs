@@ -7,15 +7,16 @@
 //! measure is named firmly; one that does not may as well be it.
 
 use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use indicatif::ProgressBar;
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::algebra::cholesky_solve;
 use crate::library::{Candidate, Gram};
-use crate::statistics::{Fit, Statistics, Sum};
+use crate::statistics::{Factor, Fit, Statistics, Sum};
 
 /// How causes are selected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,8 +27,10 @@ pub struct SelectOptions {
     pub floor: f64,
     /// Least gain of an effect as a share of the systematic gap.
     pub share: f64,
-    /// The same of an effect beside others: what their laws leave may look like one.
+    /// The same of an effect beside others.
     pub beside: f64,
+    /// The same beside others that do not act in proportion: what their columns leave may look like one.
+    pub beside_bent: f64,
     /// Probability of a false alarm over the whole library.
     pub level: f64,
     /// Effects at most.
@@ -50,7 +53,8 @@ impl Default for SelectOptions {
             margin: 0.005,
             floor: 0.002,
             share: 0.05,
-            beside: 0.12,
+            beside: 0.01,
+            beside_bent: 0.12,
             level: 0.01,
             most: 5,
             folds: 6,
@@ -127,6 +131,11 @@ const PRIOR: f64 = 0.05;
 const LAW: f64 = 0.04;
 /// Share of the information criterion's price of a column that is asked: cross-validation has paid some of it.
 const OCCAM: f64 = 0.5;
+/// Margins that a gap must surely exceed for any name, and for one that may as well be the simulator's own error.
+const CLEARLY: f64 = 1.2;
+const SURELY: f64 = 2.0;
+/// Share of a gap of hardly more than what does not matter that an effect must explain beyond the simulator's own error.
+const BEYOND: f64 = 0.5;
 /// Columns of one effect that are paid for, at most.
 const MANY: usize = 6;
 /// The same of one that goes its own way through time, which can follow the temperature as well.
@@ -157,25 +166,27 @@ pub struct Selector<'a> {
     scale: f64,
     /// Energy of the systematic gap, as a share of it.
     systematic: f64,
-    /// Whether the gap is surely more than what does not matter.
-    sure: bool,
+    /// What the systematic gap is at least, in margins.
+    least: f64,
     options: &'a SelectOptions,
     weights: Vec<f64>,
     total: Sum,
-    /// Groups of each fold, and the sum over all others.
-    folds: Vec<(Vec<usize>, Sum)>,
+    /// Sums over each fold, and over all others.
+    folds: Vec<[Sum; 2]>,
+    /// Ends it early, and shows models that were compared.
+    watch: Option<(&'a AtomicBool, &'a ProgressBar)>,
 }
 
 impl<'a> Selector<'a> {
     /// Selection over groups with these weights. `variance` is the readings' variance times their number over these groups,
-    /// `systematic` the share of it that is systematic gap, and `sure` whether that is surely more than what does not matter.
+    /// `systematic` the share of it that is systematic gap, and `least` what that surely is.
     #[must_use]
     pub fn new(
         statistics: &'a Statistics,
         candidates: &'a [Candidate],
         form: &'a [usize],
         gram: &'a Gram,
-        (scale, systematic, sure): (f64, f64, bool),
+        (scale, systematic, least): (f64, f64, f64),
         weights: &[f64],
         options: &'a SelectOptions,
     ) -> Self {
@@ -185,16 +196,15 @@ impl<'a> Selector<'a> {
         let folds = options.folds.clamp(2, groups.len().max(2));
         let folds = (0..folds)
             .map(|f| {
-                let own: Vec<usize> = groups.iter().copied().skip(f).step_by(folds).collect();
                 let mut of = vec![0.0; weights.len()];
-                own.iter().for_each(|g| of[*g] = weights[*g]);
-                let sum = total.minus(&statistics.sum(&of));
-                (own, sum)
+                groups.iter().skip(f).step_by(folds).for_each(|g| of[*g] = weights[*g]);
+                let own = statistics.sum(&of);
+                let rest = total.minus(&own);
+                [own, rest]
             })
             .collect();
         // Coefficients of a standard deviation of `1/sqrt(tight)` make up the margin on average.
-        let p = total.b.len();
-        let energy: f64 = form.iter().map(|&f| total.g[f * p + f]).sum();
+        let energy: f64 = form.iter().map(|&f| total.diagonal(f)).sum();
         let tight = energy / (options.margin * scale).max(1e-300);
         let made = Self {
             statistics,
@@ -205,14 +215,22 @@ impl<'a> Selector<'a> {
             gram,
             scale,
             systematic,
-            sure,
+            least: least / options.margin.max(1e-300),
             options,
             weights: weights.to_vec(),
             total,
             folds,
+            watch: None,
         };
         made.calibrate(&[]);
         made
+    }
+
+    /// With something that ends it early, after which what it says is worth nothing, and something that shows how far it is.
+    #[must_use]
+    pub fn watched(mut self, stop: &'a AtomicBool, progress: &'a ProgressBar) -> Self {
+        self.watch = Some((stop, progress));
+        self
     }
 
     /// Independent pieces of evidence.
@@ -233,8 +251,15 @@ impl<'a> Selector<'a> {
         self.piece.set((best.max(least) / self.pieces()).max(1e-300));
     }
 
+    /// The same with pieces of evidence that count as those of another one.
+    #[must_use]
+    pub fn measured_as(self, other: &Self) -> Self {
+        self.piece.set(other.piece.get());
+        self
+    }
+
     /// How badly a model does: twice the negative logarithm of its posterior probability, up to a constant.
-    fn score(&self, set: &[usize]) -> f64 {
+    pub fn score(&self, set: &[usize]) -> f64 {
         let fit = self.fit_all(set, Tier::Strict);
         if set.iter().any(|e| !self.possible(*e, &fit)) {
             return f64::INFINITY;
@@ -246,10 +271,8 @@ impl<'a> Selector<'a> {
     /// Whether an effect can be what a fit makes of it: many act in one direction only.
     fn possible(&self, effect: usize, fit: &Fit) -> bool {
         let of = &self.candidates[effect];
-        let p = self.total.b.len();
-        let theta = |c: usize| fit.set.iter().position(|s| *s == c).map_or(0.0, |i| fit.theta[i]);
         let along = |at: &[f64]| -> f64 {
-            of.columns.iter().zip(at).map(|(&c, a)| theta(c) * a * self.total.g[c * p + c]).sum()
+            of.columns.iter().zip(at).map(|(&c, a)| fit.of(c) * a * self.total.diagonal(c)).sum()
         };
         of.starts.is_empty() || of.starts.iter().any(|(_, at)| along(at) > 0.0)
     }
@@ -296,26 +319,25 @@ impl<'a> Selector<'a> {
         self.fit(&self.total, set, tier)
     }
 
-    /// Held-out loss of each group.
+    /// Held-out loss of each fold.
     fn losses(&self, set: &[usize], tier: Tier) -> Vec<f64> {
-        let mut losses = vec![0.0; self.weights.len()];
-        for (groups, sum) in &self.folds {
-            let fit = self.fit(sum, set, tier);
-            for &g in groups {
-                losses[g] = self.weights[g] * self.statistics.loss(g, &fit);
-            }
-        }
-        losses
+        self.folds.iter().map(|[own, rest]| own.loss(&self.fit(rest, set, tier))).collect()
     }
 
     fn gain(&self, before: &[f64], after: &[f64]) -> f64 {
         (before.iter().sum::<f64>() - after.iter().sum::<f64>()) / self.scale
     }
 
-    /// Least gain of an effect that counts beside so many others.
-    fn least(&self, others: usize) -> f64 {
-        let share = if others == 0 { self.options.share } else { self.options.beside };
-        self.options.floor.max(share * self.systematic)
+    /// Least gain of an effect that counts beside `others`.
+    fn least(&self, others: &[usize]) -> f64 {
+        let inexact = |e: &usize| self.candidates[*e].bent || self.candidates[*e].wanders;
+        // What is little of a gap that matters counts beside what makes the most of it.
+        let (floor, share) = match others {
+            [] => (self.options.floor, self.options.share),
+            others if others.iter().any(inexact) => (self.options.floor, self.options.beside_bent),
+            _ => (0.5 * self.options.floor, self.options.beside),
+        };
+        floor.max(share * self.systematic)
     }
 
     /// Selects.
@@ -337,12 +359,15 @@ impl<'a> Selector<'a> {
         let mut ps: Vec<f64> = Vec::new();
         while set.len() < self.options.most {
             let Some(Step { best, with, gain, won }) = self.step(&set) else { break };
-            if gain < self.least(set.len()) || won <= 0.0 {
+            if gain < self.least(&set) || won <= 0.0 {
                 break;
             }
-            let firm = won > self.firm();
+            // Near the size that does not matter, what the simulator's own error may do as well is no finding.
+            let beyond = self.gain(&self.losses(&set, Tier::Strict), &self.losses(&with, Tier::Strict));
+            let clear = self.least > CLEARLY || beyond >= BEYOND * self.systematic;
+            let firm = won > self.firm() && clear;
             // A gap that does not matter may be the simulator's own error anyway.
-            if !(firm || set.is_empty() && self.sure) {
+            if !(firm || set.is_empty() && self.least > SURELY) {
                 break;
             }
             let p = self.significance(&set, best);
@@ -392,7 +417,7 @@ impl<'a> Selector<'a> {
         let mut set: Vec<usize> = Vec::new();
         while set.len() < self.options.most {
             let Some(Step { with, gain, won, .. }) = self.step(&set) else { break };
-            if gain < self.least(set.len()) || (!set.is_empty() && won < self.firm()) {
+            if gain < self.least(&set) || (!set.is_empty() && won < self.firm()) {
                 break;
             }
             set = with;
@@ -411,18 +436,25 @@ impl<'a> Selector<'a> {
         let score = self.score(set);
         let (best, better) = self.best(set)?;
         let with: Vec<usize> = set.iter().copied().chain([best]).collect();
-        // The first is held against the gap itself, later ones against what is left beside the simulator's own error.
-        let measure = if set.is_empty() { Tier::Loose } else { Tier::Strict };
-        let gain = self.gain(&self.losses(set, measure), &self.losses(&with, measure));
+        // Held against the gap itself, and against what is left beside the simulator's own error.
+        let gain = |tier| self.gain(&self.losses(set, tier), &self.losses(&with, tier));
+        let gain = gain(Tier::Loose).max(gain(Tier::Strict));
         let won = if better < score { score - better } else { 0.0 };
         Some(Step { best, with, gain, won })
     }
 
     /// The effect beside `set` that makes the best model, and its score.
     fn best(&self, set: &[usize]) -> Option<(usize, f64)> {
+        if let Some((_, progress)) = self.watch {
+            progress.inc_length((self.candidates.len() - set.len()) as u64);
+        }
         (0..self.candidates.len())
             .filter(|e| !set.contains(e))
+            .take_while(|_| self.watch.is_none_or(|(stop, _)| !stop.load(Ordering::Relaxed)))
             .map(|e| {
+                if let Some((_, progress)) = self.watch {
+                    progress.inc(1);
+                }
                 let with: Vec<usize> = set.iter().copied().chain([e]).collect();
                 (e, self.score(&with))
             })
@@ -437,7 +469,7 @@ impl<'a> Selector<'a> {
             let rest: Vec<usize> = set.iter().copied().filter(|c| *c != set[index]).collect();
             let lost = self.gain(&self.losses(&rest, Tier::Strict), &all);
             // The last one has just been accepted.
-            if lost < self.least(1) && index + 1 < set.len() {
+            if lost < self.least(&rest) && index + 1 < set.len() {
                 set.remove(index);
                 ps.remove(index);
             } else {
@@ -507,22 +539,12 @@ impl<'a> Selector<'a> {
     fn angle(&self, named: usize, other: usize, fit: &Fit) -> f64 {
         let own = &self.candidates[named].columns;
         let span = &self.candidates[other].columns;
-        let theta: Vec<(usize, f64)> =
-            fit.set.iter().copied().zip(fit.theta.iter().copied()).filter(|(c, _)| own.contains(c)).collect();
-        let p = self.total.b.len();
-        let at = |i: usize, j: usize| self.total.g[i * p + j];
-        let energy: f64 =
-            theta.iter().map(|(i, x)| theta.iter().map(|(j, y)| x * y * at(*i, *j)).sum::<f64>()).sum();
-        let n = span.len();
-        let mut a: Vec<f64> = span.iter().flat_map(|&i| span.iter().map(move |&j| at(i, j))).collect();
-        (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + 1e-12);
-        let b: Vec<f64> =
-            span.iter().map(|&i| theta.iter().map(|(j, y)| y * at(i, *j)).sum::<f64>()).collect();
-        let mut x = b.clone();
-        if cholesky_solve(&mut a, n, &mut x).is_none() || energy <= 0.0 {
-            return std::f64::consts::FRAC_PI_2;
-        }
-        let held: f64 = x.iter().zip(&b).map(|(x, b)| x * b).sum();
+        let (set, theta): (Vec<usize>, Vec<f64>) =
+            fit.set.iter().copied().zip(fit.theta.iter().copied()).filter(|(c, _)| own.contains(c)).unzip();
+        let energy = self.total.energy(&set, &theta);
+        let factor = self.total.factor(span, |_, g| g * (1.0 + 1e-9) + 1e-12);
+        let Some(factor) = factor.filter(|_| energy > 0.0) else { return std::f64::consts::FRAC_PI_2 };
+        let held = factor.held(&self.total.project(&set, &theta, span));
         (held / energy).clamp(0.0, 1.0).sqrt().acos()
     }
 
@@ -530,90 +552,65 @@ impl<'a> Selector<'a> {
     /// residual is drawn.
     fn significance(&self, set: &[usize], chosen: usize) -> f64 {
         let base = self.fit_all(set, Tier::Loose);
-        let inside = base.set.clone();
-        let p = self.total.b.len();
-        let at = |i: usize, j: usize| self.total.g[i * p + j];
+        let inside = &base.set;
         let groups: Vec<usize> = (0..self.weights.len()).filter(|g| self.weights[*g] > 0.0).collect();
-        // Scores of each candidate's columns with the accepted ones taken out, and the inverse of their spread.
-        struct Test {
-            scores: Vec<Vec<f64>>,
-            spread: Vec<f64>,
-        }
-        let n = inside.len();
-        let mut tests = Vec::new();
-        let mut own = 0;
+        let every: Vec<usize> = (0..self.total.columns()).collect();
         let residual: Vec<Vec<f64>> = groups
             .iter()
             .map(|&g| {
-                let all: Vec<usize> = (0..p).collect();
-                let fitted = self.statistics.project(g, &base, &all);
+                let fitted = self.statistics.project(g, &base, &every);
                 self.statistics.score(g).iter().zip(fitted).map(|(b, f)| self.weights[g] * (b - f)).collect()
             })
             .collect();
+        // What a candidate's columns hold beyond the accepted ones is what both hold without what these do.
+        let accepted = |_: usize, g: f64| g * (1.0 + 1e-9) + PRIOR + 1e-12;
+        let before = self.total.factor(inside, accepted);
+        struct Test {
+            columns: Vec<usize>,
+            factor: Option<Factor>,
+            own: f64,
+        }
+        let mut tests = Vec::new();
+        let mut own = 0;
         for e in (0..self.candidates.len()).filter(|e| !set.contains(e)) {
-            let columns = &self.candidates[e].columns;
-            let m = columns.len();
-            let mut take: Vec<Vec<f64>> = Vec::with_capacity(m);
-            let mut spread = vec![0.0; m * m];
-            for &c in columns {
-                let mut a: Vec<f64> =
-                    inside.iter().flat_map(|&i| inside.iter().map(move |&j| at(i, j))).collect();
-                (0..n).for_each(|r| a[r * n + r] = a[r * n + r] * (1.0 + 1e-9) + PRIOR + 1e-12);
-                let mut x: Vec<f64> = inside.iter().map(|&i| at(i, c)).collect();
-                if cholesky_solve(&mut a, n, &mut x).is_none() {
-                    x.fill(0.0);
-                }
-                take.push(x);
-            }
-            for (r, &i) in columns.iter().enumerate() {
-                for (s, &j) in columns.iter().enumerate() {
-                    let inner: f64 = take[r].iter().zip(&inside).map(|(x, &k)| x * at(k, j)).sum();
-                    spread[r * m + s] = at(i, j) - inner;
-                }
-                spread[r * m + r] = spread[r * m + r].max(1e-9 * at(i, i)) * (1.0 + 1e-6) + PRIOR;
-            }
-            let scores = residual
-                .iter()
-                .map(|u| {
-                    columns
-                        .iter()
-                        .zip(&take)
-                        .map(|(&c, take)| {
-                            u[c] - take.iter().zip(&inside).map(|(x, &k)| x * u[k]).sum::<f64>()
-                        })
-                        .collect()
-                })
-                .collect();
             if e == chosen {
                 own = tests.len();
             }
-            tests.push(Test { scores, spread });
+            let of = &self.candidates[e].columns;
+            let columns: Vec<usize> = inside.iter().chain(of).copied().collect();
+            let diagonal = |c: usize, g: f64| {
+                if inside.contains(&c) { accepted(c, g) } else { g * (1.0 + 1e-6) + PRIOR }
+            };
+            let factor = self.total.factor(&columns, diagonal);
+            tests.push(Test { columns, factor, own: of.len() as f64 });
         }
-        // Per degree of freedom, in units of its own spread, so that effects of many columns have no advantage.
-        let statistic = |test: &Test, signs: &[f64]| {
-            let m = (test.spread.len() as f64).sqrt() as usize;
-            let mut u = vec![0.0; m];
-            for (scores, s) in test.scores.iter().zip(signs) {
-                for (u, score) in u.iter_mut().zip(scores) {
-                    *u += s * score;
-                }
+        let score = |signs: &[f64]| {
+            let mut u = vec![0.0; every.len()];
+            for (scores, s) in residual.iter().zip(signs) {
+                u.iter_mut().zip(scores).for_each(|(u, score)| *u += s * score);
             }
-            let b = u.clone();
-            let mut a = test.spread.clone();
-            if cholesky_solve(&mut a, m, &mut u).is_none() {
-                return 0.0;
-            }
-            let t: f64 = u.iter().zip(&b).map(|(x, b)| x * b).sum();
-            (t - m as f64) / (2.0 * m as f64).sqrt()
+            u
         };
+        let held = |factor: &Factor, columns: &[usize], u: &[f64]| {
+            factor.held(&columns.iter().map(|c| u[*c]).collect::<Vec<f64>>())
+        };
+        // Per degree of freedom, in units of its own spread, so that effects of many columns have no advantage.
+        let statistic = |test: &Test, u: &[f64], taken: f64| {
+            let Some(factor) = &test.factor else { return 0.0 };
+            (held(factor, &test.columns, u) - taken - test.own) / (2.0 * test.own).sqrt()
+        };
+        let taken = |u: &[f64]| before.as_ref().map_or(0.0, |factor| held(factor, inside, u));
         let Some(test) = tests.get(own) else { return 1.0 };
-        let observed = statistic(test, &vec![1.0; groups.len()]);
+        let u = score(&vec![1.0; groups.len()]);
+        let observed = statistic(test, &u, taken(&u));
         let mut rng = ChaCha8Rng::seed_from_u64(self.options.seed ^ 0xf11b);
         let mut above = 0;
         for flip in 0..self.options.flips {
             let signs: Vec<f64> =
                 groups.iter().map(|_| if rng.random_bool(0.5) { 1.0 } else { -1.0 }).collect();
-            let best = tests.iter().map(|t| statistic(t, &signs)).fold(f64::NEG_INFINITY, f64::max);
+            let u = score(&signs);
+            let taken = taken(&u);
+            let best = tests.iter().map(|t| statistic(t, &u, taken)).fold(f64::NEG_INFINITY, f64::max);
             above += usize::from(best >= observed);
             // Enough is known.
             if above as f64 > self.options.level * (self.options.flips + 1) as f64 * 4.0 {

@@ -14,7 +14,7 @@ use crate::simulate::Simulator;
 use crate::statistics::Column;
 
 /// Its digit goes up whenever signatures are made otherwise.
-const MAGIC: &[u8; 8] = b"dgapsig5";
+const MAGIC: &[u8; 8] = b"dgapsiga";
 
 #[derive(Serialize, Deserialize)]
 struct Head {

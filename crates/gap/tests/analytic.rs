@@ -222,6 +222,14 @@ struct World {
     noise: f64,
     /// A cause that nothing recorded goes with: of each press.
     whim: f64,
+    /// Of what the taxel before it reads.
+    leak: f64,
+    /// Share of the sensitivity that all presses together take, each as much.
+    wear: f64,
+    /// \[Pa\] of each taxel at the beginning, gone by half every 30 s.
+    cold: [f64; 6],
+    /// \[Pa\] and \[Hz\] of a triangle wave on all.
+    hum: (f64, f64),
 }
 
 fn world() -> World {
@@ -297,6 +305,14 @@ fn recorded(world: &World, presses: usize, repeats: usize, seed: u64) -> Recordi
                 lost += share * state[k];
             }
             *r = stress - lost;
+        }
+        let felt = read;
+        for k in 0..6 {
+            let before = if k > 0 { felt[k - 1] } else { 0.0 };
+            read[k] = felt[k] * (1.0 - world.wear * press as f64 / presses as f64) + world.leak * before;
+            read[k] += world.cold[k] * 0.5f64.powf(t / 30.0);
+            let turn = (world.hum.1 * t).fract();
+            read[k] += world.hum.0 * (4.0 * (turn - 0.5).abs() - 1.0);
         }
         late.push(read);
         let behind = world.late / dt;
@@ -404,6 +420,43 @@ fn a_rig_that_is_off_is_told_from_taxels_that_are() {
 fn readings_that_come_late_are_named() {
     let report = said(&World { late: 0.03, ..world() });
     assert!(report.class().contains(&"delay"), "{}", report.sentence);
+}
+
+#[test]
+fn neighbours_that_leak_are_named() {
+    let report = said(&World { leak: 0.12, ..world() });
+    assert_eq!(report.class().first(), Some(&"crosstalk"), "{}", report.sentence);
+    let found = &report.corrected[0].parameters;
+    assert!((found["before"] - 0.12).abs() < 0.03 && found["after"].abs() < 0.03, "{found:?}");
+}
+
+#[test]
+fn a_skin_that_wears_is_named() {
+    let report = said(&World { wear: 0.25, ..world() });
+    assert_eq!(report.class().first(), Some(&"ageing"), "{}", report.sentence);
+    assert!(report.closure.unwrap().achieved.unwrap() > 0.7);
+}
+
+#[test]
+fn zeros_that_go_home_from_switching_on_are_named() {
+    let report = said(&World { cold: [300.0, 200.0, -100.0, 250.0, 150.0, 400.0], ..world() });
+    assert_eq!(report.class().first(), Some(&"warm-up"), "{}", report.sentence);
+    let found = &report.corrected[0].parameters;
+    let time = 30.0 / std::f64::consts::LN_2;
+    assert!(
+        (found["time"] / time - 1.0).abs() < 0.15 && (found["a"] / 300.0 - 1.0).abs() < 0.15,
+        "{found:?}"
+    );
+}
+
+#[test]
+fn a_hum_is_named_with_its_frequency() {
+    let report = said(&World { hum: (60.0, 7.0), law: 0.0, ..world() });
+    assert_eq!(report.verdict, Verdict::Named, "{}", report.sentence);
+    assert_eq!(report.class(), ["interference"], "{}", report.sentence);
+    let found = &report.corrected[0].parameters;
+    // The strongest line of a triangle is 8/π² of it.
+    assert!((found["frequency"] - 7.0).abs() < 0.1 && (found["amplitude"] - 48.6).abs() < 4.0, "{found:?}");
 }
 
 #[test]
@@ -651,71 +704,4 @@ fn reports_are_as_the_published_schema_says() {
         let value: serde_json::Value = serde_json::from_str(&report.to_json().unwrap()).unwrap();
         fits(&value, &schema, &schema, "report");
     }
-}
-
-/// As many contacts and channels as a fabric has, diagnosed after its signatures are kept. Prints seconds and memory.
-#[test]
-#[ignore = "takes a minute, and measures"]
-fn ten_thousand_contacts_of_784_channels() {
-    let mut text = SKIN.split("taxels = [").next().unwrap().replace("[0.030, 0.020]", "[0.28, 0.28]");
-    text.push_str("taxels = [\n");
-    for i in 0..28 {
-        for j in 0..28 {
-            let (x, y) = (f64::from(i) * 0.01 - 0.135, f64::from(j) * 0.01 - 0.135);
-            text.push_str(&format!("{{ name = \"t{i}x{j}\", position = [{x}, {y}, -0.005] }},\n"));
-        }
-    }
-    text.push_str("]\n[medium]\nspread = 1.0\n");
-    let skin = SkinDescription::from_toml(&text, "fabric.toml").unwrap();
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let mut recording = Recording::new("fabric", 784);
-    recording.sessions.push("one".to_owned());
-    let mut other = skin.clone();
-    other.effects = vec![Effect::new("gains").seed(5), Effect::new("stiffening")];
-    let real = Toy::make(&other).unwrap();
-    let mut read = vec![0.0; 784];
-    let mut time = 0.0;
-    for press in 0..10_000_u64 {
-        let at = Point3::new(rng.random_range(-0.13..0.13), rng.random_range(-0.13..0.13), 0.0);
-        let force = rng.random_range(0.1..1.0);
-        for (phase, share) in
-            [(Phase::Load, 0.5), (Phase::Hold, 1.0), (Phase::Hold, 1.0), (Phase::Approach, 0.0)]
-        {
-            let mut stimulus = Stimulus::default();
-            if share > 0.0 {
-                let force = Vector3::new(0.0, 0.0, -share * force);
-                stimulus.contacts.push(Indentation { position: at, force, diameter: 0.004 });
-            }
-            real.response(&stimulus, &mut read).unwrap();
-            let values: Vec<f32> =
-                read.iter().map(|v| (v + 5.0 * rng.sample::<f64, _>(StandardNormal)) as f32).collect();
-            let moment = Moment {
-                time,
-                run: 0,
-                press: press + 1,
-                location: press as u32 + 1,
-                phase,
-                stimulus: Some(stimulus),
-                temperature: f64::NAN,
-            };
-            recording.push(moment, &values);
-            time += 0.02;
-        }
-    }
-    let make = |skin: &SkinDescription| Toy::make(skin);
-    let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
-    let memory = Memory::default();
-    let begun = std::time::Instant::now();
-    diagnose(&simulator, &recording, &options(), &memory).unwrap();
-    let first = begun.elapsed();
-    let begun = std::time::Instant::now();
-    let report = diagnose(&simulator, &recording, &Options::default(), &memory).unwrap().report;
-    let peak = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = peak.lines().find(|l| l.starts_with("VmHWM")).unwrap_or_default().to_owned();
-    println!(
-        "{:.1} s with signatures, {:.1} s after, {peak}: {}",
-        first.as_secs_f64(),
-        begun.elapsed().as_secs_f64(),
-        report.sentence
-    );
 }

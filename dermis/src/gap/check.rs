@@ -188,8 +188,10 @@ fn elsewhere(skin: &SkinDescription, cases: &mut [Opened], options: &Options) ->
     )?);
     progress.tick();
     let one = |case: &Opened| -> Result<Option<f64>> {
-        let effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
+        let mut effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
             .with_context(|| format!("{}: field `corrected` of its report", case.secret.case))?;
+        // A hum has another phase in every recording.
+        effects.retain(|e| e.name != "interference");
         if effects.is_empty() {
             return Ok(None);
         }
@@ -200,16 +202,17 @@ fn elsewhere(skin: &SkinDescription, cases: &mut [Opened], options: &Options) ->
         let usable = vec![true; sigma.len()];
         let rows = Rows::draw(&recording, &usable, &RowOptions::default());
         let frames = rows.frames();
-        let left = |of: &SkinDescription| -> Result<f64> {
-            let read = simulator.readings(of, &recording, &frames)?;
-            let rows = frames.iter().zip(read.chunks(sigma.len()));
-            Ok(rows
-                .flat_map(|(frame, row)| recording.frame(*frame).iter().zip(row).zip(&sigma))
-                .map(|((y, s), sigma)| (f64::from(y - s) / sigma).powi(2))
-                .filter(|square| square.is_finite())
-                .sum())
+        let nominal = simulator.readings(skin, &recording, &frames)?;
+        let mut readings: Vec<f32> = frames.iter().flat_map(|f| recording.frame(*f)).copied().collect();
+        // What a report's closure leaves out is left out here as well.
+        dermis_gap::cut(&mut readings, &nominal, skin, &sigma);
+        let left = |model: &[f32]| -> f64 {
+            let apart = readings.iter().zip(model).zip(sigma.iter().cycle());
+            let squares = apart.map(|((y, s), sigma)| (f64::from(y - s) / sigma).powi(2));
+            squares.filter(|square| square.is_finite()).sum()
         };
-        let (before, after) = (left(skin)?, left(&simulator.with(&effects))?);
+        let corrected = simulator.readings(&simulator.with(&effects), &recording, &frames)?;
+        let (before, after) = (left(&nominal), left(&corrected));
         Ok((before > 0.0).then(|| 1.0 - after / before))
     };
     let next = Mutex::new(open.into_iter());
