@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -11,8 +12,10 @@ use dermis_inference::{Bundle, CorrectionSection, Manifest};
 use dermis_inversion::{Corrected, Correction, ForcePrior, Search, Settings};
 use dermis_learn::cli::Labels;
 use dermis_learn::refine::Learned;
-use dermis_learn::{Dataset, Evaluation, Recorded, SampleId, evaluate, refine, superpose};
+use dermis_learn::{Dataset, Evaluation, Recorded, SampleId, evaluate_parts, refine, superpose};
 use dermis_skin::{ForwardModel, SkinDescription, Unknowns};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::evaluate::split_of;
@@ -123,32 +126,54 @@ pub fn run(options: &Options) -> Result<()> {
     let family = crate::registry::family(&skin)?;
     let model = crate::registry::forward(&options.skin, &skin)?;
     let mut bundle = Bundle::load(&options.model, &skin)?;
+    let stop = crate::collect::stop_on_interrupt()?;
+    let style = ProgressStyle::with_template("{msg:36} {wide_bar} {percent} %, {elapsed} gone")?;
+    let bar = Bar { bar: ProgressBar::new(1000).with_style(style), stop: &stop };
+    bar.begin("reading what was recorded");
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
     let split = split_of(&options.model)?.apply(&data)?;
     let (choosing, reporting) = halves(&data, &split.test);
     if choosing.is_empty() || reporting.is_empty() {
         bail!("fewer than two places are held out: record more, or hold out a larger share");
     }
-    let refinement = prepare(options, model, &data, &split.train)?;
+    let mut done = Done::of(&options.model, key(options, &bundle, &data));
+    if done.refinement.is_none() {
+        done.refinement = prepare(options, model, &data, &split.train, &bar)?;
+        done.keep()?;
+    }
+    let Some(refinement) = done.refinement.clone() else { return interrupted(&done) };
     let settings = &refinement.settings;
 
     let trial = tempfile::tempdir().context("a folder for the trial cannot be made")?;
     let with = copy(&bundle, &skin, trial.path().join("with"), Some(&refinement))?;
     let without = copy(&bundle, &skin, trial.path().join("without"), None)?;
-    let measure = |folder: &Path, on: &[SampleId]| -> Result<Evaluation> {
+    let measure = |folder: &Path, what: &str| -> Result<Option<[Evaluation; 2]>> {
+        bar.begin(what);
         let mut estimator = (family.estimator)(&skin, &[folder.to_owned()])?;
-        Ok(evaluate(estimator.as_mut(), &data, Some(on), "held out")?)
+        let parts = [("held out", choosing.as_slice()), ("held out", reporting.as_slice())];
+        let found = evaluate_parts(estimator.as_mut(), &data, &parts, &|share| bar.at(share))?;
+        Ok(found.and_then(|all| all.try_into().ok()))
     };
-    let ratio = ratio(&measure(&with, &choosing)?, &measure(&without, &choosing)?);
+    if done.without.is_none() {
+        done.without = measure(&without, "the model alone")?;
+        done.keep()?;
+    }
+    if done.with.is_none() {
+        done.with = measure(&with, "with the forward model")?;
+        done.keep()?;
+    }
+    bar.bar.finish_and_clear();
+    let (Some([chosen_without, before]), Some([chosen_with, after])) = (&done.without, &done.with) else {
+        return interrupted(&done);
+    };
+    let ratio = ratio(chosen_with, chosen_without);
     let helps = ratio.is_none_or(|r| r < 1.0);
     let on = helps || options.always;
-    let before = measure(&without, &reporting)?;
-    let after = measure(&with, &reporting)?;
 
     let mut manifest = bundle.manifest().clone();
     let chosen_refinement = on.then_some(&refinement);
     refined(&mut manifest, chosen_refinement);
-    let chosen = if on { &after } else { &before };
+    let chosen = if on { after } else { before };
     dermis_learn::card::measured(&mut manifest, chosen);
     bundle.amend(manifest, chosen_refinement.and_then(Refinement::correction))?;
     let record = json!({
@@ -159,15 +184,103 @@ pub fn run(options: &Options) -> Result<()> {
         })),
     });
     amend_card(&options.model, &record)?;
+    done.forget()?;
     if options.json {
         println!("{record}");
     } else {
-        tell(&refinement, ratio, on, &before, &after);
+        tell(&refinement, ratio, on, before, after);
     }
     Ok(())
 }
 
+/// The steps of the work on a terminal, one after the other.
+struct Bar<'a> {
+    bar: ProgressBar,
+    stop: &'a AtomicBool,
+}
+
+impl Bar<'_> {
+    fn begin(&self, what: &str) {
+        self.bar.set_message(what.to_owned());
+        self.bar.set_position(0);
+    }
+
+    /// Whether it goes on.
+    fn at(&self, share: f64) -> bool {
+        self.bar.set_position((1000.0 * share) as u64);
+        !self.stop.load(Ordering::Acquire)
+    }
+}
+
+/// Where what is done is kept in the bundle until all is.
+const DONE: &str = "refinement.partial.json";
+
+/// What is done of a refinement, so that an interruption costs one step at most.
+#[derive(Serialize, Deserialize)]
+struct Done {
+    /// Of what: another command does not go on with it.
+    key: serde_json::Value,
+    #[serde(skip)]
+    path: PathBuf,
+    refinement: Option<Refinement>,
+    /// Of the half that is chosen by, and of that which is reported.
+    without: Option<[Evaluation; 2]>,
+    with: Option<[Evaluation; 2]>,
+}
+
+impl Done {
+    /// What was kept of the same; nothing where it was of another kind, or cannot be read.
+    fn of(bundle: &Path, key: serde_json::Value) -> Self {
+        let path = bundle.join(DONE);
+        let kept = std::fs::read_to_string(&path).ok();
+        let kept: Option<Self> = kept.and_then(|text| serde_json::from_str(&text).ok());
+        match kept {
+            Some(kept) if kept.key == key => Self { path, ..kept },
+            _ => Self { key, path, refinement: None, without: None, with: None },
+        }
+    }
+
+    fn keep(&self) -> Result<()> {
+        let written = || format!("{} cannot be written", self.path.display());
+        let folder = self.path.parent().unwrap_or(Path::new("."));
+        let scratch = tempfile::NamedTempFile::new_in(folder).with_context(written)?;
+        std::fs::write(scratch.path(), serde_json::to_string(self)?).with_context(written)?;
+        scratch.persist(&self.path).with_context(written)?;
+        Ok(())
+    }
+
+    fn forget(&self) -> Result<()> {
+        std::fs::remove_file(&self.path).with_context(|| format!("{} cannot be removed", self.path.display()))
+    }
+}
+
+fn interrupted(done: &Done) -> Result<()> {
+    bail!(
+        "interrupted; what was done is kept in {}: the same command goes on from there",
+        done.path.display()
+    )
+}
+
+/// What a refinement depends on.
+fn key(options: &Options, bundle: &Bundle, data: &Dataset) -> serde_json::Value {
+    let manifest = bundle.manifest();
+    json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "skin": manifest.skin.hash,
+        "model": manifest.model.hash,
+        "data": data.hash(),
+        "labels": format!("{:?}", options.labels),
+        "contacts": options.contacts,
+        "unknowns": format!("{:?}", options.unknowns),
+        "force_prior": format!("{:?}", options.force_prior),
+        "search": format!("{:?}", options.search),
+        "distance": options.distance,
+        "correct": options.correct,
+    })
+}
+
 /// What recordings tell of the forward model.
+#[derive(Clone, Serialize, Deserialize)]
 struct Refinement {
     settings: Settings,
     /// Hash of the recordings besides.
@@ -200,13 +313,15 @@ const PRESSES: usize = 12_000;
 const SUMS: usize = 60;
 
 /// Gains, correction and evidence, from the training part alone: four of five of its places to learn from, the fifth to choose
-/// by.
+/// by. `None` where it was interrupted.
 fn prepare(
     options: &Options,
     model: Arc<dyn ForwardModel>,
     data: &Dataset,
     train: &[SampleId],
-) -> Result<Refinement> {
+    bar: &Bar<'_>,
+) -> Result<Option<Refinement>> {
+    bar.begin("gains of the channels");
     let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
     let places: BTreeSet<u32> = train.iter().filter_map(place).collect();
     let kept: BTreeSet<u32> = places.into_iter().step_by(5).collect();
@@ -236,7 +351,12 @@ fn prepare(
                 "the bags hold no single contacts of known place, force and tip at five places or more to learn from"
             );
         }
-        let learned = refine::correction(model.as_ref(), &recorded, &chosen, &settings.gains)?;
+        bar.begin("what the forward model does not know");
+        let watch = |share: f64| bar.at(share);
+        let Some(learned) = refine::correction(model.as_ref(), &recorded, &chosen, &settings.gains, &watch)?
+        else {
+            return Ok(None);
+        };
         model = Arc::new(Corrected::new(model, learned.correction.clone())?);
         settings = refine::settings(model.as_ref(), data, &choose, unknowns, options.contacts)?;
         set(&mut settings);
@@ -248,11 +368,12 @@ fn prepare(
         let sums: Vec<_> = (1..=options.contacts.min(3))
             .flat_map(|n| superpose(&chosen, n, SUMS, FAR.min(reach(&chosen) / 3.0), 77))
             .collect();
-        if !sums.is_empty() {
-            refine::tune_evidence(&model, &mut settings, &sums)?;
+        bar.begin("how much evidence a contact needs");
+        if !sums.is_empty() && !refine::tune_evidence(&model, &mut settings, &sums, &|share| bar.at(share))? {
+            return Ok(None);
         }
     }
-    Ok(Refinement { settings, correction })
+    Ok(Some(Refinement { settings, correction }))
 }
 
 /// \[m\] farthest that recorded contacts are from the first.
@@ -280,6 +401,9 @@ fn copy(
     std::fs::create_dir(&to).with_context(|| format!("{} cannot be made", to.display()))?;
     for entry in std::fs::read_dir(bundle.path()).with_context(|| format!("{}", bundle.path().display()))? {
         let entry = entry?;
+        if entry.file_name() == DONE {
+            continue;
+        }
         std::fs::copy(entry.path(), to.join(entry.file_name()))
             .with_context(|| format!("{} cannot be copied", entry.path().display()))?;
     }
@@ -352,4 +476,32 @@ fn tell(refinement: &Refinement, ratio: Option<f64>, on: bool, before: &Evaluati
     }
     println!("refinement is {}\n", if on { "on" } else { "off: the model alone is better" });
     print!("model alone, other half: {before}\nwith the forward model, other half: {after}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_done_is_gone_on_with_by_the_same_command_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let bundle = folder.path();
+        let mut done = Done::of(bundle, json!({ "data": "one" }));
+        let settings = Settings::new(0.004, 2.0);
+        done.refinement = Some(Refinement { settings: settings.clone(), correction: None });
+        done.keep().unwrap();
+        let again = Done::of(bundle, json!({ "data": "one" }));
+        assert_eq!(again.refinement.map(|r| r.settings), Some(settings));
+        assert!(again.without.is_none() && again.path == bundle.join(DONE));
+        assert!(Done::of(bundle, json!({ "data": "another" })).refinement.is_none());
+        // What was cut off half way says nothing.
+        std::fs::write(bundle.join(DONE), "{").unwrap();
+        let fresh = Done::of(bundle, json!({ "data": "one" }));
+        assert!(fresh.refinement.is_none());
+        let told = interrupted(&fresh).unwrap_err().to_string();
+        assert!(told.starts_with("interrupted") && told.ends_with("goes on from there"), "{told}");
+        fresh.keep().unwrap();
+        fresh.forget().unwrap();
+        assert!(!bundle.join(DONE).exists());
+    }
 }

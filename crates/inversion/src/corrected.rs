@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::InverterError;
 
 /// What is learned of how a device differs from its model.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CorrectionSettings {
     /// \[m\] over which the difference varies.
     pub length: f64,

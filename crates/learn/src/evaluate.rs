@@ -311,6 +311,60 @@ pub fn evaluate_by(
     Ok(evaluator.finish(name))
 }
 
+/// As [`evaluate`], on several parts of a data set at once, each by itself, for estimators that take their time: touched frames of
+/// presses that no part asks for are left out. `watch` is told how far it is, from 0 to 1, and says whether it goes on; `None`
+/// where it does not.
+///
+/// # Errors
+///
+/// As [`evaluate`].
+pub fn evaluate_parts(
+    estimator: &mut dyn Estimator,
+    data: &Dataset,
+    parts: &[(&str, &[SampleId])],
+    watch: &dyn Fn(f64) -> bool,
+) -> Result<Option<Vec<Evaluation>>, LearnError> {
+    let asked: Vec<BTreeSet<SampleId>> = parts.iter().map(|(_, ids)| ids.iter().copied().collect()).collect();
+    let press = |id: &SampleId| Some((id.run, data.sample(*id)?.truth.as_ref()?.press));
+    let presses: BTreeSet<(usize, u64)> = asked.iter().flatten().filter_map(press).collect();
+    let mut evaluators: Vec<Evaluator> =
+        parts.iter().map(|_| Evaluator::new().by_force(&FORCE_BINS)).collect();
+    let total = data.runs().iter().map(|r| r.samples.len()).sum::<usize>().max(1) as f64;
+    let mut done = 0u32;
+    for (run, r) in data.runs().iter().enumerate() {
+        estimator.reset();
+        for (sample, s) in r.samples.iter().enumerate() {
+            if !watch(f64::from(done) / total) {
+                return Ok(None);
+            }
+            done += 1;
+            if s.tare {
+                estimator.tare();
+                evaluators.iter_mut().for_each(Evaluator::tared);
+            }
+            let elsewhere = |t: &crate::Truth| t.touched() && !presses.contains(&(run, t.press));
+            if s.truth.as_ref().is_some_and(elsewhere) {
+                continue;
+            }
+            let estimate = estimator
+                .estimate(&s.frame)
+                .map_err(|source| LearnError::Estimate { bag: r.path.clone(), source })?;
+            let Some(truth) = &s.truth else { continue };
+            for (ids, evaluator) in asked.iter().zip(&mut evaluators) {
+                if !ids.contains(&SampleId { run, sample }) {
+                    continue;
+                }
+                if !s.tared.iter().all(|v| v.is_nan()) {
+                    evaluator.push(run, truth, &estimate);
+                } else if truth.touched() {
+                    evaluator.unanswered();
+                }
+            }
+        }
+    }
+    Ok(Some(evaluators.into_iter().zip(parts).map(|(e, (name, _))| e.finish(*name)).collect()))
+}
+
 /// A figure that an evaluation has to reach, e.g. `position_rms<=0.0005` (SI units).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Requirement {
@@ -471,6 +525,32 @@ mod tests {
         let has_zero = |id: &&SampleId| data.sample(**id).unwrap().tared[0].is_finite();
         assert_eq!((result.frames, result.unanswered), (held_out.iter().filter(has_zero).count(), 0));
         assert!(result.frames < data.labelled().count());
+    }
+
+    #[test]
+    fn parts_are_evaluated_by_themselves_and_without_what_nobody_asks_for() {
+        let data = presses(10, 2);
+        let held_out = crate::SplitConfig::default().apply(&data).unwrap().test;
+        let (one, two) = held_out.split_at(held_out.len() / 2);
+        let parts = [("one", one), ("two", two)];
+        let both = evaluate_parts(&mut Known, &data, &parts, &|_| true).unwrap().unwrap();
+        for ((name, ids), found) in parts.iter().zip(&both) {
+            assert_eq!(found, &evaluate(&mut Known, &data, Some(ids), *name).unwrap());
+        }
+        // It counts what it is asked.
+        struct Counted(usize);
+        impl Estimator for Counted {
+            fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
+                self.0 += 1;
+                Known.estimate(frame)
+            }
+            fn reset(&mut self) {}
+        }
+        let mut counted = Counted(0);
+        evaluate_parts(&mut counted, &data, &parts, &|_| true).unwrap();
+        let all: usize = data.runs().iter().map(|r| r.samples.len()).sum();
+        assert!(counted.0 < all && counted.0 >= held_out.len(), "{} of {all}", counted.0);
+        assert_eq!(evaluate_parts(&mut Known, &data, &parts, &|share| share < 0.5).unwrap(), None);
     }
 
     #[test]

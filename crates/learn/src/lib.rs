@@ -41,7 +41,9 @@ pub mod train;
 pub use bounds::{Bounds, bounds};
 pub use dataset::{Dataset, DatasetOptions, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;
-pub use evaluate::{Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate, evaluate_by};
+pub use evaluate::{
+    Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate, evaluate_by, evaluate_parts,
+};
 pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
 pub use metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, MapScores, MapSummary, Scores, Summary, bins};

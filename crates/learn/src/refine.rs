@@ -7,6 +7,7 @@ use dermis_inversion::{
 };
 use dermis_skin::{ChannelFlags, ForwardModel, Indentation, Stimulus, Surface, Unknowns};
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 use crate::bounds::stimulus;
@@ -21,6 +22,9 @@ const ROOM: f64 = 1.2;
 const AROUND: f64 = 3e-3;
 /// Share of the surface that may lie outside of what was pressed before it is left out.
 const LEFT_OUT: f64 = 0.02;
+
+/// Told how far long work is, from 0 to 1; says whether it goes on.
+pub type Watch<'a> = &'a dyn Fn(f64) -> bool;
 
 /// Settings of an inversion that fit these samples: gains of the channels against the forward model, and how far the two
 /// still differ. The tip is the one that pressed most often.
@@ -73,7 +77,7 @@ pub fn settings(
 }
 
 /// A correction, and what is known about it.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Learned {
     /// What it is.
     pub correction: Correction,
@@ -86,7 +90,7 @@ pub struct Learned {
 }
 
 /// The correction, learned from `recorded`, that leaves least of presses at other places (`chosen`). `gains` are those of
-/// [`settings`].
+/// [`settings`]. `watch` is told how far it is, from 0 to 1, and says whether it goes on; `None` where it does not.
 ///
 /// # Errors
 ///
@@ -96,7 +100,8 @@ pub fn correction(
     recorded: &[Recorded],
     chosen: &[Recorded],
     gains: &[f64],
-) -> Result<Learned, InverterError> {
+    watch: Watch<'_>,
+) -> Result<Option<Learned>, InverterError> {
     fn presses(recorded: &[Recorded], most: usize) -> Vec<Press<'_>> {
         let step = recorded.len().div_ceil(most).max(1);
         recorded.iter().step_by(step).map(|r| (&r.contact, r.signal.as_slice())).collect()
@@ -105,8 +110,14 @@ pub fn correction(
     let without =
         Correction::fit(model, &[], gains, &CorrectionSettings::default())?.remainder(model, &test)?;
     let (mut least, mut settings) = (f64::INFINITY, CorrectionSettings::default());
+    let mut done = 0.0;
     for length in [0.006, 0.009, 0.013, 0.019] {
         for ridge in [1e-6, 1e-4, 1e-2] {
+            // The last fit, of all presses, takes about as long as three of these.
+            if !watch(done / 15.0) {
+                return Ok(None);
+            }
+            done += 1.0;
             let tried = CorrectionSettings { length, ridge, ..CorrectionSettings::default() };
             let left = Correction::fit(model, &some, gains, &tried)?.remainder(model, &test)?;
             if left < least {
@@ -114,9 +125,12 @@ pub fn correction(
             }
         }
     }
+    if !watch(done / 15.0) {
+        return Ok(None);
+    }
     let correction = Correction::fit(model, &all, gains, &settings)?;
     let with = correction.remainder(model, &test)?;
-    Ok(Learned { correction, settings, presses: all.len(), left: [without, with] })
+    Ok(Some(Learned { correction, settings, presses: all.len(), left: [without, with] }))
 }
 
 /// Readings, all of them known.
@@ -126,7 +140,8 @@ pub fn exact(signal: &[f32]) -> Vec<Reading> {
 }
 
 /// Sets the [evidence](Settings::evidence) that gives the right number of contacts most often on `frames`, sums of recorded
-/// contacts ([`superpose`](crate::superpose)).
+/// contacts ([`superpose`](crate::superpose)). `watch` is told how far it is, from 0 to 1, and says whether it goes on; false where
+/// it did not, and nothing was set.
 ///
 /// # Errors
 ///
@@ -135,12 +150,18 @@ pub fn tune_evidence(
     model: &Arc<dyn ForwardModel>,
     settings: &mut Settings,
     frames: &[(Stimulus, Vec<f32>)],
-) -> Result<(), InverterError> {
+    watch: Watch<'_>,
+) -> Result<bool, InverterError> {
+    const TRIED: [f64; 7] = [6.0, 10.0, 15.0, 22.0, 30.0, 45.0, 70.0];
     let mut best = (0, settings.evidence);
-    for evidence in [6.0, 10.0, 15.0, 22.0, 30.0, 45.0, 70.0] {
+    let total = (TRIED.len() * frames.len()).max(1) as f64;
+    for (k, evidence) in TRIED.into_iter().enumerate() {
         let tried = Inverter::new(Arc::clone(model), Settings { evidence, ..settings.clone() })?;
         let mut right = 0;
-        for (stimulus, signal) in frames {
+        for (n, (stimulus, signal)) in frames.iter().enumerate() {
+            if !watch((k * frames.len() + n) as f64 / total) {
+                return Ok(false);
+            }
             let found = tried.search(&exact(signal))?.contacts.len();
             right += usize::from(found == stimulus.contacts.len());
         }
@@ -149,7 +170,7 @@ pub fn tune_evidence(
         }
     }
     settings.evidence = best.1;
-    Ok(())
+    Ok(true)
 }
 
 /// The box that was pressed, where it leaves out a part of the surface: nobody knows what the model is worth there.

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
 use dermis_inversion::{Corrected, ForcePrior, Inverter, SparseSettings};
@@ -263,8 +263,13 @@ fn prepare(
     plain.distance = 0.008;
     plain.force_prior = ForcePrior::Log;
     bar.set_message("what the model does not know");
+    let on = |share: f64| {
+        bar.set_position((1000.0 * share) as u64);
+        true
+    };
+    let learned_of = refine::correction(model.as_ref(), &recorded, &chosen, &plain.gains, &on)?;
     let Learned { correction, settings, left, .. } =
-        refine::correction(model.as_ref(), &recorded, &chosen, &plain.gains)?;
+        learned_of.context("the correction was not learned to its end")?;
     let corrected: Arc<dyn ForwardModel> = Arc::new(Corrected::new(Arc::clone(model), correction)?);
     let mut better =
         refine::settings(corrected.as_ref(), learned, choose, Unknowns::Normal, options.contacts)?;
@@ -273,8 +278,8 @@ fn prepare(
     better.gains.clear();
     bar.set_message("how much evidence a contact needs");
     let pairs: Vec<_> = (1..=3).flat_map(|n| superpose(&chosen, n, 60, FAR, 77)).collect();
-    refine::tune_evidence(model, &mut plain, &pairs)?;
-    refine::tune_evidence(&corrected, &mut better, &pairs)?;
+    refine::tune_evidence(model, &mut plain, &pairs, &on)?;
+    refine::tune_evidence(&corrected, &mut better, &pairs, &on)?;
 
     methods.push(("forward model, likelihood".into(), Box::new(Likely(inverter(model, &plain)?))));
     let sparse = tune_sparse(&inverter(model, &plain)?, &pairs)?;

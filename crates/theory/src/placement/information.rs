@@ -6,10 +6,10 @@
 //! Gaussian process from readings to places, whose errors on what is left out have a closed form (C. E. Rasmussen,
 //! C. K. I. Williams, *Gaussian Processes for Machine Learning*, 2006, 5.4.2). The expected error of a press is the root of the
 //! sum of both squares. It takes the inverse of a matrix for every set of elements that is tried, so that all candidates are
-//! compared first by something cheaper: how far off the mean of all other places is, weighted by how alike they read.
+//! compared on few places first, and the best of them on many.
 
-use faer::linalg::solvers::DenseSolveCore;
-use faer::{Mat, Side};
+use faer::linalg::triangular_inverse::invert_lower_triangular;
+use faer::{Mat, Par, Side};
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
@@ -18,30 +18,25 @@ use super::{Field, Sets, Watch};
 /// Settings of the search.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BoundSettings {
-    /// Whether places that read alike count, beside the bound.
-    pub alike: bool,
-    /// Share of a channel's spread within which readings count as alike, beside its noise, in the first comparison.
-    pub share: f64,
-    /// Places that all candidates are compared on.
-    pub coarse: usize,
-    /// Those that do best there are compared by what a Gaussian process foretells: one in so many.
-    pub one_in: usize,
-    /// Places that it is compared on.
-    pub fine: usize,
-    /// γ of its kernel exp(−γd/k), d the squared distance of the standardised readings of k elements.
+    /// Whether what is left between the presses that are known counts, beside the bound.
+    pub between: bool,
+    /// γ of the process' kernel exp(−γd/k), d the squared distance of the standardised readings of k elements.
     pub gamma: f64,
     /// Variance on top of the process, whose own is 1.
     pub ridge: f64,
+    /// Places that all candidates are compared on.
+    pub coarse: usize,
+    /// Best of them that are compared on `fine` places.
+    pub closely: usize,
+    /// Places that those are compared on.
+    pub fine: usize,
 }
 
 impl Default for BoundSettings {
     fn default() -> Self {
-        Self { alike: true, share: 0.15, coarse: 250, one_in: 12, fine: 450, gamma: 3.0, ridge: 1e-2 }
+        Self { between: true, gamma: 3.0, ridge: 1e-2, coarse: 150, closely: 10, fine: 450 }
     }
 }
-
-/// Fewest candidates that are compared by what a process foretells.
-const FEWEST: usize = 10;
 
 /// What is known of every press before any element, and what elements add.
 struct Problem {
@@ -50,26 +45,14 @@ struct Problem {
     forces: usize,
     /// Candidate by candidate: derivatives by both directions and by the force, in units of the noise.
     slopes: Vec<[Vec<f32>; 3]>,
-    /// Candidate by candidate: readings in units of what counts as alike, or standardised for a process.
+    /// Candidate by candidate: standardised readings.
     readings: Vec<Vec<f32>>,
-    /// \[m\] coordinates of the presses from their middle.
-    places: [Vec<f32>; 3],
+    /// \[m\] coordinates of the presses from their middle, presses × 3.
+    places: Mat<f32>,
     /// Covariance of directions and force before anything is read.
     prior: Matrix3<f64>,
-    beside: Beside,
-}
-
-/// What counts beside the bound.
-#[derive(Clone, Copy)]
-enum Beside {
-    Nothing,
-    /// How far off the mean of the other places is that read alike.
-    Alike,
-    /// What a process leaves of each press that it is foretold from the others.
-    Process {
-        gamma: f32,
-        ridge: f32,
-    },
+    /// γ and ridge of the process, where it counts.
+    process: Option<(f32, f32)>,
 }
 
 /// What a set of elements leaves open.
@@ -77,28 +60,15 @@ struct State {
     elements: usize,
     /// Covariance of every press: xx, xy, yy, xf, yf, ff.
     covariance: [Vec<f32>; 6],
-    /// Squared distance between the readings of any two presses.
+    /// Squared distance between the readings of a press and of those before it, press by press.
     unlike: Vec<f32>,
 }
 
 impl Problem {
-    /// To compare all candidates, in a moment.
-    fn coarse(field: &Field, settings: &BoundSettings) -> Self {
-        let spreads = field.spreads();
-        let unit = |j: usize| field.noise[j].hypot(settings.share * spreads[j].1);
-        Self::new(field, if settings.alike { Beside::Alike } else { Beside::Nothing }, &unit)
-    }
-
-    /// To choose by.
-    fn fine(field: &Field, settings: &BoundSettings) -> Self {
+    fn new(field: &Field, settings: &BoundSettings) -> Self {
         let spreads = field.spreads();
         // What hardly varies more than its noise tells little apart.
         let unit = |j: usize| field.noise[j].hypot(spreads[j].1);
-        let process = Beside::Process { gamma: settings.gamma as f32, ridge: settings.ridge as f32 };
-        Self::new(field, if settings.alike { process } else { Beside::Nothing }, &unit)
-    }
-
-    fn new(field: &Field, beside: Beside, unit: &dyn Fn(usize) -> f64) -> Self {
         let presses = field.presses();
         let column = |matrix: &nalgebra::DMatrix<f64>, j: usize, unit: f64| -> Vec<f32> {
             matrix.column(j).iter().map(|v| (v / unit) as f32).collect()
@@ -110,7 +80,7 @@ impl Problem {
         let sum: nalgebra::Vector3<f64> = field.places.iter().map(|p| p.point.coords).sum();
         let middle = sum / field.places.len().max(1) as f64;
         let from_middle = |p: usize| field.place_of(p).point.coords - middle;
-        let places = [0, 1, 2].map(|k| (0..presses).map(|p| from_middle(p)[k] as f32).collect());
+        let places = Mat::from_fn(presses, 3, |p, k| from_middle(p)[k] as f32);
         // Anywhere on the skin, in either direction alike.
         let squares: f64 = (0..presses).map(|p| from_middle(p).norm_squared()).sum();
         let place = squares / presses.max(1) as f64 / 2.0;
@@ -119,13 +89,15 @@ impl Problem {
         // Any force of the range; known where there is but one.
         let force = (high - low).max(0.0).powi(2) / 12.0;
         let prior = Matrix3::from_diagonal(&nalgebra::Vector3::new(place, place, force));
-        Self { presses, forces: field.forces.len().max(1), slopes, readings, places, prior, beside }
+        let process = settings.between.then_some((settings.gamma as f32, settings.ridge as f32));
+        Self { presses, forces: field.forces.len().max(1), slopes, readings, places, prior, process }
     }
 
     fn start(&self) -> State {
         let p = &self.prior;
         let each = [p[(0, 0)], 0.0, p[(1, 1)], 0.0, 0.0, p[(2, 2)]];
-        let pairs = if matches!(self.beside, Beside::Nothing) { 0 } else { self.presses * self.presses };
+        let pairs =
+            if self.process.is_some() { self.presses * self.presses.saturating_sub(1) / 2 } else { 0 };
         State {
             elements: 0,
             covariance: each.map(|v| vec![v as f32; self.presses]),
@@ -157,10 +129,13 @@ impl Problem {
             yf[m] -= y * f / s;
             ff[m] -= f * f / s;
         }
-        if !state.unlike.is_empty() {
+        if self.process.is_some() {
             let read = &self.readings[element];
-            for (row, own) in state.unlike.chunks_exact_mut(self.presses).zip(read) {
+            let mut unlike = state.unlike.as_mut_slice();
+            for (m, own) in read.iter().enumerate() {
+                let (row, rest) = unlike.split_at_mut(m);
                 row.iter_mut().zip(read).for_each(|(d, r)| *d += (own - r) * (own - r));
+                unlike = rest;
             }
         }
         state.elements += 1;
@@ -170,90 +145,63 @@ impl Problem {
     /// single bad places do not decide.
     fn score(&self, state: &State, element: usize) -> f64 {
         let [xx, _, yy, ..] = &state.covariance;
-        let left = match self.beside {
-            Beside::Process { gamma, ridge } => self.left_out(state, element, gamma, ridge),
-            _ => Vec::new(),
+        let left = match self.process {
+            Some(process) => self.left_out(state, element, process),
+            None => vec![0.0; self.presses],
         };
         let mut sum = 0.0;
-        for m in 0..self.presses {
+        for (m, left) in left.into_iter().enumerate() {
             let ([x, y, _], s) = self.gain(state, element, m);
             let local = (xx[m] + yy[m] - (x * x + y * y) / s).max(0.0);
-            let more = match self.beside {
-                Beside::Nothing => 0.0,
-                Beside::Alike => self.mistaken(state, element, m),
-                Beside::Process { .. } => left[m],
-            };
-            sum += f64::from(local + more).sqrt();
+            sum += f64::from(local + left).sqrt();
         }
         sum / self.presses.max(1) as f64
     }
 
     /// \[m²\] how far off every press is foretold from the others by the mean of a process: with K the covariance of the readings
     /// and b the presses at one place, K⁻¹[b, b]⁻¹ (K⁻¹ Y)[b], Y the places from their middle.
-    fn left_out(&self, state: &State, element: usize, gamma: f32, ridge: f32) -> Vec<f32> {
+    fn left_out(&self, state: &State, element: usize, (gamma, ridge): (f32, f32)) -> Vec<f32> {
         let n = self.presses;
         let read = &self.readings[element];
         let by = -gamma / (state.elements + 1) as f32;
-        let covariance = Mat::from_fn(n, n, |i, j| {
-            let step = read[i] - read[j];
-            let ridge = if i == j { ridge } else { 0.0 };
+        let mut covariance = Mat::<f32>::zeros(n, n);
+        let mut unlike = state.unlike.as_slice();
+        for (i, own) in read.iter().enumerate() {
+            let (row, rest) = unlike.split_at(i);
             // The lower half is looked at.
-            if i < j { 0.0 } else { (by * (state.unlike[i * n + j] + step * step)).exp() + ridge }
-        });
+            for (j, (d, other)) in row.iter().zip(read).enumerate() {
+                covariance[(i, j)] = (by * (d + (own - other) * (own - other))).exp();
+            }
+            covariance[(i, i)] = 1.0 + ridge;
+            unlike = rest;
+        }
         // The ridge keeps it positive definite; were it not, this element would tell nothing.
         let Ok(factor) = covariance.llt(Side::Lower) else {
-            return (0..n).map(|m| self.places.iter().map(|p| p[m] * p[m]).sum()).collect();
+            return (0..n).map(|m| (0..3).map(|k| self.places[(m, k)].powi(2)).sum()).collect();
         };
-        let inverse = factor.inverse();
+        // K⁻¹ = (L⁻¹)ᵀ L⁻¹, of which a few products are needed.
+        let mut root = covariance;
+        root.fill(0.0);
+        invert_lower_triangular(root.as_mut(), factor.L(), Par::Seq);
+        let solved = root.transpose() * (&root * &self.places);
         let mut out = vec![0.0f32; n];
         let count = self.forces;
         for begin in (0..n).step_by(count) {
-            let block = nalgebra::DMatrix::from_fn(count, count, |i, j| inverse[(begin + i, begin + j)]);
+            let dot = |i: usize, j: usize| -> f32 {
+                let (a, b) = (root.col(begin + i), root.col(begin + j));
+                let from = begin + i.max(j);
+                a.iter().zip(b.iter()).skip(from).map(|(a, b)| a * b).sum()
+            };
+            let block = nalgebra::DMatrix::from_fn(count, count, dot);
             let Some(block) = block.try_inverse() else { continue };
-            for places in &self.places {
-                let weights = nalgebra::DVector::from_fn(count, |i, _| {
-                    let column = inverse.col(begin + i);
-                    column.iter().zip(places).map(|(a, b)| a * b).sum::<f32>()
-                });
+            for k in 0..3 {
+                let weights = nalgebra::DVector::from_fn(count, |i, _| solved[(begin + i, k)]);
                 for (out, error) in out[begin..].iter_mut().zip((&block * weights).iter()) {
                     *out += error * error;
                 }
             }
         }
         out
-    }
-
-    /// \[m²\] how far off the mean of all other places is that read like press `m`. The weights (1 + d²/k)⁻² of readings of
-    /// k channels at a distance d have heavy tails: where nothing reads alike, the least unlike decide, as they would for an
-    /// estimator that has learnt nothing nearer.
-    #[inline]
-    fn mistaken(&self, state: &State, element: usize, m: usize) -> f32 {
-        let read = &self.readings[element];
-        let per_channel = 1.0 / (state.elements + 1) as f32;
-        let unlike = &state.unlike[m * self.presses..(m + 1) * self.presses];
-        let [xs, ys, zs] = &self.places;
-        let own = read[m];
-        let (mut total, mut x, mut y, mut z) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
-        let place = m / self.forces * self.forces;
-        // Not from itself, nor from the same place under another force.
-        for part in [0..place, place + self.forces..self.presses] {
-            let others = unlike[part.clone()].iter().zip(&read[part.clone()]);
-            let at = xs[part.clone()].iter().zip(&ys[part.clone()]).zip(&zs[part]);
-            for ((d, r), ((px, py), pz)) in others.zip(at) {
-                let step = own - r;
-                let base = 1.0 + (d + step * step) * per_channel;
-                let weight = 1.0 / (base * base);
-                total += weight;
-                x += weight * px;
-                y += weight * py;
-                z += weight * pz;
-            }
-        }
-        if total > 0.0 {
-            (x / total - xs[m]).powi(2) + (y / total - ys[m]).powi(2) + (z / total - zs[m]).powi(2)
-        } else {
-            0.0
-        }
     }
 }
 
@@ -273,14 +221,14 @@ pub fn by_bound(
     settings: &BoundSettings,
     watch: Watch<'_>,
 ) -> Option<Sets> {
-    let coarse = Problem::coarse(&thinned(field, settings.coarse), settings);
-    let fine = Problem::fine(&thinned(field, settings.fine), settings);
+    let coarse = Problem::new(&thinned(field, settings.coarse), settings);
+    let fine = Problem::new(&thinned(field, settings.fine), settings);
     let (mut roughly, mut closely) = (coarse.start(), fine.start());
     let budget = budget.min(among.len());
     let mut order: Vec<usize> = Vec::new();
     for k in 0..budget {
         let open: Vec<usize> = among.iter().copied().filter(|c| !order.contains(c)).collect();
-        let best = (open.len() / settings.one_in.max(1)).max(FEWEST).min(open.len());
+        let best = settings.closely.clamp(1, open.len());
         let steps = (open.len() + best) as f64;
         let at = |done: usize| watch((k as f64 + done as f64 / steps) / budget as f64);
         let mut scored = Vec::with_capacity(open.len());
@@ -309,7 +257,7 @@ pub fn by_bound(
 /// \[m\] what [`by_bound`] makes least, of any elements; the spread of the places where there are none.
 #[must_use]
 pub fn expected_error(field: &Field, elements: &[usize], settings: &BoundSettings) -> f64 {
-    let problem = Problem::fine(field, settings);
+    let problem = Problem::new(field, settings);
     match elements.split_last() {
         Some((last, before)) => {
             let mut state = problem.start();
@@ -329,7 +277,7 @@ mod tests {
     use super::*;
 
     fn purely_local() -> BoundSettings {
-        BoundSettings { alike: false, ..BoundSettings::default() }
+        BoundSettings { between: false, ..BoundSettings::default() }
     }
 
     #[test]

@@ -37,8 +37,8 @@ impl Default for JudgeSettings {
     fn default() -> Self {
         Self {
             estimators: estimators(),
-            folds: 2,
-            chosen_on: 400,
+            folds: 4,
+            chosen_on: 1000,
             seeds: (1..=5).collect(),
             taught: 0.8,
             failures: 5,
