@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use serde_json::{Value, json};
 
@@ -72,11 +72,11 @@ fn scratch(root: &Path, name: &str) -> Result<PathBuf> {
     Ok(dir)
 }
 
-/// What `dermis evaluate --json` prints in its last line.
+/// What a command with `--json` prints in its last line.
 fn evaluation(command: &mut Command) -> Result<Value> {
     let text = output(command)?;
     serde_json::from_str(text.trim().lines().last().unwrap_or_default())
-        .context("dermis evaluate --json printed no JSON")
+        .context("a command with --json printed no JSON")
 }
 
 /// CPU seconds of all children that ended so far.
@@ -187,14 +187,19 @@ fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) -> Result<P
     let folder = root.join(".dermis/measure/bags");
     std::fs::create_dir_all(&folder)?;
     let bag = folder.join(format!("limb-{:016x}", hasher.finish()));
-    // Metadata are written last.
-    if !bag.join("metadata.yaml").exists() {
-        if bag.exists() {
-            std::fs::remove_dir_all(&bag)?;
+    if !bag.exists() {
+        // Under another name until it is whole: an interrupted one has metadata, too.
+        let partial = bag.with_extension("partial");
+        if partial.exists() {
+            std::fs::remove_dir_all(&partial)?;
         }
         let mut collect = Command::new(dermis);
-        collect.arg("collect").arg(LIMB).arg("--plan").arg(&plan).args(device).arg("--out").arg(&bag);
-        execute(collect.current_dir(root))?;
+        collect.arg("collect").arg(LIMB).arg("--plan").arg(&plan).args(device).arg("--json");
+        let report = evaluation(collect.arg("--out").arg(&partial).current_dir(root))?;
+        if report["interrupted"] != false {
+            bail!("collecting {} was interrupted: run the measurement again", plan.display());
+        }
+        std::fs::rename(&partial, &bag)?;
     }
     Ok(bag)
 }
