@@ -39,14 +39,15 @@ pub enum Measurement {
     Gap,
 }
 
-/// Skins that gaps are diagnosed on, and the seeds of their packs.
-const GAPS: [(&str, &str, &str); 3] = [
-    ("line", "launch/skins/baro-line.toml", "30301"),
-    ("grid", "crates/gap-worlds/skins/baro-grid-wide.toml", "30302"),
-    ("shin", LIMB, "30303"),
+/// Skins that gaps are diagnosed on, and the seeds of their packs: of all kinds, and of controls only.
+const GAPS: [(&str, &str, [&str; 2]); 3] = [
+    ("line", "launch/skins/baro-line.toml", ["40401", "40411"]),
+    ("grid", "crates/gap-worlds/skins/baro-grid-wide.toml", ["40402", "40412"]),
+    ("shin", LIMB, ["40403", "40413"]),
 ];
-/// Share of the full proportions.
-const GAP_SHARE: &str = "0.4";
+/// Share of the full proportions, and controls that make up for what lacks of them.
+const GAP_SHARE: &str = "0.5";
+const GAP_CONTROLS: &str = "50";
 
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
     let value = match measurement {
@@ -272,14 +273,19 @@ fn gap(root: &Path) -> Result<Value> {
     let dermis = target_dir(root).join("release/dermis");
     let dir = scratch(root, "gap")?;
     let mut found = serde_json::Map::new();
-    for (name, skin, seed) in GAPS {
+    for (name, skin, seeds) in GAPS {
         let folder = |what: &str| dir.join(format!("{name}{what}"));
-        let mut make = Command::new(&dermis);
-        make.args(["gap", "make-pack", "--share", GAP_SHARE, "--skin", skin, "--seed", seed, "--secret"]);
-        execute(make.arg(folder("-secret")).arg("-o").arg(folder("")).current_dir(root))?;
+        let kinds: [&[&str]; 2] = [&["--share", GAP_SHARE], &["--kind", "controls", "--count", GAP_CONTROLS]];
         let mut check = Command::new(&dermis);
-        check.args(["gap", "check", "--jobs", "2", "--pack"]).arg(folder("")).arg("--secret");
-        execute(check.arg(folder("-secret")).arg("--out").arg(folder("-out")).current_dir(root))?;
+        check.args(["gap", "check", "--jobs", "2", "--out"]).arg(folder("-out"));
+        for ((kind, seed), of) in kinds.into_iter().zip(seeds).zip(["", "-controls"]) {
+            let (pack, secret) = (folder(of), folder(&format!("{of}-secret")));
+            let mut make = Command::new(&dermis);
+            make.args(["gap", "make-pack", "--skin", skin, "--seed", seed]).args(kind);
+            execute(make.arg("--secret").arg(&secret).arg("-o").arg(&pack).current_dir(root))?;
+            check.arg("--pack").arg(pack).arg("--secret").arg(secret);
+        }
+        execute(check.current_dir(root))?;
         let summary = std::fs::read(folder("-out").join("summary.json"))?;
         found.insert(name.to_owned(), serde_json::from_slice(&summary)?);
     }

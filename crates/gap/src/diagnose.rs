@@ -1565,6 +1565,7 @@ fn written<'p>(parts: impl Iterator<Item = (&'p (String, String, f64), f64)>) ->
             // What comes early cannot be simulated forwards.
             "delay" | "low-pass" => value = value.max(0.0),
             "channel-gain" if value.abs() < 1e-3 => value = 1e-3,
+            "channel-curvature" | "crosstalk" => value = value.clamp(-0.49, 0.49),
             "force-scale" | "tip-scale" => value = value.max(0.05),
             _ => {}
         }
