@@ -858,7 +858,8 @@ taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", positi
         }
         fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
             for (o, t) in out.iter_mut().zip(&self.taxels) {
-                *o = stimulus.contacts.iter().map(|c| c.force.norm() / (c.position - t).norm()).sum();
+                let felt = |c: &Indentation| c.force.norm() / (c.position - t).norm() * (c.diameter / 0.004);
+                *o = stimulus.contacts.iter().map(felt).sum();
             }
             Ok(())
         }
@@ -1038,17 +1039,20 @@ taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", positi
         assert_eq!(coupled[0], plain[0]);
         approx::assert_relative_eq!(coupled[1], plain[1] + 0.2 * plain[0], max_relative = 1e-12);
         // What the medium remembers is what it felt.
-        let mut skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
-        let names: Vec<String> = (0..7).map(|i| format!("t{i}")).collect();
-        skin.taxels =
-            names.iter().map(|n| crate::Taxel { name: n.clone(), ..skin.taxels[0].clone() }).collect();
+        let taxel = |i| format!("{{ name = \"t{i}\", position = [0.0, 0.0, -0.005] }}");
+        let taxels: Vec<String> = (0..7).map(taxel).collect();
+        let line = SKIN.lines().find(|l| l.starts_with("taxels")).unwrap();
+        let text = SKIN.replace(line, &format!("taxels = [{}]", taxels.join(", ")));
+        let skin = SkinDescription::from_toml(&text, "pad.toml").unwrap();
         let mut around = Around::neutral(&skin);
         around.crosstalk = [0.3, -0.2];
         around.gain = vec![1.5; 7];
+        around.curvature = vec![0.1; 7];
+        around.thermal_bend = vec![1e-3; 7];
         let felt = [1.0, -2.0, 3.0, 0.5, 0.0, 4.0, -1.0];
         let mut through = felt;
-        around.apply(293.15, 0.0, &mut through);
-        around.undo(293.15, &mut through);
+        around.apply(303.15, 0.0, &mut through);
+        around.undo(303.15, &mut through);
         for (a, b) in through.iter().zip(felt) {
             approx::assert_relative_eq!(*a, b, epsilon = 1e-12);
         }
