@@ -945,7 +945,8 @@ impl Data<'_> {
             let mut unwritten: Vec<usize> = Vec::new();
             for (j, other) in selection.picks.iter().enumerate().filter(|(j, _)| *j != i) {
                 let done = tried.get(j).map(|t| t.first().map_or_else(Vec::new, |t| t.effects.clone()));
-                let effects = done.unwrap_or_else(|| self.linear(columns, other.candidate, &fit, &weights));
+                let linear = || self.written(self.linear(columns, other.candidate, &fit, &weights));
+                let effects = done.unwrap_or_else(linear);
                 if effects.is_empty() {
                     unwritten.extend(&candidates[other.candidate].columns);
                 }
@@ -1063,9 +1064,8 @@ impl Data<'_> {
             let named = |j: usize| if j == again { candidate } else { set[j] };
             let model: Vec<usize> = (0..set.len()).filter(|j| *j != i).map(named).collect();
             let fit = training.fit_all(&model, Tier::Loose);
-            let one = self.tried(columns, candidate, &fit, &beside, (&weights, form), statistics)?;
-            match one {
-                Some(mut one) => {
+            match self.tried(columns, candidate, &fit, &beside, (&weights, form), statistics) {
+                Ok(Some(mut one)) => {
                     one.score = training.weigh(one.energy, 0.0, &model);
                     if one.score <= score {
                         score = one.score;
@@ -1077,11 +1077,22 @@ impl Data<'_> {
                         continue;
                     }
                 }
-                None => return Ok(()),
+                Ok(None) => return Ok(()),
+                Err(GapError::Interrupted) => return Err(GapError::Interrupted),
+                // What it would be without the other no device can have.
+                Err(_) => {}
             }
             i += 1;
         }
         Ok(())
+    }
+
+    /// Effects of a linear fit, none where no device can have them: a place beside the surface, say.
+    fn written(&self, effects: Vec<Effect>) -> Vec<Effect> {
+        let skin = self.simulator.with(&effects);
+        let first: Vec<usize> = self.rows.frames().into_iter().take(1).collect();
+        let possible = self.simulator.readings(&skin, self.recording, &first).is_ok();
+        if possible { effects } else { Vec::new() }
     }
 
     /// Readings without what a fit makes of these columns.
