@@ -347,7 +347,7 @@ mod tests {
         // Two elements that mirror each other cannot tell which side is pressed; the local bound does not mind.
         let field = plate(9, 9);
         let local = purely_local();
-        let all = BoundSettings { alike: true, ..local };
+        let all = BoundSettings { between: true, ..local };
         // On the middle line along x: y and −y read alike.
         let line = [36, 38, 40, 42, 44];
         assert!(expected_error(&field, &line, &all) > 2.0 * expected_error(&field, &line, &local));
