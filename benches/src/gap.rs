@@ -347,7 +347,8 @@ fn recorded(skin: &SkinDescription, effects: Vec<Effect>, contacts: u64) -> Resu
 /// Where the diagnosis fails.
 pub fn run(options: &Options) -> Result<Value> {
     let skin = fabric(options.side)?;
-    let effects = vec![Effect::new("gains").seed(5), Effect::new("creep").with("time", 0.2)];
+    let effects =
+        vec![Effect::new("gains").with("spread", 0.4).seed(5), Effect::new("creep").with("time", 0.2)];
     let recording = recorded(&skin, effects.clone(), options.contacts)?;
     let make = |skin: &SkinDescription| Fabric::make(skin);
     let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
