@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use clap::Args;
-use dermis_skin::{COMMON, CommonEffect, CommonParameters, Effect, EffectInfo, SkinDescription};
+use dermis_skin::{
+    COMMON, CommonEffect, CommonParameters, Effect, EffectInfo, ParameterInfo, SkinDescription,
+};
 
 use crate::registry::{FAMILIES, Family};
 
@@ -142,7 +144,13 @@ fn describe_common(info: &CommonEffect, of_skin: Option<&Effect>) -> String {
         }
         CommonParameters::Named(_) => {}
     }
-    for p in info.named() {
+    numbers(&mut text, info.named(), of_skin);
+    text
+}
+
+/// Parameters with their range, and what a skin says of them where it does.
+fn numbers(text: &mut String, parameters: &[ParameterInfo], of_skin: Option<&Effect>) {
+    for p in parameters {
         let value = of_skin.and_then(|effect| effect.parameters.get(p.name)).copied();
         let unit = if p.unit == "1" || p.unit.is_empty() { String::new() } else { format!(" {}", p.unit) };
         let [low, high] = p.range;
@@ -154,7 +162,6 @@ fn describe_common(info: &CommonEffect, of_skin: Option<&Effect>) -> String {
             p.what
         );
     }
-    text
 }
 
 /// One effect for people; with what a skin says of it, where it does.
@@ -170,18 +177,7 @@ fn describe(info: &EffectInfo, of_skin: Option<&Effect>) -> String {
         (false, false) => "",
     };
     let _ = writeln!(text, "\n      {}{traits}", info.what);
-    for p in info.parameters {
-        let value = of_skin.and_then(|effect| effect.parameters.get(p.name)).copied();
-        let unit = if p.unit == "1" { String::new() } else { format!(" {}", p.unit) };
-        let [low, high] = p.range;
-        let _ = writeln!(
-            text,
-            "      {:14} {}{unit} ({low} to {high}{unit})  {}",
-            p.name,
-            value.unwrap_or(p.typical),
-            p.what
-        );
-    }
+    numbers(&mut text, info.parameters, of_skin);
     text
 }
 

@@ -28,6 +28,7 @@ mod refine;
 mod registry;
 mod skins;
 mod stats;
+mod steps;
 mod theory;
 mod train;
 mod variation;

@@ -5,7 +5,6 @@ mod page;
 mod text;
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -19,6 +18,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::Point3;
 use serde::Serialize;
 use serde_json::json;
+
+use crate::steps::Steps;
 
 pub use candidates::below_the_surface;
 
@@ -212,25 +213,6 @@ fn against(choices: &[Choice]) -> Option<serde_json::Value> {
     }))
 }
 
-/// Steps of the whole work that the bar shows, one after the other.
-struct Bar<'a> {
-    bar: ProgressBar,
-    stop: &'a AtomicBool,
-}
-
-impl Bar<'_> {
-    fn begin(&self, what: &str) {
-        self.bar.set_message(what.to_owned());
-        self.bar.set_position(0);
-        self.bar.reset_eta();
-    }
-
-    fn at(&self, share: f64) -> bool {
-        self.bar.set_position((1000.0 * share) as u64);
-        !self.stop.load(Ordering::Acquire)
-    }
-}
-
 fn check(options: &Options) -> Result<()> {
     for (name, value) in
         [("--force", options.force.iter().copied().fold(1.0, f64::min)), ("--diameter", options.diameter)]
@@ -265,7 +247,7 @@ fn find(options: &Options) -> Result<Findings> {
     let stop = crate::collect::stop_on_interrupt()?;
     let bar = ProgressBar::new(1000)
         .with_style(ProgressStyle::with_template("{msg} {wide_bar} {percent} %, {eta} left")?);
-    let bar = Bar { bar, stop: &stop };
+    let bar = Steps { bar, stop: &stop };
     bar.begin("candidates");
     let surface = skin.surface();
     let proposed = (family.candidates)(&skin)?;
@@ -353,7 +335,7 @@ fn choose(
     taxels: &[Taxel],
     [few, many, teach, ask]: [&Field; 4],
     options: &Options,
-    bar: &Bar<'_>,
+    bar: &Steps<'_>,
 ) -> Result<()> {
     let watch = |share: f64| bar.at(share);
     bar.begin("distances along the surface");

@@ -4,7 +4,6 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -19,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::evaluate::split_of;
+use crate::steps::Steps;
 
 /// What to refine, and on what it is measured.
 #[derive(Args)]
@@ -128,7 +128,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut bundle = Bundle::load(&options.model, &skin)?;
     let stop = crate::collect::stop_on_interrupt()?;
     let style = ProgressStyle::with_template("{msg:36} {wide_bar} {percent} %, {elapsed} gone")?;
-    let bar = Bar { bar: ProgressBar::new(1000).with_style(style), stop: &stop };
+    let bar = Steps { bar: ProgressBar::new(1000).with_style(style), stop: &stop };
     bar.begin("reading what was recorded");
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
     let split = split_of(&options.model)?.apply(&data)?;
@@ -191,25 +191,6 @@ pub fn run(options: &Options) -> Result<()> {
         tell(&refinement, ratio, on, before, after);
     }
     Ok(())
-}
-
-/// The steps of the work on a terminal, one after the other.
-struct Bar<'a> {
-    bar: ProgressBar,
-    stop: &'a AtomicBool,
-}
-
-impl Bar<'_> {
-    fn begin(&self, what: &str) {
-        self.bar.set_message(what.to_owned());
-        self.bar.set_position(0);
-    }
-
-    /// Whether it goes on.
-    fn at(&self, share: f64) -> bool {
-        self.bar.set_position((1000.0 * share) as u64);
-        !self.stop.load(Ordering::Acquire)
-    }
 }
 
 /// Where what is done is kept in the bundle until all is.
@@ -319,7 +300,7 @@ fn prepare(
     model: Arc<dyn ForwardModel>,
     data: &Dataset,
     train: &[SampleId],
-    bar: &Bar<'_>,
+    bar: &Steps<'_>,
 ) -> Result<Option<Refinement>> {
     bar.begin("gains of the channels");
     let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
