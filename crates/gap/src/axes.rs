@@ -13,10 +13,18 @@ use crate::rows::{Row, Rows};
 
 /// Permutations whose mean is what an axis explains by chance.
 const PERMUTATIONS: usize = 8;
+/// Share of the gap that chance loses at most.
+const UNLUCKY: f64 = 0.1;
 /// Bins of a continuous axis.
 const BINS: usize = 8;
 /// Rows that a bin must hold to be fitted.
 const LEAST: usize = 8;
+/// \[1/s\] a force that changes by less of itself is held.
+const STILL: f64 = 0.02;
+/// Share of the frames of a place or of a press that lie in one bin where the axis is one of places or presses.
+const COMMON: f64 = 0.95;
+/// Correlation of bins from which on two axes are one in a recording.
+const ONE: f64 = 0.97;
 /// Name of the axis that has no bins: each channel is one.
 const CHANNEL: &str = "channel";
 /// Points of a map, at most.
@@ -41,12 +49,26 @@ pub struct Axis {
     /// Name.
     pub axis: String,
     /// Share of the gap on held-out contacts that a mean and a factor for each bin explain beyond those of each channel, and beyond
-    /// chance.
+    /// chance; or that lies in other bins than readings do, where this is more.
     pub share: f64,
     /// 95 % interval of it, over places.
     pub interval: [f64; 2],
     /// Its bins.
     pub bins: Vec<Bin>,
+    /// Axes that go with this one in the recording, so that no reading can tell them apart.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub alike: Vec<String>,
+}
+
+impl Axis {
+    /// Its name with those of the axes that go with it.
+    #[must_use]
+    pub fn title(&self) -> String {
+        std::iter::once(self.axis.as_str())
+            .chain(self.alike.iter().map(String::as_str))
+            .collect::<Vec<_>>()
+            .join(" or ")
+    }
 }
 
 /// The gap over the surface.
@@ -97,6 +119,64 @@ struct Binned {
     name: &'static str,
     of: Vec<Option<usize>>,
     labels: Vec<String>,
+    /// Whether bins have an order.
+    ordered: bool,
+}
+
+impl Binned {
+    /// The same bins in another order, as chance would have it. What all frames of a place or of a press have in common stays in common:
+    /// frames that were done together are no proof of each other. Rows that the axis says nothing of stay where they are.
+    fn drawn(&self, rows: &[Row], rng: &mut ChaCha8Rng) -> Vec<Option<usize>> {
+        let one = |unit: fn(&Row) -> usize| -> Option<BTreeMap<usize, usize>> {
+            let mut of: BTreeMap<usize, BTreeMap<usize, usize>> = BTreeMap::new();
+            for (row, bin) in rows.iter().zip(&self.of) {
+                if let Some(bin) = bin {
+                    *of.entry(unit(row)).or_default().entry(*bin).or_default() += 1;
+                }
+            }
+            let most = |bins: &BTreeMap<usize, usize>| {
+                bins.iter().max_by_key(|(_, n)| **n).map_or((0, 0), |(b, n)| (*b, *n))
+            };
+            let held: usize = of.values().map(|bins| most(bins).1).sum();
+            let all: usize = of.values().flat_map(BTreeMap::values).sum();
+            (held as f64 > COMMON * all as f64)
+                .then(|| of.iter().map(|(u, bins)| (*u, most(bins).0)).collect())
+        };
+        let units: [fn(&Row) -> usize; 2] = [|row| row.group, |row| row.press];
+        for unit in units {
+            let Some(of) = one(unit) else { continue };
+            let mut bins: Vec<usize> = of.values().copied().collect();
+            bins.shuffle(rng);
+            let drawn: BTreeMap<usize, usize> = of.keys().copied().zip(bins).collect();
+            return rows
+                .iter()
+                .zip(&self.of)
+                .map(|(row, bin)| bin.and_then(|_| drawn.get(&unit(row)).copied()))
+                .collect();
+        }
+        let mut known: Vec<usize> = self.of.iter().flatten().copied().collect();
+        known.shuffle(rng);
+        let mut known = known.into_iter();
+        self.of.iter().map(|bin| bin.and_then(|_| known.next())).collect()
+    }
+
+    /// Whether rows fall into its bins as they do into those of another axis.
+    fn is_one_with(&self, other: &Self) -> bool {
+        if !self.ordered || !other.ordered {
+            return false;
+        }
+        let both: Vec<(f64, f64)> =
+            self.of.iter().zip(&other.of).filter_map(|(a, b)| Some(((*a)? as f64, (*b)? as f64))).collect();
+        let known = |of: &[Option<usize>]| of.iter().flatten().count();
+        let n = both.len() as f64;
+        let mean = |of: fn(&(f64, f64)) -> f64| both.iter().map(of).sum::<f64>() / n.max(1.0);
+        let (a, b) = (mean(|p| p.0), mean(|p| p.1));
+        let sum = |of: &dyn Fn(&(f64, f64)) -> f64| both.iter().map(of).sum::<f64>();
+        let (ab, aa, bb) =
+            (sum(&|p| (p.0 - a) * (p.1 - b)), sum(&|p| (p.0 - a).powi(2)), sum(&|p| (p.1 - b).powi(2)));
+        let most = known(&self.of).max(known(&other.of)) as f64;
+        n > 0.9 * most && ab.abs() > ONE * (aa * bb).sqrt()
+    }
 }
 
 /// Bins with as many rows each.
@@ -131,7 +211,7 @@ fn quantiles(
         .iter()
         .map(|r| Some(value(r)).filter(|v| v.is_finite()).map(|v| edges.partition_point(|e| *e <= v)))
         .collect();
-    Some(Binned { name, of, labels })
+    Some(Binned { name, of, labels, ordered: true })
 }
 
 /// Three digits.
@@ -162,7 +242,7 @@ fn listed<K: Ord + Clone>(
     }
     let labels = keys.iter().map(label).collect();
     let of = rows.iter().map(|r| key(r).and_then(|k| keys.binary_search(&k).ok())).collect();
-    Some(Binned { name, of, labels })
+    Some(Binned { name, of, labels, ordered: false })
 }
 
 /// Cells of the surface, about as many as `most`.
@@ -213,6 +293,10 @@ fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
     let when = |r: &Row| if touched(r) { r.since } else { f64::NAN };
     let after = |r: &Row| if touched(r) { f64::NAN } else { r.since };
     let count = |r: &Row| if r.press == usize::MAX { f64::NAN } else { r.press as f64 };
+    let speed = |r: &Row| {
+        let speed = r.speed / r.force.max(0.01);
+        if touched(r) && speed.abs() > STILL { speed } else { f64::NAN }
+    };
     let history = |r: &Row| if touched(r) { r.before / r.force.max(0.01) } else { f64::NAN };
     let found = [
         cells(rows, 24),
@@ -222,7 +306,8 @@ fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
         quantiles("time since release", rows, after, ("s", 1.0)),
         quantiles("session time", rows, |r| r.time, ("s", 1.0)),
         quantiles("temperature", rows, |r| r.temperature - 273.15, ("°C", 1.0)),
-        quantiles("speed of the force", rows, |r| if touched(r) { r.speed } else { f64::NAN }, ("N/s", 1.0)),
+        // What lags behind is wrong by a share of the reading: the force's speed over the force.
+        quantiles("speed of the force", rows, speed, ("of it a second", 1.0)),
         quantiles("presses so far", rows, count, ("", 1.0)),
         quantiles("history: largest force so far per force", rows, history, ("", 1.0)),
         listed("number of contacts", rows, |r| Some(r.contacts), |n| format!("{n} at once")),
@@ -240,7 +325,8 @@ fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
         ),
     ];
     let mut found: Vec<Binned> = found.into_iter().flatten().collect();
-    found.push(Binned { name: CHANNEL, of: vec![Some(0); rows.len()], labels: vec!["all".to_owned()] });
+    let labels = vec!["all".to_owned()];
+    found.push(Binned { name: CHANNEL, of: vec![Some(0); rows.len()], labels, ordered: false });
     found
 }
 
@@ -317,6 +403,65 @@ fn held_out(
     left
 }
 
+/// What each bin of an axis holds of each group: energy of a residual beyond noise, energy of the model, and rows.
+struct Held {
+    bins: usize,
+    of: Vec<[f64; 3]>,
+}
+
+impl Held {
+    fn of(view: &View<'_>, residual: &[f32], axis: &Binned) -> Self {
+        let (usable, bins) = (view.usable(), axis.labels.len());
+        let mut of = vec![[0.0; 3]; view.rows.groups * bins];
+        for (i, (row, bin)) in view.rows.rows.iter().zip(&axis.of).enumerate() {
+            let Some(bin) = bin else { continue };
+            let held = &mut of[row.group * bins + bin];
+            for &k in &usable {
+                let (x, y) = (view.model[i * view.channels + k], residual[i * view.channels + k]);
+                held[0] += f64::from(y).powi(2) - view.noise;
+                held[1] += f64::from(x).powi(2);
+                held[2] += 1.0;
+            }
+        }
+        Self { bins, of }
+    }
+
+    /// Sums over groups, a bin.
+    fn sums(&self, groups: impl Iterator<Item = usize>) -> Vec<[f64; 3]> {
+        let mut sums = vec![[0.0; 3]; self.bins];
+        for g in groups {
+            for (sum, held) in sums.iter_mut().zip(&self.of[g * self.bins..]) {
+                (0..3).for_each(|i| sum[i] += held[i]);
+            }
+        }
+        sums
+    }
+
+    /// Energy that lies in other bins than it would, were it spread as what the model reads or as rows are: bins where it is too much on
+    /// groups `learnt`, and how much more it is there on groups `asked`.
+    fn moved(&self, learnt: impl Iterator<Item = usize>, asked: impl Iterator<Item = usize>) -> f64 {
+        let [learnt, asked] = [self.sums(learnt), self.sums(asked)];
+        let total = |sums: &[[f64; 3]], i: usize| sums.iter().map(|s| s[i]).sum::<f64>();
+        let energy = total(&asked, 0);
+        let excess = |sums: &[[f64; 3]], b: usize, mix: f64| {
+            let share = |i: usize| sums[b][i] / total(sums, i).max(1e-300);
+            share(0) - mix * share(1) - (1.0 - mix) * share(2)
+        };
+        let moved = |mix: f64| {
+            let bins = (0..self.bins).filter(|b| excess(&learnt, *b, mix) > 0.0);
+            bins.map(|b| excess(&asked, b, mix)).sum::<f64>()
+        };
+        let least = [0.0, 0.25, 0.5, 0.75, 1.0].map(moved).into_iter().fold(f64::INFINITY, f64::min);
+        if energy > 0.0 { least * energy } else { 0.0 }
+    }
+
+    /// The same over the folds of draws of groups, each learnt on the other one.
+    fn concentrated(&self, fold: &[usize], drawn: &[usize]) -> f64 {
+        let of = |f: usize| drawn.iter().copied().filter(move |g| fold[*g] == f);
+        self.moved(of(0), of(1)) + self.moved(of(1), of(0))
+    }
+}
+
 /// Energy of each group.
 fn energies(view: &View<'_>, residual: &[f32]) -> Vec<f64> {
     let mut energy = vec![0.0; view.rows.groups];
@@ -330,7 +475,8 @@ fn energies(view: &View<'_>, residual: &[f32]) -> Vec<f64> {
 ///
 /// What all channels have in common, a mean and a factor, goes along no axis. The channel's share is what a mean and a factor of its own
 /// explain beyond that; of every other axis, what one for each bin explains beyond the channel's, be it alike on all channels or
-/// different on each.
+/// different on each. A gap that changes its sign from place to place has no such mean and still lies somewhere: where it is more, the
+/// share of an axis is the part of the gap that would have to move to other bins for it to be spread as readings are.
 #[must_use]
 pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xa7e5);
@@ -344,8 +490,9 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
     let common = energies(view, &held_out(view, view.residual, (&all, 1), &fold, Pool::Bins));
     let alone = held_out(view, view.residual, (&all, 1), &fold, Pool::Channels);
     let own = energies(view, &alone);
-    let mut found = Vec::new();
-    for axis in axes(view, sessions) {
+    let mut found: Vec<Axis> = Vec::new();
+    let every = axes(view, sessions);
+    for axis in &every {
         let share = |base: &[f64], after: &[f64], groups: &mut dyn Iterator<Item = usize>| {
             let (mut gained, mut all) = (0.0, 0.0);
             for g in groups {
@@ -365,14 +512,11 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
                 };
                 let mut by_chance = 0.0;
                 for _ in 0..PERMUTATIONS {
-                    // Rows that the axis says nothing of stay where they are.
-                    let mut known: Vec<usize> = axis.of.iter().flatten().copied().collect();
-                    known.shuffle(&mut rng);
-                    let mut drawn = known.into_iter();
-                    let of: Vec<Option<usize>> =
-                        axis.of.iter().map(|o| o.and_then(|_| drawn.next())).collect();
+                    let of = axis.drawn(&view.rows.rows, &mut rng);
                     by_chance += share(&own, &left(&of), &mut (0..groups)) / PERMUTATIONS as f64;
                 }
+                // Where few frames hold most of the energy, chance loses more than any axis gains.
+                let by_chance = by_chance.max(-UNLUCKY);
                 let after = left(&axis.of);
                 let value = share(&own, &after, &mut (0..groups)) - by_chance;
                 if best.as_ref().is_none_or(|b| value > b.0) {
@@ -382,19 +526,39 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
             let Some((_, after, by_chance)) = best else { continue };
             (&own, after, by_chance)
         };
-        let value = share(base, &after, &mut (0..groups)) - by_chance;
+        let held = Held::of(view, &alone, axis);
+        let energy = |draw: &[usize]| draw.iter().map(|g| before[*g]).sum::<f64>().max(1e-300);
+        let concentrated = |draw: &[usize]| held.concentrated(&fold, draw) / energy(draw);
+        let explained = |draw: &[usize]| share(base, &after, &mut draw.iter().copied()) - by_chance;
+        let all: Vec<usize> = (0..groups).collect();
+        let of = |draw: &[usize], place: bool| if place { concentrated(draw) } else { explained(draw) };
+        let place = concentrated(&all) > explained(&all);
+        let value = of(&all, place);
         let mut drawn: Vec<f64> = (0..200)
             .map(|_| {
-                let mut draw = (0..groups).map(|_| rand::Rng::random_range(&mut rng, 0..groups));
-                share(base, &after, &mut draw) - by_chance
+                let draw: Vec<usize> =
+                    all.iter().map(|_| rand::Rng::random_range(&mut rng, 0..groups)).collect();
+                of(&draw, place)
             })
             .collect();
         drawn.sort_by(f64::total_cmp);
-        let bins = if axis.name == CHANNEL { Vec::new() } else { bins(view, &axis) };
-        found.push(Axis { axis: axis.name.to_owned(), share: value, interval: [drawn[5], drawn[194]], bins });
+        let bins = if axis.name == CHANNEL { Vec::new() } else { bins(view, axis) };
+        let alike = Vec::new();
+        let interval = [drawn[5], drawn[194]];
+        found.push(Axis { axis: axis.name.to_owned(), share: value, interval, bins, alike });
     }
     found.sort_by(|a, b| b.share.total_cmp(&a.share));
-    found
+    let of = |name: &str| every.iter().find(|axis| axis.name == name);
+    let mut told: Vec<Axis> = Vec::new();
+    for axis in found {
+        let one =
+            told.iter_mut().find(|t| of(&t.axis).zip(of(&axis.axis)).is_some_and(|(a, b)| a.is_one_with(b)));
+        match one {
+            Some(one) => one.alike.push(axis.axis),
+            None => told.push(axis),
+        }
+    }
+    told
 }
 
 fn bins(view: &View<'_>, axis: &Binned) -> Vec<Bin> {
@@ -523,4 +687,87 @@ fn extent(surface: &Surface) -> f64 {
         }
     }
     found.values().map(|(low, high)| high - low).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Forty places, each pressed once with eight frames, on two channels.
+    fn rows() -> Rows {
+        let mut rows = Rows { groups: 40, test: vec![false; 40], presses: 40, ..Rows::default() };
+        for i in 0..320 {
+            let (group, step) = (i / 8, i % 8);
+            rows.rows.push(Row {
+                frame: i,
+                group,
+                press: group,
+                location: (0, group as u32),
+                session: 0,
+                phase: Phase::Hold,
+                force: 0.5 + 0.1 * step as f64,
+                since: 0.1 * ((3 * step) % 8) as f64,
+                time: i as f64,
+                before: 0.5 + 0.1 * step as f64,
+                speed: 0.0,
+                temperature: f64::NAN,
+                position: [1e-3 * ((group * 7) % 40) as f64, 0.0, 0.0],
+                diameter: 8e-3,
+                contacts: 1,
+                paired: false,
+            });
+        }
+        rows
+    }
+
+    fn found(gap: impl Fn(&Row) -> f64) -> Vec<Axis> {
+        let rows = rows();
+        let model: Vec<f32> = rows.rows.iter().flat_map(|r| [100.0 * r.force as f32; 2]).collect();
+        let residual: Vec<f32> = rows.rows.iter().flat_map(|r| [gap(r) as f32; 2]).collect();
+        let sigma = [1.0, 1.0];
+        let view = View {
+            rows: &rows,
+            channels: 2,
+            residual: &residual,
+            model: &model,
+            sigma: &sigma,
+            variance: 1e4,
+            noise: 0.0,
+        };
+        shares(&view, &["run".to_owned()], 1)
+    }
+
+    #[test]
+    fn a_gap_that_changes_its_sign_lies_where_it_is() {
+        // From the middle of the session on, to either side from place to place: no mean and no factor holds it.
+        let axes = found(|r| {
+            if r.time < 160.0 {
+                0.0
+            } else if r.group % 2 == 0 {
+                10.0
+            } else {
+                -10.0
+            }
+        });
+        assert_eq!(axes[0].axis, "session time", "{axes:?}");
+        assert!((axes[0].share - 0.5).abs() < 0.1 && axes[0].interval[0] < axes[0].share, "{:?}", axes[0]);
+        // Presses follow each other evenly.
+        assert_eq!(axes[0].title(), "session time or presses so far");
+        assert!(axes.iter().all(|a| a.axis != "presses so far"));
+    }
+
+    #[test]
+    fn what_goes_with_the_force_and_with_nothing_is_told() {
+        let axes = found(|r| if r.force > 1.0 { 40.0 * (r.force - 1.0) } else { 0.0 });
+        let force = axes.iter().find(|a| a.axis == "force").unwrap();
+        assert!(
+            force.share > 0.05
+                && force.share > axes.iter().find(|a| a.axis == "surface location").unwrap().share
+        );
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let signs: Vec<f64> =
+            (0..320).map(|_| if rand::Rng::random_bool(&mut rng, 0.5) { 10.0 } else { -10.0 }).collect();
+        let axes = found(|r| signs[r.frame]);
+        assert!(axes.iter().all(|a| a.share < 0.15), "{axes:?}");
+    }
 }

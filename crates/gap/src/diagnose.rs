@@ -21,7 +21,7 @@ use crate::report::{
     Alike, Closure, DataSummary, NamedEffect, Provenance, Report, SCHEMA, Suspect, Unknown, Value, Verdict,
 };
 use crate::rows::{RowOptions, Rows};
-use crate::select::{Member, SelectOptions, Selection, Selector, Tier};
+use crate::select::{CLEARLY, Member, SURELY, SelectOptions, Selection, Selector, Tier};
 use crate::simulate::Simulator;
 use crate::statistics::{Column, Fit, Statistics};
 use crate::{GapError, checks, experiments, hum, library, parity, steps, store, unknown};
@@ -32,10 +32,14 @@ const UNSYSTEMATIC: f64 = 0.2;
 const NAMED: f64 = 0.3;
 /// Share of the gap that an effect closes on other contacts at least, if its signature is to be believed beyond that.
 const HELPS: f64 = 0.15;
+/// Share of the systematic gap that signatures of the named effects may explain beyond what these close once they are switched on.
+const APART: f64 = 0.15;
 /// Share of the systematic gap that named effects may leave: laws are not known better.
 const REMAINDER: f64 = 0.26;
 /// What the closure in another recording of the same device differs by, beyond what resampling says.
 const ELSEWHERE: f64 = 0.03;
+/// The same, of what depends on the past.
+const HISTORY: f64 = 0.1;
 /// Relative error of the floor.
 const FLOOR_ERROR: f64 = 0.1;
 /// Share of what single presses leave that must differ between presses that were done alike to be a gap of its own.
@@ -177,20 +181,30 @@ pub fn diagnose(
         fixed.push(effect);
     }
     let mut nominal = signatures.nominal.clone();
+    // Those of them that models are simulated with from here on: readings are in the right order by now, and their steps count as noise.
+    let mut beside: Vec<Effect> = Vec::new();
+    let mut step = 0.0;
     if let Some(coarse) = coarse(simulator, recording, &rows, &readings, &sigma)? {
         let whitened = residual(&readings, &nominal, &sigma);
         let before = measure(&whitened, &whiten(&readings, &sigma), &rows, &sigma, options).fvu_before;
-        nominal = coarse.nominal;
+        nominal = coarse.nominal.unwrap_or(nominal);
+        step = coarse.step;
         let info = simulator.effects.iter().find(|i| i.name == coarse.effect.name);
         certain.push((known_effect(&coarse.effect, info.map_or("", |i| i.what), &skin.unit), before));
         fixed.push(coarse.effect);
-        fixed.extend(coarse.down);
+        fixed.extend(coarse.down.clone());
+        beside.extend(coarse.down);
     }
     let scaled = whiten(&readings, &sigma);
     cut(&mut readings, &nominal, skin, &sigma);
     let whitened = residual(&readings, &nominal, &sigma);
     let mut gap = measure(&whitened, &scaled, &rows, &sigma, options);
-    let mut before = gap.fvu_before;
+    // A reading lies anywhere within its step, and frame after frame at the same place of it.
+    let stepped = (rounding(step, !beside.is_empty(), &nominal, &sigma) / gap.variance - gap.floor
+        + gap.irreproducible.unwrap_or(0.0))
+    .max(0.0);
+    gap.counts_as_noise(stepped);
+    let mut before = gap.fvu_before - stepped;
     for (effect, of) in certain.iter_mut().rev() {
         effect.gain = *of - before;
         effect.solo = effect.gain;
@@ -198,6 +212,7 @@ pub fn diagnose(
         before = *of;
     }
     let certain: Vec<NamedEffect> = certain.into_iter().map(|(effect, _)| effect).collect();
+    let taken: f64 = certain.iter().map(|effect| effect.gain.max(0.0)).sum();
     report.data.repeats = gap.repeats;
     report.data.missing = checks::missing(recording, &rows, gap.repeats);
     let modelled = whiten(&nominal, &sigma);
@@ -221,9 +236,7 @@ pub fn diagnose(
         (hum, noise - twins, hum.share * noise)
     });
     let hum = hum.filter(|(.., size)| *size > options.select.margin).map(|(hum, by, size)| {
-        gap.floor += by;
-        gap.systematic -= by;
-        gap.interval.iter_mut().for_each(|e| *e -= by);
+        gap.counts_as_noise(by);
         (hum, size)
     });
     if let Some((hum, size)) = &hum {
@@ -236,6 +249,7 @@ pub fn diagnose(
             share: share(hum.share),
             interval: [share(hum.share - hum.half), share(hum.share + hum.half)],
             bins: Vec::new(),
+            alike: Vec::new(),
         });
         report.axes.sort_by(|a, b| b.share.total_cmp(&a.share));
         let mains = hum::mains(hum.frequency, skin.rate);
@@ -251,6 +265,7 @@ pub fn diagnose(
     report.gap = Some(gap.clone());
     let none = gap.interval[1] < options.select.margin && !restless;
     let hum = hum.map(|(hum, size)| humming(hum, size, &skin.unit));
+    let taken = taken + hum.as_ref().map_or(0.0, |(named, _)| named.gain);
     if none
         && fixed.is_empty()
         && let Some((named, effect)) = hum
@@ -289,7 +304,7 @@ pub fn diagnose(
     };
     // Where not even the sign of the systematic part is known there is nothing to explain.
     let established = restless || (gap.interval[0] > 0.0 && gap.systematic >= UNSYSTEMATIC * gap.fvu_before);
-    let found = if none || !established { Found::default() } else { data.causes(&fixed, &whitened)? };
+    let found = if none || !established { Found::default() } else { data.causes(&beside, &whitened)? };
     let gap = found.gap.clone().unwrap_or(gap);
     report.gap = Some(gap.clone());
     let mut effects = certain;
@@ -303,11 +318,11 @@ pub fn diagnose(
     // What does not hold on other contacts explains nothing: all of the gap is left.
     let holds = found.library >= NAMED * gap.systematic;
     let left = found.left.filter(|_| holds).unwrap_or_else(|| whitened.clone());
+    let mut share = (found.library / gap.systematic.max(1e-12)).clamp(0.0, 1.0);
     {
         let view = view(&rows, &left, &modelled, &sigma, &gap);
         report.maps.push(axes::map(&view, &surface));
         let systematic = gap.systematic.max(1e-12);
-        let mut share = (found.library / systematic).clamp(0.0, 1.0);
         // What differs from press to press has to go as well.
         if restless && holds {
             let still = |residual: &[f32]| {
@@ -316,10 +331,12 @@ pub fn diagnose(
             };
             share = share.min(1.0 - still(&left) / still(&whitened).max(1e-12)).max(0.0);
         }
+        // Of all of the gap, with what certain effects have taken away; a rest that does not matter is none.
+        let rest = if none { 0.0 } else { systematic / (systematic + taken) };
         report.unknown = Unknown {
-            share: (1.0 - share).max(0.0),
-            library: share,
-            form: ((found.both - found.library) / systematic).clamp(0.0, 1.0),
+            share: (rest * (1.0 - share)).max(0.0),
+            library: 1.0 - rest * (1.0 - share),
+            form: rest * ((found.both - found.library) / systematic).clamp(0.0, 1.0),
             explainable: explainable(&view, &gap, options.select.seed),
             fingerprint: Vec::new(),
         };
@@ -329,10 +346,21 @@ pub fn diagnose(
             report.unknown.fingerprint.iter_mut().for_each(|a| a.bins.clear());
         }
     }
+    // What the named effects make of the gap lies along the same axes, without the noise and the rest that blur them.
+    if holds && share >= 0.5 {
+        let made: Vec<f32> = whitened.iter().zip(&left).map(|(before, after)| before - after).collect();
+        let silent = Gap { floor: 0.0, ..gap.clone() };
+        let view = view(&rows, &made, &modelled, &sigma, &silent);
+        let shares = axes::shares(&view, &recording.sessions, options.select.seed);
+        report.axes.retain(|axis| axis.axis == "frequency");
+        report.axes.extend(shares);
+        report.axes.sort_by(|a, b| b.share.total_cmp(&a.share));
+    }
     alias(&mut effects, &rows);
     report.suspects = suspects(&signatures.candidates, &found.selection, options.select.floor);
-    report.verdict = verdict(&report.unknown, (sure, effects.len()), &found.selection, &gap);
-    if matches!(report.verdict, Verdict::UnknownSystematic | Verdict::Unmeasured) {
+    report.verdict =
+        verdict(&report.unknown, (sure, effects.len()), &found.selection, &gap, options.select.margin);
+    if effects.len() > sure && share < NAMED {
         report.closure = None;
         report.held_out = None;
         // A name for a small part of a gap would be taken for the cause.
@@ -340,18 +368,15 @@ pub fn diagnose(
             report.warnings.push(format!(
                 "{} explains {} % of the systematic gap: too little to be named its cause",
                 effect.label,
-                percent(report.unknown.library)
+                percent(share)
             ));
         }
         effects.truncate(sure);
         report.corrected.truncate(certainly);
-        if sure > 0 {
-            report.verdict = Verdict::NamedAndUnknown;
-        }
     }
     if let Some((named, effect)) = hum {
         report.verdict = match report.verdict {
-            Verdict::Named => Verdict::Named,
+            Verdict::Named | Verdict::Undecided => Verdict::Named,
             // Beside a hum that is larger than what presses have in common there is nothing sure to explain.
             _ if !established || none => Verdict::Named,
             _ => Verdict::NamedAndUnknown,
@@ -526,15 +551,17 @@ fn explainable(view: &View<'_>, gap: &Gap, seed: u64) -> f64 {
 }
 
 /// `sure` effects are named by what else shows them than residuals, out of `all`.
-fn verdict(unknown: &Unknown, (sure, all): (usize, usize), selection: &Selection, gap: &Gap) -> Verdict {
-    let named = all > sure;
-    if sure > 0 && !named {
-        return Verdict::Named;
-    }
-    if named {
+fn verdict(
+    unknown: &Unknown,
+    (sure, all): (usize, usize),
+    selection: &Selection,
+    gap: &Gap,
+    margin: f64,
+) -> Verdict {
+    if all > 0 {
         return if unknown.share <= REMAINDER {
             Verdict::Named
-        } else if unknown.library >= NAMED {
+        } else if unknown.library >= NAMED || sure > 0 {
             Verdict::NamedAndUnknown
         } else if unknown.explainable >= 0.3 {
             Verdict::UnknownSystematic
@@ -547,6 +574,8 @@ fn verdict(unknown: &Unknown, (sure, all): (usize, usize), selection: &Selection
         Verdict::Unmeasured
     } else if selection.form >= 0.5 * gap.systematic {
         Verdict::SimulatorForm
+    } else if gap.interval[0] <= CLEARLY * margin && gap.systematic < SURELY * margin {
+        Verdict::Undecided
     } else if unknown.explainable >= 0.3 {
         Verdict::UnknownSystematic
     } else {
@@ -612,10 +641,34 @@ fn known_effect(effect: &Effect, what: &str, unit: &str) -> NamedEffect {
 /// Readings that come in steps, and the effect of the family that makes such.
 struct Coarse {
     effect: Effect,
-    /// Readings of the model with it.
-    nominal: Vec<f32>,
+    /// The step.
+    step: f64,
+    /// Readings of the model with `down`, and without steps.
+    nominal: Option<Vec<f32>>,
     /// Half of a step on all channels, where the converter rounds down instead of to the nearest one.
     down: Option<Effect>,
+}
+
+/// Energy of what a converter with this step adds to what a model reads (rows × channels), a reading, in deviations of the noise. Noise
+/// decides on which step a reading falls: what lies on the edge of one, as zero does where it rounds down, is off by half of it.
+fn rounding(step: f64, down: bool, model: &[f32], sigma: &[f64]) -> f64 {
+    let (mut sum, mut n) = (0.0, 0usize);
+    for (i, m) in model.iter().enumerate() {
+        let sigma = sigma[i % sigma.len()];
+        if !(step > 0.0 && sigma.is_finite() && m.is_finite()) {
+            continue;
+        }
+        let centre = f64::from(*m);
+        // A model that stands for rounding down lies half of a step lower.
+        let before = if down { centre + 0.5 * step } else { centre };
+        let counts = |v: f64| if down { (v / step).floor() } else { (v / step).round() };
+        // The middles of six parts of equal probability.
+        let off =
+            [-1.383, -0.674, -0.21, 0.21, 0.674, 1.383].map(|z| step * counts(before + z * sigma) - centre);
+        sum += off.iter().map(|o| o * o).sum::<f64>() / 6.0 / (sigma * sigma);
+        n += 1;
+    }
+    sum / n.max(1) as f64
 }
 
 /// Finds the step that readings come in where it is more than their declared noise, and the family's effect with a parameter that
@@ -650,10 +703,12 @@ fn coarse(
             }
             let skin = simulator.with(&[effect.clone(), down.clone()]);
             let below = simulator.readings(&skin, recording, &rows.frames()).ok();
-            return Ok(Some(match below.filter(|below| left(below) < left(&read)) {
-                Some(below) => Coarse { effect, nominal: below, down: Some(down) },
-                None => Coarse { effect, nominal: read, down: None },
-            }));
+            if below.is_none_or(|below| left(&below) >= left(&read)) {
+                return Ok(Some(Coarse { effect, step: value, nominal: None, down: None }));
+            }
+            let skin = simulator.with(std::slice::from_ref(&down));
+            let nominal = simulator.readings(&skin, recording, &rows.frames())?;
+            return Ok(Some(Coarse { effect, step: value, nominal: Some(nominal), down: Some(down) }));
         }
     }
     Ok(None)
@@ -738,6 +793,12 @@ fn sentence(report: &Report) -> String {
         Verdict::SimulatorForm => format!(
             "The gap ({size}) is within what the simulator's own tolerances allow: measure the numbers of the medium before you \
              look for an effect."
+        ),
+        Verdict::Undecided => format!(
+            "The gap ({size}, surely between {} and {} %) may be too small to matter: press more places, or harder, before you look for \
+             its cause.",
+            percent(gap.interval[0].max(0.0)),
+            percent(gap.interval[1])
         ),
         Verdict::UnknownSystematic => format!(
             "The gap ({size}) is systematic{}, and none of the known effects makes it: look at its fingerprint before you trust a \
@@ -890,9 +951,7 @@ impl Data<'_> {
             let part = part - still.unwrap_or(part);
             if part > 0.0 {
                 let mut gap = self.gap.clone();
-                gap.floor -= part;
-                gap.systematic += part;
-                gap.interval.iter_mut().for_each(|e| *e += part);
+                gap.counts_as_noise(-part);
                 gap.irreproducible = still;
                 let again = Data { gap: &gap, ..*self };
                 let mut found =
@@ -940,7 +999,6 @@ impl Data<'_> {
             others.retain(|m| m.candidate == pick.candidate || !taken(m.candidate));
             others.truncate(self.options.polish.max(1));
             let mut beside = fixed.to_vec();
-            beside.retain(|e| e.name != "channel-order");
             // What cannot be written is taken out of the readings as its signature says.
             let mut unwritten: Vec<usize> = Vec::new();
             for (j, other) in selection.picks.iter().enumerate().filter(|(j, _)| *j != i) {
@@ -1056,7 +1114,6 @@ impl Data<'_> {
                 .max_by(|a, b| found.named[*a].gain.total_cmp(&found.named[*b].gain));
             let Some(again) = again else { return Ok(()) };
             let mut beside = fixed.to_vec();
-            beside.retain(|e| e.name != "channel-order");
             for (_, of) in tried.iter().enumerate().filter(|(j, _)| *j != i && *j != again) {
                 Effect::merge(&mut beside, of[0].effects.clone());
             }
@@ -1157,7 +1214,6 @@ impl Data<'_> {
         let mut after = linear.clone();
         if !effects.is_empty() {
             let mut all = fixed.to_vec();
-            all.retain(|e| e.name != "channel-order");
             Effect::merge(&mut all, effects.to_vec());
             let skin = self.simulator.with(&all);
             let read = self.simulator.readings(&skin, self.recording, &self.rows.frames())?;
@@ -1169,6 +1225,17 @@ impl Data<'_> {
             // What holds on contacts that nothing was fitted to is what is explained.
             let form = found.both - found.library;
             let closed = achieved.unwrap_or(0.0);
+            if found.library - closed * self.gap.systematic > APART * self.gap.systematic {
+                for named in &mut found.named {
+                    named.tier = Tier::Loose;
+                }
+                found.warnings.push(format!(
+                    "to first order the named effects explain {} % of the systematic gap, and switched on they close {} %: what makes it is \
+                     like them, and may be another",
+                    percent(found.library / self.gap.systematic),
+                    percent(closed)
+                ));
+            }
             // Where the words of a skin description say an effect badly, its signature still does; where they are no help at all
             // on other contacts, it was none.
             let signature = if closed > HELPS { found.library } else { 0.0 };
@@ -1223,15 +1290,30 @@ impl Data<'_> {
         // Other presses meet the laws elsewhere, and the floor is an estimate.
         let doubt = FLOOR_ERROR * floor(&test)
             / (before.iter().zip(&test).map(|(b, w)| b * w).sum::<f64>() - floor(&test)).max(1e-300);
-        let parts = [1.645 * spread, centre - predicted, ELSEWHERE, doubt.clamp(0.0, 1.0)];
+        // What depends on the past meets another one, and what goes its own way through time goes another one: switched on there, it is
+        // wrong twice.
+        let share = |of: &dyn Fn(&str) -> bool| {
+            let of = found.named.iter().filter(|named| of(&named.label)).map(|named| named.shapley);
+            of.sum::<f64>().clamp(0.0, 1.0) * centre.max(0.0)
+        };
+        let past = HISTORY * share(&|name| self.remembers(name));
+        let candidates = &self.signatures.candidates;
+        let other = 2.0 * share(&|name| candidates.iter().any(|c| c.name == name && c.wanders));
+        let parts = [1.645 * spread, centre - predicted, ELSEWHERE, doubt.clamp(0.0, 1.0), past];
         let half = parts.iter().map(|p| p * p).sum::<f64>().sqrt();
-        found.closure =
-            Some(Closure { predicted, achieved, interval: [centre - half, (centre + half).min(1.0)] });
+        let interval = [centre - half - other, (centre + half).min(1.0)];
+        found.closure = Some(Closure { predicted, achieved, interval });
         let share = |losses: &[f64]| {
             losses.iter().zip(&test).map(|(l, w)| l * w).sum::<f64>() / self.scale(&test).max(1e-300)
         };
         found.held_out = Some([share(&before), share(&after), self.gap.floor]);
         Ok(())
+    }
+
+    /// Whether what an effect does depends on what was before.
+    fn remembers(&self, name: &str) -> bool {
+        self.simulator.effects.iter().any(|info| info.name == name && info.stateful)
+            || common_effect(name).is_some_and(|common| common.stateful)
     }
 
     /// Names an effect: the label may change, where the full simulator says so.

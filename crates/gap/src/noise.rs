@@ -69,6 +69,15 @@ pub struct Gap {
     pub variance: f64,
 }
 
+impl Gap {
+    /// With a part of the systematic gap counted to the floor.
+    pub(crate) fn counts_as_noise(&mut self, part: f64) {
+        self.floor += part;
+        self.systematic -= part;
+        self.interval.iter_mut().for_each(|end| *end -= part);
+    }
+}
+
 /// Sums over one group.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {

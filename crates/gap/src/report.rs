@@ -24,6 +24,8 @@ pub enum Verdict {
     UnusableRecording,
     /// The gap is too small to matter, with 97.5 % confidence.
     NoGapBeyondNoise,
+    /// It may be too small to matter, and may not: the interval of its size holds what does not matter.
+    Undecided,
     /// What the simulator's declared tolerances allow explains it, and no effect beyond.
     SimulatorForm,
     /// Effects of the library explain it.
@@ -106,7 +108,8 @@ pub struct Closure {
     /// On contacts that were neither fitted nor selected on, with the full simulator; `None` where the effects cannot be
     /// switched on in it.
     pub achieved: Option<f64>,
-    /// 90 % interval of what is achieved, from running selection and fit again on other draws of places.
+    /// 90 % interval of what is achieved in another recording of the same device, from running selection and fit again on other draws of
+    /// places, and from what depends on the past or goes its own way through time.
     pub interval: [f64; 2],
 }
 

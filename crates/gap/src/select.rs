@@ -132,8 +132,8 @@ const LAW: f64 = 0.04;
 /// Share of the information criterion's price of a column that is asked: cross-validation has paid some of it.
 const OCCAM: f64 = 0.5;
 /// Margins that a gap must surely exceed for any name, and for one that may as well be the simulator's own error.
-const CLEARLY: f64 = 1.2;
-const SURELY: f64 = 2.0;
+pub(crate) const CLEARLY: f64 = 1.0;
+pub(crate) const SURELY: f64 = 1.4;
 /// Share of a gap of hardly more than what does not matter that an effect must explain beyond the simulator's own error.
 const BEYOND: f64 = 0.5;
 /// Columns of one effect that are paid for, at most.
@@ -355,7 +355,8 @@ impl<'a> Selector<'a> {
             })
             .collect();
         let mut set: Vec<usize> = Vec::new();
-        let mut tier = Tier::Strict;
+        // Whether the last one may as well be the simulator's own error.
+        let mut loose = false;
         let mut ps: Vec<f64> = Vec::new();
         while set.len() < self.options.most {
             let Some(Step { best, with, gain, won }) = self.step(&set) else { break };
@@ -366,8 +367,11 @@ impl<'a> Selector<'a> {
             let beyond = self.gain(&self.losses(&set, Tier::Strict), &self.losses(&with, Tier::Strict));
             let clear = self.least > CLEARLY || beyond >= BEYOND * self.systematic;
             let firm = won > self.firm() && clear;
-            // A gap that does not matter may be the simulator's own error anyway.
-            if !(firm || set.is_empty() && self.least > SURELY) {
+            // What is left that surely matters, and goes away with an effect that may as well be the simulator's own error, is told as such.
+            let rest = self.systematic - self.gain(&none, &self.losses(&set, Tier::Loose));
+            let surely = self.least * (rest / self.systematic).min(1.0) > SURELY;
+            let loosely = surely && (set.is_empty() || gain >= BEYOND * rest);
+            if !(firm || loosely) {
                 break;
             }
             let p = self.significance(&set, best);
@@ -376,7 +380,7 @@ impl<'a> Selector<'a> {
                 break;
             }
             if !firm {
-                tier = Tier::Loose;
+                loose = true;
             }
             set = with;
             ps.push(p);
@@ -392,8 +396,9 @@ impl<'a> Selector<'a> {
         let after = self.losses(&set, Tier::Loose);
         found.library = self.gain(&none, &after);
         found.both = self.gain(&none, &self.losses(&set, Tier::Strict));
-        let shapley = self.shapley(&set, tier);
+        let shapley = self.shapley(&set, if loose { Tier::Loose } else { Tier::Strict });
         for (i, &candidate) in set.iter().enumerate() {
+            let tier = if loose && i + 1 == set.len() { Tier::Loose } else { Tier::Strict };
             let others: Vec<usize> = set.iter().copied().filter(|c| *c != candidate).collect();
             let (class, covers) = self.class(candidate, &others, tier);
             found.picks.push(Pick {

@@ -190,14 +190,18 @@ fn elsewhere(skin: &SkinDescription, cases: &mut [Opened], options: &Options) ->
     let one = |case: &Opened| -> Result<Option<f64>> {
         let mut effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
             .with_context(|| format!("{}: field `corrected` of its report", case.secret.case))?;
-        // A hum has another phase in every recording.
-        effects.retain(|e| e.name != "interference");
+        // A hum has another phase in every recording, and counts as noise where it is named.
+        let mut secret = case.secret.clone();
+        if effects.iter().any(|e| e.name == "interference") {
+            effects.retain(|e| e.name != "interference");
+            secret.causes.retain(|told| told.cause.id != "mains-hum");
+        }
         if effects.is_empty() {
             return Ok(None);
         }
         let folder = tempfile::tempdir().context("no folder for another recording can be made")?;
         let bag = folder.path().join("again");
-        pack::record_again(skin, &case.secret, &bag)?;
+        pack::record_again(skin, &secret, &bag)?;
         let recording = dermis_gap::read(&[&bag], skin, None)?;
         let usable = vec![true; sigma.len()];
         let rows = Rows::draw(&recording, &usable, &RowOptions::default());

@@ -183,11 +183,12 @@ fn axes(body: &mut String, axes: &[Axis]) {
         return;
     }
     let rows: Vec<_> =
-        axes.iter().map(|a| (a.axis.clone(), a.share.max(0.0), a.interval, percent(a.share))).collect();
+        axes.iter().map(|a| (a.title(), a.share.max(0.0), a.interval, percent(a.share))).collect();
     let _ = writeln!(body, "<h2>Along what it goes</h2>");
     body.push_str(&figure(
         &[bars(&rows)],
-        "Share of the gap on held-out contacts that a mean and a factor for each bin and channel explain, beyond chance.",
+        "Share of the gap on held-out contacts that a mean and a factor for each bin and channel explain, beyond chance, or that lies in \
+         other bins than readings do. Where effects are named, of what these make of it.",
     ));
 }
 

@@ -41,7 +41,7 @@ pub fn text(report: &Report) -> String {
             let _ = writeln!(
                 out,
                 "  {:44} {:>7} of the gap ({} to {})",
-                axis.axis,
+                axis.title(),
                 percent(axis.share),
                 percent(low),
                 percent(high)
