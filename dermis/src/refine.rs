@@ -354,6 +354,10 @@ fn prepare(
             return Ok(None);
         }
     }
+    bar.begin("how much of it a light one needs");
+    if !refine::tune_presence(&model, &mut settings, data, train, &|share| bar.at(share))? {
+        return Ok(None);
+    }
     Ok(Some(Refinement { settings, correction }))
 }
 
@@ -448,6 +452,12 @@ fn tell(refinement: &Refinement, ratio: Option<f64>, on: bool, before: &Evaluati
         println!(
             "{} contacts at most; one more must lower the squared deviations by {}",
             settings.contacts, settings.evidence
+        );
+    }
+    if settings.presence > Settings::new(settings.diameter, settings.force_max).presence {
+        println!(
+            "untouched readings drift: a contact that the level does not show must lower the squared deviations by {:.0}",
+            settings.presence
         );
     }
     if let Some(ratio) = ratio {

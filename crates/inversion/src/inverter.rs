@@ -35,6 +35,11 @@ pub struct Settings {
     /// By how much one more contact must lower the sum of squared deviations, in units of the noise, to be believed.
     #[serde(default = "evidence")]
     pub evidence: f64,
+    /// By how much one contact must lower the sum of squared deviations, in units of the noise, for a skin to count as touched
+    /// whose level does not show it ([`Settings::shows`]). Drift that a zero lags behind looks like a light contact: untouched
+    /// recordings of the device say how much of it there is.
+    #[serde(default = "presence", skip_serializing_if = "is_presence")]
+    pub presence: f64,
     /// \[m\] that contacts are apart at least.
     #[serde(default = "apart")]
     pub distance: f64,
@@ -101,6 +106,14 @@ fn evidence() -> f64 {
     30.0
 }
 
+fn presence() -> f64 {
+    30.0
+}
+
+fn is_presence(value: &f64) -> bool {
+    value.to_bits() == presence().to_bits()
+}
+
 fn apart() -> f64 {
     2e-3
 }
@@ -118,6 +131,7 @@ impl Settings {
             gains: Vec::new(),
             model_error: 0.0,
             evidence: evidence(),
+            presence: presence(),
             distance: apart(),
             force_prior: ForcePrior::default(),
             search: Search::default(),
@@ -129,6 +143,13 @@ impl Settings {
     #[must_use]
     pub fn in_pairs(&self) -> bool {
         self.contacts > 1 && self.search == Search::Pairs
+    }
+
+    /// Whether this [evidence](Inverter::evidence) is that of a contact; `before`: whether that of the frame before was. One that is
+    /// there lasts down to a share of [`presence`](Self::presence).
+    #[must_use]
+    pub fn shows(&self, (gain, left): (f64, f64), before: bool) -> bool {
+        gain > self.presence * if before { LASTS } else { 1.0 } && left < UNEXPLAINED
     }
 
     /// Says what is impossible for a skin of `channels`.
@@ -143,8 +164,12 @@ impl Settings {
         if !(1..=10).contains(&self.contacts) {
             return wrong("contacts", self.contacts.to_string(), "1 to 10");
         }
-        let positive =
-            [("diameter", self.diameter), ("force_max", self.force_max), ("evidence", self.evidence)];
+        let positive = [
+            ("diameter", self.diameter),
+            ("force_max", self.force_max),
+            ("evidence", self.evidence),
+            ("presence", self.presence),
+        ];
         for (field, value) in positive {
             if !(value.is_finite() && value > 0.0) {
                 return wrong(field, value.to_string(), "a positive number");
@@ -286,6 +311,10 @@ pub struct Solution {
 const BROAD: f64 = 0.8;
 /// Deviations of its expectation up to which a sum of squared deviations is what noise leaves.
 const PLAUSIBLE: f64 = 2.0;
+/// Share of the evidence that a contact begins with down to which it lasts.
+const LASTS: f64 = 0.5;
+/// What a contact leaves unexplained per reading, at most: drift and ambient pressure leave more.
+const UNEXPLAINED: f64 = 2.0;
 /// Starts of a further contact that are tried.
 const STARTS: usize = 2;
 /// Pairs of places, and single ones, that a search begins at.

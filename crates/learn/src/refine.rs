@@ -1,5 +1,6 @@
 //! Refining what a bundle says on the skin's forward model: what recordings tell of that model.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use dermis_inversion::{
@@ -22,6 +23,13 @@ const ROOM: f64 = 1.2;
 const AROUND: f64 = 3e-3;
 /// Share of the surface that may lie outside of what was pressed before it is left out.
 const LEFT_OUT: f64 = 0.02;
+
+/// Share of untouched frames that may count as touched.
+const UNTOUCHED: f64 = 1e-3;
+/// Of them, so many at least have to be expected among what it is measured on.
+const FEWEST: f64 = 1.0;
+/// Times that the presence is raised at most.
+const HIGHEST: f64 = 30.0;
 
 /// Told how far long work is, from 0 to 1; says whether it goes on.
 pub type Watch<'a> = &'a dyn Fn(f64) -> bool;
@@ -139,9 +147,10 @@ pub fn exact(signal: &[f32]) -> Vec<Reading> {
     signal.iter().map(|v| Reading::Exact(f64::from(*v))).collect()
 }
 
-/// Sets the [evidence](Settings::evidence) that gives the right number of contacts most often on `frames`, sums of recorded
-/// contacts ([`superpose`](crate::superpose)). `watch` is told how far it is, from 0 to 1, and says whether it goes on; false where
-/// it did not, and nothing was set.
+/// Sets the [evidence](Settings::evidence) that gives the right number of contacts on `frames`, sums of recorded contacts
+/// ([`superpose`](crate::superpose)), as often as any other but for what so many frames leave to chance: of those within one standard
+/// error of the best the largest, which finds the fewest contacts that are not there. `watch` is told how far it is, from 0 to 1, and
+/// says whether it goes on; false where it did not, and nothing was set.
 ///
 /// # Errors
 ///
@@ -153,24 +162,90 @@ pub fn tune_evidence(
     watch: Watch<'_>,
 ) -> Result<bool, InverterError> {
     const TRIED: [f64; 7] = [6.0, 10.0, 15.0, 22.0, 30.0, 45.0, 70.0];
-    let mut best = (0, settings.evidence);
+    let mut rights = [0usize; TRIED.len()];
     let total = (TRIED.len() * frames.len()).max(1) as f64;
     for (k, evidence) in TRIED.into_iter().enumerate() {
         let tried = Inverter::new(Arc::clone(model), Settings { evidence, ..settings.clone() })?;
-        let mut right = 0;
         for (n, (stimulus, signal)) in frames.iter().enumerate() {
             if !watch((k * frames.len() + n) as f64 / total) {
                 return Ok(false);
             }
             let found = tried.search(&exact(signal))?.contacts.len();
-            right += usize::from(found == stimulus.contacts.len());
-        }
-        if right > best.0 {
-            best = (right, evidence);
+            rights[k] += usize::from(found == stimulus.contacts.len());
         }
     }
-    settings.evidence = best.1;
+    if let Some(chosen) = simplest(&rights, frames.len()) {
+        settings.evidence = TRIED[chosen];
+    }
     Ok(true)
+}
+
+/// The last that is right about as often as the best: within a standard error of a share of `of`. `None` where none is ever right.
+fn simplest(rights: &[usize], of: usize) -> Option<usize> {
+    let best = *rights.iter().max().filter(|best| **best > 0)?;
+    let share = best as f64 / of.max(1) as f64;
+    let error = (share * (1.0 - share).max(0.0) * of as f64).sqrt();
+    rights.iter().rposition(|right| *right as f64 >= best as f64 - error)
+}
+
+/// Raises the [presence](Settings::presence) until [`UNTOUCHED`] of the untouched samples of `only` at most would count as touched,
+/// each after a contact that was felt to its end: a zero follows drift with a lag, and not at all while contacts follow each
+/// other, and what it leaves looks like a light contact. Too few untouched samples leave it as it is. `watch` is told how far it is,
+/// from 0 to 1, and says whether it goes on; false where it did not, and nothing was set.
+///
+/// # Errors
+///
+/// [`InverterError`] where the settings cannot be.
+pub fn tune_presence(
+    model: &Arc<dyn ForwardModel>,
+    settings: &mut Settings,
+    data: &Dataset,
+    only: &[SampleId],
+    watch: Watch<'_>,
+) -> Result<bool, InverterError> {
+    let inverter = Inverter::new(Arc::clone(model), settings.clone())?;
+    let only: BTreeSet<SampleId> = only.iter().copied().collect();
+    // `None`: touched.
+    let mut seen: Vec<Option<(f64, f64)>> = Vec::new();
+    let total = only.len().max(1) as f64;
+    for (n, id) in only.iter().enumerate() {
+        if !watch(n as f64 / total) {
+            return Ok(false);
+        }
+        let Some(sample) = data.sample(*id) else { continue };
+        let Some(truth) = &sample.truth else { continue };
+        if truth.touched() {
+            seen.push(None);
+        } else if !sample.tared.iter().all(|v| v.is_nan()) {
+            let readings: Vec<Reading> =
+                sample.tared.iter().zip(&sample.frame.flags).map(|(v, f)| Reading::of(*v, *f)).collect();
+            seen.push(Some(inverter.evidence(&readings)));
+        }
+    }
+    settings.presence = presence(settings, &seen);
+    Ok(true)
+}
+
+/// The least presence, from that of `settings` on, that takes few enough of the untouched frames `seen` (`None`: touched) for
+/// touched.
+fn presence(settings: &Settings, seen: &[Option<(f64, f64)>]) -> f64 {
+    let untouched = seen.iter().flatten().count();
+    if (untouched as f64) < FEWEST / UNTOUCHED {
+        return settings.presence;
+    }
+    let mut tried = settings.clone();
+    loop {
+        let (mut before, mut wrong) = (false, 0);
+        for evidence in seen {
+            before = evidence.is_none_or(|evidence| tried.shows(evidence, before));
+            wrong += usize::from(before && evidence.is_some());
+        }
+        // Beyond what any drift looks like, what untouched frames show is no drift.
+        if wrong as f64 <= UNTOUCHED * untouched as f64 || tried.presence > HIGHEST * settings.presence {
+            return tried.presence;
+        }
+        tried.presence *= 1.05;
+    }
 }
 
 /// The box that was pressed, where it leaves out a part of the surface: nobody knows what the model is worth there.
@@ -187,4 +262,48 @@ fn region<'a>(surface: &Surface, contacts: impl Iterator<Item = &'a Indentation>
     let outside = surface.points.iter().zip(&surface.areas).filter(|(p, _)| !inside(p));
     let left: f64 = outside.map(|(_, area)| area).sum();
     (left > LEFT_OUT * surface.areas.iter().sum::<f64>()).then_some([low.coords.into(), high.coords.into()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn evidence_is_as_large_as_chance_allows() {
+        // 180 frames of which 153 are right: 4.8 frames are chance.
+        assert_eq!(simplest(&[120, 150, 153, 151, 149, 140, 100], 180), Some(4));
+        assert_eq!(simplest(&[120, 150, 153, 147, 140, 130, 100], 180), Some(2));
+        assert_eq!(simplest(&[180, 180, 12], 180), Some(1), "what is always right leaves nothing to chance");
+        assert_eq!(simplest(&[0; 7], 180), None);
+    }
+
+    #[test]
+    fn drift_that_looks_like_a_light_contact_does_not_count_as_one() {
+        let settings = Settings::new(0.004, 5.0);
+        // Presses, and between them untouched frames: noise alone, then a zero that lags more and more.
+        let seen = |drift: f64| -> Vec<Option<(f64, f64)>> {
+            (0..200)
+                .flat_map(|press| {
+                    let lag = drift * f64::from(press) / 200.0;
+                    let idle = (0..20).map(move |k| Some((8.0 + lag + f64::from(k * 7 % 20) / 4.0, 1.1)));
+                    std::iter::repeat_n(None, 10).chain(idle)
+                })
+                .collect()
+        };
+        assert_eq!(presence(&settings, &seen(0.0)), settings.presence, "noise alone is no contact");
+        let raised = Settings { presence: presence(&settings, &seen(40.0)), ..settings.clone() };
+        // Half of it is above what nearly all of the first untouched frames reach.
+        assert!((90.0..100.0).contains(&raised.presence), "{}", raised.presence);
+        let wrong = |settings: &Settings| {
+            let mut before = false;
+            let felt = seen(40.0).into_iter().filter(|evidence| {
+                before = evidence.is_none_or(|evidence| settings.shows(evidence, before));
+                before && evidence.is_some()
+            });
+            felt.count()
+        };
+        assert!(wrong(&settings) > 2000 && wrong(&raised) <= 4, "{}, {}", wrong(&settings), wrong(&raised));
+        // A handful of frames says nothing about one in a thousand.
+        assert_eq!(presence(&settings, &seen(40.0)[..600]), settings.presence);
+    }
 }

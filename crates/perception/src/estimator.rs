@@ -20,10 +20,6 @@ use crate::Sensor;
 use crate::condition::{ConditionError, Conditioned, Conditioner, TareRefusal, listed};
 use crate::contacts::{TaxelShares, Tracker};
 
-/// Presence by what a forward model explains (units of squared noise) begins above the first and ends below the second.
-const EXPLAINED: (f64, f64) = (30.0, 15.0);
-/// What a contact leaves unexplained per reading, at most: drift and ambient pressure leave more.
-const UNEXPLAINED: f64 = 2.0;
 /// Presence by probability begins above the first and ends below the second.
 const PRESENT: (f64, f64) = (0.5, 0.4);
 /// Output that gives the pressing force at every point of the surface \[N\].
@@ -189,7 +185,7 @@ impl Pipeline {
         });
         let unfelt = inverter.as_ref().map(|inverter| {
             let force = LIGHT * inverter.settings().force_max;
-            (force, inverter.unfelt(force, EXPLAINED.0))
+            (force, inverter.unfelt(force, inverter.settings().presence))
         });
         Ok(Self {
             peaks: MapContacts::of(bundle, &skin.surface(), runtime)?,
@@ -620,9 +616,7 @@ impl SkinEstimator {
     /// Whether a forward model explains the signal by a contact, light ones included that the level does not show.
     fn explains(&mut self) -> bool {
         let Some(inverter) = self.pipelines.iter().find_map(|p| p.inverter.as_ref()) else { return false };
-        let (gain, left) = inverter.evidence(&self.readings);
-        let least = if self.explained { EXPLAINED.1 } else { EXPLAINED.0 };
-        self.explained = gain > least && left < UNEXPLAINED;
+        self.explained = inverter.settings().shows(inverter.evidence(&self.readings), self.explained);
         self.explained
     }
 
@@ -645,7 +639,9 @@ impl SkinEstimator {
             return Ok(());
         }
         self.guessed.resize(self.readings.len(), 0.0);
-        let shows = self.cleaned.touched || inverter.evidence(&self.readings).0 > EXPLAINED.1;
+        // Whatever it leaves: channels that drift are not those that are missing.
+        let shows = self.cleaned.touched
+            || inverter.settings().shows((inverter.evidence(&self.readings).0, 0.0), true);
         if shows {
             let solution = if inverter.settings().in_pairs() {
                 locate(inverter, &self.readings, &self.before)?
@@ -1562,6 +1558,30 @@ mod tests {
         };
         let (without, with) = (error(false), error(true));
         assert!(with < 3e-4 && without > 5.0 * with, "{without} m, {with} m with the correction");
+    }
+
+    #[test]
+    fn drift_that_a_bundle_knows_of_is_no_light_contact() {
+        let skin = nine();
+        let felt = |presence: f64, newtons: f64| {
+            let settings = Settings { presence, ..Settings::new(0.004, 5.0) };
+            let bundle = TestBundle { inversion: Some(settings), ..TestBundle::default() };
+            let dir = tempfile::tempdir().unwrap();
+            bundle.write(&skin, dir.path());
+            let mut estimator = load_for(&STRETCHED, &skin, &[dir.path()], &[]).unwrap();
+            for k in 0..80 {
+                estimator.estimate(&both(k, &[])).unwrap();
+            }
+            let contacts = estimator.estimate(&both(80, &[([0.003, 0.004], newtons)])).unwrap().contacts;
+            assert_eq!(contacts.is_empty(), !estimator.verdict().touched);
+            (!contacts.is_empty(), estimator.verdict().level)
+        };
+        // So light that the level does not show it.
+        let light = (1..40).map(|k| f64::from(k) * 2e-3).find(|newtons| felt(30.0, *newtons).0).unwrap();
+        let (level, threshold) = (felt(30.0, light).1, skin.condition.contact_threshold);
+        assert!(level < threshold, "{light} N: {level}");
+        assert!(!felt(1e4, light).0, "what untouched readings reach is no contact");
+        assert!(felt(1e4, 1.0).0, "what the level shows is one, whatever the drift");
     }
 
     #[test]
