@@ -1,4 +1,4 @@
-//! The device of the measurements: precomputed frames of a pressed pad, written to a pseudo-terminal when asked.
+//! The device of the measurements: precomputed frames of a pressed skin, written to a pseudo-terminal when asked.
 
 use std::io::Write;
 
@@ -18,7 +18,7 @@ const FORCE: f64 = 0.8;
 /// \[m\] radius of the circle on which the touch moves.
 const CIRCLE: f64 = 0.008;
 
-/// A pad behind a pseudo-terminal.
+/// A skin behind a pseudo-terminal.
 pub struct Device {
     pty: Pty,
     encoder: NativeEncoder,
@@ -59,14 +59,17 @@ impl Device {
                 })
                 .collect()
         };
-        Ok(Self {
-            pty: Pty::open()?,
-            encoder: NativeEncoder::new(NativeFormat::F32),
-            untouched: frames(None)?,
-            touched: frames(Some(FORCE))?,
-            begun: now_ns(),
-            sent: Vec::new(),
-        })
+        Self::playing(NativeFormat::F32, frames(None)?, frames(Some(FORCE))?)
+    }
+
+    /// A device that sends these frames, over and over.
+    ///
+    /// # Errors
+    ///
+    /// Where the system has no pseudo-terminal.
+    pub fn playing(format: NativeFormat, untouched: Vec<Vec<f32>>, touched: Vec<Vec<f32>>) -> Result<Self> {
+        let encoder = NativeEncoder::new(format);
+        Ok(Self { pty: Pty::open()?, encoder, untouched, touched, begun: now_ns(), sent: Vec::new() })
     }
 
     /// Where a node finds it.
@@ -86,7 +89,7 @@ impl Device {
         let pool = if touched { &self.touched } else { &self.untouched };
         let now = now_ns();
         let device_time = u64::try_from((now - self.begun) / 1000 + 1)?;
-        let bytes = self.encoder.encode(sequence as u32, device_time, &pool[sequence % VARIETY])?;
+        let bytes = self.encoder.encode(sequence as u32, device_time, &pool[sequence % pool.len()])?;
         self.sent.push(now_ns());
         self.pty.write_all(bytes).context("the device's line is down")
     }

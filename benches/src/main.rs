@@ -2,6 +2,7 @@
 
 mod device;
 mod gap;
+mod limb;
 mod machine;
 mod model;
 mod node;
@@ -40,6 +41,9 @@ enum Command {
     Shell(shell::Options),
     /// A diagnosis of ten thousand contacts on a fabric of 784 channels: seconds after its signatures are kept, and memory.
     Gap(gap::Options),
+    /// The node of the limb at its rate, by the bundles that look for one and for two contacts: latency, frames without an answer,
+    /// CPU time.
+    Limb(limb::Options),
     /// What publishing costs, with and without a subscriber.
     Publish(publish::Options),
     /// A long run of four skins and a recorder: memory, losses, latency.
@@ -61,6 +65,7 @@ fn main() -> Result<()> {
         Command::Model(options) => model::run(&options)?,
         Command::Shell(options) => shell::run(&options)?,
         Command::Gap(options) => gap::run(&options)?,
+        Command::Limb(options) => limb::run(&options)?,
         Command::Publish(options) => publish::run(&options)?,
         Command::Soak(options) => soak::run(&options)?,
         Command::Recording(options) => recording::run(&options)?,

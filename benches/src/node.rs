@@ -18,7 +18,7 @@ use crate::subscriber::{Arrival, Choice, isolated, start};
 /// Frames under way at most while the rate is measured: as many as a line of 4 KiB holds, several times over.
 const WINDOW: u64 = 256;
 /// Longest wait for a node to report its first calibrated frame.
-const PATIENCE: Duration = Duration::from_secs(60);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// What to measure.
 #[derive(Debug, Args)]
@@ -315,17 +315,19 @@ pub fn percentile(sorted: &[f64], p: f64) -> f64 {
 }
 
 /// Waits so that calls come at a rate, without drift.
-struct Pace {
+pub struct Pace {
     next: Instant,
     period: Duration,
 }
 
 impl Pace {
-    fn new(rate: f64) -> Self {
+    /// \[Hz\]
+    pub fn new(rate: f64) -> Self {
         Self { next: Instant::now(), period: Duration::from_secs_f64(1.0 / rate) }
     }
 
-    fn wait(&mut self) {
+    /// Until the next is due.
+    pub fn wait(&mut self) {
         self.next += self.period;
         let now = Instant::now();
         match self.next.checked_duration_since(now) {

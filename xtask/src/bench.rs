@@ -21,6 +21,8 @@ pub enum Name {
     Shell,
     /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
     Gap,
+    /// The node of the limb at its rate, by the bundles for one and for two contacts.
+    Limb,
     /// Publishing with and without a subscriber.
     Publish,
     /// Recording, against the disk.
@@ -44,7 +46,7 @@ const PROGRAMS: [&str; 3] = ["dermis", "dermis-train", "dermis-bench"];
 /// Builds what is measured, measures, and keeps the results.
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let names = match options.names.as_slice() {
-        [] => vec![Name::Model, Name::Shell, Name::Node, Name::Publish, Name::Recording],
+        [] => vec![Name::Model, Name::Shell, Name::Node, Name::Limb, Name::Publish, Name::Recording],
         names => names.to_vec(),
     };
     let clients = environment::clients(root)?;
@@ -77,6 +79,9 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             command.arg("--peer-packages").arg(packages);
         } else {
             command.arg(text);
+            if name == Name::Limb {
+                command.arg("--programs").arg(&programs);
+            }
             if name == Name::Model {
                 command.arg("--peer-python").arg(&clients);
             }
