@@ -682,6 +682,31 @@ fn contacts_are_the_peaks_of_a_map_where_a_bundle_says_so() {
     operator.contacts_say("the release", untouched);
 }
 
+/// The bundle of networks that ships: learned on a limb with the default effects, so that this one, as designed, is another device.
+#[test]
+fn the_networks_that_ship_find_a_press_and_map_it() {
+    let mut operator = Operator::new();
+    let skin = wired(operator.folder.path(), "native", f64::from(Limb::RATE));
+    let displacements: Receiver<DisplacementMap> = operator.listen("displacement_map", Qos::sensor_data());
+    let limb = Limb::made(&operator.path("tty"), None, [1.0; 10]);
+    let _node = operator.start_with(&skin, &root().join("models/hapdef-shin-x"), &["--strict"]);
+    operator.contacts_say("that nothing touches", untouched);
+    limb.becomes(PRESS);
+    let there = |c: &Contact| apart(c, &pressed().0) < 0.015 && (pressing(c) - FORCE).abs() < 0.5 * FORCE;
+    let found = operator.contacts_say("the press", |array| array.contacts.iter().any(there));
+    assert!(found.contacts.len() <= 4, "{found:#?}");
+    let surface = SkinDescription::load(&skin).unwrap().surface();
+    operator.hears(&displacements, "that the shell gives way there", |map| {
+        let deepest = (0..map.displacements.len())
+            .max_by(|a, b| map.displacements[*a].total_cmp(&map.displacements[*b]))
+            .unwrap();
+        map.displacements.len() == surface.points.len()
+            && (surface.points[deepest] - pressed().0).norm() < 0.02
+    });
+    limb.becomes(0);
+    operator.contacts_say("the release", untouched);
+}
+
 #[test]
 fn a_correction_of_another_skin_or_a_damaged_one_is_refused() {
     let operator = Operator::new();
