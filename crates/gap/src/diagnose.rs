@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-use dermis_skin::{Effect, SkinDescription, common_effect};
+use dermis_skin::{CURVED, Effect, SkinDescription, common_effect};
 use indicatif::ProgressBar;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -1658,7 +1658,8 @@ fn written<'p>(parts: impl Iterator<Item = (&'p (String, String, f64), f64)>) ->
             // What comes early cannot be simulated forwards.
             "delay" | "low-pass" => value = value.max(0.0),
             "channel-gain" if value.abs() < 1e-3 => value = 1e-3,
-            "channel-curvature" | "crosstalk" => value = value.clamp(-0.49, 0.49),
+            "channel-curvature" => value = value.clamp(-CURVED, CURVED),
+            "crosstalk" => value = value.clamp(-0.49, 0.49),
             "force-scale" | "tip-scale" => value = value.max(0.05),
             _ => {}
         }
@@ -1710,4 +1711,22 @@ fn rescale(column: &Column, declared: &[f64], sigma: &[f64], readings: &[f32]) -
         None => column.values.iter().enumerate().map(|(i, v)| v * factor(i)).collect(),
     };
     Column { channel: column.channel, values }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_takes_a_twelfth_of_its_square_and_a_quarter_at_its_edge() {
+        let sigma = [0.01];
+        let spread: Vec<f32> = (0..3000).map(|i| 0.1 * i as f32).collect();
+        let noise = |down: bool, model: &[f32]| rounding(10.0, down, model, &sigma) * 1e-4;
+        approx::assert_relative_eq!(noise(false, &spread), 100.0 / 12.0, max_relative = 0.02);
+        approx::assert_relative_eq!(noise(true, &spread), 100.0 / 12.0, max_relative = 0.02);
+        // What rounds down reads zero or a step less where nothing touches: its model stands between them.
+        approx::assert_relative_eq!(noise(true, &[-5.0; 8]), 25.0, max_relative = 1e-6);
+        assert!(noise(false, &[0.0; 8]) < 1e-3);
+        assert_eq!(rounding(0.0, false, &spread, &sigma), 0.0);
+    }
 }

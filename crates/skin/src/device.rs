@@ -50,6 +50,9 @@ impl CommonEffect {
     }
 }
 
+/// Curvature of a channel at most. Few skins use their channels to the full: what bends much there may be all but straight in use.
+pub const CURVED: f64 = 100.0;
+
 /// The larger end of a channel's range; 1000 deviations of its noise where it has none.
 #[must_use]
 pub fn full_scale(channel: &Channel, noise: f64) -> f64 {
@@ -103,7 +106,7 @@ pub const COMMON: &[CommonEffect] = &[
     ),
     common(
         "channel-curvature",
-        "Channels are not straight: they read more or less by the square of the reading, by this share of it at full scale.",
+        "Channels are not straight: they read more or less by the square of the reading, by this share of it at full scale; beyond the vertex they stay.",
         "non-linearity of a bridge of one active arm, and of transducers: Hoffmann, An Introduction to Stress Analysis and Transducer Design; full scale is the larger end of a channel's range, 1000 deviations of its noise where it has none",
         CommonParameters::Channels,
         "1",
@@ -544,8 +547,10 @@ impl Around {
                         }
                         self.gain[k] = gain;
                     }
-                    "channel-curvature" if scaled.abs() >= 0.5 => {
-                        return Err(format!("is {scaled} at this strength and must stay below 0.5"));
+                    "channel-curvature" if scaled.abs() > CURVED => {
+                        return Err(format!(
+                            "is {scaled} at this strength and must be -{CURVED} to {CURVED}"
+                        ));
                     }
                     "channel-curvature" => self.curvature[k] = scaled,
                     "thermal-zero" => self.thermal_zero[k] = scaled,
@@ -644,6 +649,10 @@ impl Around {
         let warm = temperature - NEUTRAL;
         for (k, r) in readings.iter_mut().enumerate() {
             let straight = *r * self.gain[k] * (1.0 + self.thermal_span[k] * warm);
+            // A transducer does not turn back: beyond the vertex it stays where it is.
+            let vertex = -0.5 * self.full[k] / self.curvature[k];
+            let straight = if self.curvature[k] > 0.0 { straight.max(vertex) } else { straight };
+            let straight = if self.curvature[k] < 0.0 { straight.min(vertex) } else { straight };
             *r = straight
                 + self.curvature[k] * straight * straight / self.full[k]
                 + self.offset[k]
@@ -1055,6 +1064,24 @@ taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", positi
         around.undo(303.15, &mut through);
         for (a, b) in through.iter().zip(felt) {
             approx::assert_relative_eq!(*a, b, epsilon = 1e-12);
+        }
+    }
+
+    #[test]
+    fn what_is_not_straight_does_not_turn_back() {
+        let skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+        for curvature in [-3.0, -0.4, 0.4, 3.0] {
+            let mut around = Around::neutral(&skin);
+            around.curvature = vec![curvature; 2];
+            let full = around.full[0];
+            let read = |share: f64| {
+                let mut readings = [share * full; 2];
+                around.apply(NEUTRAL, 0.0, &mut readings);
+                readings[0] / full
+            };
+            approx::assert_relative_eq!(read(0.1), 0.1 + 0.01 * curvature, max_relative = 1e-12);
+            let all: Vec<f64> = (-20..=20).map(|i| read(0.1 * f64::from(i))).collect();
+            assert!(all.windows(2).all(|w| w[1] >= w[0]), "{curvature}: {all:?}");
         }
     }
 

@@ -61,7 +61,7 @@ pub use convert::contact_array;
 pub use description::{
     Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
 };
-pub use device::{COMMON, CommonEffect, CommonParameters, common_effect, device, full_scale};
+pub use device::{COMMON, CURVED, CommonEffect, CommonParameters, common_effect, device, full_scale};
 pub use effect::{Effect, EffectInfo, Memoryless, ParameterInfo, Trajectory};
 pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};
