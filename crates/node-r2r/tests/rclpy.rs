@@ -5,7 +5,7 @@
 use std::process::Command;
 use std::sync::mpsc;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use dermis_integration_tests::rclpy::{PATIENCE, until};
 use dermis_integration_tests::{Peer, Rclpy, domain, ros_python};
@@ -483,4 +483,69 @@ fn another_domain_in_one_process_is_refused() {
     let options = NodeOptions::new("second").domain_id(domain() + 1).localhost_only(true);
     let error = Node::open(options, &R2rBackend).err().expect("refused").to_string();
     assert!(error.contains("start another process"), "{error}");
+}
+
+/// A node of `rclpy` that asks for reliable delivery and then stops reading confirms nothing any more. A stream overwrites
+/// what is older than its history and never waits; another node beside it goes on to get everything.
+#[test]
+fn a_hanging_rclpy_node_never_holds_a_stream_up() {
+    const HANGS: Duration = Duration::from_secs(6);
+    let Some(mut healthy) = Rclpy::start("healthy") else { return };
+    let Some(mut hanging) = Rclpy::start("hanging") else { return };
+    let node = node("skin");
+    // Frames of a small skin, and maps of a large one.
+    let frames = node.stream_publisher::<TaxelFrame>("frames", 10).unwrap();
+    let maps = node.stream_publisher::<PointCloud2>("maps", 2).unwrap();
+    for rclpy in [&mut healthy, &mut hanging] {
+        rclpy.tell(&json!({"do": "subscribe", "topic": "/frames", "type": TaxelFrame::TYPE_NAME}));
+        rclpy.tell(
+            &json!({"do": "subscribe", "topic": "/maps", "type": PointCloud2::TYPE_NAME, "counted": true}),
+        );
+    }
+    until("reliable subscriptions match", || frames.subscriber_count() == 2 && maps.subscriber_count() == 2);
+    let map = PointCloud2 { data: vec![7; 100_000], ..PointCloud2::default() }.to_cdr();
+    let mut frame = TaxelFrame { skin: "s".to_owned(), values: vec![1.0; 64], ..TaxelFrame::default() };
+    let mut waits = |sequence: u64| {
+        frame.sequence = sequence;
+        let begun = Instant::now();
+        frames.publish(&frame).unwrap();
+        if sequence % 20 == 0 {
+            maps.publish_cdr(&map).unwrap();
+        }
+        begun.elapsed()
+    };
+    let mut sequence = 0;
+    until("both hear", || {
+        sequence += 1;
+        waits(sequence);
+        [&mut healthy, &mut hanging].iter_mut().all(|r| r.said().iter().any(|line| line.contains("/frames")))
+    });
+    hanging.signal("STOP");
+    let begun = Instant::now();
+    let mut all = Vec::new();
+    while begun.elapsed() < HANGS {
+        sequence += 1;
+        all.push(waits(sequence));
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    hanging.signal("CONT");
+    all.sort_unstable();
+    let [half, most, worst] = [0.5, 0.99, 1.0].map(|q| all[((all.len() - 1) as f64 * q) as usize]);
+    println!(
+        "beside a reliable reader that hangs: {} publishes of {half:?} (median), {most:?} (p99), {worst:?} (longest)",
+        all.len()
+    );
+    // A publisher that waits does so for 100 ms and more each time; a busy machine takes the processor for less, and seldom.
+    assert!(most < Duration::from_millis(50) && worst < Duration::from_millis(500), "{most:?}, {worst:?}");
+    healthy.wait("the newest frame", |said| {
+        (said["topic"] == "/frames" && said["value"]["sequence"] == sequence).then_some(())
+    });
+    // It goes on where it can.
+    until("the one that hung hears again", || {
+        sequence += 1;
+        waits(sequence);
+        let newest = format!("\"sequence\": {sequence}");
+        std::thread::sleep(Duration::from_millis(20));
+        hanging.said().iter().rev().take(3).any(|line| line.contains(&newest))
+    });
 }

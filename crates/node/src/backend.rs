@@ -78,6 +78,21 @@ pub trait BackendNode: Send + Sync {
         qos: &Qos,
     ) -> Result<Arc<dyn BackendPublisher>, BackendError>;
 
+    /// Announces a publisher of a stream, which never waits for a peer, whatever reliability it offers. Over DDS every
+    /// publisher that keeps the last messages only is one: what a slow reader has not confirmed is overwritten.
+    ///
+    /// # Errors
+    ///
+    /// When the type is unknown to the backend or the endpoint cannot be made.
+    fn stream_publisher(
+        &self,
+        topic: &str,
+        type_support: &'static TypeSupport,
+        qos: &Qos,
+    ) -> Result<Arc<dyn BackendPublisher>, BackendError> {
+        self.publisher(topic, type_support, qos)
+    }
+
     /// Announces a subscription. Messages go into `sink` in the order of arrival until the endpoint is
     /// dropped; after the drop returned, `sink` is not called again.
     ///
@@ -143,7 +158,7 @@ pub trait BackendNode: Send + Sync {
 
 /// A publisher on the network. Dropping it withdraws it.
 pub trait BackendPublisher: Send + Sync {
-    /// Sends one encoded message. With a best effort [`Qos`] this never waits for a peer.
+    /// Sends one encoded message. With a best effort [`Qos`], or as a stream, this never waits for a peer.
     ///
     /// # Errors
     ///

@@ -22,6 +22,7 @@ use hiroz::pubsub::{ZPub, ZSub};
 use hiroz_protocol::qos as wire_qos;
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
+use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use zenoh::sample::Sample;
 
@@ -283,6 +284,54 @@ impl HirozNode {
             reason: error.to_string(),
         })
     }
+
+    /// Declares a publisher, and announces it in the graph.
+    fn announce(
+        &self,
+        topic: &str,
+        type_support: &'static TypeSupport,
+        qos: &Qos,
+    ) -> Result<HirozPublisher, BackendError> {
+        let type_info = type_info("publisher", topic, type_support.name, type_support.hash)?;
+        let id = self.shared.next.fetch_add(1, Ordering::Relaxed);
+        let count = Arc::new(AtomicUsize::new(0));
+        let watched = Arc::new(AtomicBool::new(false));
+        let (publisher, watcher) = self.make("publisher", topic, |node| {
+            let publisher = node
+                .create_pub_impl::<Raw>(topic, Some(type_info.clone()))
+                .with_qos(to_wire_qos(qos))
+                .build()?;
+            // The graph knows ROS subscriptions only; zenoh itself also knows of plain zenoh subscribers.
+            let key = node.keyexpr_format().topic_key_expr(publisher.entity())?;
+            // It also sends streams, which are to be dropped where a peer has no room for them.
+            let watcher = node
+                .session()
+                .declare_publisher((*key).clone())
+                .congestion_control(CongestionControl::Drop)
+                .wait()?;
+            let flag = Arc::clone(&watched);
+            watcher
+                .matching_listener()
+                .callback(move |status| flag.store(status.matching(), Ordering::Release))
+                .background()
+                .wait()?;
+            watched.store(watcher.matching_status().wait()?.matching(), Ordering::Release);
+            Ok((publisher, watcher))
+        })?;
+        let matching = Matching { topic: topic.to_owned(), type_info, count: Arc::clone(&count) };
+        count.store(self.shared.subscriptions(&matching), Ordering::Release);
+        lock(&self.shared.publishers).insert(id, matching);
+        // A change between counting and inserting would be missed.
+        self.shared.count();
+        Ok(HirozPublisher {
+            topic: topic.to_owned(),
+            publisher: Some((publisher, watcher)),
+            count,
+            watched,
+            id,
+            shared: Arc::downgrade(&self.shared),
+        })
+    }
 }
 
 /// `std_msgs/msg/String` as the wire names it: `std_msgs::msg::dds_::String_`.
@@ -350,40 +399,21 @@ impl BackendNode for HirozNode {
         type_support: &'static TypeSupport,
         qos: &Qos,
     ) -> Result<Arc<dyn BackendPublisher>, BackendError> {
-        let type_info = type_info("publisher", topic, type_support.name, type_support.hash)?;
-        let id = self.shared.next.fetch_add(1, Ordering::Relaxed);
-        let count = Arc::new(AtomicUsize::new(0));
-        let watched = Arc::new(AtomicBool::new(false));
-        let (publisher, watcher) = self.make("publisher", topic, |node| {
-            let publisher = node
-                .create_pub_impl::<Raw>(topic, Some(type_info.clone()))
-                .with_qos(to_wire_qos(qos))
-                .build()?;
-            // The graph knows ROS subscriptions only; zenoh itself also knows of plain zenoh subscribers.
-            let key = node.keyexpr_format().topic_key_expr(publisher.entity())?;
-            let watcher = node.session().declare_publisher((*key).clone()).wait()?;
-            let flag = Arc::clone(&watched);
-            watcher
-                .matching_listener()
-                .callback(move |status| flag.store(status.matching(), Ordering::Release))
-                .background()
-                .wait()?;
-            watched.store(watcher.matching_status().wait()?.matching(), Ordering::Release);
-            Ok((publisher, watcher))
-        })?;
-        let matching = Matching { topic: topic.to_owned(), type_info, count: Arc::clone(&count) };
-        count.store(self.shared.subscriptions(&matching), Ordering::Release);
-        lock(&self.shared.publishers).insert(id, matching);
-        // A change between counting and inserting would be missed.
-        self.shared.count();
-        Ok(Arc::new(HirozPublisher {
-            topic: topic.to_owned(),
-            publisher: Some((publisher, watcher)),
-            count,
-            watched,
-            id,
-            shared: Arc::downgrade(&self.shared),
-        }))
+        Ok(Arc::new(self.announce(topic, type_support, qos)?))
+    }
+
+    fn stream_publisher(
+        &self,
+        topic: &str,
+        type_support: &'static TypeSupport,
+        qos: &Qos,
+    ) -> Result<Arc<dyn BackendPublisher>, BackendError> {
+        let publisher = self.announce(topic, type_support, qos)?;
+        Ok(match qos.reliability {
+            // It drops already.
+            Reliability::BestEffort => Arc::new(publisher),
+            Reliability::Reliable => Arc::new(HirozStream::new(publisher)),
+        })
     }
 
     fn subscribe(
@@ -543,12 +573,16 @@ struct HirozPublisher {
     shared: Weak<Shared>,
 }
 
+impl HirozPublisher {
+    fn not_sent(&self, error: &zenoh::Error) -> BackendError {
+        BackendError::Send { name: self.topic.clone(), reason: error.to_string() }
+    }
+}
+
 impl BackendPublisher for HirozPublisher {
     fn publish(&self, payload: &[u8]) -> Result<(), BackendError> {
         let Some((publisher, _)) = &self.publisher else { return Ok(()) };
-        publisher
-            .publish_serialized(payload)
-            .map_err(|error| BackendError::Send { name: self.topic.clone(), reason: error.to_string() })
+        publisher.publish_serialized(payload).map_err(|error| self.not_sent(&error))
     }
 
     fn subscriber_count(&self) -> usize {
@@ -564,6 +598,39 @@ impl Drop for HirozPublisher {
         }
         let publisher = self.publisher.take();
         off_runtime(|| drop(publisher));
+    }
+}
+
+/// A publisher that offers reliable delivery and never waits. hiroz makes each reliable publisher wait for its peers, up to a
+/// minute for one that stopped reading; `rmw_zenoh` does so only for one that keeps all messages. So hiroz announces the
+/// publisher, and its messages go another way.
+struct HirozStream {
+    publisher: HirozPublisher,
+    sequence: AtomicI64,
+    gid: GidArray,
+}
+
+impl HirozStream {
+    fn new(publisher: HirozPublisher) -> Self {
+        let entity = publisher.publisher.as_ref().map(|(announced, _)| announced.entity());
+        let gid = entity.and_then(hiroz::entity::endpoint_gid).unwrap_or_default();
+        Self { publisher, sequence: AtomicI64::new(0), gid }
+    }
+}
+
+impl BackendPublisher for HirozStream {
+    fn publish(&self, payload: &[u8]) -> Result<(), BackendError> {
+        let Some((_, sender)) = &self.publisher.publisher else { return Ok(()) };
+        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
+        sender
+            .put(payload)
+            .attachment(Attachment::new(sequence, self.gid))
+            .wait()
+            .map_err(|error| self.publisher.not_sent(&error))
+    }
+
+    fn subscriber_count(&self) -> usize {
+        self.publisher.subscriber_count()
     }
 }
 

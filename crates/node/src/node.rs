@@ -26,7 +26,7 @@ use crate::lifecycle::{Lifecycle, State, Transition};
 use crate::names::{NameKind, Names};
 use crate::options::NodeOptions;
 use crate::parameters::{ParameterDescriptor, ParameterValue, Parameters};
-use crate::pubsub::{MessageInfo, Publisher, RawPublisher, Subscription};
+use crate::pubsub::{MessageInfo, Pace, Publisher, RawPublisher, Subscription};
 use crate::qos::{Durability, History, Qos, Reliability};
 use crate::service::{Client, ServiceServer};
 use crate::watch::{OwnEndpoint, Problem, ProblemKind, problems};
@@ -344,7 +344,19 @@ impl Node {
     ///
     /// When the name is not valid, the node is shut down, or the backend refuses.
     pub fn publisher<T: Message>(&self, topic: &str, qos: Qos) -> Result<Publisher<T>, NodeError> {
-        Publisher::new(&self.0.core, topic, qos)
+        Publisher::new(&self.0.core, topic, qos, Pace::OfReaders)
+    }
+
+    /// Publishes a stream of messages of type `T`: it offers reliable delivery, so that subscriptions with any reliability
+    /// match it, and keeps the last `depth` messages; but it never waits for a peer. What a peer that does not read has no room
+    /// for is dropped. This is how ROS 2 itself does it: DDS overwrites what is older than `depth`, and `rmw_zenoh` drops
+    /// what a queue does not take.
+    ///
+    /// # Errors
+    ///
+    /// When the name is not valid, the node is shut down, or the backend refuses.
+    pub fn stream_publisher<T: Message>(&self, topic: &str, depth: usize) -> Result<Publisher<T>, NodeError> {
+        Publisher::new(&self.0.core, topic, Qos::reliable(depth), Pace::Own)
     }
 
     /// Publishes encoded messages of a type that is known by name only.
@@ -358,7 +370,7 @@ impl Node {
         type_support: &'static TypeSupport,
         qos: Qos,
     ) -> Result<RawPublisher, NodeError> {
-        RawPublisher::new(&self.0.core, topic, type_support, qos)
+        RawPublisher::new(&self.0.core, topic, type_support, qos, Pace::OfReaders)
     }
 
     /// Calls `callback` on a thread of the node for each message on `topic`, one after the other. Where
@@ -467,7 +479,7 @@ impl Node {
         let clock = self.0.clock.clone();
         let lifecycle = Lifecycle::new(self.full_name(), Box::new(move || clock.now()));
         let core = &self.0.core;
-        let events: Publisher<TransitionEvent> = self.publisher("~/transition_event", Qos::reliable(10))?;
+        let events: Publisher<TransitionEvent> = self.stream_publisher("~/transition_event", 10)?;
         let lane = core.system.lane("transition_event".to_owned(), None, move |event| {
             if let Err(error) = events.publish(&event) {
                 tracing::debug!("{error}");
@@ -631,8 +643,7 @@ impl Node {
 
     fn start_parameters(&self) -> Result<(), NodeError> {
         let core = &self.0.core;
-        let events: Publisher<ParameterEvent> =
-            self.publisher("/parameter_events", Qos::parameter_events())?;
+        let events: Publisher<ParameterEvent> = self.stream_publisher("/parameter_events", 1000)?;
         let lane =
             core.system.lane("/parameter_events".to_owned(), Some(1000), move |event: ParameterEvent| {
                 if let Err(error) = events.publish(&event) {
@@ -750,7 +761,7 @@ impl Node {
             }
             status
         });
-        let publisher: Publisher<DiagnosticArray> = self.publisher("/diagnostics", Qos::reliable(10))?;
+        let publisher: Publisher<DiagnosticArray> = self.stream_publisher("/diagnostics", 10)?;
         let weak = Arc::downgrade(&self.0.0);
         let timer = self.timer_on(&self.0.core.system, DIAGNOSTICS_PERIOD, move || {
             let Some(shared) = weak.upgrade() else { return };

@@ -45,6 +45,15 @@ impl Close for PublisherInner {
     }
 }
 
+/// Who decides how fast a reliable publisher is.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Pace {
+    /// A reader that does not read holds it up.
+    OfReaders,
+    /// It holds nobody's messages back: what a reader has no room for is dropped.
+    Own,
+}
+
 /// A publisher of encoded messages. Cheap to clone; the last clone withdraws it.
 #[derive(Clone)]
 pub struct RawPublisher(Arc<PublisherInner>);
@@ -55,6 +64,7 @@ impl RawPublisher {
         topic: &str,
         type_support: &'static TypeSupport,
         qos: Qos,
+        pace: Pace,
     ) -> Result<Self, NodeError> {
         let topic = core.names.resolve(topic, NameKind::Topic)?;
         core.check_open()?;
@@ -65,7 +75,10 @@ impl RawPublisher {
             type_hash: type_support.hash,
             qos: Some(qos),
         });
-        let backend = core.node.publisher(&topic, type_support, &qos)?;
+        let backend = match pace {
+            Pace::OfReaders => core.node.publisher(&topic, type_support, &qos)?,
+            Pace::Own => core.node.stream_publisher(&topic, type_support, &qos)?,
+        };
         let inner = Arc::new(PublisherInner {
             core: Arc::clone(core),
             topic,
@@ -126,8 +139,8 @@ impl<T> Clone for Publisher<T> {
 }
 
 impl<T: Message> Publisher<T> {
-    pub(crate) fn new(core: &Arc<Core>, topic: &str, qos: Qos) -> Result<Self, NodeError> {
-        let raw = RawPublisher::new(core, topic, TypeSupport::of::<T>(), qos)?;
+    pub(crate) fn new(core: &Arc<Core>, topic: &str, qos: Qos, pace: Pace) -> Result<Self, NodeError> {
+        let raw = RawPublisher::new(core, topic, TypeSupport::of::<T>(), qos, pace)?;
         Ok(Self { raw, message: PhantomData })
     }
 

@@ -11,8 +11,9 @@ use std::time::{Duration, Instant};
 use dermis_msgs::std_msgs::msg::{Int32, String as Text};
 use dermis_msgs::std_srvs::srv::{Trigger, TriggerResponse};
 use dermis_msgs::{Message, Service, TypeSupport};
+use dermis_node::backend::EndpointKind;
 use dermis_node::suite::{Bench, WAIT, domain, expect_next, until};
-use dermis_node::{Backend, HirozBackend, HirozConfig, ProblemKind, Qos};
+use dermis_node::{Backend, HirozBackend, HirozConfig, Node, ProblemKind, Publisher, Qos};
 use zenoh::Wait;
 
 /// Networks of different tests do not see each other.
@@ -102,6 +103,53 @@ fn the_wire_is_that_of_rmw_zenoh() {
     assert_eq!(parts[11], hash);
 }
 
+/// What is sent around hiroz looks like what is sent through it: same key, count from 0, one gid; and the graph says reliable.
+#[test]
+fn a_stream_is_a_reliable_publisher_to_others() {
+    let backend = backend();
+    let bench = Bench::new(&*backend);
+    let (node, other) = (bench.node("a"), bench.node("b"));
+    let session = plain_session();
+    let (tx, rx) = channel();
+    let _all = session
+        .declare_subscriber(format!("{}/**/words/**", domain()))
+        .callback(move |sample| {
+            let attachment = sample.attachment().map(|bytes| bytes.to_bytes().into_owned());
+            let _ = tx.send((sample.key_expr().to_string(), attachment.unwrap_or_default()));
+        })
+        .wait()
+        .unwrap();
+    let (to_ros, from_ros) = channel();
+    let _sub = other
+        .subscribe("words", Qos::reliable(10), move |text: Text, info| {
+            let _ = to_ros.send((text.data, info.source_ns));
+        })
+        .unwrap();
+    let stream = node.stream_publisher::<Text>("words", 7).unwrap();
+    until("both subscribers are there", || {
+        stream.subscriber_count() == 1 && {
+            stream.publish(&Text { data: "early".to_owned() }).unwrap();
+            rx.try_recv().is_ok()
+        }
+    });
+    stream.publish(&Text { data: "late".to_owned() }).unwrap();
+    loop {
+        let (data, sent) = expect_next(&from_ros, "the last word");
+        assert!(sent.is_some(), "the time of publishing is told");
+        if data == "late" {
+            break;
+        }
+    }
+    let (key, first) = expect_next(&rx, "a sample");
+    let (_, second) = expect_next(&rx, "the next");
+    assert!(key.contains("/words/std_msgs::msg::dds_::String_/RIHS01_"), "{key}");
+    let number = |attachment: &[u8]| i64::from_le_bytes(attachment[..8].try_into().unwrap());
+    assert_eq!((first.len(), number(&second)), (33, number(&first) + 1));
+    assert_eq!(first[16..], second[16..], "one publisher, one gid");
+    let offers = other.endpoints(stream.topic(), EndpointKind::Publisher).unwrap();
+    assert_eq!(offers.iter().map(|o| o.qos).collect::<Vec<_>>(), [Some(Qos::reliable(7))]);
+}
+
 fn dermis_now() -> i64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
     i64::try_from(since.as_nanos()).unwrap()
@@ -176,7 +224,7 @@ fn explicit_endpoints_do_without_multicast() {
     let (listener, caller) = (HirozBackend::new(listener), HirozBackend::new(caller));
     let bench = Bench::new(&listener);
     let a = bench.node("a");
-    let b = dermis_node::Node::open(bench.options("b"), &caller).unwrap();
+    let b = Node::open(bench.options("b"), &caller).unwrap();
     let (tx, rx) = channel();
     let _sub = b
         .subscribe("words", Qos::reliable(10), move |text: Text, _| {
@@ -271,10 +319,20 @@ fn pass(mut from: TcpStream, mut to: TcpStream, stopped: &AtomicBool, passed: &A
     std::thread::sleep(WAIT);
 }
 
-/// A peer that stops reading fills the buffers of the network. A best effort publisher drops then and
-/// goes on at its rate; 5 s long here.
 #[test]
 fn a_hanging_peer_never_holds_a_best_effort_publisher_up() {
+    beside_a_hanging_peer(Qos::sensor_data(), |node| node.publisher("frames", Qos::sensor_data()).unwrap());
+}
+
+/// Planners subscribe reliably, and one of them may hang.
+#[test]
+fn a_hanging_peer_never_holds_a_stream_up() {
+    beside_a_hanging_peer(Qos::reliable(10), |node| node.stream_publisher("frames", 10).unwrap());
+}
+
+/// A peer that stops reading fills the buffers of the network. A publisher that does not wait drops then and
+/// goes on at its rate; 5 s long here.
+fn beside_a_hanging_peer(asked: Qos, publish: impl Fn(&Node) -> Publisher<Text>) {
     let port = free_port();
     let listen = format!("tcp/127.0.0.1:{port}");
     let talker = HirozConfig { multicast: false, listen: vec![listen], ..config() };
@@ -290,14 +348,14 @@ fn a_hanging_peer_never_holds_a_best_effort_publisher_up() {
     let (talker, reader) = (HirozBackend::new(talker), HirozBackend::new(reader));
     let bench = Bench::new(&talker);
     let a = bench.node("a");
-    let b = dermis_node::Node::open(bench.options("b"), &reader).unwrap();
+    let b = Node::open(bench.options("b"), &reader).unwrap();
     let (tx, rx) = channel();
     let _sub = b
-        .subscribe("frames", Qos::sensor_data(), move |_: Text, _| {
+        .subscribe("frames", asked, move |_: Text, _| {
             let _ = tx.send(());
         })
         .unwrap();
-    let publisher = a.publisher::<Text>("frames", Qos::sensor_data()).unwrap();
+    let publisher = publish(&a);
     until("matched", || publisher.subscriber_count() == 1);
     let frame = Text { data: "x".repeat(100_000) }.to_cdr();
     until("a frame passes", || {

@@ -104,7 +104,8 @@ class Peer:
     def do(self, command):
         getattr(self, "do_" + command.pop("do"))(**command)
 
-    def do_subscribe(self, topic, type, qos={}):
+    def do_subscribe(self, topic, type, qos={}, counted=False):
+        """Tells each message, or only that one came where the messages are large."""
         events = SubscriptionEventCallbacks(
             incompatible_qos=lambda event: self.tell(
                 event="incompatible", topic=topic, count=event.total_count, policy=int(event.last_policy_kind)
@@ -114,7 +115,9 @@ class Peer:
             self.node.create_subscription(
                 type_of(type),
                 topic,
-                lambda message: self.tell(event="message", topic=topic, value=to_json(message)),
+                lambda message: self.tell(
+                    event="message", topic=topic, value=None if counted else to_json(message)
+                ),
                 profile(qos),
                 event_callbacks=events,
             )
