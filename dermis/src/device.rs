@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 use dermis_learn::LabelMap;
 use dermis_msgs::geometry_msgs::msg::{TransformStamped, WrenchStamped};
 use dermis_msgs::msg::Indentation;
-use dermis_node::{Node, NodeOptions, Qos};
+use dermis_node::{Node, NodeOptions};
 use dermis_skin::SkinDescription;
 use dermis_testbed::{Outlet, Plan, ReplayDevice, ReplayOptions, VirtualDevice};
 use nalgebra::Vector3;
@@ -140,6 +140,9 @@ const RIG_OFFSET: [f64; 3] = [0.31, -0.12, 0.54];
 /// \[N\] standard deviation of a reading of it.
 const RIG_NOISE: f64 = 0.004;
 
+/// Messages that are sent again to a subscriber who asks for reliable delivery and lost them.
+const KEPT: usize = 10;
+
 /// Publishes what is true until the device ends or is stopped.
 async fn tell(
     device: &VirtualDevice,
@@ -151,14 +154,16 @@ async fn tell(
 ) -> Result<()> {
     let options = NodeOptions::new("dermis_testbed").namespace(told.namespace.clone());
     let node = Node::open(options, told.backend.open()?.as_ref())?;
-    let qos = Qos::sensor_data();
-    let truth =
-        told.ground_truth.as_ref().map(|topic| node.publisher::<Indentation>(topic, qos)).transpose()?;
+    let truth = told
+        .ground_truth
+        .as_ref()
+        .map(|topic| node.stream_publisher::<Indentation>(topic, KEPT))
+        .transpose()?;
     let rig = match rig {
         Some(map) => Some((
             map,
-            node.publisher::<TransformStamped>(&map.robot.topic, qos)?,
-            node.publisher::<WrenchStamped>(&map.force.topic, qos)?,
+            node.stream_publisher::<TransformStamped>(&map.robot.topic, KEPT)?,
+            node.stream_publisher::<WrenchStamped>(&map.force.topic, KEPT)?,
         )),
         None => None,
     };

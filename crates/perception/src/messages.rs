@@ -1,10 +1,13 @@
 //! What planners, controllers and viewers read, made from an estimate.
 
 use dermis_msgs::builtin_interfaces::msg::Duration;
-use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg, WrenchStamped};
+use dermis_msgs::geometry_msgs::msg::{
+    Point, Quaternion, Transform, TransformStamped, Vector3 as VectorMsg, WrenchStamped,
+};
 use dermis_msgs::msg::ContactArray;
 use dermis_msgs::sensor_msgs::msg::{PointCloud2, PointField};
 use dermis_msgs::std_msgs::msg::ColorRGBA;
+use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::visualization_msgs::msg::{Marker, MarkerArray};
 use dermis_skin::{Contact, Estimate, ForceComponents, Frame, SkinDescription, Stamp, contact_array};
 use nalgebra::{Point3, Vector3};
@@ -166,6 +169,26 @@ pub fn markers_message(
     MarkerArray { markers: contacts.iter().filter(placed).map(arrow).collect() }
 }
 
+/// Where a skin is fixed: its frame in that of the link `parent`, at `translation` \[m\], turned by the unit quaternion
+/// `rotation` (x, y, z, w).
+#[must_use]
+pub fn transform_message(
+    skin: &SkinDescription,
+    stamp: Stamp,
+    parent: &str,
+    translation: [f64; 3],
+    rotation: [f64; 4],
+) -> TFMessage {
+    let [x, y, z] = translation;
+    let mut header = skin.header(stamp);
+    let child_frame_id = std::mem::replace(&mut header.frame_id, parent.to_owned());
+    let transform = Transform {
+        translation: VectorMsg { x, y, z },
+        rotation: Quaternion { x: rotation[0], y: rotation[1], z: rotation[2], w: rotation[3] },
+    };
+    TFMessage { transforms: vec![TransformStamped { header, child_frame_id, transform }] }
+}
+
 /// Takes away all arrows.
 #[must_use]
 pub fn no_markers_message(skin: &SkinDescription, stamp: Stamp) -> MarkerArray {
@@ -262,6 +285,20 @@ mod tests {
         assert!(message.is_dense && !message.is_bigendian);
         let empty = points_message(&skin, STAMP, &[]);
         assert_eq!((empty.width, empty.fields.len()), (0, 11));
+    }
+
+    #[test]
+    fn the_transform_goes_from_the_link_to_the_skin() {
+        let message =
+            transform_message(&skin_with(""), STAMP, "wrist", [0.1, 0.2, 0.3], [0.0, 0.6, 0.0, 0.8]);
+        let [transform] = message.transforms.as_slice() else { panic!("one transform") };
+        assert_eq!(
+            (transform.header.frame_id.as_str(), transform.child_frame_id.as_str()),
+            ("wrist", "pad_link")
+        );
+        assert_eq!(transform.header.stamp.as_nanos(), STAMP);
+        assert_eq!(transform.transform.translation, VectorMsg { x: 0.1, y: 0.2, z: 0.3 });
+        assert_eq!(transform.transform.rotation, Quaternion { x: 0.0, y: 0.6, z: 0.0, w: 0.8 });
     }
 
     #[test]

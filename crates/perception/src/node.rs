@@ -43,6 +43,10 @@ const PACE: f64 = 0.1;
 const PASSED: f64 = 0.01;
 /// Period at which a blind skin says that it is blind.
 const BLIND_PERIOD: Duration = Duration::from_millis(500);
+/// Messages that are sent again to a subscriber who asks for reliable delivery and lost them.
+const KEPT: usize = 10;
+/// The same for maps, which are larger: some implementations of DDS wait where too many bytes are not confirmed.
+const KEPT_MAPS: usize = 2;
 /// Shortest time between two marker messages: viewers draw 30 times a second.
 const MARKER_PERIOD: Duration = Duration::from_millis(33);
 /// Shortest time between two warnings about a clock: a broken one jumps with every frame.
@@ -416,14 +420,12 @@ struct Publishers {
 
 impl Publishers {
     fn new(node: &Node, maps: Maps) -> Result<Self, NodeError> {
-        let qos = Qos::sensor_data();
         let mut publishers = Self {
-            taxels: node.publisher("taxels", qos)?,
-            contacts: node.publisher("contacts", qos)?,
-            wrench: node.publisher("wrench", qos)?,
-            points: node.publisher("contact_points", qos)?,
-            // Viewers subscribe to markers reliably.
-            markers: node.publisher("contact_markers", Qos::reliable(1))?,
+            taxels: node.stream_publisher("taxels", KEPT)?,
+            contacts: node.stream_publisher("contacts", KEPT)?,
+            wrench: node.stream_publisher("wrench", KEPT)?,
+            points: node.stream_publisher("contact_points", KEPT)?,
+            markers: node.stream_publisher("contact_markers", KEPT)?,
             geometry: node.publisher("skin_geometry", Qos::latched())?,
             force_map: None,
             displacement_map: None,
@@ -436,12 +438,11 @@ impl Publishers {
 
     /// Offers these maps besides those that are offered already.
     fn add(&mut self, node: &Node, maps: Maps) -> Result<(), NodeError> {
-        let qos = Qos::sensor_data();
         if maps.force && self.force_map.is_none() {
-            self.force_map = Some(node.publisher("force_map", qos)?);
+            self.force_map = Some(node.stream_publisher("force_map", KEPT_MAPS)?);
         }
         if maps.displacement && self.displacement_map.is_none() {
-            self.displacement_map = Some(node.publisher("displacement_map", qos)?);
+            self.displacement_map = Some(node.stream_publisher("displacement_map", KEPT_MAPS)?);
         }
         Ok(())
     }
@@ -469,11 +470,11 @@ fn send<T: dermis_msgs::Message>(publisher: &Publisher<T>, make: impl FnOnce() -
 
 type Job = Box<dyn FnOnce() -> Result<(), NodeError> + Send>;
 
-/// A thread for what is published reliably: over zenoh a peer that stopped reading holds a reliable publisher up for a
+/// A thread for what late subscribers get, too: over zenoh a peer that stopped reading holds the publisher of that up for a
 /// minute, and frames must not wait for that.
 fn slow_lane() -> std::io::Result<SyncSender<Job>> {
     let (tx, rx) = sync_channel::<Job>(8);
-    std::thread::Builder::new().name("dermis-reliable".into()).spawn(move || {
+    std::thread::Builder::new().name("dermis-latched".into()).spawn(move || {
         for job in rx {
             if let Err(error) = job() {
                 tracing::debug!("{error}");
@@ -543,16 +544,9 @@ impl Shared {
     fn slowly(&self, job: impl FnOnce() -> Result<(), NodeError> + Send + 'static) {
         if self.slow.try_send(Box::new(job)).is_err() {
             tracing::debug!(
-                "a subscriber of skin `{}` does not read: a reliable message was dropped",
+                "a subscriber of skin `{}` does not read: a message for late subscribers was dropped",
                 self.skin.name
             );
-        }
-    }
-
-    fn markers(&self, core: &Core, make: impl FnOnce() -> MarkerArray) {
-        if core.publishers.markers.subscriber_count() > 0 {
-            let (publisher, message) = (core.publishers.markers.clone(), make());
-            self.slowly(move || publisher.publish(&message));
         }
     }
 
@@ -802,14 +796,14 @@ impl Shared {
             publishers.arrows = true;
             let lifetime = (3.0 / skin.rate).max(0.2);
             let degraded = quality == Quality::Degraded;
-            self.markers(core, || markers_message(skin, stamp, contacts, degraded, lifetime));
+            send(&publishers.markers, || Some(markers_message(skin, stamp, contacts, degraded, lifetime)));
         }
     }
 
     fn clear_arrows(&self, core: &mut Core) {
         if std::mem::take(&mut core.publishers.arrows) {
             let stamp = self.node.clock().now();
-            self.markers(core, || no_markers_message(&self.skin, stamp));
+            send(&core.publishers.markers, || Some(no_markers_message(&self.skin, stamp)));
         }
     }
 
