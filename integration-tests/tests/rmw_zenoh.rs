@@ -1,0 +1,149 @@
+//! Nodes of `rmw_zenoh` beside ours, without ROS: zenoh sessions with the settings that `rmw_zenoh` ships, listening to the
+//! keys that it listens to, and a router with those of `rmw_zenohd`.
+//!
+//! `rmw_zenoh` looks for a router on port 7447 of its machine and for nobody else. Without one, its nodes find neither each
+//! other nor ours. `docs/ros2.md` tells so and names both ways out, which are tried here. The fixed port is another one here:
+//! tests run beside each other, and maybe beside a robot.
+
+use std::net::TcpListener;
+use std::process::Command;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use dermis_integration_tests::{Peer, domain, program};
+use dermis_msgs::Message;
+use dermis_msgs::msg::ContactArray;
+use zenoh::Wait;
+
+const SOON: Duration = Duration::from_secs(60);
+
+/// Identifiers of zenoh sessions.
+const LEAST: &str = "\"1\"";
+const GREATEST: &str = "\"ffffffffffffffffffffffffffffffff\"";
+
+/// An endpoint that nobody listens on.
+fn endpoint() -> String {
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    format!("tcp/127.0.0.1:{port}")
+}
+
+fn open(settings: &[(&str, &str)]) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in settings {
+        config.insert_json5(key, value).unwrap_or_else(|e| panic!("{key}: {e}"));
+    }
+    zenoh::open(config).wait().unwrap()
+}
+
+/// Settings of a node of `rmw_zenoh` (Kilted) that differ from those of zenoh, with its router at `router`.
+fn node_settings(router: &str) -> Vec<(&'static str, String)> {
+    vec![
+        ("mode", "\"peer\"".to_owned()),
+        ("connect/endpoints", format!("[\"{router}\"]")),
+        ("connect/timeout_ms", "{ router: -1, peer: -1, client: 0 }".to_owned()),
+        ("connect/exit_on_failure", "{ router: false, peer: false, client: true }".to_owned()),
+        ("listen/endpoints", "[\"tcp/localhost:0\"]".to_owned()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("scouting/gossip/target", "{ router: [\"router\", \"peer\"], peer: [\"router\"] }".to_owned()),
+        (
+            "scouting/gossip/autoconnect_strategy",
+            "{ peer: { to_router: \"always\", to_peer: \"greater-zid\" } }".to_owned(),
+        ),
+        ("timestamping/enabled", "{ router: true, peer: true, client: true }".to_owned()),
+    ]
+}
+
+/// A node of `rmw_zenoh` that listens to contacts; `overrides` are those of its `ZENOH_CONFIG_OVERRIDE`.
+struct RmwNode {
+    _session: zenoh::Session,
+    contacts: Receiver<ContactArray>,
+}
+
+impl RmwNode {
+    fn start(router: &str, overrides: &[(&'static str, &str)]) -> Self {
+        let settings = node_settings(router);
+        let mut all: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
+        all.extend_from_slice(overrides);
+        let session = open(&all);
+        let key = format!(
+            "{}/contacts/dermis_msgs::msg::dds_::ContactArray_/{}",
+            domain(),
+            ContactArray::TYPE_HASH
+        );
+        let (heard, contacts) = channel();
+        session
+            .declare_subscriber(key)
+            .callback(move |sample| {
+                if let Ok(array) = ContactArray::from_cdr(&sample.payload().to_bytes()) {
+                    // A test that got what it wanted hangs up.
+                    let _ = heard.send(array);
+                }
+            })
+            .background()
+            .wait()
+            .unwrap();
+        Self { _session: session, contacts }
+    }
+
+    fn expect(&self, what: &str) -> ContactArray {
+        self.contacts.recv_timeout(SOON).unwrap_or_else(|_| panic!("{what}: nothing within {SOON:?}"))
+    }
+}
+
+/// A router with the settings of `rmw_zenohd`, but for its address. It does not pass data on between peers of its machine: it
+/// tells them where the other is.
+fn router(endpoint: &str) -> zenoh::Session {
+    open(&[
+        ("mode", "\"router\""),
+        ("listen/endpoints", &format!("[\"{endpoint}\"]")),
+        ("connect/endpoints", "[]"),
+        ("scouting/multicast/enabled", "false"),
+        ("scouting/gossip/target", "{ router: [\"router\", \"peer\"], peer: [\"router\"] }"),
+        ("routing/router/peers_failover_brokering", "false"),
+        ("timestamping/enabled", "{ router: true, peer: true, client: true }"),
+    ])
+}
+
+fn demo(router: &str) -> Peer {
+    Peer::start(
+        Command::new(program("dermis"))
+            .args(["demo", "--duration", "150s", "--json", "--no-bridge"])
+            .env("ZENOH_CONFIG_OVERRIDE", format!("connect/endpoints=[\"{router}\"]")),
+    )
+}
+
+#[test]
+fn rmw_zenoh_hears_a_node_as_soon_as_its_router_runs() {
+    let address = endpoint();
+    let _demo = demo(&address);
+    // Of two peers that hear of each other through a router, the one with the greater identifier connects, say the settings of
+    // `rmw_zenoh`; identifiers are random. So both cases are tried: who has the least, and who has the greatest of all.
+    let as_shipped = [LEAST, GREATEST].map(|id| RmwNode::start(&address, &[("id", id)]));
+    // As documented for robots without a router; tests stay on the loopback.
+    let multicast = RmwNode::start(
+        &address,
+        &[("scouting/multicast/enabled", "true"), ("scouting/multicast/interface", "\"127.0.0.1\"")],
+    );
+    let array = multicast.expect("contacts, found by multicast");
+    assert_eq!(array.skin, "baro-grid");
+    for _ in 0..200 {
+        multicast.expect("more of them");
+    }
+    for node in &as_shipped {
+        assert!(node.contacts.try_recv().is_err(), "no router, nothing to be heard");
+    }
+
+    let begun = Instant::now();
+    let _router = router(&address);
+    for (node, id) in as_shipped.iter().zip([LEAST, GREATEST]) {
+        let array = node.expect("contacts, found through the router");
+        println!("{:.1} s from the start of the router to contacts at {id}", begun.elapsed().as_secs_f64());
+        assert_eq!((array.skin.as_str(), array.header.frame_id.as_str()), ("baro-grid", "baro_grid_link"));
+        let mut sequence = array.sequence;
+        for _ in 0..100 {
+            let next = node.expect("more of them").sequence;
+            assert!(next > sequence, "{next} after {sequence}");
+            sequence = next;
+        }
+    }
+}
