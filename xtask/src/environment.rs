@@ -110,7 +110,7 @@ impl Ros {
 
 /// Packages that r2r makes Rust types of: what the standard topics and services of a node use.
 const IDL_PACKAGES: &str = "action_msgs;builtin_interfaces;dermis_msgs;diagnostic_msgs;geometry_msgs;lifecycle_msgs;\
-     rcl_interfaces;rosgraph_msgs;sensor_msgs;service_msgs;std_msgs;std_srvs;type_description_interfaces;unique_identifier_msgs;visualization_msgs";
+     rcl_interfaces;rosgraph_msgs;sensor_msgs;service_msgs;std_msgs;std_srvs;tf2_msgs;type_description_interfaces;unique_identifier_msgs;visualization_msgs";
 
 /// Uses the sourced ROS 2 where there is one, otherwise the Kilted wheels; builds `dermis_msgs` beside it.
 pub fn ros(root: &Path) -> Result<Ros> {
@@ -170,6 +170,11 @@ struct Base {
 }
 
 impl Base {
+    /// Whether it has a package.
+    fn has(&self, package: &str) -> bool {
+        self.ament.split(':').any(|prefix| Path::new(prefix).join("share").join(package).is_dir())
+    }
+
     fn sourced(ament: &str) -> Result<Self> {
         let get = |name: &str| std::env::var(name).unwrap_or_default();
         let distro = get("ROS_DISTRO");
@@ -298,41 +303,76 @@ pub fn site_packages(prefix: &Path) -> Result<PathBuf> {
     bail!("no Python packages under {}", prefix.display())
 }
 
-/// Builds msgs/ with real rosidl into `overlay`, when its text changed.
+/// Builds msgs/ with real rosidl into `overlay`, when its text changed, and beside it what that ROS 2 lacks of what a node
+/// publishes.
 fn interfaces(root: &Path, base: &Base, overlay: &Path) -> Result<()> {
-    let source = root.join("msgs");
+    let mut sources = vec![root.join("msgs")];
+    if !base.has("tf2_msgs") {
+        sources.push(transforms(root)?);
+    }
     let mut text = format!("{}\n", base.ament);
-    for part in ["package.xml", "CMakeLists.txt", "msg", "srv"] {
-        let path = source.join(part);
-        let mut files: Vec<PathBuf> = if path.is_dir() {
-            fs::read_dir(&path)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?
-        } else {
-            vec![path]
-        };
-        files.sort();
-        for file in files {
-            text.push_str(&fs::read_to_string(&file)?);
+    for source in &sources {
+        for part in ["package.xml", "CMakeLists.txt", "msg", "srv"] {
+            text.push_str(&content(&source.join(part))?);
         }
     }
     let stamp = overlay.join("made-from.txt");
     if fs::read_to_string(&stamp).is_ok_and(|made| made == text) {
         return Ok(());
     }
-    let build = overlay.with_extension("build");
-    for dir in [overlay, build.as_path()] {
-        if dir.exists() {
-            fs::remove_dir_all(dir)?;
-        }
+    if overlay.exists() {
+        fs::remove_dir_all(overlay)?;
     }
     fs::create_dir_all(overlay)?;
+    let log = home(root).join("dermis_msgs.log");
+    fs::write(&log, "")?;
+    for source in &sources {
+        interface_package(base, source, overlay, &log)?;
+    }
+    fs::write(&stamp, text)?;
+    Ok(())
+}
+
+/// Text of a file, or of the files of a folder in order; nothing where there is none.
+fn content(path: &Path) -> Result<String> {
+    if !path.is_dir() {
+        return Ok(if path.exists() { fs::read_to_string(path)? } else { String::new() });
+    }
+    let mut files: Vec<PathBuf> =
+        fs::read_dir(path)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
+    files.sort();
+    Ok(files.iter().map(fs::read_to_string).collect::<Result<Vec<_>, _>>()?.concat())
+}
+
+/// A package `tf2_msgs` of the one message that nodes publish: PyPI has no wheel of it. Its text, and so its hash, is that of ROS 2.
+fn transforms(root: &Path) -> Result<PathBuf> {
+    let package = home(root).join("tf2_msgs");
+    fs::create_dir_all(package.join("msg"))?;
+    fs::copy(root.join("msgs/std/tf2_msgs/msg/TFMessage.msg"), package.join("msg/TFMessage.msg"))?;
+    let [manifest, cmake] = ["package.xml", "CMakeLists.txt"].map(|name| {
+        let ours = fs::read_to_string(root.join("msgs").join(name));
+        ours.map(|text| text.replace("dermis_msgs", "tf2_msgs"))
+    });
+    fs::write(package.join("package.xml"), manifest?)?;
+    // Without services: CMake takes what its pattern finds.
+    fs::write(package.join("CMakeLists.txt"), cmake?)?;
+    Ok(package)
+}
+
+/// Builds one package of interfaces and installs it into `overlay`.
+fn interface_package(base: &Base, source: &Path, overlay: &Path, log: &Path) -> Result<()> {
+    let name = source.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let build = overlay.with_extension(format!("build-{name}"));
+    if build.exists() {
+        fs::remove_dir_all(&build)?;
+    }
     let path = format!(
         "{}:{}",
         base.python.parent().map(|p| p.display().to_string()).unwrap_or_default(),
         std::env::var("PATH").unwrap_or_default()
     );
-    let log = home(root).join("dermis_msgs.log");
     let cmake = |args: &[&str]| -> Result<()> {
-        let out = fs::OpenOptions::new().create(true).append(true).open(&log)?;
+        let out = fs::OpenOptions::new().create(true).append(true).open(log)?;
         run(Command::new("cmake")
             .args(args)
             .env("PATH", &path)
@@ -341,7 +381,6 @@ fn interfaces(root: &Path, base: &Base, overlay: &Path) -> Result<()> {
             .stderr(out))
         .with_context(|| format!("see {}; cmake, a C compiler and the Python headers are needed (Debian: apt-get install cmake gcc g++ python3-dev)", log.display()))
     };
-    fs::write(&log, "")?;
     let (source, build) = (source.display().to_string(), build.display().to_string());
     cmake(&[
         "-S",
@@ -354,7 +393,5 @@ fn interfaces(root: &Path, base: &Base, overlay: &Path) -> Result<()> {
         &format!("-DPython3_EXECUTABLE={}", base.build_python.display()),
     ])?;
     cmake(&["--build", &build, "-j2"])?;
-    cmake(&["--install", &build])?;
-    fs::write(&stamp, text)?;
-    Ok(())
+    cmake(&["--install", &build])
 }
