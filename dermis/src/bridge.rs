@@ -22,6 +22,9 @@ pub struct Options {
     /// Endpoint to listen on, e.g. tcp/0.0.0.0:7448; may be repeated.
     #[arg(long)]
     listen: Vec<String>,
+    /// Offer no commands: nobody tares, switches or loads a model through it.
+    #[arg(long)]
+    read_only: bool,
     /// ROS 2 implementation that the skins speak.
     #[arg(long, value_enum, default_value_t)]
     backend: Choice,
@@ -35,6 +38,7 @@ pub async fn run(options: Options) -> Result<()> {
         mode: options.mode,
         connect: options.connect,
         listen: options.listen,
+        read_only: options.read_only,
         ..BridgeConfig::default()
     };
     let bridge = Bridge::open(&node, config).await?;

@@ -7,6 +7,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -323,5 +324,46 @@ impl Recorded {
                 .args(arguments),
         );
         Some(Self { _device: device, _node: node })
+    }
+}
+
+/// A simulated pad that nobody touches, and the node that reads it.
+#[derive(Debug)]
+pub struct Pad {
+    _device: Peer,
+    _node: Peer,
+}
+
+impl Pad {
+    /// Starts both; the node gets these further arguments.
+    ///
+    /// # Panics
+    ///
+    /// Where one of our programs does not start.
+    #[must_use]
+    pub fn start(folder: &Path, arguments: &[&str]) -> Self {
+        const IDLE: &str = "schema = \"dermis-plan/1\"\nname = \"idle\"\nseed = 1\ndiameter = 0.004\nmargin = 0.004\n\
+            force_distribution = \"uniform\"\n[[steps]]\nkind = \"idle\"\nduration = 600.0\n";
+        static PADS: AtomicUsize = AtomicUsize::new(0);
+        let number = PADS.fetch_add(1, Ordering::Relaxed);
+        let [plan, link] = ["plan", "device"].map(|name| folder.join(format!("{name}{number}.toml")));
+        std::fs::write(&plan, IDLE).unwrap_or_else(|e| panic!("{} cannot be written: {e}", plan.display()));
+        let dermis = || {
+            let mut command = Command::new(program("dermis"));
+            command.current_dir(root());
+            command
+        };
+        let skin = "launch/skins/baro-grid.toml";
+        let mut device = Peer::start(
+            dermis().args(["device", "simulate", skin, "--plan"]).arg(plan).arg("--link").arg(&link),
+        );
+        device.expect("", Duration::from_secs(60));
+        let node = Peer::start(
+            dermis()
+                .args(["barodome", "--skin", skin, "--model", "models/baro-grid", "--source"])
+                .arg(format!("serial://{}", link.display()))
+                .args(arguments),
+        );
+        Self { _device: device, _node: node }
     }
 }

@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::process::Command;
 use std::time::Duration;
 
-use dermis_integration_tests::{Peer, Recorded, client_python, program, root};
+use dermis_integration_tests::{Pad, Peer, Recorded, client_python, program, root};
 
 const SOON: Duration = Duration::from_secs(60);
 
@@ -77,4 +77,19 @@ fn a_recorded_skin_is_heard_without_ros() {
     let line = client.expect("contact ", SOON);
     let place: Vec<f64> = line.split(' ').skip(1).take(2).map(|n| n.parse().unwrap()).collect();
     assert!(place.iter().all(|p| p.abs() < 0.016), "the robot pressed a square of 30 mm: {line}");
+}
+
+/// Tare, switch and load, each with an answer; looking around commands nothing, and a bridge that only shows offers none.
+#[test]
+fn a_client_commands_a_skin_and_hears_what_came_of_it() {
+    let Some(python) = client_python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let _pad = Pad::start(folder.path(), &["--name", "untouched"]);
+    // Robots of no other test.
+    let [arm, window] = ["arm", "window"].map(|name| format!("{name}-{}", std::process::id()));
+    let _bridge = Peer::start(Command::new(program("dermis")).args(["bridge", "--robot", &arm]));
+    let _shows =
+        Peer::start(Command::new(program("dermis")).args(["bridge", "--read-only", "--robot", &window]));
+    let mut client = Peer::start(Command::new(python).arg(script("commands.py")).args([&arm, &window]));
+    client.expect("DONE", SOON);
 }

@@ -5,6 +5,7 @@
 //! | `dermis/<robot>/<skin>/contacts` | `dermis_msgs/msg/ContactArray` as JSON, at every frame |
 //! | `dermis/<robot>/<skin>/taxels`, `force_map`, `displacement_map`, `skin_geometry`, … | the other topics of the skin, under the last part of their name |
 //! | `dermis/<robot>/schemas/<pkg>/msg/<Type>` | text of the message definition |
+//! | `dermis/<robot>/<skin>/tare`, `set_enabled`, `load_model` | commands: queries that the skin's node answers, as `{"success": …, "message": …}` |
 //!
 //! Every key answers a `get` with the latest value (so a late client sees the geometry at once), and values carry
 //! the encoding `application/json`. A liveliness token stands on `dermis/<robot>/<skin>` while the skin's topics
@@ -26,11 +27,15 @@
 //! # }
 //! ```
 
+pub mod commands;
+mod queries;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use dermis_msgs::{TypeSupport, type_support};
+use dermis_msgs::msg::ContactArray;
+use dermis_msgs::{Message, TypeSupport, type_support};
 use dermis_node::{Node, Qos, Subscription};
 use serde::{Deserialize, Serialize};
 use tokio::task::JoinHandle;
@@ -38,6 +43,9 @@ use tracing::{info, warn};
 use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::{Session, Wait};
+
+use crate::commands::Commander;
+use crate::queries::Offered;
 
 /// Types that say which skin they are about, and are therefore bridged.
 const BRIDGED: [&str; 6] = [
@@ -66,6 +74,8 @@ pub struct BridgeConfig {
     pub listen: Vec<String>,
     /// Stay on the loopback interface.
     pub localhost_only: bool,
+    /// Offer no commands.
+    pub read_only: bool,
 }
 
 impl Default for BridgeConfig {
@@ -76,6 +86,7 @@ impl Default for BridgeConfig {
             connect: Vec::new(),
             listen: Vec::new(),
             localhost_only: std::env::var("ROS_AUTOMATIC_DISCOVERY_RANGE").is_ok_and(|r| r == "LOCALHOST"),
+            read_only: false,
         }
     }
 }
@@ -122,6 +133,8 @@ impl Bridge {
         let shared = Arc::new(Shared {
             prefix: format!("dermis/{}", config.robot),
             session: session.clone(),
+            commander: (!config.read_only).then(|| Arc::new(Commander::new(node))),
+            runtime: tokio::runtime::Handle::current(),
             skins: Mutex::default(),
             latest: Arc::default(),
         });
@@ -164,6 +177,9 @@ impl Drop for Bridge {
 struct Shared {
     prefix: String,
     session: Session,
+    /// Who sends commands on; none where the bridge only shows.
+    commander: Option<Arc<Commander>>,
+    runtime: tokio::runtime::Handle,
     skins: Mutex<BTreeMap<String, Presence>>,
     latest: Arc<Mutex<BTreeMap<String, String>>>,
 }
@@ -172,6 +188,8 @@ struct Shared {
 struct Presence {
     topics: BTreeSet<String>,
     _token: LivelinessToken,
+    /// From the first contacts on.
+    commands: Option<Offered>,
 }
 
 fn session_config(config: &BridgeConfig) -> Result<zenoh::Config, BridgeError> {
@@ -298,6 +316,9 @@ fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8]) {
         return;
     };
     announce(shared, &skin, topic);
+    if support.name == ContactArray::TYPE_NAME {
+        offer_commands(shared, &skin, topic);
+    }
     let name = topic.rsplit('/').next().unwrap_or(topic);
     let key = format!("{}/{skin}/{name}", shared.prefix);
     let text = value.to_string();
@@ -327,10 +348,22 @@ fn announce(shared: &Shared, skin: &str, topic: &str) {
             info!("bridge: skin {skin} is there");
             skins.insert(
                 skin.to_owned(),
-                Presence { topics: BTreeSet::from([topic.to_owned()]), _token: token },
+                Presence { topics: BTreeSet::from([topic.to_owned()]), _token: token, commands: None },
             );
         }
         Err(e) => warn!("bridge: no liveliness token for {skin}: {e}"),
+    }
+}
+
+/// Offers the commands of a skin when its contacts tell which node is its own.
+fn offer_commands(shared: &Shared, skin: &str, topic: &str) {
+    let Some(commander) = &shared.commander else { return };
+    let mut skins = lock(&shared.skins);
+    let Some(presence) = skins.get_mut(skin).filter(|p| p.commands.is_none()) else { return };
+    let key = format!("{}/{skin}", shared.prefix);
+    match queries::offer(&shared.session, commander, &shared.runtime, &key, topic, skin) {
+        Ok(offered) => presence.commands = Some(offered),
+        Err(e) => warn!("bridge: no commands for {skin}: {e}"),
     }
 }
 
