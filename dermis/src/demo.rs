@@ -1,9 +1,8 @@
 //! The main job without hardware: a simulated skin behind a pseudo-terminal, the node, and what a subscriber gets.
 
-use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -18,6 +17,7 @@ use serde_json::json;
 
 use crate::backend::Choice;
 use crate::stats::Samples;
+use crate::table::{DRAW, Felt, Table, pressing};
 
 /// How to show it.
 #[derive(Args)]
@@ -39,7 +39,8 @@ pub struct Options {
     seed: u64,
 }
 
-fn duration(text: &str) -> Result<Duration, String> {
+/// A time as people write it.
+pub fn duration(text: &str) -> Result<Duration, String> {
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
     let (number, unit) = text.split_at(split);
     let factor = match unit {
@@ -67,8 +68,6 @@ const BUNDLE: [(&str, &[u8]); 3] = [
     ("card.json", include_bytes!("../../models/baro-grid/card.json")),
 ];
 
-/// How often the table is drawn.
-const DRAW: Duration = Duration::from_millis(200);
 /// Truth and estimate are compared where the press is at least this strong \[N\].
 const COMPARED: f64 = 0.1;
 
@@ -103,7 +102,7 @@ async fn play(
     let node = SkinNode::start(&dermis_barodome::FAMILY, &config, backend.as_ref())?;
 
     let watcher = Node::open(NodeOptions::new("dermis_demo"), backend.as_ref())?;
-    let seen = Arc::new(Mutex::new(Seen::default()));
+    let seen = Arc::new(Mutex::new(Seen::new()));
     let sink = Arc::clone(&seen);
     let _subscription =
         watcher.subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, info| {
@@ -117,9 +116,7 @@ async fn play(
         Bridge::open(&watcher, config).await.inspect_err(|e| eprintln!("note: no JSON over zenoh: {e}")).ok()
     };
 
-    let start = Instant::now();
-    let screen = std::io::stdout().is_terminal() && !options.json;
-    let mut drawn = 0;
+    let mut table = Table::begin();
     loop {
         tokio::select! {
             () = tokio::time::sleep(DRAW) => {}
@@ -128,9 +125,9 @@ async fn play(
         let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
         seen.compare(&device);
         if !options.json {
-            drawn = draw(&mut seen, start, screen, drawn)?;
+            table.draw(std::iter::once(&seen.felt))?;
         }
-        if options.duration.is_some_and(|d| start.elapsed() >= d) {
+        if options.duration.is_some_and(|d| table.elapsed() >= d) {
             break;
         }
         if !device.running() {
@@ -138,14 +135,14 @@ async fn play(
         }
     }
 
-    let elapsed = start.elapsed().as_secs_f64();
+    let elapsed = table.elapsed().as_secs_f64();
     if let Some(bridge) = bridge {
         bridge.close().await;
     }
     node.stop();
     watcher.shutdown();
     let sent = device.stop()?;
-    let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
+    let seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
     if options.json {
         println!("{}", seen.summary(elapsed, sent.frames));
     } else {
@@ -159,7 +156,7 @@ async fn play(
             s["compared"],
         );
     }
-    if seen.arrays == 0 {
+    if seen.felt.arrays == 0 {
         bail!(
             "no contact array arrived in {elapsed:.0} s: run with DERMIS_LOG=info to see what the node says"
         );
@@ -171,37 +168,29 @@ fn rounded(value: &serde_json::Value) -> String {
     value.as_f64().map_or_else(|| "-".to_owned(), |v| format!("{v:.3}"))
 }
 
-/// What came over the bus.
-#[derive(Default)]
+/// What came over the bus, and how far it is from what the device knows.
 struct Seen {
-    arrays: u64,
-    touched: u64,
-    first_ns: i64,
-    last_ns: i64,
-    latency_ms: Samples,
-    latest: Option<ContactArray>,
+    felt: Felt,
     waiting: Vec<ContactArray>,
     position_error_mm: Samples,
     force_error_n: Samples,
-    statuses: [u64; 5],
 }
 
 impl Seen {
+    fn new() -> Self {
+        Self {
+            felt: Felt::new("baro-grid"),
+            waiting: Vec::new(),
+            position_error_mm: Samples::default(),
+            force_error_n: Samples::default(),
+        }
+    }
+
     fn take(&mut self, array: ContactArray, received_ns: i64) {
-        if self.arrays == 0 {
-            self.first_ns = received_ns;
-        }
-        self.arrays += 1;
-        self.last_ns = received_ns;
-        self.latency_ms.push((received_ns - array.header.stamp.as_nanos()) as f64 * 1e-6);
-        self.touched += u64::from(!array.contacts.is_empty());
-        if let Some(count) = self.statuses.get_mut(usize::from(array.status)) {
-            *count += 1;
-        }
         if array.contacts.len() == 1 {
             self.waiting.push(array.clone());
         }
-        self.latest = Some(array);
+        self.felt.take(array, received_ns);
     }
 
     /// Compares what came since the last call with what the device knows.
@@ -215,30 +204,26 @@ impl Seen {
             }
             let contact = &array.contacts[0];
             self.position_error_mm.push(distance_mm(&contact.position, &truth.position));
-            self.force_error_n.push((-contact.force.z - force).abs());
+            self.force_error_n.push((pressing(contact) - force).abs());
         }
     }
 
-    fn rate(&self) -> f64 {
-        let span = (self.last_ns - self.first_ns) as f64 * 1e-9;
-        if span > 0.0 { (self.arrays - 1) as f64 / span } else { 0.0 }
-    }
-
-    fn summary(&mut self, elapsed: f64, sent: u64) -> serde_json::Value {
-        let spread = |samples: &mut Samples| json!({ "p50": samples.percentile(50.0), "p90": samples.percentile(90.0), "p99": samples.percentile(99.0) });
+    fn summary(&self, elapsed: f64, sent: u64) -> serde_json::Value {
+        let spread = |samples: &Samples| json!({ "p50": samples.percentile(50.0), "p90": samples.percentile(90.0), "p99": samples.percentile(99.0) });
+        let felt = &self.felt;
         json!({
             "seconds": elapsed,
             "frames_sent": sent,
-            "arrays": self.arrays,
-            "touched": self.touched,
-            "rate_hz": self.rate(),
-            "latency_ms": spread(&mut self.latency_ms),
+            "arrays": felt.arrays,
+            "touched": felt.touched,
+            "rate_hz": felt.rate(),
+            "latency_ms": spread(&felt.latency_ms),
             "compared": self.position_error_mm.len(),
-            "position_error_mm": spread(&mut self.position_error_mm),
-            "force_error_n": spread(&mut self.force_error_n),
+            "position_error_mm": spread(&self.position_error_mm),
+            "force_error_n": spread(&self.force_error_n),
             "status": {
-                "ok": self.statuses[0], "degraded": self.statuses[1], "stale": self.statuses[2],
-                "uncalibrated": self.statuses[3], "fault": self.statuses[4],
+                "ok": felt.statuses[0], "degraded": felt.statuses[1], "stale": felt.statuses[2],
+                "uncalibrated": felt.statuses[3], "fault": felt.statuses[4],
             },
         })
     }
@@ -246,59 +231,6 @@ impl Seen {
 
 fn distance_mm(a: &Point, b: &nalgebra::Point3<f64>) -> f64 {
     ((a.x - b.x).powi(2) + (a.y - b.y).powi(2) + (a.z - b.z).powi(2)).sqrt() * 1e3
-}
-
-/// Draws the table over the last one on a terminal; one line every second elsewhere.
-fn draw(seen: &mut Seen, start: Instant, screen: bool, drawn: usize) -> Result<usize> {
-    let (p50, p99) = (seen.latency_ms.percentile(50.0), seen.latency_ms.percentile(99.0));
-    let head = format!(
-        "baro-grid  {:6.1} s  {:6.1} frames/s  latency {p50:.2} ms median, {p99:.2} ms p99",
-        start.elapsed().as_secs_f64(),
-        seen.rate(),
-    );
-    let mut lines = vec![head];
-    match &seen.latest {
-        None => lines.push("  waiting for the first frame".to_owned()),
-        Some(array) => {
-            lines.push(format!(
-                "  {:>5} {:>9} {:>9} {:>9} {:>11}",
-                "track", "x / mm", "y / mm", "F / N", "confidence"
-            ));
-            for c in &array.contacts {
-                lines.push(format!(
-                    "  {:>5} {:>9.2} {:>9.2} {:>9.3} {:>11.2}",
-                    c.track_id,
-                    c.position.x * 1e3,
-                    c.position.y * 1e3,
-                    -c.force.z,
-                    c.confidence
-                ));
-            }
-            if array.contacts.is_empty() {
-                let words =
-                    if array.status == ContactArray::STATUS_OK { "not touched" } else { &array.status_text };
-                lines.push(format!("  {words}"));
-            }
-        }
-    }
-    let mut out = std::io::stdout().lock();
-    if screen {
-        if drawn > 0 {
-            write!(out, "\x1b[{drawn}A\x1b[J")?;
-        }
-        for line in &lines {
-            writeln!(out, "{line}")?;
-        }
-        out.flush()?;
-        return Ok(lines.len());
-    }
-    // Not a terminal: one line a second, for logs.
-    let second = start.elapsed().as_secs() as usize;
-    if second > drawn {
-        writeln!(out, "{}  {}", lines[0], lines.last().map_or("", |l| l.trim()))?;
-        out.flush()?;
-    }
-    Ok(second)
 }
 
 #[cfg(test)]

@@ -29,10 +29,12 @@ mod registry;
 mod skins;
 mod stats;
 mod steps;
+mod table;
 mod theory;
 mod train;
 mod variation;
 mod verify;
+mod watch;
 
 use std::process::ExitCode;
 
@@ -64,6 +66,8 @@ enum Command {
     Launch(launch::Options),
     #[command(name = launch::GUARD, hide = true)]
     LaunchGuard,
+    /// Show what running skins feel, whoever started them.
+    Watch(watch::Options),
     /// Offer every skin in the ROS domain as JSON over zenoh, for clients that know no ROS.
     Bridge(bridge::Options),
     /// Put a simulated skin, or a recorded one, behind a pseudo-terminal.
@@ -132,6 +136,7 @@ fn main() -> ExitCode {
         Command::Demo(options) => demo::run(&options),
         Command::Barodome(options) => block_on(nodes::run(&dermis_barodome::FAMILY, *options)),
         Command::Hapdef(options) => block_on(nodes::run(&dermis_hapdef::FAMILY, *options)),
+        Command::Watch(options) => block_on(watch::run(options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),
         Command::Launch(options) => block_on(launch::run(&options, format)),

@@ -1,16 +1,33 @@
 //! Order statistics for what people read.
 
+use std::collections::VecDeque;
+
 /// Collects numbers and answers percentiles; NaN is ignored.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Samples {
-    values: Vec<f64>,
+    values: VecDeque<f64>,
+    most: usize,
+}
+
+impl Default for Samples {
+    fn default() -> Self {
+        Self::last(usize::MAX)
+    }
 }
 
 impl Samples {
+    /// Keeps the last `most` numbers only.
+    pub fn last(most: usize) -> Self {
+        Self { values: VecDeque::new(), most: most.max(1) }
+    }
+
     /// Adds one number.
     pub fn push(&mut self, value: f64) {
         if !value.is_nan() {
-            self.values.push(value);
+            if self.values.len() >= self.most {
+                self.values.pop_front();
+            }
+            self.values.push_back(value);
         }
     }
 
@@ -20,13 +37,15 @@ impl Samples {
     }
 
     /// Nearest-rank percentile, `p` in 0..=100; NaN where there are no numbers.
-    pub fn percentile(&mut self, p: f64) -> f64 {
+    pub fn percentile(&self, p: f64) -> f64 {
         if self.values.is_empty() {
             return f64::NAN;
         }
         let rank = (p / 100.0 * self.values.len() as f64).ceil() as usize;
         let index = rank.clamp(1, self.values.len()) - 1;
-        *self.values.select_nth_unstable_by(index, f64::total_cmp).1
+        // The order of arrival stays as it is.
+        let mut values: Vec<f64> = self.values.iter().copied().collect();
+        *values.select_nth_unstable_by(index, f64::total_cmp).1
     }
 }
 
@@ -43,5 +62,10 @@ mod tests {
         assert_eq!(s.len(), 5);
         assert_eq!((s.percentile(0.0), s.percentile(50.0), s.percentile(100.0)), (1.0, 3.0, 5.0));
         assert!(Samples::default().percentile(50.0).is_nan());
+        let mut last = Samples::last(2);
+        for v in [9.0, 1.0, 2.0] {
+            last.push(v);
+        }
+        assert_eq!((last.len(), last.percentile(100.0)), (2, 2.0));
     }
 }
