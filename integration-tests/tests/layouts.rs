@@ -1,5 +1,6 @@
 //! The layouts for viewers that ship name topics that a node publishes, with the types that their displays read, and ask for
 //! no more than the node offers.
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
 use std::process::Command;
 use std::time::{Duration, Instant};

@@ -4,6 +4,7 @@
 //! `rmw_zenoh` looks for a router on port 7447 of its machine and for nobody else. Without one, its nodes find neither each
 //! other nor ours. `docs/ros2.md` tells so and names both ways out, which are tried here. The fixed port is another one here:
 //! tests run beside each other, and maybe beside a robot.
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
 use std::net::TcpListener;
 use std::process::Command;

@@ -509,7 +509,7 @@ fn a_hanging_rclpy_node_never_holds_a_stream_up() {
         frame.sequence = sequence;
         let begun = Instant::now();
         frames.publish(&frame).unwrap();
-        if sequence % 20 == 0 {
+        if sequence.is_multiple_of(20) {
             maps.publish_cdr(&map).unwrap();
         }
         begun.elapsed()
