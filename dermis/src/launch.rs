@@ -29,6 +29,15 @@ pub struct Options {
     /// Write what each process prints to a file of its own in this folder too.
     #[arg(long)]
     log_dir: Option<PathBuf>,
+    /// Lines a second of each process that are written; 0: all [default: the file's, or else 100].
+    #[arg(long, value_name = "LINES/S")]
+    log_rate: Option<f64>,
+    /// Megabytes that a log file may have before a new one is begun; 0: any [default: the file's, or else 10].
+    #[arg(long, value_name = "MB")]
+    log_size: Option<f64>,
+    /// Older log files of each process that are kept [default: the file's, or else 4].
+    #[arg(long, value_name = "COUNT")]
+    log_keep: Option<u32>,
 }
 
 /// The command that is the guard of a launch.
@@ -56,6 +65,13 @@ pub async fn run(options: &Options, format: Format) -> Result<()> {
         }
         return Ok(());
     }
+    let mut limits = plan.log_limits.clone();
+    limits.rate = options.log_rate.unwrap_or(limits.rate);
+    limits.size = options.log_size.unwrap_or(limits.size);
+    limits.keep = options.log_keep.unwrap_or(limits.keep);
+    if let Err((field, reason)) = limits.check() {
+        bail!("option --log-{field}: {reason}");
+    }
     let log = LogOptions {
         format: match format {
             Format::Human => dermis_launch::Format::Human,
@@ -63,6 +79,7 @@ pub async fn run(options: &Options, format: Format) -> Result<()> {
         },
         colours: std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
         folder: options.log_dir.clone(),
+        limits,
     };
     let mut guard = Command::new(&host.program);
     guard.arg(GUARD);

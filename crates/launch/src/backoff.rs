@@ -6,12 +6,15 @@ use serde::Deserialize;
 
 use crate::file::loose;
 
-/// How long to wait before a process that ended is started again: twice as long each time up to a bound, from the
-/// beginning after it has run for a while.
+/// How long to wait before a process that ended is started again: not at all at first, then twice as long each time up to
+/// a bound, from the beginning after it has run for a while.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Backoff {
-    /// \[s\] before the first restart.
+    /// Restarts in a row that are not waited for: a crash after a long run is over at once, and a loop of crashes is slowed.
+    #[serde(deserialize_with = "loose")]
+    pub at_once: u32,
+    /// \[s\] before the first restart after those.
     #[serde(deserialize_with = "loose")]
     pub first: f64,
     /// \[s\] longest wait.
@@ -27,7 +30,7 @@ pub struct Backoff {
 
 impl Default for Backoff {
     fn default() -> Self {
-        Self { first: 0.5, most: 30.0, stable: 10.0, limit: 10 }
+        Self { at_once: 1, first: 0.5, most: 30.0, stable: 10.0, limit: 10 }
     }
 }
 
@@ -69,8 +72,10 @@ impl Restarts {
         if self.in_a_row >= backoff.limit {
             return None;
         }
-        let doubled = backoff.first * 2f64.powi(self.in_a_row.min(60) as i32);
+        let waited_for = self.in_a_row.checked_sub(backoff.at_once);
         self.in_a_row += 1;
+        let Some(waited_for) = waited_for else { return Some(Duration::ZERO) };
+        let doubled = backoff.first * 2f64.powi(waited_for.min(60) as i32);
         Some(Duration::from_secs_f64(doubled.clamp(0.0, backoff.most)))
     }
 
@@ -87,23 +92,40 @@ mod tests {
 
     #[test]
     fn waits_double_up_to_the_bound_and_end_at_the_limit() {
-        let backoff = Backoff { first: 0.5, most: 3.0, stable: 10.0, limit: 5 };
-        let mut restarts = Restarts::default();
-        let waits: Vec<f64> = std::iter::from_fn(|| restarts.next(&backoff, Duration::from_secs(1)))
-            .map(|wait| wait.as_secs_f64())
-            .collect();
-        assert_eq!(waits, [0.5, 1.0, 2.0, 3.0, 3.0]);
-        let again = restarts.next(&backoff, Duration::from_secs(10));
-        assert_eq!(again, Some(Duration::from_millis(500)), "a stable run forgets what was before");
+        let backoff = Backoff { at_once: 0, first: 0.5, most: 3.0, stable: 10.0, limit: 5 };
+        let waits = |backoff: &Backoff| -> Vec<f64> {
+            let mut restarts = Restarts::default();
+            std::iter::from_fn(|| restarts.next(backoff, Duration::from_secs(1)))
+                .map(|wait| wait.as_secs_f64())
+                .collect()
+        };
+        assert_eq!(waits(&backoff), [0.5, 1.0, 2.0, 3.0, 3.0]);
+        assert_eq!(waits(&Backoff { at_once: 2, ..backoff.clone() }), [0.0, 0.0, 0.5, 1.0, 2.0]);
+        let usual = waits(&Backoff::default());
+        assert_eq!(
+            usual,
+            [0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0, 30.0],
+            "a loop of crashes is slowed"
+        );
+    }
+
+    #[test]
+    fn a_crash_after_a_stable_run_is_the_first_one_again() {
+        let (backoff, mut restarts) = (Backoff::default(), Restarts::default());
+        let mut next = |ran| restarts.next(&backoff, Duration::from_secs_f64(ran)).unwrap().as_secs_f64();
+        assert_eq!(
+            [next(0.1), next(0.1), next(9.9), next(10.0), next(60.0), next(1.0)],
+            [0.0, 0.5, 1.0, 0.0, 0.0, 0.5]
+        );
     }
 
     proptest! {
         #[test]
         fn any_usable_backoff_waits_within_its_bounds(
-            first in 0.0..100.0f64, more in 0.0..100.0f64, stable in 0.0..100.0f64, limit in 0..200u32,
+            at_once in 0..5u32, first in 0.0..100.0f64, more in 0.0..100.0f64, stable in 0.0..100.0f64, limit in 0..200u32,
             runs in prop::collection::vec(0.0..200.0f64, 0..300),
         ) {
-            let backoff = Backoff { first, most: first + more, stable, limit };
+            let backoff = Backoff { at_once, first, most: first + more, stable, limit };
             prop_assert!(backoff.fault().is_none());
             let mut restarts = Restarts::default();
             let mut row = 0;
@@ -112,7 +134,9 @@ mod tests {
                 match restarts.next(&backoff, Duration::from_secs_f64(ran)) {
                     Some(wait) => {
                         let wait = wait.as_secs_f64();
-                        prop_assert!(row < limit && wait >= first - 1e-6 && wait <= first + more + 1e-6);
+                        let least = if row < at_once { 0.0 } else { first };
+                        prop_assert!(row < limit && wait >= least - 1e-6 && wait <= first + more + 1e-6);
+                        prop_assert!(row >= at_once || wait == 0.0);
                         row += 1;
                     }
                     None => prop_assert!(row >= limit),

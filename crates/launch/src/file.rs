@@ -10,6 +10,7 @@ use serde_json::{Map, Value};
 
 use crate::backoff::Backoff;
 use crate::error::LaunchError;
+use crate::log::LogLimits;
 use crate::plan::{Restart, Stop};
 
 /// A text; a number or truth value that was written without quotes is one too.
@@ -70,6 +71,8 @@ pub(crate) struct File {
     pub domain_id: Option<u16>,
     #[serde(default)]
     pub log: Option<Text>,
+    #[serde(default)]
+    pub log_limits: LogLimits,
     pub processes: Vec<Entry>,
 }
 

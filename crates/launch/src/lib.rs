@@ -28,12 +28,14 @@ mod guard;
 mod lines;
 mod log;
 mod plan;
+mod rate;
+mod rotate;
 mod substitute;
 mod supervise;
 
 pub use backoff::Backoff;
 pub use error::LaunchError;
 pub use guard::guard;
-pub use log::{Format, LogOptions};
+pub use log::{Format, LogLimits, LogOptions};
 pub use plan::{Declared, Host, NodeRequest, Plan, Process, Ready, Refusal, Restart, Stop, load};
 pub use supervise::{Ended, run};

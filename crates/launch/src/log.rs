@@ -1,21 +1,26 @@
 //! What processes print, gathered: one line after the other, with the process and the time.
 
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
+use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use crate::error::LaunchError;
+use crate::file::loose;
+use crate::rate::Bucket;
+use crate::rotate::LogFile;
 
 /// Lines of one process that may wait to be written. What comes while so many wait is left out and counted: a process
 /// is never stopped by its log, and none takes the memory or the turn of another.
 const WAITING: usize = 256;
+/// Shortest time between two sentences on how many lines of a process were left out, while it goes on printing.
+pub(crate) const CONFESS: Duration = Duration::from_secs(5);
 /// Longest wait for the last lines to be written.
 const LAST_LINES: Duration = Duration::from_secs(2);
 
@@ -39,6 +44,62 @@ pub struct LogOptions {
     pub colours: bool,
     /// Folder of one more file for each process, in the same format.
     pub folder: Option<PathBuf>,
+    /// How much is written.
+    pub limits: LogLimits,
+}
+
+/// How much processes may log.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LogLimits {
+    /// \[lines/s\] of a process that are written, on average over 10 s; the others are counted. 0 is without limit.
+    #[serde(deserialize_with = "loose")]
+    pub rate: f64,
+    /// \[MB\] that a log file may have before a new one is begun; 0 is without limit.
+    #[serde(deserialize_with = "loose")]
+    pub size: f64,
+    /// Older files of a process that are kept.
+    #[serde(deserialize_with = "loose")]
+    pub keep: u32,
+}
+
+impl Default for LogLimits {
+    /// 100 lines a second; at most 50 MB for each process.
+    fn default() -> Self {
+        Self { rate: 100.0, size: 10.0, keep: 4 }
+    }
+}
+
+impl LogLimits {
+    /// The field that cannot be used, and why.
+    ///
+    /// # Errors
+    ///
+    /// The name of the field, and a sentence.
+    pub fn check(&self) -> Result<(), (&'static str, String)> {
+        if !(0.0..=1e6).contains(&self.rate) {
+            return Err((
+                "rate",
+                format!("{} is no rate; give lines a second from 0 (no limit) to 1000000", self.rate),
+            ));
+        }
+        // Less than a kilobyte would be a new file with every few lines.
+        if self.size != 0.0 && !(1e-3..=1e6).contains(&self.size) {
+            return Err((
+                "size",
+                format!("{} is no size; give megabytes from 0.001 to 1000000, or 0 (no limit)", self.size),
+            ));
+        }
+        if self.keep > 1000 {
+            return Err(("keep", format!("{} is too many; keep at most 1000 older files", self.keep)));
+        }
+        Ok(())
+    }
+
+    /// \[byte\], 0 without limit.
+    fn bytes(&self) -> u64 {
+        (self.size * 1e6) as u64
+    }
 }
 
 /// How important a line is.
@@ -174,22 +235,36 @@ pub(crate) struct Tap {
     process: usize,
     lines: Sender<(usize, Record, Arc<AtomicUsize>)>,
     waiting: Arc<AtomicUsize>,
-    left_out: Arc<AtomicU64>,
+    meter: Arc<Mutex<Meter>>,
+}
+
+/// What a process may print, and what was left out since that was last said.
+#[derive(Debug)]
+struct Meter {
+    bucket: Bucket,
+    rate: f64,
+    too_many: u64,
+    without_room: u64,
+    confessed: Option<Instant>,
 }
 
 impl Tap {
-    /// Whether there is room for a line; one without room is counted.
+    /// Whether a line is to be taken: one of too many, or without room, is counted.
     pub(crate) fn has_room(&self) -> bool {
-        if self.waiting.load(Ordering::Acquire) < WAITING {
-            return true;
+        let room = self.waiting.load(Ordering::Acquire) < WAITING;
+        let mut meter = self.meter.lock().unwrap_or_else(PoisonError::into_inner);
+        let allowed = meter.bucket.take(Instant::now());
+        if !allowed {
+            meter.too_many += 1;
+        } else if !room {
+            meter.without_room += 1;
         }
-        self.left_out.fetch_add(1, Ordering::Relaxed);
-        false
+        allowed && room
     }
 
     /// Takes a line that there is room for.
     pub(crate) fn take(&self, record: Record) {
-        self.confess();
+        self.confess(false);
         self.send(record);
     }
 
@@ -198,11 +273,29 @@ impl Tap {
         self.send(Record::plain(Some(level), text.into()));
     }
 
-    /// Says how many lines were left out since it was last said.
-    pub(crate) fn confess(&self) {
-        let left_out = self.left_out.swap(0, Ordering::Relaxed);
-        if left_out > 0 {
-            let text = format!("{left_out} lines left out here: they came faster than they could be written");
+    /// Says how many lines were left out since it was last said; seldom, unless that is all that there is `to_say`.
+    pub(crate) fn confess(&self, to_say: bool) {
+        let mut meter = self.meter.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = Instant::now();
+        if !to_say && meter.confessed.is_some_and(|at| now.duration_since(at) < CONFESS) {
+            return;
+        }
+        let (too_many, without_room) =
+            (std::mem::take(&mut meter.too_many), std::mem::take(&mut meter.without_room));
+        if too_many + without_room == 0 {
+            return;
+        }
+        meter.confessed = Some(now);
+        let rate = meter.rate;
+        drop(meter);
+        if too_many > 0 {
+            let text =
+                format!("{too_many} lines left out here: more than {rate} a second (`log_limits.rate`)");
+            self.say(Level::Warn, text);
+        }
+        if without_room > 0 {
+            let text =
+                format!("{without_room} lines left out here: they came faster than they could be written");
             self.say(Level::Warn, text);
         }
     }
@@ -231,10 +324,9 @@ impl Writer {
             })?;
             for name in &names {
                 let path = folder.join(format!("{}.log", name.replace('/', ".")));
-                let file = File::options().create(true).append(true).open(&path).map_err(|e| {
-                    LaunchError::system(format!("the log file {} cannot be opened", path.display()), e)
-                })?;
-                files.push((BufWriter::new(file), path));
+                let failed = format!("the log file {} cannot be opened", path.display());
+                let (size, keep) = (options.limits.bytes(), options.limits.keep);
+                files.push(LogFile::open(path, size, keep).map_err(|e| LaunchError::system(failed, e))?);
             }
         }
         let (sender, receiver) = channel();
@@ -243,7 +335,13 @@ impl Writer {
                 process,
                 lines: sender.clone(),
                 waiting: Arc::default(),
-                left_out: Arc::default(),
+                meter: Arc::new(Mutex::new(Meter {
+                    bucket: Bucket::new(options.limits.rate),
+                    rate: options.limits.rate,
+                    too_many: 0,
+                    without_room: 0,
+                    confessed: None,
+                })),
             })
             .collect();
         let sink = Sink {
@@ -283,7 +381,7 @@ struct Sink {
     /// None once nobody reads it.
     out: Option<BufWriter<io::Stdout>>,
     /// None once it cannot be written.
-    files: Vec<Option<(BufWriter<File>, PathBuf)>>,
+    files: Vec<Option<LogFile>>,
 }
 
 impl Sink {
@@ -316,12 +414,12 @@ impl Sink {
         if self.out.as_mut().is_some_and(|out| writeln!(out, "{line}").is_err()) {
             self.out = None;
         }
-        if let Some(Some((file, _))) = self.files.get_mut(process) {
+        if let Some(Some(file)) = self.files.get_mut(process) {
             let line = match self.format {
                 Format::Json => line,
                 Format::Human => record.human(None, false),
             };
-            if let Err(error) = writeln!(file, "{line}") {
+            if let Err(error) = file.line(&line) {
                 self.lose(process, &error);
             }
         }
@@ -332,7 +430,7 @@ impl Sink {
             self.out = None;
         }
         for process in 0..self.files.len() {
-            if let Some((file, _)) = &mut self.files[process]
+            if let Some(file) = &mut self.files[process]
                 && let Err(error) = file.flush()
             {
                 self.lose(process, &error);
@@ -342,9 +440,9 @@ impl Sink {
 
     /// Goes on without a file that cannot be written, and says so once.
     fn lose(&mut self, process: usize, error: &io::Error) {
-        if let Some((file, path)) = self.files[process].take() {
-            // What its buffer holds cannot be written either; dropping it would try again.
-            let _ = file.into_parts();
+        if let Some(file) = self.files[process].take() {
+            // What its buffer holds cannot be written either.
+            let path = file.give_up();
             let text = format!("log file {}: {error}; it gets no further lines", path.display());
             self.write(process, &Record::plain(Some(Level::Error), text));
         }
@@ -354,6 +452,21 @@ impl Sink {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn limits_that_are_none_are_refused() {
+        for (limits, field) in [
+            (LogLimits { rate: -1.0, ..LogLimits::default() }, "rate"),
+            (LogLimits { rate: f64::NAN, ..LogLimits::default() }, "rate"),
+            (LogLimits { size: 1e-9, ..LogLimits::default() }, "size"),
+            (LogLimits { size: f64::INFINITY, ..LogLimits::default() }, "size"),
+            (LogLimits { keep: 1001, ..LogLimits::default() }, "keep"),
+        ] {
+            assert_eq!(limits.check().unwrap_err().0, field);
+        }
+        LogLimits::default().check().unwrap();
+        LogLimits { rate: 0.0, size: 0.0, keep: 0 }.check().unwrap();
+    }
 
     fn at_noon(mut record: Record) -> Record {
         record.time = "2026-11-21T12:00:00.000Z".to_owned();
@@ -392,7 +505,8 @@ mod tests {
     #[test]
     fn a_flood_is_counted_and_others_are_not_held_up() {
         let folder = tempfile::tempdir().unwrap();
-        let options = LogOptions { folder: Some(folder.path().to_owned()), ..LogOptions::default() };
+        let limits = LogLimits { rate: 500.0, ..LogLimits::default() };
+        let options = LogOptions { folder: Some(folder.path().to_owned()), limits, ..LogOptions::default() };
         let writer = Writer::start(&options, vec!["flood".into(), "calm".into()]).unwrap();
         let (flood, calm) = (writer.tap(0), writer.tap(1));
         let mut taken = 0;
@@ -404,7 +518,7 @@ mod tests {
         }
         assert!(calm.has_room());
         calm.take(Record::parse(b"still here"));
-        flood.confess();
+        flood.confess(true);
         drop((flood, calm));
         writer.finish();
         let text = std::fs::read_to_string(folder.path().join("flood.log")).unwrap();
@@ -416,6 +530,12 @@ mod tests {
             .sum();
         let written = text.lines().filter(|line| line.ends_with(" y")).count() as u64;
         assert_eq!((written, written + left_out), (taken, 100_000));
+        assert!(written < 100_000 / 2, "{written} lines");
+        assert!(
+            text.contains("lines left out here: more than 500 a second (`log_limits.rate`)"),
+            "{}",
+            text.len()
+        );
         assert!(std::fs::read_to_string(folder.path().join("calm.log")).unwrap().contains("still here"));
     }
 }

@@ -12,6 +12,7 @@ use serde_json::{Map, Value, json};
 use crate::backoff::{Backoff, bad_seconds};
 use crate::error::LaunchError;
 use crate::file::{self, Argument, Entry, File, Include, Text, loose};
+use crate::log::LogLimits;
 use crate::substitute::Scope;
 
 /// Files within files, so that two that include each other end with a sentence.
@@ -183,6 +184,8 @@ pub struct Plan {
     pub arguments: Vec<Declared>,
     /// Its processes.
     pub processes: Vec<Process>,
+    /// How much they may log.
+    pub log_limits: LogLimits,
 }
 
 /// Reads a launch file with these arguments (`name:=value`); configurations of nodes, and what files call `${tmp}`, go
@@ -207,11 +210,19 @@ pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> R
             return Err(refuse("is given twice; leave one"));
         }
     }
-    let mut loader = Loader { host, cwd, tmp: tmp.to_owned(), processes: Vec::new(), open: Vec::new() };
+    let mut loader = Loader {
+        host,
+        cwd,
+        tmp: tmp.to_owned(),
+        processes: Vec::new(),
+        open: Vec::new(),
+        log_limits: LogLimits::default(),
+    };
     let outer = Around { folder: loader.cwd.clone(), ..Around::default() };
     let declared = loader.file(path, given, &outer)?;
+    let log_limits = std::mem::take(&mut loader.log_limits);
     let processes = loader.linked()?;
-    Ok(Plan { file: path.to_owned(), arguments: declared, processes })
+    Ok(Plan { file: path.to_owned(), arguments: declared, processes, log_limits })
 }
 
 /// What groups and files around an entry say.
@@ -245,6 +256,8 @@ struct Loader<'a> {
     tmp: PathBuf,
     processes: Vec<Pending>,
     open: Vec<PathBuf>,
+    /// Of the outermost file.
+    log_limits: LogLimits,
 }
 
 /// Errors of one field of a file.
@@ -300,6 +313,12 @@ impl Loader<'_> {
         alone(&tree, "", path)?;
         let file: File = file::typed(tree, path, "")?;
         let at = At { file: path, field: "" };
+        file.log_limits
+            .check()
+            .map_err(|(field, reason)| at.refuse(&format!("log_limits.{field}"), reason))?;
+        if self.open.len() == 1 {
+            self.log_limits = file.log_limits.clone();
+        }
         let mut inner = around.inside(
             &at,
             file.namespace.as_ref(),

@@ -19,9 +19,9 @@ use tokio::task::JoinHandle;
 
 use crate::backoff::Restarts;
 use crate::error::LaunchError;
-use crate::guard::Guard;
+use crate::guard::{Guard, Starter};
 use crate::lines::Lines;
-use crate::log::{Level, LogOptions, Record, Tap, Writer};
+use crate::log::{CONFESS, Level, LogOptions, Record, Tap, Writer};
 use crate::plan::{Plan, Process, Ready, Restart};
 
 /// How often a file is looked for.
@@ -59,13 +59,16 @@ pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Resul
     let mut interrupt = listen(SignalKind::interrupt())?;
     let mut terminate = listen(SignalKind::terminate())?;
     let mut hang_up = listen(SignalKind::hangup())?;
-    let guard = guard
-        .map(|mut command| Guard::start(&mut command))
-        .transpose()
-        .map_err(|e| LaunchError::system("the guard of the launch cannot be started", e))?;
     let mut names: Vec<String> = plan.processes.iter().map(|p| p.label.clone()).collect();
     names.push("launch".to_owned());
     let writer = Writer::start(log, names)?;
+    let tap = writer.tap(plan.processes.len());
+    let guard = guard
+        .map(|command| Guard::start(command, move |level, text| tap.say(level, text)))
+        .transpose()
+        .map_err(|e| LaunchError::system("the guard of the launch cannot be started", e))?;
+    let starter = Starter::new()
+        .map_err(|e| LaunchError::system("the thread that starts processes cannot be started", e))?;
     let launch = Arc::new(Launch {
         processes: plan.processes.clone(),
         states: plan.processes.iter().map(|_| watch::Sender::new(State::default())).collect(),
@@ -74,6 +77,7 @@ pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Resul
         started: Mutex::default(),
         ended: Mutex::default(),
         guard,
+        starter,
         taps: (0..plan.processes.len()).map(|i| writer.tap(i)).collect(),
         tap: writer.tap(plan.processes.len()),
     });
@@ -131,6 +135,7 @@ struct Launch {
     started: Mutex<Vec<usize>>,
     ended: Mutex<Vec<String>>,
     guard: Option<Guard>,
+    starter: Starter,
     taps: Vec<Tap>,
     tap: Tap,
 }
@@ -260,13 +265,14 @@ impl Launch {
                 return self.fail(format!("{how}; given up after {limit} restarts in a row"));
             };
             let count = restarts.in_a_row();
+            let limit = process.backoff.limit;
+            let when = match wait {
+                Duration::ZERO => "at once".to_owned(),
+                wait => format!("in {:.2} s", wait.as_secs_f64()),
+            };
             self.say(
                 Level::Warn,
-                format!(
-                    "{how}; starting it again in {:.2} s (restart {count} of at most {})",
-                    wait.as_secs_f64(),
-                    process.backoff.limit
-                ),
+                format!("{how}; starting it again {when} (restart {count} of at most {limit})"),
             );
             tokio::select! {
                 () = tokio::time::sleep(wait) => {}
@@ -310,8 +316,7 @@ impl Launch {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        let mut child = tokio::process::Command::from(command).spawn()?;
+        let mut child = self.starter.start(command).await?;
         let group = child.id().and_then(|id| i32::try_from(id).ok()).map(Group);
         if let (Some(guard), Some(Group(id))) = (&self.guard, group) {
             guard.tell(id, true);
@@ -397,7 +402,7 @@ impl Launch {
                 reader.abort();
             }
         }
-        self.taps[index].confess();
+        self.taps[index].confess(true);
         // It may have said so with its last words.
         let left = match &process.ready {
             Some(Ready::File { path, .. }) => identity(path).is_some_and(|now| Some(now) != before),
@@ -459,7 +464,7 @@ impl Group {
     }
 }
 
-fn told(status: ExitStatus) -> String {
+pub(crate) fn told(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
         (Some(0), _) => "ended".to_owned(),
         (Some(code), _) => format!("ended with exit code {code}"),
@@ -508,8 +513,13 @@ fn gather(
                 tap.take(record);
             }
         };
-        while let Ok(count @ 1..) = pipe.read(&mut block).await {
-            lines.push(&block[..count], &mut each);
+        loop {
+            match tokio::time::timeout(CONFESS, pipe.read(&mut block)).await {
+                Ok(Ok(count @ 1..)) => lines.push(&block[..count], &mut each),
+                Ok(_) => break,
+                // It is quiet after a flood.
+                Err(_) => tap.confess(true),
+            }
         }
         lines.finish(each);
     })
