@@ -51,6 +51,10 @@ const KEPT_MAPS: usize = 2;
 const MARKER_PERIOD: Duration = Duration::from_millis(33);
 /// Shortest time between two warnings about a clock: a broken one jumps with every frame.
 const JUMP_PERIOD: Duration = Duration::from_secs(10);
+/// Shortest time between two log lines on one reason that a link is down.
+const LINK_PERIOD: Duration = Duration::from_secs(60);
+/// Shortest time between two log lines that a link is up.
+const UP_PERIOD: Duration = Duration::from_secs(5);
 /// \[s\] beyond its duration that a tare may take before its caller hears that it did not end.
 const TARE_PATIENCE: f64 = 2.0;
 
@@ -171,6 +175,7 @@ impl SkinNode {
                 sequence: 0,
                 figures: Figures::default(),
                 source: SourceStats::default(),
+                refused: 0,
                 blind: None,
                 jumps: (0, None),
             }),
@@ -512,6 +517,8 @@ struct Core {
     sequence: u64,
     figures: Figures,
     source: SourceStats,
+    /// What of other senders had been left out when the diagnostics asked last.
+    refused: u64,
     /// Why the skin is blind, if it is: status and sentence.
     blind: Option<(u8, String)>,
     /// Jumps of the device's clock that were warned of, and when that was.
@@ -566,6 +573,7 @@ impl Shared {
         let patience = LATE.0.max(Duration::from_secs_f64(LATE.1 / self.skin.rate));
         // What a frame takes, on average over the last few.
         let mut pace = 0.0f64;
+        let mut link = LinkNews::default();
         while !self.stopping() {
             if !self.active.load(Ordering::Acquire) {
                 if source.take().is_some() {
@@ -621,11 +629,15 @@ impl Shared {
                     }
                     Event::Overflow { .. } => core.gap(),
                     Event::Disconnected { reason, .. } => {
-                        tracing::warn!("skin `{}`: {reason}", self.skin.name);
+                        link.down(&self.skin.name, reason);
                         core.gap();
                     }
-                    Event::Connected { description } => {
-                        tracing::info!("skin `{}`: connected to {description}", self.skin.name);
+                    Event::Connected { description } => link.up(&self.skin.name, &description),
+                    Event::OtherSender { notice, taken_over } => {
+                        tracing::warn!("skin `{}`: {notice}", self.skin.name);
+                        if taken_over {
+                            core.gap();
+                        }
                     }
                     Event::Ended => {
                         // Every later event is this one again: the wait is ours.
@@ -978,6 +990,21 @@ impl Shared {
         status.value("reconnects", core.source.connects.saturating_sub(1));
         status.value("disconnects", core.source.disconnects);
         status.value("bytes dropped", core.source.dropped_bytes);
+        let refused = core.source.refused_datagrams + core.source.refused_connections;
+        if refused > 0 {
+            let others: Vec<String> = core.source.others.iter().map(ToString::to_string).collect();
+            status.value("datagrams of others", core.source.refused_datagrams);
+            status.value("connections refused", core.source.refused_connections);
+            status.value("other senders", others.join(", "));
+            if active && refused > core.refused {
+                let read =
+                    core.source.peer.map_or_else(|| "another device".to_owned(), |peer| peer.to_string());
+                status.worsen(
+                    Level::Warn,
+                    format!("{} wants to send too and is left out, while {read} is read", others.join(", ")),
+                );
+            }
+        }
         let flags = &core.estimator.conditioned().reading.flags;
         for (name, flag) in [
             ("dead channels", ChannelFlags::DEAD),
@@ -1015,8 +1042,49 @@ impl Shared {
         status.value("runtime", self.runtime.report());
         status.value("source", &self.url);
         let Figures { frames_total, passed_total, .. } = core.figures;
+        core.refused = refused;
         core.figures = Figures { frames_total, passed_total, asked: Some(now), ..Figures::default() };
         status
+    }
+}
+
+/// What is logged of a link that may come and go many times a second.
+#[derive(Debug, Default)]
+struct LinkNews {
+    /// Why it was down the last time that this was logged, and when that was.
+    told: Option<(String, Instant)>,
+    /// Times that it went down, or was tried, since then.
+    untold: u64,
+    up_at: Option<Instant>,
+}
+
+impl LinkNews {
+    /// A reason is logged once, and again where it is another one or was not logged for long.
+    fn down(&mut self, skin: &str, reason: String) {
+        let now = Instant::now();
+        if self
+            .told
+            .as_ref()
+            .is_some_and(|(told, at)| *told == reason && now.duration_since(*at) < LINK_PERIOD)
+        {
+            self.untold += 1;
+            return;
+        }
+        match std::mem::take(&mut self.untold) {
+            0 => tracing::warn!("skin `{skin}`: {reason}"),
+            untold => tracing::warn!(
+                "skin `{skin}`: {reason} (down or not to be had {untold} times more since that was last said)"
+            ),
+        }
+        self.told = Some((reason, now));
+    }
+
+    fn up(&mut self, skin: &str, description: &str) {
+        let now = Instant::now();
+        // One that flaps is not logged each time; one that comes back after a while is.
+        if self.up_at.replace(now).is_none_or(|at| now.duration_since(at) >= UP_PERIOD) {
+            tracing::info!("skin `{skin}`: connected to {description}");
+        }
     }
 }
 

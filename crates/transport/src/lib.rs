@@ -40,7 +40,7 @@ pub use clock::{ClockState, DeviceClock};
 pub use error::TransportError;
 pub use pty::Pty;
 pub use source::{Event, Source, SourceOptions, SourceStats};
-pub use url::{Parity, SourceUrl};
+pub use url::{Newcomer, Parity, Sender, SourceUrl};
 
 /// Host time now \[ns since the Unix epoch\], the clock that every `received_ns` of this crate is on.
 #[must_use]

@@ -3,9 +3,11 @@
 mod link;
 mod queue;
 mod replay;
+mod senders;
 mod serial;
 
 use std::io::{PipeReader, PipeWriter};
+use std::net::SocketAddr;
 use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -55,6 +57,13 @@ pub enum Event {
         /// The next attempt starts after this time.
         retry_in: Duration,
     },
+    /// Another device sends to the same port, or wants to connect.
+    OtherSender {
+        /// Who it is, what becomes of it and what to do, for people. Comes at most once in a few seconds.
+        notice: String,
+        /// Whether it is read from now on: call [`FrameDecoder::gap`](crate::framing::FrameDecoder::gap).
+        taken_over: bool,
+    },
     /// Nothing will come any more: a recording is at its end or cannot be read, or the source was stopped. Every
     /// later event is this one again.
     Ended,
@@ -77,13 +86,14 @@ pub struct SourceOptions {
 }
 
 impl Default for SourceOptions {
-    /// 1 MiB and 4096 pieces; attempts after 0.1 s, 0.2 s, … 5 s; 3 s to connect.
+    /// 1 MiB and 4096 pieces; attempts after 0.05 s, 0.1 s, … 1 s; 3 s to connect.
     fn default() -> Self {
         Self {
             queue_bytes: 1 << 20,
             queue_chunks: 4096,
-            backoff_initial: Duration::from_millis(100),
-            backoff_max: Duration::from_secs(5),
+            // A skin that is plugged in again is to be felt again within a second.
+            backoff_initial: Duration::from_millis(50),
+            backoff_max: Duration::from_secs(1),
             connect_timeout: Duration::from_secs(3),
         }
     }
@@ -133,6 +143,14 @@ pub struct SourceStats {
     pub last_received_ns: i64,
     /// Why the link is or was down the last time.
     pub last_reason: Option<String>,
+    /// The device that is read, where it has an address.
+    pub peer: Option<SocketAddr>,
+    /// Datagrams of other senders that were left out.
+    pub refused_datagrams: u64,
+    /// Clients that were refused because another one is connected and sends.
+    pub refused_connections: u64,
+    /// The latest addresses that something was left out of, a few.
+    pub others: Vec<SocketAddr>,
     /// What others connect to or write to: bound address, or the far end of a pseudo-terminal of ours.
     pub endpoint: Option<String>,
 }
@@ -318,7 +336,7 @@ impl Reader {
         };
         let mut buffer = vec![0; size];
         loop {
-            match link.read(&mut buffer, &self.stop, opener) {
+            match link.read(&mut buffer, self, opener) {
                 ReadOutcome::Bytes(n) => {
                     backoff.reset();
                     self.queue.push(Bytes::copy_from_slice(&buffer[..n]), crate::now_ns());

@@ -20,20 +20,46 @@ pub enum Parity {
     Odd,
 }
 
+/// Which datagrams are those of one device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Sender {
+    /// Those from one address and port.
+    #[default]
+    One,
+    /// Those from one address, whatever the port: a device that opens a new socket for every datagram.
+    Host,
+    /// All: several machines send the frames of one device in turn.
+    Any,
+}
+
+/// What becomes of a client that connects while another one is connected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Newcomer {
+    /// It waits whether the other one still sends, and is refused if it does.
+    #[default]
+    Refuse,
+    /// It is the device from then on.
+    Replace,
+}
+
 /// A place that bytes come from.
 ///
 /// | URL | meaning |
 /// |---|---|
 /// | `serial:///dev/ttyACM0?baud=921600&parity=none&stop=1&idle=2` | a serial line, opened exclusively, raw, 8 bits |
-/// | `udp://0.0.0.0:7400?from=192.168.1.20` | datagrams that arrive at this address; a multicast address is joined |
+/// | `udp://0.0.0.0:7400?from=192.168.1.20&sender=one&hold=1` | datagrams that arrive at this address; a multicast address is joined |
 /// | `tcp://192.168.1.20:7400?idle=10` | connect to a server |
-/// | `tcp-listen://0.0.0.0:7400`, `tcp://0.0.0.0:7400?listen` | serve, the newest client is the device |
+/// | `tcp-listen://0.0.0.0:7400?newcomer=refuse&hold=1`, `tcp://0.0.0.0:7400?listen` | serve, one client is the device |
 /// | `pty:///dev/pts/3` | an existing terminal, no line settings and no lock |
 /// | `pty://`, `pty://?link=/tmp/skin` | make a pseudo-terminal and read what is written to its far end |
 /// | `replay:///data/bag?speed=1&topic=/skin/taxels&loop=false` | the `TaxelFrame`s of a rosbag2 (folder or `.mcap`) as native wire |
 ///
 /// `idle=SECONDS` reconnects when a link is silent for so long, `idle=0` never. `tcp://` does so after 10 s if nothing
 /// else is said, because a server that lost power never says goodbye; for the others silence is no reason to.
+///
+/// A port has one device. The one that sends keeps it; what another one sends or wants is left out, counted and named,
+/// until the first has been silent for `hold=SECONDS` (1). `sender=host` takes all ports of a sender's address for one
+/// device, `sender=any` everything; with `newcomer=replace` the newest client is the device.
 /// Paths may hold `%XX` escapes; `?`, `&` and `%` in a path must be written so.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -57,6 +83,10 @@ pub enum SourceUrl {
         bind: SocketAddr,
         /// Take datagrams of this sender only.
         from: Option<IpAddr>,
+        /// Which datagrams are those of one device.
+        sender: Sender,
+        /// Silence after which another sender is read.
+        hold: Duration,
         /// Bind again after so long without a datagram.
         idle: Option<Duration>,
     },
@@ -71,6 +101,10 @@ pub enum SourceUrl {
     TcpListen {
         /// Local address; port 0 takes a free one.
         bind: SocketAddr,
+        /// What becomes of a second client.
+        newcomer: Newcomer,
+        /// Silence after which a second client takes the place of the first.
+        hold: Duration,
         /// Drop the client after so long without a byte.
         idle: Option<Duration>,
     },
@@ -98,6 +132,9 @@ const SCHEMES: &[&str] = &["serial", "udp", "tcp", "tcp-listen", "pty", "replay"
 
 /// \[baud\] rate of a serial URL that names none.
 const DEFAULT_BAUD: u32 = 115_200;
+
+/// Silence after which a port is no longer a device's own. Longer than a device pauses, shorter than one takes to start.
+const HOLD: Duration = Duration::from_secs(1);
 
 /// Silence after which a TCP server is taken to be gone.
 const TCP_IDLE: Duration = Duration::from_secs(10);
@@ -141,22 +178,40 @@ impl SourceUrl {
                 })
             }
             "udp" => {
-                let mut q = parser("udp", &["from", "idle"])?;
+                let mut q = parser("udp", &["from", "sender", "hold", "idle"])?;
                 let bind = q.socket_addr()?;
                 let from = q.take_with("from", "an IP address", |v| v.parse().ok())?;
-                Ok(Self::Udp { bind, from, idle: q.idle()? })
+                let sender = q.take_with("sender", "one, host or any", |v| match v {
+                    "one" => Some(Sender::One),
+                    "host" => Some(Sender::Host),
+                    "any" => Some(Sender::Any),
+                    _ => None,
+                })?;
+                Ok(Self::Udp {
+                    bind,
+                    from,
+                    sender: sender.unwrap_or_default(),
+                    hold: q.hold()?,
+                    idle: q.idle()?,
+                })
             }
             "tcp" => {
-                let mut q = parser("tcp", &["listen", "idle"])?;
+                let mut q = parser("tcp", &["listen", "newcomer", "hold", "idle"])?;
                 if q.flag("listen")? {
-                    return Ok(Self::TcpListen { bind: q.socket_addr()?, idle: q.idle()? });
+                    return q.tcp_listen();
+                }
+                for key in ["newcomer", "hold"] {
+                    if let Some(value) = q.keys.get(key) {
+                        return Err(q.invalid(
+                            key,
+                            value,
+                            "left out without listen: here no client connects",
+                        ));
+                    }
                 }
                 Ok(Self::Tcp { address: q.host_port()?, idle: q.idle_or(Some(TCP_IDLE))? })
             }
-            "tcp-listen" => {
-                let mut q = parser("tcp-listen", &["idle"])?;
-                Ok(Self::TcpListen { bind: q.socket_addr()?, idle: q.idle()? })
-            }
+            "tcp-listen" => parser("tcp-listen", &["newcomer", "hold", "idle"])?.tcp_listen(),
             "pty" => {
                 let mut q = parser("pty", &["link"])?;
                 let link = q.take_with("link", "a path", |v| (!v.is_empty()).then(|| PathBuf::from(v)))?;
@@ -203,6 +258,7 @@ impl std::str::FromStr for SourceUrl {
 /// Writes the URL such that [`SourceUrl::parse`] reads the same value back.
 impl Display for SourceUrl {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let hold_key = |hold: Duration| (hold != HOLD).then(|| format!("hold={}", hold.as_secs_f64()));
         let idle_key = |idle: &Option<Duration>| idle.map(|d| format!("idle={}", d.as_secs_f64()));
         let (base, keys): (String, Vec<Option<String>>) = match self {
             Self::Serial { path, baud, parity, stop_bits, idle } => (
@@ -218,13 +274,30 @@ impl Display for SourceUrl {
                     idle_key(idle),
                 ],
             ),
-            Self::Udp { bind, from, idle } => {
-                (format!("udp://{bind}"), vec![from.map(|a| format!("from={a}")), idle_key(idle)])
-            }
+            Self::Udp { bind, from, sender, hold, idle } => (
+                format!("udp://{bind}"),
+                vec![
+                    from.map(|a| format!("from={a}")),
+                    match sender {
+                        Sender::One => None,
+                        Sender::Host => Some("sender=host".into()),
+                        Sender::Any => Some("sender=any".into()),
+                    },
+                    hold_key(*hold),
+                    idle_key(idle),
+                ],
+            ),
             Self::Tcp { address, idle } => {
                 (format!("tcp://{address}"), vec![idle_key(&Some(idle.unwrap_or_default()))])
             }
-            Self::TcpListen { bind, idle } => (format!("tcp-listen://{bind}"), vec![idle_key(idle)]),
+            Self::TcpListen { bind, newcomer, hold, idle } => (
+                format!("tcp-listen://{bind}"),
+                vec![
+                    (*newcomer == Newcomer::Replace).then(|| "newcomer=replace".into()),
+                    hold_key(*hold),
+                    idle_key(idle),
+                ],
+            ),
             Self::Pty { path, link } => (
                 format!("pty://{}", path.as_ref().map_or(String::new(), |p| escape(&p.to_string_lossy()))),
                 vec![link.as_ref().map(|l| format!("link={}", escape(&l.to_string_lossy())))],
@@ -327,6 +400,28 @@ impl<'a> Query<'a> {
         Ok(given.map_or(default, |idle| Some(idle).filter(|idle| !idle.is_zero())))
     }
 
+    fn hold(&mut self) -> Result<Duration, TransportError> {
+        let given = self.take_with("hold", "seconds, 0.001 to 86400", |v| {
+            let seconds = v.parse::<f64>().ok().filter(|s| (0.001..=86_400.0).contains(s))?;
+            Duration::try_from_secs_f64(seconds).ok()
+        })?;
+        Ok(given.unwrap_or(HOLD))
+    }
+
+    fn tcp_listen(mut self) -> Result<SourceUrl, TransportError> {
+        let newcomer = self.take_with("newcomer", "refuse or replace", |v| match v {
+            "refuse" => Some(Newcomer::Refuse),
+            "replace" => Some(Newcomer::Replace),
+            _ => None,
+        })?;
+        Ok(SourceUrl::TcpListen {
+            bind: self.socket_addr()?,
+            newcomer: newcomer.unwrap_or_default(),
+            hold: self.hold()?,
+            idle: self.idle()?,
+        })
+    }
+
     fn target_error(&self, what: &'static str, expected: &str) -> TransportError {
         TransportError::InvalidTarget { url: self.url.into(), what, expected: expected.into() }
     }
@@ -416,6 +511,18 @@ mod tests {
             SourceUrl::Udp {
                 bind: "[::]:7400".parse().unwrap(),
                 from: Some("fe80::1".parse().unwrap()),
+                sender: Sender::One,
+                hold: HOLD,
+                idle: None
+            }
+        );
+        assert_eq!(
+            SourceUrl::parse("udp://0.0.0.0:7400?sender=host&hold=0.25").unwrap(),
+            SourceUrl::Udp {
+                bind: "0.0.0.0:7400".parse().unwrap(),
+                from: None,
+                sender: Sender::Host,
+                hold: Duration::from_millis(250),
                 idle: None
             }
         );
@@ -423,7 +530,12 @@ mod tests {
             SourceUrl::parse("tcp://skin.local:7400").unwrap(),
             SourceUrl::Tcp { address: "skin.local:7400".into(), idle: Some(TCP_IDLE) }
         );
-        let listen = SourceUrl::TcpListen { bind: "0.0.0.0:7400".parse().unwrap(), idle: None };
+        let listen = SourceUrl::TcpListen {
+            bind: "0.0.0.0:7400".parse().unwrap(),
+            newcomer: Newcomer::Refuse,
+            hold: HOLD,
+            idle: None,
+        };
         assert_eq!(SourceUrl::parse("tcp-listen://0.0.0.0:7400").unwrap(), listen);
         assert_eq!(SourceUrl::parse("tcp://0.0.0.0:7400?listen").unwrap(), listen);
         assert_eq!(SourceUrl::parse("pty://").unwrap(), SourceUrl::Pty { path: None, link: None });
@@ -451,12 +563,16 @@ mod tests {
         insta::assert_snapshot!(error("serial://?baud=9600"), @"source `serial://?baud=9600` has no usable path: expected a device file, as in serial:///dev/ttyACM0?baud=115200");
         insta::assert_snapshot!(error("udp://localhost"), @"source `udp://localhost` has no usable address: expected ADDRESS:PORT of this machine, as in 0.0.0.0:7400 or [::]:7400");
         insta::assert_snapshot!(error("tcp://host"), @"source `tcp://host` has no usable address: expected HOST:PORT, as in 192.168.1.20:7400");
+        insta::assert_snapshot!(error("udp://0.0.0.0:7400?sender=two"), @"source `udp://0.0.0.0:7400?sender=two` has sender=two, but sender must be one, host or any");
+        insta::assert_snapshot!(error("tcp://host:7400?newcomer=replace"), @"source `tcp://host:7400?newcomer=replace` has newcomer=replace, but newcomer must be left out without listen: here no client connects");
+        insta::assert_snapshot!(error("tcp-listen://0.0.0.0:1?hold=0"), @"source `tcp-listen://0.0.0.0:1?hold=0` has hold=0, but hold must be seconds, 0.001 to 86400");
         insta::assert_snapshot!(error("replay://b?speed=-1"), @"source `replay://b?speed=-1` has speed=-1, but speed must be 0 (as fast as possible) or a positive factor");
         insta::assert_snapshot!(error("replay://b?speed=1&speed=2"), @"source `replay://b?speed=1&speed=2` gives the key `speed` twice");
     }
 
     fn any_url() -> impl Strategy<Value = SourceUrl> {
         let idle = || proptest::option::of((1u64..86_400_000).prop_map(Duration::from_millis));
+        let hold = || (1u64..86_400_000).prop_map(Duration::from_millis);
         let path = || "/[a-z %?&=é]{1,12}".prop_map(PathBuf::from);
         let addr = || (any::<[u8; 4]>(), any::<u16>()).prop_map(|(ip, port)| SocketAddr::from((ip, port)));
         prop_oneof![
@@ -466,11 +582,18 @@ mod tests {
                     SourceUrl::Serial { path, baud, parity, stop_bits, idle }
                 }
             ),
-            (addr(), proptest::option::of(any::<[u8; 4]>()), idle())
-                .prop_map(|(bind, from, idle)| SourceUrl::Udp { bind, from: from.map(IpAddr::from), idle }),
+            (addr(), proptest::option::of(any::<[u8; 4]>()), 0u8..3, hold(), idle()).prop_map(
+                |(bind, from, sender, hold, idle)| {
+                    let sender = [Sender::One, Sender::Host, Sender::Any][usize::from(sender)];
+                    SourceUrl::Udp { bind, from: from.map(IpAddr::from), sender, hold, idle }
+                }
+            ),
             ("[a-z]{1,8}", 1u16.., idle())
                 .prop_map(|(host, port, idle)| SourceUrl::Tcp { address: format!("{host}:{port}"), idle }),
-            (addr(), idle()).prop_map(|(bind, idle)| SourceUrl::TcpListen { bind, idle }),
+            (addr(), any::<bool>(), hold(), idle()).prop_map(|(bind, replace, hold, idle)| {
+                let newcomer = if replace { Newcomer::Replace } else { Newcomer::Refuse };
+                SourceUrl::TcpListen { bind, newcomer, hold, idle }
+            }),
             proptest::option::of(path()).prop_map(|path| SourceUrl::Pty { path, link: None }),
             path().prop_map(|link| SourceUrl::Pty { path: None, link: Some(link) }),
             (path(), 0.0..100.0, proptest::option::of("/[a-z/]{1,9}"), any::<bool>())

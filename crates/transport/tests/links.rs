@@ -39,6 +39,7 @@ struct Consumer {
     frames: Vec<DecodedFrame>,
     connected: u32,
     reasons: Vec<String>,
+    notices: Vec<(String, bool)>,
     overflows: u64,
     ended: bool,
 }
@@ -49,8 +50,16 @@ impl Consumer {
     }
 
     fn with(source: Source, decoder: impl FrameDecoder + 'static) -> Self {
-        let (frames, reasons) = (Vec::new(), Vec::new());
-        Self { source, decoder: Box::new(decoder), frames, connected: 0, reasons, overflows: 0, ended: false }
+        Self {
+            source,
+            decoder: Box::new(decoder),
+            frames: Vec::new(),
+            connected: 0,
+            reasons: Vec::new(),
+            notices: Vec::new(),
+            overflows: 0,
+            ended: false,
+        }
     }
 
     fn step(&mut self, timeout: Duration) -> bool {
@@ -66,6 +75,12 @@ impl Consumer {
             Some(Event::Disconnected { reason, .. }) => {
                 self.decoder.gap();
                 self.reasons.push(reason);
+            }
+            Some(Event::OtherSender { notice, taken_over }) => {
+                if taken_over {
+                    self.decoder.gap();
+                }
+                self.notices.push((notice, taken_over));
             }
             Some(Event::Ended) => self.ended = true,
             Some(_) => {}
@@ -375,8 +390,8 @@ fn a_silent_tcp_server_is_left_after_the_idle_time() {
 }
 
 #[test]
-fn tcp_clients_come_and_go_and_the_newest_is_the_device() {
-    let mut consumer = Consumer::new(open("tcp-listen://127.0.0.1:0"));
+fn tcp_clients_come_and_go_and_one_that_lost_power_is_replaced() {
+    let mut consumer = Consumer::new(open("tcp-listen://127.0.0.1:0?hold=0.2"));
     let address = wait_for("listening", || consumer.source.stats().endpoint);
     let mut first = TcpStream::connect(&address).unwrap();
     first.write_all(&frame(0)).unwrap();
@@ -397,6 +412,151 @@ fn tcp_clients_come_and_go_and_the_newest_is_the_device() {
     // The dead one is let go.
     dead.set_read_timeout(Some(PATIENCE)).unwrap();
     assert!(matches!(dead.read(&mut [0; 1]), Ok(0) | Err(_)));
+}
+
+/// A device that sends a frame every 2 ms, counting from `first`, until it is dropped or its line is closed.
+struct Sending {
+    stop: std::sync::Arc<std::sync::atomic::AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Sending {
+    fn start(first: u32, mut send: impl FnMut(&[u8]) -> bool + Send + 'static) -> Self {
+        let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+        let stopped = std::sync::Arc::clone(&stop);
+        let thread = std::thread::spawn(move || {
+            for i in first.. {
+                if stopped.load(std::sync::atomic::Ordering::Acquire) || !send(&frame(i)) {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(2));
+            }
+        });
+        Self { stop, thread: Some(thread) }
+    }
+}
+
+impl Drop for Sending {
+    fn drop(&mut self) {
+        self.stop.store(true, std::sync::atomic::Ordering::Release);
+        self.thread.take().unwrap().join().unwrap();
+    }
+}
+
+/// Whether frames came from the first device (numbers below a million) and from the second.
+fn heard_from(frames: &[DecodedFrame]) -> [bool; 2] {
+    let second = |f: &DecodedFrame| f.values[0] >= 1e6;
+    [frames.iter().any(|f| !second(f)), frames.iter().any(second)]
+}
+
+#[test]
+fn a_client_that_sends_is_not_thrown_out_by_a_new_one() {
+    for (option, stays) in [("", true), ("&newcomer=replace", false)] {
+        // Longer than a loaded machine may keep a sender from sending.
+        let mut consumer = Consumer::new(open(&format!("tcp-listen://127.0.0.1:0?hold=3{option}")));
+        let address = wait_for("listening", || consumer.source.stats().endpoint);
+        let mut first = TcpStream::connect(&address).unwrap();
+        let _first = Sending::start(0, move |bytes| first.write_all(bytes).is_ok());
+        consumer.until("frames", |c| c.frames.len() > 10);
+        let mut second = TcpStream::connect(&address).unwrap();
+        let caller = second.local_addr().unwrap();
+        if stays {
+            consumer.until("refusal", |c| !c.notices.is_empty());
+            let (notice, taken_over) = &consumer.notices[0];
+            assert!(
+                notice.starts_with(&format!("the connection from {caller} is refused, because TCP client ")),
+                "{notice}"
+            );
+            assert!(!taken_over && consumer.reasons.is_empty(), "{:?}", consumer.reasons);
+            second.set_read_timeout(Some(PATIENCE)).unwrap();
+            assert!(matches!(second.read(&mut [0; 1]), Ok(0) | Err(_)), "it is told by its end");
+            let before = consumer.frames.len();
+            consumer.until("the first goes on", |c| c.frames.len() > before + 10);
+            let stats = consumer.source.stats();
+            assert_eq!((stats.refused_connections, stats.others), (1, vec![caller]));
+        } else {
+            consumer.until("the change", |c| c.connected == 2);
+            assert!(
+                consumer.reasons[0].contains(&format!("was replaced by a new connection from {caller}")),
+                "{:?}",
+                consumer.reasons
+            );
+            second.write_all(&frame(1_000_000)).unwrap();
+            consumer.until("the second is heard", |c| heard_from(&c.frames)[1]);
+        }
+        consumer.assert_true();
+    }
+}
+
+#[test]
+fn two_senders_on_one_port_are_named_and_not_mixed() {
+    let mut consumer = Consumer::new(open("udp://127.0.0.1:0?hold=1"));
+    consumer.until("bound", |c| c.connected == 1);
+    let address = consumer.source.stats().endpoint.unwrap();
+    let sender = |first: u32| {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let (own, to) = (socket.local_addr().unwrap(), address.clone());
+        (own, Sending::start(first, move |bytes| socket.send_to(bytes, &to).is_ok()))
+    };
+    let (one, first) = sender(0);
+    consumer.until("frames", |c| c.frames.len() > 10);
+    let (two, _second) = sender(1_000_000);
+    consumer.until("it is noticed", |c| !c.notices.is_empty());
+    let (notice, taken_over) = &consumer.notices[0];
+    assert!(
+        notice.contains(&format!("datagrams of {two} are left out, because {one} sends to the same port")),
+        "{notice}"
+    );
+    assert!(!taken_over);
+    let more = consumer.frames.len() + 50;
+    consumer.until("the first goes on", |c| c.frames.len() > more);
+    let stats = consumer.source.stats();
+    assert!(stats.refused_datagrams > 0, "{stats:?}");
+    assert_eq!((stats.peer, stats.others), (Some(one), vec![two]));
+    assert_eq!(heard_from(&consumer.frames), [true, false]);
+
+    drop(first);
+    consumer.until("the second takes over", |c| heard_from(&c.frames)[1]);
+    let (notice, taken_over) = consumer.notices.last().unwrap();
+    assert!(
+        notice.contains(&format!("{two} is read from now on: {one}, which was read, is silent for 1.")),
+        "{notice}"
+    );
+    assert!(taken_over);
+    consumer.assert_true();
+    let first_of_second = consumer.frames.iter().position(|f| f.values[0] >= 1e6).unwrap();
+    assert!(
+        consumer.frames[first_of_second..].iter().all(|f| f.values[0] >= 1e6),
+        "not one frame in between"
+    );
+    assert_eq!(consumer.decoder.stats().rejected.total(), 0);
+}
+
+#[test]
+fn a_device_with_a_new_port_for_every_datagram_can_be_read() {
+    let mut consumer = Consumer::new(open("udp://127.0.0.1:0?sender=host"));
+    consumer.until("bound", |c| c.connected == 1);
+    let address = consumer.source.stats().endpoint.unwrap();
+    for i in 0..20 {
+        UdpSocket::bind("127.0.0.1:0").unwrap().send_to(&frame(i), &address).unwrap();
+    }
+    consumer.until("all frames", |c| c.frames.len() == 20);
+    assert_eq!(consumer.source.stats().refused_datagrams, 0);
+}
+
+#[test]
+fn a_killed_reader_does_not_lock_the_next_one_out_of_a_pseudo_terminal() {
+    // The mark that keeps others from opening a line stays on a pseudo-terminal that its device holds open: nobody takes
+    // it off where the reader is killed. That it does no harm shows to users without privileges only.
+    use std::os::fd::AsRawFd as _;
+    let device = Pty::open().unwrap();
+    let source = open(&format!("serial://{}", device.slave_path().display()));
+    wait_for("connected", || source.stats().connected.then_some(()));
+    let opened = std::fs::File::open(device.slave_path()).unwrap();
+    let mut exclusive: i32 = 1;
+    // SAFETY: the descriptor is open, and the pointer is to a live number.
+    let asked = unsafe { nix::libc::ioctl(opened.as_raw_fd(), nix::libc::TIOCGEXCL, &raw mut exclusive) };
+    assert_eq!((asked, exclusive), (0, 0));
 }
 
 #[test]

@@ -9,9 +9,11 @@ use std::time::{Duration, Instant};
 
 use nix::poll::{PollFd, PollFlags, poll};
 
+use super::queue::{Queue, Refused};
+use super::senders::{Notices, Senders, Verdict};
 use super::serial::{self, Line, Terminal};
-use super::{Reader, Stop, poll_timeout};
-use crate::{Pty, SourceUrl};
+use super::{Reader, poll_timeout};
+use crate::{Newcomer, Pty, SourceUrl};
 
 /// How a read ended.
 pub(super) enum ReadOutcome {
@@ -26,7 +28,7 @@ pub(super) enum ReadOutcome {
 enum Wire {
     Terminal(Terminal),
     Pty(Pty),
-    Udp { socket: UdpSocket, from: Option<IpAddr> },
+    Udp { socket: UdpSocket, senders: Senders },
     Tcp(TcpStream),
 }
 
@@ -41,15 +43,31 @@ impl Wire {
     }
 
     /// Reads what is there; `None` when that was nothing of interest.
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<Option<usize>> {
+    fn read(&mut self, buffer: &mut [u8], queue: &Queue, name: &str) -> io::Result<Option<usize>> {
         match self {
             Self::Terminal(terminal) => terminal.file().read(buffer).map(Some),
             Self::Pty(pty) => pty.try_read(buffer).map(Some),
             Self::Tcp(stream) => stream.read(buffer).map(Some),
-            Self::Udp { socket, from } => {
+            Self::Udp { socket, senders } => {
                 let (n, sender) = socket.recv_from(buffer)?;
-                let wanted = n > 0 && from.is_none_or(|from| from == sender.ip().to_canonical());
-                Ok(wanted.then_some(n))
+                if n == 0 {
+                    return Ok(None);
+                }
+                let told = |text: String| format!("{name}: {text}");
+                match senders.judge(sender, Instant::now()) {
+                    Verdict::Read(None) => return Ok(Some(n)),
+                    Verdict::Read(Some(first)) => queue.reads(first, None),
+                    Verdict::ReadInstead(other, why) => queue.reads(other, Some(told(why))),
+                    Verdict::LeaveOut(notice) => {
+                        queue.left_out(Refused::Datagram(sender), notice.map(told));
+                        return Ok(None);
+                    }
+                    Verdict::NotAskedFor => {
+                        queue.left_out(Refused::Datagram(sender), None);
+                        return Ok(None);
+                    }
+                }
+                Ok(Some(n))
             }
         }
     }
@@ -95,16 +113,21 @@ impl Link {
     }
 
     /// Waits for bytes and reads them.
-    pub(super) fn read(&mut self, buffer: &mut [u8], stop: &Stop, opener: &mut Opener) -> ReadOutcome {
+    pub(super) fn read(&mut self, buffer: &mut [u8], reader: &Reader, opener: &mut Opener) -> ReadOutcome {
         loop {
-            let left = self.idle.map(|idle| idle.saturating_sub(self.last.elapsed()));
+            let mut left = self.idle.map(|idle| idle.saturating_sub(self.last.elapsed()));
             if let (Some(idle), Some(Duration::ZERO)) = (self.idle, left) {
                 return ReadOutcome::Down(format!("{} is silent for {idle:?}", self.name));
+            }
+            match opener.newcomer(self.last, &self.name, &reader.queue) {
+                Decision::Nothing => {}
+                Decision::In(time) => left = Some(left.map_or(time, |left| left.min(time))),
+                Decision::Replace(reason) => return ReadOutcome::Down(reason),
             }
             let (readable, caller) = {
                 let mut fds = vec![
                     PollFd::new(self.wire.fd(), PollFlags::POLLIN),
-                    PollFd::new(stop.0.as_fd(), PollFlags::POLLIN),
+                    PollFd::new(reader.stop.0.as_fd(), PollFlags::POLLIN),
                 ];
                 if let Some(listener) = &opener.listener {
                     fds.push(PollFd::new(listener.as_fd(), PollFlags::POLLIN));
@@ -120,8 +143,11 @@ impl Link {
                 }
                 (any(0), any(2))
             };
+            if caller {
+                opener.accept_now(Some(&self.name), &reader.queue);
+            }
             if readable {
-                match self.wire.read(buffer) {
+                match self.wire.read(buffer, &reader.queue, &self.name) {
                     Ok(Some(0)) => return ReadOutcome::Down(self.wire.down(&self.name, None)),
                     Ok(Some(n)) => {
                         self.last = Instant::now();
@@ -131,31 +157,39 @@ impl Link {
                     Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
                     Err(e) => return ReadOutcome::Down(self.wire.down(&self.name, Some(&e))),
                 }
-            } else if caller {
-                // A device that lost power never says goodbye to its old connection: the newest one is it.
-                match opener.accept_now() {
-                    Some((stream, peer)) => {
-                        let reason = format!("{} was replaced by a new connection from {peer}", self.name);
-                        opener.waiting = Some((stream, peer));
-                        return ReadOutcome::Down(reason);
-                    }
-                    None => continue,
-                }
             }
         }
     }
+}
+
+/// A client that connected while another one is connected.
+struct Waiting {
+    stream: TcpStream,
+    peer: SocketAddr,
+    since: Instant,
+}
+
+/// What becomes of it.
+enum Decision {
+    /// There is none.
+    Nothing,
+    /// That is known after this time.
+    In(Duration),
+    /// It takes the place of the other one, for this reason.
+    Replace(String),
 }
 
 /// Opens the link of a URL, again and again; keeps what outlives a link (a bound port).
 pub(super) struct Opener {
     url: SourceUrl,
     listener: Option<TcpListener>,
-    waiting: Option<(TcpStream, SocketAddr)>,
+    waiting: Option<Waiting>,
+    notices: Notices,
 }
 
 impl Opener {
     pub(super) fn new(url: &SourceUrl) -> Self {
-        Self { url: url.clone(), listener: None, waiting: None }
+        Self { url: url.clone(), listener: None, waiting: None, notices: Notices::default() }
     }
 
     /// A link, the reason why there is none, or `Ok(None)` when it is time to stop.
@@ -178,7 +212,7 @@ impl Opener {
                 let description = format!("pseudo-terminal, write to {name}");
                 Ok(Some(Link::new(Wire::Pty(pty), name, description, None)))
             }
-            SourceUrl::Udp { bind, from, idle } => {
+            SourceUrl::Udp { bind, from, sender, hold, idle } => {
                 let socket = bind_udp(*bind).map_err(|e| explain_bind("UDP", *bind, &e))?;
                 let local = socket.local_addr().unwrap_or(*bind);
                 reader.queue.set_endpoint(local.to_string());
@@ -186,7 +220,7 @@ impl Opener {
                     Some(from) => format!("UDP {local}, from {from}"),
                     None => format!("UDP {local}"),
                 };
-                let wire = Wire::Udp { socket, from: *from };
+                let wire = Wire::Udp { socket, senders: Senders::new(*sender, *hold, *from) };
                 Ok(Some(Link::new(wire, format!("UDP {local}"), description, *idle)))
             }
             SourceUrl::Tcp { address, idle } => {
@@ -197,7 +231,7 @@ impl Opener {
                     Link::new(Wire::Tcp(stream?), format!("TCP {address}"), format!("TCP {address}"), *idle);
                 Ok(Some(link))
             }
-            SourceUrl::TcpListen { bind, idle } => {
+            SourceUrl::TcpListen { bind, idle, .. } => {
                 let (bind, idle) = (*bind, *idle);
                 self.accept(bind, idle, reader)
             }
@@ -222,7 +256,9 @@ impl Opener {
             self.listener = Some(listener);
         }
         loop {
-            if let Some((stream, peer)) = self.waiting.take().or_else(|| self.accept_now()) {
+            self.accept_now(None, &reader.queue);
+            if let Some(Waiting { stream, peer, .. }) = self.waiting.take() {
+                reader.queue.reads(peer, None);
                 let name = format!("TCP client {peer}");
                 return Ok(Some(Link::new(Wire::Tcp(stream), name.clone(), name, idle)));
             }
@@ -239,16 +275,58 @@ impl Opener {
         }
     }
 
-    /// The newest waiting client.
-    fn accept_now(&mut self) -> Option<(TcpStream, SocketAddr)> {
-        let listener = self.listener.as_ref()?;
-        let mut newest = None;
-        while let Ok((stream, peer)) = listener.accept() {
-            if stream.set_nonblocking(true).is_ok() {
-                newest = Some((stream, peer));
+    /// Takes the clients that have called: the newest one waits, and those before it are refused. `other` is connected.
+    fn accept_now(&mut self, other: Option<&str>, queue: &Queue) {
+        while let Some(Ok((stream, peer))) = self.listener.as_ref().map(TcpListener::accept) {
+            if stream.set_nonblocking(true).is_err() {
+                continue;
+            }
+            let newest = Waiting { stream, peer, since: Instant::now() };
+            if let Some(before) = self.waiting.replace(newest) {
+                self.refuse(&before, other.unwrap_or("a newer one"), queue);
             }
         }
-        newest
+    }
+
+    fn refuse(&mut self, waiting: &Waiting, other: &str, queue: &Queue) {
+        let notice = self.notices.count(Instant::now()).map(|more| {
+            format!(
+                "the connection from {} is refused, because {other} is connected and sends: give each device a port of \
+                 its own, or let the newest be the device with newcomer=replace{more}",
+                waiting.peer
+            )
+        });
+        queue.left_out(Refused::Client(waiting.peer), notice);
+    }
+
+    /// Decides on a client that waits, where the one that is connected sent at `last` for the last time.
+    ///
+    /// A device that lost power never says goodbye to its old connection, and calls again: its old connection is silent
+    /// from then on. A second device, and one that only looks what is there, calls while the first one sends.
+    fn newcomer(&mut self, last: Instant, other: &str, queue: &Queue) -> Decision {
+        let (Some(waiting), SourceUrl::TcpListen { newcomer, hold, .. }) = (&self.waiting, &self.url) else {
+            return Decision::Nothing;
+        };
+        let replaced = || format!("{other} was replaced by a new connection from {}", waiting.peer);
+        if *newcomer == Newcomer::Replace {
+            return Decision::Replace(replaced());
+        }
+        let silent = last.elapsed();
+        if silent >= *hold {
+            return Decision::Replace(format!(
+                "{}: it is silent for {:.1} s",
+                replaced(),
+                silent.as_secs_f64()
+            ));
+        }
+        // What had arrived before it called may be read after.
+        if last > waiting.since + *hold / 10 {
+            if let Some(waiting) = self.waiting.take() {
+                self.refuse(&waiting, other, queue);
+            }
+            return Decision::Nothing;
+        }
+        Decision::In(*hold - silent)
     }
 }
 

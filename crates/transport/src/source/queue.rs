@@ -1,6 +1,7 @@
 //! The queue between the reader thread and the consumer: bounded in bytes, in pieces and in status events.
 
 use std::collections::VecDeque;
+use std::net::SocketAddr;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -8,6 +9,15 @@ use bytes::Bytes;
 use tokio::sync::Notify;
 
 use super::{Event, SourceStats};
+
+/// Addresses of others that are remembered.
+const OTHERS: usize = 8;
+/// What is left out, and whose it is.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Refused {
+    Datagram(SocketAddr),
+    Client(SocketAddr),
+}
 
 /// Status events that wait for the consumer; a link that flaps while nobody listens must not fill the memory.
 const STATUS_LIMIT: usize = 64;
@@ -150,6 +160,7 @@ impl Queue {
         let mut state = self.state();
         state.stats.connects += 1;
         state.stats.connected = true;
+        state.stats.peer = None;
         state.push_status(Event::Connected { description: description.to_owned() });
         self.wake(state);
     }
@@ -159,6 +170,43 @@ impl Queue {
         state.stats.endpoint = Some(endpoint.clone());
         state.push_status(Event::Listening { endpoint });
         self.wake(state);
+    }
+
+    /// Something that `who` sent, or its connection, is left out.
+    pub(super) fn left_out(&self, who: Refused, notice: Option<String>) {
+        let mut state = self.state();
+        let address = match who {
+            Refused::Datagram(address) => {
+                state.stats.refused_datagrams += 1;
+                address
+            }
+            Refused::Client(address) => {
+                state.stats.refused_connections += 1;
+                address
+            }
+        };
+        let others = &mut state.stats.others;
+        if !others.contains(&address) {
+            if others.len() >= OTHERS {
+                others.remove(0);
+            }
+            others.push(address);
+        }
+        if let Some(notice) = notice {
+            state.push_status(Event::OtherSender { notice, taken_over: false });
+            self.wake(state);
+        }
+    }
+
+    /// From now on `peer` is read; a notice where it was another one.
+    pub(super) fn reads(&self, peer: SocketAddr, notice: Option<String>) {
+        let mut state = self.state();
+        state.stats.peer = Some(peer);
+        state.stats.others.retain(|other| *other != peer);
+        if let Some(notice) = notice {
+            state.push_status(Event::OtherSender { notice, taken_over: true });
+            self.wake(state);
+        }
     }
 
     pub(super) fn set_endpoint(&self, endpoint: String) {

@@ -79,8 +79,12 @@ pub(super) fn open_serial(path: &Path, line: &Line) -> Result<Terminal, String> 
     let file = open_raw(path, Some(line))?;
     let file = Flock::lock(file, FlockArg::LockExclusiveNonblock)
         .map_err(|(_, errno)| explain(path, &io::Error::from(errno)))?;
-    // SAFETY: the descriptor is open, and this request takes no argument.
-    unsafe { ioctl::tiocexcl(file.as_raw_fd()) }.map_err(|e| explain(path, &io::Error::from(e)))?;
+    // A pseudo-terminal is held open by the device at its other end, so that the mark would outlive a reader that is
+    // killed, and lock out the next one for ever. The lock does not.
+    if !nix::unistd::ttyname(&*file).is_ok_and(|name| name.starts_with("/dev/pts")) {
+        // SAFETY: the descriptor is open, and this request takes no argument.
+        unsafe { ioctl::tiocexcl(file.as_raw_fd()) }.map_err(|e| explain(path, &io::Error::from(e)))?;
+    }
     set_baud(&file, line.baud)
         .map_err(|e| format!("{} does not take {} baud: {e}", path.display(), line.baud))?;
     tcflush(&*file, FlushArg::TCIFLUSH).map_err(|e| explain(path, &io::Error::from(e)))?;
