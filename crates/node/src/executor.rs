@@ -35,6 +35,7 @@ struct Shared {
 pub(crate) struct Executor {
     shared: Arc<Shared>,
     threads: Mutex<Vec<JoinHandle<()>>>,
+    ids: Vec<ThreadId>,
 }
 
 impl Executor {
@@ -44,13 +45,19 @@ impl Executor {
             wake: Condvar::new(),
             stopped: AtomicBool::new(false),
         });
-        let executor = Self { shared, threads: Mutex::new(Vec::new()) };
+        let mut executor = Self { shared, threads: Mutex::new(Vec::new()), ids: Vec::new() };
         for _ in 0..threads.max(1) {
             let shared = Arc::clone(&executor.shared);
             let thread = std::thread::Builder::new().name(name.to_owned()).spawn(move || work(&shared))?;
+            executor.ids.push(thread.thread().id());
             lock(&executor.threads).push(thread);
         }
         Ok(executor)
+    }
+
+    /// Whether the calling thread is one of its threads, so that its end must not be waited for.
+    pub(crate) fn is_inside(&self) -> bool {
+        self.ids.contains(&std::thread::current().id())
     }
 
     /// A queue whose items go to `handler`. `depth` bounds it, dropping the oldest.

@@ -2,7 +2,10 @@
 //! “Managed nodes” has it, with the standard services to drive it.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError};
+use std::thread::ThreadId;
+use std::time::Duration;
 
 use dermis_msgs::lifecycle_msgs::msg::{
     State as StateMsg, Transition as TransitionMsg, TransitionDescription, TransitionEvent,
@@ -140,14 +143,21 @@ impl Transition {
     }
 }
 
+/// Longest wait of a node that ends for a transition that still runs.
+const TRANSITION_WAIT: Duration = Duration::from_secs(5);
+
 type Callback = Box<dyn FnMut(State) -> Result<(), String> + Send>;
 type EventSink = Box<dyn Fn(TransitionEvent) + Send + Sync>;
 
 struct Inner {
     node: String,
     state: Mutex<State>,
-    /// Held during a transition.
-    changing: Mutex<()>,
+    /// The thread that takes a transition now.
+    taking: Mutex<Option<ThreadId>>,
+    /// Told when a transition is over.
+    idle: Condvar,
+    /// A callback of the running transition asked for the end of the node.
+    end_asked: AtomicBool,
     callbacks: Mutex<Vec<(Transition, Callback)>>,
     events: OnceLock<EventSink>,
     now: Box<dyn Fn() -> i64 + Send + Sync>,
@@ -162,7 +172,9 @@ impl Lifecycle {
         Self(Arc::new(Inner {
             node,
             state: Mutex::new(State::Unconfigured),
-            changing: Mutex::new(()),
+            taking: Mutex::new(None),
+            idle: Condvar::new(),
+            end_asked: AtomicBool::new(false),
             callbacks: Mutex::new(Vec::new()),
             events: OnceLock::new(),
             now,
@@ -197,9 +209,55 @@ impl Lifecycle {
     ///
     /// When the transition cannot be taken from here, another one is running, or a callback fails.
     pub fn take(&self, transition: Transition) -> Result<State, NodeError> {
-        let Ok(_changing) = self.0.changing.try_lock() else {
-            return Err(self.refused(transition, "another transition is running".to_owned()));
-        };
+        {
+            let mut taking = lock(&self.0.taking);
+            if taking.is_some() {
+                return Err(self.refused(transition, "another transition is running".to_owned()));
+            }
+            *taking = Some(std::thread::current().id());
+        }
+        let _taking = Taking(self);
+        self.take_alone(transition)
+    }
+
+    /// Takes the node to Finalized because it ends: after the transition that runs, if one does, which may be the one
+    /// to Finalized. Does nothing where the node is there.
+    ///
+    /// Called from a callback of a transition, which cannot wait for itself, it lets that transition end in Finalized.
+    ///
+    /// # Errors
+    ///
+    /// When a callback of the shutdown fails, or a transition does not end within [`TRANSITION_WAIT`].
+    pub(crate) fn end(&self) -> Result<(), NodeError> {
+        let me = std::thread::current().id();
+        {
+            let taking = lock(&self.0.taking);
+            if *taking == Some(me) {
+                self.0.end_asked.store(true, Ordering::Release);
+                return Ok(());
+            }
+            let busy = |taking: &mut Option<ThreadId>| taking.is_some();
+            let (mut taking, timeout) = self
+                .0
+                .idle
+                .wait_timeout_while(taking, TRANSITION_WAIT, busy)
+                .unwrap_or_else(PoisonError::into_inner);
+            if timeout.timed_out() {
+                let reason = format!("another transition does not end within {TRANSITION_WAIT:?}");
+                return Err(self.refused(Transition::Shutdown, reason));
+            }
+            *taking = Some(me);
+        }
+        let _taking = Taking(self);
+        if self.state() == State::Finalized {
+            Ok(())
+        } else {
+            self.take_alone(Transition::Shutdown).map(drop)
+        }
+    }
+
+    /// A transition on the thread that has noted itself as the one that takes it.
+    fn take_alone(&self, transition: Transition) -> Result<State, NodeError> {
         let from = self.state();
         let Some(goal) = transition.goal(from) else {
             return Err(self.refused(transition, format!("possible are: {}", possible(from))));
@@ -216,13 +274,24 @@ impl Lifecycle {
                 break;
             }
         }
-        {
+        let end_asked = self.0.end_asked.load(Ordering::Acquire);
+        if end_asked {
+            // The node has ended meanwhile, and its callbacks may hold it: they are not put back.
+            drop(callbacks);
+            self.clear_callbacks();
+        } else {
             // Callbacks that were added meanwhile come last.
             let mut current = lock(&self.0.callbacks);
             callbacks.append(&mut current);
             *current = callbacks;
         }
-        let reached = if failure.is_none() || transition == Transition::Shutdown { goal } else { from };
+        let reached = if end_asked {
+            State::Finalized
+        } else if failure.is_none() || transition == Transition::Shutdown {
+            goal
+        } else {
+            from
+        };
         *lock(&self.0.state) = reached;
         self.event(transition, from, transition.transient(), reached.to_msg());
         match failure {
@@ -315,6 +384,16 @@ impl Lifecycle {
     }
 }
 
+/// Notes that no transition runs any more.
+struct Taking<'a>(&'a Lifecycle);
+
+impl Drop for Taking<'_> {
+    fn drop(&mut self) {
+        *lock(&self.0.0.taking) = None;
+        self.0.0.idle.notify_all();
+    }
+}
+
 fn possible(from: State) -> String {
     let labels: Vec<_> =
         Transition::ALL.into_iter().filter(|t| t.goal(from).is_some()).map(Transition::label).collect();
@@ -366,6 +445,47 @@ mod tests {
         assert_eq!(life.state(), State::Unconfigured);
         assert!(life.take(Transition::Shutdown).is_err());
         assert_eq!(life.state(), State::Finalized);
+    }
+
+    #[test]
+    fn the_end_of_a_node_waits_for_the_transition_that_runs() {
+        let life = lifecycle();
+        let (entered_tx, entered) = std::sync::mpsc::channel();
+        let (go, gate) = std::sync::mpsc::channel::<()>();
+        life.on(Transition::Configure, move |_| {
+            entered_tx.send(()).unwrap();
+            gate.recv_timeout(Duration::from_secs(20)).map_err(|e| e.to_string())
+        });
+        let ended = Arc::new(Mutex::new(Vec::new()));
+        let order = Arc::clone(&ended);
+        life.on(Transition::Shutdown, move |from| {
+            lock(&order).push(from);
+            Ok(())
+        });
+        std::thread::scope(|scope| {
+            scope.spawn(|| life.take(Transition::Configure).unwrap());
+            entered.recv_timeout(Duration::from_secs(20)).unwrap();
+            let end = scope.spawn(|| life.end());
+            // What anybody else asks for meanwhile is refused, as before.
+            insta::assert_snapshot!(
+                life.take(Transition::Shutdown).unwrap_err(),
+                @"cannot shutdown node /palm in state unconfigured: another transition is running"
+            );
+            go.send(()).unwrap();
+            end.join().unwrap().unwrap();
+        });
+        assert_eq!((life.state(), lock(&ended).clone()), (State::Finalized, vec![State::Inactive]));
+        life.end().unwrap();
+        assert_eq!(lock(&ended).len(), 1, "an end that is reached is not taken again");
+    }
+
+    #[test]
+    fn a_callback_that_ends_the_node_does_not_wait_for_itself() {
+        let life = lifecycle();
+        let own = life.clone();
+        life.on(Transition::Configure, move |_| own.end().map_err(|e| e.to_string()));
+        assert_eq!(life.take(Transition::Configure).unwrap(), State::Finalized);
+        assert_eq!(Arc::strong_count(&life.0), 1, "the callback is gone with what it holds");
     }
 
     #[test]

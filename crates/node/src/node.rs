@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError, Weak};
-use std::thread::JoinHandle;
+use std::thread::{JoinHandle, ThreadId};
 use std::time::{Duration, Instant};
 
 use dermis_msgs::builtin_interfaces::msg::Time;
@@ -22,7 +22,7 @@ use crate::clock::Clock;
 use crate::diagnostics::{Diagnostics, Level, Status};
 use crate::error::NodeError;
 use crate::executor::{Executor, Lane, lock};
-use crate::lifecycle::{Lifecycle, State, Transition};
+use crate::lifecycle::Lifecycle;
 use crate::names::{NameKind, Names};
 use crate::options::NodeOptions;
 use crate::parameters::{ParameterDescriptor, ParameterValue, Parameters};
@@ -35,6 +35,8 @@ use crate::watch::{OwnEndpoint, Problem, ProblemKind, problems};
 const GRAPH_PERIOD: Duration = Duration::from_secs(1);
 /// Changes of the graph come in bursts; one look is enough for each.
 const GRAPH_QUIET: Duration = Duration::from_millis(20);
+/// Longest wait of a second caller of `shutdown` for the first one.
+const CLOSE_WAIT: Duration = Duration::from_secs(10);
 /// Period of `/diagnostics`.
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
 
@@ -198,6 +200,14 @@ struct Shared {
     kept: Mutex<Vec<Box<dyn Any + Send>>>,
     keeper: Mutex<Option<JoinHandle<()>>>,
     ended: tokio::sync::watch::Sender<bool>,
+    closing: (Mutex<Closing>, Condvar),
+}
+
+/// How far the end of a node is.
+#[derive(Default)]
+struct Closing {
+    by: Option<ThreadId>,
+    done: bool,
 }
 
 /// What clones of a node share; threads of the node hold [`Shared`] only, so that the last clone shuts the
@@ -292,6 +302,7 @@ impl Node {
             kept: Mutex::default(),
             keeper: Mutex::default(),
             ended: tokio::sync::watch::Sender::new(false),
+            closing: Default::default(),
         });
         let node = Self(Arc::new(Handle(shared)));
         node.start_log()?;
@@ -570,7 +581,8 @@ impl Node {
     }
 
     /// Leaves the domain: takes a managed node to Finalized, withdraws all endpoints and waits for running
-    /// callbacks. No callback is called and no message sent afterwards. A second call does nothing.
+    /// callbacks. No callback is called and no message sent afterwards. A transition that runs is waited for, and the
+    /// node is Finalized after it. A second call waits for the end of the first one, except in a callback.
     pub fn shutdown(&self) {
         self.0.shutdown();
     }
@@ -867,18 +879,17 @@ impl Shared {
 
     fn shutdown(&self) {
         let lifecycle = lock(&self.lifecycle).clone();
-        if self.core.closed.load(Ordering::Acquire) {
-            return;
-        }
-        if let Some(lifecycle) = lifecycle
-            && lifecycle.state() != State::Finalized
-            && let Err(error) = lifecycle.take(Transition::Shutdown)
+        if !self.core.closed.load(Ordering::Acquire)
+            && let Some(lifecycle) = lifecycle
+            && let Err(error) = lifecycle.end()
         {
             tracing::warn!("{error}");
         }
         if self.core.closed.swap(true, Ordering::AcqRel) {
+            self.wait_until_gone();
             return;
         }
+        lock(&self.closing.0).by = Some(std::thread::current().id());
         lock(&self.core.alarm.state).stop = true;
         self.core.alarm.wake.notify_all();
         let keeper = lock(&self.keeper).take();
@@ -907,6 +918,22 @@ impl Shared {
             lifecycle.clear_callbacks();
         }
         self.ended.send_replace(true);
+        lock(&self.closing.0).done = true;
+        self.closing.1.notify_all();
+    }
+
+    /// Waits for another thread that shuts the node down: a program that goes on would end in the middle of it, and leave
+    /// its names in the graph of others until they miss it. Not in a callback, which that thread waits for, nor in that
+    /// thread itself, where the last clone of the node goes with the callbacks that are dropped.
+    fn wait_until_gone(&self) {
+        if self.core.executor.is_inside() || self.core.system.is_inside() {
+            return;
+        }
+        let me = std::thread::current().id();
+        let (closing, told) = &self.closing;
+        let unfinished = |closing: &mut Closing| !closing.done && closing.by != Some(me);
+        let waited = told.wait_timeout_while(lock(closing), CLOSE_WAIT, unfinished);
+        drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 }
 
