@@ -3,7 +3,10 @@
 use std::io::IsTerminal;
 
 use clap::ValueEnum;
-use tracing_subscriber::EnvFilter;
+use dermis_perception::cli::log_limit::{self, LogLimit};
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, Layer as _};
 
 /// How log lines are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -40,24 +43,29 @@ impl Format {
     }
 }
 
-/// Writes log lines to standard error, from `level` on where the environment does not say otherwise.
-pub fn start(format: Format, level: &str) {
+/// Writes log lines to standard error, from `level` on where the environment does not say otherwise, and not too many of
+/// one kind; what was left out is said by [`LogLimit::finish`] at the end.
+pub fn start(format: Format, level: &str) -> LogLimit {
     let filter = filter(std::env::var(FILTER).ok().as_deref(), level);
-    let lines = tracing_subscriber::fmt()
-        .with_env_filter(EnvFilter::try_new(filter).unwrap_or_else(|_| EnvFilter::new(level)))
-        .with_writer(std::io::stderr);
-    match format {
-        Format::Human => lines.with_ansi(std::io::stderr().is_terminal()).init(),
-        Format::Json => lines.json().init(),
-    }
+    let filter = EnvFilter::try_new(filter).unwrap_or_else(|_| EnvFilter::new(level));
+    let limit = LogLimit::default();
+    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    let lines = match format {
+        Format::Human => lines.with_ansi(std::io::stderr().is_terminal()).boxed(),
+        Format::Json => lines.json().boxed(),
+    };
+    tracing_subscriber::registry().with(filter).with(limit.clone()).with(lines).init();
+    limit
 }
 
 /// A level alone is one for us; whoever writes a filter wants that filter.
 fn filter(asked: Option<&str>, level: &str) -> String {
+    // How many lines were left out is said of those that pass the rest of the filter.
+    let counts = format!("{}=info", log_limit::TARGET);
     match asked {
-        Some(filter) if filter.contains(['=', ',']) => filter.to_owned(),
-        Some(level) if !level.is_empty() => format!("{level},{QUIET}"),
-        _ => format!("{level},{QUIET}"),
+        Some(filter) if filter.contains(['=', ',']) => format!("{filter},{counts}"),
+        Some(level) if !level.is_empty() => format!("{level},{QUIET},{counts}"),
+        _ => format!("{level},{QUIET},{counts}"),
     }
 }
 
@@ -67,10 +75,11 @@ mod tests {
 
     #[test]
     fn a_level_keeps_the_network_quiet_and_a_filter_is_taken_as_it_is() {
-        assert_eq!(filter(Some("debug"), "info"), format!("debug,{QUIET}"));
-        assert_eq!(filter(Some("zenoh=debug"), "info"), "zenoh=debug");
-        assert_eq!(filter(None, "warn"), format!("warn,{QUIET}"));
-        assert_eq!(filter(Some(""), "warn"), format!("warn,{QUIET}"));
+        let counts = "dermis::left_out=info";
+        assert_eq!(filter(Some("debug"), "info"), format!("debug,{QUIET},{counts}"));
+        assert_eq!(filter(Some("zenoh=debug"), "info"), format!("zenoh=debug,{counts}"));
+        assert_eq!(filter(None, "warn"), format!("warn,{QUIET},{counts}"));
+        assert_eq!(filter(Some(""), "warn"), format!("warn,{QUIET},{counts}"));
         for text in [filter(None, "info"), filter(Some("off"), "info")] {
             EnvFilter::try_new(text).unwrap();
         }

@@ -131,7 +131,7 @@ fn main() -> ExitCode {
             return ExitCode::FAILURE;
         }
     };
-    log::start(format, level);
+    let limit = log::start(format, level);
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
         Command::Barodome(options) => block_on(nodes::run(&dermis_barodome::FAMILY, *options)),
@@ -164,13 +164,15 @@ fn main() -> ExitCode {
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
     };
-    match done {
+    let code = match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             report(&error, format);
             ExitCode::FAILURE
         }
-    }
+    };
+    limit.finish();
+    code
 }
 
 /// One sentence, then its causes, each once: a cause that its effect already quotes is not repeated.

@@ -1,10 +1,15 @@
 //! The node's options on a command line, and the program of a family.
 
+pub mod log_limit;
+
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Command, FromArgMatches};
 use dermis_node::HirozBackend;
+use log_limit::LogLimit;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::{Config, ConfigError, Sensor};
 
@@ -67,13 +72,17 @@ impl Arguments {
 pub fn program(sensor: &Sensor, name: &'static str, version: &'static str, about: &'static str) -> ExitCode {
     let options = Arguments::augment_args(Command::new(name).version(version).about(about)).get_matches();
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let limit = LogLimit::default();
+    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    tracing_subscriber::registry().with(filter).with(limit.clone()).with(lines).init();
     let run = || -> Result<(), Box<dyn std::error::Error>> {
         let config = Arguments::from_arg_matches(&options)?.into_config()?;
         let runtime = tokio::runtime::Runtime::new()?;
         Ok(runtime.block_on(sensor.run(&config, &HirozBackend::default()))?)
     };
-    match run() {
+    let done = run();
+    limit.finish();
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("{name}: {error}");
