@@ -8,6 +8,7 @@ mod model;
 mod node;
 mod publish;
 mod recording;
+mod restart;
 mod sampling;
 mod shell;
 mod soak;
@@ -48,6 +49,8 @@ enum Command {
     Publish(publish::Options),
     /// A long run of four skins and a recorder: memory, losses, latency.
     Soak(soak::Options),
+    /// From `kill -9` of a node under `launch` to its contacts.
+    Restart(restart::Options),
     /// What the disk takes, and the recorder on it: from its queue to the file, and over the bus.
     Recording(recording::Options),
     /// Used by the others: a process that publishes.
@@ -68,6 +71,7 @@ fn main() -> Result<()> {
         Command::Limb(options) => limb::run(&options)?,
         Command::Publish(options) => publish::run(&options)?,
         Command::Soak(options) => soak::run(&options)?,
+        Command::Restart(options) => restart::run(&options)?,
         Command::Recording(options) => recording::run(&options)?,
         Command::RecordingSource(options) => return recording::source(&options),
         Command::Subscriber(options) => return subscriber::run(&options),

@@ -35,6 +35,8 @@ pub enum Measurement {
     Limb,
     /// One and two contacts on a limb with the default effects: all ways, learned from recorded single contacts.
     Real2sim,
+    /// Seconds from `kill -9` of a node under `launch` to the contacts of the one that comes after it.
+    Restart,
     /// The diagnosis of gaps on packs with withheld causes, for the row of barometers, the pad and the limb.
     Gap,
 }
@@ -58,6 +60,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Limb => limb(root)?,
         Measurement::Real2sim => real2sim(root)?,
         Measurement::Gap => gap(root)?,
+        Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
     };
     println!("{value}");
@@ -290,6 +293,13 @@ fn gap(root: &Path) -> Result<Value> {
         found.insert(name.to_owned(), serde_json::from_slice(&summary)?);
     }
     Ok(Value::Object(found))
+}
+
+/// Kills a node under `launch`, and waits for its contacts.
+fn restart(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
+    let bench = target_dir(root).join("release/dermis-bench");
+    evaluation(Command::new(bench).arg("restart").current_dir(root))
 }
 
 fn real2sim(root: &Path) -> Result<Value> {
