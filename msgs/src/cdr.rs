@@ -121,15 +121,7 @@ pub fn encode<T: Cdr>(message: &T, out: Vec<u8>) -> Vec<u8> {
 /// # Errors
 /// Says what is wrong and where.
 pub fn decode<T: Cdr>(bytes: &[u8]) -> Result<T, CdrErrorKind> {
-    let Some((header, payload)) = bytes.split_at_checked(LITTLE_ENDIAN_HEADER.len()) else {
-        return Err(CdrErrorKind::NoHeader { length: bytes.len() });
-    };
-    let little_endian = match header {
-        [0, 0, ..] => false,
-        [0, 1, ..] => true,
-        _ => return Err(CdrErrorKind::Encapsulation { first: header[0], second: header[1] }),
-    };
-    let mut reader = Reader { payload, at: 0, little_endian, field: "" };
+    let mut reader = Reader::of(bytes)?;
     let message = T::read(&mut reader)?;
     // Fast RTPS hands out serialised messages with as many bytes as it had estimated, and it estimates up to 4 bytes of
     // padding too many for each empty sequence, which has 4 bytes itself.
@@ -208,6 +200,19 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
+    /// Reads the encapsulation header.
+    pub(crate) fn of(bytes: &'a [u8]) -> Result<Self, CdrErrorKind> {
+        let Some((header, payload)) = bytes.split_at_checked(LITTLE_ENDIAN_HEADER.len()) else {
+            return Err(CdrErrorKind::NoHeader { length: bytes.len() });
+        };
+        let little_endian = match header {
+            [0, 0, ..] => false,
+            [0, 1, ..] => true,
+            _ => return Err(CdrErrorKind::Encapsulation { first: header[0], second: header[1] }),
+        };
+        Ok(Self { payload, at: 0, little_endian, field: "" })
+    }
+
     /// Names the field that is read next, for errors.
     pub fn enter(&mut self, field: &'static str) {
         self.field = field;

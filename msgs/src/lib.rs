@@ -64,10 +64,12 @@
 
 pub mod cdr;
 mod json;
+mod skin;
 mod support;
 mod time;
 
 pub use cdr::{CdrError, CdrErrorKind};
+pub use skin::{OF_A_SKIN, SkinNames};
 pub use support::{
     Message, Service, ServiceSupport, TypeSupport, service_support, service_supports, type_support,
     type_supports,
