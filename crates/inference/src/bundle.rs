@@ -2,7 +2,7 @@
 //! `correction.json` where a forward model was corrected by what was recorded, and, for people, `card.json`.
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use dermis_inversion::Correction;
@@ -24,6 +24,8 @@ const MODEL: &str = "model.onnx";
 const SENSITIVITY: &str = "sensitivity.onnx";
 const CORRECTION: &str = "correction.json";
 const CARD: &str = "card.json";
+/// \[bytes\] longest file of a correction: a device has thousands of channels at most.
+const LONGEST_CORRECTION: u64 = 64 << 20;
 
 /// A bundle that cannot be used or written, and why.
 #[derive(Debug, thiserror::Error)]
@@ -192,7 +194,7 @@ impl Bundle {
             reason: "is not UTF-8 text".into(),
         })?;
         let manifest = Manifest::from_toml(&text, &manifest_path.display().to_string())?;
-        fits(path, &manifest.skin, &SkinSection::of(skin))?;
+        fits(path, &manifest.skin, skin)?;
         let graph = read_graph(path, MODEL, "model", &manifest.model)?;
         let sensitivity = match &manifest.peaks {
             Some(peaks) => Some(read_graph(path, SENSITIVITY, "peaks.sensitivity", &peaks.sensitivity)?),
@@ -202,7 +204,11 @@ impl Bundle {
             Some(section) => {
                 let bytes =
                     read_whole(path, CORRECTION, "correction", (section.bytes, section.hash.as_str()))?;
-                let correction = correction::decode(&bytes, &manifest.skin)
+                let same = |other: &SkinSection| {
+                    other.hash.eq_ignore_ascii_case(&manifest.skin.hash)
+                        || skin.is_type(&other.hash, &other.name)
+                };
+                let correction = correction::decode(&bytes, &manifest.skin, same)
                     .map_err(|source| BundleError::Correction { path: path.join(CORRECTION), source })?;
                 Some(correction)
             }
@@ -215,6 +221,27 @@ impl Bundle {
     #[must_use]
     pub fn correction(&self) -> Option<&Correction> {
         self.correction.as_ref()
+    }
+
+    /// Takes the correction of one device of this type from a file of its own, in place of the bundle's: a `correction.json` as
+    /// `dermis refine --correct` writes it.
+    ///
+    /// # Errors
+    ///
+    /// [`BundleError`] where the file cannot be read, or was learned on another type of skin.
+    pub fn take_correction(&mut self, file: &Path, skin: &SkinDescription) -> Result<(), BundleError> {
+        let failed = |source| BundleError::Io { path: file.to_owned(), action: "read", source };
+        let mut bytes = Vec::new();
+        let opened = std::fs::File::open(file).map_err(failed)?;
+        opened.take(LONGEST_CORRECTION + 1).read_to_end(&mut bytes).map_err(failed)?;
+        let read = if bytes.len() as u64 > LONGEST_CORRECTION {
+            Err(CorrectionError::Parse(format!("is longer than {LONGEST_CORRECTION} bytes")))
+        } else {
+            correction::decode(&bytes, &self.manifest.skin, |other| skin.is_type(&other.hash, &other.name))
+        };
+        let correction = read.map_err(|source| BundleError::Correction { path: file.to_owned(), source })?;
+        self.correction = Some(correction);
+        Ok(())
     }
 
     /// Folder that it was read from.
@@ -375,11 +402,13 @@ fn hash(bytes: &[u8]) -> String {
     format!("sha256:{hex}")
 }
 
-fn fits(path: &Path, bundle: &SkinSection, skin: &SkinSection) -> Result<(), BundleError> {
+/// A bundle fits every device of the type that it was trained for, whatever the skin file or the device is called.
+fn fits(path: &Path, bundle: &SkinSection, description: &SkinDescription) -> Result<(), BundleError> {
+    let skin = SkinSection::of(description);
     let unit = (bundle.unit != skin.unit)
         .then(|| format!("the bundle's unit is \"{}\" and the skin's is \"{}\"", bundle.unit, skin.unit));
     let channels = channel_difference(&bundle.channels, &skin.channels);
-    if bundle.hash.eq_ignore_ascii_case(&skin.hash) {
+    if description.is_type(&bundle.hash, &bundle.name) {
         let contradiction = channels.map(|d| ("skin.channels", d)).or(unit.map(|d| ("skin.unit", d)));
         return contradiction.map_or(Ok(()), |(field, difference)| {
             Err(BundleError::Contradiction {
@@ -393,7 +422,7 @@ fn fits(path: &Path, bundle: &SkinSection, skin: &SkinSection) -> Result<(), Bun
     let mut differences: Vec<String> = channels.into_iter().chain(unit).collect();
     if differences.is_empty() {
         differences.push(
-            "channels and unit are the same, but the name, surface, taxel positions, ranges, noise or medium differ"
+            "channels and unit are the same, but the surface, taxel positions, ranges, noise or medium differ"
                 .into(),
         );
     }

@@ -81,15 +81,19 @@ pub(crate) fn encode(correction: &Correction, skin: &SkinSection) -> Result<Stri
     serde_json::to_string(&file).map(|text| text + "\n")
 }
 
-/// Reads the file of a bundle for `skin`.
-pub(crate) fn decode(bytes: &[u8], skin: &SkinSection) -> Result<Correction, CorrectionError> {
+/// Reads the file of a bundle for `skin`; `same` says whether the skin that a correction was learned on is that one.
+pub(crate) fn decode(
+    bytes: &[u8],
+    skin: &SkinSection,
+    same: impl FnOnce(&SkinSection) -> bool,
+) -> Result<Correction, CorrectionError> {
     let file: File = serde_json::from_slice(bytes)
         .map_err(|e| CorrectionError::Parse(format!("cannot be read as a correction: {e}")))?;
     if file.schema != SCHEMA {
         let reason = format!("field `schema` is \"{}\" where this program reads \"{SCHEMA}\"", file.schema);
         return Err(CorrectionError::Parse(reason));
     }
-    if !file.skin.hash.eq_ignore_ascii_case(&skin.hash) {
+    if !same(&file.skin) {
         return Err(CorrectionError::AnotherSkin {
             found: file.skin.name,
             found_hash: file.skin.hash,

@@ -28,9 +28,9 @@ pub enum Baseline {
 /// The skin that a model was trained for.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SkinSection {
-    /// Its name.
+    /// Name of the type.
     pub name: String,
-    /// Its [hash](SkinDescription::hash).
+    /// Its [hash](SkinDescription::hash); that of earlier versions covered `name`.
     pub hash: String,
     /// Unit of its readings.
     pub unit: String,
@@ -43,7 +43,7 @@ impl SkinSection {
     #[must_use]
     pub fn of(skin: &SkinDescription) -> Self {
         Self {
-            name: skin.name.clone(),
+            name: skin.type_name().to_owned(),
             hash: skin.hash(),
             unit: skin.unit.clone(),
             channels: skin.channels().iter().map(|c| c.name.clone()).collect(),

@@ -238,8 +238,12 @@ impl Default for Condition {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SkinDescription {
     schema: String,
-    /// Unique on the robot; lower case letters, digits, `-` and `_`.
+    /// Of the type: lower case letters, digits, `-` and `_`. Of the device, unique on the robot, once it is an
+    /// [instance](Self::into_instance).
     pub name: String,
+    /// Name of the file's, where `name` is that of an instance.
+    #[serde(skip)]
+    pub(crate) type_name: Option<String>,
     /// Which sensor family reads it: a name in the program's registry.
     pub sensor: String,
     /// Free text.
@@ -584,26 +588,42 @@ impl SkinDescription {
         Surface::from_spec(&self.surface)
     }
 
-    /// Identity of the physical skin: `sha256:` and 64 hex digits over name, sensor family, unit, surface,
-    /// taxels, channels and medium. What does not change the physics (text, rate, wire, cleaning, link) does
-    /// not change the hash, nor do comments and formatting; nor do effects, which say what a device of this design is
-    /// really like, so that a model that was trained on the design can be tried on the device.
+    /// Identity of the type: `sha256:` and 64 hex digits over sensor family, unit, surface, taxels, channels and medium. What
+    /// does not change the physics (name, text, rate, wire, cleaning, link) does not change the hash, nor do comments and
+    /// formatting; nor do effects, which say what a device of this design is really like, so that a model that was trained on
+    /// the design can be tried on the device.
+    ///
+    /// Names of taxels and channels are covered: where several channels belong to one taxel (the axes of a magnetometer), the
+    /// name alone says which number of a frame is which, and recordings are matched by it.
     #[must_use]
     pub fn hash(&self) -> String {
-        let identity = serde_json::json!({
+        digest(&self.identity())
+    }
+
+    /// The hash as versions before this one wrote it, which covered the name.
+    pub(crate) fn hash_of_named(&self, name: &str) -> String {
+        let mut identity = self.identity();
+        identity["name"] = name.into();
+        digest(&identity)
+    }
+
+    fn identity(&self) -> serde_json::Value {
+        serde_json::json!({
             "schema": self.schema,
-            "name": self.name,
             "sensor": self.sensor,
             "unit": self.unit,
             "surface": self.surface.identity(),
             "taxels": self.taxels,
             "channels": self.channels,
             "medium": self.medium,
-        });
-        let digest = Sha256::digest(identity.to_string().as_bytes());
-        let hex: String = digest.iter().map(|b| format!("{b:02x}")).collect();
-        format!("sha256:{hex}")
+        })
     }
+}
+
+fn digest(identity: &serde_json::Value) -> String {
+    let digest = Sha256::digest(identity.to_string().as_bytes());
+    let hex: String = digest.iter().map(|b| format!("{b:02x}")).collect();
+    format!("sha256:{hex}")
 }
 
 const KNOWN_KEYS: [&str; 15] = [
@@ -687,7 +707,9 @@ taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", positio
     fn hash_ignores_what_is_not_physics() {
         let hash = |text: &str| SkinDescription::from_toml(text, "pad.toml").unwrap().hash();
         assert_eq!(hash(PAD), hash(&PAD.replace("rate = 100.0", "rate = 50 # slower")));
+        assert_eq!(hash(PAD), hash(&PAD.replace("name = \"pad\"", "name = \"left-pad\"")));
         assert_ne!(hash(PAD), hash(&PAD.replace("-0.005] }]", "-0.006] }]")));
+        assert_ne!(hash(PAD), hash(&PAD.replace("\"t1\"", "\"t2\"")));
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //!
 //! | word | type | what it is |
 //! |---|---|---|
-//! | skin description | [`SkinDescription`] | the file that says what a skin is: surface, taxels, channels, medium |
+//! | skin description | [`SkinDescription`] | the file that says what a type of skin is: surface, taxels, channels, medium |
+//! | instance | [`SkinDescription::into_instance`], [`Mount`] | a device of that type on a robot: its name, coordinate frame and place |
 //! | surface | [`Surface`] | triangulated outside of the skin, in the frame of its link |
 //! | frame | [`Frame`] | one reading of every channel at one instant |
 //! | stimulus | [`Stimulus`] | what touches the skin: the input of a forward model |
@@ -46,6 +47,7 @@ mod device;
 mod effect;
 mod error;
 mod frame;
+mod instance;
 mod mesh;
 mod panel;
 mod phase;
@@ -65,6 +67,7 @@ pub use device::{COMMON, CURVED, CommonEffect, CommonParameters, common_effect, 
 pub use effect::{Effect, EffectInfo, Memoryless, ParameterInfo, Trajectory};
 pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};
+pub use instance::{InstanceError, Mount, MountError};
 pub use mesh::{TriangleMesh, closest_on_triangle};
 pub use phase::Phase;
 pub use surface::Surface;

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use dermis_inference::{
-    Baseline, Bundle, BundleWriter, CorrectionSection, FeatureConfig, Manifest, Missing, OutputConfig,
-    OutputSpec, Taps, TrainingSection,
+    Baseline, Bundle, BundleError, BundleWriter, CorrectionSection, FeatureConfig, Manifest, Missing,
+    OutputConfig, OutputSpec, Taps, TrainingSection,
 };
 use dermis_inversion::{Correction, Settings};
 use dermis_skin::SkinDescription;
@@ -196,8 +196,49 @@ fn another_skin_is_refused_with_what_differs() {
     insta::assert_snapshot!(disk.refusal(&skin("glove", "Pa", &["a", "b", "x", "d"])), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `glove` (#): the bundle has channels `c`, `e` where the skin has `x`; train a model for this skin");
     insta::assert_snapshot!(disk.refusal(&skin("pad", "Pa", &["a", "c", "b", "d", "e"])), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pad` (#): the channels are in another order: channel 1 is `b` in the bundle and `c` in the skin; train a model for this skin");
     insta::assert_snapshot!(disk.refusal(&skin("pad", "T", &CHANNELS)), @r#"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pad` (#): the bundle's unit is "Pa" and the skin's is "T"; train a model for this skin"#);
-    insta::assert_snapshot!(disk.refusal(&skin("pat", "Pa", &CHANNELS)), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pat` (#): channels and unit are the same, but the name, surface, taxel positions, ranges, noise or medium differ; train a model for this skin");
+    let mut moved = skin("pat", "Pa", &CHANNELS);
+    moved.taxels[0].position[0] += 0.001;
+    insta::assert_snapshot!(disk.refusal(&moved), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pat` (#): channels and unit are the same, but the surface, taxel positions, ranges, noise or medium differ; train a model for this skin");
     insta::assert_snapshot!(disk.refusal(&skin("pad", "Pa", &["a", "b", "c", "d"])), @"model bundle /pad-mlp: was trained for skin `pad` (#), not for `pad` (#): the bundle has channels that the skin lacks: `e`; train a model for this skin");
+}
+
+#[test]
+fn every_device_of_the_type_takes_the_bundle() {
+    let disk = OnDisk::new();
+    let renamed = skin("left-pad", "Pa", &CHANNELS);
+    assert_eq!(Bundle::load(&disk.path, &renamed).unwrap().manifest().skin.name, "pad");
+    let left = pad().into_instance(Some("left_pad"), Some("left_link"), None).unwrap();
+    assert_eq!(Bundle::load(&disk.path, &left).unwrap().manifest().skin.hash, pad().hash());
+
+    // A bundle that was trained when the hash still covered the name.
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let text = std::fs::read_to_string(root.join("launch/skins/baro-grid.toml")).unwrap();
+    let grid = |text: &str| SkinDescription::from_toml(text, "grid").unwrap();
+    let model = root.join("models/baro-grid");
+    let old = Bundle::load(&model, &grid(&text)).unwrap();
+    assert_ne!(old.manifest().skin.hash, grid(&text).hash());
+    let renamed = text.replace("name = \"baro-grid\"", "name = \"right-palm\"");
+    Bundle::load(&model, &grid(&renamed)).unwrap();
+    let moved = renamed.replace("[-0.0130, -0.0130, -0.005]", "[-0.0130, -0.0130, -0.006]");
+    assert!(matches!(Bundle::load(&model, &grid(&moved)), Err(BundleError::AnotherSkin(_))));
+}
+
+#[test]
+fn a_device_can_have_a_correction_of_its_own() {
+    let learned = OnDisk::corrected();
+    let file = learned.path.join("correction.json");
+    let shared = OnDisk::new();
+    let left = pad().into_instance(Some("left_pad"), None, None).unwrap();
+    let mut bundle = Bundle::load(&shared.path, &left).unwrap();
+    assert!(bundle.correction().is_none());
+    bundle.take_correction(&file, &left).unwrap();
+    assert_eq!(bundle.correction(), Some(&correction()));
+    let told = bundle.take_correction(&shared.path.join("none.json"), &left).unwrap_err().to_string();
+    assert!(told.contains("none.json"), "{told}");
+    let mut moved = left.clone();
+    moved.taxels[0].position[0] += 0.001;
+    let told = bundle.take_correction(&file, &moved).unwrap_err().to_string();
+    assert!(told.contains("was learned on skin `pad`"), "{told}");
 }
 
 #[test]
