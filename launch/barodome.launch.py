@@ -28,6 +28,9 @@ ARGUMENTS = [
     ('source', '', 'where the bytes come from, e.g. serial:///dev/ttyACM0?baud=921600'),
     ('model', '', 'folders of model bundles, with spaces between them'),
     ('name', '', 'node name; that of the skin where empty'),
+    ('instance', '', 'name of the device, unique on the robot; from namespace and name where empty'),
+    ('frame_id', '', 'coordinate frame of the device; that of the skin file where empty'),
+    ('mount', '', 'where it is fixed: parent,x,y,z and roll,pitch,yaw or a quaternion x,y,z,w'),
     ('namespace', '', 'ROS namespace, below the one that is pushed'),
     ('remap', '', 'remappings from:=to, with spaces between them'),
     ('backend', 'ros2', 'ros2: the ROS that is sourced; hiroz: the wire of rmw_zenoh, without ROS'),
@@ -62,6 +65,9 @@ def start(context):
     namespace = joined(context.launch_configurations.get('ros_namespace', ''), given['namespace'])
     if namespace != '/':
         command += ['--namespace', namespace]
+    for option in ('instance', 'frame_id', 'mount'):
+        if given[option]:
+            command += ['--' + option.replace('_', '-'), given[option]]
     for rule in given['remap'].split():
         command += ['--remap', rule]
     return [

@@ -121,4 +121,8 @@ impl Host for Dermis {
         })?;
         (family.node)(request)
     }
+
+    fn together(&self, nodes: &[(&str, &Value)]) -> Result<(), (usize, Refusal)> {
+        crate::nodes::together(nodes)
+    }
 }

@@ -5,6 +5,7 @@ use clap::Args;
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_node::NodeError;
 use dermis_perception::{Config, ConfigError, RunError, Sensor};
+use dermis_skin::{InstanceError, SkinDescription};
 use serde_json::Value;
 
 use crate::backend::Choice;
@@ -69,6 +70,10 @@ pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Refus
         let field = match &error {
             RunError::Skin(_) | RunError::Sensor { .. } => "config.skin".to_owned(),
             RunError::Source(_) => "config.source".to_owned(),
+            RunError::Instance(InstanceError::Name(_)) => "config.instance".to_owned(),
+            RunError::Instance(InstanceError::Frame(_)) => "config.frame_id".to_owned(),
+            RunError::Instance(_) => "config.mount".to_owned(),
+            RunError::FixedParameter { name, .. } => format!("parameters.{name}"),
             RunError::ParameterValue { name, .. } | RunError::Node(NodeError::Parameter { name, .. }) => {
                 format!("parameters.{name}")
             }
@@ -81,5 +86,52 @@ pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Refus
         };
         refuse(field, error.to_string())
     })?;
+    // Said outright, so that `--check` shows them and nodes can be compared.
+    if let Ok(skin) = SkinDescription::load(&config.skin) {
+        config.instance = Some(config.instance_name(&skin));
+        config.frame_id.get_or_insert(skin.frame_id);
+    }
     serde_json::to_value(&config).map_err(|error| refuse("config".into(), error.to_string()))
+}
+
+/// Whether the devices of these nodes can be told apart: two of one name would be one skin to everybody who listens, and two of
+/// one type in one coordinate frame would lie on top of each other.
+pub fn together(nodes: &[(&str, &Value)]) -> Result<(), (usize, Refusal)> {
+    let configs: Vec<Option<Config>> =
+        nodes.iter().map(|(_, config)| serde_json::from_value((*config).clone()).ok()).collect();
+    let known = |i: usize| configs[i].as_ref().map(|config| (nodes[i].0, config));
+    for (i, (_, config)) in (0..nodes.len()).filter_map(|i| Some((i, known(i)?))) {
+        for (label, other) in
+            (0..i).filter_map(known).filter(|(_, other)| other.domain_id == config.domain_id)
+        {
+            if let Some(reason) = clash(config, label, other) {
+                return Err((i, reason));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn clash(config: &Config, label: &str, other: &Config) -> Option<Refusal> {
+    let refusal = |field: &str, reason: String| Some(Refusal { field: format!("config.{field}"), reason });
+    let name = config.instance.as_ref()?;
+    if other.instance.as_ref() == Some(name) {
+        return refusal(
+            "instance",
+            format!("`{name}` is the skin of `{label}` too; give each a name of its own"),
+        );
+    }
+    let frame_id = config.frame_id.as_ref()?;
+    if other.frame_id.as_ref() != Some(frame_id) {
+        return None;
+    }
+    let hash = |config: &Config| SkinDescription::load(&config.skin).ok().map(|skin| skin.hash());
+    let alike = hash(config)? == hash(other)?;
+    alike.then(|| refusal(
+        "frame_id",
+        format!(
+            "`{frame_id}` is the coordinate frame of `{label}` too, a skin of the same type: their contacts would lie on top of \
+             each other; give each a `frame_id` of its own"
+        ),
+    ))?
 }

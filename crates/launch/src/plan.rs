@@ -40,6 +40,16 @@ pub trait Host {
     ///
     /// The field that cannot be used, and why.
     fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Refusal>;
+
+    /// Whether these nodes can run beside each other: label and configuration, as [`node`](Self::node) gave it, of each.
+    ///
+    /// # Errors
+    ///
+    /// Which of them cannot, its field, and why.
+    fn together(&self, nodes: &[(&str, &Value)]) -> Result<(), (usize, Refusal)> {
+        let _ = nodes;
+        Ok(())
+    }
 }
 
 /// A node that a launch file asks for.
@@ -222,6 +232,13 @@ pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> R
     let declared = loader.file(path, given, &outer)?;
     let log_limits = std::mem::take(&mut loader.log_limits);
     let processes = loader.linked()?;
+    let nodes: Vec<(&Process, &Value)> =
+        processes.iter().filter_map(|p| Some((p, p.config.as_ref()?))).collect();
+    let asked: Vec<(&str, &Value)> = nodes.iter().map(|(p, config)| (p.label.as_str(), *config)).collect();
+    host.together(&asked).map_err(|(i, refusal)| {
+        let process = nodes[i].0;
+        At { file: &process.file, field: &process.field }.refuse(&refusal.field, refusal.reason)
+    })?;
     Ok(Plan { file: path.to_owned(), arguments: declared, processes, log_limits })
 }
 

@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Command, FromArgMatches};
 use dermis_node::HirozBackend;
+use dermis_skin::Mount;
 use log_limit::LogLimit;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
@@ -31,12 +32,25 @@ pub struct Arguments {
     /// Channel to leave out; may be given several times.
     #[arg(long)]
     mask: Vec<String>,
+    /// How this device differs from the forward model of its type: a correction.json of `dermis refine --correct`.
+    #[arg(long, value_name = "FILE")]
+    correction: Option<PathBuf>,
     /// Node name; the skin's name where absent.
     #[arg(long)]
     name: Option<String>,
     /// ROS namespace.
     #[arg(long)]
     namespace: Option<String>,
+    /// Name of this device, unique on the robot; the skin's name, or the node's full name with `_` where it has one of its own.
+    #[arg(long, value_name = "NAME")]
+    instance: Option<String>,
+    /// Coordinate frame of this device; that of the skin file where absent.
+    #[arg(long, value_name = "LINK")]
+    frame_id: Option<String>,
+    /// Where this device is fixed on the robot: `parent,x,y,z`, then `roll,pitch,yaw` or a quaternion `qx,qy,qz,qw`, in metres
+    /// and radians.
+    #[arg(long, value_name = "LINK,X,Y,Z[,…]")]
+    mount: Option<Mount>,
     /// Remapping of a topic or service, `from:=to`; may be given several times.
     #[arg(long)]
     remap: Vec<String>,
@@ -62,6 +76,10 @@ impl Arguments {
         config.strict |= self.strict;
         config.name = self.name.or(config.name);
         config.namespace = self.namespace.unwrap_or(config.namespace);
+        config.instance = self.instance.or(config.instance);
+        config.frame_id = self.frame_id.or(config.frame_id);
+        config.mount = self.mount.or(config.mount);
+        config.correction = self.correction.or(config.correction);
         Ok(config)
     }
 }
@@ -117,6 +135,24 @@ mod tests {
         let config = parse(&["--config", &file, "--model", "b", "--strict"]).unwrap();
         assert_eq!(config.models, [folder.path().join("a"), PathBuf::from("b")]);
         assert!(config.strict && config.namespace == "/left");
+        let of = [
+            "--instance",
+            "left",
+            "--frame-id",
+            "left_link",
+            "--mount",
+            "wrist,0,0,0.1,0,0,-1.5",
+            "--correction",
+            "c",
+        ];
+        let config = parse(&[&["--config", &file][..], &of[..]].concat()).unwrap();
+        assert_eq!(
+            (config.instance.as_deref(), config.frame_id.as_deref()),
+            (Some("left"), Some("left_link"))
+        );
+        assert_eq!(config.mount.unwrap().translation(), [0.0, 0.0, 0.1]);
+        assert_eq!(config.correction, Some(PathBuf::from("c")));
+        assert!(parse(&["--config", &file, "--mount", "wrist,0,0"]).unwrap_err().contains("parent,x,y,z"));
         assert!(parse(&["--config", &file, "--skin", "p"]).is_err());
     }
 

@@ -1,9 +1,13 @@
 //! What the node is told when it starts.
+//!
+//! A skin file describes a type of skin; `instance`, `frame_id`, `mount`, `source`, `masked` and `correction` describe the one
+//! device of that type that a node reads.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use dermis_inference::RuntimeConfig;
+use dermis_skin::{InstanceError, Mount, SkinDescription};
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// A configuration that cannot be used, and why.
@@ -51,12 +55,26 @@ pub struct Config {
     /// ROS namespace.
     #[serde(default = "root")]
     pub namespace: String,
+    /// Name of this device, unique on the robot: what messages, keys of the bridge, diagnostics and recordings call it. See
+    /// [`instance_name`](Self::instance_name) for what it is where absent.
+    #[serde(default)]
+    pub instance: Option<String>,
+    /// Coordinate frame of this device; that of the skin file where absent.
+    #[serde(default)]
+    pub frame_id: Option<String>,
+    /// Where this device is fixed on the robot: pose of its coordinate frame in that of a link.
+    #[serde(default)]
+    pub mount: Option<Mount>,
     /// Folders of model bundles, each of which gives some of the outputs; relative as `skin` is.
     #[serde(default)]
     pub models: Vec<PathBuf>,
     /// Channels to leave out.
     #[serde(default)]
     pub masked: Vec<String>,
+    /// How this device differs from the forward model of its type, in place of what the bundles say: a `correction.json` of
+    /// `dermis refine --correct`; relative as `skin` is.
+    #[serde(default)]
+    pub correction: Option<PathBuf>,
     /// What evaluates the models.
     #[serde(default)]
     pub runtime: RuntimeConfig,
@@ -101,13 +119,17 @@ fn yes() -> bool {
 
 impl Config {
     /// Every key of a file.
-    pub const KEYS: [&str; 16] = [
+    pub const KEYS: [&str; 20] = [
         "skin",
         "source",
         "name",
         "namespace",
+        "instance",
+        "frame_id",
+        "mount",
         "models",
         "masked",
+        "correction",
         "runtime",
         "force_threshold",
         "strict",
@@ -128,8 +150,12 @@ impl Config {
             source: source.into(),
             name: None,
             namespace: root(),
+            instance: None,
+            frame_id: None,
+            mount: None,
             models: Vec::new(),
             masked: Vec::new(),
+            correction: None,
             runtime: RuntimeConfig::default(),
             force_threshold: 0.0,
             strict: false,
@@ -174,9 +200,38 @@ impl Config {
     /// Makes its paths relative to a folder.
     fn place(&mut self, folder: &Path) {
         self.skin = folder.join(&self.skin);
-        for model in &mut self.models {
-            *model = folder.join(&model);
+        for path in self.models.iter_mut().chain(&mut self.correction) {
+            *path = folder.join(&path);
         }
+    }
+
+    /// Name of the node: ROS names have no `-`.
+    pub(crate) fn node_name(&self, skin: &SkinDescription) -> String {
+        self.name.clone().unwrap_or_else(|| skin.type_name().replace('-', "_"))
+    }
+
+    /// Name of the device: `instance` where given; the skin file's name where the node is in the root namespace and is called
+    /// like the file; otherwise the node's full name, with `_` between its parts (`palm` in `/gripper/left` is
+    /// `gripper_left_palm`). So two skins of one file have two names as long as their nodes have.
+    #[must_use]
+    pub fn instance_name(&self, skin: &SkinDescription) -> String {
+        if let Some(name) = &self.instance {
+            return name.clone();
+        }
+        let parts = self.namespace.split('/').filter(|part| !part.is_empty());
+        let node = self.node_name(skin);
+        let name = parts.chain([node.as_str()]).collect::<Vec<_>>().join("_");
+        if name == skin.type_name().replace('-', "_") { skin.type_name().to_owned() } else { name }
+    }
+
+    /// The skin file as the device that this node reads.
+    ///
+    /// # Errors
+    ///
+    /// [`InstanceError`] names the key that cannot be used.
+    pub fn instance_of(&self, skin: SkinDescription) -> Result<SkinDescription, InstanceError> {
+        let name = self.instance_name(&skin);
+        skin.into_instance(Some(&name), self.frame_id.as_deref(), self.mount.as_ref())
     }
 
     fn parse(text: &str, yaml: bool, path: &Path) -> Result<Self, ConfigError> {
@@ -207,6 +262,13 @@ impl Config {
         if let Some(key) = unknown {
             return Err(ConfigError::UnknownKey { path: path.to_owned(), key });
         }
+        // An argument of a launch file that is empty where it is not given.
+        let given = |text: Option<String>| text.filter(|text| !text.is_empty());
+        let parsed = parsed.map(|config| Self {
+            instance: given(config.instance.clone()),
+            frame_id: given(config.frame_id.clone()),
+            ..config
+        });
         parsed.map_err(|e| ConfigError::Field {
             path: path.to_owned(),
             field: match track.path().to_string() {
@@ -266,10 +328,45 @@ mod tests {
 
     #[test]
     fn refusals_name_the_key() {
-        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, models, masked, runtime, force_threshold, strict, autostart, domain_id, localhost_only, use_sim_time, device_time, remap, parameters)");
+        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, instance, frame_id, mount, models, masked, correction, runtime, force_threshold, strict, autostart, domain_id, localhost_only, use_sim_time, device_time, remap, parameters)");
         insta::assert_snapshot!(toml("skin = 'p'").unwrap_err(), @r#"configuration palm.toml: field `(top level)`: missing configuration field "source""#);
         insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nautostart = 'maybe'").unwrap_err(), @r#"configuration palm.toml: field `autostart`: invalid type: string "maybe", expected a boolean for key `autostart`"#);
         assert!(toml("skin = ").is_err());
+    }
+
+    #[test]
+    fn a_device_has_a_name_a_frame_and_a_place() {
+        let text = "skin = 'p'\nsource = 's'\ninstance = 'left_palm'\nframe_id = 'left_palm_link'\ncorrection = 'c.json'\n";
+        let config =
+            toml(&format!("{text}mount = {{ parent = 'wrist', translation = [0, 0, 1], rpy = [0, 0, 0] }}"));
+        let config = config.unwrap();
+        let mount = config.mount.clone().unwrap();
+        assert_eq!((mount.parent(), mount.translation()), ("wrist", [0.0, 0.0, 1.0]));
+        // As `dermis launch` hands it on.
+        let written = serde_json::to_value(&config).unwrap();
+        assert_eq!(Config::parse(&written.to_string(), true, Path::new("palm.yaml")).unwrap(), config);
+        assert_eq!(Config::from_json(written, Path::new("palm.yaml"), Path::new("")).unwrap(), config);
+        insta::assert_snapshot!(toml(&format!("{text}mount = {{ parent = 'wrist', rpy = [0, 0, 90] }}")).unwrap_err(), @"");
+        insta::assert_snapshot!(toml(&format!("{text}mount = {{ parent = 'wrist', pose = [0, 0, 0] }}")).unwrap_err(), @"");
+    }
+
+    #[test]
+    fn two_skins_of_one_file_have_two_names() {
+        let skin =
+            SkinDescription::from_toml(include_str!("../../../launch/skins/baro-grid.toml"), "grid").unwrap();
+        let name = |namespace: &str, node: Option<&str>, instance: Option<&str>| {
+            let mut config = Config::new("p", "s");
+            config.namespace = namespace.into();
+            (config.name, config.instance) = (node.map(Into::into), instance.map(Into::into));
+            config.instance_name(&skin)
+        };
+        assert_eq!(name("/", None, None), "baro-grid", "as before there were instances");
+        assert_eq!(name("/", Some("baro_grid"), None), "baro-grid");
+        assert_eq!(name("/", Some("palm"), None), "palm");
+        assert_eq!(name("/left", None, None), "left_baro_grid");
+        assert_eq!(name("/gripper/left/", Some("palm"), None), "gripper_left_palm");
+        assert_eq!(name("gripper/right", Some("palm"), None), "gripper_right_palm");
+        assert_eq!(name("/gripper/left", Some("palm"), Some("left-palm")), "left-palm");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The node: a source of bytes at one end, ROS topics at the other, one thread between them.
 
 use std::collections::VecDeque;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -19,7 +19,9 @@ use dermis_node::{
     Backend, Level, Node, NodeError, NodeOptions, ParameterDescriptor, ParameterValue, Parameters, Publisher,
     Qos, ServiceServer, State, Status, Transition, parse_remapping,
 };
-use dermis_skin::{ChannelFlags, Estimate, Estimator, Frame, SkinDescription, SkinError, Surface, TareState};
+use dermis_skin::{
+    ChannelFlags, Estimate, Estimator, Frame, InstanceError, SkinDescription, SkinError, Surface, TareState,
+};
 use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, TransportError, now_ns};
 
 use crate::Sensor;
@@ -77,12 +79,24 @@ pub enum RunError {
         /// Sensor family of this node.
         expected: &'static str,
     },
+    /// The device's name, coordinate frame or mount cannot be.
+    #[error(transparent)]
+    Instance(#[from] InstanceError),
     /// The source URL cannot be used.
     #[error(transparent)]
     Source(#[from] TransportError),
     /// A model or a masked channel does not fit.
     #[error(transparent)]
     Setup(#[from] SetupError),
+    /// A correction that nothing is corrected by.
+    #[error(
+        "`correction`: none of the models refines its answer on the forward model, which {path} corrects; leave it out, or \
+         add `inversion` to a model with `dermis refine`"
+    )]
+    UnusedCorrection {
+        /// File of the correction.
+        path: PathBuf,
+    },
     /// No runtime for models.
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
@@ -98,6 +112,16 @@ pub enum RunError {
         name: String,
         /// The value as configured.
         value: String,
+    },
+    /// A start value of a parameter that the configuration decides.
+    #[error(
+        "parameter `{name}` follows from the configuration: write `{key}` there, and leave it out of `parameters`"
+    )]
+    FixedParameter {
+        /// Name of the parameter.
+        name: &'static str,
+        /// Key of the configuration.
+        key: &'static str,
     },
     /// Start values of parameters that this node does not have.
     #[error("parameter `{names}` is none of this node; its parameters are {known}")]
@@ -141,10 +165,11 @@ impl SkinNode {
         let (skin, url) = skin_and_source(sensor, config)?;
         let mut estimator = SkinEstimator::new(&skin, &config.masked)?;
         estimator.set_least_force(config.force_threshold);
+        check_correction(config, &skin)?;
         let surface = skin.surface();
         let runtime = Runtime::load(&config.runtime)?;
         if !config.models.is_empty() {
-            match load_models(sensor, &skin, &config.models, runtime) {
+            match load_models(sensor, &skin, &config.models, runtime, config.correction.as_deref()) {
                 Ok(models) => estimator.set_models(models),
                 Err(error) if config.strict => return Err(error.into()),
                 Err(error) => {
@@ -161,6 +186,7 @@ impl SkinNode {
         let shared = Arc::new(Shared {
             sensor: *sensor,
             device_time: config.device_time,
+            correction: config.correction.clone(),
             skin,
             surface,
             url,
@@ -274,15 +300,21 @@ fn load_models(
     skin: &SkinDescription,
     folders: &[PathBuf],
     runtime: &Runtime,
+    correction: Option<&Path>,
 ) -> Result<Models, SetupError> {
-    let bundles = folders.iter().map(|f| Bundle::load(f, skin)).collect::<Result<Vec<_>, _>>()?;
+    let mut bundles = folders.iter().map(|f| Bundle::load(f, skin)).collect::<Result<Vec<_>, _>>()?;
+    if let Some(file) = correction {
+        for bundle in bundles.iter_mut().filter(|bundle| bundle.manifest().inversion.is_some()) {
+            bundle.take_correction(file, skin)?;
+        }
+    }
     Models::load(sensor, skin, &bundles, runtime)
 }
 
 fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunError> {
-    // ROS names have no `-`.
-    let name = config.name.clone().unwrap_or_else(|| skin.name.replace('-', "_"));
-    let mut options = NodeOptions::new(name).namespace(&config.namespace).use_sim_time(config.use_sim_time);
+    let mut options = NodeOptions::new(config.node_name(skin))
+        .namespace(&config.namespace)
+        .use_sim_time(config.use_sim_time);
     options.domain_id = config.domain_id;
     options.localhost_only = config.localhost_only;
     for rule in &config.remap {
@@ -304,10 +336,25 @@ pub(crate) fn check(sensor: &Sensor, config: &Config) -> Result<(), RunError> {
     for folder in &config.models {
         Bundle::load(folder, &skin).map_err(SetupError::from)?;
     }
+    check_correction(config, &skin)?;
     let parameters = Parameters::new(options(config, &skin)?.parameters);
     // Of every node.
     parameters.declare("use_sim_time", config.use_sim_time, ParameterDescriptor::default())?;
     declare(&parameters, config, &skin, &mut estimator)
+}
+
+/// Whether the correction of this device can be read, and is of use to one of the models.
+fn check_correction(config: &Config, skin: &SkinDescription) -> Result<(), RunError> {
+    let Some(file) = &config.correction else { return Ok(()) };
+    let mut used = false;
+    // What is wrong with a bundle itself is said where it is loaded.
+    for mut bundle in config.models.iter().filter_map(|folder| Bundle::load(folder, skin).ok()) {
+        if bundle.manifest().inversion.is_some() {
+            bundle.take_correction(file, skin).map_err(SetupError::from)?;
+            used = true;
+        }
+    }
+    if used { Ok(()) } else { Err(RunError::UnusedCorrection { path: file.clone() }) }
 }
 
 fn skin_and_source(sensor: &Sensor, config: &Config) -> Result<(SkinDescription, SourceUrl), RunError> {
@@ -319,8 +366,22 @@ fn skin_and_source(sensor: &Sensor, config: &Config) -> Result<(SkinDescription,
             expected: sensor.name,
         });
     }
-    Ok((skin, SourceUrl::parse(&config.source)?))
+    Ok((config.instance_of(skin)?, SourceUrl::parse(&config.source)?))
 }
+
+/// Parameters that say how a node was configured, and the key that decides each.
+const FIXED: [(&str, &str); 10] = [
+    ("skin", "instance"),
+    ("skin_type", "skin"),
+    ("skin_hash", "skin"),
+    ("frame_id", "frame_id"),
+    ("mount_parent", "mount"),
+    ("mount_pose", "mount"),
+    ("masked", "masked"),
+    ("correction", "correction"),
+    ("source", "source"),
+    ("models", "models"),
+];
 
 /// Declares the parameters and takes their start values over into the estimator.
 fn declare(
@@ -329,8 +390,38 @@ fn declare(
     skin: &SkinDescription,
     estimator: &mut SkinEstimator,
 ) -> Result<(), RunError> {
+    if let Some((name, key)) = FIXED.into_iter().find(|(name, _)| config.parameters.contains_key(*name)) {
+        return Err(RunError::FixedParameter { name, key });
+    }
     let fixed = |text: &str| ParameterDescriptor::new(text).read_only();
-    parameters.declare("skin", skin.name.as_str(), fixed("name of the skin"))?;
+    parameters.declare("skin", skin.name.as_str(), fixed("name of this skin, unique on the robot"))?;
+    parameters.declare("skin_type", skin.type_name(), fixed("name of the skin file's"))?;
+    parameters.declare(
+        "skin_hash",
+        skin.hash(),
+        fixed("identity of the type; models are trained for one"),
+    )?;
+    parameters.declare("frame_id", skin.frame_id.as_str(), fixed("coordinate frame of this skin"))?;
+    let mount = config.mount.as_ref();
+    let parent = mount.map(dermis_skin::Mount::parent).unwrap_or_default();
+    parameters.declare(
+        "mount_parent",
+        parent,
+        fixed("link that this skin is fixed to; empty: not known here"),
+    )?;
+    let pose = mount.map(|m| [&m.translation()[..], &m.rotation()[..]].concat()).unwrap_or_default();
+    parameters.declare(
+        "mount_pose",
+        pose,
+        fixed("pose of `frame_id` in `mount_parent`: x, y, z [m] and quaternion x, y, z, w; empty: not known here"),
+    )?;
+    parameters.declare("masked", config.masked.clone(), fixed("channels that are left out"))?;
+    let correction = config.correction.as_ref().map(|file| file.display().to_string()).unwrap_or_default();
+    parameters.declare(
+        "correction",
+        correction,
+        fixed("file of how this skin differs from its forward model; empty: as its models say"),
+    )?;
     parameters.declare("source", config.source.as_str(), fixed("where the bytes come from"))?;
     let models: Vec<String> = config.models.iter().map(|m| m.display().to_string()).collect();
     parameters.declare("models", models, fixed("model bundles at start; ~/load_model replaces them"))?;
@@ -494,6 +585,8 @@ struct Shared {
     sensor: Sensor,
     /// Whether stamps follow the device's clock as it is.
     device_time: bool,
+    /// How this device differs from its forward model, where its models are not to say it.
+    correction: Option<PathBuf>,
     skin: SkinDescription,
     surface: Surface,
     url: SourceUrl,
@@ -902,7 +995,8 @@ impl Shared {
     /// Takes a bundle in place of those that give the same outputs.
     fn load_model(&self, folder: PathBuf) -> Result<String, String> {
         let models =
-            load_models(&self.sensor, &self.skin, &[folder], self.runtime).map_err(|e| e.to_string())?;
+            load_models(&self.sensor, &self.skin, &[folder], self.runtime, self.correction.as_deref())
+                .map_err(|e| e.to_string())?;
         let mut core = self.lock();
         core.publishers.add(&self.node, models.maps()).map_err(|e| e.to_string())?;
         core.estimator.replace_models(models);
@@ -932,6 +1026,8 @@ impl Shared {
             }
         }
 
+        let hash = self.skin.hash();
+        status.value("skin type", format!("{} ({})", self.skin.type_name(), hash.get(..19).unwrap_or(&hash)));
         let now = Instant::now();
         let passed = core.figures.asked.map_or(0.0, |at| now.duration_since(at).as_secs_f64());
         let figures = &core.figures;
