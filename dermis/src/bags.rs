@@ -113,11 +113,29 @@ fn open(bag: &Path, recover: bool) -> Result<BagReader, dermis_bag::BagError> {
 /// Does it, and prints what came of it.
 pub fn run(command: &Bag) -> Result<()> {
     match command {
-        Bag::Info { bag, recover, json } => print(&open(bag, *recover)?.info(), *json),
+        Bag::Info { bag, recover, json } => info(&open(bag, *recover)?, *json),
         Bag::Check(options) => check(options),
         Bag::Export(options) => crate::export::run(options),
         Bag::Slice(options) => slice(options),
     }
+}
+
+/// What a bag holds, and of which skins.
+fn info(reader: &BagReader, json: bool) -> Result<()> {
+    let info = reader.info();
+    let skins = reader.skins()?;
+    if json {
+        let mut value = serde_json::to_value(&info)?;
+        value["skins"] = serde_json::to_value(&skins)?;
+        println!("{value}");
+        return Ok(());
+    }
+    print!("{info}");
+    println!("skins     {}", skins.len());
+    for skin in skins {
+        println!("  {skin}");
+    }
+    Ok(())
 }
 
 fn print(value: &(impl serde::Serialize + std::fmt::Display), json: bool) -> Result<()> {

@@ -51,6 +51,9 @@ pub enum Device {
         skin: PathBuf,
         /// Bag that holds the frames.
         bag: PathBuf,
+        /// Which device, where the bag holds several of the skin's type; `dermis bag info` lists them.
+        #[arg(long, value_name = "NAME")]
+        skin_instance: Option<String>,
         /// Factor on the recorded pace; 0 for as fast as it is read.
         #[arg(long, default_value_t = 1.0)]
         speed: f64,
@@ -77,6 +80,12 @@ pub struct Told {
     /// Publish what a robot and a force sensor would that are mounted as this map of labels says, on its topics.
     #[arg(long, value_name = "MAP")]
     rig: Option<PathBuf>,
+    /// Name of the device in what is published; that of the skin file where absent.
+    #[arg(long, value_name = "NAME")]
+    instance: Option<String>,
+    /// Coordinate frame of what is published; that of the skin file where absent.
+    #[arg(long, value_name = "LINK")]
+    frame_id: Option<String>,
     /// ROS namespace of the topics.
     #[arg(long, default_value = "")]
     namespace: String,
@@ -106,6 +115,7 @@ pub fn run(device: &Device) -> Result<()> {
                 None => Plan::random_touches(0.004, [0.1, 1.0]),
             };
             let rig = told.rig.as_deref().map(LabelMap::load).transpose()?;
+            let skin = skin.into_instance(told.instance.as_deref(), told.frame_id.as_deref(), None)?;
             let device = VirtualDevice::start(model, &skin, &plan, *seed, &outlet.outlet())?;
             println!("{}", device.url());
             if told.ground_truth.is_some() || rig.is_some() {
@@ -117,10 +127,15 @@ pub fn run(device: &Device) -> Result<()> {
             let stats = device.stop()?;
             eprintln!("{} frames made, {} not read by anyone", stats.frames, stats.dropped);
         }
-        Device::Replay { skin, bag, speed, outlet } => {
+        Device::Replay { skin, bag, skin_instance, speed, outlet } => {
             let skin = SkinDescription::load(skin)?;
             let speed = if *speed == 0.0 { f64::INFINITY } else { *speed };
-            let options = ReplayOptions { speed, topic: None, outlet: outlet.outlet() };
+            let options = ReplayOptions {
+                speed,
+                topic: None,
+                instance: skin_instance.clone(),
+                outlet: outlet.outlet(),
+            };
             let device = ReplayDevice::start(bag, &skin, &options)?;
             println!("{}", device.url());
             while device.running() && !device.finished() && !stop.load(Ordering::Acquire) {

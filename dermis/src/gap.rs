@@ -44,6 +44,9 @@ pub struct Diagnose {
     /// Take the ground truth from a robot's pose and a force sensor's wrench, as this file maps them; see launch/labels/.
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
+    /// Which device, where a bag holds several of the skin's type; `dermis bag info` lists them.
+    #[arg(long, value_name = "NAME")]
+    skin_instance: Option<String>,
     /// Zero of readings: as they were recorded, from the first second of a run, or from before each press.
     #[arg(long, value_enum, default_value_t = Zero::AsRead)]
     zero: Zero,
@@ -119,7 +122,8 @@ fn diagnose(options: &Diagnose) -> Result<Diagnosis> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
     let map = options.map.as_ref().map(LabelMap::load).transpose()?;
-    let mut recording = dermis_gap::read(&options.real, &skin, map.as_ref())?;
+    let mut recording =
+        dermis_gap::read(&options.real, &skin, map.as_ref(), options.skin_instance.as_deref())?;
     recording.tare(match options.zero {
         Zero::AsRead => dermis_gap::Zero::AsRead,
         Zero::Start => dermis_gap::Zero::Start,

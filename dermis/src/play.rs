@@ -1,15 +1,15 @@
 //! `dermis play`: a bag, published again.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_bag::{BagQos, BagReader, Filter};
+use dermis_bag::{BagMessage, BagQos, BagReader, BagSkin, Filter};
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::rosgraph_msgs::msg::Clock;
-use dermis_msgs::{TypeSupport, type_support};
+use dermis_msgs::{OF_A_SKIN, SkinNames, TypeSupport, type_support};
 use dermis_node::{
     Durability, History, Node, NodeOptions, Publisher, Qos, RawPublisher, Reliability, parse_remapping,
 };
@@ -41,6 +41,10 @@ pub struct Options {
     /// Only these topics, by their full name or its end.
     #[arg(long, num_args = 1.., value_name = "TOPIC")]
     topics: Vec<String>,
+    /// Only what this skin has published, where a bag holds several; `dermis bag info` lists them. What does not name a skin
+    /// (a wrench, markers) is taken from the namespaces that are of this skin alone.
+    #[arg(long, value_name = "NAME")]
+    skin_instance: Option<String>,
     /// Publish under another name: from:=to; may be repeated.
     #[arg(short = 'm', long, value_parser = remapping, value_name = "A:=B")]
     remap: Vec<(String, String)>,
@@ -96,7 +100,8 @@ pub async fn run(options: Options) -> Result<()> {
         node_options = node_options.remap(from, to);
     }
     let node = Node::open(node_options, options.backend.open()?.as_ref())?;
-    let publishers = publishers(&options, &reader, &node)?;
+    let skin = options.skin_instance.as_deref().map(|name| skin(&reader, name)).transpose()?;
+    let publishers = publishers(&options, &reader, &node, skin.as_ref())?;
     let clock = options
         .clock
         .then(|| {
@@ -122,7 +127,8 @@ pub async fn run(options: Options) -> Result<()> {
     let worker = node.clone();
     let playing = tokio::task::spawn_blocking(move || {
         let mut played = Played::default();
-        let mut player = Player { node: &worker, publishers: &publishers, clock, rate: options.rate };
+        let skin = options.skin_instance.as_deref();
+        let mut player = Player { node: &worker, publishers: &publishers, clock, rate: options.rate, skin };
         player.wait(options.wait_for_subscribers);
         while !worker.is_shut_down() {
             player.once(&reader, &filter, start, &mut played)?;
@@ -159,8 +165,50 @@ fn report(played: &Played, as_json: bool) {
     }
 }
 
+/// One skin of a bag: the topics that carry messages of it, and the namespaces that are of it alone.
+struct OneSkin {
+    topics: BTreeSet<String>,
+    namespaces: BTreeSet<String>,
+}
+
+impl OneSkin {
+    fn has(&self, topic: &dermis_bag::Topic) -> bool {
+        if OF_A_SKIN.contains(&topic.type_name.as_str()) {
+            return self.topics.contains(&topic.name);
+        }
+        self.namespaces.contains(namespace(&topic.name))
+    }
+}
+
+fn namespace(topic: &str) -> &str {
+    topic.rsplit_once('/').map_or("", |(namespace, _)| namespace)
+}
+
+/// The skin of this name.
+fn skin(reader: &BagReader, name: &str) -> Result<OneSkin> {
+    let skins = reader.skins()?;
+    let Some(skin) = skins.iter().find(|skin| skin.name == name) else {
+        let known: Vec<&str> = skins.iter().map(|skin| skin.name.as_str()).collect();
+        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+        bail!("{} has no skin `{name}`; it has {known}", reader.info().path.display());
+    };
+    let spaces = |skin: &BagSkin| -> BTreeSet<String> {
+        skin.topics.keys().map(|topic| namespace(topic).to_owned()).collect()
+    };
+    let others: BTreeSet<String> = skins.iter().filter(|s| s.name != name).flat_map(spaces).collect();
+    Ok(OneSkin {
+        topics: skin.topics.keys().cloned().collect(),
+        namespaces: spaces(skin).difference(&others).cloned().collect(),
+    })
+}
+
 /// One publisher for each topic that can be played; says which cannot.
-fn publishers(options: &Options, reader: &BagReader, node: &Node) -> Result<BTreeMap<String, RawPublisher>> {
+fn publishers(
+    options: &Options,
+    reader: &BagReader,
+    node: &Node,
+    skin: Option<&OneSkin>,
+) -> Result<BTreeMap<String, RawPublisher>> {
     let mut wanted: Vec<&dermis_bag::Topic> = Vec::new();
     for name in &options.topics {
         wanted.push(reader.topic(name)?);
@@ -170,7 +218,7 @@ fn publishers(options: &Options, reader: &BagReader, node: &Node) -> Result<BTre
     }
     let mut publishers = BTreeMap::new();
     for topic in wanted {
-        if options.clock && topic.name == "/clock" {
+        if options.clock && topic.name == "/clock" || skin.is_some_and(|skin| !skin.has(topic)) {
             continue;
         }
         let made = support_of(reader, topic)
@@ -215,11 +263,19 @@ fn qos(recorded: Option<BagQos>) -> Qos {
     }
 }
 
+/// Whether a message names another skin: a topic may carry several.
+fn is_of_another(skin: &str, message: &BagMessage) -> bool {
+    OF_A_SKIN.contains(&&*message.type_name)
+        && SkinNames::of(&message.data).is_ok_and(|names| names.skin != skin)
+}
+
 struct Player<'a> {
     node: &'a Node,
     publishers: &'a BTreeMap<String, RawPublisher>,
     clock: Option<Publisher<Clock>>,
     rate: f64,
+    /// Name of the only skin that is played.
+    skin: Option<&'a str>,
 }
 
 impl Player<'_> {
@@ -249,6 +305,9 @@ impl Player<'_> {
         let began = Instant::now();
         for message in messages {
             let message = message?;
+            if self.skin.is_some_and(|skin| is_of_another(skin, &message)) {
+                continue;
+            }
             if self.rate > 0.0 {
                 let since = (message.log_time - start).max(0) as f64 * 1e-9 / self.rate;
                 let due = began + Duration::from_secs_f64(since);

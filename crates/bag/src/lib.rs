@@ -39,6 +39,7 @@ mod qos;
 mod reader;
 mod recorder;
 mod salvage;
+mod skins;
 mod writer;
 
 pub use ament::definition_of;
@@ -49,4 +50,5 @@ pub use order::MessagesByTime;
 pub use qos::{BagQos, Durability, Reliability};
 pub use reader::{BagMessage, BagReader, Filter, Messages, Topic, Typed, TypedMessages};
 pub use recorder::{Recorded, Recorder, RecorderOptions, RecorderState, TopicSink, TopicState};
+pub use skins::{BagSkin, SkinChoice, SkinChoiceError};
 pub use writer::{BagOptions, BagWriter, Compression, TopicId};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dermis_bag::{BagReader, Filter};
+use dermis_bag::{BagReader, Filter, SkinChoice};
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
 use dermis_msgs::msg::{Indentation, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
@@ -25,7 +25,7 @@ struct Raw {
 }
 
 /// Reads labelled bags of one skin. Ground truth is `dermis_msgs/msg/Indentation`, or what a robot's and a force sensor's topics
-/// say by `map`.
+/// say by `map`. `instance` names the device, where a bag holds several of the skin's type.
 ///
 /// # Errors
 ///
@@ -36,6 +36,7 @@ pub fn read(
     bags: &[impl AsRef<Path>],
     skin: &SkinDescription,
     map: Option<&LabelMap>,
+    instance: Option<&str>,
 ) -> Result<Recording, GapError> {
     let names: Vec<String> = bags
         .iter()
@@ -43,17 +44,22 @@ pub fn read(
         .collect();
     let mut recording = Recording::new(names.join(", "), skin.channels().len());
     match map {
-        Some(map) => mapped(bags, skin, map, &mut recording)?,
+        Some(map) => mapped(bags, skin, map, instance, &mut recording)?,
         None => {
             for bag in bags {
-                own(bag.as_ref(), skin, &mut recording)?;
+                own(bag.as_ref(), skin, instance, &mut recording)?;
             }
         }
     }
     Ok(recording)
 }
 
-fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result<(), GapError> {
+fn own(
+    path: &Path,
+    skin: &SkinDescription,
+    instance: Option<&str>,
+    recording: &mut Recording,
+) -> Result<(), GapError> {
     let place = path.display().to_string();
     let wrong = |reason: String| GapError::Recording { place: place.clone(), reason };
     let bag = BagReader::open(path)?;
@@ -63,13 +69,29 @@ fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result
             bag.check_type(topic, support)?;
         }
     }
+    let skins = bag.skins()?;
+    let choice = SkinChoice { instance, topic: None, type_name: skin.type_name() };
+    let chosen = choice.of(&skins, |hash, name| skin.is_type(hash, name));
+    let chosen = chosen.map_err(|error| {
+        wrong(format!("{error}; `--skin-instance` names one, `dermis bag info` lists them"))
+    })?;
+    let topics: Vec<&str> = chosen.topics_of::<TaxelFrame>().collect();
+    if topics.len() > 1 {
+        return Err(wrong(format!(
+            "frames of skin `{}` come on several topics: {}: two skins would be taken for one; give them names of their own \
+             (`instance`), or cut one out with `dermis bag slice --topics`",
+            chosen.name,
+            topics.join(", ")
+        )));
+    }
+    let alone = skins.iter().filter(|s| s.topics_of::<TaxelFrame>().next().is_some()).count() == 1;
     let (mut frames, mut truths) = (Vec::new(), Vec::new());
     let expected: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
     for message in bag.messages_where(Filter::default().types(wanted.iter().map(|s| s.name))) {
         let message = message?;
         if *message.type_name == *TaxelFrame::TYPE_NAME {
             let frame: TaxelFrame = message.decode()?;
-            if frame.skin != skin.name {
+            if frame.skin != chosen.name {
                 continue;
             }
             if frame.values.len() != expected.len() {
@@ -90,19 +112,20 @@ fn own(path: &Path, skin: &SkinDescription, recording: &mut Recording) -> Result
             frames.push(Raw { stamp, values, temperature: f64::from(frame.temperature) });
         } else {
             let truth: Indentation = message.decode()?;
-            if truth.skin == skin.name {
+            // What presses the only skin may know its type only.
+            if truth.skin == chosen.name || alone && truth.skin == skin.type_name() {
                 truths.push(truth);
             }
         }
     }
     if frames.is_empty() {
-        return Err(wrong(format!("holds no frames of skin `{}`", skin.name)));
+        return Err(wrong(format!("holds no frames of skin `{}`", chosen.name)));
     }
     if truths.is_empty() {
         return Err(wrong(format!(
             "holds no ground truth (dermis_msgs/msg/Indentation) of skin `{}`: name a robot's and a force sensor's topics in \
              a file and pass it as `--map`",
-            skin.name
+            chosen.name
         )));
     }
     // Frames stay in the order in which they were recorded, so that a clock that runs backwards shows; truth is looked up.
@@ -308,9 +331,14 @@ fn mapped(
     bags: &[impl AsRef<Path>],
     skin: &SkinDescription,
     map: &LabelMap,
+    instance: Option<&str>,
     recording: &mut Recording,
 ) -> Result<(), GapError> {
-    let options = DatasetOptions { map: Some(map.clone()), ..DatasetOptions::default() };
+    let options = DatasetOptions {
+        map: Some(map.clone()),
+        instance: instance.map(str::to_owned),
+        ..DatasetOptions::default()
+    };
     let data = Dataset::from_bags(bags, skin, &options)?;
     recording.problems.extend(data.notices().into_iter().map(|n| Problem::note("data", n)));
     let surface = skin.surface();

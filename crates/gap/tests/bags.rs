@@ -69,7 +69,7 @@ fn read(scale: f64, sign: f64) -> Recording {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("bag");
     bag(&path, &skin(), scale, sign);
-    dermis_gap::read(&[path], &skin(), None).unwrap()
+    dermis_gap::read(&[path], &skin(), None, None).unwrap()
 }
 
 #[test]
@@ -104,11 +104,11 @@ fn bags_of_other_skins_are_refused() {
     bag(&path, &skin(), 1.0, 1.0);
     let refused = |from: &str, to: &str| {
         let other = SkinDescription::from_toml(&SKIN.replace(from, to), "other.toml").unwrap();
-        let error = dermis_gap::read(&[&path], &other, None).unwrap_err();
+        let error = dermis_gap::read(&[&path], &other, None, None).unwrap_err();
         assert!(matches!(error, GapError::Recording { .. }));
         error.to_string().replace(&path.display().to_string(), "BAG")
     };
-    insta::assert_snapshot!(refused("\"pad\"", "\"palm\""), @"BAG: holds no frames of skin `palm`");
+    insta::assert_snapshot!(refused("\"pad\"", "\"palm\""), @"BAG: holds no frames of skin `palm`; it has those of `pad` (/taxels); `--skin-instance` names one, `dermis bag info` lists them");
     insta::assert_snapshot!(refused("\"Pa\"", "\"kPa\""), @r#"BAG: its readings are in "Pa" where skin `pad` is in "kPa""#);
     insta::assert_snapshot!(refused(", { name = \"b\", position = [0.005, 0.0, -0.005] }", ""), @"BAG: its frames have 2 channels where skin `pad` has 1: pass the description that it was recorded with");
 }

@@ -13,6 +13,9 @@ pub struct Labels {
     /// `launch/labels/`.
     #[arg(long)]
     map: Option<PathBuf>,
+    /// Which device, where a bag holds several of the skin's type; `dermis bag info` lists them.
+    #[arg(long, value_name = "NAME")]
+    skin_instance: Option<String>,
     /// Topic of the frames, where a bag holds several skins of one description.
     #[arg(long, value_name = "TOPIC")]
     taxels: Option<String>,
@@ -30,6 +33,7 @@ impl Labels {
     pub fn options(&self) -> Result<DatasetOptions, LearnError> {
         Ok(DatasetOptions {
             tolerance: self.tolerance,
+            instance: self.skin_instance.clone(),
             taxels: self.taxels.clone(),
             map: self.map.as_ref().map(LabelMap::load).transpose()?,
             ..DatasetOptions::default()

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use dermis_bag::{BagReader, Filter};
+use dermis_bag::{BagReader, BagSkin, Filter, SkinChoice, SkinChoiceError};
 use dermis_inference::{Baseline, FeatureConfig, Features};
 use dermis_msgs::Message;
 use dermis_msgs::TypeSupport;
@@ -164,6 +164,8 @@ pub struct DatasetOptions {
     /// Takes the zero anew whenever the ground truth says that the testbed stands by for as long as a tare takes, as
     /// a robot does that knows it is touching nothing. Otherwise the zero is taken once and follows drift.
     pub tare_when_idle: bool,
+    /// Which device of the skin's type, where several are in a bag.
+    pub instance: Option<String>,
     /// Topic of the frames, where several skins of one description are in a bag; a map has its own.
     pub taxels: Option<String>,
     /// Takes the ground truth from a robot's and a force sensor's topics, instead of from
@@ -173,7 +175,7 @@ pub struct DatasetOptions {
 
 impl Default for DatasetOptions {
     fn default() -> Self {
-        Self { tolerance: None, tare_when_idle: true, taxels: None, map: None }
+        Self { tolerance: None, tare_when_idle: true, instance: None, taxels: None, map: None }
     }
 }
 
@@ -428,6 +430,10 @@ struct Contents {
     others: BTreeSet<String>,
     sessions: BTreeSet<String>,
     geometry: Option<String>,
+    /// Device whose frames these are.
+    instance: String,
+    /// Why no frames were taken.
+    choice: Option<SkinChoiceError>,
     /// Frames and ground truth without a stamp.
     unstamped: [u64; 2],
     /// First frame that is not as the skin's description says.
@@ -462,11 +468,27 @@ impl Contents {
             }
         }
         let named = options.map.as_ref().and_then(|m| m.skin.taxels.as_ref()).or(options.taxels.as_ref());
+        let skins = bag.skins()?;
+        let choice = SkinChoice {
+            instance: options.instance.as_deref(),
+            topic: named.map(String::as_str),
+            type_name: skin.type_name(),
+        };
+        let truths = match choice.of(&skins, |hash, name| skin.is_type(hash, name)) {
+            Ok(chosen) => {
+                found.instance.clone_from(&chosen.name);
+                Truths::of(chosen, &skins, named.map(String::as_str), skin)
+            }
+            Err(error) => {
+                found.choice = Some(error);
+                return Ok(found);
+            }
+        };
         for message in bag.messages_where(Filter::default().types(wanted.iter().map(|s| s.name))) {
             let message = message?;
             if *message.type_name == *TaxelFrame::TYPE_NAME {
                 let frame: TaxelFrame = message.decode()?;
-                if frame.skin != skin.name {
+                if frame.skin != found.instance {
                     found.others.insert(frame.skin);
                 } else if named.is_none_or(|topic| **topic == *message.topic) {
                     hasher.update(&message.data);
@@ -482,7 +504,7 @@ impl Contents {
                 }
             } else if *message.type_name == *Indentation::TYPE_NAME {
                 let truth: Indentation = message.decode()?;
-                if truth.skin == skin.name {
+                if truths.take(&message.topic, &truth.skin) {
                     hasher.update(&message.data);
                     found.sessions.insert(truth.session.clone());
                     if truth.header.stamp.as_nanos() == 0 {
@@ -493,7 +515,7 @@ impl Contents {
                 }
             } else if *message.type_name == *SkinGeometry::TYPE_NAME {
                 if let Ok(message) = message.decode::<SkinGeometry>()
-                    && message.skin == skin.name
+                    && message.skin == found.instance
                 {
                     found.geometry = Some(message.skin_hash);
                 }
@@ -511,6 +533,25 @@ impl Contents {
 
     /// Says what is wrong with the frames themselves.
     fn check_frames(&self, skin: &SkinDescription, place: &str, findings: &mut Findings) {
+        if let Some(error) = &self.choice {
+            let what = match error {
+                SkinChoiceError::Several { .. } => {
+                    "two devices would be taken for one; name one of them with `--skin-instance`, or its topic with `--taxels`"
+                }
+                _ => {
+                    "there is nothing to learn from; `--skin-instance` names a device of this type, `dermis bag info` lists them"
+                }
+            };
+            findings.fatal(place, error.to_string(), what);
+            return;
+        }
+        if self.instance != skin.name {
+            findings.notice(
+                place,
+                format!("its frames are of `{}`, a skin of the type `{}`", self.instance, skin.type_name()),
+                "",
+            );
+        }
         if let Some(reason) = &self.unlike {
             findings.fatal(
                 place,
@@ -529,28 +570,21 @@ impl Contents {
             let topics: Vec<&str> = self.topics.keys().map(String::as_str).collect();
             findings.fatal(
                 place,
-                format!("frames of skin `{}` come on several topics: {}", skin.name, topics.join(", ")),
+                format!("frames of skin `{}` come on several topics: {}", self.instance, topics.join(", ")),
                 "two skins would be taken for one; name one of them with `--taxels`, or skin.taxels of the map",
             );
         }
-        let others = self.others.iter().map(|s| format!("`{s}`")).collect::<Vec<_>>().join(", ");
-        if self.frames.is_empty() && self.unstamped[0] == 0 {
-            let has =
-                if others.is_empty() { "no frames at all".to_owned() } else { format!("those of {others}") };
-            findings.fatal(
-                place,
-                format!("holds no frames of skin `{}`; it has {has}", skin.name),
-                "there is nothing to learn from",
-            );
-        } else if !others.is_empty() {
+        if !self.others.is_empty() {
+            let others = self.others.iter().map(|s| format!("`{s}`")).collect::<Vec<_>>().join(", ");
             findings.notice(place, format!("also holds frames of {others}"), "they are not used");
         }
-        if let Some(hash) = self.geometry.as_ref().filter(|hash| !hash.is_empty() && **hash != skin.hash()) {
+        let other = |hash: &&String| !hash.is_empty() && !skin.is_type(hash, &self.instance);
+        if let Some(hash) = self.geometry.as_ref().filter(other) {
             findings.notice(
                 place,
                 format!(
                     "was recorded with another description of skin `{}` ({hash}, here {})",
-                    skin.name,
+                    self.instance,
                     skin.hash()
                 ),
                 "a model of one does not load for the other",
@@ -592,6 +626,41 @@ impl Contents {
     }
 }
 
+/// Which ground truth of a bag is that of a device. What presses a skin may know its type only.
+struct Truths {
+    instance: String,
+    type_name: String,
+    /// Namespaces of the device's frames, where the type's name is not enough.
+    namespaces: Option<BTreeSet<String>>,
+    /// Whether the device's own name is not enough either: another one has it too.
+    shared: bool,
+}
+
+impl Truths {
+    fn of(chosen: &BagSkin, skins: &[BagSkin], topic: Option<&str>, skin: &SkinDescription) -> Self {
+        let framed = |skin: &&BagSkin| skin.topics_of::<TaxelFrame>().next().is_some();
+        let shared = chosen.topics_of::<TaxelFrame>().count() > 1;
+        let alone = !shared && skins.iter().filter(framed).count() == 1;
+        let topics =
+            chosen.topics_of::<TaxelFrame>().filter(|other| topic.is_none_or(|topic| topic == *other));
+        Self {
+            instance: chosen.name.clone(),
+            type_name: skin.type_name().to_owned(),
+            namespaces: (!alone).then(|| topics.map(|topic| namespace(topic).to_owned()).collect()),
+            shared,
+        }
+    }
+
+    fn take(&self, topic: &str, skin: &str) -> bool {
+        let beside = || self.namespaces.as_ref().is_none_or(|of_frames| of_frames.contains(namespace(topic)));
+        skin == self.instance && (!self.shared || beside()) || skin == self.type_name && beside()
+    }
+}
+
+fn namespace(topic: &str) -> &str {
+    topic.rsplit_once('/').map_or("", |(namespace, _)| namespace)
+}
+
 /// The first few of many names.
 fn listed(names: &[&str]) -> String {
     let mut text = names.iter().take(8).copied().collect::<Vec<_>>().join(", ");
@@ -614,6 +683,10 @@ fn read_run(
     let mut hasher = Sha256::new();
     let mut found = Contents::read(path, skin, options, &mut hasher)?;
     found.check_frames(skin, place, &mut own);
+    if found.choice.is_some() {
+        findings.extend(own);
+        return Ok(None);
+    }
     let frames = std::mem::take(&mut found.frames);
     let (mut lost, mut gap) = (0_u64, 0);
     for w in frames.windows(2) {
@@ -655,7 +728,7 @@ fn read_run(
                 format!(
                     "holds {} frames of skin `{}` but no ground truth (dermis_msgs/msg/Indentation) for it",
                     frames.len(),
-                    skin.name
+                    found.instance
                 ),
                 "nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled \
                  recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`",

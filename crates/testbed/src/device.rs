@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
-use dermis_bag::BagReader;
+use dermis_bag::{BagError, BagReader, SkinChoice, SkinChoiceError, Typed};
 use dermis_msgs::msg::{Indentation, TaxelFrame};
 use dermis_skin::{ForwardModel, SkinDescription, Stamp, WireProtocol};
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
@@ -501,13 +501,66 @@ pub struct ReplayOptions {
     pub speed: f64,
     /// Topic of the frames; the only one of that type where absent.
     pub topic: Option<String>,
+    /// Name of the skin whose frames are sent; the only one of this type where absent.
+    pub instance: Option<String>,
     /// Where the device is plugged in.
     pub outlet: Outlet,
 }
 
 impl Default for ReplayOptions {
     fn default() -> Self {
-        Self { speed: 1.0, topic: None, outlet: Outlet::Pty }
+        Self { speed: 1.0, topic: None, instance: None, outlet: Outlet::Pty }
+    }
+}
+
+/// Why it is not clear which frames of a bag to send.
+enum Unclear {
+    Bag(BagError),
+    Skin(String),
+}
+
+impl From<BagError> for Unclear {
+    fn from(error: BagError) -> Self {
+        Self::Bag(error)
+    }
+}
+
+/// Topic and name of the skin whose frames are sent: never those of two.
+fn choose(
+    reader: &BagReader,
+    skin: &SkinDescription,
+    options: &ReplayOptions,
+) -> Result<(String, String), Unclear> {
+    let named = options.topic.as_deref().map(|topic| reader.topic(topic)).transpose()?;
+    let named = named.map(|topic| topic.name.as_str());
+    let skins = reader.skins()?;
+    let choice =
+        SkinChoice { instance: options.instance.as_deref(), topic: named, type_name: skin.type_name() };
+    let mut chosen = choice.of(&skins, |hash, name| skin.is_type(hash, name));
+    // A recording of one skin is taken whatever that is called: its channels are compared below.
+    let mut framed = skins.iter().filter(|skin| skin.topics_of::<TaxelFrame>().next().is_some());
+    if let (Err(SkinChoiceError::NoneOfType { .. }), Some(only), None) =
+        (&chosen, framed.next(), framed.next())
+    {
+        chosen = Ok(only);
+    }
+    let chosen = chosen.map_err(|error| {
+        Unclear::Skin(format!("{error}; `--skin-instance` names one, `dermis bag info` lists them"))
+    })?;
+    let topics: Vec<&str> =
+        chosen.topics_of::<TaxelFrame>().filter(|topic| named.is_none_or(|named| named == *topic)).collect();
+    match topics.as_slice() {
+        [only] => Ok(((*only).to_owned(), chosen.name.clone())),
+        [] => Err(Unclear::Skin(format!(
+            "has no frames of skin `{}` on {}",
+            chosen.name,
+            named.unwrap_or_default()
+        ))),
+        several => Err(Unclear::Skin(format!(
+            "frames of skin `{}` come on several topics: {}: two skins would be taken for one",
+            chosen.name,
+            several.join(", ")
+        ))),
     }
 }
 
@@ -542,9 +595,17 @@ impl ReplayDevice {
             return Err(wrong(format!("replay speed is {} and must be positive", options.speed)));
         }
         let reader = BagReader::open(&path)?;
-        let frames = || match &options.topic {
-            Some(topic) => reader.read::<TaxelFrame>(topic),
-            None => reader.read_only_topic::<TaxelFrame>(),
+        let (topic, instance) = choose(&reader, skin, options).map_err(|reason| match reason {
+            Unclear::Bag(error) => error.into(),
+            Unclear::Skin(reason) => wrong(reason),
+        })?;
+        // A topic may carry several skins.
+        let frames = || {
+            let name = instance.clone();
+            let of_skin = move |message: &Result<Typed<TaxelFrame>, BagError>| {
+                message.as_ref().is_ok_and(|typed| typed.message.skin == name) || message.is_err()
+            };
+            reader.read::<TaxelFrame>(&topic).map(|messages| messages.filter(of_skin))
         };
         let Some(first) = frames()?.next().transpose()?.map(|m| m.message) else {
             return Err(wrong("holds no frames".into()));

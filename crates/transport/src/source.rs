@@ -290,8 +290,9 @@ struct Reader {
 impl Reader {
     fn run(self) {
         let _end = EndOnDrop(&self.queue);
-        if let SourceUrl::Replay { path, speed, topic, repeat } = &self.url {
-            let plan = replay::Plan { path, speed: *speed, topic: topic.as_deref(), repeat: *repeat };
+        if let SourceUrl::Replay { path, speed, topic, skin, repeat } = &self.url {
+            let (topic, skin) = (topic.as_deref(), skin.as_deref());
+            let plan = replay::Plan { path, speed: *speed, topic, skin, repeat: *repeat };
             if let Err(reason) = replay::run(&plan, &self.queue, &self.stop) {
                 self.queue.disconnected(reason, Duration::ZERO, false);
             }

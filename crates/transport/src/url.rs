@@ -52,7 +52,7 @@ pub enum Newcomer {
 /// | `tcp-listen://0.0.0.0:7400?newcomer=refuse&hold=1`, `tcp://0.0.0.0:7400?listen` | serve, one client is the device |
 /// | `pty:///dev/pts/3` | an existing terminal, no line settings and no lock |
 /// | `pty://`, `pty://?link=/tmp/skin` | make a pseudo-terminal and read what is written to its far end |
-/// | `replay:///data/bag?speed=1&topic=/skin/taxels&loop=false` | the `TaxelFrame`s of a rosbag2 (folder or `.mcap`) as native wire |
+/// | `replay:///data/bag?speed=1&topic=/skin/taxels&skin=left_palm&loop=false` | the `TaxelFrame`s of a rosbag2 (folder or `.mcap`) as native wire |
 ///
 /// `idle=SECONDS` reconnects when a link is silent for so long, `idle=0` never. `tcp://` does so after 10 s if nothing
 /// else is said, because a server that lost power never says goodbye; for the others silence is no reason to.
@@ -123,6 +123,8 @@ pub enum SourceUrl {
         speed: f64,
         /// Topic to replay; without it every topic of type `TaxelFrame` must be the same one.
         topic: Option<String>,
+        /// Name of the skin whose frames are replayed; without it the topic must carry those of one only.
+        skin: Option<String>,
         /// Start again at the end.
         repeat: bool,
     },
@@ -229,14 +231,16 @@ impl SourceUrl {
                 Ok(Self::Pty { path: Some(path), link: None })
             }
             "replay" => {
-                let mut q = parser("replay", &["speed", "topic", "loop"])?;
+                let mut q = parser("replay", &["speed", "topic", "skin", "loop"])?;
                 let path = q.path("a rosbag2 folder or .mcap file, as in replay:///data/bag")?;
                 let speed = q.take_with("speed", "0 (as fast as possible) or a positive factor", |v| {
                     v.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0)
                 })?;
                 let topic =
                     q.take_with("topic", "a topic name", |v| (!v.is_empty()).then(|| v.to_owned()))?;
-                Ok(Self::Replay { path, speed: speed.unwrap_or(1.0), topic, repeat: q.flag("loop")? })
+                let skin =
+                    q.take_with("skin", "the name of a skin", |v| (!v.is_empty()).then(|| v.to_owned()))?;
+                Ok(Self::Replay { path, speed: speed.unwrap_or(1.0), topic, skin, repeat: q.flag("loop")? })
             }
             _ => Err(TransportError::UnknownScheme {
                 url: url.into(),
@@ -302,11 +306,12 @@ impl Display for SourceUrl {
                 format!("pty://{}", path.as_ref().map_or(String::new(), |p| escape(&p.to_string_lossy()))),
                 vec![link.as_ref().map(|l| format!("link={}", escape(&l.to_string_lossy())))],
             ),
-            Self::Replay { path, speed, topic, repeat } => (
+            Self::Replay { path, speed, topic, skin, repeat } => (
                 format!("replay://{}", escape(&path.to_string_lossy())),
                 vec![
                     (*speed != 1.0).then(|| format!("speed={speed}")),
                     topic.as_ref().map(|t| format!("topic={}", escape(t))),
+                    skin.as_ref().map(|s| format!("skin={}", escape(s))),
                     repeat.then(|| "loop=true".into()),
                 ],
             ),
@@ -540,17 +545,25 @@ mod tests {
         assert_eq!(SourceUrl::parse("tcp://0.0.0.0:7400?listen").unwrap(), listen);
         assert_eq!(SourceUrl::parse("pty://").unwrap(), SourceUrl::Pty { path: None, link: None });
         assert_eq!(
-            SourceUrl::parse("replay:///data/my%20bag?speed=0&topic=/skin/taxels&loop=true").unwrap(),
+            SourceUrl::parse("replay:///data/my%20bag?speed=0&topic=/skin/taxels&skin=palm&loop=true")
+                .unwrap(),
             SourceUrl::Replay {
                 path: "/data/my bag".into(),
                 speed: 0.0,
                 topic: Some("/skin/taxels".into()),
+                skin: Some("palm".into()),
                 repeat: true
             }
         );
         assert_eq!(
             SourceUrl::parse("replay://bags/first").unwrap(),
-            SourceUrl::Replay { path: "bags/first".into(), speed: 1.0, topic: None, repeat: false }
+            SourceUrl::Replay {
+                path: "bags/first".into(),
+                speed: 1.0,
+                topic: None,
+                skin: None,
+                repeat: false
+            }
         );
     }
 
@@ -596,8 +609,20 @@ mod tests {
             }),
             proptest::option::of(path()).prop_map(|path| SourceUrl::Pty { path, link: None }),
             path().prop_map(|link| SourceUrl::Pty { path: None, link: Some(link) }),
-            (path(), 0.0..100.0, proptest::option::of("/[a-z/]{1,9}"), any::<bool>())
-                .prop_map(|(path, speed, topic, repeat)| SourceUrl::Replay { path, speed, topic, repeat }),
+            (
+                path(),
+                0.0..100.0,
+                proptest::option::of("/[a-z/]{1,9}"),
+                proptest::option::of("[a-z_]{1,9}"),
+                any::<bool>()
+            )
+                .prop_map(|(path, speed, topic, skin, repeat)| SourceUrl::Replay {
+                    path,
+                    speed,
+                    topic,
+                    skin,
+                    repeat
+                }),
         ]
     }
 

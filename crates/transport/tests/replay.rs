@@ -181,10 +181,35 @@ fn a_topic_is_chosen_or_asked_for() {
         recording.write("/right/taxels", &frame(100 + i), START);
     }
     recording.finish();
-    insta::assert_snapshot!(hide(&failure(url(&path, "?speed=0")), folder.path()), @"BAG/run holds frames on several topics, choose one with topic=…: /left/taxels, /right/taxels");
+    insta::assert_snapshot!(hide(&failure(url(&path, "?speed=0")), folder.path()), @"BAG/run holds frames on several topics, choose one with topic=…, or a skin with skin=…: /left/taxels, /right/taxels");
     insta::assert_snapshot!(hide(&failure(url(&path, "?topic=/palm/taxels")), folder.path()), @"BAG/run has no topic /palm/taxels of type dermis_msgs/msg/TaxelFrame; it has /left/taxels, /right/taxels");
     let played = play(url(&path, "?speed=0&topic=right/taxels"), SourceOptions::default(), usize::MAX);
     assert_eq!(played.frames.iter().map(|f| f.sequence).collect::<Vec<_>>(), [100, 101, 102]);
+}
+
+#[test]
+fn two_skins_are_never_sent_as_one() {
+    let (folder, path) = bag();
+    let of = |skin: &str, i| TaxelFrame { skin: skin.into(), ..frame(i) };
+    let mut recording = Recording::create(&path.join("run_0.mcap"));
+    for i in 0..3 {
+        recording.write("/taxels", &of("left_palm", i), START);
+        recording.write("/taxels", &of("right_palm", 100 + i), START);
+        recording.write("/foot/taxels", &of("foot", 200 + i), START);
+        recording.write("/twice/taxels", &of("foot", 300 + i), START);
+    }
+    recording.finish();
+    let told = |keys| hide(&failure(url(&path, keys)), folder.path());
+    insta::assert_snapshot!(told("?speed=0&topic=/taxels"), @"topic /taxels of BAG/run/run_0.mcap carries frames of `left_palm` and of `right_palm`, choose one with skin=…");
+    insta::assert_snapshot!(told("?speed=0&skin=foot"), @"BAG/run/run_0.mcap holds frames of skin `foot` on /foot/taxels and on /twice/taxels, choose one with topic=…");
+    insta::assert_snapshot!(told("?speed=0&skin=arm"), @"BAG/run holds no frame of skin `arm`; it has those of `foot`, `left_palm`, `right_palm`");
+    for (keys, first) in
+        [("skin=right_palm", 100), ("skin=left_palm", 0), ("skin=foot&topic=/twice/taxels", 300)]
+    {
+        let played = play(url(&path, &format!("?speed=0&{keys}")), SourceOptions::default(), usize::MAX);
+        let numbers: Vec<u64> = played.frames.iter().map(|f| f.sequence).collect();
+        assert_eq!(numbers, [first, first + 1, first + 2], "{keys}");
+    }
 }
 
 #[test]

@@ -202,7 +202,7 @@ fn elsewhere(skin: &SkinDescription, cases: &mut [Opened], options: &Options) ->
         let folder = tempfile::tempdir().context("no folder for another recording can be made")?;
         let bag = folder.path().join("again");
         pack::record_again(skin, &secret, &bag)?;
-        let recording = dermis_gap::read(&[&bag], skin, None)?;
+        let recording = dermis_gap::read(&[&bag], skin, None, None)?;
         let usable = vec![true; sigma.len()];
         let rows = Rows::draw(&recording, &usable, &RowOptions::default());
         let frames = rows.frames();

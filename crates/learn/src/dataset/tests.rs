@@ -184,7 +184,7 @@ fn what_a_bag_lacks_is_said() {
     insta::assert_snapshot!(told(std::slice::from_ref(&good), &[]), @"bag BAG: holds 1 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it: nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`");
     let mut other = good.clone();
     other.skin = "arm".into();
-    insta::assert_snapshot!(told(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm`: there is nothing to learn from");
+    insta::assert_snapshot!(told(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm` (/pad/taxels): there is nothing to learn from; `--skin-instance` names a device of this type, `dermis bag info` lists them");
     insta::assert_snapshot!(told(std::slice::from_ref(&good), &[truth(STEP * 5, 0, &[])]), @"bag BAG: none of 1 frames has ground truth within 0.01 s of its stamp: frames reach from 0 to 0.00 s, the ground truth from 0.05 to 0.05 s after the first frame: check that both were stamped by the same clock");
     let mut swapped = good.clone();
     swapped.channels.swap(0, 1);
@@ -271,6 +271,81 @@ fn frames_that_cannot_be_told_apart_or_joined_are_named_together() {
     bag BAG: holds 20 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it: nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`
       note: bag BAG: 1 of 2 channels never change: right: a model will not know them; check the wiring before it is trained
     ");
+}
+
+/// A bag of two devices of the skin's type, and the rig's ground truth of each; `truth` names the skin that it says.
+fn two_devices(dir: &Path, truth: impl Fn(&str) -> String) -> PathBuf {
+    let path = dir.join("two");
+    let mut writer = BagWriter::create(&path).unwrap();
+    for (side, offset) in [("left", 0.0_f32), ("right", 100.0)] {
+        let pad = skin().into_instance(Some(&format!("{side}_pad")), None, None).unwrap();
+        let geometry = pad.geometry_message(&pad.surface(), BEGIN);
+        writer.write(&format!("/{side}/skin_geometry"), &geometry, BEGIN).unwrap();
+        for k in 0..12 {
+            let reading = Frame::new(BEGIN + k * STEP, k as u64, vec![k as f32 + offset, 2.0 * k as f32]);
+            writer.write(&format!("/{side}/taxels"), &pad.frame_message(&reading), reading.stamp).unwrap();
+            let pressed = [(0.001, 1.0)];
+            let mut said = self::truth(k * STEP, 1, if k > 6 { &pressed } else { &[] });
+            said.skin = truth(side);
+            writer.write(&format!("/{side}/ground_truth"), &said, reading.stamp).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    path
+}
+
+#[test]
+fn one_of_two_like_skins_is_learned_from_and_never_both() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, truth) in
+        [("own", (|side| format!("{side}_pad")) as fn(&str) -> String), ("type", |_| "pad".to_owned())]
+    {
+        let folder = dir.path().join(name);
+        std::fs::create_dir(&folder).unwrap();
+        let path = two_devices(&folder, truth);
+        let read = |instance: Option<&str>, taxels: Option<&str>| {
+            let options = DatasetOptions {
+                instance: instance.map(Into::into),
+                taxels: taxels.map(Into::into),
+                ..DatasetOptions::default()
+            };
+            Dataset::from_bags(&[&path], &skin(), &options)
+                .map_err(|e| e.to_string().replace(&path.display().to_string(), "BAG"))
+        };
+        insta::allow_duplicates! {
+            insta::assert_snapshot!(read(None, None).unwrap_err(), @"bag BAG: holds frames of several skins of the type `pad`: those of `left_pad` (/left/taxels), `right_pad` (/right/taxels): two devices would be taken for one; name one of them with `--skin-instance`, or its topic with `--taxels`");
+            insta::assert_snapshot!(read(Some("foot"), None).unwrap_err(), @"bag BAG: holds no frames of skin `foot`; it has those of `left_pad` (/left/taxels), `right_pad` (/right/taxels): there is nothing to learn from; `--skin-instance` names a device of this type, `dermis bag info` lists them");
+        }
+        for data in [read(Some("right_pad"), None).unwrap(), read(None, Some("/right/taxels")).unwrap()] {
+            let samples = &data.runs()[0].samples;
+            assert_eq!(samples.len(), 12);
+            assert!(samples.iter().all(|s| s.frame.values[0] >= 100.0), "frames of the right one alone");
+            let truths = data.labelled().filter(|(_, _, t)| t.touched()).count();
+            assert_eq!(truths, 5, "ground truth of the right one alone");
+            assert!(
+                data.notices()
+                    .iter()
+                    .any(|n| n.contains("its frames are of `right_pad`, a skin of the type `pad`")),
+                "{:?}",
+                data.notices()
+            );
+        }
+    }
+}
+
+#[test]
+fn a_recording_from_when_the_hash_covered_the_name_is_of_the_same_skin() {
+    let dir = tempfile::tempdir().unwrap();
+    let frames: Vec<TaxelFrame> =
+        (0..12).map(|k| frame(k * STEP, k as u64, vec![k as f32, 1.0 + k as f32])).collect();
+    let truths: Vec<Indentation> = (0..12).map(|k| truth(k * STEP, 1, &[(0.001, 1.0)])).collect();
+    let path = bag(dir.path(), &frames, &truths);
+    // Under another name of the file, its frames are of that skin only where somebody says so.
+    let mut renamed = skin();
+    renamed.name = "left-pad".into();
+    assert!(Dataset::from_bags(&[&path], &renamed, &DatasetOptions::default()).is_err());
+    let options = DatasetOptions { instance: Some("pad".into()), ..DatasetOptions::default() };
+    assert_eq!(Dataset::from_bags(&[&path], &renamed, &options).unwrap().runs()[0].samples.len(), 12);
 }
 
 #[test]

@@ -2,6 +2,9 @@
 //!
 //! A recording is read from front to back and held in memory one record at a time, so that its length does not matter.
 //! Unlike a device it can wait: a slow consumer holds it up, and nothing is dropped.
+//!
+//! A device is one skin: frames of two skins, or of one skin on two topics, are never sent one between the other. Where a
+//! recording has several, it has to be said which is meant.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
@@ -32,19 +35,31 @@ pub(super) struct Plan<'a> {
     pub(super) path: &'a Path,
     pub(super) speed: f64,
     pub(super) topic: Option<&'a str>,
+    pub(super) skin: Option<&'a str>,
     pub(super) repeat: bool,
 }
 
 /// Sends the whole recording, or says why it cannot.
 pub(super) fn run(plan: &Plan<'_>, queue: &Queue, stop: &Stop) -> Result<(), String> {
     let files = files(plan.path)?;
-    let topic = choose_topic(&files, plan)?;
+    let topics = choose_topics(&files, plan)?;
     let pace = match plan.speed {
         0.0 => "as fast as possible".to_owned(),
         speed => format!("at {speed} times its pace"),
     };
-    queue.connected(&format!("recording {}, topic {topic}, {pace}", plan.path.display()));
-    let mut player = Player { topic: &topic, queue, stop, output: Output::new(plan.speed), sent: 0 };
+    let shown = topics.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+    queue.connected(&format!("recording {}, topic {shown}, {pace}", plan.path.display()));
+    let mut player = Player {
+        topics: &topics,
+        skin: plan.skin.map(str::to_owned),
+        chosen: plan.skin.is_some(),
+        from: None,
+        others: BTreeSet::new(),
+        queue,
+        stop,
+        output: Output::new(plan.speed),
+        sent: 0,
+    };
     loop {
         let before = player.sent;
         for file in &files {
@@ -53,7 +68,14 @@ pub(super) fn run(plan: &Plan<'_>, queue: &Queue, stop: &Stop) -> Result<(), Str
             }
         }
         if player.sent == before {
-            return Err(format!("topic {topic} of {} holds no frame", plan.path.display()));
+            let place = plan.path.display();
+            return Err(match plan.skin {
+                Some(skin) if !player.others.is_empty() => {
+                    let others = player.others.into_iter().collect::<Vec<_>>().join("`, `");
+                    format!("{place} holds no frame of skin `{skin}`; it has those of `{others}`")
+                }
+                _ => format!("topic {shown} of {place} holds no frame"),
+            });
         }
         if !plan.repeat {
             return Ok(());
@@ -114,7 +136,8 @@ fn same_topic(a: &str, b: &str) -> bool {
     a.trim_start_matches('/') == b.trim_start_matches('/')
 }
 
-fn choose_topic(files: &[PathBuf], plan: &Plan<'_>) -> Result<String, String> {
+/// The topic that is meant; all that could carry the skin where only that is named.
+fn choose_topics(files: &[PathBuf], plan: &Plan<'_>) -> Result<BTreeSet<String>, String> {
     let shown = plan.path.display();
     let mut topics = Topics::new();
     for file in files {
@@ -131,13 +154,22 @@ fn choose_topic(files: &[PathBuf], plan: &Plan<'_>) -> Result<String, String> {
         return Err(format!("{shown} holds no {}; its types are: {types}", TaxelFrame::TYPE_NAME));
     }
     match plan.topic {
-        Some(wanted) => frames.iter().find(|t| same_topic(t, wanted)).cloned().ok_or_else(|| {
-            format!("{shown} has no topic {wanted} of type {}; it has {}", TaxelFrame::TYPE_NAME, listed())
-        }),
-        None if frames.len() > 1 => {
-            Err(format!("{shown} holds frames on several topics, choose one with topic=…: {}", listed()))
-        }
-        None => Ok(frames.into_iter().next().unwrap_or_default()),
+        Some(wanted) => frames
+            .iter()
+            .find(|t| same_topic(t, wanted))
+            .map(|topic| BTreeSet::from([topic.clone()]))
+            .ok_or_else(|| {
+                format!(
+                    "{shown} has no topic {wanted} of type {}; it has {}",
+                    TaxelFrame::TYPE_NAME,
+                    listed()
+                )
+            }),
+        None if frames.len() > 1 && plan.skin.is_none() => Err(format!(
+            "{shown} holds frames on several topics, choose one with topic=…, or a skin with skin=…: {}",
+            listed()
+        )),
+        None => Ok(frames),
     }
 }
 
@@ -193,7 +225,15 @@ fn read_records(path: &Path, mut each: impl FnMut(Record<'_>) -> Result<Go, Stri
 }
 
 struct Player<'a> {
-    topic: &'a str,
+    topics: &'a BTreeSet<String>,
+    /// Skin whose frames are sent: the named one, else that of the first frame.
+    skin: Option<String>,
+    /// Whether it was named.
+    chosen: bool,
+    /// Topic that its first frame came on.
+    from: Option<String>,
+    /// Skins whose frames are left out.
+    others: BTreeSet<String>,
     queue: &'a Queue,
     stop: &'a Stop,
     output: Output,
@@ -202,7 +242,7 @@ struct Player<'a> {
 
 impl Player<'_> {
     fn play(&mut self, path: &Path) -> Result<Go, String> {
-        let mut wanted = BTreeSet::new();
+        let mut wanted = BTreeMap::new();
         let mut schemas = HashMap::new();
         read_records(path, |record| {
             match record {
@@ -212,16 +252,19 @@ impl Player<'_> {
                 Record::Channel(channel) => {
                     let is_frame =
                         schemas.get(&channel.schema_id).is_some_and(|n| n == TaxelFrame::TYPE_NAME);
-                    if is_frame && channel.topic == self.topic {
-                        wanted.insert(channel.id);
+                    if is_frame && self.topics.contains(&channel.topic) {
+                        wanted.insert(channel.id, channel.topic);
                     }
                 }
-                Record::Message { header, data } if wanted.contains(&header.channel_id) => {
+                Record::Message { header, data } => {
+                    let Some(topic) = wanted.get(&header.channel_id) else { return Ok(Go::On) };
                     let frame = TaxelFrame::from_cdr(&data).map_err(|e| {
-                        format!("message {} on {} of {} is {e}", self.sent, self.topic, path.display())
+                        format!("message {} on {topic} of {} is {e}", self.sent, path.display())
                     })?;
-                    let log_time = i64::try_from(header.log_time).unwrap_or(i64::MAX);
-                    return self.send(&frame, log_time, path);
+                    if self.is_meant(&frame.skin, topic, path)? {
+                        let log_time = i64::try_from(header.log_time).unwrap_or(i64::MAX);
+                        return self.send(&frame, log_time, topic, path);
+                    }
                 }
                 _ => {}
             }
@@ -229,11 +272,36 @@ impl Player<'_> {
         })
     }
 
-    fn send(&mut self, frame: &TaxelFrame, log_time: i64, path: &Path) -> Result<Go, String> {
+    /// Whether a frame is of the skin that is sent. Refuses what would be mixed with it.
+    fn is_meant(&mut self, skin: &str, topic: &str, path: &Path) -> Result<bool, String> {
+        let named = self.skin.get_or_insert_with(|| skin.to_owned());
+        if named == skin {
+            let from = self.from.get_or_insert_with(|| topic.to_owned());
+            if from == topic {
+                return Ok(true);
+            }
+            return Err(format!(
+                "{} holds frames of skin `{skin}` on {from} and on {topic}, choose one with topic=…",
+                path.display()
+            ));
+        }
+        if !self.chosen {
+            return Err(format!(
+                "topic {topic} of {} carries frames of `{named}` and of `{skin}`, choose one with skin=…",
+                path.display()
+            ));
+        }
+        if !self.others.contains(skin) {
+            self.others.insert(skin.to_owned());
+        }
+        Ok(false)
+    }
+
+    fn send(&mut self, frame: &TaxelFrame, log_time: i64, topic: &str, path: &Path) -> Result<Go, String> {
         let (wait, bytes) = self
             .output
             .frame(frame, log_time)
-            .map_err(|e| format!("message {} on {} of {}: {e}", self.sent, self.topic, path.display()))?;
+            .map_err(|e| format!("message {} on {topic} of {}: {e}", self.sent, path.display()))?;
         if self.stop.stopped_within(wait) || !self.queue.push_waiting(bytes, crate::now_ns) {
             return Ok(Go::Stop);
         }
