@@ -2,7 +2,7 @@
 //!
 //! Who asks knows a skin's name, and the topic that its contacts come on. The ROS graph knows which node publishes that topic,
 //! and the node's services lie under the node's name. Where several nodes publish one topic, because none has a namespace, the
-//! one that is called as its skin is meant, as nodes are by default. A node that does not offer a command is not asked for it.
+//! one that is called as its skin is meant, as nodes are by default: `left_palm` is `/gripper/left/palm`. A node that does not offer a command is not asked for it.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -195,7 +195,8 @@ fn choose(nodes: &[String], topic: &str, skin: &str) -> Result<String, String> {
         several => {
             // ROS names have no `-`.
             let called = skin.replace('-', "_");
-            let mut fitting = several.iter().filter(|name| name.rsplit('/').next() == Some(called.as_str()));
+            let ending = format!("_{called}");
+            let mut fitting = several.iter().filter(|name| name.replace('/', "_").ends_with(&ending));
             match (fitting.next(), fitting.next()) {
                 (Some(one), None) => Ok(one.clone()),
                 _ => Err(format!(
@@ -242,6 +243,10 @@ mod tests {
             choose(&nodes(&["/baro_dome", "/baro_grid"]), "/contacts", "baro-grid"),
             Ok("/baro_grid".into())
         );
+        let palms = nodes(&["/gripper/left/palm", "/gripper/right/palm"]);
+        for skin in ["right_palm", "gripper_right_palm"] {
+            assert_eq!(choose(&palms, "/gripper/contacts", skin), Ok("/gripper/right/palm".into()), "{skin}");
+        }
         insta::assert_snapshot!(choose(&nodes(&["/a", "/b"]), "/contacts", "baro-grid").unwrap_err(), @"/a and /b publish /contacts, and none alone is called as the skin `baro-grid`: give each node a namespace of its own");
         insta::assert_snapshot!(choose(&[], "/contacts", "baro-grid").unwrap_err(), @"no node publishes /contacts any more");
     }

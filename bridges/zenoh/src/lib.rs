@@ -11,6 +11,9 @@
 //! the encoding `application/json`. A liveliness token stands on `dermis/<robot>/<skin>` while the skin's topics
 //! exist. NaN becomes `null`, because JSON has no NaN.
 //!
+//! `<skin>` is the name of the device (`instance` of its node), not of its type. Two devices that claim one name are told apart
+//! by the namespaces of their topics, and never share a key.
+//!
 //! The bridge finds skins by itself: whatever is published in the ROS domain with a type of `dermis_msgs` that names
 //! its skin is bridged. A message is decoded only here, once, from the bytes that ROS 2 clients get.
 //!
@@ -27,15 +30,16 @@
 //! # }
 //! ```
 
+mod claims;
 pub mod commands;
 mod queries;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use dermis_msgs::msg::ContactArray;
-use dermis_msgs::{Message, TypeSupport, type_support};
+use dermis_msgs::{Message, OF_A_SKIN, TypeSupport, type_support};
 use dermis_node::{Node, Qos, Subscription};
 use serde::{Deserialize, Serialize};
 use tokio::task::JoinHandle;
@@ -44,18 +48,9 @@ use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::{Session, Wait};
 
+use crate::claims::{Claims, Publisher, Verdict, last_part};
 use crate::commands::Commander;
 use crate::queries::Offered;
-
-/// Types that say which skin they are about, and are therefore bridged.
-const BRIDGED: [&str; 6] = [
-    "dermis_msgs/msg/ContactArray",
-    "dermis_msgs/msg/TaxelFrame",
-    "dermis_msgs/msg/ForceMap",
-    "dermis_msgs/msg/DisplacementMap",
-    "dermis_msgs/msg/SkinGeometry",
-    "dermis_msgs/msg/Indentation",
-];
 
 /// How often the ROS graph is looked at for new skins.
 const LOOK_AROUND: Duration = Duration::from_millis(500);
@@ -133,6 +128,7 @@ impl Bridge {
         let shared = Arc::new(Shared {
             prefix: format!("dermis/{}", config.robot),
             session: session.clone(),
+            claims: Mutex::default(),
             commander: (!config.read_only).then(|| Arc::new(Commander::new(node))),
             runtime: tokio::runtime::Handle::current(),
             skins: Mutex::default(),
@@ -177,6 +173,7 @@ impl Drop for Bridge {
 struct Shared {
     prefix: String,
     session: Session,
+    claims: Mutex<Claims>,
     /// Who sends commands on; none where the bridge only shows.
     commander: Option<Arc<Commander>>,
     runtime: tokio::runtime::Handle,
@@ -233,7 +230,7 @@ fn session_config(config: &BridgeConfig) -> Result<zenoh::Config, BridgeError> {
 fn serve_latest(shared: &Arc<Shared>) -> zenoh::Result<()> {
     let latest = Arc::clone(&shared.latest);
     let schemas = format!("{}/schemas/", shared.prefix);
-    for name in BRIDGED {
+    for name in OF_A_SKIN {
         if let Some(support) = type_support(name) {
             lock(&latest).insert(format!("{schemas}{name}"), support.definition.to_owned());
         }
@@ -271,7 +268,7 @@ fn look_around(node: &Node, shared: &Arc<Shared>, bridged: &mut BTreeMap<(String
         }
     };
     let wanted: BTreeSet<(String, String)> =
-        topics.into_iter().filter(|(_, kind)| BRIDGED.contains(&kind.as_str())).collect();
+        topics.into_iter().filter(|(_, kind)| OF_A_SKIN.contains(&kind.as_str())).collect();
     bridged.retain(|key, _| {
         let stays = wanted.contains(key);
         if !stays {
@@ -289,7 +286,7 @@ fn look_around(node: &Node, shared: &Arc<Shared>, bridged: &mut BTreeMap<(String
         let qos = if kind.ends_with("/SkinGeometry") { Qos::latched() } else { Qos::sensor_data() };
         let (callback_shared, callback_topic) = (Arc::clone(shared), topic.clone());
         let subscribed = node.subscribe_raw(&topic, support, qos, move |bytes, _| {
-            forward(&callback_shared, &callback_topic, support, bytes);
+            forward(&callback_shared, &callback_topic, support, bytes, None);
         });
         match subscribed {
             Ok(subscription) => {
@@ -301,7 +298,7 @@ fn look_around(node: &Node, shared: &Arc<Shared>, bridged: &mut BTreeMap<(String
     }
 }
 
-fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8]) {
+fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8], publisher: Publisher) {
     let value = match (support.cdr_to_json)(bytes) {
         Ok(value) => value,
         Err(e) => {
@@ -315,13 +312,25 @@ fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8]) {
         );
         return;
     };
+    let text = value.to_string();
+    // Held to the end, so that nothing goes out under a name whose keys have moved in between.
+    let mut claims = lock(&shared.claims);
+    let Some(skin) = claim(shared, &mut claims, &skin, topic, publisher) else { return };
+    if let (Some(hash), Some(frame_id)) = (value["skin_hash"].as_str(), value["header"]["frame_id"].as_str())
+        && let Some(warning) = claims.place(&skin, frame_id, hash)
+    {
+        warn!("bridge: {warning}");
+    }
     announce(shared, &skin, topic);
     if support.name == ContactArray::TYPE_NAME {
         offer_commands(shared, &skin, topic);
     }
-    let name = topic.rsplit('/').next().unwrap_or(topic);
-    let key = format!("{}/{skin}/{name}", shared.prefix);
-    let text = value.to_string();
+    put(shared, &skin, topic, text);
+}
+
+/// Sends a value, and keeps it for who asks later.
+fn put(shared: &Shared, skin: &str, topic: &str, text: String) {
+    let key = format!("{}/{skin}/{}", shared.prefix, last_part(topic));
     let sent = shared
         .session
         .put(&key, text.clone())
@@ -332,6 +341,38 @@ fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8]) {
         warn!("bridge: {key} was not sent: {e}");
     }
     lock(&shared.latest).insert(key, text);
+}
+
+/// The name under which a message is sent; `None` where it would be mixed with those of another device.
+fn claim(
+    shared: &Shared,
+    claims: &mut Claims,
+    skin: &str,
+    topic: &str,
+    publisher: Publisher,
+) -> Option<String> {
+    match claims.claim(skin, topic, publisher, Instant::now()) {
+        Verdict::As(name) => Some(name),
+        Verdict::Refused(warning) => {
+            if let Some(warning) = warning {
+                warn!("bridge: {warning}");
+            }
+            None
+        }
+        Verdict::Moved { name, from, to, warning } => {
+            warn!("bridge: {warning}");
+            lock(&shared.skins).remove(&from);
+            for (topic, to) in to {
+                let old = format!("{}/{from}/{}", shared.prefix, last_part(&topic));
+                announce(shared, &to, &topic);
+                let latest = lock(&shared.latest).remove(&old);
+                if let Some(text) = latest {
+                    put(shared, &to, &topic, text);
+                }
+            }
+            Some(name)
+        }
+    }
 }
 
 /// Puts up the liveliness token of a skin when its first topic speaks.
@@ -369,10 +410,10 @@ fn offer_commands(shared: &Shared, skin: &str, topic: &str) {
 
 /// Takes down what a topic that went away had put up.
 fn forget(shared: &Shared, topic: &str) {
-    let name = topic.rsplit('/').next().unwrap_or(topic);
+    lock(&shared.claims).release(topic);
     lock(&shared.skins).retain(|skin, presence| {
         if presence.topics.remove(topic) {
-            lock(&shared.latest).remove(&format!("{}/{skin}/{name}", shared.prefix));
+            lock(&shared.latest).remove(&format!("{}/{skin}/{}", shared.prefix, last_part(topic)));
         }
         !presence.topics.is_empty()
     });
