@@ -240,23 +240,23 @@ mod tests {
         }
     }
 
-    fn felt(contacts: Vec<Contact>) -> Felt {
+    fn felt(contacts: &[Contact]) -> Felt {
         let mut felt = Felt::new("palm");
         for k in 0..=200 {
-            felt.take(array(k * SECOND / 100, contacts.clone()), k * SECOND / 100);
+            felt.take(array(k * SECOND / 100, contacts.to_vec()), k * SECOND / 100);
         }
         felt
     }
 
     #[test]
     fn a_flat_skin_has_two_coordinates_and_a_curved_one_three() {
-        let flat = felt(vec![contact([1.2e-3, 9.18e-3, 0.0], [0.0, 0.0, 1.0], 0.301)]);
+        let flat = felt(&[contact([1.2e-3, 9.18e-3, 0.0], [0.0, 0.0, 1.0], 0.301)]);
         insta::assert_snapshot!(flat.lines(12.1, 2 * SECOND).join("\n"), @r"
         palm    12.1 s   100.0 frames/s  latency 0.50 ms median, 0.50 ms p99
           track    x / mm    y / mm     F / N  confidence
               8      1.20      9.18     0.301        0.99
         ");
-        let dome = felt(vec![contact([6e-3, 0.0, 8e-3], [0.6, 0.0, 0.8], 1.5)]);
+        let dome = felt(&[contact([6e-3, 0.0, 8e-3], [0.6, 0.0, 0.8], 1.5)]);
         insta::assert_snapshot!(dome.lines(12.1, 2 * SECOND).join("\n"), @r"
         palm    12.1 s   100.0 frames/s  latency 0.50 ms median, 0.50 ms p99
           track    x / mm    y / mm    z / mm     F / N  confidence
@@ -268,7 +268,7 @@ mod tests {
     fn a_skin_that_is_not_touched_and_one_that_cannot_tell_read_differently() {
         let words = |skin: &Felt, now| skin.lines(1.0, now).pop().unwrap();
         assert_eq!(words(&Felt::new("palm"), 0), "  waiting for the first frame");
-        let mut skin = felt(Vec::new());
+        let mut skin = felt(&[]);
         assert_eq!(words(&skin, 2 * SECOND), "  not touched");
         assert_eq!(words(&skin, 9 * SECOND), "  nothing has come for 7 s");
         let blind = ContactArray {
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn the_rate_that_is_shown_is_that_of_the_last_seconds() {
-        let mut skin = felt(Vec::new());
+        let mut skin = felt(&[]);
         for k in 1..=40 {
             skin.take(array(2 * SECOND + k * SECOND / 10, Vec::new()), 2 * SECOND + k * SECOND / 10);
         }

@@ -23,7 +23,7 @@ fn expect(watch: &mut Peer, topics: &[&str], holds: impl Fn(&Value) -> bool) -> 
     let begun = Instant::now();
     loop {
         let seen = json(&watch.expect("{", SOON));
-        let skins = seen["skins"].as_array().unwrap();
+        let skins = seen["skins"].as_array().unwrap_or_else(|| panic!("{seen}"));
         let all = topics.iter().all(|topic| skins.iter().any(|s| s["topic"] == *topic));
         if all && holds(&seen) {
             return seen;
