@@ -32,7 +32,7 @@ pub fn run(options: &Options) -> Result<Value> {
     let backend = options.backend.open()?;
     let mut node_options = NodeOptions::new("bench_publisher");
     node_options.domain_id = Some(domain);
-    node_options.localhost_only = Some(true);
+    node_options = node_options.localhost_only(true);
     let node = Node::open(node_options, backend.as_ref())?;
     let publisher = node.publisher::<ContactArray>("contacts", Qos::sensor_data())?;
     let message = ContactArray {

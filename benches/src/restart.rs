@@ -74,7 +74,7 @@ pub fn run(options: &Options) -> Result<Value> {
     let domain = 120 + (std::process::id() % 40) as u16;
     let mut node_options = NodeOptions::new("restart");
     node_options.domain_id = Some(domain);
-    node_options.localhost_only = Some(true);
+    node_options = node_options.localhost_only(true);
     let node = Node::open(node_options, &HirozBackend::default())?;
     let (send, contacts) = channel();
     let _subscription = node.subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {

@@ -107,7 +107,7 @@ pub fn run(options: &Options) -> Result<Value> {
     let heard = Arc::new(Mutex::new(Heard::default()));
     let mut node_options = NodeOptions::new("soak");
     node_options.domain_id = Some(domain);
-    node_options.localhost_only = Some(true);
+    node_options = node_options.localhost_only(true);
     let node = Node::open(node_options, &HirozBackend::default())?;
     let qos = Qos { history: History::KeepLast(1000), ..Qos::sensor_data() };
     let mut subscriptions = Vec::new();

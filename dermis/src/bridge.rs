@@ -3,7 +3,8 @@
 use anyhow::Result;
 use clap::Args;
 use dermis_bridge_zenoh::{Bridge, BridgeConfig};
-use dermis_node::{Node, NodeOptions};
+use dermis_node::{NetworkChoice, Node, NodeOptions, Reach};
+use dermis_perception::cli::NetworkArguments;
 
 use crate::backend::Choice;
 
@@ -25,6 +26,12 @@ pub struct Options {
     /// Offer no commands: nobody tares, switches or loads a model through it.
     #[arg(long)]
     read_only: bool,
+    #[command(flatten)]
+    network: NetworkArguments,
+    /// How far the ROS side reaches, where it is not to be as far as the JSON: `--network lan --ros-network loopback` offers
+    /// the JSON of this machine's skins to other hosts, and no command.
+    #[arg(long, value_name = "REACH")]
+    ros_network: Option<Reach>,
     /// ROS 2 implementation that the skins speak.
     #[arg(long, value_enum, default_value_t)]
     backend: Choice,
@@ -32,14 +39,20 @@ pub struct Options {
 
 /// Runs until Ctrl-C.
 pub async fn run(options: Options) -> Result<()> {
-    let node = Node::open(NodeOptions::new("dermis_bridge"), options.backend.open()?.as_ref())?;
+    let network = options.network.choice();
+    let ros = match options.ros_network {
+        Some(reach) => NetworkChoice { network: Some(reach), zenoh_config: None },
+        None => network.clone(),
+    };
+    let node_options = NodeOptions::new("dermis_bridge").network(ros);
+    let node = Node::open(node_options, options.backend.open()?.as_ref())?;
     let config = BridgeConfig {
         robot: options.robot,
         mode: options.mode,
         connect: options.connect,
         listen: options.listen,
         read_only: options.read_only,
-        ..BridgeConfig::default()
+        network,
     };
     let bridge = Bridge::open(&node, config).await?;
     node.wait_for_shutdown().await?;

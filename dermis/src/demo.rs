@@ -10,6 +10,7 @@ use dermis_bridge_zenoh::{Bridge, BridgeConfig};
 use dermis_msgs::geometry_msgs::msg::Point;
 use dermis_msgs::msg::ContactArray;
 use dermis_node::{Node, NodeOptions, Qos};
+use dermis_perception::cli::NetworkArguments;
 use dermis_perception::{Config, SkinNode};
 use dermis_skin::SkinDescription;
 use dermis_testbed::{Outlet, Plan, VirtualDevice};
@@ -34,6 +35,8 @@ pub struct Options {
     /// Without JSON over zenoh.
     #[arg(long)]
     no_bridge: bool,
+    #[command(flatten)]
+    network: NetworkArguments,
     /// Seed of the touches and the noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -99,9 +102,12 @@ async fn play(
 
     let mut config = Config::new(skin_path, device.url());
     config.models = vec![bundle.to_path_buf()];
+    let network = options.network.choice();
+    (config.network, config.zenoh_config) = (network.network, network.zenoh_config.clone());
     let node = SkinNode::start(&dermis_barodome::FAMILY, &config, backend.as_ref())?;
 
-    let watcher = Node::open(NodeOptions::new("dermis_demo"), backend.as_ref())?;
+    let watcher = Node::open(NodeOptions::new("dermis_demo").network(network.clone()), backend.as_ref())?;
+    eprintln!("{}", watcher.open_to());
     let seen = Arc::new(Mutex::new(Seen::new()));
     let sink = Arc::clone(&seen);
     let _subscription =
@@ -111,9 +117,13 @@ async fn play(
     let bridge = if options.no_bridge {
         None
     } else {
-        let config = BridgeConfig { robot: "demo".into(), ..BridgeConfig::default() };
+        let config = BridgeConfig { robot: "demo".into(), network, ..BridgeConfig::default() };
         // The table is worth more than the JSON beside it.
-        Bridge::open(&watcher, config).await.inspect_err(|e| eprintln!("note: no JSON over zenoh: {e}")).ok()
+        Bridge::open(&watcher, config)
+            .await
+            .inspect(|bridge| eprintln!("{}", bridge.open_to()))
+            .inspect_err(|e| eprintln!("note: no JSON over zenoh: {e}"))
+            .ok()
     };
 
     let mut table = Table::begin();

@@ -10,6 +10,7 @@ use dermis_learn::LabelMap;
 use dermis_msgs::geometry_msgs::msg::{TransformStamped, WrenchStamped};
 use dermis_msgs::msg::Indentation;
 use dermis_node::{Node, NodeOptions};
+use dermis_perception::cli::NetworkArguments;
 use dermis_skin::SkinDescription;
 use dermis_testbed::{Outlet, Plan, ReplayDevice, ReplayOptions, VirtualDevice};
 use nalgebra::Vector3;
@@ -89,6 +90,8 @@ pub struct Told {
     /// ROS namespace of the topics.
     #[arg(long, default_value = "")]
     namespace: String,
+    #[command(flatten)]
+    network: NetworkArguments,
     /// ROS 2 implementation.
     #[arg(long, value_enum, default_value_t)]
     backend: Choice,
@@ -167,7 +170,8 @@ async fn tell(
     seed: u64,
     stop: &AtomicBool,
 ) -> Result<()> {
-    let options = NodeOptions::new("dermis_testbed").namespace(told.namespace.clone());
+    let options =
+        NodeOptions::new("dermis_testbed").namespace(told.namespace.clone()).network(told.network.choice());
     let node = Node::open(options, told.backend.open()?.as_ref())?;
     let truth = told
         .ground_truth

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use dermis_inference::{Runtime, RuntimeConfig};
+use dermis_node::NetworkChoice;
 use serde_json::json;
 
 /// What to look at.
@@ -25,6 +26,13 @@ pub fn run(options: &Options) -> Result<()> {
     let serial = serial_devices();
     let ros = std::env::var("ROS_DISTRO").ok();
     let rmw = std::env::var("RMW_IMPLEMENTATION").ok();
+    let network = match NetworkChoice::default().resolve() {
+        Ok(network) => {
+            let file = network.zenoh_config.map(|file| file.display().to_string());
+            format!("{} (by {})", file.unwrap_or_else(|| network.reach.to_string()), network.decided_by)
+        }
+        Err(error) => error.to_string(),
+    };
     let domain = std::env::var("ROS_DOMAIN_ID").unwrap_or_else(|_| "0".to_owned());
     if options.json {
         println!(
@@ -33,6 +41,7 @@ pub fn run(options: &Options) -> Result<()> {
                 "version": env!("CARGO_PKG_VERSION"),
                 "inference": inference,
                 "serial_devices": serial,
+                "network": network,
                 "ros": { "distro": ros, "rmw": rmw, "domain": domain, "backend_ros2": cfg!(feature = "ros2") },
                 "sensor_families": crate::registry::FAMILIES.iter().map(|f| f.name).collect::<Vec<_>>(),
             })
@@ -57,6 +66,7 @@ pub fn run(options: &Options) -> Result<()> {
     println!(
         "              peers see us with RMW_IMPLEMENTATION=rmw_zenoh_cpp over hiroz, with any RMW over ros2"
     );
+    println!("network       {network}");
     let families: Vec<&str> = crate::registry::FAMILIES.iter().map(|f| f.name).collect();
     println!("sensors       {}", families.join(", "));
     Ok(())

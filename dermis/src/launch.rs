@@ -6,7 +6,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser};
-use dermis_launch::{Host, LogOptions, NodeRequest, Refusal};
+use dermis_launch::{Host, LogOptions, NodeRequest, Plan, Refusal};
+use dermis_node::Reach;
+use dermis_perception::cli::NetworkArguments;
 use serde_json::Value;
 
 use crate::log::Format;
@@ -26,6 +28,8 @@ pub struct Options {
     /// With --check: show it as JSON.
     #[arg(long, requires = "check")]
     json: bool,
+    #[command(flatten)]
+    network: NetworkArguments,
     /// Write what each process prints to a file of its own in this folder too.
     #[arg(long)]
     log_dir: Option<PathBuf>,
@@ -56,7 +60,8 @@ pub async fn run(options: &Options, format: Format) -> Result<()> {
         .prefix("dermis-launch-")
         .tempdir()
         .context("no temporary folder for the launch")?;
-    let plan = dermis_launch::load(&options.file, &options.arguments, tmp.path(), &host)?;
+    let mut plan = dermis_launch::load(&options.file, &options.arguments, tmp.path(), &host)?;
+    hand_over(&options.network, &mut plan)?;
     if options.check {
         if options.json {
             println!("{:#}", plan.json());
@@ -90,6 +95,29 @@ pub async fn run(options: &Options, format: Format) -> Result<()> {
     Ok(())
 }
 
+/// What the command line says of the network wins over what the file says, for every process but those whose own command
+/// line says it.
+fn hand_over(network: &NetworkArguments, plan: &mut Plan) -> Result<()> {
+    let (flag, value) = match (network.network, &network.zenoh_config) {
+        (None, None) => return Ok(()),
+        (Some(reach), _) => ("--network", reach.to_string()),
+        (None, Some(file)) => {
+            let file =
+                file.canonicalize().with_context(|| format!("zenoh configuration {}", file.display()))?;
+            ("--zenoh-config", file.display().to_string())
+        }
+    };
+    for process in &mut plan.processes {
+        process.set_network(network.network.is_some(), &value);
+        let says_so =
+            |argument: &String| argument.starts_with("--network") || argument.starts_with("--zenoh-config");
+        if process.config.is_some() && !process.arguments.iter().any(says_so) {
+            process.arguments.extend([flag.to_owned(), value.clone()]);
+        }
+    }
+    Ok(())
+}
+
 /// This program, as launch files know it.
 struct Dermis {
     program: PathBuf,
@@ -109,6 +137,10 @@ impl Host for Dermis {
             let sentence = sentence.trim_start_matches("error: ");
             format!("`dermis {}`: {sentence}", arguments.join(" "))
         })
+    }
+
+    fn network(&self, text: &str) -> Result<(), String> {
+        text.parse::<Reach>().map(drop).map_err(|error| error.to_string())
     }
 
     fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Refusal> {

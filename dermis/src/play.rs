@@ -13,6 +13,7 @@ use dermis_msgs::{OF_A_SKIN, SkinNames, TypeSupport, type_support};
 use dermis_node::{
     Durability, History, Node, NodeOptions, Publisher, Qos, RawPublisher, Reliability, parse_remapping,
 };
+use dermis_perception::cli::NetworkArguments;
 use serde_json::json;
 
 use crate::backend::Choice;
@@ -63,6 +64,8 @@ pub struct Options {
     /// Play what is whole of a bag whose recording was interrupted.
     #[arg(long)]
     recover: bool,
+    #[command(flatten)]
+    network: NetworkArguments,
     /// ROS 2 implementation.
     #[arg(long, value_enum, default_value_t)]
     backend: Choice,
@@ -94,12 +97,15 @@ pub async fn run(options: Options) -> Result<()> {
     let Some((first, last)) = reader.span() else {
         bail!("{} has no messages to play", options.bag.display());
     };
-    let mut node_options =
-        NodeOptions::new(format!("dermis_play_{}", std::process::id())).diagnostics(false).threads(1);
+    let mut node_options = NodeOptions::new(format!("dermis_play_{}", std::process::id()))
+        .network(options.network.choice())
+        .diagnostics(false)
+        .threads(1);
     for (from, to) in &options.remap {
         node_options = node_options.remap(from, to);
     }
     let node = Node::open(node_options, options.backend.open()?.as_ref())?;
+    eprintln!("{}", node.open_to());
     let skin = options.skin_instance.as_deref().map(|name| skin(&reader, name)).transpose()?;
     let publishers = publishers(&options, &reader, &node, skin.as_ref())?;
     let clock = options

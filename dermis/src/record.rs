@@ -11,6 +11,7 @@ use dermis_bag::{BagQos, Compression, Recorded, Recorder, RecorderOptions, Recor
 use dermis_msgs::{TypeSupport, type_support};
 use dermis_node::backend::{EndpointInfo, EndpointKind};
 use dermis_node::{Durability, History, Node, NodeOptions, Qos, Reliability, Subscription};
+use dermis_perception::cli::NetworkArguments;
 use indicatif::{ProgressBar, ProgressStyle};
 use regex::Regex;
 use serde_json::json;
@@ -68,6 +69,8 @@ pub struct Options {
     /// Namespace of the recorder, and of topics that are given without a leading `/`.
     #[arg(long, default_value = "/")]
     namespace: String,
+    #[command(flatten)]
+    network: NetworkArguments,
     /// ROS 2 implementation.
     #[arg(long, value_enum, default_value_t)]
     backend: Choice,
@@ -113,9 +116,13 @@ pub async fn run(options: Options) -> Result<()> {
     let queue_bytes = usize::try_from(options.buffer).unwrap_or(usize::MAX);
     let recorder_options = defaults.bag(layout).queue_bytes(queue_bytes);
     let mut end = std::pin::pin!(end_asked()?);
-    let node_options =
-        NodeOptions::new(node_name()).namespace(&options.namespace).diagnostics(false).threads(1);
+    let node_options = NodeOptions::new(node_name())
+        .namespace(&options.namespace)
+        .network(options.network.choice())
+        .diagnostics(false)
+        .threads(1);
     let node = Node::open(node_options, options.backend.open()?.as_ref())?;
+    eprintln!("{}", node.open_to());
     let selection = Selection::new(&options, &node)?;
     let recorder = Recorder::start(&options.out, recorder_options)?;
     let mut recording =

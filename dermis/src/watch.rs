@@ -13,6 +13,7 @@ use dermis_bridge_zenoh::commands::{Command, Commander, node_of};
 use dermis_msgs::msg::ContactArray;
 use dermis_msgs::{Message, TypeSupport};
 use dermis_node::{Node, NodeOptions, Qos, Subscription};
+use dermis_perception::cli::NetworkArguments;
 use serde_json::{Value, json};
 
 use crate::backend::Choice;
@@ -36,6 +37,8 @@ pub struct Options {
     /// How long to look for a skin before giving up.
     #[arg(long, value_parser = duration, default_value = "10s")]
     within: Duration,
+    #[command(flatten)]
+    network: NetworkArguments,
     /// ROS 2 implementation.
     #[arg(long, value_enum, default_value_t)]
     backend: Choice,
@@ -58,7 +61,11 @@ type Listened = BTreeMap<String, Subscription>;
 /// Runs until Ctrl-C, or as long as was said.
 pub async fn run(options: Options) -> Result<()> {
     let name = format!("dermis_watch_{}", std::process::id());
-    let node = Node::open(NodeOptions::new(name).diagnostics(false), options.backend.open()?.as_ref())?;
+    let node = Node::open(
+        NodeOptions::new(name).network(options.network.choice()).diagnostics(false),
+        options.backend.open()?.as_ref(),
+    )?;
+    eprintln!("{}", node.open_to());
     let seen = Arc::new(Mutex::new(Seen::default()));
     let done = watch(&options, &node, &seen).await;
     let closing = node.clone();
@@ -283,6 +290,7 @@ mod tests {
             json: false,
             duration: None,
             within: Duration::from_secs(1),
+            network: NetworkArguments::default(),
             backend: Choice::Hiroz,
         }
     }

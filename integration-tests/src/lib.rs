@@ -3,13 +3,16 @@
 //! `cargo xtask test` sets the variables that are read here; a test whose other side is missing says so and passes.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
+
+use dermis_node::network::SessionOptions;
+use dermis_node::{HirozBackend, HirozConfig};
 
 pub mod launch;
 pub mod rclpy;
@@ -123,6 +126,47 @@ pub fn domain() -> u16 {
     TAKEN.get_or_init(take).0
 }
 
+/// The UDP port at which zenoh programs of this test look for each other, and no other test's.
+#[must_use]
+pub fn scouting_port() -> u16 {
+    // Beside the ports of the tests of single crates, and below those that systems give out themselves.
+    31_000 + domain()
+}
+
+/// Has a program run in this test's ROS domain, on this machine only, where it hears no program of another test: it looks
+/// for zenoh peers at [`scouting_port`]. Our programs read that variable as `rmw_zenoh` does; Python's zenoh does not, so that
+/// `python/isolated/sitecustomize.py` does it for it.
+pub fn isolate(command: &mut Command) {
+    let isolated = root().join("integration-tests/python/isolated");
+    let python = match std::env::var_os("PYTHONPATH").filter(|path| !path.is_empty()) {
+        Some(path) => {
+            let mut all = isolated.into_os_string();
+            all.push(":");
+            all.push(path);
+            all
+        }
+        None => isolated.into_os_string(),
+    };
+    let mut overrides = format!("scouting/multicast/address=\"224.0.0.224:{}\"", scouting_port());
+    let own =
+        command.get_envs().find(|(name, _)| *name == "ZENOH_CONFIG_OVERRIDE").and_then(|(_, value)| value);
+    if let Some(own) = own.and_then(|value| value.to_str()) {
+        overrides += &format!(";{own}");
+    }
+    command
+        .env("ROS_DOMAIN_ID", domain().to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env("ZENOH_CONFIG_OVERRIDE", overrides)
+        .env("PYTHONPATH", python);
+}
+
+/// The embedded backend for nodes of the test itself: they find programs that [`Peer::start`] started, and no other test's.
+#[must_use]
+pub fn backend() -> HirozBackend {
+    let session = SessionOptions { scouting_port: Some(scouting_port()), ..SessionOptions::default() };
+    HirozBackend::new(HirozConfig { session, ..HirozConfig::default() })
+}
+
 fn signal(process: u32, name: &str) {
     let done = Command::new("kill").args([&format!("-{name}"), &process.to_string()]).status();
     assert!(done.is_ok_and(|s| s.success()), "it cannot be sent {name}");
@@ -133,35 +177,71 @@ fn signal(process: u32, name: &str) {
 pub struct Peer {
     child: Child,
     lines: Receiver<String>,
+    errors: Receiver<String>,
     seen: Vec<String>,
 }
 
+/// The lines of a pipe, as they come.
+fn lines_of(pipe: Option<impl Read + Send + 'static>) -> Receiver<String> {
+    let (send, lines) = channel();
+    if let Some(pipe) = pipe {
+        std::thread::spawn(move || {
+            for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+                if send.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+    }
+    lines
+}
+
 impl Peer {
-    /// Starts it in this test's ROS domain, on this machine only.
+    /// Starts it in this test's ROS domain, on this machine only, where it hears no program of another test.
     ///
     /// # Panics
     ///
     /// Where it cannot be started.
     #[must_use]
     pub fn start(command: &mut Command) -> Self {
-        command
-            .env("ROS_DOMAIN_ID", domain().to_string())
-            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-            .env("PYTHONUNBUFFERED", "1")
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped());
+        isolate(command);
+        Self::start_as_it_is(command.env("PYTHONUNBUFFERED", "1"))
+    }
+
+    /// Starts it with the environment that the command has. Where its standard error is a pipe, that is read too.
+    ///
+    /// # Panics
+    ///
+    /// Where it cannot be started.
+    #[must_use]
+    pub fn start_as_it_is(command: &mut Command) -> Self {
+        command.stdin(Stdio::null()).stdout(Stdio::piped());
         let mut child = command.spawn().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
-        let (send, lines) = channel();
-        if let Some(out) = child.stdout.take() {
-            std::thread::spawn(move || {
-                for line in BufReader::new(out).lines().map_while(Result::ok) {
-                    if send.send(line).is_err() {
-                        return;
-                    }
-                }
-            });
+        let lines = lines_of(child.stdout.take());
+        let errors = lines_of(child.stderr.take());
+        Self { child, lines, errors, seen: Vec::new() }
+    }
+
+    /// The next line of its standard error that `text` is found in.
+    ///
+    /// # Panics
+    ///
+    /// Where none comes in time, or standard error is not a pipe.
+    pub fn expect_error(&mut self, text: &str, within: Duration) -> String {
+        let deadline = Instant::now() + within;
+        let mut said = Vec::new();
+        loop {
+            match self.errors.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(line) if line.contains(text) => return line,
+                Ok(line) => said.push(line),
+                Err(e) => panic!("no line with `{text}` ({e}); it complained of:\n{}", said.join("\n")),
+            }
         }
-        Self { child, lines, seen: Vec::new() }
+    }
+
+    /// Forgets the lines that have come.
+    pub fn drain(&mut self) {
+        self.seen.extend(self.lines.try_iter());
     }
 
     /// The next line that starts with `prefix`.

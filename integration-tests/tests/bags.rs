@@ -10,20 +10,20 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use dermis_bag::{BagQos, BagReader, BagWriter};
-use dermis_integration_tests::{Peer, client_python, domain, program, root};
+use dermis_integration_tests::{Peer, backend, client_python, domain, isolate, program, root};
 use dermis_msgs::geometry_msgs::msg::WrenchStamped;
 use dermis_msgs::msg::{SkinGeometry, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::PointCloud2;
 use dermis_msgs::std_msgs::msg::Header;
 use dermis_msgs::{Message, TypeSupport, type_support};
-use dermis_node::{HirozBackend, Node, NodeOptions, Qos};
+use dermis_node::{Node, NodeOptions, Qos};
 
 const SOON: Duration = Duration::from_secs(60);
 const START: i64 = 1_742_155_052_516_165_123;
 
 fn dermis() -> Command {
     let mut command = Command::new(program("dermis"));
-    command.env("ROS_DOMAIN_ID", domain().to_string()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+    isolate(&mut command);
     command
 }
 
@@ -260,7 +260,7 @@ fn a_type_that_is_not_built_in_is_recorded_and_played_by_its_definition() {
         }))
     };
     let options = NodeOptions::new("foreign").domain_id(domain()).localhost_only(true);
-    let node = Node::open(options, &HirozBackend::default()).unwrap();
+    let node = Node::open(options, &backend()).unwrap();
     let known = node.publisher_raw("/known", support("my_pkg/msg/Known"), Qos::reliable(10)).unwrap();
     let _unknown = node.publisher_raw("/unknown", support("my_pkg/msg/Unknown"), Qos::reliable(10)).unwrap();
     let mut recorder = Peer::start(
@@ -330,7 +330,7 @@ fn a_bag_of_rosbags_plays_here() {
     clients(&python, "write", &bag, &json_lines(dir.path().join("lines.json"), &lines));
 
     let options = NodeOptions::new("listener").domain_id(domain()).localhost_only(true);
-    let node = Node::open(options, &HirozBackend::default()).unwrap();
+    let node = Node::open(options, &backend()).unwrap();
     let (tx, rx) = channel();
     let _frames = node
         .subscribe("/taxels", Qos::reliable(100), move |frame: TaxelFrame, _| {

@@ -13,11 +13,11 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use dermis_integration_tests::{Peer, domain, program, root};
+use dermis_integration_tests::{Peer, backend, domain, program, root};
 use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use dermis_msgs::msg::{ContactArray, TaxelFrame};
 use dermis_msgs::rosgraph_msgs::msg::Clock;
-use dermis_node::{HirozBackend, Node, NodeOptions, Qos, Subscription};
+use dermis_node::{Node, NodeOptions, Qos, Subscription};
 use dermis_skin::SkinDescription;
 use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
@@ -125,11 +125,9 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let node = Node::open(
-            NodeOptions::new("operator").domain_id(domain()).localhost_only(true),
-            &HirozBackend::default(),
-        )
-        .unwrap();
+        let node =
+            Node::open(NodeOptions::new("operator").domain_id(domain()).localhost_only(true), &backend())
+                .unwrap();
         let (send, contacts) = channel();
         let (say, diagnostics) = channel();
         let subscriptions = vec![
@@ -553,8 +551,7 @@ impl Ear {
 #[test]
 #[ignore = "run by another test"]
 fn listener() {
-    let node =
-        Node::open(NodeOptions::new("listener").localhost_only(true), &HirozBackend::default()).unwrap();
+    let node = Node::open(NodeOptions::new("listener").localhost_only(true), &backend()).unwrap();
     let (send, frames) = channel();
     let _taxels = node.subscribe::<TaxelFrame>("taxels", Qos::sensor_data(), move |frame, _| {
         let _ = send.send(frame.sequence);

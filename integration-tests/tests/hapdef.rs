@@ -17,12 +17,12 @@ use dermis_inference::{
     Baseline, Bundle, BundleWriter, CorrectionSection, FeatureConfig, MAP_DISPLACEMENT, Manifest,
     ModelSection, OutputConfig, OutputSpec, PeakSection, TrainingSection,
 };
-use dermis_integration_tests::{Peer, client_python, domain, program, root};
+use dermis_integration_tests::{Peer, backend, client_python, domain, program, root};
 use dermis_inversion::{Correction, CorrectionSettings, ForcePrior, PeakSettings, Search, Settings};
 use dermis_msgs::Message;
 use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use dermis_msgs::msg::{Contact, ContactArray, DisplacementMap, ForceMap};
-use dermis_node::{HirozBackend, Node, NodeOptions, Qos, Subscription};
+use dermis_node::{Node, NodeOptions, Qos, Subscription};
 use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface};
 use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
@@ -109,11 +109,9 @@ struct Operator {
 
 impl Operator {
     fn new() -> Self {
-        let node = Node::open(
-            NodeOptions::new("operator").domain_id(domain()).localhost_only(true),
-            &HirozBackend::default(),
-        )
-        .unwrap();
+        let node =
+            Node::open(NodeOptions::new("operator").domain_id(domain()).localhost_only(true), &backend())
+                .unwrap();
         let mut operator = Self {
             folder: tempfile::tempdir().unwrap(),
             node,

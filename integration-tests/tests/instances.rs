@@ -9,10 +9,10 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use dermis_bag::BagReader;
-use dermis_integration_tests::{Peer, client_python, domain, finish, json, program, refused, root};
+use dermis_integration_tests::{Peer, backend, client_python, domain, finish, json, program, refused, root};
 use dermis_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use dermis_msgs::msg::{ContactArray, TaxelFrame};
-use dermis_node::{HirozBackend, Node, NodeOptions, Qos};
+use dermis_node::{Node, NodeOptions, Qos};
 use dermis_transport::framing::{FrameDecoder, NativeDecoder};
 use dermis_transport::{Event, Source, SourceOptions, SourceUrl};
 use serde_json::Value;
@@ -43,7 +43,7 @@ fn skin() -> PathBuf {
 
 fn listener(name: &str) -> Node {
     let options = NodeOptions::new(name).domain_id(domain()).localhost_only(true);
-    Node::open(options, &HirozBackend::default()).unwrap()
+    Node::open(options, &backend()).unwrap()
 }
 
 fn until<T>(what: &str, mut test: impl FnMut() -> Option<T>) -> T {

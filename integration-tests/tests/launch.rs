@@ -8,9 +8,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use dermis_integration_tests::launch::{Launch, PATIENCE, kill, runs, until};
-use dermis_integration_tests::{Peer, client_python, domain, program, root, ros_python};
+use dermis_integration_tests::{Peer, backend, client_python, domain, program, root, ros_python};
 use dermis_msgs::diagnostic_msgs::msg::DiagnosticArray;
-use dermis_node::{HirozBackend, Node, NodeOptions, Qos};
+use dermis_node::{Node, NodeOptions, Qos};
 use serde_json::Value;
 
 #[test]
@@ -286,7 +286,7 @@ fn the_demo_runs_from_anywhere_and_keeps_levels() {
 }
 
 fn contacts_from(topic: &str) -> (Node, Arc<Mutex<u32>>) {
-    let node = Node::open(here("launch_test_contacts"), &HirozBackend::default()).unwrap();
+    let node = Node::open(here("launch_test_contacts"), &backend()).unwrap();
     let count = Arc::new(Mutex::new(0));
     let sink = Arc::clone(&count);
     let subscription = node
@@ -312,7 +312,7 @@ processes:
 ",
         skin.display()
     );
-    let watcher = Node::open(here("launch_test_diagnostics"), &HirozBackend::default()).unwrap();
+    let watcher = Node::open(here("launch_test_diagnostics"), &backend()).unwrap();
     let told = Arc::new(Mutex::new(0));
     let sink = Arc::clone(&told);
     let _subscription = watcher

@@ -5,9 +5,9 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use dermis_integration_tests::{Peer, domain, json, program, root};
+use dermis_integration_tests::{Peer, backend, domain, json, program, root};
 use dermis_node::backend::EndpointKind;
-use dermis_node::{Durability, HirozBackend, History, Node, NodeOptions, Qos, Reliability};
+use dermis_node::{Durability, History, Node, NodeOptions, Qos, Reliability};
 use yaml_rust2::{Yaml, YamlLoader};
 
 const SOON: Duration = Duration::from_secs(60);
@@ -112,7 +112,7 @@ fn layouts_show_what_a_node_publishes() {
         "--no-bridge",
     ]));
     let options = NodeOptions::new("viewer").domain_id(domain()).localhost_only(true);
-    let viewer = Node::open(options, &HirozBackend::default()).unwrap();
+    let viewer = Node::open(options, &backend()).unwrap();
     let begun = Instant::now();
     let published = loop {
         let topics = viewer.topics().unwrap();

@@ -10,10 +10,10 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use dermis_inference::{Runtime, RuntimeConfig};
-use dermis_integration_tests::{Peer, domain, program, recordings, root};
+use dermis_integration_tests::{Peer, backend, domain, program, recordings, root};
 use dermis_learn::{Dataset, DatasetOptions, SampleId, SplitConfig};
 use dermis_msgs::msg::ContactArray;
-use dermis_node::{HirozBackend, Node, NodeOptions, Qos};
+use dermis_node::{Node, NodeOptions, Qos};
 use dermis_skin::SkinDescription;
 use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
@@ -103,11 +103,8 @@ fn online_equals_offline(
         ),
     )
     .unwrap();
-    let node = Node::open(
-        NodeOptions::new("listener").domain_id(domain()).localhost_only(true),
-        &HirozBackend::default(),
-    )
-    .unwrap();
+    let node = Node::open(NodeOptions::new("listener").domain_id(domain()).localhost_only(true), &backend())
+        .unwrap();
     let (send, arrays) = channel::<ContactArray>();
     let _contacts = node
         .subscribe::<ContactArray>("contacts", Qos::sensor_data().with_depth(100), move |array, _| {

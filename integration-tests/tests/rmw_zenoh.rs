@@ -11,15 +11,15 @@ use std::process::Command;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use dermis_integration_tests::{Peer, domain, program};
+use dermis_integration_tests::{Peer, domain, program, scouting_port};
 use dermis_msgs::Message;
 use dermis_msgs::msg::ContactArray;
 use zenoh::Wait;
 
 const SOON: Duration = Duration::from_secs(60);
 
-/// Identifiers of zenoh sessions.
-const LEAST: &str = "\"1\"";
+/// Identifiers of zenoh sessions of `rmw_zenoh`: those are numbers of 128 bits by chance. Ours have 64, so that they are less.
+const LEAST: &str = "\"10000000000000000000000000000000\"";
 const GREATEST: &str = "\"ffffffffffffffffffffffffffffffff\"";
 
 /// An endpoint that nobody listens on.
@@ -123,7 +123,11 @@ fn rmw_zenoh_hears_a_node_as_soon_as_its_router_runs() {
     // As documented for robots without a router; tests stay on the loopback.
     let multicast = RmwNode::start(
         &address,
-        &[("scouting/multicast/enabled", "true"), ("scouting/multicast/interface", "\"127.0.0.1\"")],
+        &[
+            ("scouting/multicast/enabled", "true"),
+            ("scouting/multicast/interface", "\"127.0.0.1\""),
+            ("scouting/multicast/address", &format!("\"224.0.0.224:{}\"", scouting_port())),
+        ],
     );
     let array = multicast.expect("contacts, found by multicast");
     assert_eq!(array.skin, "baro-grid");

@@ -10,9 +10,9 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use dermis_integration_tests::launch::{Launch, PATIENCE, children, kill, runs, until};
-use dermis_integration_tests::{Peer, domain, program, root};
+use dermis_integration_tests::{Peer, backend, domain, program, root};
 use dermis_msgs::msg::ContactArray;
-use dermis_node::{HirozBackend, Node, NodeOptions, Qos};
+use dermis_node::{Node, NodeOptions, Qos};
 
 fn now_ns() -> i64 {
     i64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos()).unwrap()
@@ -20,11 +20,8 @@ fn now_ns() -> i64 {
 
 #[test]
 fn contacts_come_back_after_a_kill() {
-    let node = Node::open(
-        NodeOptions::new("watch").domain_id(domain()).localhost_only(true),
-        &HirozBackend::default(),
-    )
-    .unwrap();
+    let node =
+        Node::open(NodeOptions::new("watch").domain_id(domain()).localhost_only(true), &backend()).unwrap();
     let (send, contacts) = channel();
     let _subscription = node
         .subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {

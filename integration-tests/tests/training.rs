@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use dermis_integration_tests::{Peer, client_python, domain, finish, json, program, refused, root};
+use dermis_integration_tests::{Peer, client_python, finish, isolate, json, program, refused, root};
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
 use dermis_skin::SkinDescription;
 
@@ -15,10 +15,7 @@ const MAP: &str = "launch/labels/rig.toml";
 
 fn dermis() -> Command {
     let mut command = Command::new(program("dermis"));
-    command
-        .current_dir(root())
-        .env("ROS_DOMAIN_ID", domain().to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+    isolate(command.current_dir(root()));
     command
 }
 

@@ -7,6 +7,11 @@
 //! | `dermis/<robot>/schemas/<pkg>/msg/<Type>` | text of the message definition |
 //! | `dermis/<robot>/<skin>/tare`, `set_enabled`, `load_model` | commands: queries that the skin's node answers, as `{"success": …, "message": …}` |
 //!
+//! `<robot>` is the robot's name in ROS domain 0, and `<name>@<domain>` in any other: two domains on one host have keys of
+//! their own, and a client of `dermis/left_arm/**` hears domain 0 alone. `dermis/*/**` hears all.
+//!
+//! The session reaches as far as `BridgeConfig::network` says: programs of this machine, unless somebody asked for more.
+//!
 //! Every key answers a `get` with the latest value (so a late client sees the geometry at once), and values carry
 //! the encoding `application/json`. A liveliness token stands on `dermis/<robot>/<skin>` while the skin's topics
 //! exist. NaN becomes `null`, because JSON has no NaN.
@@ -40,8 +45,8 @@ use std::time::{Duration, Instant};
 
 use dermis_msgs::msg::ContactArray;
 use dermis_msgs::{Message, OF_A_SKIN, TypeSupport, type_support};
-use dermis_node::{Node, Qos, Subscription};
-use serde::{Deserialize, Serialize};
+use dermis_node::network::SessionOptions;
+use dermis_node::{Network, NetworkChoice, Node, Qos, Subscription};
 use tokio::task::JoinHandle;
 use tracing::{info, warn};
 use zenoh::bytes::Encoding;
@@ -56,8 +61,7 @@ use crate::queries::Offered;
 const LOOK_AROUND: Duration = Duration::from_millis(500);
 
 /// Where the bridge appears.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BridgeConfig {
     /// Second part of every key: one word that tells this robot from others on the network.
     pub robot: String,
@@ -67,8 +71,8 @@ pub struct BridgeConfig {
     pub connect: Vec<String>,
     /// Endpoints to listen on, e.g. `tcp/0.0.0.0:7448`; a free port where empty.
     pub listen: Vec<String>,
-    /// Stay on the loopback interface.
-    pub localhost_only: bool,
+    /// How far it reaches; the environment decides where nothing is chosen.
+    pub network: NetworkChoice,
     /// Offer no commands.
     pub read_only: bool,
 }
@@ -80,7 +84,7 @@ impl Default for BridgeConfig {
             mode: "peer".to_owned(),
             connect: Vec::new(),
             listen: Vec::new(),
-            localhost_only: std::env::var("ROS_AUTOMATIC_DISCOVERY_RANGE").is_ok_and(|r| r == "LOCALHOST"),
+            network: NetworkChoice::default(),
             read_only: false,
         }
     }
@@ -112,6 +116,7 @@ pub enum BridgeError {
 /// A running bridge; closes when dropped.
 pub struct Bridge {
     session: Session,
+    open_to: String,
     task: Option<JoinHandle<()>>,
 }
 
@@ -122,11 +127,20 @@ impl Bridge {
     ///
     /// [`BridgeError::Config`] for a value that cannot be, [`BridgeError::Session`] where zenoh refuses.
     pub async fn open(node: &Node, config: BridgeConfig) -> Result<Self, BridgeError> {
-        let session = zenoh::open(session_config(&config)?)
+        let refused = |reason: String| BridgeError::Session { reason };
+        let network = config.network.resolve()?;
+        let wanted = session_config(&config, &network)?;
+        let session = zenoh::open(wanted.clone()).await.map_err(|e| refused(e.to_string()))?;
+        let prefix = prefix(&config.robot, node.domain_id());
+        let (opened, keys) = (session.clone(), format!("{prefix}/**"));
+        // zenoh must not be waited for on a thread of this runtime.
+        let open_to = tokio::task::spawn_blocking(move || network.opened(&opened, &wanted))
             .await
-            .map_err(|e| BridgeError::Session { reason: e.to_string() })?;
+            .map_err(|e| refused(e.to_string()))?;
+        let open_to = format!("bridge {keys}: {open_to}");
+        info!("{open_to}");
         let shared = Arc::new(Shared {
-            prefix: format!("dermis/{}", config.robot),
+            prefix,
             session: session.clone(),
             claims: Mutex::default(),
             commander: (!config.read_only).then(|| Arc::new(Commander::new(node))),
@@ -144,7 +158,13 @@ impl Bridge {
                 look_around(&node, &shared, &mut bridged);
             }
         });
-        Ok(Self { session, task: Some(task) })
+        Ok(Self { session, open_to, task: Some(task) })
+    }
+
+    /// Its keys, what they are open to and to whom, in one sentence for people; the log has it too, at level info.
+    #[must_use]
+    pub fn open_to(&self) -> &str {
+        &self.open_to
     }
 
     /// Withdraws all keys and closes the session.
@@ -189,7 +209,15 @@ struct Presence {
     commands: Option<Offered>,
 }
 
-fn session_config(config: &BridgeConfig) -> Result<zenoh::Config, BridgeError> {
+/// What all keys begin with.
+fn prefix(robot: &str, domain: u16) -> String {
+    match domain {
+        0 => format!("dermis/{robot}"),
+        domain => format!("dermis/{robot}@{domain}"),
+    }
+}
+
+fn session_config(config: &BridgeConfig, network: &Network) -> Result<zenoh::Config, BridgeError> {
     let wrong = |field, reason| BridgeError::Config { field, reason };
     if config.robot.is_empty()
         || !config.robot.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c))
@@ -208,22 +236,22 @@ fn session_config(config: &BridgeConfig) -> Result<zenoh::Config, BridgeError> {
             "is empty: a client needs the endpoint of a router, e.g. \"tcp/192.0.2.1:7447\"".into(),
         ));
     }
-    let mut zenoh = zenoh::Config::default();
-    let mut set = |field, key: &str, value: serde_json::Value| {
-        zenoh.insert_json5(key, &value.to_string()).map_err(|e| wrong(field, e.to_string()))
+    // An endpoint that zenoh cannot read is found here, where the field is known.
+    let mut checked = zenoh::Config::default();
+    for (field, key, endpoints) in
+        [("connect", "connect/endpoints", &config.connect), ("listen", "listen/endpoints", &config.listen)]
+    {
+        let value = serde_json::json!(endpoints).to_string();
+        checked.insert_json5(key, &value).map_err(|e| wrong(field, e.to_string()))?;
+    }
+    let options = SessionOptions {
+        mode: config.mode.clone(),
+        connect: config.connect.clone(),
+        listen: config.listen.clone(),
+        local_router: false,
+        ..SessionOptions::default()
     };
-    set("mode", "mode", config.mode.clone().into())?;
-    set("connect", "connect/endpoints", config.connect.clone().into())?;
-    if !config.listen.is_empty() {
-        set("listen", "listen/endpoints", config.listen.clone().into())?;
-    } else if config.mode == "peer" {
-        let any = if config.localhost_only { "tcp/127.0.0.1:0" } else { "tcp/0.0.0.0:0" };
-        set("listen", "listen/endpoints", serde_json::json!([any]))?;
-    }
-    if config.localhost_only {
-        set("localhost_only", "scouting/multicast/interface", "127.0.0.1".into())?;
-    }
-    Ok(zenoh)
+    network.session(&options).map_err(|reason| wrong("network", reason))
 }
 
 /// Answers `get` on every key with the latest value, and on the schema keys with the definitions.
@@ -435,7 +463,8 @@ mod tests {
 
     #[test]
     fn wrong_configuration_is_named() {
-        let refused = |config: BridgeConfig| session_config(&config).unwrap_err().to_string();
+        let refused =
+            |config: BridgeConfig| session_config(&config, &Network::default()).unwrap_err().to_string();
         assert_eq!(
             refused(BridgeConfig { robot: "a/b".into(), ..Default::default() }),
             "bridge: field `robot`: \"a/b\" must be one word of letters, digits, `-`, `_` and `.`"
@@ -449,6 +478,25 @@ mod tests {
             refused(BridgeConfig { connect: vec!["nonsense".into()], ..Default::default() })
                 .contains("`connect`")
         );
+    }
+
+    #[test]
+    fn keys_tell_domains_apart() {
+        assert_eq!(prefix("arm", 0), "dermis/arm");
+        assert_eq!(prefix("arm", 7), "dermis/arm@7");
+        let every = zenoh::key_expr::KeyExpr::try_from("dermis/*/*/contacts").unwrap();
+        let one = zenoh::key_expr::KeyExpr::try_from("dermis/arm@7/palm/contacts").unwrap();
+        assert!(every.includes(&one), "a client that asks for every robot hears every domain");
+    }
+
+    #[test]
+    fn it_listens_on_the_loopback_where_nothing_is_asked_for() {
+        let config = session_config(&BridgeConfig::default(), &Network::default()).unwrap();
+        assert_eq!(config.get_json("listen/endpoints").unwrap(), "[\"tcp/127.0.0.1:0\"]");
+        let listen = vec!["tcp/0.0.0.0:7448".to_owned()];
+        let asked = BridgeConfig { listen, ..BridgeConfig::default() };
+        let config = session_config(&asked, &Network::default()).unwrap();
+        assert_eq!(config.get_json("listen/endpoints").unwrap(), "[\"tcp/0.0.0.0:7448\"]");
     }
 
     #[test]

@@ -70,6 +70,10 @@ pub(crate) struct File {
     #[serde(default, deserialize_with = "loose")]
     pub domain_id: Option<u16>,
     #[serde(default)]
+    pub network: Option<Text>,
+    #[serde(default)]
+    pub zenoh_config: Option<Text>,
+    #[serde(default)]
     pub log: Option<Text>,
     #[serde(default)]
     pub log_limits: LogLimits,
@@ -97,6 +101,10 @@ pub(crate) struct Group {
     #[serde(default, deserialize_with = "loose")]
     pub domain_id: Option<u16>,
     #[serde(default)]
+    pub network: Option<Text>,
+    #[serde(default)]
+    pub zenoh_config: Option<Text>,
+    #[serde(default)]
     pub log: Option<Text>,
     pub processes: Vec<Entry>,
 }
@@ -113,6 +121,10 @@ pub(crate) struct Include {
     pub environment: BTreeMap<String, Text>,
     #[serde(default, deserialize_with = "loose")]
     pub domain_id: Option<u16>,
+    #[serde(default)]
+    pub network: Option<Text>,
+    #[serde(default)]
+    pub zenoh_config: Option<Text>,
     #[serde(default)]
     pub log: Option<Text>,
 }
@@ -136,6 +148,8 @@ pub(crate) struct Entry {
     pub environment: BTreeMap<String, Text>,
     #[serde(deserialize_with = "loose")]
     pub domain_id: Option<u16>,
+    pub network: Option<Text>,
+    pub zenoh_config: Option<Text>,
     pub log: Option<Text>,
     pub directory: Option<Text>,
     pub after: Vec<Text>,

@@ -34,6 +34,13 @@ pub trait Host {
     /// One sentence on what it does not take.
     fn check(&self, arguments: &[String]) -> Result<(), String>;
 
+    /// Whether `text` says how far a program reaches over the network.
+    ///
+    /// # Errors
+    ///
+    /// One sentence on what would.
+    fn network(&self, text: &str) -> Result<(), String>;
+
     /// The configuration of a node, checked as far as can be without starting it, with absolute paths.
     ///
     /// # Errors
@@ -172,6 +179,17 @@ pub struct Process {
     pub stop: Stop,
 }
 
+impl Process {
+    /// Says who can reach it over the network, whatever the file says: a reach as `--network` takes it, or the path of a
+    /// configuration file of zenoh.
+    pub fn set_network(&mut self, reach: bool, value: &str) {
+        let network =
+            if reach { Network::Reach(value.to_owned()) } else { Network::File(PathBuf::from(value)) };
+        let variables = network.variables(self.own);
+        self.environment.extend(variables.into_iter().map(|(name, value)| (name.to_owned(), value)));
+    }
+}
+
 /// An argument of a launch file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
@@ -248,9 +266,48 @@ struct Around {
     namespace: String,
     environment: BTreeMap<String, String>,
     domain_id: Option<u16>,
+    network: Option<Network>,
     log: Option<String>,
     /// Folder of the file.
     folder: PathBuf,
+}
+
+/// Who can reach processes over the network.
+#[derive(Debug, Clone)]
+enum Network {
+    /// As `--network` takes it.
+    Reach(String),
+    /// A configuration file of zenoh.
+    File(PathBuf),
+}
+
+impl Network {
+    /// The variables that tell a process: ours for our own programs, those of ROS 2 for others. An empty one counts as unset,
+    /// and takes away what the launch itself was told.
+    fn variables(&self, own: bool) -> Vec<(&'static str, String)> {
+        let pairs = match (self, own) {
+            (Self::Reach(reach), true) => {
+                [("DERMIS_NETWORK", reach.clone()), ("DERMIS_ZENOH_CONFIG", String::new())]
+            }
+            (Self::File(file), true) => {
+                [("DERMIS_NETWORK", String::new()), ("DERMIS_ZENOH_CONFIG", file.display().to_string())]
+            }
+            (Self::File(file), false) => {
+                return vec![("ZENOH_SESSION_CONFIG_URI", file.display().to_string())];
+            }
+            (Self::Reach(reach), false) => {
+                let range = match reach.as_str() {
+                    "loopback" => "LOCALHOST",
+                    "lan" => "SUBNET",
+                    "off" => "OFF",
+                    // ROS 2 cannot be told an address.
+                    _ => return vec![],
+                };
+                [("ROS_AUTOMATIC_DISCOVERY_RANGE", range.to_owned()), ("ROS_LOCALHOST_ONLY", "0".to_owned())]
+            }
+        };
+        pairs.into()
+    }
 }
 
 struct Pending {
@@ -344,6 +401,7 @@ impl Loader<'_> {
             file.log.as_ref(),
         )?;
         inner.folder = folder;
+        self.reach(&at, &mut inner, file.network.as_ref(), file.zenoh_config.as_ref())?;
         self.entries(&file.processes, &at, &inner)?;
         self.open.pop();
         Ok(declared)
@@ -361,13 +419,14 @@ impl Loader<'_> {
             if let Some(group) = &entry.group {
                 let path = format!("{path}.group");
                 let at = At { field: &path, ..here };
-                let inner = around.inside(
+                let mut inner = around.inside(
                     &at,
                     group.namespace.as_ref(),
                     &group.environment,
                     group.domain_id,
                     group.log.as_ref(),
                 )?;
+                self.reach(&at, &mut inner, group.network.as_ref(), group.zenoh_config.as_ref())?;
                 self.entries(&group.processes, &at, &inner)?;
             } else if let Some(include) = &entry.include {
                 self.include(include, &At { field: &format!("{path}.include"), ..here }, around)?;
@@ -378,14 +437,46 @@ impl Loader<'_> {
         Ok(())
     }
 
+    /// Takes the keys `network` and `zenoh_config` into what is around; the inner one wins.
+    fn reach(
+        &self,
+        at: &At,
+        around: &mut Around,
+        network: Option<&Text>,
+        file: Option<&Text>,
+    ) -> Result<(), LaunchError> {
+        match (network, file) {
+            (None, None) => {}
+            (Some(_), Some(_)) => {
+                return Err(
+                    at.refuse("network", "stands beside `zenoh_config`, which says all of it; leave one")
+                );
+            }
+            (Some(Text(reach)), None) => {
+                self.host.network(reach).map_err(|reason| at.refuse("network", reason))?;
+                around.network = Some(Network::Reach(reach.clone()));
+            }
+            (None, Some(Text(file))) => {
+                let path = around.folder.join(file);
+                if !path.is_file() {
+                    let reason = format!("{} is no file; check the path", path.display());
+                    return Err(at.refuse("zenoh_config", reason));
+                }
+                around.network = Some(Network::File(path));
+            }
+        }
+        Ok(())
+    }
+
     fn include(&mut self, include: &Include, at: &At, around: &Around) -> Result<(), LaunchError> {
-        let inner = around.inside(
+        let mut inner = around.inside(
             at,
             include.namespace.as_ref(),
             &include.environment,
             include.domain_id,
             include.log.as_ref(),
         )?;
+        self.reach(at, &mut inner, include.network.as_ref(), include.zenoh_config.as_ref())?;
         let path = around.folder.join(&include.file.0);
         if !path.is_file() {
             return Err(at.refuse("file", format!("{} is no file; check the path", path.display())));
@@ -395,13 +486,14 @@ impl Loader<'_> {
     }
 
     fn process(&mut self, entry: &Entry, at: &At, around: &Around) -> Result<(), LaunchError> {
-        let inner = around.inside(
+        let mut inner = around.inside(
             at,
             entry.namespace.as_ref(),
             &entry.environment,
             entry.domain_id,
             entry.log.as_ref(),
         )?;
+        self.reach(at, &mut inner, entry.network.as_ref(), entry.zenoh_config.as_ref())?;
         let Some(name) = &entry.name else {
             return Err(at.refuse("name", "is missing; logs and `after` call the process by it"));
         };
@@ -435,6 +527,9 @@ impl Loader<'_> {
         };
         if let Some(domain) = inner.domain_id {
             preset("ROS_DOMAIN_ID", domain.to_string());
+        }
+        for (name, value) in inner.network.iter().flat_map(|network| network.variables(own)) {
+            preset(name, value);
         }
         if own {
             // So that levels and fields survive the way through the pipe.

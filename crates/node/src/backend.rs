@@ -15,6 +15,7 @@ pub use dermis_msgs::ServiceSupport;
 use dermis_msgs::{Service, TypeSupport};
 use futures::future::BoxFuture;
 
+use crate::network::Network;
 use crate::qos::Qos;
 
 /// Receives a message. Called from any thread of the backend; returns at once and never blocks, because
@@ -52,8 +53,8 @@ pub struct NodeSpec {
     pub namespace: String,
     /// ROS domain id.
     pub domain_id: u16,
-    /// Whether to stay on the loopback interface.
-    pub localhost_only: bool,
+    /// How far the node reaches.
+    pub network: Network,
 }
 
 impl NodeSpec {
@@ -66,6 +67,9 @@ impl NodeSpec {
 
 /// One node on the network. Dropping it leaves the network, as [`BackendNode::close`] does.
 pub trait BackendNode: Send + Sync {
+    /// What this node is open to and to whom, in one sentence for people.
+    fn open_to(&self) -> String;
+
     /// Announces a publisher.
     ///
     /// # Errors

@@ -47,6 +47,12 @@ pub enum NodeError {
         /// What it should be.
         reason: &'static str,
     },
+    /// A choice of the network that cannot be.
+    #[error("network: {reason}")]
+    Network {
+        /// What is wrong, and what to do.
+        reason: String,
+    },
     /// Bytes on a topic or service that do not decode.
     #[error("message on {name} does not decode: {source}")]
     Decode {

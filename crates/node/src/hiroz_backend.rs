@@ -1,8 +1,6 @@
 //! The embedded backend: ROS 2 over zenoh with the wire of `rmw_zenoh`, by the hiroz library.
 
 use std::collections::HashMap;
-use std::net::Ipv4Addr;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
@@ -32,106 +30,39 @@ use crate::backend::{
 };
 use crate::clock::system_now;
 use crate::executor::lock;
+use crate::network::zenoh_config::insert;
+use crate::network::{Network, SessionOptions};
 use crate::node::runtime;
 use crate::qos::{Durability, History, Qos, Reliability};
 
 const NAME: &str = "hiroz";
 
-/// Where a router of `rmw_zenoh` listens.
-const ROUTER: &str = "tcp/127.0.0.1:7447";
-/// Multicast group in which zenoh peers look for each other.
-const SCOUTING_GROUP: Ipv4Addr = Ipv4Addr::new(224, 0, 0, 224);
-const SCOUTING_PORT: u16 = 7446;
 /// Depth of the history that `rmw_zenoh` keeps for “keep all”.
 const KEEP_ALL_DEPTH: usize = 42;
 
-/// How the embedded backend reaches the network.
+/// How the embedded backend finds others within the [`Network`] of a node; the default suits most.
 ///
-/// By default nodes find each other by multicast, on one machine and in the local network, and no router
-/// is needed. Where a router of `rmw_zenoh` runs on this machine, it is used too. The environment
-/// variables of `rmw_zenoh`, `ZENOH_SESSION_CONFIG_URI` and `ZENOH_CONFIG_OVERRIDE`, count here too.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// Nodes find each other by multicast, and no router is needed. Where a router of `rmw_zenoh` runs on this machine, it is
+/// used too. The environment variable `ZENOH_CONFIG_OVERRIDE` of `rmw_zenoh` counts here too.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct HirozConfig {
-    /// A zenoh configuration file (JSON5) to start from instead of the defaults of this backend.
-    pub config_file: Option<PathBuf>,
-    /// Endpoints to connect to, `tcp/192.168.1.5:7447`, beside the router of this machine.
-    pub connect: Vec<String>,
-    /// Endpoints to listen on; none for a free port.
-    pub listen: Vec<String>,
-    /// Whether to look for a router on this machine.
-    pub local_router: bool,
-    /// Whether to find peers by multicast.
-    pub multicast: bool,
-    /// Port of the multicast group: networks with different ports do not see each other.
-    pub scouting_port: u16,
-    /// Entries of the zenoh configuration that win over everything: key and JSON5 value.
+    /// What the sessions want beside what the network of a node says.
+    pub session: SessionOptions,
+    /// Entries of the zenoh configuration that win over it: key and JSON5 value.
     pub overrides: Vec<(String, String)>,
 }
 
-impl Default for HirozConfig {
-    fn default() -> Self {
-        Self {
-            config_file: None,
-            connect: Vec::new(),
-            listen: Vec::new(),
-            local_router: true,
-            multicast: true,
-            scouting_port: SCOUTING_PORT,
-            overrides: Vec::new(),
-        }
-    }
-}
-
 impl HirozConfig {
-    fn zenoh(&self, localhost_only: bool) -> Result<zenoh::Config, String> {
-        let file = self
-            .config_file
-            .clone()
-            .or_else(|| std::env::var_os("ZENOH_SESSION_CONFIG_URI").map(PathBuf::from));
-        let from_file = file.is_some();
-        let mut config = match file {
-            Some(path) => zenoh::Config::from_file(&path)
-                .map_err(|error| format!("zenoh configuration file {}: {error}", path.display()))?,
-            None => zenoh::Config::default(),
-        };
-        let mut set = |key: &str, value: &serde_json::Value| insert(&mut config, key, &value.to_string());
-        if !from_file {
-            let mut connect = self.connect.clone();
-            if self.local_router {
-                connect.push(ROUTER.to_owned());
-            }
-            let listen = if !self.listen.is_empty() {
-                self.listen.clone()
-            } else if localhost_only {
-                vec!["tcp/127.0.0.1:0".to_owned()]
-            } else {
-                vec!["tcp/0.0.0.0:0".to_owned()]
-            };
-            set("mode", &"peer".into())?;
-            set("connect/endpoints", &connect.into())?;
-            // A router that is not there is tried again in the background.
-            set("connect/timeout_ms", &(-1).into())?;
-            set("connect/exit_on_failure", &false.into())?;
-            set("listen/endpoints", &listen.into())?;
-            set("scouting/multicast/enabled", &self.multicast.into())?;
-            let group = format!("{SCOUTING_GROUP}:{}", self.scouting_port);
-            set("scouting/multicast/address", &group.into())?;
-            if localhost_only {
-                set("scouting/multicast/interface", &"127.0.0.1".into())?;
-                set("scouting/multicast/ttl", &0.into())?;
-            }
-        }
+    fn zenoh(&self, network: &Network) -> Result<zenoh::Config, String> {
+        let mut config = network.session(&self.session)?;
         // History for late joiners needs stamps from peers, too.
-        set("timestamping/enabled", &serde_json::json!({ "router": true, "peer": true, "client": true }))?;
+        let stamps = serde_json::json!({ "router": true, "peer": true, "client": true });
+        insert(&mut config, "timestamping/enabled", &stamps.to_string())?;
         for (key, value) in &self.overrides {
             insert(&mut config, key, value)?;
         }
         Ok(config)
     }
-}
-
-fn insert(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), String> {
-    config.insert_json5(key, value).map_err(|error| format!("zenoh configuration {key}={value}: {error}"))
 }
 
 /// The embedded backend. Each node is a zenoh session of its own.
@@ -167,18 +98,19 @@ impl Backend for HirozBackend {
 
     fn open(&self, spec: &NodeSpec) -> Result<Arc<dyn BackendNode>, BackendError> {
         let error = |reason: String| BackendError::Open { backend: NAME, node: spec.full_name(), reason };
-        let config = self.config.zenoh(spec.localhost_only).map_err(error)?;
+        let config = self.config.zenoh(&spec.network).map_err(error)?;
         let namespace = if spec.namespace == "/" { "" } else { spec.namespace.as_str() };
         let (context, node) = off_runtime(|| -> zenoh::Result<(ZContext, ZNode)> {
             let context = ZContextBuilder::default()
                 .with_domain_id(usize::from(spec.domain_id))
-                .with_zenoh_config(config)
+                .with_zenoh_config(config.clone())
                 .build()?;
             let node =
                 context.create_node(&spec.name).with_namespace(namespace).without_parameters().build()?;
             Ok((context, node))
         })
         .map_err(|e| error(e.to_string()))?;
+        let open_to = off_runtime(|| spec.network.opened(node.session(), &config));
         let shared = Arc::new(Shared {
             node: Mutex::new(Some(node)),
             graph: Arc::clone(context.graph()),
@@ -194,6 +126,7 @@ impl Backend for HirozBackend {
             .abort_handle();
         Ok(Arc::new(HirozNode {
             full_name: spec.full_name(),
+            open_to,
             context: Mutex::new(Some(context)),
             shared,
             watch,
@@ -261,6 +194,7 @@ fn endpoint(entity: &Entity) -> Option<&EndpointEntity> {
 
 struct HirozNode {
     full_name: String,
+    open_to: String,
     /// Taken out when the node is closed.
     context: Mutex<Option<ZContext>>,
     shared: Arc<Shared>,
@@ -393,6 +327,10 @@ fn from_wire_qos(qos: &wire_qos::QosProfile) -> Qos {
 }
 
 impl BackendNode for HirozNode {
+    fn open_to(&self) -> String {
+        self.open_to.clone()
+    }
+
     fn publisher(
         &self,
         topic: &str,
@@ -787,7 +725,7 @@ mod tests {
             overrides: vec![("scouting/nonsense".to_owned(), "1".to_owned())],
             ..HirozConfig::default()
         };
-        let error = config.zenoh(true).unwrap_err();
+        let error = config.zenoh(&Network::default()).unwrap_err();
         assert!(error.contains("scouting/nonsense=1"), "{error}");
     }
 }

@@ -244,7 +244,7 @@ impl Node {
     /// When a name or remapping is not valid, the environment is not, or the backend refuses.
     pub fn open(options: NodeOptions, backend: &dyn Backend) -> Result<Self, NodeError> {
         let domain_id = options.resolve_domain()?;
-        let localhost_only = options.resolve_localhost_only()?;
+        let network = options.network.resolve()?;
         let NodeOptions {
             name,
             namespace,
@@ -257,18 +257,15 @@ impl Node {
         } = options;
         let names = Names::new(&name, &namespace, &remappings)?;
         let full_name = names.full_name();
-        let spec = NodeSpec {
-            name: names.name.clone(),
-            namespace: names.namespace.clone(),
-            domain_id,
-            localhost_only,
-        };
+        let spec =
+            NodeSpec { name: names.name.clone(), namespace: names.namespace.clone(), domain_id, network };
         let thread_error =
             |error: std::io::Error| NodeError::Thread { node: full_name.clone(), reason: error.to_string() };
         let executor = Executor::start("dermis-node", threads).map_err(thread_error)?;
         let system = Executor::start("dermis-node-sys", 1).map_err(thread_error)?;
         let alarm = Arc::new(Alarm::default());
         let node = backend.open(&spec)?;
+        crate::network::announce(&node.open_to());
         let hook = Arc::clone(&alarm);
         node.on_graph_change(Box::new(move || hook.graph_changed()));
         let core = Arc::new(Core {
@@ -332,6 +329,12 @@ impl Node {
     #[must_use]
     pub fn backend_name(&self) -> &'static str {
         self.0.backend
+    }
+
+    /// What it is open to and to whom, in one sentence for people; the log has it too, at level info.
+    #[must_use]
+    pub fn open_to(&self) -> String {
+        self.0.core.node.open_to()
     }
 
     /// The ROS domain it is in.

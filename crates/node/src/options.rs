@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::error::NodeError;
 use crate::names::parse_remapping;
+use crate::network::{NetworkChoice, Reach};
 use crate::parameters::ParameterValue;
 
 /// How a node is started.
@@ -15,9 +16,8 @@ pub struct NodeOptions {
     pub namespace: String,
     /// ROS domain; `None` reads `ROS_DOMAIN_ID`, or else 0.
     pub domain_id: Option<u16>,
-    /// Whether to stay on this machine; `None` reads `ROS_AUTOMATIC_DISCOVERY_RANGE` (`LOCALHOST` or `OFF`)
-    /// and the older `ROS_LOCALHOST_ONLY`.
-    pub localhost_only: Option<bool>,
+    /// How far the node reaches; the environment decides where nothing is chosen, and the loopback where it says nothing.
+    pub network: NetworkChoice,
     /// Remappings `from:=to` of topics and services, and `__node`, `__ns`.
     pub remappings: Vec<(String, String)>,
     /// Values of parameters that win over their defaults.
@@ -38,7 +38,7 @@ impl NodeOptions {
             name: name.into(),
             namespace: "/".to_owned(),
             domain_id: None,
-            localhost_only: None,
+            network: NetworkChoice::default(),
             remappings: Vec::new(),
             parameters: BTreeMap::new(),
             use_sim_time: false,
@@ -61,10 +61,18 @@ impl NodeOptions {
         self
     }
 
-    /// Keeps the node on this machine, or not.
+    /// Says how far the node reaches.
+    #[must_use]
+    pub fn network(mut self, network: NetworkChoice) -> Self {
+        self.network = network;
+        self
+    }
+
+    /// Keeps the node on this machine, or opens it to the local network.
     #[must_use]
     pub fn localhost_only(mut self, localhost_only: bool) -> Self {
-        self.localhost_only = Some(localhost_only);
+        let reach = if localhost_only { Reach::Loopback } else { Reach::Lan };
+        self.network = NetworkChoice { network: Some(reach), zenoh_config: None };
         self
     }
 
@@ -139,18 +147,6 @@ impl NodeOptions {
             |id| domain_from(Some(&id.to_string())),
         )
     }
-
-    pub(crate) fn resolve_localhost_only(&self) -> Result<bool, NodeError> {
-        self.localhost_only.map_or_else(
-            || {
-                localhost_from(
-                    std::env::var("ROS_AUTOMATIC_DISCOVERY_RANGE").ok().as_deref(),
-                    std::env::var("ROS_LOCALHOST_ONLY").ok().as_deref(),
-                )
-            },
-            Ok,
-        )
-    }
 }
 
 fn domain_from(variable: Option<&str>) -> Result<u16, NodeError> {
@@ -167,19 +163,6 @@ fn domain_from(variable: Option<&str>) -> Result<u16, NodeError> {
     }
 }
 
-fn localhost_from(range: Option<&str>, localhost_only: Option<&str>) -> Result<bool, NodeError> {
-    match range.map(str::trim) {
-        None | Some("") => Ok(localhost_only.map(str::trim) == Some("1")),
-        Some("LOCALHOST" | "OFF") => Ok(true),
-        Some("SUBNET" | "SYSTEM_DEFAULT") => Ok(false),
-        Some(text) => Err(NodeError::Environment {
-            variable: "ROS_AUTOMATIC_DISCOVERY_RANGE",
-            value: text.to_owned(),
-            reason: "it must be SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT",
-        }),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -189,11 +172,6 @@ mod tests {
         assert_eq!(domain_from(None).unwrap(), 0);
         assert_eq!(domain_from(Some("42")).unwrap(), 42);
         insta::assert_snapshot!(domain_from(Some("300")).unwrap_err(), @"environment variable ROS_DOMAIN_ID=`300` is not valid: it must be a whole number from 0 to 232");
-        assert!(!localhost_from(None, None).unwrap());
-        assert!(localhost_from(None, Some("1")).unwrap());
-        assert!(localhost_from(Some("LOCALHOST"), None).unwrap());
-        assert!(!localhost_from(Some("SUBNET"), Some("1")).unwrap());
-        assert!(localhost_from(Some("localhost"), None).is_err());
     }
 
     #[test]

@@ -12,6 +12,7 @@ use dermis_msgs::std_msgs::msg::{Int32, String as Text};
 use dermis_msgs::std_srvs::srv::{Trigger, TriggerResponse};
 use dermis_msgs::{Message, Service, TypeSupport};
 use dermis_node::backend::EndpointKind;
+use dermis_node::network::SessionOptions;
 use dermis_node::suite::{Bench, WAIT, domain, expect_next, until};
 use dermis_node::{Backend, HirozBackend, HirozConfig, Node, ProblemKind, Publisher, Qos};
 use zenoh::Wait;
@@ -22,7 +23,13 @@ fn scouting_port() -> u16 {
 }
 
 fn config() -> HirozConfig {
-    HirozConfig { local_router: false, scouting_port: scouting_port(), ..HirozConfig::default() }
+    with(SessionOptions::default())
+}
+
+/// The same with what a session wants of its own.
+fn with(session: SessionOptions) -> HirozConfig {
+    let session = SessionOptions { local_router: false, scouting_port: Some(scouting_port()), ..session };
+    HirozConfig { session, ..HirozConfig::default() }
 }
 
 fn backend() -> Arc<dyn Backend> {
@@ -217,10 +224,10 @@ fn another_version_of_a_type_is_reported() {
 
 #[test]
 fn explicit_endpoints_do_without_multicast() {
-    let port = free_port();
+    let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let listener =
-        HirozConfig { multicast: false, listen: vec![format!("tcp/127.0.0.1:{port}")], ..config() };
-    let caller = HirozConfig { multicast: false, connect: vec![format!("tcp/127.0.0.1:{port}")], ..config() };
+        with(SessionOptions { multicast: false, listen: vec![endpoint.clone()], ..Default::default() });
+    let caller = with(SessionOptions { multicast: false, connect: vec![endpoint], ..Default::default() });
     let (listener, caller) = (HirozBackend::new(listener), HirozBackend::new(caller));
     let bench = Bench::new(&listener);
     let a = bench.node("a");
@@ -335,15 +342,13 @@ fn a_hanging_peer_never_holds_a_stream_up() {
 fn beside_a_hanging_peer(asked: Qos, publish: impl Fn(&Node) -> Publisher<Text>) {
     let port = free_port();
     let listen = format!("tcp/127.0.0.1:{port}");
-    let talker = HirozConfig { multicast: false, listen: vec![listen], ..config() };
+    let talker = with(SessionOptions { multicast: false, listen: vec![listen], ..Default::default() });
     let proxy = Proxy::to(port);
     let connect = format!("tcp/127.0.0.1:{}", proxy.port);
     // Gossip would tell the peer the way around the proxy.
     let reader = HirozConfig {
-        multicast: false,
-        connect: vec![connect],
         overrides: vec![("scouting/gossip/enabled".to_owned(), "false".to_owned())],
-        ..config()
+        ..with(SessionOptions { multicast: false, connect: vec![connect], ..Default::default() })
     };
     let (talker, reader) = (HirozBackend::new(talker), HirozBackend::new(reader));
     let bench = Bench::new(&talker);
@@ -389,7 +394,8 @@ fn python_clients_understand_the_wire() {
     };
     let port = free_port();
     let listen = format!("tcp/127.0.0.1:{port}");
-    let backend = HirozBackend::new(HirozConfig { listen: vec![listen.clone()], ..config() });
+    let backend =
+        HirozBackend::new(with(SessionOptions { listen: vec![listen.clone()], ..Default::default() }));
     let bench = Bench::new(&backend);
     let node = bench.node("palm");
     let (tx, rx) = channel();

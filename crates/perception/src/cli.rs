@@ -6,13 +6,33 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Command, FromArgMatches};
-use dermis_node::HirozBackend;
+use dermis_node::{HirozBackend, NetworkChoice, Reach};
 use dermis_skin::Mount;
 use log_limit::LogLimit;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::{Config, ConfigError, Sensor};
+
+/// Who can reach a program over the network, on a command line.
+#[derive(Debug, Clone, Default, Args)]
+pub struct NetworkArguments {
+    /// Who can reach this program, and whom it looks for: `loopback` (programs of this machine; as where nothing is said),
+    /// `lan` (every host), an IP address of this machine, or `off`.
+    #[arg(long, value_name = "REACH", conflicts_with = "zenoh_config")]
+    pub network: Option<Reach>,
+    /// A zenoh configuration file (JSON5) that says so instead, e.g. with TLS and access control.
+    #[arg(long, value_name = "FILE")]
+    pub zenoh_config: Option<PathBuf>,
+}
+
+impl NetworkArguments {
+    /// What was asked for.
+    #[must_use]
+    pub fn choice(&self) -> NetworkChoice {
+        NetworkChoice { network: self.network, zenoh_config: self.zenoh_config.clone() }
+    }
+}
 
 /// The node's options on a command line.
 #[derive(Debug, Clone, Args)]
@@ -57,6 +77,8 @@ pub struct Arguments {
     /// End where a model cannot be used, instead of publishing readings only.
     #[arg(long)]
     strict: bool,
+    #[command(flatten)]
+    network: NetworkArguments,
 }
 
 impl Arguments {
@@ -74,6 +96,10 @@ impl Arguments {
         config.masked.extend(self.mask);
         config.remap.extend(self.remap);
         config.strict |= self.strict;
+        let network = self.network.choice();
+        if network != NetworkChoice::default() {
+            (config.network, config.zenoh_config) = (network.network, network.zenoh_config);
+        }
         config.name = self.name.or(config.name);
         config.namespace = self.namespace.unwrap_or(config.namespace);
         config.instance = self.instance.or(config.instance);
@@ -153,6 +179,8 @@ mod tests {
         assert_eq!(config.mount.unwrap().translation(), [0.0, 0.0, 0.1]);
         assert_eq!(config.correction, Some(PathBuf::from("c")));
         assert!(parse(&["--config", &file, "--mount", "wrist,0,0"]).unwrap_err().contains("parent,x,y,z"));
+        assert_eq!(parse(&["--config", &file, "--network", "lan"]).unwrap().network, Some(Reach::Lan));
+        assert!(parse(&["--config", &file, "--network", "lan", "--zenoh-config", "z.json5"]).is_err());
         assert!(parse(&["--config", &file, "--skin", "p"]).is_err());
     }
 

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use dermis_inference::RuntimeConfig;
+use dermis_node::{NetworkChoice, Reach};
 use dermis_skin::{InstanceError, Mount, SkinDescription};
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -91,7 +92,14 @@ pub struct Config {
     /// ROS domain; `ROS_DOMAIN_ID` where absent.
     #[serde(default)]
     pub domain_id: Option<u16>,
-    /// Whether to stay on this machine; the ROS environment variables decide where absent.
+    /// Who can reach the node: `loopback`, `lan`, `off`, or an address of this machine. The environment decides where
+    /// absent, and programs of this machine only where it says nothing.
+    #[serde(default)]
+    pub network: Option<Reach>,
+    /// A zenoh configuration file that says so instead; relative as `skin` is.
+    #[serde(default)]
+    pub zenoh_config: Option<PathBuf>,
+    /// An older way to write `network`: `true` is `loopback`, `false` is `lan`.
     #[serde(default)]
     pub localhost_only: Option<bool>,
     /// Whether stamps are those of `/clock`.
@@ -119,7 +127,7 @@ fn yes() -> bool {
 
 impl Config {
     /// Every key of a file.
-    pub const KEYS: [&str; 20] = [
+    pub const KEYS: [&str; 22] = [
         "skin",
         "source",
         "name",
@@ -135,6 +143,8 @@ impl Config {
         "strict",
         "autostart",
         "domain_id",
+        "network",
+        "zenoh_config",
         "localhost_only",
         "use_sim_time",
         "device_time",
@@ -161,6 +171,8 @@ impl Config {
             strict: false,
             autostart: true,
             domain_id: None,
+            network: None,
+            zenoh_config: None,
             localhost_only: None,
             use_sim_time: false,
             device_time: false,
@@ -203,6 +215,18 @@ impl Config {
         for path in self.models.iter_mut().chain(&mut self.correction) {
             *path = folder.join(&path);
         }
+        if let Some(file) = &mut self.zenoh_config {
+            *file = folder.join(&file);
+        }
+    }
+
+    /// What it says of who can reach the node.
+    #[must_use]
+    pub fn network_choice(&self) -> NetworkChoice {
+        let older = self.localhost_only.map(|only| if only { Reach::Loopback } else { Reach::Lan });
+        // An older key beside a file says nothing that the file does not.
+        let older = older.filter(|_| self.zenoh_config.is_none());
+        NetworkChoice { network: self.network.or(older), zenoh_config: self.zenoh_config.clone() }
     }
 
     /// Name of the node: ROS names have no `-`.
@@ -327,8 +351,24 @@ mod tests {
     }
 
     #[test]
+    fn the_network_is_read_and_the_older_key_still_counts() {
+        let choice =
+            |text: &str| toml(&format!("skin = 'p'\nsource = 's'\n{text}")).unwrap().network_choice();
+        let reach = |text: &str| choice(text).network;
+        assert_eq!(reach(""), None);
+        assert_eq!(reach("network = 'lan'"), Some(Reach::Lan));
+        assert_eq!(reach("network = '192.168.1.5'"), Some(Reach::Address([192, 168, 1, 5].into())));
+        assert_eq!(reach("localhost_only = true"), Some(Reach::Loopback));
+        assert_eq!(reach("localhost_only = false"), Some(Reach::Lan));
+        assert_eq!(reach("network = 'loopback'\nlocalhost_only = false"), Some(Reach::Loopback));
+        assert_eq!(choice("zenoh_config = 'z.json5'").zenoh_config.as_deref(), Some(Path::new("z.json5")));
+        let refused = toml("skin = 'p'\nsource = 's'\nnetwork = 'wan'").unwrap_err();
+        assert!(refused.contains("`network`") && refused.contains("give loopback, lan, off"), "{refused}");
+    }
+
+    #[test]
     fn refusals_name_the_key() {
-        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, instance, frame_id, mount, models, masked, correction, runtime, force_threshold, strict, autostart, domain_id, localhost_only, use_sim_time, device_time, remap, parameters)");
+        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, instance, frame_id, mount, models, masked, correction, runtime, force_threshold, strict, autostart, domain_id, network, zenoh_config, localhost_only, use_sim_time, device_time, remap, parameters)");
         insta::assert_snapshot!(toml("skin = 'p'").unwrap_err(), @r#"configuration palm.toml: field `(top level)`: missing configuration field "source""#);
         insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nautostart = 'maybe'").unwrap_err(), @r#"configuration palm.toml: field `autostart`: invalid type: string "maybe", expected a boolean for key `autostart`"#);
         assert!(toml("skin = ").is_err());

@@ -316,7 +316,7 @@ fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunEr
         .namespace(&config.namespace)
         .use_sim_time(config.use_sim_time);
     options.domain_id = config.domain_id;
-    options.localhost_only = config.localhost_only;
+    options.network = config.network_choice();
     for rule in &config.remap {
         let (from, to) = parse_remapping(rule)?;
         options = options.remap(from, to);

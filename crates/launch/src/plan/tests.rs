@@ -16,6 +16,13 @@ impl Host for Fake {
         }
     }
 
+    fn network(&self, text: &str) -> Result<(), String> {
+        ["loopback", "lan", "off", "10.0.0.1"]
+            .contains(&text)
+            .then_some(())
+            .ok_or(format!("`{text}` is no network"))
+    }
+
     fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Refusal> {
         if let Some(name) = request.parameters.keys().find(|name| *name != "rate") {
             return Err(Refusal {
@@ -190,8 +197,56 @@ processes:
 }
 
 #[test]
+fn the_network_is_handed_to_every_process_and_the_inner_key_wins() {
+    let folder = Folder::new();
+    let file = folder.file("z.json5", "{}");
+    let mut plan = folder
+        .load(
+            "
+network: lan
+processes:
+  - {name: a, dermis: device}
+  - {name: b, program: [sh]}
+  - {name: c, dermis: device, network: loopback}
+  - {name: d, program: [sh], network: loopback}
+  - {group: {zenoh_config: z.json5, processes: [{name: e, dermis: device}, {name: f, program: [sh]}]}}
+  - {name: g, program: [sh], network: 10.0.0.1}
+",
+            &[],
+        )
+        .unwrap();
+    let of = |plan: &Plan, label: &str, name: &str| {
+        plan.processes.iter().find(|p| p.label == label).unwrap().environment.get(name).cloned()
+    };
+    let range = "ROS_AUTOMATIC_DISCOVERY_RANGE";
+    assert_eq!(of(&plan, "a", "DERMIS_NETWORK").as_deref(), Some("lan"));
+    assert_eq!(of(&plan, "b", range).as_deref(), Some("SUBNET"));
+    assert_eq!(of(&plan, "b", "DERMIS_NETWORK"), None);
+    assert_eq!(of(&plan, "c", "DERMIS_NETWORK").as_deref(), Some("loopback"));
+    assert_eq!(of(&plan, "d", range).as_deref(), Some("LOCALHOST"));
+    let path = file.display().to_string();
+    assert_eq!(of(&plan, "e", "DERMIS_ZENOH_CONFIG"), Some(path.clone()));
+    assert_eq!(
+        of(&plan, "e", "DERMIS_NETWORK").as_deref(),
+        Some(""),
+        "what the launch was told is taken away"
+    );
+    assert_eq!(of(&plan, "f", "ZENOH_SESSION_CONFIG_URI"), Some(path));
+    assert_eq!(of(&plan, "g", range), None, "ROS 2 cannot be told an address");
+    for process in &mut plan.processes {
+        process.set_network(true, "loopback");
+    }
+    assert_eq!(of(&plan, "a", "DERMIS_NETWORK").as_deref(), Some("loopback"));
+    assert_eq!(of(&plan, "e", "DERMIS_ZENOH_CONFIG").as_deref(), Some(""));
+    assert_eq!(of(&plan, "b", range).as_deref(), Some("LOCALHOST"));
+    insta::assert_snapshot!(refusal("network: wan\nprocesses: [{name: a, dermis: device}]"), @"launch file /robot.yaml: field `network`: `wan` is no network");
+    insta::assert_snapshot!(refusal("network: lan\nzenoh_config: z\nprocesses: [{name: a, dermis: device}]"), @"launch file /robot.yaml: field `network`: stands beside `zenoh_config`, which says all of it; leave one");
+    insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, zenoh_config: z}]"), @"launch file /robot.yaml: field `processes[0].zenoh_config`: /z is no file; check the path");
+}
+
+#[test]
 fn refusals_name_file_and_field() {
-    insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, retsart: always}]"), @"launch file /robot.yaml: field `processes[0].retsart`: unknown field `retsart`, expected one of `name`, `node`, `dermis`, `program`, `group`, `include`, `config`, `flags`, `parameters`, `remap`, `ros_args`, `namespace`, `environment`, `domain_id`, `log`, `directory`, `after`, `ready`, `restart`, `backoff`, `required`, `stop`");
+    insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, retsart: always}]"), @"launch file /robot.yaml: field `processes[0].retsart`: unknown field `retsart`, expected one of `name`, `node`, `dermis`, `program`, `group`, `include`, `config`, `flags`, `parameters`, `remap`, `ros_args`, `namespace`, `environment`, `domain_id`, `log`, `network`, `zenoh_config`, `directory`, `after`, `ready`, `restart`, `backoff`, `required`, `stop`");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, restart: sometimes}]"), @"launch file /robot.yaml: field `processes[0].restart`: unknown variant `sometimes`, expected one of `never`, `on-failure`, `always`");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, backoff: {first: soon}}]"), @r#"launch file /robot.yaml: field `processes[0].backoff.first`: invalid type: string "soon", expected f64"#);
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, backoff: {most: 0.1}}]"), @"launch file /robot.yaml: field `processes[0].backoff.most`: 0.1 s is less than the first wait of 0.5 s; raise it");

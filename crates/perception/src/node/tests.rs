@@ -9,6 +9,7 @@ use dermis_msgs::Message;
 use dermis_msgs::srv::LoadModelRequest;
 use dermis_msgs::std_srvs::srv::{SetBoolRequest, TriggerRequest};
 use dermis_msgs::visualization_msgs::msg::Marker;
+use dermis_node::network::SessionOptions;
 use dermis_node::{HirozBackend, HirozConfig};
 use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
@@ -104,7 +105,12 @@ impl Bench {
     fn backend() -> HirozBackend {
         // Networks of different tests do not see each other.
         let scouting_port = 20_000 + u16::try_from(std::process::id() % 10_000).unwrap();
-        HirozBackend::new(HirozConfig { local_router: false, scouting_port, ..HirozConfig::default() })
+        let session = SessionOptions {
+            local_router: false,
+            scouting_port: Some(scouting_port),
+            ..SessionOptions::default()
+        };
+        HirozBackend::new(HirozConfig { session, ..HirozConfig::default() })
     }
 
     fn start(&self, config: &Config) -> SkinNode {
