@@ -386,8 +386,23 @@ mod tests {
         let written = serde_json::to_value(&config).unwrap();
         assert_eq!(Config::parse(&written.to_string(), true, Path::new("palm.yaml")).unwrap(), config);
         assert_eq!(Config::from_json(written, Path::new("palm.yaml"), Path::new("")).unwrap(), config);
-        insta::assert_snapshot!(toml(&format!("{text}mount = {{ parent = 'wrist', rpy = [0, 0, 90] }}")).unwrap_err(), @"");
-        insta::assert_snapshot!(toml(&format!("{text}mount = {{ parent = 'wrist', pose = [0, 0, 0] }}")).unwrap_err(), @"");
+        for (mount, reason) in [
+            (
+                "parent = 'wrist', rpy = [0, 0, 90]",
+                "`rpy` is [0.0, 0.0, 90.0] and must be roll, pitch and yaw in radians",
+            ),
+            (
+                "parent = 'wrist', pose = [0, 0, 0]",
+                "unknown field `pose`, expected one of `parent`, `translation`",
+            ),
+            ("translation = [0, 0, 0]", "missing"),
+        ] {
+            let told = toml(&format!("{text}mount = {{ {mount} }}")).unwrap_err();
+            assert!(
+                told.starts_with("configuration palm.toml: field `mount") && told.contains(reason),
+                "{told}"
+            );
+        }
     }
 
     #[test]
