@@ -120,7 +120,8 @@ pub fn collect(
         ("stage_noise", truth.stage_noise.to_string()),
     ];
 
-    let begun = if options.resume { resume::find(dir, &custom)? } else { resume::Found::Nothing };
+    let is_type = |hash: &str| skin.is_type(hash, skin.type_name());
+    let begun = if options.resume { resume::find(dir, &custom, is_type)? } else { resume::Found::Nothing };
     let begun = match begun {
         resume::Found::Nothing => None,
         resume::Found::Begun(begun) => Some(*begun),
