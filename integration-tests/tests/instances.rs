@@ -9,7 +9,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use dermis_bag::BagReader;
-use dermis_integration_tests::{Peer, backend, client_python, domain, finish, json, program, refused, root};
+use dermis_integration_tests::{
+    Peer, backend, client_python, domain, finish, isolate, json, program, refused, root,
+};
 use dermis_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use dermis_msgs::msg::{ContactArray, TaxelFrame};
 use dermis_node::{Node, NodeOptions, Qos};
@@ -30,10 +32,7 @@ const PRESSED: &str = "schema = 'dermis-plan/1'\nname = 'pressed'\nseed = 1\ndia
 
 fn dermis() -> Command {
     let mut command = Command::new(program("dermis"));
-    command
-        .current_dir(root())
-        .env("ROS_DOMAIN_ID", domain().to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+    isolate(command.current_dir(root()));
     command
 }
 
