@@ -127,9 +127,9 @@ impl Network {
             let peers = json!({ "router": [], "peer": ["peer"], "client": ["peer"] });
             set("scouting/multicast/autoconnect", peers)?;
             set("scouting/gossip/autoconnect", json!({ "router": [], "peer": [], "client": [] }))?;
-            // Nodes of `rmw_zenoh`, which are named to us by their router, connect to whom has a lesser identifier than theirs;
-            // theirs have 128 bits.
-            set("id", json!(format!("{:x}", random().max(1))))?;
+            // Nodes of `rmw_zenoh`, which are named to us by their router, connect to whom has a lesser identifier than theirs.
+            // Identifiers are compared from their last bytes on: those are random in theirs, and zero in ours.
+            set("id", json!(format!("{:x}", u128::from(random().max(1)) << 32)))?;
         }
         Ok(config)
     }
