@@ -2,10 +2,9 @@
 //! no more than the node offers.
 #![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
-use std::process::Command;
 use std::time::{Duration, Instant};
 
-use dermis_integration_tests::{Peer, backend, domain, json, program, root};
+use dermis_integration_tests::{Pad, backend, domain, json, root};
 use dermis_node::backend::EndpointKind;
 use dermis_node::{Durability, History, Node, NodeOptions, Qos, Reliability};
 use yaml_rust2::{Yaml, YamlLoader};
@@ -29,7 +28,7 @@ fn rviz_type(class: &str) -> Option<&'static [&'static str]> {
         "MarkerArray" => Some(&["visualization_msgs/msg/MarkerArray"]),
         "PointCloud2" => Some(&["sensor_msgs/msg/PointCloud2"]),
         "Wrench" => Some(&["geometry_msgs/msg/WrenchStamped"]),
-        "Grid" | "TF" => None,
+        "Grid" => None,
         other => panic!("no type is known here for the display {other}"),
     }
 }
@@ -39,9 +38,14 @@ fn rviz() -> Vec<Wish> {
     let manager = &file[0]["Visualization Manager"];
     assert!(manager["Global Options"]["Fixed Frame"].as_str().is_some());
     let displays = manager["Displays"].as_vec().unwrap();
-    assert!(displays.iter().any(|d| d["Class"].as_str() == Some("rviz_default_plugins/TF")));
     let wish = |display: &Yaml| {
-        let types = rviz_type(display["Class"].as_str().unwrap())?;
+        let class = display["Class"].as_str().unwrap();
+        if class == "rviz_default_plugins/TF" {
+            // It listens to this topic by itself, with this profile.
+            let types = &["tf2_msgs/msg/TFMessage"];
+            return Some(Wish { topic: "/tf_static".to_owned(), types, qos: Some(Qos::latched()) });
+        }
+        let types = rviz_type(class)?;
         let topic = &display["Topic"];
         let word =
             |key: &str| topic[key].as_str().unwrap_or_else(|| panic!("{key} of {display:?}")).to_owned();
@@ -117,7 +121,9 @@ fn layouts_show_what_a_node_publishes() {
     let published = loop {
         let topics = viewer.topics().unwrap();
         // The last that a node announces.
-        let all = ["/skin_geometry", "/diagnostics"].iter().all(|t| topics.iter().any(|(name, _)| name == t));
+        let all = ["/skin_geometry", "/diagnostics", "/tf_static"]
+            .iter()
+            .all(|t| topics.iter().any(|(name, _)| name == t));
         if all {
             break topics;
         }
@@ -125,7 +131,7 @@ fn layouts_show_what_a_node_publishes() {
         std::thread::sleep(Duration::from_millis(50));
     };
     let (rviz, foxglove) = (rviz(), foxglove());
-    assert_eq!((rviz.len(), foxglove.len()), (3, 7));
+    assert_eq!((rviz.len(), foxglove.len()), (4, 7));
     for wish in rviz.into_iter().chain(foxglove) {
         let found = published.iter().find(|(name, _)| *name == wish.topic);
         let (_, kind) = found.unwrap_or_else(|| panic!("nobody publishes {}: {published:?}", wish.topic));

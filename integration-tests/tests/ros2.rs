@@ -4,7 +4,7 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use dermis_integration_tests::{Peer, Rclpy, Recorded, program, root, ros_python};
+use dermis_integration_tests::{Pad, Peer, Rclpy, Recorded, program, root, ros_python};
 use serde_json::{Value, json};
 
 const SOON: Duration = Duration::from_secs(60);
@@ -177,6 +177,42 @@ fn subscriptions_with_the_default_profile_get_every_stream() {
     rclpy.wait("all topics", |said| {
         assert_ne!(said["event"], "incompatible", "{said}");
         missing.retain(|(topic, _)| said["event"] != "message" || said["topic"] != *topic);
+        missing.is_empty().then_some(())
+    });
+}
+
+/// As `tf2_ros` listens to static transforms: late, and to several publishers of one topic.
+#[test]
+fn two_mounted_skins_are_in_the_tree_of_frames() {
+    let Some(mut rclpy) = Rclpy::start("tf_listener") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let skin = |namespace: &str, frame: &str, mount: &str| {
+        let told = ["--backend", "ros2", "--namespace", namespace, "--frame-id", frame, "--mount", mount];
+        Pad::start(folder.path(), &told)
+    };
+    let _left = skin("/left", "left_pad", "left_wrist,0.1,0,0.02,0,0,0.6,0.8");
+    let _right = skin("/right", "right_pad", "right_wrist,0.1,0,0.02");
+    for side in ["left", "right"] {
+        let topic = format!("/{side}/contacts");
+        rclpy.tell(&json!({"do": "subscribe", "topic": topic, "type": "dermis_msgs/msg/ContactArray"}));
+        let array = rclpy.event("message", |said| said["topic"] == topic.as_str())["value"].clone();
+        assert_eq!(array["header"]["frame_id"], format!("{side}_pad"));
+    }
+    rclpy.tell(&json!({"do": "subscribe", "topic": "/tf_static", "type": "tf2_msgs/msg/TFMessage",
+        "qos": {"latched": true, "depth": 100}}));
+    let mut missing = vec![
+        ("left_wrist", "left_pad", json!({"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8})),
+        ("right_wrist", "right_pad", json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0})),
+    ];
+    rclpy.wait("both transforms", |said| {
+        for transform in said["value"]["transforms"].as_array().into_iter().flatten() {
+            missing.retain(|(parent, child, rotation)| {
+                transform["header"]["frame_id"] != *parent
+                    || transform["child_frame_id"] != *child
+                    || transform["transform"]["rotation"] != *rotation
+                    || transform["transform"]["translation"] != json!({"x": 0.1, "y": 0.0, "z": 0.02})
+            });
+        }
         missing.is_empty().then_some(())
     });
 }

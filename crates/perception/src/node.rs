@@ -14,13 +14,16 @@ use dermis_msgs::msg::{ContactArray, DisplacementMap, ForceMap, SkinGeometry, Ta
 use dermis_msgs::sensor_msgs::msg::PointCloud2;
 use dermis_msgs::srv::{LoadModel, LoadModelResponse};
 use dermis_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
+use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::visualization_msgs::msg::MarkerArray;
+use dermis_node::backend::BackendError;
 use dermis_node::{
     Backend, Level, Node, NodeError, NodeOptions, ParameterDescriptor, ParameterValue, Parameters, Publisher,
     Qos, ServiceServer, State, Status, Transition, parse_remapping,
 };
 use dermis_skin::{
-    ChannelFlags, Estimate, Estimator, Frame, InstanceError, SkinDescription, SkinError, Surface, TareState,
+    ChannelFlags, Estimate, Estimator, Frame, InstanceError, Mount, SkinDescription, SkinError, Surface,
+    TareState,
 };
 use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, TransportError, now_ns};
 
@@ -29,7 +32,8 @@ use crate::config::Config;
 use crate::estimator::{Maps, Models, Quality, SetupError, SkinEstimator};
 use crate::frame::FrameReader;
 use crate::messages::{
-    blind_message, contacts_message, markers_message, no_markers_message, points_message, wrench_message,
+    blind_message, contacts_message, markers_message, no_markers_message, points_message, transform_message,
+    wrench_message,
 };
 
 /// Longest wait for bytes, and so the longest time until a stop or a silence is noticed.
@@ -144,7 +148,8 @@ pub enum RunError {
 /// A running node; dropping it stops it.
 ///
 /// Topics, relative to its namespace: `contacts`, `taxels`, `wrench`, `contact_points`, `contact_markers`,
-/// `skin_geometry` (latched) and, where the models give them, `force_map` and `displacement_map`. Services: `~/tare`, `~/set_enabled`,
+/// `skin_geometry` (latched) and, where the models give them, `force_map` and `displacement_map`; where the configuration has a
+/// `mount`, its transform on `/tf_static`. Services: `~/tare`, `~/set_enabled`,
 /// `~/load_model`. `taxels` carries readings in the unit of the skin *before* tare, so that a recording of it is all
 /// that training needs. `wrench`, `contact_points` and `contact_markers` fall silent while the skin is blind;
 /// `contacts` goes on and says why.
@@ -181,11 +186,15 @@ impl SkinNode {
 
         let node = Node::open(options(config, &skin)?, backend)?;
         declare(node.parameters(), config, &skin, &mut estimator)?;
-        let publishers = Publishers::new(&node, estimator.maps())?;
+        let mut publishers = Publishers::new(&node, estimator.maps())?;
+        if config.mount.is_some() {
+            publishers.transform = transforms(&node, &skin)?;
+        }
         let slow = slow_lane().map_err(|source| RunError::Thread { skin: skin.name.clone(), source })?;
         let shared = Arc::new(Shared {
             sensor: *sensor,
             device_time: config.device_time,
+            mount: config.mount.clone(),
             correction: config.correction.clone(),
             skin,
             surface,
@@ -508,6 +517,8 @@ struct Publishers {
     points: Publisher<PointCloud2>,
     markers: Publisher<MarkerArray>,
     geometry: Publisher<SkinGeometry>,
+    /// Where the skin is fixed, if that is known.
+    transform: Option<Publisher<TFMessage>>,
     force_map: Option<Publisher<ForceMap>>,
     displacement_map: Option<Publisher<DisplacementMap>>,
     markers_sent: Option<Instant>,
@@ -523,6 +534,7 @@ impl Publishers {
             points: node.stream_publisher("contact_points", KEPT)?,
             markers: node.stream_publisher("contact_markers", KEPT)?,
             geometry: node.publisher("skin_geometry", Qos::latched())?,
+            transform: None,
             force_map: None,
             displacement_map: None,
             markers_sent: None,
@@ -549,6 +561,21 @@ impl Publishers {
             force: self.force_map.as_ref().is_some_and(|p| p.subscriber_count() > 0),
             displacement: self.displacement_map.as_ref().is_some_and(|p| p.subscriber_count() > 0),
         }
+    }
+}
+
+/// The publisher of static transforms; none where the ROS 2 that is sourced has no messages for them.
+fn transforms(node: &Node, skin: &SkinDescription) -> Result<Option<Publisher<TFMessage>>, NodeError> {
+    match node.publisher("/tf_static", Qos::latched()) {
+        Err(NodeError::Backend(error @ BackendError::UnknownType { .. })) => {
+            tracing::warn!(
+                "skin `{}`: where it is mounted is not published on /tf_static ({error}): install tf2_msgs of your ROS 2 and \
+                 build again, or put its frame into the robot's description",
+                skin.name
+            );
+            Ok(None)
+        }
+        made => made.map(Some),
     }
 }
 
@@ -585,6 +612,8 @@ struct Shared {
     sensor: Sensor,
     /// Whether stamps follow the device's clock as it is.
     device_time: bool,
+    /// Where this device is fixed, if that is known.
+    mount: Option<Mount>,
     /// How this device differs from its forward model, where its models are not to say it.
     correction: Option<PathBuf>,
     skin: SkinDescription,
@@ -686,9 +715,7 @@ impl Shared {
                 core.reader = Some(reader);
                 core.jumps = (0, None);
                 drop(core);
-                let message = self.skin.geometry_message(&self.surface, self.node.clock().now());
-                let publisher = self.lock().publishers.geometry.clone();
-                self.slowly(move || publisher.publish(&message));
+                self.publish_latched();
                 last_frame = Instant::now();
                 last_blind = None;
             }
@@ -787,6 +814,22 @@ impl Shared {
             }
             drop(core);
             self.progress.notify_all();
+        }
+    }
+
+    /// What late subscribers get, too: the skin's shape, and where it is fixed.
+    fn publish_latched(&self) {
+        let stamp = self.node.clock().now();
+        let message = self.skin.geometry_message(&self.surface, stamp);
+        let (geometry, transform) = {
+            let core = self.lock();
+            (core.publishers.geometry.clone(), core.publishers.transform.clone())
+        };
+        self.slowly(move || geometry.publish(&message));
+        if let (Some(publisher), Some(mount)) = (transform, &self.mount) {
+            let message =
+                transform_message(&self.skin, stamp, mount.parent(), mount.translation(), mount.rotation());
+            self.slowly(move || publisher.publish(&message));
         }
     }
 

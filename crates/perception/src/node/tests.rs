@@ -237,6 +237,36 @@ fn frames_become_contacts() {
 }
 
 #[test]
+fn a_mounted_skin_says_where_it_is() {
+    let bench = Bench::new();
+    let _device = Device::plug(&bench.path("tty"));
+    let observer = bench.observer();
+    let publishers =
+        || observer.endpoints("/tf_static", dermis_node::backend::EndpointKind::Publisher).unwrap();
+    let unknown = bench.start(&bench.config());
+    let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
+    expect(&contacts, "untouched", untouched);
+    assert!(publishers().is_empty(), "a pose that nobody measured is not invented");
+    unknown.stop();
+
+    let mut config = bench.config();
+    config.mount = Some(Mount::new("wrist", [0.1, 0.0, 0.02], [0.0, 0.0, 0.6, 0.8]).unwrap());
+    config.frame_id = Some("left_pad".into());
+    let _mounted = bench.start(&config);
+    expect(&contacts, "the frame of this device", |m| m.header.frame_id == "left_pad");
+    let (_transforms, transforms) = listen::<TFMessage>(&observer, "/tf_static", Qos::latched());
+    let message = expect(&transforms, "the transform, late", |_| true);
+    let [transform] = message.transforms.as_slice() else { panic!("{message:?}") };
+    assert_eq!(
+        (transform.header.frame_id.as_str(), transform.child_frame_id.as_str()),
+        ("wrist", "left_pad")
+    );
+    let (at, turned) = (&transform.transform.translation, &transform.transform.rotation);
+    assert_eq!([at.x, at.y, at.z], [0.1, 0.0, 0.02]);
+    assert_eq!([turned.x, turned.y, turned.z, turned.w], [0.0, 0.0, 0.6, 0.8]);
+}
+
+#[test]
 fn an_unplugged_skin_is_stale_and_comes_back() {
     let bench = Bench::new();
     let device = Device::plug(&bench.path("tty"));
