@@ -64,6 +64,7 @@
 
 pub mod cdr;
 mod json;
+pub mod sequence;
 mod skin;
 mod support;
 mod time;

@@ -8,7 +8,9 @@
 //! - One process has one type for each topic: another one is refused, not only reported.
 //! - Subscriptions of other nodes are not listed in the graph; their number on an own topic is.
 //! - A subscription or service that was dropped leaves the graph with its next message, or with its node.
-//! - Messages carry no time of their sender ([`dermis_node::MessageInfo::source_ns`] is `None`).
+//! - Messages carry neither the time nor the number that their publisher gave them (r2r 0.9 takes them with rcl's
+//!   `rmw_message_info_t` and drops it): [`dermis_node::MessageInfo::source_ns`] and `publication` are `None`, and how many
+//!   were lost on the way is not known.
 //! - Services are those of the packages that a node itself needs: std_srvs, rcl_interfaces, lifecycle_msgs and ours.
 //! - A node that was killed stays in the graph until DDS gives it up (20 s with Fast DDS); its replacement reports
 //!   a second node of its name so long.

@@ -170,7 +170,13 @@ fn deliver(state: &mut State) {
             return false;
         }
         while let Some(Some(payload)) = messages.next().now_or_never() {
-            sink(RawMessage { payload: Bytes::from(payload), source_ns: None, received_ns: now_ns() });
+            sink(RawMessage {
+                payload: Bytes::from(payload),
+                // r2r takes messages with rcl's information about them, but does not hand that on.
+                source_ns: None,
+                received_ns: now_ns(),
+                publication: None,
+            });
         }
         true
     });

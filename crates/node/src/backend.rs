@@ -196,6 +196,18 @@ pub struct RawMessage {
     pub source_ns: Option<i64>,
     /// When it arrived here, ns since the epoch (system clock).
     pub received_ns: i64,
+    /// Who published it, and its number there, where the wire tells.
+    pub publication: Option<Publication>,
+}
+
+/// A message as its publisher counts it. A step of more than one from a publisher is a loss; a publisher that was
+/// started again has another id.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Publication {
+    /// Unique id of the publisher (`gid`).
+    pub publisher: [u8; 16],
+    /// Number of the message at this publisher; where it begins is up to the implementation.
+    pub number: u64,
 }
 
 /// One service request as it came, with the way back.

@@ -177,6 +177,22 @@ impl<T: Send + 'static> Lane<T> {
         self.dropped.load(Ordering::Relaxed)
     }
 
+    /// Closes the lane once its queue is empty and its callback has ended, at latest after `patience`. Returns how many
+    /// items the callback never had.
+    pub(crate) fn finish(&self, patience: Duration) -> usize {
+        let left = {
+            let state = lock(&self.state);
+            let busy = |state: &mut LaneState<T>| {
+                !state.closed && (!state.items.is_empty() || state.running_on.is_some())
+            };
+            let (state, _) =
+                self.idle.wait_timeout_while(state, patience, busy).unwrap_or_else(PoisonError::into_inner);
+            state.items.len()
+        };
+        self.close();
+        left
+    }
+
     /// Empties the queue for good. Waits for a running callback to end, at most [`CLOSE_WAIT`], except
     /// when called from within it.
     pub(crate) fn close(&self) {
@@ -300,6 +316,40 @@ mod tests {
         }
         assert_eq!(rx.recv_timeout(WAIT).unwrap(), 0);
         assert_eq!(rx.recv_timeout(WAIT).unwrap(), 2);
+    }
+
+    #[test]
+    fn a_finished_lane_has_run_what_was_queued() {
+        let executor = Executor::start("test", 1).unwrap();
+        let seen = Arc::new(AtomicU64::new(0));
+        let count = Arc::clone(&seen);
+        let lane = executor.lane("finished".into(), None, move |(): ()| {
+            count.fetch_add(1, Ordering::SeqCst);
+        });
+        for _ in 0..10_000 {
+            lane.push(());
+        }
+        assert_eq!((lane.finish(WAIT), seen.load(Ordering::SeqCst)), (0, 10_000));
+
+        let (go, gate) = mpsc::channel::<()>();
+        let (entered_tx, entered) = mpsc::channel();
+        let lane = executor.lane("stuck".into(), None, move |(): ()| {
+            entered_tx.send(()).unwrap_or_default();
+            gate.recv_timeout(WAIT).unwrap_or_default();
+        });
+        for _ in 0..3 {
+            lane.push(());
+        }
+        entered.recv_timeout(WAIT).unwrap();
+        std::thread::scope(|scope| {
+            let left = scope.spawn(|| lane.finish(Duration::from_millis(1)));
+            // Closing waits for the callback that runs.
+            while !lock(&lane.state).closed {
+                std::thread::yield_now();
+            }
+            go.send(()).unwrap();
+            assert_eq!(left.join().unwrap(), 2, "what the callback never had is counted");
+        });
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Weak};
+use std::task::Poll;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -17,6 +18,7 @@ use hiroz::graph::Graph;
 use hiroz::msg::ZService;
 use hiroz::node::ZNode;
 use hiroz::pubsub::{ZPub, ZSub};
+use hiroz::queue::BoundedQueue;
 use hiroz_protocol::qos as wire_qos;
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
@@ -26,7 +28,8 @@ use zenoh::sample::Sample;
 
 use crate::backend::{
     Backend, BackendClient, BackendEndpoint, BackendError, BackendNode, BackendPublisher, EndpointInfo,
-    EndpointKind, GraphHook, MessageSink, NodeSpec, RawMessage, RawRequest, RequestSink, ServiceSupport,
+    EndpointKind, GraphHook, MessageSink, NodeSpec, Publication, RawMessage, RawRequest, RequestSink,
+    ServiceSupport,
 };
 use crate::clock::system_now;
 use crate::executor::lock;
@@ -374,16 +377,14 @@ impl BackendNode for HirozNode {
         let error =
             |reason: String| BackendError::Endpoint { what: "subscription", name: topic.to_owned(), reason };
         let queue = queue.ok_or_else(|| error("it has no queue".to_owned()))?;
-        let task = runtime().map_err(|e| error(e.to_string()))?.spawn(async move {
-            loop {
-                let sample = queue.recv_async().await;
-                match &*lock(&forward) {
-                    Some(sink) => sink(raw_message(&sample)),
-                    None => return,
-                }
-            }
-        });
-        Ok(Box::new(HirozSubscription { subscription: Some(subscription), gate, task: task.abort_handle() }))
+        let waiting = Arc::clone(&queue);
+        let task = runtime().map_err(|e| error(e.to_string()))?.spawn(hand_on(queue, forward));
+        Ok(Box::new(HirozSubscription {
+            subscription: Some(subscription),
+            waiting,
+            gate,
+            task: task.abort_handle(),
+        }))
     }
 
     fn serve(
@@ -572,9 +573,36 @@ impl BackendPublisher for HirozStream {
     }
 }
 
+/// Where the samples of a subscription go; taken out when it is dropped.
+type Gate = Arc<Mutex<Option<MessageSink>>>;
+
+/// Hands samples on as they come, until the gate is shut. A sample is taken out of the queue under the lock of the gate, so
+/// that whoever shuts the gate knows that none is on its way between them.
+async fn hand_on(queue: Arc<BoundedQueue<Sample>>, gate: Gate) {
+    /// Samples after which others get their turn on the runtime.
+    const TURN: usize = 64;
+    let mut next = Box::pin(queue.recv_async());
+    std::future::poll_fn(|context| {
+        for _ in 0..TURN {
+            let gate = lock(&gate);
+            let Some(sink) = &*gate else { return Poll::Ready(()) };
+            match next.as_mut().poll(context) {
+                Poll::Ready(sample) => sink(raw_message(&sample)),
+                Poll::Pending => return Poll::Pending,
+            }
+            next.set(queue.recv_async());
+        }
+        context.waker().wake_by_ref();
+        Poll::Pending
+    })
+    .await;
+}
+
 struct HirozSubscription {
     subscription: Option<ZSub<Raw, Sample, RawSerdes>>,
-    gate: Arc<Mutex<Option<MessageSink>>>,
+    /// What has arrived and was not handed on yet.
+    waiting: Arc<BoundedQueue<Sample>>,
+    gate: Gate,
     task: tokio::task::AbortHandle,
 }
 
@@ -584,21 +612,33 @@ impl Drop for HirozSubscription {
     fn drop(&mut self) {
         let subscription = self.subscription.take();
         off_runtime(|| drop(subscription));
-        let sink = lock(&self.gate).take();
+        let sink = {
+            let mut gate = lock(&self.gate);
+            // What has arrived is not lost.
+            while let Some(sink) = &*gate
+                && let Some(sample) = self.waiting.try_recv()
+            {
+                sink(raw_message(&sample));
+            }
+            gate.take()
+        };
         drop(sink);
         self.task.abort();
     }
 }
 
 fn raw_message(sample: &Sample) -> RawMessage {
-    let source_ns = sample
-        .attachment()
-        .and_then(|bytes| Attachment::try_from(bytes).ok())
-        .map(|attachment| attachment.source_timestamp);
+    // A plain zenoh client publishes without an attachment.
+    let attachment = sample.attachment().and_then(|bytes| Attachment::try_from(bytes).ok());
+    let publication = attachment.as_ref().and_then(|attachment| {
+        let number = u64::try_from(attachment.sequence_number).ok()?;
+        Some(Publication { publisher: attachment.source_gid, number })
+    });
     RawMessage {
         payload: Bytes::from(sample.payload().to_bytes().into_owned()),
-        source_ns,
+        source_ns: attachment.map(|attachment| attachment.source_timestamp),
         received_ns: system_now(),
+        publication,
     }
 }
 

@@ -38,8 +38,9 @@ mod service;
 pub mod suite;
 mod watch;
 
-pub use backend::{Backend, BackendError};
+pub use backend::{Backend, BackendError, Publication};
 pub use clock::{Clock, ClockJump};
+pub use dermis_msgs::sequence::Losses;
 pub use diagnostics::{Diagnostics, Level, Status};
 pub use error::NodeError;
 #[cfg(feature = "hiroz")]
@@ -50,7 +51,7 @@ pub use network::{Network, NetworkChoice, Reach};
 pub use node::{LogLevel, Node, Timer};
 pub use options::NodeOptions;
 pub use parameters::{ParameterDescriptor, ParameterRange, ParameterValue, Parameters};
-pub use pubsub::{MessageInfo, Publisher, RawPublisher, Subscription};
+pub use pubsub::{MessageInfo, PublicationCounter, Publisher, RawPublisher, Subscription, Unread};
 pub use qos::{Durability, History, Qos, Reliability};
 pub use service::{Client, ServiceServer};
 pub use watch::{Problem, ProblemKind};

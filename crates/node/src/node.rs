@@ -15,6 +15,7 @@ use dermis_msgs::lifecycle_msgs::srv as lifecycle_srv;
 use dermis_msgs::rcl_interfaces::msg::{Log, ParameterEvent};
 use dermis_msgs::rcl_interfaces::srv as parameter_srv;
 use dermis_msgs::rosgraph_msgs::msg::Clock as ClockMsg;
+use dermis_msgs::sequence::Losses;
 use dermis_msgs::{Message, Service, TypeSupport};
 
 use crate::backend::{Backend, BackendNode, EndpointInfo, EndpointKind, NodeSpec};
@@ -26,7 +27,7 @@ use crate::lifecycle::Lifecycle;
 use crate::names::{NameKind, Names};
 use crate::options::NodeOptions;
 use crate::parameters::{ParameterDescriptor, ParameterValue, Parameters};
-use crate::pubsub::{MessageInfo, Pace, Publisher, RawPublisher, Subscription};
+use crate::pubsub::{MessageInfo, Pace, Publisher, RawPublisher, Subscription, SubscriptionInner};
 use crate::qos::{Durability, History, Qos, Reliability};
 use crate::service::{Client, ServiceServer};
 use crate::watch::{OwnEndpoint, Problem, ProblemKind, problems};
@@ -74,6 +75,8 @@ pub(crate) struct Core {
     own: Mutex<BTreeMap<u64, OwnEndpoint>>,
     next: AtomicU64,
     tracked: Mutex<Vec<Weak<dyn Close>>>,
+    /// Whose losses are told in the diagnostics.
+    subscriptions: Mutex<Vec<Weak<SubscriptionInner>>>,
     closed: AtomicBool,
     alarm: Arc<Alarm>,
 }
@@ -106,6 +109,26 @@ impl Core {
         if self.closed.load(Ordering::Acquire) {
             closer.close();
         }
+    }
+
+    pub(crate) fn watch_losses(&self, subscription: &Arc<SubscriptionInner>) {
+        let mut known = lock(&self.subscriptions);
+        known.retain(|subscription| subscription.strong_count() > 0);
+        known.push(Arc::downgrade(subscription));
+    }
+
+    /// Messages lost on the way and drops of the queues, of each topic that lost something.
+    fn losses(&self) -> BTreeMap<String, (u64, u64)> {
+        let known: Vec<_> = lock(&self.subscriptions).iter().filter_map(Weak::upgrade).collect();
+        let mut topics: BTreeMap<String, (u64, u64)> = BTreeMap::new();
+        for subscription in known {
+            let (Losses { lost, .. }, dropped) = subscription.counts();
+            if lost + dropped > 0 {
+                let sum = topics.entry(subscription.topic().to_owned()).or_default();
+                *sum = (sum.0 + lost, sum.1 + dropped);
+            }
+        }
+        topics
     }
 }
 
@@ -276,6 +299,7 @@ impl Node {
             own: Mutex::default(),
             next: AtomicU64::new(0),
             tracked: Mutex::default(),
+            subscriptions: Mutex::default(),
             closed: AtomicBool::new(false),
             alarm,
         });
@@ -776,6 +800,14 @@ impl Node {
             }
             status
         });
+        let core = Arc::downgrade(&self.0.core);
+        let mut before = BTreeMap::new();
+        self.0.diagnostics.add("subscriptions", move || {
+            let now = core.upgrade().map(|core| core.losses()).unwrap_or_default();
+            let status = subscriptions_status(&before, &now);
+            before = now;
+            status
+        });
         let publisher: Publisher<DiagnosticArray> = self.stream_publisher("/diagnostics", 10)?;
         let weak = Arc::downgrade(&self.0.0);
         let timer = self.timer_on(&self.0.core.system, DIAGNOSTICS_PERIOD, move || {
@@ -790,6 +822,25 @@ impl Node {
         self.keep(timer);
         Ok(())
     }
+}
+
+/// What subscriptions lost, by topic: on the way, and dropped by a queue for newer messages.
+fn subscriptions_status(before: &BTreeMap<String, (u64, u64)>, now: &BTreeMap<String, (u64, u64)>) -> Status {
+    let mut status = Status::ok("nothing was lost since the last report");
+    for (topic, &(lost, dropped)) in now {
+        let (lost_before, dropped_before) = before.get(topic).copied().unwrap_or_default();
+        if lost > lost_before {
+            let sentence = format!("{} messages on {topic} were lost on the way", lost - lost_before);
+            status.worsen(Level::Warn, sentence);
+        } else if dropped > dropped_before && status.level == Level::Ok {
+            // With keep last, a slow reader gets the newest and goes without the rest: this is as it should be.
+            status.message =
+                "messages were dropped, because newer ones came before they were read".to_owned();
+        }
+        status.value(format!("{topic}: lost on the way"), lost);
+        status.value(format!("{topic}: dropped for newer ones"), dropped);
+    }
+    status
 }
 
 impl Shared {

@@ -3,10 +3,12 @@
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Duration;
 
+use dermis_msgs::sequence::{LossCounter, Losses};
 use dermis_msgs::{Message, TypeSupport};
 
-use crate::backend::{BackendEndpoint, BackendPublisher, EndpointKind, RawMessage};
+use crate::backend::{BackendEndpoint, BackendPublisher, EndpointKind, Publication, RawMessage};
 use crate::error::NodeError;
 use crate::executor::{Lane, lock};
 use crate::names::NameKind;
@@ -22,11 +24,39 @@ pub struct MessageInfo {
     pub source_ns: Option<i64>,
     /// When it arrived here, ns since the epoch by the system clock.
     pub received_ns: i64,
+    /// Who published it, and its number there, where the wire tells.
+    pub publication: Option<Publication>,
 }
 
 impl MessageInfo {
     fn of(message: &RawMessage) -> Self {
-        Self { source_ns: message.source_ns, received_ns: message.received_ns }
+        Self {
+            source_ns: message.source_ns,
+            received_ns: message.received_ns,
+            publication: message.publication,
+        }
+    }
+}
+
+/// Counts what was lost on the way to a subscription, by the numbers that publishers give their messages.
+#[derive(Debug, Default)]
+pub struct PublicationCounter(LossCounter<[u8; 16]>);
+
+impl PublicationCounter {
+    /// A message came.
+    pub fn observe(&mut self, publication: Option<Publication>, source_ns: Option<i64>) {
+        match publication {
+            Some(Publication { publisher, number }) => {
+                self.0.observe(&publisher, number, source_ns);
+            }
+            None => self.0.observe_unnumbered(),
+        }
+    }
+
+    /// What is missing so far.
+    #[must_use]
+    pub fn losses(&self) -> Losses {
+        self.0.losses()
     }
 }
 
@@ -185,8 +215,20 @@ pub(crate) struct SubscriptionInner {
     topic: String,
     endpoint: Mutex<Option<Box<dyn BackendEndpoint>>>,
     lane: Arc<Lane<RawMessage>>,
+    /// What is missing of what was published, as it arrives: before the queue.
+    missing: Arc<Mutex<PublicationCounter>>,
     rejected: Arc<AtomicU64>,
     _registration: Registration,
+}
+
+impl SubscriptionInner {
+    pub(crate) fn topic(&self) -> &str {
+        &self.topic
+    }
+
+    pub(crate) fn counts(&self) -> (Losses, u64) {
+        (lock(&self.missing).losses(), self.lane.dropped())
+    }
 }
 
 impl Close for SubscriptionInner {
@@ -201,6 +243,15 @@ impl Drop for SubscriptionInner {
     fn drop(&mut self) {
         self.close();
     }
+}
+
+/// Messages that arrived and that the callback of a subscription never had.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Unread {
+    /// Dropped for newer ones, as [`Subscription::dropped`] counts.
+    pub dropped: u64,
+    /// Still waiting at the end.
+    pub waiting: u64,
 }
 
 /// A subscription. Its callback is called until this is dropped or the node is shut down.
@@ -229,16 +280,23 @@ impl Subscription {
             callback(&message.payload, MessageInfo::of(&message));
         });
         let sink = Arc::clone(&lane);
-        let endpoint =
-            core.node.subscribe(&topic, type_support, &qos, Box::new(move |message| sink.push(message)))?;
+        let missing = Arc::new(Mutex::new(PublicationCounter::default()));
+        let counter = Arc::clone(&missing);
+        let take = move |message: RawMessage| {
+            lock(&counter).observe(message.publication, message.source_ns);
+            sink.push(message);
+        };
+        let endpoint = core.node.subscribe(&topic, type_support, &qos, Box::new(take))?;
         let inner = Arc::new(SubscriptionInner {
             topic,
             endpoint: Mutex::new(Some(endpoint)),
             lane,
+            missing,
             rejected,
             _registration: registration,
         });
         core.track(&inner);
+        core.watch_losses(&inner);
         Ok(Self(inner))
     }
 
@@ -273,6 +331,23 @@ impl Subscription {
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.0.lane.dropped()
+    }
+
+    /// How many messages were lost on the way, by the numbers that publishers give them; what
+    /// [`dropped`](Self::dropped) counts did arrive and is not among them. Counting begins with the first message of each
+    /// publisher. What was lost after the last message that came is not known here.
+    #[must_use]
+    pub fn losses(&self) -> Losses {
+        lock(&self.0.missing).losses()
+    }
+
+    /// Ends the subscription, after its callback has had everything that arrived before. Waits for that as long as
+    /// `patience`, and says what the callback never had. Must not be called from the callback.
+    pub fn finish(self, patience: Duration) -> Unread {
+        let endpoint = lock(&self.0.endpoint).take();
+        drop(endpoint);
+        let waiting = self.0.lane.finish(patience);
+        Unread { dropped: self.0.lane.dropped(), waiting: u64::try_from(waiting).unwrap_or(u64::MAX) }
     }
 
     /// How many messages did not decode.

@@ -61,6 +61,8 @@ macro_rules! behaviour_suite {
             timers_tick
             a_panic_in_a_callback_is_survived
             a_slow_callback_gets_the_newest
+            what_was_lost_is_zero_or_unknown
+            a_finished_subscription_has_handed_on_what_arrived
             shutdown_withdraws_everything
             a_managed_node_is_finalized_at_shutdown
             the_api_works_in_a_single_threaded_runtime
@@ -693,6 +695,58 @@ pub fn a_panic_in_a_callback_is_survived(backend: &dyn Backend) {
         publisher.publish(&number(i)).unwrap();
     }
     assert_eq!((next(&rx, "0"), next(&rx, "2")), (0, 2));
+}
+
+/// Where all arrives, nothing is reported as lost; where the wire does not tell, that is said and not 0.
+pub fn what_was_lost_is_zero_or_unknown(backend: &dyn Backend) {
+    let bench = Bench::new(backend);
+    let (a, b) = (bench.node("a"), bench.node("b"));
+    let publisher = a.publisher::<Int32>("numbers", Qos::reliable(1000)).unwrap();
+    // What goes out before somebody listens is not lost.
+    for i in 0..5 {
+        publisher.publish(&number(i)).unwrap();
+    }
+    let (tx, rx) = channel();
+    let sub = b.subscribe::<Int32>("numbers", Qos::reliable(1000), into(tx)).unwrap();
+    until("matched", || publisher.subscriber_count() == 1);
+    assert_eq!(sub.losses().known(), None, "nothing has come that would tell");
+    for i in 5..100 {
+        publisher.publish(&number(i)).unwrap();
+    }
+    while next(&rx, "the last number").data != 99 {}
+    let losses = sub.losses();
+    if backend.name() == "r2r" {
+        assert_eq!((losses.known(), losses.unnumbered), (None, 95));
+    } else {
+        assert_eq!((losses.known(), losses.numbered, losses.unnumbered), (Some(0), 95, 0));
+    }
+}
+
+/// Ending a subscription in an orderly way loses nothing that had arrived, however slow its callback is.
+pub fn a_finished_subscription_has_handed_on_what_arrived(backend: &dyn Backend) {
+    let bench = Bench::new(backend);
+    let (a, b) = (bench.node("a"), bench.node("b"));
+    let count = Arc::new(AtomicUsize::new(0));
+    let seen = Arc::clone(&count);
+    let (go, gate) = channel::<()>();
+    let sub = b
+        .subscribe("numbers", Qos::reliable(1000), move |_: Int32, _| {
+            if seen.fetch_add(1, Ordering::SeqCst) == 0 {
+                let _ = gate.recv_timeout(WAIT);
+            }
+        })
+        .unwrap();
+    let publisher = a.publisher::<Int32>("numbers", Qos::reliable(1000)).unwrap();
+    until("matched", || publisher.subscriber_count() == 1);
+    for i in 0..200 {
+        publisher.publish(&number(i)).unwrap();
+    }
+    until("all have arrived", || sub.losses().numbered + sub.losses().unnumbered == 200);
+    assert!(count.load(Ordering::SeqCst) <= 1, "the callback is busy with the first");
+    let ending = std::thread::spawn(move || sub.finish(WAIT));
+    drop(go);
+    assert_eq!(ending.join().unwrap(), crate::Unread::default());
+    assert_eq!(count.load(Ordering::SeqCst), 200);
 }
 
 /// A callback that is too slow loses old messages, never new ones, and does not slow the publisher down.

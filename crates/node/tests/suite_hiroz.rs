@@ -198,6 +198,55 @@ fn a_plain_zenoh_client_publishes_and_calls() {
     assert_eq!(response, TriggerResponse { success: true, message: "tared".to_owned() });
 }
 
+/// A publisher whose numbers skip, come late, come twice, begin again, or are missing: only what is missing counts.
+#[test]
+fn what_the_bus_lost_is_counted_by_publisher() {
+    use hiroz::attachment::Attachment;
+    let backend = backend();
+    let bench = Bench::new(&*backend);
+    let node = bench.node("a");
+    let (tx, rx) = channel();
+    let sub = node
+        .subscribe("numbers", Qos::reliable(100), move |_: Int32, info| {
+            let _ = tx.send(info.publication);
+        })
+        .unwrap();
+    let session = plain_session();
+    let key = format!("{}/{}/std_msgs::msg::dds_::Int32_/{}", domain(), &sub.topic()[1..], Int32::TYPE_HASH);
+    let publisher = session.declare_publisher(key).wait().unwrap();
+    until("matched", || publisher.matching_status().wait().unwrap().matching());
+    assert_eq!(sub.losses().known(), None, "nothing came yet that would tell");
+    let send = |gid: u8, number: i64, second: i64| {
+        let mut attachment = Attachment::new(number, [gid; 16]);
+        attachment.source_timestamp = second * 1_000_000_000;
+        publisher.put(Int32::default().to_cdr()).attachment(attachment).wait().unwrap();
+        let got = expect_next(&rx, "the number").unwrap();
+        assert_eq!((got.publisher, got.number), ([gid; 16], u64::try_from(number).unwrap()));
+        sub.losses().known().unwrap()
+    };
+    // A late joiner, with history that comes after the first live message.
+    assert_eq!([send(1, 57, 57), send(1, 55, 55), send(1, 56, 56), send(1, 58, 58)], [0; 4]);
+    // Three are missing; one of them is only late; another comes twice.
+    assert_eq!([send(1, 62, 62), send(1, 60, 60), send(1, 60, 60)], [3, 2, 2]);
+    // Started again: another id, or the same one that counts from the start.
+    assert_eq!([send(2, 0, 63), send(2, 1, 64), send(1, 0, 65), send(1, 1, 66)], [2; 4]);
+    assert_eq!(send(2, 10, 70), 10);
+    assert_eq!((sub.losses().numbered, sub.losses().unnumbered, sub.dropped()), (12, 0, 0));
+    let told = |status: Vec<(String, dermis_node::Status)>| {
+        status.into_iter().find(|(name, _)| name == "subscriptions").unwrap().1
+    };
+    // The node asks once a second, too.
+    let status = told(node.diagnostics().collect());
+    let value = (format!("{}: lost on the way", sub.topic()), "10".to_owned());
+    assert!(status.values.contains(&value), "{status:?}");
+    until("the next report is clean", || {
+        told(node.diagnostics().collect()).message == "nothing was lost since the last report"
+    });
+    publisher.put(Int32::default().to_cdr()).wait().unwrap();
+    assert_eq!(expect_next(&rx, "one without a number"), None);
+    assert_eq!(sub.losses().unnumbered, 1);
+}
+
 #[test]
 fn another_version_of_a_type_is_reported() {
     static CHANGED: TypeSupport = TypeSupport {
