@@ -1,4 +1,4 @@
-//! Looks at every byte of a bag, says what is wrong where, and makes a complete bag of what is whole.
+//! Looks at every byte of a bag, and says what is wrong where.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -8,7 +8,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use dermis_msgs::{Message as _, msg::TaxelFrame, type_support};
+use dermis_msgs::{
+    Message as _,
+    msg::TaxelFrame,
+    sequence::{Arrival, SequenceTracker},
+    type_support,
+};
 use mcap::{
     McapError,
     records::{ChunkIndex, Record, op},
@@ -16,9 +21,10 @@ use mcap::{
 };
 
 use crate::{
-    BagError, BagInfo, BagOptions, BagReader, BagWriter, Filter, TopicId,
+    BagError, RecordedLosses,
     error::say,
     guard::{guarded, parse_record},
+    losses,
     metadata::Metadata,
     reader::{mcap_files, nanos, read_summary, record_limit},
 };
@@ -60,6 +66,19 @@ pub struct BagReport {
     pub messages: u64,
     /// What was found, the first of each kind in full.
     pub findings: Vec<Finding>,
+    /// What the recorder missed, as it counted; `None` where the bag does not say.
+    pub losses: Option<RecordedLosses>,
+    /// Steps in the numbers of taxel frames, by topic.
+    pub missing_frames: BTreeMap<String, MissingFrames>,
+}
+
+/// Taxel frames that a topic lacks, by their numbers.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct MissingFrames {
+    /// Frames that the skin numbered and that are not there.
+    pub frames: u64,
+    /// Places where some are missing.
+    pub gaps: u64,
 }
 
 impl BagReport {
@@ -68,6 +87,33 @@ impl BagReport {
     pub fn is_sound(&self) -> bool {
         self.findings.iter().all(|finding| finding.severity == Severity::Note)
     }
+
+    /// Whether nothing is wrong, nothing is known to be missing, and a recorder that counts has recorded it.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.is_sound()
+            && self.missing_frames.is_empty()
+            && self.losses.as_ref().is_some_and(RecordedLosses::is_complete)
+    }
+
+    /// What is missing, in words; empty where nothing is known to be.
+    #[must_use]
+    pub fn missing(&self) -> String {
+        let mut clauses = Vec::new();
+        if let Some(losses) = self.losses.as_ref().filter(|losses| !losses.is_complete()) {
+            clauses.push(losses.to_string());
+        }
+        if !self.missing_frames.is_empty() {
+            let of = self.missing_frames.iter();
+            let of = of.map(|(topic, m)| format!("{topic} {} in {}", m.frames, places(m.gaps)));
+            clauses.push(format!("taxel frames are missing: {}", of.collect::<Vec<_>>().join(", ")));
+        }
+        clauses.join("; ")
+    }
+}
+
+fn places(count: u64) -> String {
+    if count == 1 { "1 place".to_owned() } else { format!("{count} places") }
 }
 
 impl fmt::Display for BagReport {
@@ -76,11 +122,16 @@ impl fmt::Display for BagReport {
             let word = if finding.severity == Severity::Note { "note: " } else { "" };
             writeln!(f, "{}: {word}{}", finding.place, finding.problem)?;
         }
+        let missing = self.missing();
+        let (word, but) = (
+            if self.is_sound() { "sound" } else { "not sound" },
+            if self.is_sound() { "but" } else { "and" },
+        );
         write!(
             f,
-            "{}: {} ({} messages, {} chunks, {} files)",
+            "{}: {word}{}{missing} ({} messages, {} chunks, {} files)",
             self.path.display(),
-            if self.is_sound() { "sound" } else { "not sound" },
+            if missing.is_empty() { String::new() } else { format!(", {but} ") },
             self.messages,
             self.chunks,
             self.files
@@ -92,12 +143,12 @@ impl fmt::Display for BagReport {
 #[derive(Default)]
 struct Findings {
     list: Vec<Finding>,
-    counts: BTreeMap<(String, &'static str), usize>,
+    counts: BTreeMap<(String, &'static str, Severity), usize>,
 }
 
 impl Findings {
     fn add(&mut self, severity: Severity, place: String, kind: &'static str, problem: String) {
-        let count = self.counts.entry((place.clone(), kind)).or_default();
+        let count = self.counts.entry((place.clone(), kind, severity)).or_default();
         *count += 1;
         if *count <= LISTED {
             self.list.push(Finding { severity, place, problem });
@@ -109,14 +160,38 @@ impl Findings {
     }
 
     fn finish(mut self) -> Vec<Finding> {
-        for ((place, kind), count) in self.counts {
+        for ((place, kind, severity), count) in self.counts {
             if count > LISTED {
                 let problem = format!("{} more of this kind: {kind}", count - LISTED);
-                self.list.push(Finding { severity: Severity::Error, place, problem });
+                self.list.push(Finding { severity, place, problem });
             }
         }
         self.list
     }
+}
+
+/// Numbers of the frames of a topic, over all files.
+#[derive(Default)]
+struct Frames {
+    /// By the name of the skin.
+    skins: BTreeMap<String, SequenceTracker>,
+    gaps: u64,
+}
+
+impl Frames {
+    fn missing(&self) -> MissingFrames {
+        MissingFrames { frames: self.skins.values().map(SequenceTracker::missing).sum(), gaps: self.gaps }
+    }
+}
+
+/// What is carried from file to file.
+#[derive(Default)]
+struct Across {
+    frames: BTreeMap<String, Frames>,
+    /// Types that were looked at.
+    types: BTreeSet<String>,
+    /// What the last note of the recorder says is missing.
+    noted: Option<BTreeMap<String, String>>,
 }
 
 /// What the messages of a file are.
@@ -142,16 +217,14 @@ pub fn check(path: impl AsRef<Path>) -> Result<BagReport, BagError> {
     let mut findings = Findings::default();
     let (files, metadata) = files_of(path, &mut findings)?;
     let mut all = Seen::default();
-    let mut sequences = BTreeMap::new();
-    let mut types = BTreeSet::new();
+    let mut across = Across::default();
     for (index, file) in files.iter().enumerate() {
         let mut state = FileCheck {
             file,
             findings: &mut findings,
             seen: Seen::default(),
             last: BTreeMap::new(),
-            sequences: &mut sequences,
-            types: &mut types,
+            across: &mut across,
         };
         state.run()?;
         let seen = state.seen;
@@ -189,7 +262,11 @@ pub fn check(path: impl AsRef<Path>) -> Result<BagReport, BagError> {
     if let Some(metadata) = &metadata {
         compare(path, metadata, &all, &mut findings);
     }
+    let said = metadata.as_ref().map(|metadata| &metadata.custom).or(across.noted.as_ref());
+    let missing = across.frames.iter().map(|(topic, frames)| (topic.clone(), frames.missing()));
     Ok(BagReport {
+        losses: said.and_then(RecordedLosses::of),
+        missing_frames: missing.filter(|(_, missing)| missing.frames > 0).collect(),
         path: path.into(),
         files: files.len(),
         chunks: all.chunks,
@@ -301,10 +378,7 @@ struct FileCheck<'a> {
     seen: Seen,
     /// Last log time of each topic.
     last: BTreeMap<String, i64>,
-    /// Last sequence of the frames of each topic, over all files.
-    sequences: &'a mut BTreeMap<String, u64>,
-    /// Types that were looked at, over all files.
-    types: &'a mut BTreeSet<String>,
+    across: &'a mut Across,
 }
 
 impl FileCheck<'_> {
@@ -397,6 +471,9 @@ impl FileCheck<'_> {
                 self.content(channel, data, time);
             }
             Record::ChunkIndex(_) => self.seen.chunks += 1,
+            Record::Metadata(note) if note.name == losses::RECORD => {
+                self.across.noted = Some(note.metadata.clone());
+            }
             _ => {}
         }
     }
@@ -428,25 +505,30 @@ impl FileCheck<'_> {
         }
         match TaxelFrame::from_cdr(data) {
             Ok(frame) => {
-                let last = self.sequences.insert(topic.clone(), frame.sequence);
-                if let Some(last) = last
-                    && frame.sequence != last.wrapping_add(1)
-                {
-                    // The recorder, or the link to the skin, may have lost them: the bag is what it says.
-                    let problem = if frame.sequence > last {
-                        format!("{topic} lacks {} frames before {time} ns", frame.sequence - last - 1)
-                    } else {
-                        format!("the frames of {topic} count from {} again at {time} ns", frame.sequence)
-                    };
-                    self.findings.add(Severity::Note, self.file.display().to_string(), "sequence", problem);
-                }
+                let frames = self.across.frames.entry(topic.clone()).or_default();
+                let stamp = Some(frame.header.stamp.as_nanos()).filter(|stamp| *stamp != 0);
+                let sequence = frame.sequence;
+                // The recorder, or the link to the skin, may have lost some: the bag is what it says.
+                let problem = match frames.skins.entry(frame.skin).or_default().observe(sequence, stamp) {
+                    Arrival::First | Arrival::Next => return,
+                    Arrival::After(count) => {
+                        frames.gaps += 1;
+                        format!("{topic} lacks {count} frames before {time} ns")
+                    }
+                    Arrival::Late => format!("frame {sequence} of {topic} is stored late, at {time} ns"),
+                    Arrival::Repeated => format!("frame {sequence} of {topic} is there again at {time} ns"),
+                    Arrival::Restarted => {
+                        format!("the frames of {topic} count from {sequence} again at {time} ns")
+                    }
+                };
+                self.findings.add(Severity::Note, self.file.display().to_string(), "sequence", problem);
             }
             Err(error) => self.error("content", format!("message on {topic} at {time} ns: {error}")),
         }
     }
 
     fn type_of(&mut self, topic: &str, type_name: &str, hash: &str, definition: &str) {
-        if !self.types.insert(topic.to_owned()) {
+        if !self.across.types.insert(topic.to_owned()) {
             return;
         }
         let Some(support) = type_support(type_name) else { return };
@@ -540,89 +622,4 @@ fn wrong_chunk(file: &mut File, index: &ChunkIndex, length: u64) -> std::io::Res
         return Ok(Some("has other times than the chunk".into()));
     }
     Ok(None)
-}
-
-/// Copies what `filter` takes of a bag into a new one, file by file and message by message as it is: topics with their
-/// schemas, qualities of service, times and bytes. Topics that nothing is taken of are left out; `custom` is added to the
-/// custom data. The original is only read; where it was opened with [`BagReader::recover`], what is whole is copied.
-///
-/// # Errors
-/// Where reading or writing fails, or the target exists.
-pub fn copy(
-    reader: &BagReader,
-    out: impl AsRef<Path>,
-    filter: Filter,
-    options: &BagOptions,
-    custom: impl IntoIterator<Item = (String, String)>,
-) -> Result<BagInfo, BagError> {
-    copy_into(reader, BagWriter::create_with(out, options)?, filter, custom)
-}
-
-fn copy_into(
-    reader: &BagReader,
-    mut writer: BagWriter,
-    filter: Filter,
-    custom: impl IntoIterator<Item = (String, String)>,
-) -> Result<BagInfo, BagError> {
-    for (key, value) in reader.custom().clone().into_iter().chain(custom) {
-        writer.set_custom(key, value);
-    }
-    let mut ids: BTreeMap<String, TopicId> = BTreeMap::new();
-    for topic in reader.topics().iter().filter(|topic| filter.takes_topic(&topic.name, &topic.type_name)) {
-        ids.insert(topic.name.clone(), writer.declare(topic)?);
-    }
-    for message in reader.messages_where(filter) {
-        let message = message?;
-        let Some(&id) = ids.get(&*message.topic) else { continue };
-        writer.write_bytes(id, &message.data, message.log_time, message.publish_time)?;
-    }
-    writer.finish()
-}
-
-/// What [`repair`] made.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct Repaired {
-    /// The complete bag.
-    pub bag: BagInfo,
-    /// Where the original lies now, where the repaired bag has taken its place.
-    pub original: Option<PathBuf>,
-}
-
-/// Makes a complete bag of what is whole of a damaged or interrupted one. With `out`, a new bag there; without, the repaired
-/// bag is written beside the original, which then makes room: it is renamed to `<name>.damaged` and kept.
-///
-/// # Errors
-/// Where nothing can be read, or writing fails; the original is untouched then.
-pub fn repair(
-    path: impl AsRef<Path>,
-    out: Option<&Path>,
-    options: &BagOptions,
-) -> Result<Repaired, BagError> {
-    let path = path.as_ref();
-    let reader = BagReader::recover(path)?;
-    let custom = [("repaired".to_owned(), "what was whole of a damaged or interrupted bag".to_owned())];
-    if let Some(out) = out {
-        return Ok(Repaired { bag: copy(&reader, out, Filter::default(), options, custom)?, original: None });
-    }
-    if !path.is_dir() {
-        return Err(BagError::Repair {
-            path: path.into(),
-            problem: "it is a single file, which becomes a folder: give the new folder by --out".into(),
-        });
-    }
-    // `presses/` and `.` have a name, too.
-    let full = path.canonicalize().map_err(BagError::io("open", path))?;
-    let Some(name) = full.file_name().map(|name| name.to_string_lossy().into_owned()) else {
-        return Err(BagError::Repair { path: path.into(), problem: "it has no name: give --out".into() });
-    };
-    let (beside, kept) =
-        (full.with_file_name(format!("{name}.repaired")), full.with_file_name(format!("{name}.damaged")));
-    if kept.exists() {
-        return Err(BagError::Exists { path: kept });
-    }
-    let writer = BagWriter::create_named(beside.clone(), name, options)?;
-    let bag = copy_into(&reader, writer, Filter::default(), custom)?;
-    std::fs::rename(&full, &kept).map_err(BagError::io("rename", &full))?;
-    std::fs::rename(&beside, &full).map_err(BagError::io("rename", &beside))?;
-    Ok(Repaired { bag: BagInfo { path: path.into(), ..bag }, original: Some(kept) })
 }

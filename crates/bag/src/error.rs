@@ -1,6 +1,8 @@
 //! What can go wrong with a bag, in one sentence each.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use crate::writer::{FILE_LIMIT, full};
 
 /// Why a bag could not be written or read.
 #[derive(Debug, thiserror::Error)]
@@ -182,6 +184,16 @@ pub enum BagError {
         /// What ran out.
         reason: &'static str,
     },
+    /// There is no room for a copy, of which nothing is left.
+    #[error(
+        "cannot write {path}: {reason}; what was written of it is removed again: make room and try again"
+    )]
+    NoRoom {
+        /// The bag that was to be written.
+        path: PathBuf,
+        /// What ran out.
+        reason: &'static str,
+    },
     /// Writing the MCAP file failed.
     #[error("cannot write {path}: {problem}")]
     Write {
@@ -201,6 +213,23 @@ fn at_topic(topic: &str) -> String {
 }
 
 impl BagError {
+    /// Whether somebody has to make room, and the same would work then.
+    #[must_use]
+    pub fn is_no_room(&self) -> bool {
+        match self {
+            Self::Full { reason, .. } | Self::NoRoom { reason, .. } => *reason != FILE_LIMIT,
+            _ => false,
+        }
+    }
+
+    /// An I/O error with its action and path; a full disk is told apart, because it is none of the program's.
+    pub(crate) fn io_or_full(action: &'static str, path: &Path, source: std::io::Error) -> Self {
+        match full(&source) {
+            Some(reason) => Self::Full { path: path.into(), reason },
+            None => Self::Io { action, path: path.into(), source },
+        }
+    }
+
     /// Attaches an action and a path to an I/O error, for `map_err`.
     pub(crate) fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();

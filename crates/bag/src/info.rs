@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt, path::PathBuf};
 
-use crate::BagQos;
+use crate::{BagQos, RecordedLosses};
 
 /// Summary of a bag; `Display` prints it for people.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -46,6 +46,12 @@ impl BagInfo {
     pub fn duration_s(&self) -> f64 {
         self.span.map_or(0.0, |(first, last)| (last - first) as f64 * 1e-9)
     }
+
+    /// What the recorder missed, as it counted; `None` where the bag does not say.
+    #[must_use]
+    pub fn losses(&self) -> Option<RecordedLosses> {
+        RecordedLosses::of(&self.custom)
+    }
 }
 
 impl fmt::Display for BagInfo {
@@ -65,6 +71,9 @@ impl fmt::Display for BagInfo {
             None => writeln!(f, "duration  empty")?,
         }
         writeln!(f, "messages  {}", self.messages)?;
+        if let Some(losses) = self.losses() {
+            writeln!(f, "losses    {losses}")?;
+        }
         writeln!(f, "topics    {}", self.topics.len())?;
         let width = |text: fn(&TopicInfo) -> &str| {
             self.topics.iter().map(|topic| text(topic).len()).max().unwrap_or(0)
@@ -77,7 +86,7 @@ impl fmt::Display for BagInfo {
             }
             writeln!(f)?;
         }
-        for (key, value) in &self.custom {
+        for (key, value) in self.custom.iter().filter(|(key, _)| !RecordedLosses::owns(key)) {
             writeln!(f, "{key}: {value}")?;
         }
         Ok(())
@@ -171,6 +180,18 @@ mod tests {
           /skin_geometry      dermis_msgs/msg/SkinGeometry         1
         source: someone's recording
         ");
+        let custom = [("lost", "4"), ("lost /skin/taxels", "4"), ("dropped", "0"), ("source", "someone")];
+        let lossy = BagInfo {
+            custom: custom.map(|(key, value)| (key.to_owned(), value.to_owned())).into(),
+            ..info.clone()
+        };
+        let text = lossy.to_string();
+        let lines: Vec<&str> =
+            text.lines().filter(|line| line.contains("los") || line.contains("someone")).collect();
+        assert_eq!(
+            lines,
+            ["losses    4 messages were lost while recording: /skin/taxels 4", "source: someone"]
+        );
         let empty = BagInfo {
             span: None,
             messages: 0,

@@ -17,8 +17,13 @@ use mcap::{
 use yaml_rust2::Yaml;
 
 use crate::{
-    BagError, BagInfo, BagQos, TopicInfo, definition, error::say, guard::guarded, metadata::Metadata,
-    order::MessagesByTime, salvage::Salvage,
+    BagError, BagInfo, BagQos, TopicInfo, definition,
+    error::say,
+    guard::{guarded, parse_record},
+    losses,
+    metadata::Metadata,
+    order::MessagesByTime,
+    salvage::Salvage,
 };
 
 /// Largest record or decompressed chunk that is held in memory; recorders make chunks of about 1 MB.
@@ -207,6 +212,8 @@ struct Contents {
     topics: BTreeMap<String, Topic>,
     span: Option<(i64, i64)>,
     messages: u64,
+    /// The last note of the recorder: what is missing.
+    note: Option<BTreeMap<String, String>>,
 }
 
 impl Contents {
@@ -267,13 +274,16 @@ impl Contents {
         Ok(())
     }
 
-    fn take_messages(&mut self, messages: FileMessages) -> Result<(), BagError> {
+    fn take_messages(&mut self, mut messages: FileMessages) -> Result<(), BagError> {
         let path = Arc::clone(&messages.file);
-        for message in messages {
+        for message in messages.by_ref() {
             let message = message?;
             self.topic(&path, &message.channel)?.messages += 1;
             self.messages += 1;
             self.widen(nanos(message.log_time), nanos(message.log_time));
+        }
+        if let Reader::Lenient(salvage) = messages.reader {
+            self.note = salvage.note.or(self.note.take());
         }
         Ok(())
     }
@@ -346,6 +356,8 @@ impl BagReader {
                 }
             }
             custom = metadata.custom;
+        } else if let Some(note) = contents.note.take() {
+            custom = note;
         }
         Ok(Self {
             path: path.into(),
@@ -600,6 +612,7 @@ fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<(bool, i6
         Ok(Some(summary)) => {
             if let Some(stats) = &summary.stats {
                 contents.take_summary(path, &summary, stats)?;
+                contents.note = read_note(&mut file, &summary, length).or(contents.note.take());
                 return Ok((true, disorder(&summary)));
             }
         }
@@ -622,6 +635,22 @@ fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<(bool, i6
             contents.take_messages(FileMessages::open(&Arc::from(path), recover)?)?;
             Ok((damaged.is_none(), DISORDER))
         }
+    }
+}
+
+/// The last note of the recorder in a file that has an index. One that does not read is as good as none: it is no message.
+fn read_note(file: &mut File, summary: &Summary, length: u64) -> Option<BTreeMap<String, String>> {
+    /// Opcode and length of a record.
+    const HEAD: usize = 9;
+    let index = summary.metadata_indexes.iter().rev().find(|index| index.name == losses::RECORD)?;
+    let size =
+        usize::try_from(index.length).ok().filter(|size| (HEAD..=record_limit(length)).contains(size))?;
+    let mut bytes = vec![0; size];
+    file.seek(std::io::SeekFrom::Start(index.offset)).ok()?;
+    file.read_exact(&mut bytes).ok()?;
+    match parse_record(bytes[0], &bytes[HEAD..]) {
+        Ok(mcap::records::Record::Metadata(metadata)) => Some(metadata.metadata),
+        _ => None,
     }
 }
 

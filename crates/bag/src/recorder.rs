@@ -1,7 +1,7 @@
 //! Takes messages from many threads and writes them on one, without ever holding a sender up.
 
 use std::{
-    collections::VecDeque,
+    collections::{BTreeMap, VecDeque},
     path::{Path, PathBuf},
     sync::{
         Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError,
@@ -11,10 +11,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::{BagError, BagInfo, BagOptions, BagWriter, Compression, Topic, TopicId};
+use crate::{
+    BagError, BagInfo, BagOptions, BagWriter, Compression, RecordedLosses, Topic, TopicId, TopicLosses,
+    frames::FrameCounter, patience::Patience,
+};
 
 /// What a message costs in the queue beside its bytes.
 const OVERHEAD: usize = size_of::<Item>() + 16;
+/// What is missing is noted in the file at most this often.
+const NOTE: Duration = Duration::from_secs(2);
 
 /// How a recorder works.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,6 +31,9 @@ pub struct RecorderOptions {
     pub queue_bytes: usize,
     /// A chunk is ended at latest after this time, so that a crash loses no more.
     pub chunk_time: Duration,
+    /// Whether to wait while the disk is full, until there is room or [`Recorder::finish`] is called, and then to go on in a
+    /// new file of the bag. Without, a full disk ends the recording.
+    pub wait_for_room: bool,
 }
 
 impl Default for RecorderOptions {
@@ -34,6 +42,7 @@ impl Default for RecorderOptions {
             bag: BagOptions { chunk_bytes: 4 << 20, ..BagOptions::default() }.compression(Compression::Fast),
             queue_bytes: 512 << 20,
             chunk_time: Duration::from_millis(500),
+            wait_for_room: false,
         }
     }
 }
@@ -43,6 +52,13 @@ impl RecorderOptions {
     #[must_use]
     pub fn bag(mut self, bag: BagOptions) -> Self {
         self.bag = bag;
+        self
+    }
+
+    /// Waits while the disk is full.
+    #[must_use]
+    pub fn wait_for_room(mut self, wait: bool) -> Self {
+        self.wait_for_room = wait;
         self
     }
 
@@ -61,7 +77,47 @@ struct Shared {
     /// Known to the writing thread.
     id: OnceLock<TopicId>,
     recorded: AtomicU64,
+    /// Of those, what is in the chunk that is not complete yet.
+    open_chunk: AtomicU64,
     dropped: AtomicU64,
+    /// What was lost on the way, as far as whoever pushes knows.
+    lost: Mutex<Option<u64>>,
+    /// For taxel frames: which are missing of those that were written.
+    frames: Option<Mutex<FrameCounter>>,
+}
+
+impl Shared {
+    fn new(topic: Topic) -> Self {
+        Self {
+            frames: FrameCounter::of(&topic).map(Mutex::new),
+            topic,
+            id: OnceLock::new(),
+            recorded: AtomicU64::new(0),
+            open_chunk: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
+            lost: Mutex::default(),
+        }
+    }
+
+    fn losses(&self) -> TopicLosses {
+        TopicLosses {
+            lost: *lock(&self.lost),
+            dropped: self.dropped.load(Ordering::Relaxed),
+            missing_frames: self.frames.as_ref().map_or(0, |frames| lock(frames).missing()),
+        }
+    }
+
+    fn state(&self) -> TopicState {
+        let TopicLosses { lost, dropped, missing_frames } = self.losses();
+        TopicState {
+            name: self.topic.name.clone(),
+            type_name: self.topic.type_name.clone(),
+            recorded: self.recorded.load(Ordering::Relaxed),
+            dropped,
+            lost,
+            missing_frames: self.frames.as_ref().map(|_| missing_frames),
+        }
+    }
 }
 
 enum Item {
@@ -88,6 +144,7 @@ struct Core {
     files: AtomicUsize,
     failed: AtomicBool,
     topics: Mutex<Vec<Arc<Shared>>>,
+    patience: Option<Arc<Patience>>,
 }
 
 fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -95,7 +152,7 @@ fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// What a recorder has done so far.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct RecorderState {
     /// Messages that were written.
     pub messages: u64,
@@ -105,6 +162,14 @@ pub struct RecorderState {
     pub stored_bytes: u64,
     /// Messages that came while the queue was full, or after writing had failed.
     pub dropped: u64,
+    /// Messages that were lost on the way, on all topics of which it is known; `None` where it is known of none.
+    pub lost: Option<u64>,
+    /// What is waited for while nothing can be written, e.g. `the disk is full`.
+    pub waits: Option<&'static str>,
+    /// How often room was waited for.
+    pub pauses: u64,
+    /// [ms] that room was waited for, in all.
+    pub paused_ms: u64,
     /// Bytes that wait for the disk.
     pub queued_bytes: usize,
     /// Files, the open one included.
@@ -122,8 +187,25 @@ pub struct TopicState {
     pub type_name: String,
     /// Messages that were written.
     pub recorded: u64,
-    /// Messages that were not.
+    /// Messages that arrived and were not written.
     pub dropped: u64,
+    /// Messages that were lost on the way; `None` where nothing tells.
+    pub lost: Option<u64>,
+    /// Taxel frames that the skin numbered and that were not written, whatever the reason; `None` for other types.
+    pub missing_frames: Option<u64>,
+}
+
+impl RecorderState {
+    /// What the recording lacks.
+    #[must_use]
+    pub fn losses(&self) -> RecordedLosses {
+        let of = |topic: &TopicState| TopicLosses {
+            lost: topic.lost,
+            dropped: topic.dropped,
+            missing_frames: topic.missing_frames.unwrap_or(0),
+        };
+        RecordedLosses { topics: self.topics.iter().map(|topic| (topic.name.clone(), of(topic))).collect() }
+    }
 }
 
 /// A finished recording.
@@ -187,9 +269,20 @@ impl TopicSink {
         true
     }
 
-    /// Counts messages that were lost before they came here.
-    pub fn lost(&self, count: u64) {
+    /// Counts messages that arrived and were dropped before they came here.
+    pub fn add_dropped(&self, count: u64) {
         self.shared.dropped.fetch_add(count, Ordering::Relaxed);
+    }
+
+    /// Says how many messages were lost on the way so far; `None`, as before the first call, where that is not known.
+    pub fn set_lost(&self, lost: Option<u64>) {
+        *lock(&self.shared.lost) = lost;
+    }
+
+    /// Messages that were written so far.
+    #[must_use]
+    pub fn recorded(&self) -> u64 {
+        self.shared.recorded.load(Ordering::Relaxed)
     }
 
     /// Messages that were dropped so far.
@@ -205,7 +298,12 @@ impl Recorder {
     /// # Errors
     /// As [`BagWriter::create`].
     pub fn start(dir: impl AsRef<Path>, options: RecorderOptions) -> Result<Self, BagError> {
-        let writer = BagWriter::create_with(&dir, &options.bag)?;
+        let patience = options.wait_for_room.then(Arc::<Patience>::default);
+        let writer = BagWriter::create_waiting(dir.as_ref(), &options.bag, patience.clone())?;
+        // Before, there was nothing that waiting would have saved.
+        if let Some(patience) = &patience {
+            patience.begin();
+        }
         let core = Arc::new(Core {
             limit: options.queue_bytes,
             queue: Mutex::default(),
@@ -216,6 +314,7 @@ impl Recorder {
             files: AtomicUsize::new(1),
             failed: AtomicBool::new(false),
             topics: Mutex::default(),
+            patience,
         });
         let thread = std::thread::Builder::new()
             .name("bag-writer".into())
@@ -232,12 +331,7 @@ impl Recorder {
         let mut topics = lock(&self.core.topics);
         let known = topics.iter().find(|shared| shared.topic.name == topic.name);
         let shared = known.cloned().unwrap_or_else(|| {
-            let shared = Arc::new(Shared {
-                topic,
-                id: OnceLock::new(),
-                recorded: AtomicU64::new(0),
-                dropped: AtomicU64::new(0),
-            });
+            let shared = Arc::new(Shared::new(topic));
             topics.push(Arc::clone(&shared));
             lock(&self.core.queue).items.push_back(Item::Topic(Arc::clone(&shared)));
             shared
@@ -252,17 +346,23 @@ impl Recorder {
         self.core.state()
     }
 
+    /// Says what was done so far from anywhere, as long as it is kept.
+    pub fn watch(&self) -> impl Fn() -> RecorderState + Send + Sync + 'static {
+        let core = Arc::clone(&self.core);
+        move || core.state()
+    }
+
     /// Whether writing has failed, so that nothing more is recorded; [`finish`](Self::finish) says why.
     #[must_use]
     pub fn failed(&self) -> bool {
         self.core.failed.load(Ordering::Acquire)
     }
 
-    /// Writes what waits and completes the bag. Its custom data hold `custom`, and how many messages were dropped: `dropped`
-    /// in all, and `dropped <topic>` where there were some.
+    /// Writes what waits and completes the bag. Its custom data hold `custom`, and what the recording lacks
+    /// ([`RecordedLosses`]). While the disk is full, this does not wait any longer.
     ///
     /// # Errors
-    /// What kept the thread from writing; what was written before stays readable.
+    /// What kept the thread from writing; what was written before stays readable. What was not is counted as dropped.
     pub fn finish(
         mut self,
         custom: impl IntoIterator<Item = (String, String)>,
@@ -274,19 +374,26 @@ impl Recorder {
             });
         };
         let state = self.core.state();
-        for (key, value) in custom {
+        let losses = RecordedLosses::to_custom(&state.losses().topics);
+        // In the last file as well, so that the .mcap alone tells it.
+        let noted = writer.note_losses(&losses);
+        for (key, value) in custom.into_iter().chain(losses) {
             writer.set_custom(key, value);
         }
-        writer.set_custom("dropped", state.dropped.to_string());
-        for topic in state.topics.iter().filter(|topic| topic.dropped > 0) {
-            writer.set_custom(format!("dropped {}", topic.name), topic.dropped.to_string());
+        if state.pauses > 0 {
+            let seconds = state.paused_ms as f64 * 1e-3;
+            writer.set_custom("waited for room", format!("{} times, {seconds:.1} s in all", state.pauses));
         }
-        let bag = writer.finish()?;
+        let done = noted.and_then(|()| writer.finish());
+        let bag = done.inspect_err(|_| self.core.give_up_open_chunk())?;
         let state = RecorderState { stored_bytes: bag.bytes, ..state };
         Ok(Recorded { bag, state })
     }
 
     fn end(&mut self) -> Result<Option<BagWriter>, BagError> {
+        if let Some(patience) = &self.core.patience {
+            patience.end();
+        }
         lock(&self.core.queue).closed = true;
         self.core.filled.notify_one();
         let Some(thread) = self.thread.take() else { return Ok(None) };
@@ -309,24 +416,43 @@ impl Drop for Recorder {
 
 impl Core {
     fn state(&self) -> RecorderState {
-        let topics: Vec<TopicState> = lock(&self.topics)
-            .iter()
-            .map(|shared| TopicState {
-                name: shared.topic.name.clone(),
-                type_name: shared.topic.type_name.clone(),
-                recorded: shared.recorded.load(Ordering::Relaxed),
-                dropped: shared.dropped.load(Ordering::Relaxed),
-            })
-            .collect();
+        let topics: Vec<TopicState> = lock(&self.topics).iter().map(|shared| shared.state()).collect();
+        let known: Vec<u64> = topics.iter().filter_map(|topic| topic.lost).collect();
+        let patience = self.patience.as_deref();
         RecorderState {
             messages: topics.iter().map(|topic| topic.recorded).sum(),
             dropped: topics.iter().map(|topic| topic.dropped).sum(),
+            lost: (!known.is_empty()).then(|| known.iter().sum()),
+            waits: patience.and_then(Patience::waiting),
+            pauses: patience.map_or(0, Patience::pauses),
+            paused_ms: patience.map_or(0, |p| u64::try_from(p.waited().as_millis()).unwrap_or(u64::MAX)),
             payload_bytes: self.payload.load(Ordering::Relaxed),
             stored_bytes: self.stored.load(Ordering::Relaxed),
             queued_bytes: self.held.load(Ordering::Relaxed),
             files: self.files.load(Ordering::Relaxed),
             topics,
         }
+    }
+
+    /// The chunk that was being filled is complete.
+    fn keep_open_chunk(&self) {
+        for shared in lock(&self.topics).iter() {
+            shared.open_chunk.store(0, Ordering::Relaxed);
+        }
+    }
+
+    /// The chunk that was being filled never reaches the disk: its messages are not recorded.
+    fn give_up_open_chunk(&self) {
+        for shared in lock(&self.topics).iter() {
+            let lost = shared.open_chunk.swap(0, Ordering::Relaxed);
+            shared.recorded.fetch_sub(lost, Ordering::Relaxed);
+            shared.dropped.fetch_add(lost, Ordering::Relaxed);
+        }
+    }
+
+    fn store_size(&self, writer: &BagWriter) {
+        self.stored.store(writer.bytes(), Ordering::Relaxed);
+        self.files.store(writer.files(), Ordering::Relaxed);
     }
 }
 
@@ -336,6 +462,7 @@ fn write(core: &Core, mut writer: BagWriter, chunk_time: Duration) -> Result<Bag
     let done = write_all(core, &mut writer, chunk_time, &mut batch);
     let Err(error) = done else { return Ok(writer) };
     core.failed.store(true, Ordering::Release);
+    core.give_up_open_chunk();
     let waiting = std::mem::take(&mut lock(&core.queue).items);
     for item in batch.into_iter().chain(waiting) {
         if let Item::Message { topic, data, .. } = item {
@@ -352,8 +479,10 @@ fn write_all(
     chunk_time: Duration,
     batch: &mut VecDeque<Item>,
 ) -> Result<(), BagError> {
+    let mut notes = Notes { last: BTreeMap::new(), at: Instant::now() };
     // Since when a chunk is open.
     let mut open: Option<Instant> = None;
+    let mut pauses = 0;
     loop {
         let closed = {
             let queue = lock(&core.queue);
@@ -368,46 +497,92 @@ fn write_all(
             return Ok(());
         }
         while let Some(item) = batch.front() {
-            match item {
-                Item::Topic(shared) => {
-                    let id = writer.declare(&shared.topic)?;
-                    // Each topic is queued once.
-                    let _ = shared.id.set(id);
-                }
-                Item::Message { topic, data, log_time, publish_time } => {
-                    let Some(&id) = topic.id.get() else {
-                        batch.pop_front();
-                        continue;
-                    };
-                    match writer.write_bytes(id, data, *log_time, *publish_time) {
-                        Ok(()) => {
-                            topic.recorded.fetch_add(1, Ordering::Relaxed);
-                            core.payload.fetch_add(data.len() as u64, Ordering::Relaxed);
-                        }
-                        Err(BagError::Refused { .. }) => {
-                            topic.dropped.fetch_add(1, Ordering::Relaxed);
-                        }
-                        Err(error) => return Err(error),
-                    }
-                    core.held.fetch_sub(data.len() + OVERHEAD, Ordering::AcqRel);
-                    open.get_or_insert_with(Instant::now);
-                }
-            }
+            write_item(core, writer, item, &mut open)?;
             batch.pop_front();
             if open.is_some_and(|since| since.elapsed() >= chunk_time) {
-                writer.flush()?;
-                open = None;
-                core.stored.store(writer.bytes(), Ordering::Relaxed);
-                core.files.store(writer.files(), Ordering::Relaxed);
+                end_chunk(core, writer, &mut open, &mut notes)?;
+            }
+            let now = core.patience.as_ref().map_or(0, |patience| patience.pauses());
+            if now > pauses {
+                pauses = now;
+                // What was written before the pause is complete from here on, with its index.
+                end_chunk(core, writer, &mut open, &mut notes)?;
+                writer.split()?;
             }
         }
         if open.is_some_and(|since| since.elapsed() >= chunk_time) {
-            writer.flush()?;
-            open = None;
+            end_chunk(core, writer, &mut open, &mut notes)?;
         }
-        core.stored.store(writer.bytes(), Ordering::Relaxed);
-        core.files.store(writer.files(), Ordering::Relaxed);
+        core.store_size(writer);
     }
+}
+
+fn write_item(
+    core: &Core,
+    writer: &mut BagWriter,
+    item: &Item,
+    open: &mut Option<Instant>,
+) -> Result<(), BagError> {
+    let (topic, data, log_time, publish_time) = match item {
+        Item::Topic(shared) => {
+            let id = writer.declare(&shared.topic)?;
+            // Each topic is queued once.
+            let _ = shared.id.set(id);
+            return Ok(());
+        }
+        Item::Message { topic, data, log_time, publish_time } => (topic, data, *log_time, *publish_time),
+    };
+    let Some(&id) = topic.id.get() else { return Ok(()) };
+    let before = writer.bytes();
+    match writer.write_bytes(id, data, log_time, publish_time) {
+        Ok(()) => {
+            if writer.bytes() > before {
+                // The chunk before was full, and is complete.
+                core.keep_open_chunk();
+            }
+            topic.open_chunk.fetch_add(1, Ordering::Relaxed);
+            topic.recorded.fetch_add(1, Ordering::Relaxed);
+            core.payload.fetch_add(data.len() as u64, Ordering::Relaxed);
+            if let Some(frames) = &topic.frames {
+                lock(frames).observe(data);
+            }
+        }
+        Err(BagError::Refused { .. }) => {
+            topic.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        Err(error) => return Err(error),
+    }
+    core.held.fetch_sub(data.len() + OVERHEAD, Ordering::AcqRel);
+    open.get_or_insert_with(Instant::now);
+    Ok(())
+}
+
+/// What was noted of losses in the file, and when.
+struct Notes {
+    last: BTreeMap<String, String>,
+    at: Instant,
+}
+
+/// Ends the chunk that is being filled, and notes what is missing where that has changed.
+fn end_chunk(
+    core: &Core,
+    writer: &mut BagWriter,
+    open: &mut Option<Instant>,
+    notes: &mut Notes,
+) -> Result<(), BagError> {
+    if notes.at.elapsed() >= NOTE {
+        let topics = lock(&core.topics).iter().map(|s| (s.topic.name.clone(), s.losses())).collect();
+        let now = RecordedLosses::to_custom(&topics);
+        if now != notes.last {
+            writer.note_losses(&now)?;
+            *notes = Notes { last: now, at: Instant::now() };
+        }
+    }
+    writer.flush()?;
+    *open = None;
+    core.keep_open_chunk();
+    core.store_size(writer);
+    Ok(())
 }
 
 impl std::fmt::Debug for Recorder {

@@ -15,6 +15,7 @@ use mcap::{
 
 use crate::{
     guard::{guarded, parse_record},
+    losses,
     reader::record_limit,
 };
 
@@ -30,6 +31,8 @@ pub(crate) struct Salvage {
     schemas: BTreeMap<u16, Arc<Schema<'static>>>,
     channels: BTreeMap<u16, Arc<Channel<'static>>>,
     waiting: VecDeque<Message<'static>>,
+    /// The last note of the recorder that was passed: what is missing.
+    pub(crate) note: Option<BTreeMap<String, String>>,
     record: Vec<u8>,
     ended: bool,
 }
@@ -46,6 +49,7 @@ impl Salvage {
             schemas: index.schemas.into_iter().collect(),
             channels: index.channels.into_iter().collect(),
             waiting: VecDeque::new(),
+            note: None,
             record: Vec::new(),
             ended: false,
         }
@@ -71,7 +75,7 @@ impl Salvage {
             return Ok(false);
         }
         self.at += size;
-        let wanted = matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK);
+        let wanted = matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK | op::METADATA);
         let limit = record_limit(self.length);
         match usize::try_from(size) {
             Ok(size) if wanted && size <= limit => {
@@ -145,6 +149,9 @@ impl Salvage {
                         data,
                     });
                 }
+            }
+            Record::Metadata(metadata) if metadata.name == losses::RECORD => {
+                self.note = Some(metadata.metadata)
             }
             _ => {}
         }

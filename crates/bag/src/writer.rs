@@ -17,7 +17,9 @@ use dermis_msgs::{Message, TypeSupport};
 use crate::{
     BagError, BagInfo, BagQos, Topic, TopicInfo,
     error::say,
+    losses,
     metadata::{FileMetadata, Metadata, TopicMetadata},
+    patience::{Patience, Patient, no_room},
 };
 
 /// How the chunks of a bag are compressed.
@@ -89,7 +91,7 @@ pub struct TopicId(usize);
 
 /// A file that is only appended to, and knows its length without asking the system.
 struct Out {
-    file: BufWriter<File>,
+    file: BufWriter<Patient<File>>,
     written: u64,
     /// [`Self::written`], for the writer of the bag.
     length: Arc<AtomicU64>,
@@ -158,6 +160,8 @@ pub struct BagWriter {
     span: Option<(i64, i64)>,
     messages: u64,
     custom: BTreeMap<String, String>,
+    /// Where absent, a write that finds no room fails.
+    patience: Option<Arc<Patience>>,
 }
 
 impl std::fmt::Debug for BagWriter {
@@ -174,13 +178,26 @@ fn absolute(topic: &str) -> String {
     if topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") }
 }
 
+/// Runs an attempt once, or until there is room.
+fn attempt<T>(patience: Option<&Arc<Patience>>, mut attempt: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    match patience {
+        Some(patience) => patience.patiently(attempt),
+        None => attempt(),
+    }
+}
+
 /// Begins file number `index` of a bag.
-fn begin(dir: &Path, name: &str, index: usize, options: &BagOptions) -> Result<Part, BagError> {
+fn begin(
+    dir: &Path,
+    name: &str,
+    index: usize,
+    options: &BagOptions,
+    patience: Option<&Arc<Patience>>,
+) -> Result<Part, BagError> {
     let path = dir.join(format!("{name}_{index}.mcap"));
-    let file = File::create_new(&path).map_err(|error| match full(&error) {
-        Some(reason) => BagError::Full { path: path.clone(), reason },
-        None => BagError::Io { action: "create", path: path.clone(), source: error },
-    })?;
+    let file = attempt(patience, || File::create_new(&path))
+        .map_err(|error| BagError::io_or_full("create", &path, error))?;
+    let file = Patient { inner: file, patience: patience.cloned() };
     let length = Arc::new(AtomicU64::new(0));
     let (compression, level) = match options.compression {
         Compression::None => (None, 0),
@@ -212,12 +229,14 @@ fn write_error(path: &Path, error: &mcap::McapError) -> BagError {
     BagError::Write { path: path.into(), problem: say(error) }
 }
 
-fn full(error: &io::Error) -> Option<&'static str> {
+/// What no room on the disk helps against.
+pub(crate) const FILE_LIMIT: &str = "the file has reached the largest size that is allowed here";
+
+/// Why there is no room for more, now or ever.
+pub(crate) fn full(error: &io::Error) -> Option<&'static str> {
     match error.kind() {
-        io::ErrorKind::StorageFull => Some("the disk is full"),
-        io::ErrorKind::QuotaExceeded => Some("the disk quota is used up"),
-        io::ErrorKind::FileTooLarge => Some("the file has reached the largest size that is allowed here"),
-        _ => None,
+        io::ErrorKind::FileTooLarge => Some(FILE_LIMIT),
+        _ => no_room(error),
     }
 }
 
@@ -235,24 +254,38 @@ impl BagWriter {
     /// # Errors
     /// As [`create`](Self::create).
     pub fn create_with(dir: impl AsRef<Path>, options: &BagOptions) -> Result<Self, BagError> {
-        let dir = dir.as_ref().to_path_buf();
+        Self::create_waiting(dir.as_ref(), options, None)
+    }
+
+    /// A bag whose writes wait while the disk is full.
+    pub(crate) fn create_waiting(
+        dir: &Path,
+        options: &BagOptions,
+        patience: Option<Arc<Patience>>,
+    ) -> Result<Self, BagError> {
         let name = match dir.file_name() {
             Some(name) => name.to_string_lossy().into_owned(),
             None => "bag".to_owned(),
         };
-        Self::create_named(dir, name, options)
+        Self::create_named(dir.to_path_buf(), name, options, patience)
     }
 
     /// A bag whose files are not named like its folder: one that takes its place later.
-    pub(crate) fn create_named(dir: PathBuf, name: String, options: &BagOptions) -> Result<Self, BagError> {
+    pub(crate) fn create_named(
+        dir: PathBuf,
+        name: String,
+        options: &BagOptions,
+        patience: Option<Arc<Patience>>,
+    ) -> Result<Self, BagError> {
         if dir.exists() {
             let mut entries = std::fs::read_dir(&dir).map_err(BagError::io("open", &dir))?;
             if entries.next().is_some() {
                 return Err(BagError::Exists { path: dir });
             }
         }
-        std::fs::create_dir_all(&dir).map_err(BagError::io("create", &dir))?;
-        let part = begin(&dir, &name, 0, options)?;
+        attempt(patience.as_ref(), || std::fs::create_dir_all(&dir))
+            .map_err(|error| BagError::io_or_full("create", &dir, error))?;
+        let part = begin(&dir, &name, 0, options, patience.as_ref())?;
         Ok(Self {
             dir,
             name,
@@ -266,6 +299,7 @@ impl BagWriter {
             span: None,
             messages: 0,
             custom: BTreeMap::new(),
+            patience,
         })
     }
 
@@ -297,6 +331,13 @@ impl BagWriter {
     /// assumed. The same key again replaces its value.
     pub fn set_custom(&mut self, key: impl Into<String>, value: impl Into<String>) {
         self.custom.insert(key.into(), value.into());
+    }
+
+    /// Writes what a recording lacks so far into the file, so that a bag that is interrupted has it, too. Ends the chunk that
+    /// is being filled.
+    pub(crate) fn note_losses(&mut self, losses: &BTreeMap<String, String>) -> Result<(), BagError> {
+        let metadata = mcap::records::Metadata { name: losses::RECORD.to_owned(), metadata: losses.clone() };
+        self.part.mcap.write_metadata(&metadata).map_err(|error| write_error(&self.part.path, &error))
     }
 
     /// Declares a topic with its offered quality of service before its first message. A topic that was not
@@ -453,7 +494,7 @@ impl BagWriter {
     /// Where writing fails.
     pub fn split(&mut self) -> Result<(), BagError> {
         let metadata = self.metadata();
-        let next = begin(&self.dir, &self.name, self.files(), &self.options)?;
+        let next = begin(&self.dir, &self.name, self.files(), &self.options, self.patience.as_ref())?;
         let part = std::mem::replace(&mut self.part, next);
         let path = part.path.clone();
         let file = part.close(&metadata.to_yaml())?;
@@ -461,7 +502,7 @@ impl BagWriter {
         self.done = metadata.files;
         let sync = std::thread::Builder::new().name("bag-sync".into()).spawn({
             let path = path.clone();
-            move || file.sync_all().map_err(|error| sync_error(&path, error))
+            move || file.sync_all().map_err(|error| BagError::io_or_full("write", &path, error))
         });
         self.syncing.push(sync.map_err(BagError::io("write", &path))?);
         for index in 0..self.topics.len() {
@@ -494,7 +535,7 @@ impl BagWriter {
         let Self { dir, part, done_bytes, syncing, .. } = self;
         let path = part.path.clone();
         let file = part.close(&yaml)?;
-        file.sync_all().map_err(|error| sync_error(&path, error))?;
+        file.sync_all().map_err(|error| BagError::io_or_full("write", &path, error))?;
         let bytes = done_bytes + file.metadata().map_err(BagError::io("read", &path))?.len();
         for thread in syncing {
             thread.join().map_err(|_| BagError::Write {
@@ -503,12 +544,7 @@ impl BagWriter {
             })??;
         }
 
-        let target = dir.join("metadata.yaml");
-        let partial = dir.join("metadata.yaml.partial");
-        let mut out = File::create(&partial).map_err(BagError::io("create", &partial))?;
-        out.write_all(yaml.as_bytes()).map_err(BagError::io("write", &partial))?;
-        out.sync_all().map_err(BagError::io("write", &partial))?;
-        std::fs::rename(&partial, &target).map_err(BagError::io("rename", &partial))?;
+        write_metadata_file(&dir, &yaml)?;
         Ok(BagInfo {
             path: dir,
             files: metadata.files.len(),
@@ -520,6 +556,22 @@ impl BagWriter {
             complete: true,
         })
     }
+}
+
+/// Writes `metadata.yaml` under a temporary name, then gives it its real one; on an error neither is left.
+fn write_metadata_file(dir: &Path, yaml: &str) -> Result<(), BagError> {
+    let target = dir.join("metadata.yaml");
+    let partial = dir.join("metadata.yaml.partial");
+    let written = File::create(&partial).and_then(|mut out| {
+        out.write_all(yaml.as_bytes())?;
+        out.sync_all()?;
+        std::fs::rename(&partial, &target)
+    });
+    written.map_err(|error| {
+        // Best effort: it is in nobody's way.
+        let _ = std::fs::remove_file(&partial);
+        BagError::io_or_full("write", &target, error)
+    })
 }
 
 impl Part {
@@ -534,14 +586,8 @@ impl Part {
             .and_then(|()| self.mcap.finish().map(drop))
             .map_err(|error| write_error(&self.path, &error))?;
         let file = self.mcap.into_inner().file.into_inner().map_err(io::IntoInnerError::into_error);
-        file.map_err(|error| write_error(&self.path, &mcap::McapError::Io(error)))
-    }
-}
-
-fn sync_error(path: &Path, error: io::Error) -> BagError {
-    match full(&error) {
-        Some(reason) => BagError::Full { path: path.into(), reason },
-        None => BagError::Io { action: "write", path: path.into(), source: error },
+        let file = file.map_err(|error| write_error(&self.path, &mcap::McapError::Io(error)))?;
+        Ok(file.inner)
     }
 }
 

@@ -200,10 +200,100 @@ fn what_is_wrong_is_said_with_its_place() {
     odd/odd_0.mcap: note: /taxels lacks 3 frames before 1742155052536165000 ns
     odd/odd_0.mcap: note: the frames of /taxels count from 0 again at 1742155052546165000 ns
     odd/odd_0.mcap: message on /taxels at 1742155052556165000 ns: not a dermis_msgs/msg/TaxelFrame: Time.sec at byte 4 needs 4 bytes, 1 are left
-    odd: not sound (5 messages, 1 chunks, 1 files)
+    odd: not sound, and taxel frames are missing: /taxels 3 in 1 place (5 messages, 1 chunks, 1 files)
     ");
     let notes = check(&bag).unwrap().findings.iter().filter(|f| f.severity == Severity::Note).count();
     assert_eq!(notes, 2);
+}
+
+/// Notes are notes, however many: a bag that many frames are missing of is sound, and so is its repaired copy.
+#[test]
+fn many_notes_are_no_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("run");
+    let mut writer = BagWriter::create(&bag).unwrap();
+    let id = writer.declare(&taxels()).unwrap();
+    for index in 0..60 {
+        // Every other pair is missing.
+        let number = index / 2 * 4 + index % 2;
+        writer.write_bytes(id, &frame(number).to_cdr(), at(index), at(index)).unwrap();
+    }
+    writer.finish().unwrap();
+    let report = check(&bag).unwrap();
+    assert!(report.is_sound(), "{report}");
+    let said = said(&bag);
+    let last: Vec<&str> = said.lines().rev().take(2).collect();
+    assert_eq!(
+        last,
+        [
+            "run: sound, but taxel frames are missing: /taxels 58 in 29 places (60 messages, 1 chunks, 1 files)",
+            "run/run_0.mcap: note: 9 more of this kind: sequence",
+        ]
+    );
+    assert_eq!(report.findings.len(), 21);
+
+    // Errors and notes of one kind are told apart, too: 30 errors stay an error.
+    let mut writer = BagWriter::create(dir.path().join("bad")).unwrap();
+    let id = writer.declare(&taxels()).unwrap();
+    for index in 0..30 {
+        writer.write_bytes(id, &[0, 1, 0, 0, 9], at(index), at(index)).unwrap();
+    }
+    writer.finish().unwrap();
+    let report = check(dir.path().join("bad")).unwrap();
+    assert!(!report.is_sound());
+    assert_eq!(report.findings.last().unwrap().problem, "10 more of this kind: content");
+}
+
+/// Two skins on one topic count on their own, and what comes late or again is no loss.
+#[test]
+fn frames_are_counted_by_skin() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("run");
+    let mut writer = BagWriter::create(&bag).unwrap();
+    for (time, (skin, number)) in
+        [("a", 5), ("b", 90), ("a", 6), ("b", 91), ("a", 9), ("a", 8), ("b", 91)].into_iter().enumerate()
+    {
+        let header = dermis_msgs::std_msgs::msg::Header::new(at(number), "pad");
+        let frame = TaxelFrame { skin: skin.into(), header, ..frame(number) };
+        writer.write("/taxels", &frame, at(time as u64)).unwrap();
+    }
+    writer.finish().unwrap();
+    insta::assert_snapshot!(said(&bag), @"
+    run/run_0.mcap: note: /taxels lacks 2 frames before 1742155052556165000 ns
+    run/run_0.mcap: note: frame 8 of /taxels is stored late, at 1742155052566165000 ns
+    run/run_0.mcap: note: frame 91 of /taxels is there again at 1742155052576165000 ns
+    run: sound, but taxel frames are missing: /taxels 1 in 1 place (7 messages, 1 chunks, 1 files)
+    ");
+}
+
+/// What was lost on the way is in the bag, in its file, and in what is said of it; what is not known is not 0.
+#[test]
+fn losses_are_stored_and_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("run");
+    let recorder = Recorder::start(&bag, RecorderOptions::default()).unwrap();
+    let known = recorder.topic(taxels());
+    let unknown = recorder.topic(Topic { name: "/other".into(), ..taxels() });
+    known.set_lost(Some(2));
+    for number in [0, 1, 4, 7] {
+        for sink in [&known, &unknown] {
+            assert!(sink.push(frame(number).to_cdr(), at(number), at(number)));
+        }
+    }
+    let recorded = recorder.finish([]).unwrap();
+    assert_eq!(recorded.state.lost, Some(2));
+    assert_eq!(recorded.state.topics[0].missing_frames, Some(4));
+    assert_eq!(recorded.state.topics[1].lost, None);
+    let custom = &recorded.bag.custom;
+    assert_eq!((&*custom["lost"], &*custom["lost /taxels"], &*custom["lost /other"]), ("2", "2", "unknown"));
+    let clause = "2 messages were lost while recording: /taxels 2; taxel frames are missing that were not published: /other 4, /taxels 2; whether messages were lost on the way is not known of /other";
+    assert_eq!(recorded.state.losses().to_string(), clause);
+    for path in [bag.clone(), bag.join("run_0.mcap")] {
+        let report = check(&path).unwrap();
+        assert!(report.is_sound() && !report.is_complete());
+        assert_eq!(report.losses.unwrap().to_string(), clause);
+    }
+    assert!(recorded.bag.to_string().contains(&format!("losses    {clause}\n")), "{}", recorded.bag);
 }
 
 #[test]
