@@ -8,7 +8,7 @@ use clap::{Args, Subcommand};
 use dermis_bag::{BagOptions, BagReader, Compression, Filter};
 
 use crate::quantity::{duration, size};
-use crate::record::Level;
+use crate::record::{Incomplete, Level};
 
 /// Turns a recording into a labelled bag.
 #[derive(Args)]
@@ -67,6 +67,9 @@ pub struct Check {
     /// Folder of the repaired bag; where absent, it takes the place of the original.
     #[arg(short, long, requires = "repair", value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Exit with 3 where the bag is sound, but messages are missing in it, or it is not known whether some are.
+    #[arg(long)]
+    complete: bool,
     /// One JSON object.
     #[arg(long)]
     json: bool,
@@ -152,6 +155,13 @@ fn check(options: &Check) -> Result<()> {
     if report.is_sound() || !options.repair {
         print(&report, options.json)?;
         if report.is_sound() {
+            if options.complete && !report.is_complete() {
+                let missing = match report.missing() {
+                    none if none.is_empty() => "its recorder did not count what it lost".to_owned(),
+                    missing => missing,
+                };
+                return Err(Incomplete(missing).into());
+            }
             return Ok(());
         }
         bail!(

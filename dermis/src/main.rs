@@ -168,7 +168,8 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             report(&error, format);
-            ExitCode::FAILURE
+            // What was asked for is there, but not all of it.
+            if error.is::<record::Incomplete>() { ExitCode::from(3) } else { ExitCode::FAILURE }
         }
     };
     limit.finish();

@@ -1,0 +1,150 @@
+//! Which topics are recorded, and on which terms.
+
+use std::collections::BTreeSet;
+
+use anyhow::{Context, Result};
+use dermis_bag::BagQos;
+use dermis_msgs::{TypeSupport, type_support};
+use dermis_node::backend::EndpointInfo;
+use dermis_node::{Durability, History, Node, Qos, Reliability};
+use regex::Regex;
+
+use super::Options;
+
+/// Messages that a queue of ROS 2 holds for us, where it cannot be without a bound.
+const DEPTH: usize = 1000;
+
+/// Which topics are wanted.
+pub struct Selection {
+    /// Those that were asked for by name.
+    pub topics: BTreeSet<String>,
+    regex: Vec<Regex>,
+    types: Vec<String>,
+    exclude: Vec<Regex>,
+    all: bool,
+    hidden: bool,
+}
+
+impl Selection {
+    pub fn new(options: &Options, node: &Node) -> Result<Self> {
+        let topics = options.topics.iter().map(|topic| node.resolve_name(topic)).collect::<Result<_, _>>()?;
+        let some = !options.topics.is_empty() || !options.regex.is_empty() || !options.types.is_empty();
+        Ok(Self {
+            topics,
+            regex: options.regex.clone(),
+            types: options.types.clone(),
+            exclude: options.exclude.clone(),
+            all: options.all || !some,
+            hidden: options.include_hidden,
+        })
+    }
+
+    /// Whether a topic of this name and type is to be recorded.
+    pub fn wants(&self, topic: &str, type_name: &str) -> bool {
+        if self.topics.contains(topic) {
+            return true;
+        }
+        let hidden = topic.split('/').any(|part| part.starts_with('_'));
+        let found = self.all
+            || self.regex.iter().any(|regex| regex.is_match(topic))
+            || self.types.iter().any(|wanted| wanted == type_name);
+        found && (self.hidden || !hidden) && !self.exclude.iter().any(|regex| regex.is_match(topic))
+    }
+}
+
+/// The terms to subscribe with, and those to store: reliable and latched only where all publishers offer it.
+pub fn adapt(offers: &[EndpointInfo], backend: &str) -> (Qos, BagQos) {
+    let known = || offers.iter().filter_map(|offer| offer.qos);
+    let all = |test: fn(&Qos) -> bool| known().next().is_some() && known().all(|qos| test(&qos));
+    let reliable = all(|qos| qos.reliability == Reliability::Reliable);
+    let latched = all(|qos| qos.durability == Durability::TransientLocal);
+    let depth = known().map(|qos| qos.depth().unwrap_or(0)).max().unwrap_or(10);
+    let keep_all = known().any(|qos| qos.depth().is_none());
+    let wanted = Qos {
+        reliability: if reliable { Reliability::Reliable } else { Reliability::BestEffort },
+        durability: if latched { Durability::TransientLocal } else { Durability::Volatile },
+        // What the recorder's own queue, bounded in bytes, does not take, it counts: no queue before it may drop.
+        history: if backend == "hiroz" { History::KeepAll } else { History::KeepLast(DEPTH) },
+    };
+    let offered = BagQos {
+        reliability: if reliable {
+            dermis_bag::Reliability::Reliable
+        } else {
+            dermis_bag::Reliability::BestEffort
+        },
+        durability: if latched {
+            dermis_bag::Durability::TransientLocal
+        } else {
+            dermis_bag::Durability::Volatile
+        },
+        depth: if keep_all { 0 } else { depth },
+    };
+    (wanted, offered)
+}
+
+/// What is known of the type of a publisher: built in, or by its hash from the graph and its definition from the ROS 2
+/// that is sourced.
+pub fn support_of(offer: &EndpointInfo) -> Result<&'static TypeSupport> {
+    let built_in = type_support(&offer.type_name);
+    let Some(hash) = &offer.type_hash else {
+        return built_in.with_context(|| {
+            format!("type {} is not known here, and the graph has no hash of it", offer.type_name)
+        });
+    };
+    if let Some(support) = built_in.filter(|support| support.hash == hash) {
+        return Ok(support);
+    }
+    let other = if built_in.is_some() { "another version of " } else { "" };
+    let definition = crate::foreign::definition(&offer.type_name).with_context(|| {
+        format!("{} publishes {other}{}, which is not known here", offer.node, offer.type_name)
+    })?;
+    Ok(crate::foreign::support(&offer.type_name, hash, &definition))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn selection(topics: &[&str], regex: &[&str], types: &[&str], exclude: &[&str], all: bool) -> Selection {
+        let regexes = |list: &[&str]| list.iter().map(|text| Regex::new(text).unwrap()).collect();
+        Selection {
+            topics: topics.iter().map(|&t| t.to_owned()).collect(),
+            regex: regexes(regex),
+            types: types.iter().map(|&t| t.to_owned()).collect(),
+            exclude: regexes(exclude),
+            all: all || (topics.is_empty() && regex.is_empty() && types.is_empty()),
+            hidden: false,
+        }
+    }
+
+    #[test]
+    fn topics_are_chosen_as_asked() {
+        let frame = "dermis_msgs/msg/TaxelFrame";
+        assert!(selection(&[], &[], &[], &[], false).wants("/left/taxels", frame));
+        assert!(!selection(&[], &[], &[], &[], false).wants("/left/_hidden/x", frame));
+        let some = selection(&["/_a"], &["^/left/"], &[frame], &["truth$"], false);
+        assert!(some.wants("/_a", "x/msg/Y") && some.wants("/left/b", "x/msg/Y") && some.wants("/c", frame));
+        assert!(!some.wants("/c", "x/msg/Y") && !some.wants("/left/ground_truth", frame));
+    }
+
+    #[test]
+    fn terms_fit_every_publisher() {
+        let offer = |qos: Qos| EndpointInfo {
+            node: "/n".into(),
+            own: false,
+            type_name: String::new(),
+            type_hash: None,
+            qos: Some(qos),
+        };
+        let (wanted, stored) = adapt(&[offer(Qos::latched())], "hiroz");
+        assert_eq!(
+            (wanted.reliability, wanted.durability),
+            (Reliability::Reliable, Durability::TransientLocal)
+        );
+        assert_eq!(stored, BagQos::latched());
+        let (wanted, stored) = adapt(&[offer(Qos::latched()), offer(Qos::sensor_data())], "r2r");
+        assert_eq!((wanted.reliability, wanted.durability), (Reliability::BestEffort, Durability::Volatile));
+        assert_eq!(wanted.history, History::KeepLast(DEPTH));
+        assert_eq!(stored, BagQos { depth: 5, ..BagQos::sensor_data() });
+    }
+}
