@@ -196,7 +196,7 @@ fn nothing(options: &Options, node: &Node, seen: &Seen, missing: &[String], list
     }
     format!(
         "{sentence}; check that its node runs, that ROS_DOMAIN_ID is the same for both, that both may use the same network \
-         (docs/ros2.md), and that both speak through the same ROS 2 implementation (`--backend`)"
+         (docs/network.md), and that both speak through the same ROS 2 implementation (`--backend`)"
     )
 }
 
