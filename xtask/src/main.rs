@@ -1,5 +1,6 @@
 //! Developer commands: `cargo xtask test` passes every test, `cargo xtask targets` measures every figure.
 
+mod advisories;
 mod bench;
 mod environment;
 mod fuzz;

@@ -7,6 +7,7 @@ use std::process::Command;
 use anyhow::Result;
 use clap::Args;
 
+use crate::advisories;
 use crate::environment;
 use crate::run::{cargo, run as execute, step, target_dir};
 
@@ -53,8 +54,11 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     if !options.no_lint {
         step("licences and sources", || {
             environment::subcommand(root, "deny", "0.20.2")?;
+            // Crates of every platform: cargo builds with those of this one only, and has no others.
+            execute(cargo(root).args(["fetch", "--locked", "--quiet"]))?;
             execute(cargo(root).args(["deny", "--offline", "check", "licenses", "bans", "sources"]))
         })?;
+        skipped.extend(step("advisories", || advisories::check(root))?);
     }
     let ros = if options.no_ros {
         skipped.push("ROS 2 (--no-ros)".to_owned());
