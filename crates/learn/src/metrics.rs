@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use pathfinding::matrix::Matrix;
+use pathfinding::prelude::kuhn_munkres_min;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -342,39 +344,36 @@ impl MapScores {
     }
 }
 
-/// Which of `found` belongs to each true contact; none twice.
+/// Which of `found` belongs to each true contact, none twice: the assignment whose distances add up to least (linear sum
+/// assignment by the Hungarian method, Kuhn 1955).
 fn assign(truth: &Truth, found: &[Contact]) -> Vec<Option<usize>> {
-    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
-    for (t, true_one) in truth.contacts.iter().enumerate() {
-        for (f, contact) in found.iter().enumerate() {
-            pairs.push(((contact.position - true_one.position).norm(), t, f));
-        }
+    let (rows, columns) = (truth.contacts.len(), found.len());
+    // The method adds weights up exactly: whole picometres, and what is no number is as far as can be.
+    let weight = |t: usize, f: usize| {
+        let picometres = (found[f].position - truth.contacts[t].position).norm() * 1e12;
+        if picometres < FARTHEST as f64 { picometres as i64 } else { FARTHEST }
+    };
+    let mut assigned = vec![None; rows];
+    if rows == 0 || columns == 0 {
+        return assigned;
     }
-    // Nearest first, then every exchange of two that shortens the sum.
-    pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut assigned: Vec<Option<usize>> = vec![None; truth.contacts.len()];
-    for (_, t, f) in pairs {
-        if assigned[t].is_none() && !assigned.contains(&Some(f)) {
+    // Every row gets a column: the shorter side has to be the rows.
+    if rows <= columns {
+        let weights = Matrix::from_fn(rows, columns, |(t, f)| weight(t, f));
+        for (t, f) in kuhn_munkres_min(&weights).1.into_iter().enumerate() {
             assigned[t] = Some(f);
         }
-    }
-    let distance = |t: usize, f: usize| (found[f].position - truth.contacts[t].position).norm();
-    let mut improved = true;
-    while improved {
-        improved = false;
-        for a in 0..assigned.len() {
-            for b in 0..a {
-                if let (Some(x), Some(y)) = (assigned[a], assigned[b])
-                    && distance(a, y) + distance(b, x) + 1e-12 < distance(a, x) + distance(b, y)
-                {
-                    assigned.swap(a, b);
-                    improved = true;
-                }
-            }
+    } else {
+        let weights = Matrix::from_fn(columns, rows, |(f, t)| weight(t, f));
+        for (f, t) in kuhn_munkres_min(&weights).1.into_iter().enumerate() {
+            assigned[t] = Some(f);
         }
     }
     assigned
 }
+
+/// \[pm\] Largest distance between two contacts that counts: 10 km, of which sums cannot overflow.
+const FARTHEST: i64 = 10_000_000_000_000_000;
 
 fn summarise(name: &str, errors: &[Error], seed: u64) -> Summary {
     let count = errors.len() as f64;
@@ -519,6 +518,46 @@ mod tests {
         approx::assert_relative_eq!(s["force.normal"].rms, 2.0_f64.sqrt(), max_relative = 1e-9);
         approx::assert_relative_eq!(s["force.normal untouched"].rms, 0.5, max_relative = 1e-9);
         assert_eq!(s["force.normal"].rms_interval, None);
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_other_assignment_is_shorter(
+            true_ones in proptest::collection::vec((-0.02..0.02f64, -0.02..0.02f64), 0..6),
+            found in proptest::collection::vec((-0.02..0.02f64, -0.02..0.02f64), 0..6),
+        ) {
+            /// Sum of distances of the best assignment of `rest` to what `free` marks, every possible one tried.
+            fn shortest(rest: &[(f64, f64)], found: &[(f64, f64)], free: usize, pairs: usize) -> f64 {
+                if pairs == 0 {
+                    return 0.0;
+                }
+                let Some((first, rest)) = rest.split_first() else { return f64::INFINITY };
+                let mut least = shortest(rest, found, free, pairs);
+                for (f, place) in found.iter().enumerate().filter(|(f, _)| free & (1 << f) != 0) {
+                    let distance = (first.0 - place.0).hypot(first.1 - place.1);
+                    least = least.min(distance + shortest(rest, found, free & !(1 << f), pairs - 1));
+                }
+                least
+            }
+            let pairs = true_ones.len().min(found.len());
+            let least = shortest(&true_ones, &found, (1 << found.len()) - 1, pairs);
+            let truth = truth(1, true_ones.iter().map(|(x, y)| contact(*x, *y, 1.0)).collect());
+            let contacts: Vec<Contact> = found
+                .iter()
+                .map(|(x, y)| Contact::at(nalgebra::Point3::new(*x, *y, 0.0), nalgebra::Vector3::z()))
+                .collect();
+            let assigned = assign(&truth, &contacts);
+            let sum: f64 = assigned
+                .iter()
+                .enumerate()
+                .filter_map(|(t, f)| f.map(|f| (contacts[f].position - truth.contacts[t].position).norm()))
+                .sum();
+            let mut taken: Vec<usize> = assigned.iter().flatten().copied().collect();
+            taken.sort_unstable();
+            taken.dedup();
+            proptest::prop_assert_eq!(taken.len(), pairs);
+            approx::assert_abs_diff_eq!(sum, least, epsilon = 1e-10);
+        }
     }
 
     #[test]
