@@ -6,10 +6,13 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum as _};
-use dermis_skin::{ForwardModel, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Unknowns};
+use dermis_skin::{
+    ForwardModel, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Trajectory, Unknowns,
+};
 use dermis_theory::resolution::{along_line, on_surface};
 use dermis_theory::{Responses, Summary, force_ladder, over_surface};
 use indicatif::{ProgressBar, ProgressStyle};
+use nalgebra::Point3;
 use serde::Serialize;
 use serde_json::json;
 
@@ -177,6 +180,22 @@ impl ForwardModel for WithNoise {
 
     fn noise(&self) -> &[f64] {
         &self.noise
+    }
+
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        self.model.displacement(stimulus, out)
+    }
+
+    fn trajectory(&self) -> Box<dyn Trajectory> {
+        self.model.trajectory()
+    }
+
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        self.model.force_at(at, diameter, depth)
+    }
+
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        self.model.depth_at(at, diameter, force)
     }
 }
 

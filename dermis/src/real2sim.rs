@@ -38,7 +38,15 @@ pub fn run(command: &Real2Sim) -> Result<()> {
 /// A skin as it was designed, and its forward model: a simulation knows nothing of what makes a device differ.
 fn nominal(path: &Path) -> Result<(SkinDescription, Arc<dyn ForwardModel>)> {
     let mut skin = SkinDescription::load(path)?;
-    skin.effects.clear();
+    if !skin.effects.is_empty() {
+        let names: Vec<&str> = skin.effects.iter().map(|e| e.name.as_str()).collect();
+        eprintln!(
+            "note: the simulation is of the skin as it was designed; it leaves out the effects of {}: {}",
+            path.display(),
+            names.join(", ")
+        );
+        skin.effects.clear();
+    }
     let model = crate::registry::forward(path, &skin)?;
     Ok((skin, model))
 }

@@ -4,9 +4,11 @@ use std::collections::BTreeSet;
 use std::fmt;
 
 use dermis_skin::{
-    ChannelFlags, ForceComponents, ForwardModel, Indentation, ModelError, Stimulus, Surface, Unknowns,
+    ChannelFlags, ForceComponents, ForwardModel, Indentation, ModelError, Stimulus, Surface, Trajectory,
+    Unknowns,
 };
 use dermis_theory::{ContactBound, TheoryError, cramer_rao};
+use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Dataset, SampleId, Truth};
@@ -120,6 +122,22 @@ impl ForwardModel for Heard<'_> {
 
     fn noise(&self) -> &[f64] {
         &self.noise
+    }
+
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        self.model.displacement(stimulus, out)
+    }
+
+    fn trajectory(&self) -> Box<dyn Trajectory> {
+        self.model.trajectory()
+    }
+
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        self.model.force_at(at, diameter, depth)
+    }
+
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        self.model.depth_at(at, diameter, force)
     }
 }
 

@@ -615,22 +615,31 @@ impl Around {
         Ok(())
     }
 
+    /// Where the rig really is when it says that it is at `at`, and the normals of the surface at both.
+    fn real_position(&self, at: &Point3<f64>, surface: &Surface) -> (Point3<f64>, [Vector3<f64>; 2]) {
+        let (_, before) = surface.project(at);
+        if self.shift == Vector3::zeros() && self.turn == 0.0 {
+            return (*at, [before, before]);
+        }
+        let turned = Rotation3::from_axis_angle(&Vector3::z_axis(), self.turn) * at;
+        let (on, after) = surface.project(&(turned + self.shift));
+        (on, [before, after])
+    }
+
+    /// Position and diameter of a tip, really, where the rig says these.
+    fn real_tip(&self, at: &Point3<f64>, diameter: f64, surface: &Surface) -> (Point3<f64>, f64) {
+        (self.real_position(at, surface).0, diameter * self.tip)
+    }
+
     /// What really touches where the rig says this.
     fn real(&self, stimulus: &Stimulus, surface: &Surface) -> Stimulus {
         let mut real = stimulus.clone();
-        let turn = (self.turn != 0.0).then(|| Rotation3::from_axis_angle(&Vector3::z_axis(), self.turn));
-        let still = self.shift == Vector3::zeros() && turn.is_none();
         for contact in &mut real.contacts {
-            let (_, before) = surface.project(&contact.position);
-            if !still {
-                let turned = turn.map_or(contact.position, |t| t * contact.position);
-                let (on, after) = surface.project(&(turned + self.shift));
-                contact.position = on;
-                if (before - after).norm() > 1e-9 {
-                    let bend =
-                        Rotation3::rotation_between(&before, &after).unwrap_or_else(Rotation3::identity);
-                    contact.force = bend * contact.force;
-                }
+            let (on, [before, after]) = self.real_position(&contact.position, surface);
+            contact.position = on;
+            if (before - after).norm() > 1e-9 {
+                let bend = Rotation3::rotation_between(&before, &after).unwrap_or_else(Rotation3::identity);
+                contact.force = bend * contact.force;
             }
             contact.diameter *= self.tip;
             contact.force *= self.force_scale;
@@ -753,12 +762,22 @@ impl ForwardModel for Device {
         })
     }
 
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        self.model.displacement(&self.around.real(stimulus, self.model.surface()), out)
+    }
+
+    /// As the rig states the force: [`response`](Self::response) takes its scale and zero into account.
     fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
-        self.model.force_at(at, diameter * self.around.tip, depth)
+        let (at, diameter) = self.around.real_tip(at, diameter, self.model.surface());
+        let real = self.model.force_at(&at, diameter, depth)?;
+        let stated = (real - self.around.force_zero) / self.around.force_scale;
+        (stated >= 0.0).then_some(stated)
     }
 
     fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-        self.model.depth_at(at, diameter * self.around.tip, force)
+        let (at, diameter) = self.around.real_tip(at, diameter, self.model.surface());
+        let real = (force * self.around.force_scale + self.around.force_zero).max(0.0);
+        self.model.depth_at(&at, diameter, real)
     }
 }
 
@@ -875,6 +894,19 @@ taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", positi
         fn noise(&self) -> &[f64] {
             &[1.0, 1.0]
         }
+        fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+            for (o, point) in out.iter_mut().zip(&self.surface.points) {
+                let sunk = |c: &Indentation| c.force.norm() / (1.0 + (c.position - point).norm());
+                *o = stimulus.contacts.iter().map(sunk).sum();
+            }
+            Ok(true)
+        }
+        fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+            Some(depth * diameter * (1.0 + at.x))
+        }
+        fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+            Some(force / (diameter * (1.0 + at.x)))
+        }
     }
 
     fn made(effects: Vec<Effect>) -> Result<Arc<dyn ForwardModel>, ModelError> {
@@ -932,6 +964,42 @@ taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", positi
         ];
         let (found, wanted) = (read(stronger, &press(0.001, 1.0)), read(vec![], &press(0.001, 1.6)));
         approx::assert_relative_eq!(found[0], wanted[0], max_relative = 1e-12);
+    }
+
+    fn displaced(effects: Vec<Effect>, stimulus: &Stimulus) -> Vec<f64> {
+        let model = made(effects).unwrap();
+        let mut out = vec![0.0; model.surface().points.len()];
+        assert!(model.displacement(stimulus, &mut out).unwrap());
+        out
+    }
+
+    #[test]
+    fn a_device_with_common_effects_has_a_displacement_map() {
+        let plain = displaced(vec![], &press(0.003, 1.5));
+        assert_eq!(displaced(vec![Effect::new("channel-offset").with("b", 3.0)], &press(0.003, 1.5)), plain);
+        let rig =
+            vec![Effect::new("truth-shift").with("x", 0.002), Effect::new("force-scale").with("factor", 1.5)];
+        assert_eq!(displaced(rig, &press(0.001, 1.0)), plain);
+    }
+
+    #[test]
+    fn forces_and_depths_are_those_that_the_rig_states() {
+        let (at, tip) = (Point3::new(0.001, 0.0, 0.0), 0.004);
+        let plain = made(vec![]).unwrap();
+        let rig = made(vec![
+            Effect::new("truth-shift").with("x", 0.002),
+            Effect::new("tip-scale").with("factor", 1.25),
+            Effect::new("force-scale").with("factor", 1.5),
+            Effect::new("force-zero").with("force", 0.1),
+        ])
+        .unwrap();
+        let depth = 100.0;
+        let stated = rig.force_at(&at, tip, depth).unwrap();
+        let real = plain.force_at(&Point3::new(0.003, 0.0, 0.0), tip * 1.25, depth).unwrap();
+        approx::assert_relative_eq!(stated * 1.5 + 0.1, real, max_relative = 1e-12);
+        approx::assert_relative_eq!(rig.depth_at(&at, tip, stated).unwrap(), depth, max_relative = 1e-12);
+        // The cell says nothing yet, though the tip touches.
+        assert_eq!(rig.force_at(&at, tip, 1.0), None);
     }
 
     #[test]
