@@ -1,5 +1,6 @@
 //! Readings of a sensor in a medium under a sphere, tabulated.
 
+use dermis_skin::cache::{Bytes, Keep};
 use nalgebra::DMatrix;
 
 use crate::contact::DEEPEST;
@@ -145,6 +146,32 @@ impl Profile<'_> {
     #[must_use]
     pub fn shear(&self, r: f64) -> f64 {
         self.table.at(&self.table.shear, self.place, r)
+    }
+}
+
+impl Keep for PressureTable {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.roots.put(out);
+        for part in [&self.normal, &self.shear] {
+            part.as_flattened().to_vec().put(out);
+        }
+        (self.columns as u64).put(out);
+        self.density.put(out);
+    }
+
+    fn take(from: &mut Bytes<'_>) -> Option<Self> {
+        let roots = Vec::<f64>::take(from)?;
+        let mut part = || -> Option<Vec<Cubic>> {
+            let flat = Vec::<f64>::take(from)?;
+            let (cubics, rest) = flat.as_chunks();
+            rest.is_empty().then(|| cubics.to_vec())
+        };
+        let (normal, shear) = (part()?, part()?);
+        let columns = usize::try_from(u64::take(from)?).ok()?;
+        let fits = |part: &[Cubic]| roots.len().checked_mul(columns) == Some(part.len());
+        let whole = roots.len() >= 2 && columns > 0 && fits(&normal) && fits(&shear);
+        let density = f64::take(from)?;
+        whole.then_some(Self { roots, normal, shear, columns, density })
     }
 }
 

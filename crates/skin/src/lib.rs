@@ -40,6 +40,7 @@
 //! # Ok::<(), dermis_skin::SkinError>(())
 //! ```
 
+pub mod cache;
 mod contact;
 mod convert;
 mod description;

@@ -68,7 +68,7 @@ impl Default for Stimulus {
 }
 
 /// Why a forward model has no answer.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum ModelError {
     /// The stimulus cannot be: off the surface, or not a number.
@@ -89,6 +89,14 @@ pub enum ModelError {
         /// What is wrong with it.
         reason: String,
     },
+}
+
+impl ModelError {
+    /// Whether it is about the table `medium` of a skin description.
+    #[must_use]
+    pub fn is_of_medium(&self) -> bool {
+        matches!(self, Self::Description { field, .. } if field == "medium" || field.starts_with("medium."))
+    }
 }
 
 /// What would the channels read for this stimulus? The one model behind data, bounds, training and diagnosis.

@@ -9,6 +9,7 @@ mod nodes;
 use std::sync::OnceLock;
 
 use dermis_mechanics::shell::{Action, Face, Gauge, Shell, ShellMesh, Support};
+use dermis_skin::cache::{self, Bytes, Keep, Key};
 use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, Trajectory};
 use nalgebra::{Point3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
@@ -27,7 +28,8 @@ pub(crate) const COVERED: f64 = 0.98;
 pub struct ShellModel {
     surface: Surface,
     nodes: Nodes,
-    shell: Shell,
+    /// What the shell is made of, and the shell itself where it was solved already.
+    design: Design,
     /// Strain of every channel per force \[1/N\] along x, y and z on every point: three numbers a channel, channels of a point
     /// together.
     influence: Vec<f64>,
@@ -39,6 +41,25 @@ pub struct ShellModel {
     dynamics: Dynamics,
 }
 
+/// What a shell is solved from, and the factorised shell once it was needed: a node whose results are in the cache never needs it.
+#[derive(Debug)]
+struct Design {
+    skin: SkinDescription,
+    parameters: Parameters,
+    shell: OnceLock<Result<Shell, ModelError>>,
+}
+
+impl Design {
+    fn shell(&self) -> Result<&Shell, ModelError> {
+        self.shell.get_or_init(|| shell(&self.skin, &self.parameters)).as_ref().map_err(Clone::clone)
+    }
+
+    /// Everything that a result for this shell depends on.
+    fn key(&self, kind: &str) -> Key {
+        Key::new(kind).debug(&self.parameters)
+    }
+}
+
 /// How every point gives way, for a touch at every point.
 #[derive(Debug)]
 struct Compliance {
@@ -48,6 +69,19 @@ struct Compliance {
     values: Vec<i16>,
     /// \[m/N\] of one step of each touch.
     scales: Vec<f32>,
+}
+
+impl Keep for Compliance {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.values.put(out);
+        self.scales.put(out);
+    }
+
+    fn take(from: &mut Bytes<'_>) -> Option<Self> {
+        let (values, scales) = (Vec::take(from)?, Vec::take(from)?);
+        let nodes = scales.len();
+        (nodes.checked_mul(nodes)? == values.len()).then_some(Self { nodes, values, scales })
+    }
 }
 
 impl Compliance {
@@ -120,6 +154,51 @@ pub(crate) fn rectangle(gauge: &StrainGauge, thickness: f64, across: bool) -> Ga
     }
 }
 
+/// Strain of every channel per force on every point, as [`ShellModel`] keeps it.
+fn strains(design: &Design) -> Result<Vec<f64>, ModelError> {
+    let (skin, parameters) = (&design.skin, &design.parameters);
+    let shell = design.shell()?;
+    let gauges = &parameters.gauges;
+    let taxels = skin.channel_taxels();
+    let mut rows = Vec::with_capacity(gauges.len());
+    let of = |across| gauges.iter().map(move |g| (g, across));
+    let rectangles =
+        |across| of(across).map(|(g, across)| rectangle(g, parameters.thickness, across)).collect::<Vec<_>>();
+    let wrong = |channel: usize| format!("taxels[{}].position", taxels[channel]);
+    for (channel, along) in
+        shell.gauges(&rectangles(false)).map_err(impossible(skin, "taxels"))?.into_iter().enumerate()
+    {
+        if along.covered < COVERED {
+            let [length, width] = gauges[channel].size.map(|s| s * 1e3);
+            return Err(refusal(
+                skin,
+                &wrong(channel),
+                format!(
+                    "only {:.0} % of its {length} x {width} mm lie on the shell: move it away from the edge",
+                    100.0 * along.covered
+                ),
+            ));
+        }
+        rows.push(along.row);
+    }
+    if gauges.iter().any(|g| g.transverse != 0.0) {
+        let across = shell.gauges(&rectangles(true)).map_err(impossible(skin, "taxels"))?;
+        for ((row, across), gauge) in rows.iter_mut().zip(across).zip(gauges) {
+            *row = Action::sum([(1.0, &*row), (gauge.transverse, &across.row)]);
+        }
+    }
+    let influences = shell.solve(&rows).map_err(impossible(skin, "taxels"))?;
+    let channels = gauges.len();
+    let mut influence = vec![0.0; 3 * channels * parameters.surface.points.len()];
+    for (channel, (found, gauge)) in influences.iter().zip(gauges).enumerate() {
+        for (node, all) in influence.chunks_exact_mut(3 * channels).enumerate() {
+            let per_force = found.displacement(node) * gauge.gain;
+            all[3 * channel..][..3].copy_from_slice(per_force.as_slice());
+        }
+    }
+    Ok(influence)
+}
+
 impl ShellModel {
     /// The model of a skin whose `medium` names `thickness` \[m\], `young_modulus` \[Pa\], `poisson_ratio`, `gauge` (length and
     /// width \[m\]), and may name `patch` \[m\], `clamp` and `bridge`. Takes some tenths of a second for a shell of 3,000 points;
@@ -138,45 +217,13 @@ impl ShellModel {
         skin: &SkinDescription,
         parameters: Parameters,
     ) -> Result<Self, ModelError> {
-        let shell = shell(skin, &parameters)?;
-        let gauges = &parameters.gauges;
-        let taxels = skin.channel_taxels();
-        let mut rows = Vec::with_capacity(gauges.len());
-        let of = |across| gauges.iter().map(move |g| (g, across));
-        let rectangles = |across| {
-            of(across).map(|(g, across)| rectangle(g, parameters.thickness, across)).collect::<Vec<_>>()
-        };
-        let wrong = |channel: usize| format!("taxels[{}].position", taxels[channel]);
-        for (channel, along) in
-            shell.gauges(&rectangles(false)).map_err(impossible(skin, "taxels"))?.into_iter().enumerate()
-        {
-            if along.covered < COVERED {
-                let [length, width] = gauges[channel].size.map(|s| s * 1e3);
-                return Err(refusal(
-                    skin,
-                    &wrong(channel),
-                    format!(
-                        "only {:.0} % of its {length} x {width} mm lie on the shell: move it away from the edge",
-                        100.0 * along.covered
-                    ),
-                ));
-            }
-            rows.push(along.row);
-        }
-        if gauges.iter().any(|g| g.transverse != 0.0) {
-            let across = shell.gauges(&rectangles(true)).map_err(impossible(skin, "taxels"))?;
-            for ((row, across), gauge) in rows.iter_mut().zip(across).zip(gauges) {
-                *row = Action::sum([(1.0, &*row), (gauge.transverse, &across.row)]);
-            }
-        }
-        let influences = shell.solve(&rows).map_err(impossible(skin, "taxels"))?;
-        let channels = gauges.len();
-        let mut influence = vec![0.0; 3 * channels * parameters.surface.points.len()];
-        for (channel, (found, gauge)) in influences.iter().zip(gauges).enumerate() {
-            for (node, all) in influence.chunks_exact_mut(3 * channels).enumerate() {
-                let per_force = found.displacement(node) * gauge.gain;
-                all[3 * channel..][..3].copy_from_slice(per_force.as_slice());
-            }
+        let design = Design { skin: skin.clone(), parameters, shell: OnceLock::new() };
+        let what = "how the gauges of the shell feel a force anywhere (finite elements)";
+        let influence: Vec<f64> = cache::kept(what, design.key("shell-strains"), || strains(&design))?;
+        let Design { parameters, .. } = &design;
+        let channels = parameters.gauges.len();
+        if influence.len() != 3 * channels * parameters.surface.points.len() {
+            return Err(refusal(skin, "surface", "has other points than were solved".into()));
         }
         Ok(Self {
             nodes: Nodes::new(&parameters.surface, parameters.patch),
@@ -186,44 +233,58 @@ impl ShellModel {
             stiffening: parameters.stiffening,
             compliance: OnceLock::new(),
             dynamics: Dynamics::new(skin, parameters.bridge)?,
-            surface: parameters.surface,
-            shell,
+            surface: parameters.surface.clone(),
+            design,
             influence,
         })
     }
 
-    /// The shell itself.
-    #[must_use]
-    pub fn shell(&self) -> &Shell {
-        &self.shell
+    /// The shell itself; solved where that was not needed yet.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Description`] where the shell cannot be.
+    pub fn shell(&self) -> Result<&Shell, ModelError> {
+        self.design.shell()
     }
 
     /// How every point gives way \[m/N\] for touches of the nominal patch at every point.
     fn compliance(&self) -> &Compliance {
         self.compliance.get_or_init(|| {
-            let nodes = self.surface.points.len();
-            let (mut values, mut scales) = (vec![0i16; nodes * nodes], vec![0.0f32; nodes]);
-            let mut sum = vec![0.0f32; nodes];
-            // There is one normal a point: nothing else can be refused.
-            let Ok(green) = self.shell.normal_green(&self.surface.normals) else {
-                return Compliance { nodes, values, scales };
-            };
-            let mut patch = Vec::new();
-            for ((node, out), scale) in values.chunks_exact_mut(nodes).enumerate().zip(&mut scales) {
-                let (p, n) = (self.surface.points[node], self.surface.normals[node]);
-                self.nodes.patch(&self.surface, &p, &n, self.patch, &mut patch);
-                sum.fill(0.0);
-                for &(i, weight) in &patch {
-                    let weight = weight as f32;
-                    sum.iter_mut().zip(green.column(i)).for_each(|(o, g)| *o += weight * g);
-                }
-                *scale = sum.iter().fold(0.0f32, |m, v| m.max(v.abs())) / f32::from(i16::MAX);
-                if *scale > 0.0 {
-                    out.iter_mut().zip(&sum).for_each(|(o, v)| *o = (v / *scale).round() as i16);
-                }
-            }
-            Compliance { nodes, values, scales }
+            let what = "how the shell gives way to a touch anywhere (finite elements)";
+            cache::kept(what, self.design.key("shell-compliance"), || self.give_way())
+                .ok()
+                .filter(|found| found.nodes == self.surface.points.len())
+                .unwrap_or_else(|| self.rigid())
         })
+    }
+
+    /// What is taken where a shell cannot be solved, which was when its gauges were.
+    fn rigid(&self) -> Compliance {
+        let nodes = self.surface.points.len();
+        Compliance { nodes, values: vec![0; nodes * nodes], scales: vec![0.0; nodes] }
+    }
+
+    fn give_way(&self) -> Result<Compliance, ModelError> {
+        let Compliance { nodes, mut values, mut scales } = self.rigid();
+        let mut sum = vec![0.0f32; nodes];
+        let refused = impossible(&self.design.skin, "surface");
+        let green = self.shell()?.normal_green(&self.surface.normals).map_err(refused)?;
+        let mut patch = Vec::new();
+        for ((node, out), scale) in values.chunks_exact_mut(nodes).enumerate().zip(&mut scales) {
+            let (p, n) = (self.surface.points[node], self.surface.normals[node]);
+            self.nodes.patch(&self.surface, &p, &n, self.patch, &mut patch);
+            sum.fill(0.0);
+            for &(i, weight) in &patch {
+                let weight = weight as f32;
+                sum.iter_mut().zip(green.column(i)).for_each(|(o, g)| *o += weight * g);
+            }
+            *scale = sum.iter().fold(0.0f32, |m, v| m.max(v.abs())) / f32::from(i16::MAX);
+            if *scale > 0.0 {
+                out.iter_mut().zip(&sum).for_each(|(o, v)| *o = (v / *scale).round() as i16);
+            }
+        }
+        Ok(Compliance { nodes, values, scales })
     }
 
     /// \[m/N\] by which the surface gives way at the first place for a touch at the second.

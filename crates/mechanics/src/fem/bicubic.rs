@@ -1,5 +1,7 @@
 //! Smooth interpolation on a regular grid.
 
+use dermis_skin::cache::{Bytes, Keep};
+
 /// Points of the grid, along each coordinate, that are looked up at once.
 const WINDOW: usize = 20;
 
@@ -14,6 +16,24 @@ pub struct Bicubic {
     width: usize,
     /// Rows of the first coordinate, then of the second, `width` numbers each.
     values: Vec<f64>,
+}
+
+impl Keep for Bicubic {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.start.put(out);
+        self.step.put(out);
+        self.count.map(|c| c as u64).put(out);
+        (self.width as u64).put(out);
+        self.values.put(out);
+    }
+
+    fn take(from: &mut Bytes<'_>) -> Option<Self> {
+        let (start, step) = (Keep::take(from)?, Keep::take(from)?);
+        let [a, b, width] = <[u64; 3]>::take(from)?.map(|n| usize::try_from(n).unwrap_or(usize::MAX));
+        let values = Vec::<f64>::take(from)?;
+        let fits = a.checked_add(2)?.checked_mul(b.checked_add(2)?)?.checked_mul(width)? == values.len();
+        (fits && a >= 2 && b >= 2).then_some(Self { start, step, count: [a, b], width, values })
+    }
 }
 
 impl Bicubic {

@@ -2,6 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
+use dermis_skin::cache::{Bytes, Keep};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::source::Source;
@@ -121,6 +122,18 @@ impl DomeShape {
 pub struct Dome {
     shape: DomeShape,
     table: Bicubic,
+}
+
+impl Keep for Dome {
+    fn put(&self, out: &mut Vec<u8>) {
+        [self.shape.radius, self.shape.cylinder, self.shape.thickness].put(out);
+        self.table.put(out);
+    }
+
+    fn take(from: &mut Bytes<'_>) -> Option<Self> {
+        let [radius, cylinder, thickness] = Keep::take(from)?;
+        Some(Self { shape: DomeShape { radius, cylinder, thickness }, table: Keep::take(from)? })
+    }
 }
 
 impl Dome {

@@ -11,6 +11,7 @@ use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 use dermis_mechanics::fem::{self, DomeShape, Probe};
 use dermis_mechanics::{Base, MechanicsError, Medium, SphereContact};
+use dermis_skin::cache::{Key, kept};
 use dermis_skin::{Indentation, ModelError, SkinDescription};
 use nalgebra::Vector3;
 
@@ -132,10 +133,14 @@ impl Dome {
         let solve = |base| fem::Dome::new(self.shape, self.poisson_ratio, base, &self.probes);
         let slip = self.medium.slip();
         self.field
-            .get_or_init(|| match slip {
-                0.0 => solve(Base::Bonded),
-                1.0 => solve(Base::Slip),
-                _ => Ok(solve(Base::Bonded)?.mixed(&solve(Base::Slip)?, slip)),
+            .get_or_init(|| {
+                let depends = (self.shape, self.poisson_ratio, slip, &self.probes);
+                let what = "the field in the elastomer of the dome (finite elements)";
+                kept(what, Key::new("dome").debug(&depends), || match slip {
+                    0.0 => solve(Base::Bonded),
+                    1.0 => solve(Base::Slip),
+                    _ => Ok(solve(Base::Bonded)?.mixed(&solve(Base::Slip)?, slip)),
+                })
             })
             .as_ref()
             .map_err(|e| ModelError::Stimulus { index, reason: e.to_string() })

@@ -9,7 +9,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
-use dermis_mechanics::{Medium, PressureTable, SphereContacts, gauss_legendre};
+use dermis_mechanics::{MechanicsError, Medium, PressureTable, SphereContacts, gauss_legendre};
+use dermis_skin::cache::{Key, kept};
 use dermis_skin::{Indentation, ModelError, SkinDescription};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
@@ -136,13 +137,8 @@ impl Flat {
         if let Some(tables) = self.tables.read().unwrap_or_else(PoisonError::into_inner).get(&key) {
             return Ok(Arc::clone(tables));
         }
-        let tables = SphereContacts::new(&self.medium, diameter, FORCE_MAX)
-            .and_then(|contacts| {
-                let table =
-                    |l: &Layer| PressureTable::new(&contacts, l.depth, self.reach.min(100.0 * l.depth));
-                self.layers.iter().map(table).collect::<Result<Arc<[_]>, _>>()
-            })
-            .map_err(|e| ModelError::Stimulus { index, reason: e.to_string() })?;
+        let tables =
+            self.tabulate(diameter).map_err(|e| ModelError::Stimulus { index, reason: e.to_string() })?;
         let mut kept = self.tables.write().unwrap_or_else(PoisonError::into_inner);
         if kept.len() >= TABLES_MAX {
             kept.clear();
@@ -151,6 +147,22 @@ impl Flat {
         // Of two that come at once, one is the first.
         let _ = self.first.set((key, Arc::clone(&tables)));
         Ok(tables)
+    }
+}
+
+impl Flat {
+    /// The tables of a tip, one a layer.
+    fn tabulate(&self, diameter: f64) -> Result<Arc<[PressureTable]>, MechanicsError> {
+        let places: Vec<[f64; 2]> =
+            self.layers.iter().map(|l| [l.depth, self.reach.min(100.0 * l.depth)]).collect();
+        let depends = (&self.medium, diameter, FORCE_MAX, &places);
+        let what = "the pressure in the elastomer under a tip";
+        let tables: Box<[PressureTable]> =
+            kept(what, Key::new("flat").debug(&depends), || -> Result<_, MechanicsError> {
+                let contacts = SphereContacts::new(&self.medium, diameter, FORCE_MAX)?;
+                places.iter().map(|[depth, reach]| PressureTable::new(&contacts, *depth, *reach)).collect()
+            })?;
+        Ok(tables.into())
     }
 }
 

@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use dermis_mechanics::MechanicsError;
 use dermis_mechanics::fem::{Bicubic, Probe, free_sides};
 use dermis_skin::Indentation;
+use dermis_skin::cache::{Key, kept};
 
 /// One for the force along each axis: most contacts do without two of them.
 type Change = Arc<[Bicubic; 3]>;
@@ -35,8 +36,11 @@ impl Block {
         if let Some((_, change)) = solved.iter().find(|(block, _)| block == self) {
             return Ok(Arc::clone(change));
         }
-        let change = free_sides(self.size, self.thickness, self.poisson_ratio, self.slip, &self.probes)?;
-        let change = Arc::new([0, 1, 2].map(|axis| change.every(3, axis)));
+        let what = "what the free sides of the elastomer change (finite elements)";
+        let change = kept(what, Key::new("free-sides").debug(self), || -> Result<_, MechanicsError> {
+            let all = free_sides(self.size, self.thickness, self.poisson_ratio, self.slip, &self.probes)?;
+            Ok(Arc::new([0, 1, 2].map(|axis| all.every(3, axis))))
+        })?;
         if solved.len() >= KEPT {
             solved.remove(0);
         }
