@@ -11,13 +11,16 @@ use sha2::{Digest, Sha256};
 
 use crate::correction::{self, CorrectionError};
 use crate::features::Features;
+use crate::file;
 use crate::interface::Interface;
+use crate::limits::Limits;
 use crate::manifest::{Manifest, ManifestError, ModelSection, SkinSection};
 use crate::model::{Model, ModelError};
 use crate::onnx;
 use crate::outputs::Outputs;
 use crate::peaks::PeakSection;
 use crate::runtime::Runtime;
+use crate::trial;
 
 const MANIFEST: &str = "bundle.toml";
 const MODEL: &str = "model.onnx";
@@ -58,6 +61,26 @@ pub enum BundleError {
         action: &'static str,
         /// What the system said.
         source: std::io::Error,
+    },
+    /// What lies in a file's place is none.
+    #[error(
+        "model bundle file {path}: is no plain file, but a pipe, a device or a folder; copy the bundle again"
+    )]
+    NotAFile {
+        /// What lies there.
+        path: PathBuf,
+    },
+    /// A file is longer than any of its kind is.
+    #[error(
+        "model bundle file {path}: has {found} bytes, and at most {most} are read; is it the right file?"
+    )]
+    TooLong {
+        /// The file.
+        path: PathBuf,
+        /// Its length.
+        found: u64,
+        /// The longest that is read.
+        most: u64,
     },
     /// The manifest is wrong.
     #[error(transparent)]
@@ -173,21 +196,35 @@ pub struct Bundle {
     /// The network that turns peaks into forces.
     sensitivity: Option<Vec<u8>>,
     correction: Option<Correction>,
+    limits: Limits,
 }
 
 impl Bundle {
-    /// Reads a bundle folder and checks that it is whole and fits the skin. Runs nothing of it.
+    /// Reads a bundle folder and checks that it is whole and fits the skin, within the usual [`Limits`]. Runs nothing of it.
     ///
     /// # Errors
     ///
     /// [`BundleError`] says which file and field is wrong and what to do.
     pub fn load(path: impl AsRef<Path>, skin: &SkinDescription) -> Result<Self, BundleError> {
+        Self::load_within(path, skin, &Limits::default())
+    }
+
+    /// [`load`](Self::load) within these limits, which hold for [`session`](Self::session), too.
+    ///
+    /// # Errors
+    ///
+    /// As [`load`](Self::load).
+    pub fn load_within(
+        path: impl AsRef<Path>,
+        skin: &SkinDescription,
+        limits: &Limits,
+    ) -> Result<Self, BundleError> {
         let path = path.as_ref();
         if !path.is_dir() {
             return Err(BundleError::NoFolder { path: path.to_owned() });
         }
         let manifest_path = path.join(MANIFEST);
-        let text = read(path, MANIFEST)?;
+        let text = file::read(path, MANIFEST, limits.manifest_bytes)?;
         let text = String::from_utf8(text).map_err(|_| ManifestError::Parse {
             file: manifest_path.display().to_string(),
             field: "(whole file)".into(),
@@ -195,15 +232,17 @@ impl Bundle {
         })?;
         let manifest = Manifest::from_toml(&text, &manifest_path.display().to_string())?;
         fits(path, &manifest.skin, skin)?;
-        let graph = read_graph(path, MODEL, "model", &manifest.model)?;
+        let graph = read_graph(path, (MODEL, "model"), &manifest.model, limits)?;
         let sensitivity = match &manifest.peaks {
-            Some(peaks) => Some(read_graph(path, SENSITIVITY, "peaks.sensitivity", &peaks.sensitivity)?),
+            Some(peaks) => {
+                Some(read_graph(path, (SENSITIVITY, "peaks.sensitivity"), &peaks.sensitivity, limits)?)
+            }
             None => None,
         };
         let correction = match &manifest.correction {
             Some(section) => {
-                let bytes =
-                    read_whole(path, CORRECTION, "correction", (section.bytes, section.hash.as_str()))?;
+                let expected = (section.bytes, section.hash.as_str());
+                let bytes = read_whole(path, (CORRECTION, "correction"), expected, limits.correction_bytes)?;
                 let same = |other: &SkinSection| {
                     other.hash.eq_ignore_ascii_case(&manifest.skin.hash)
                         || skin.is_type(&other.hash, &other.name)
@@ -214,7 +253,7 @@ impl Bundle {
             }
             None => None,
         };
-        Ok(Self { path: path.to_owned(), manifest, graph, sensitivity, correction })
+        Ok(Self { path: path.to_owned(), manifest, graph, sensitivity, correction, limits: *limits })
     }
 
     /// How the device differs from its forward model, where that was learned.
@@ -317,38 +356,46 @@ impl Bundle {
         Outputs::of_valid(self.manifest.output.clone())
     }
 
-    /// Loads its graph into a runtime.
+    /// Loads its graph into a runtime, after it has shown that it can be loaded, and gives finite numbers ([`trial`]).
     ///
     /// # Errors
     ///
-    /// [`BundleError::Model`] where the runtime refuses the graph.
+    /// [`BundleError::Model`] where the runtime refuses the graph, or it fails its trial.
+    ///
+    /// [`trial`]: crate::trial
     pub fn session(&self, runtime: &Runtime) -> Result<Model, BundleError> {
-        Model::load(runtime, &self.graph, &self.manifest.model.interface)
+        trial::load(runtime, &self.graph, &self.manifest.model.interface, &self.limits)
             .map_err(|source| BundleError::Model { path: self.path.join(MODEL), source })
     }
 
-    /// Loads the network that turns peaks of its map into forces; `None` where it has none.
+    /// Loads the network that turns peaks of its map into forces, tried as [`session`](Self::session) tries its graph; `None`
+    /// where it has none.
     ///
     /// # Errors
     ///
-    /// [`BundleError::Model`] where the runtime refuses it.
+    /// As [`session`](Self::session).
     pub fn sensitivity(&self, runtime: &Runtime) -> Result<Option<Model>, BundleError> {
         let Some(graph) = &self.sensitivity else { return Ok(None) };
-        Model::load(runtime, graph, &PeakSection::interface())
+        trial::load(runtime, graph, &PeakSection::interface(), &self.limits)
             .map(Some)
             .map_err(|source| BundleError::Model { path: self.path.join(SENSITIVITY), source })
     }
+
+    /// The files that a bundle may consist of.
+    pub const FILES: [&str; 5] = [MANIFEST, MODEL, SENSITIVITY, CORRECTION, CARD];
 }
 
 /// Reads a graph and checks that it is the one that the manifest speaks of.
 fn read_graph(
     folder: &Path,
-    file: &'static str,
-    field: &'static str,
+    (file, field): (&'static str, &'static str),
     section: &ModelSection,
+    limits: &Limits,
 ) -> Result<Vec<u8>, BundleError> {
-    let graph = read_whole(folder, file, field, (section.bytes, section.hash.as_str()))?;
+    let expected = (section.bytes, section.hash.as_str());
+    let graph = read_whole(folder, (file, field), expected, limits.graph_bytes)?;
     onnx::check(&graph, &section.interface)
+        .and_then(|()| onnx::check_constants(&graph, limits.constant_bytes))
         .map_err(|source| BundleError::Model { path: folder.join(file), source })?;
     Ok(graph)
 }
@@ -356,19 +403,19 @@ fn read_graph(
 /// Reads a file and checks that it has the length and the hash that the manifest says.
 fn read_whole(
     folder: &Path,
-    file: &'static str,
-    field: &'static str,
+    (file, field): (&'static str, &'static str),
     (bytes, expected): (u64, &str),
+    most: u64,
 ) -> Result<Vec<u8>, BundleError> {
-    let content = read(folder, file)?;
-    let path = folder.join(file);
-    let found = content.len() as u64;
-    if found != bytes {
-        return Err(BundleError::Length { path, field, found, expected: bytes });
-    }
+    let content = file::read_exactly(folder, (file, field), bytes, most)?;
     let found = hash(&content);
     if !found.eq_ignore_ascii_case(expected) {
-        return Err(BundleError::Content { path, field, found, expected: expected.to_owned() });
+        return Err(BundleError::Content {
+            path: folder.join(file),
+            field,
+            found,
+            expected: expected.to_owned(),
+        });
     }
     Ok(content)
 }
@@ -389,15 +436,7 @@ fn replace(path: &Path, text: &str) -> Result<(), BundleError> {
     Ok(())
 }
 
-fn read(folder: &Path, file: &'static str) -> Result<Vec<u8>, BundleError> {
-    let path = folder.join(file);
-    std::fs::read(&path).map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => BundleError::NoFile { path: folder.to_owned(), file },
-        _ => BundleError::Io { path, action: "read", source },
-    })
-}
-
-fn hash(bytes: &[u8]) -> String {
+pub(crate) fn hash(bytes: &[u8]) -> String {
     let hex: String = Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect();
     format!("sha256:{hex}")
 }

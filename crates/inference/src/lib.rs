@@ -16,7 +16,9 @@
 mod bundle;
 mod correction;
 mod features;
+mod file;
 mod interface;
+mod limits;
 mod manifest;
 mod model;
 pub mod onnx;
@@ -24,11 +26,13 @@ mod outputs;
 mod peaks;
 mod runtime;
 mod runtime_config;
+pub mod trial;
 
 pub use bundle::{Bundle, BundleError, BundleWriter, SkinMismatch};
 pub use correction::{CorrectionError, CorrectionSection};
 pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
 pub use interface::Interface;
+pub use limits::Limits;
 pub use manifest::{Baseline, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection};
 pub use model::{Model, ModelError, rehearse_embedded};
 pub use outputs::{Link, OutputConfig, OutputError, OutputSpec, Outputs, SigmaBin};

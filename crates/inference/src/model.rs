@@ -12,7 +12,7 @@ use crate::onnx;
 use crate::runtime::Runtime;
 
 /// A graph that cannot be loaded or run.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ModelError {
     /// The bytes are no ONNX graph.
@@ -39,6 +39,55 @@ pub enum ModelError {
         /// What it said.
         reason: String,
     },
+    /// A constant of the graph is NaN or infinite.
+    #[error(
+        "constant `{constant}` holds {value}, which is no finite number, so that no answer would be one; train or export the \
+         model again"
+    )]
+    ConstantNotFinite {
+        /// Its name.
+        constant: String,
+        /// The first such number.
+        value: f64,
+    },
+    /// The constants of the graph claim too much memory.
+    #[error(
+        "its constants have {bytes} bytes, and at most {most} are loaded; export a smaller model, or raise `constant_bytes` of \
+         `model_limits`"
+    )]
+    ConstantsTooLarge {
+        /// What they have.
+        bytes: u64,
+        /// What they may have.
+        most: u64,
+    },
+    /// What it answers to plausible readings is not finite.
+    #[error(
+        "answers {value} to plausible readings (output {index}, run {run} of its trial); train or export the model again"
+    )]
+    OutputNotFinite {
+        /// Number of the output.
+        index: usize,
+        /// What came out.
+        value: f32,
+        /// Which input of the trial it was.
+        run: usize,
+    },
+    /// It did not live through its trial in a process of its own.
+    #[error("failed its trial: {reason}")]
+    Trial {
+        /// What happened, and which limit it ran into.
+        reason: String,
+    },
+    /// It may make as much as it is told to, and there is no process of its own to try it in.
+    #[error(
+        "has the operator `{operator}`, whose result may be of any size, and this program has no process to try it in: \
+         call `dermis_inference::trial::serve` first in `main`"
+    )]
+    Unbounded {
+        /// The operator.
+        operator: String,
+    },
     /// An input has the wrong length.
     #[error("input has {got} numbers where the model takes {expected}")]
     InputLength {
@@ -60,6 +109,9 @@ pub enum ModelError {
         reason: String,
     },
 }
+
+/// Inputs that a model is tried on.
+const REHEARSALS: usize = 9;
 
 /// One loaded graph; runs on the calling thread.
 #[derive(Debug)]
@@ -123,6 +175,34 @@ impl Model {
     #[must_use]
     pub fn output_len(&self) -> usize {
         self.output_len
+    }
+
+    /// Runs it on plausible inputs, the same ones each time: a skin that nothing touches, and readings about as far from their mean
+    /// as those that it was trained on, and three times as far.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::OutputNotFinite`], and as [`run`](Self::run).
+    pub fn rehearse(&mut self) -> Result<(), ModelError> {
+        let (mut input, mut output) = (vec![0.0; self.input_len], Vec::new());
+        // Numbers between −1 and 1 of an xorshift generator: any will do.
+        let mut state = 0x9e37_79b9_7f4a_7c15_u64;
+        for run in 0..REHEARSALS {
+            if run > 0 {
+                let scale = if run % 2 == 0 { 1.0 } else { 3.0 };
+                for value in &mut input {
+                    state ^= state << 13;
+                    state ^= state >> 7;
+                    state ^= state << 17;
+                    *value = scale * ((state >> 40) as f32 / (1u32 << 23) as f32 - 1.0);
+                }
+            }
+            self.run(&input, &mut output)?;
+            if let Some((index, value)) = output.iter().enumerate().find(|(_, v)| !v.is_finite()) {
+                return Err(ModelError::OutputNotFinite { index, value: *value, run });
+            }
+        }
+        Ok(())
     }
 
     /// Evaluates the graph; `output` is replaced, and its memory used again.

@@ -3,11 +3,13 @@
 //! What is written has opset 17 and IR version 8, which every supported runtime reads; operators of the core domain only.
 
 mod check;
+mod constants;
 
 use onnx_rs::ast;
 
 pub(crate) use check::check;
 pub use check::{GraphTensor, Signature, listed, with_batch_of_one};
+pub(crate) use constants::{check as check_constants, unbounded};
 
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 8;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use dermis_inference::onnx::{GraphTensor, Signature, listed, with_batch_of_one};
 use dermis_inference::{
-    Baseline, BundleWriter, FeatureConfig, Interface, Link, Manifest, Missing, Model, OutputConfig,
+    Baseline, BundleWriter, FeatureConfig, Interface, Limits, Link, Manifest, Missing, Model, OutputConfig,
     OutputSpec, Outputs, Runtime, RuntimeKind, Taps, TrainingSection, rehearse_embedded,
 };
 use dermis_skin::SkinDescription;
@@ -298,6 +298,12 @@ fn trial(
             format!("it is written in operator set {opset}; export it with opset 17, which every runtime here reads"),
         );
     };
+    // It comes from outside: whether it can be run at all shows in a process of its own.
+    if let Err(error) = dermis_inference::trial::check(request.runtime, graph, interface, &Limits::default())
+    {
+        refused(&mut findings, &error);
+        return Err(LearnError::Unfit(findings));
+    }
     let input: Vec<f32> =
         (0..interface.input_len().unwrap_or(0)).map(|i| (i % 7) as f32 * 0.1 - 0.3).collect();
     let embedded = rehearse_embedded(graph, interface, &input).map_err(|e| refused(&mut findings, &e)).ok();

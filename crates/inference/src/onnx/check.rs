@@ -242,21 +242,25 @@ fn tensor_type(bytes: &[u8], port: &mut GraphTensor) -> Result<(), String> {
     Ok(())
 }
 
-fn text(bytes: &[u8]) -> Result<String, String> {
+pub(super) fn text(bytes: &[u8]) -> Result<String, String> {
     String::from_utf8(bytes.to_vec()).map_err(|_| "a name is not UTF-8".into())
 }
 
-enum Value<'a> {
+#[derive(Clone, Copy)]
+pub(super) enum Value<'a> {
     Number(u64),
     Bytes(&'a [u8]),
-    Fixed,
+    /// Four bytes, lowest first.
+    Word(u32),
+    /// Eight bytes, lowest first.
+    Long(u64),
 }
 
 /// The fields of one protobuf message; stops after the first error.
-struct Fields<'a>(&'a [u8]);
+pub(super) struct Fields<'a>(pub(super) &'a [u8]);
 
 impl<'a> Fields<'a> {
-    fn varint(&mut self) -> Option<u64> {
+    pub(super) fn varint(&mut self) -> Option<u64> {
         let mut value = 0;
         for shift in (0..64).step_by(7) {
             let (byte, rest) = self.0.split_first()?;
@@ -279,12 +283,12 @@ impl<'a> Fields<'a> {
         let tag = self.varint()?;
         let value = match tag & 7 {
             0 => Value::Number(self.varint()?),
-            1 => self.take(8).map(|_| Value::Fixed)?,
+            1 => Value::Long(u64::from_le_bytes(self.take(8)?.try_into().ok()?)),
             2 => {
                 let length = self.varint()?;
                 Value::Bytes(self.take(length)?)
             }
-            5 => self.take(4).map(|_| Value::Fixed)?,
+            5 => Value::Word(u32::from_le_bytes(self.take(4)?.try_into().ok()?)),
             _ => return None,
         };
         (tag >> 3 != 0).then_some((tag >> 3, value))

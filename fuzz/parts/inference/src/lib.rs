@@ -6,6 +6,8 @@
 mod features;
 #[path = "../../../../crates/inference/src/interface.rs"]
 mod interface;
+#[path = "../../../../crates/inference/src/limits.rs"]
+mod limits;
 #[path = "../../../../crates/inference/src/manifest.rs"]
 mod manifest;
 #[path = "../../../../crates/inference/src/outputs.rs"]
@@ -13,5 +15,6 @@ mod outputs;
 #[path = "../../../../crates/inference/src/runtime_config.rs"]
 mod runtime_config;
 
+pub use limits::Limits;
 pub use manifest::Manifest;
 pub use runtime_config::RuntimeConfig;
