@@ -12,6 +12,7 @@ mod restart;
 mod sampling;
 mod shell;
 mod soak;
+mod start;
 mod subscriber;
 
 use std::path::PathBuf;
@@ -45,6 +46,8 @@ enum Command {
     /// The node of the limb at its rate, by the bundles that look for one and for two contacts: latency, frames without an answer,
     /// CPU time.
     Limb(limb::Options),
+    /// How soon contacts are known after a node was started, with an empty and with a warm cache.
+    Start(start::Options),
     /// What publishing costs, with and without a subscriber.
     Publish(publish::Options),
     /// A long run of four skins and a recorder: memory, losses, latency.
@@ -69,6 +72,7 @@ fn main() -> Result<()> {
         Command::Shell(options) => shell::run(&options)?,
         Command::Gap(options) => gap::run(&options)?,
         Command::Limb(options) => limb::run(&options)?,
+        Command::Start(options) => start::run(&options)?,
         Command::Publish(options) => publish::run(&options)?,
         Command::Soak(options) => soak::run(&options)?,
         Command::Restart(options) => restart::run(&options)?,

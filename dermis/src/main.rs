@@ -119,6 +119,10 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    // The program starts itself once more for each model that it has to try.
+    if let Some(code) = dermis_inference::trial::serve() {
+        return code;
+    }
     let cli = Cli::parse();
     let level = match cli.command {
         Command::Barodome(_) | Command::Hapdef(_) | Command::Bridge(_) | Command::Device(_) => "info",

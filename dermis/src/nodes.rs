@@ -1,6 +1,6 @@
 //! The nodes, one command each.
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use clap::Args;
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_node::NodeError;
@@ -23,7 +23,16 @@ pub struct Skin {
 /// Runs until Ctrl-C, or until it is shut down through its lifecycle.
 pub async fn run(sensor: &Sensor, options: Skin) -> Result<()> {
     let config = options.arguments.into_config()?;
-    Ok(sensor.run(&config, options.backend.open()?.as_ref()).await?)
+    sensor.run(&config, options.backend.open()?.as_ref()).await.map_err(|error| match reader(&error) {
+        Some(command) => anyhow!("{error}; `dermis {command}` reads it"),
+        None => error.into(),
+    })
+}
+
+/// The command that reads a skin which another family's node was given.
+fn reader(error: &RunError) -> Option<&'static str> {
+    let RunError::Sensor { found, .. } = error else { return None };
+    crate::registry::FAMILIES.iter().find(|family| family.name == found).map(|family| family.name)
 }
 
 /// What the process itself says in a launch file, and its table `config` must not say again.
@@ -68,7 +77,7 @@ pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Refus
     config.parameters.extend(request.parameters.iter().map(|(name, value)| (name.clone(), value.clone())));
     sensor.check(&config).map_err(|error| {
         let field = match &error {
-            RunError::Skin(_) | RunError::Sensor { .. } => "config.skin".to_owned(),
+            RunError::Skin(_) | RunError::Medium { .. } | RunError::Sensor { .. } => "config.skin".to_owned(),
             RunError::Source(_) => "config.source".to_owned(),
             RunError::Instance(InstanceError::Name(_)) => "config.instance".to_owned(),
             RunError::Instance(InstanceError::Frame(_)) => "config.frame_id".to_owned(),
@@ -84,7 +93,8 @@ pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Refus
             RunError::Node(NodeError::Remapping { .. }) => "remap".to_owned(),
             _ => "config".to_owned(),
         };
-        refuse(field, error.to_string())
+        let hint = reader(&error).map_or(String::new(), |command| format!("; write `node: {command}`"));
+        refuse(field, format!("{error}{hint}"))
     })?;
     // Said outright, so that `--check` shows them and nodes can be compared.
     if let Ok(skin) = SkinDescription::load(&config.skin) {

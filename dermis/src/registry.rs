@@ -17,6 +17,8 @@ pub struct Family {
     pub name: &'static str,
     /// Stimulus → channels, for families and skins that have one.
     pub model: fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>>,
+    /// What is wrong with a skin's table `medium`.
+    pub medium: fn(&SkinDescription) -> Result<(), ModelError>,
     /// What the model can leave out and a device may have.
     pub effects: &'static [EffectInfo],
     /// Frame → contacts, with these model bundles.
@@ -37,6 +39,7 @@ pub const FAMILIES: &[Family] = &[
     Family {
         name: dermis_barodome::SENSOR,
         model: |skin| Ok(dermis_barodome::model(skin)?),
+        medium: dermis_barodome::medium,
         effects: dermis_barodome::effects::EFFECTS,
         estimator: |skin, bundles| estimator(&dermis_barodome::FAMILY, skin, bundles),
         verify: || {
@@ -52,6 +55,7 @@ pub const FAMILIES: &[Family] = &[
     Family {
         name: dermis_hapdef::SENSOR,
         model: |skin| Ok(dermis_hapdef::model(skin)?),
+        medium: dermis_hapdef::medium,
         effects: dermis_hapdef::effects::EFFECTS,
         estimator: |skin, bundles| estimator(&dermis_hapdef::FAMILY, skin, bundles),
         verify: || {
@@ -73,13 +77,18 @@ fn estimator(sensor: &Sensor, skin: &SkinDescription, bundles: &[PathBuf]) -> Re
 
 /// The forward model of a skin that was read from `path`, effects that every skin can have included; refusals name that file.
 pub fn forward(path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
-    (family(skin)?.model)(skin).map_err(|error| match error.downcast() {
+    (family(skin)?.model)(skin).map_err(|error| of_file(path, error))
+}
+
+/// What a family says of a skin, with the name of the file.
+pub fn of_file(path: &Path, error: anyhow::Error) -> anyhow::Error {
+    match error.downcast() {
         Ok(ModelError::Description { field, reason, .. }) => {
             anyhow!("skin file {}: field `{field}`: {reason}", path.display())
         }
         Ok(other) => other.into(),
         Err(error) => error,
-    })
+    }
 }
 
 /// The family that reads a skin.

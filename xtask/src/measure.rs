@@ -37,6 +37,9 @@ pub enum Measurement {
     Real2sim,
     /// Seconds from `kill -9` of a node under `launch` to the contacts of the one that comes after it.
     Restart,
+    /// Seconds from the start of a node's process until a subscriber has contacts with status OK, with an empty and with a warm
+    /// cache.
+    Start,
     /// The diagnosis of gaps on packs with withheld causes, for the row of barometers, the pad and the limb.
     Gap,
 }
@@ -59,6 +62,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Realism => realism(root)?,
         Measurement::Limb => limb(root)?,
         Measurement::Real2sim => real2sim(root)?,
+        Measurement::Start => start(root)?,
         Measurement::Gap => gap(root)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
@@ -89,6 +93,15 @@ fn children_cpu() -> Result<f64> {
     let usage = getrusage(UsageWho::RUSAGE_CHILDREN)?;
     let seconds = |t: nix::sys::time::TimeVal| t.tv_sec() as f64 + t.tv_usec() as f64 * 1e-6;
     Ok(seconds(usage.user_time()) + seconds(usage.system_time()))
+}
+
+/// By the programs that are measured for speed, with the bundles that ship.
+fn start(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(PROGRAM))?;
+    execute(cargo(root).args(["build", "--release", "-p", "dermis-benches"]))?;
+    let programs = target_dir(root).join("release");
+    let mut bench = Command::new(programs.join("dermis-bench"));
+    evaluation(bench.arg("start").arg("--programs").arg(&programs).arg("--root").arg(root).current_dir(root))
 }
 
 fn cold_build(root: &Path) -> Result<Value> {

@@ -12,7 +12,7 @@ use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use dermis_msgs::lifecycle_msgs::msg::TransitionEvent;
 use dermis_msgs::lifecycle_msgs::srv as lifecycle_srv;
-use dermis_msgs::rcl_interfaces::msg::{Log, ParameterEvent};
+use dermis_msgs::rcl_interfaces::msg::{Log, Parameter, ParameterEvent, SetParametersResult};
 use dermis_msgs::rcl_interfaces::srv as parameter_srv;
 use dermis_msgs::rosgraph_msgs::msg::Clock as ClockMsg;
 use dermis_msgs::sequence::Losses;
@@ -214,6 +214,8 @@ struct Shared {
     clock_subscription: Mutex<Option<Subscription>>,
     diagnostics: Diagnostics,
     lifecycle: Mutex<Option<Lifecycle>>,
+    /// Why other nodes may not change it.
+    lifecycle_refused: Option<String>,
     log: OnceLock<Arc<Lane<Log>>>,
     problems: Mutex<ProblemMap>,
     problem_callbacks: Arc<Mutex<Vec<ProblemCallback>>>,
@@ -276,6 +278,8 @@ impl Node {
             use_sim_time,
             diagnostics: publish_diagnostics,
             threads,
+            parameters_refused,
+            lifecycle_refused,
             ..
         } = options;
         let names = Names::new(&name, &namespace, &remappings)?;
@@ -315,6 +319,7 @@ impl Node {
             clock_subscription: Mutex::default(),
             diagnostics: Diagnostics::new(full_name.clone()),
             lifecycle: Mutex::default(),
+            lifecycle_refused,
             log: OnceLock::new(),
             problems: Mutex::default(),
             problem_callbacks: Arc::default(),
@@ -327,7 +332,7 @@ impl Node {
         });
         let node = Self(Arc::new(Handle(shared)));
         node.start_log()?;
-        node.start_parameters()?;
+        node.start_parameters(parameters_refused)?;
         node.start_clock()?;
         node.start_problems();
         if publish_diagnostics {
@@ -531,8 +536,17 @@ impl Node {
                 lifecycle_srv::GetStateResponse { current_state: life.state_msg() }
             })?;
         let life = lifecycle.clone();
+        let refused = self.0.lifecycle_refused.clone();
+        let locked = refused.is_some();
         let change_state = self.serve::<lifecycle_srv::ChangeState>("~/change_state", move |request| {
-            lifecycle_srv::ChangeStateResponse { success: life.change(&request.transition) }
+            let success = match &refused {
+                Some(why) => {
+                    tracing::warn!("a transition was asked for: {why}");
+                    false
+                }
+                None => life.change(&request.transition),
+            };
+            lifecycle_srv::ChangeStateResponse { success }
         })?;
         let states = ServiceServer::new::<lifecycle_srv::GetAvailableStates>(
             core,
@@ -548,8 +562,9 @@ impl Node {
                 core,
                 &core.system,
                 name,
+                // None can be taken by whoever asks where they are refused.
                 move |_| lifecycle_srv::GetAvailableTransitionsResponse {
-                    available_transitions: life.transitions(all),
+                    available_transitions: if locked && !all { Vec::new() } else { life.transitions(all) },
                 },
             )?;
             kept.push(Box::new(server));
@@ -680,7 +695,7 @@ impl Node {
         Ok(())
     }
 
-    fn start_parameters(&self) -> Result<(), NodeError> {
+    fn start_parameters(&self, refused: Option<String>) -> Result<(), NodeError> {
         let core = &self.0.core;
         let events: Publisher<ParameterEvent> = self.stream_publisher("/parameter_events", 1000)?;
         let lane =
@@ -714,30 +729,36 @@ impl Node {
             },
         )?);
         let p = self.0.parameters.clone();
+        let fixed = refused.is_some();
+        let set = move |parameters: Vec<Parameter>| match &refused {
+            Some(reason) => SetParametersResult { successful: false, reason: reason.clone() },
+            None => p.set_msgs(parameters),
+        };
+        let each = set.clone();
         self.keep(ServiceServer::new::<parameter_srv::SetParameters>(
             core,
             &core.system,
             "~/set_parameters",
             move |request| parameter_srv::SetParametersResponse {
-                results: request.parameters.into_iter().map(|one| p.set_msgs(vec![one])).collect(),
+                results: request.parameters.into_iter().map(|one| each(vec![one])).collect(),
             },
         )?);
-        let p = self.0.parameters.clone();
         self.keep(ServiceServer::new::<parameter_srv::SetParametersAtomically>(
             core,
             &core.system,
             "~/set_parameters_atomically",
-            move |request| parameter_srv::SetParametersAtomicallyResponse {
-                result: p.set_msgs(request.parameters),
-            },
+            move |request| parameter_srv::SetParametersAtomicallyResponse { result: set(request.parameters) },
         )?);
         let p = self.0.parameters.clone();
         self.keep(ServiceServer::new::<parameter_srv::DescribeParameters>(
             core,
             &core.system,
             "~/describe_parameters",
-            move |request| parameter_srv::DescribeParametersResponse {
-                descriptors: p.describe_msgs(&request.names),
+            move |request| {
+                let mut descriptors = p.describe_msgs(&request.names);
+                // What cannot be set by others is shown so by tools that have a field for each.
+                descriptors.iter_mut().for_each(|descriptor| descriptor.read_only |= fixed);
+                parameter_srv::DescribeParametersResponse { descriptors }
             },
         )?);
         let p = self.0.parameters.clone();

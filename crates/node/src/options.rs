@@ -28,6 +28,10 @@ pub struct NodeOptions {
     pub diagnostics: bool,
     /// Threads that run callbacks, at least 1.
     pub threads: usize,
+    /// Why other nodes may not set parameters; `None` where they may. Reading them is answered always.
+    pub parameters_refused: Option<String>,
+    /// Why other nodes may not take it through its lifecycle; `None` where they may. Its state is told always.
+    pub lifecycle_refused: Option<String>,
 }
 
 impl NodeOptions {
@@ -44,6 +48,8 @@ impl NodeOptions {
             use_sim_time: false,
             diagnostics: true,
             threads: 2,
+            parameters_refused: None,
+            lifecycle_refused: None,
         }
     }
 
@@ -108,6 +114,21 @@ impl NodeOptions {
     #[must_use]
     pub fn threads(mut self, threads: usize) -> Self {
         self.threads = threads;
+        self
+    }
+
+    /// Refuses parameters that other nodes set, with this sentence. The services stay: clients wait for one that is not there.
+    #[must_use]
+    pub fn refuse_parameters(mut self, why: impl Into<String>) -> Self {
+        self.parameters_refused = Some(why.into());
+        self
+    }
+
+    /// Refuses transitions of the lifecycle that other nodes ask for; the sentence goes to the log, since the answer has no room for
+    /// one.
+    #[must_use]
+    pub fn refuse_lifecycle(mut self, why: impl Into<String>) -> Self {
+        self.lifecycle_refused = Some(why.into());
         self
     }
 

@@ -12,7 +12,7 @@ use log_limit::LogLimit;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
-use crate::{Config, ConfigError, Sensor};
+use crate::{CacheConfig, Commands, Config, ConfigError, Sensor};
 
 /// Who can reach a program over the network, on a command line.
 #[derive(Debug, Clone, Default, Args)]
@@ -74,6 +74,15 @@ pub struct Arguments {
     /// Remapping of a topic or service, `from:=to`; may be given several times.
     #[arg(long)]
     remap: Vec<String>,
+    /// Folder below which `~/load_model` finds bundles; may be given several times. Those that contain the models where absent.
+    #[arg(long)]
+    model_folder: Vec<PathBuf>,
+    /// Commands that are obeyed: `all`, `none`, or some of tare, enable, load, lifecycle, parameters, with commas between them.
+    #[arg(long, value_name = "all|none|LIST")]
+    commands: Option<Commands>,
+    /// Where what takes seconds to compute is kept for the next start: `auto` (the user's cache folder), `off`, or a folder.
+    #[arg(long, value_name = "auto|off|FOLDER")]
+    cache: Option<PathBuf>,
     /// End where a model cannot be used, instead of publishing readings only.
     #[arg(long)]
     strict: bool,
@@ -100,6 +109,11 @@ impl Arguments {
         if network != NetworkChoice::default() {
             (config.network, config.zenoh_config) = (network.network, network.zenoh_config);
         }
+        if !self.model_folder.is_empty() {
+            config.model_folders = Some(self.model_folder);
+        }
+        config.commands = self.commands.unwrap_or(config.commands);
+        config.cache = self.cache.map_or(config.cache, CacheConfig::from);
         config.name = self.name.or(config.name);
         config.namespace = self.namespace.unwrap_or(config.namespace);
         config.instance = self.instance.or(config.instance);
@@ -114,6 +128,9 @@ impl Arguments {
 /// and `version` are the program's, `about` says what it does.
 #[must_use]
 pub fn program(sensor: &Sensor, name: &'static str, version: &'static str, about: &'static str) -> ExitCode {
+    if let Some(code) = dermis_inference::trial::serve() {
+        return code;
+    }
     let options = Arguments::augment_args(Command::new(name).version(version).about(about)).get_matches();
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into());
     let limit = LogLimit::default();
@@ -182,6 +199,25 @@ mod tests {
         assert_eq!(parse(&["--config", &file, "--network", "lan"]).unwrap().network, Some(Reach::Lan));
         assert!(parse(&["--config", &file, "--network", "lan", "--zenoh-config", "z.json5"]).is_err());
         assert!(parse(&["--config", &file, "--skin", "p"]).is_err());
+    }
+
+    #[test]
+    fn commands_can_be_locked_on_the_command_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("palm.toml");
+        std::fs::write(&file, "skin = 'p.toml'\nsource = 's'\ncommands = ['tare']\ncache = 'kept'").unwrap();
+        let file = file.display().to_string();
+        let plain = parse(&["--config", &file]).unwrap();
+        assert_eq!(plain.commands, "tare".parse().unwrap());
+        assert_eq!(plain.cache, CacheConfig::Folder(folder.path().join("kept")));
+        let locked =
+            parse(&["--config", &file, "--commands", "none", "--cache", "off", "--model-folder", "m"])
+                .unwrap();
+        assert_eq!((locked.commands, locked.cache), (Commands::none(), CacheConfig::Off));
+        assert_eq!(locked.model_folders, Some(vec![PathBuf::from("m")]));
+        assert!(
+            parse(&["--config", &file, "--commands", "tear"]).unwrap_err().contains("no group of commands")
+        );
     }
 
     #[test]

@@ -6,10 +6,12 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use dermis_inference::RuntimeConfig;
+use dermis_inference::{Limits, RuntimeConfig};
 use dermis_node::{NetworkChoice, Reach};
 use dermis_skin::{InstanceError, Mount, SkinDescription};
 use serde::{Deserialize, Deserializer, Serialize};
+
+use crate::commands::Commands;
 
 /// A configuration that cannot be used, and why.
 #[derive(Debug, thiserror::Error)]
@@ -69,6 +71,18 @@ pub struct Config {
     /// Folders of model bundles, each of which gives some of the outputs; relative as `skin` is.
     #[serde(default)]
     pub models: Vec<PathBuf>,
+    /// Folders below which `~/load_model` finds bundles; relative as `skin` is. Those that contain `models` where absent.
+    #[serde(default)]
+    pub model_folders: Option<Vec<PathBuf>>,
+    /// What a bundle may cost before it is refused.
+    #[serde(default)]
+    pub model_limits: Limits,
+    /// Commands that are obeyed: `"all"`, `"none"`, or a list of groups.
+    #[serde(default)]
+    pub commands: Commands,
+    /// Where results that take seconds to compute are kept.
+    #[serde(default)]
+    pub cache: CacheConfig,
     /// Channels to leave out.
     #[serde(default)]
     pub masked: Vec<String>,
@@ -117,6 +131,51 @@ pub struct Config {
     pub parameters: BTreeMap<String, serde_json::Value>,
 }
 
+/// Where results that take seconds to compute are kept from one start to the next.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(from = "PathBuf", into = "PathBuf")]
+pub enum CacheConfig {
+    /// In the user's folder for such things: `$XDG_CACHE_HOME/dermis`, or else `~/.cache/dermis`.
+    #[default]
+    Auto,
+    /// Nowhere: everything is computed anew.
+    Off,
+    /// Here.
+    Folder(PathBuf),
+}
+
+impl From<PathBuf> for CacheConfig {
+    fn from(path: PathBuf) -> Self {
+        match path.to_str() {
+            Some("auto") => Self::Auto,
+            Some("off") => Self::Off,
+            _ => Self::Folder(path),
+        }
+    }
+}
+
+impl From<CacheConfig> for PathBuf {
+    fn from(cache: CacheConfig) -> Self {
+        match cache {
+            CacheConfig::Auto => "auto".into(),
+            CacheConfig::Off => "off".into(),
+            CacheConfig::Folder(path) => path,
+        }
+    }
+}
+
+impl CacheConfig {
+    /// The folder; `None` for none.
+    #[must_use]
+    pub fn folder(&self) -> Option<PathBuf> {
+        match self {
+            Self::Auto => dermis_skin::cache::usual_folder(),
+            Self::Off => None,
+            Self::Folder(path) => Some(path.clone()),
+        }
+    }
+}
+
 fn root() -> String {
     "/".into()
 }
@@ -127,7 +186,7 @@ fn yes() -> bool {
 
 impl Config {
     /// Every key of a file.
-    pub const KEYS: [&str; 22] = [
+    pub const KEYS: [&str; 26] = [
         "skin",
         "source",
         "name",
@@ -136,6 +195,10 @@ impl Config {
         "frame_id",
         "mount",
         "models",
+        "model_folders",
+        "model_limits",
+        "commands",
+        "cache",
         "masked",
         "correction",
         "runtime",
@@ -164,6 +227,10 @@ impl Config {
             frame_id: None,
             mount: None,
             models: Vec::new(),
+            model_folders: None,
+            model_limits: Limits::default(),
+            commands: Commands::default(),
+            cache: CacheConfig::default(),
             masked: Vec::new(),
             correction: None,
             runtime: RuntimeConfig::default(),
@@ -212,7 +279,11 @@ impl Config {
     /// Makes its paths relative to a folder.
     fn place(&mut self, folder: &Path) {
         self.skin = folder.join(&self.skin);
-        for path in self.models.iter_mut().chain(&mut self.correction) {
+        let folders = self.model_folders.iter_mut().flatten();
+        for path in self.models.iter_mut().chain(&mut self.correction).chain(folders) {
+            *path = folder.join(&path);
+        }
+        if let CacheConfig::Folder(path) = &mut self.cache {
             *path = folder.join(&path);
         }
         if let Some(file) = &mut self.zenoh_config {
@@ -368,7 +439,7 @@ mod tests {
 
     #[test]
     fn refusals_name_the_key() {
-        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, instance, frame_id, mount, models, masked, correction, runtime, force_threshold, strict, autostart, domain_id, network, zenoh_config, localhost_only, use_sim_time, device_time, remap, parameters)");
+        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, instance, frame_id, mount, models, model_folders, model_limits, commands, cache, masked, correction, runtime, force_threshold, strict, autostart, domain_id, network, zenoh_config, localhost_only, use_sim_time, device_time, remap, parameters)");
         insta::assert_snapshot!(toml("skin = 'p'").unwrap_err(), @r#"configuration palm.toml: field `(top level)`: missing configuration field "source""#);
         insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nautostart = 'maybe'").unwrap_err(), @r#"configuration palm.toml: field `autostart`: invalid type: string "maybe", expected a boolean for key `autostart`"#);
         assert!(toml("skin = ").is_err());
@@ -434,6 +505,25 @@ mod tests {
         assert_eq!(config.models, [folder.path().join("m"), PathBuf::from("/abs")]);
         let missing = Config::load(folder.path().join("none.toml")).unwrap_err().to_string();
         assert!(missing.contains("none.toml: cannot be read"), "{missing}");
+    }
+
+    #[test]
+    fn commands_folders_limits_and_cache_are_read() {
+        let config = toml(
+            "skin = 'p'\nsource = 's'\ncommands = ['tare']\nmodel_folders = ['m']\ncache = 'off'\n\
+             [model_limits]\nseconds = 3",
+        )
+        .unwrap();
+        assert_eq!(config.commands, "tare".parse().unwrap());
+        assert_eq!(config.model_folders, Some(vec!["m".into()]));
+        assert_eq!(config.model_limits.seconds, 3);
+        assert_eq!((config.cache.folder(), toml("skin = 'p'\nsource = 's'").unwrap().cache), {
+            (None, CacheConfig::Auto)
+        });
+        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\ncommands = 'tear'").unwrap_err(), @"configuration palm.toml: field `commands`: there is no group of commands `tear`; give `all`, `none`, or some of tare, enable, load, lifecycle, parameters for key `commands`");
+        // As a launch file hands it on.
+        let text = serde_json::to_value(&config).unwrap();
+        assert_eq!(Config::from_json(text, Path::new("x"), Path::new("")).unwrap(), config);
     }
 
     #[test]

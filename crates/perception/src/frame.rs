@@ -6,9 +6,20 @@ use dermis_transport::framing::{
 };
 use dermis_transport::{ClockState, DeviceClock};
 
+/// Frames of the other wire in a row, each with as many numbers, that are no accident.
+const MISTAKEN: u32 = 3;
+
 /// Finds frames in a stream of bytes, scales them to the unit of the skin and stamps them.
 pub struct FrameReader {
     decoder: Box<dyn FrameDecoder>,
+    protocol: WireProtocol,
+    channels: usize,
+    /// Reads the other wire, until a frame of the one that the skin names comes.
+    other: Option<Box<dyn FrameDecoder>>,
+    /// What it reads.
+    foreign: Vec<DecodedFrame>,
+    /// Numbers in each of its frames, and how many of those there were in a row.
+    mistaken: (usize, u32),
     scale: f64,
     offset: f64,
     clock: DeviceClock,
@@ -22,16 +33,23 @@ impl FrameReader {
     #[must_use]
     pub fn new(skin: &SkinDescription) -> Self {
         let channels = skin.channels().len();
-        let decoder: Box<dyn FrameDecoder> = match skin.wire.protocol {
-            WireProtocol::Native => Box::new(NativeDecoder::new(Some(channels))),
+        let native = |channels| -> Box<dyn FrameDecoder> { Box::new(NativeDecoder::new(channels)) };
+        let lines = |options| -> Box<dyn FrameDecoder> { Box::new(AsciiDecoder::new(options)) };
+        let (decoder, other) = match skin.wire.protocol {
+            WireProtocol::Native => (native(Some(channels)), lines(AsciiOptions::default())),
             WireProtocol::Ascii => {
                 let mut options = AsciiOptions::channels(channels);
                 options.counts = skin.wire.counts;
-                Box::new(AsciiDecoder::new(options))
+                (lines(options), native(None))
             }
         };
         Self {
             decoder,
+            protocol: skin.wire.protocol,
+            channels,
+            other: Some(other),
+            foreign: Vec::new(),
+            mistaken: (0, 0),
             scale: skin.wire.scale,
             offset: skin.wire.offset,
             clock: DeviceClock::new(),
@@ -62,6 +80,11 @@ impl FrameReader {
     pub fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<Frame>) {
         self.decoder.push(bytes, received_ns, &mut self.decoded);
         let mut arrived = std::mem::take(&mut self.decoded);
+        if arrived.is_empty() {
+            self.look_for_the_other_wire(bytes, received_ns);
+        } else {
+            (self.other, self.mistaken) = (None, (0, 0));
+        }
         for decoded in arrived.drain(..) {
             let stamp = self.stamp(decoded.device_time_us, decoded.received_ns);
             let values = decoded
@@ -76,9 +99,49 @@ impl FrameReader {
         self.decoded = arrived;
     }
 
+    fn look_for_the_other_wire(&mut self, bytes: &[u8], received_ns: i64) {
+        let Some(other) = &mut self.other else { return };
+        other.push(bytes, received_ns, &mut self.foreign);
+        for frame in self.foreign.drain(..) {
+            let (numbers, row) = &mut self.mistaken;
+            *row = if *numbers == frame.values.len() { row.saturating_add(1) } else { 1 };
+            *numbers = frame.values.len();
+        }
+    }
+
+    /// What to write into the skin file where the device speaks another wire than that says; `None` where it does not, or nobody
+    /// can tell yet.
+    #[must_use]
+    pub fn other_wire(&self) -> Option<String> {
+        let (numbers, row) = self.mistaken;
+        // Lines have no checksum: noise that holds a number is none of them.
+        let rejected = self.other.as_ref()?.stats().rejected.total();
+        if row < MISTAKEN || rejected > u64::from(row) {
+            return None;
+        }
+        let channels = if numbers == self.channels {
+            String::new()
+        } else {
+            format!("; they have {numbers} numbers each where the skin has {} channels", self.channels)
+        };
+        Some(match self.protocol {
+            WireProtocol::Native => format!(
+                "the device sends lines of text, and the skin file expects the binary wire: write `[wire]` and below it \
+                 `protocol = \"ascii\"` into the skin file{channels}"
+            ),
+            WireProtocol::Ascii => format!(
+                "the device sends frames of the binary wire, and the skin file expects lines of text: write `protocol = \
+                 \"native\"` into its table `[wire]`{channels}"
+            ),
+        })
+    }
+
     /// Bytes are missing here: the link was lost, or the queue overflowed.
     pub fn gap(&mut self) {
         self.decoder.gap();
+        if let Some(other) = &mut self.other {
+            other.gap();
+        }
     }
 
     /// What was decoded, rejected and lost so far.
@@ -154,6 +217,34 @@ mod tests {
             "{frame:?}"
         );
         assert_eq!(reader.stats().rejected.range, 2);
+    }
+
+    #[test]
+    fn a_device_on_the_other_wire_is_told_the_key() {
+        let mut frames = Vec::new();
+        let mut binary = FrameReader::new(&skin_with(""));
+        binary.push(b"325,7\n1,2,3,4\n5,6,7,8\n", 1, &mut frames);
+        assert_eq!(binary.other_wire(), None, "two lines may be an accident");
+        binary.push(b"9,10,11,12\n", 1, &mut frames);
+        insta::assert_snapshot!(binary.other_wire().unwrap(), @r#"the device sends lines of text, and the skin file expects the binary wire: write `[wire]` and below it `protocol = "ascii"` into the skin file"#);
+        binary.push(b"1,2\n1,2\n1,2\n", 1, &mut frames);
+        assert!(binary.other_wire().unwrap().ends_with("2 numbers each where the skin has 4 channels"));
+
+        let mut lines = FrameReader::new(&skin_with("wire = { protocol = \"ascii\" }"));
+        let mut encoder = NativeEncoder::new(NativeFormat::F32);
+        for k in 0..4 {
+            lines.push(encoder.encode(k, 1, &[0.5; 4]).unwrap(), 1, &mut frames);
+        }
+        insta::assert_snapshot!(lines.other_wire().unwrap(), @r#"the device sends frames of the binary wire, and the skin file expects lines of text: write `protocol = "native"` into its table `[wire]`"#);
+        assert!(frames.is_empty());
+        // Once the right one comes, all is well.
+        lines.push(b"\n1,2,3,4\n", 1, &mut frames);
+        assert!(frames.len() == 1 && lines.other_wire().is_none());
+
+        // Noise has a line that is a number now and then.
+        let mut noisy = FrameReader::new(&skin_with(""));
+        noisy.push(b"\xf8\n1\n\xc7\x3f\n\xfe\n1\n\xf0\n\xf1\n1\n", 1, &mut frames);
+        assert_eq!(noisy.other_wire(), None);
     }
 
     #[test]

@@ -7,10 +7,12 @@
 //! What differs between sensor families is in a [`Sensor`]: what skin descriptions call it, and its forward model.
 
 pub mod cli;
+mod commands;
 mod condition;
 mod config;
 mod contacts;
 mod estimator;
+mod folders;
 mod frame;
 pub mod messages;
 mod node;
@@ -24,7 +26,8 @@ use dermis_inference::{Bundle, Runtime};
 use dermis_node::Backend;
 use dermis_skin::{Estimator, ForwardModel, ModelError, SkinDescription};
 
-pub use crate::config::{Config, ConfigError};
+pub use crate::config::{CacheConfig, Config, ConfigError};
+pub use commands::{Command, Commands, UnknownCommand};
 pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
 pub use contacts::{TaxelShares, Tracker};
 pub use estimator::{Maps, Models, Quality, SetupError, SkinEstimator, Verdict};
@@ -38,6 +41,9 @@ pub struct Sensor {
     pub name: &'static str,
     /// Stimulus → channels; an error where the family, or that skin, has no forward model.
     pub model: fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError>,
+    /// What is wrong with the table `medium` of a skin that has one, found without computing anything: a key that the family does
+    /// not know, or a value that cannot be.
+    pub medium: fn(&SkinDescription) -> Result<(), ModelError>,
 }
 
 impl Sensor {

@@ -1,14 +1,14 @@
 //! The node: a source of bytes at one end, ROS topics at the other, one thread between them.
 
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use dermis_inference::{Bundle, Runtime, RuntimeError};
+use dermis_inference::{Bundle, Limits, Runtime, RuntimeError};
 use dermis_msgs::geometry_msgs::msg::WrenchStamped;
 use dermis_msgs::msg::{ContactArray, DisplacementMap, ForceMap, SkinGeometry, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::PointCloud2;
@@ -22,19 +22,24 @@ use dermis_node::{
     Qos, ServiceServer, State, Status, Transition, parse_remapping,
 };
 use dermis_skin::{
-    ChannelFlags, Estimate, Estimator, Frame, InstanceError, Mount, SkinDescription, SkinError, Surface,
-    TareState,
+    ChannelFlags, Estimate, Estimator, Frame, InstanceError, ModelError, Mount, SkinDescription, SkinError,
+    Surface, TareState,
 };
 use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, TransportError, now_ns};
 
 use crate::Sensor;
+use crate::commands::{Command, Commands};
 use crate::config::Config;
 use crate::estimator::{Maps, Models, Quality, SetupError, SkinEstimator};
+use crate::folders;
 use crate::frame::FrameReader;
 use crate::messages::{
     blind_message, contacts_message, markers_message, no_markers_message, points_message, transform_message,
     wrench_message,
 };
+use loader::Loader;
+
+mod loader;
 
 /// Longest wait for bytes, and so the longest time until a stop or a silence is noticed.
 const TICK: Duration = Duration::from_millis(50);
@@ -86,6 +91,16 @@ pub enum RunError {
     /// The device's name, coordinate frame or mount cannot be.
     #[error(transparent)]
     Instance(#[from] InstanceError),
+    /// The table `medium` of the skin description cannot be.
+    #[error("skin file {path}: field `{field}`: {reason}")]
+    Medium {
+        /// Skin description file.
+        path: PathBuf,
+        /// Path of the field.
+        field: String,
+        /// What is wrong with it, and what would be right.
+        reason: String,
+    },
     /// The source URL cannot be used.
     #[error(transparent)]
     Source(#[from] TransportError),
@@ -168,21 +183,14 @@ impl SkinNode {
     /// [`RunError`] says in one sentence what is wrong: file, field or channel, and what to do.
     pub fn start(sensor: &Sensor, config: &Config, backend: &dyn Backend) -> Result<Self, RunError> {
         let (skin, url) = skin_and_source(sensor, config)?;
+        // Joining the network takes half a second, in which the device can send already: a zero is found by then.
+        let early = config.autostart.then(|| Source::open(url.clone(), SourceOptions::default()));
         let mut estimator = SkinEstimator::new(&skin, &config.masked)?;
         estimator.set_least_force(config.force_threshold);
         check_correction(config, &skin)?;
         let surface = skin.surface();
         let runtime = Runtime::load(&config.runtime)?;
-        if !config.models.is_empty() {
-            match load_models(sensor, &skin, &config.models, runtime, config.correction.as_deref()) {
-                Ok(models) => estimator.set_models(models),
-                Err(error) if config.strict => return Err(error.into()),
-                Err(error) => {
-                    tracing::error!("{error}");
-                    estimator.explain_missing_model(error.to_string());
-                }
-            }
-        }
+        let loader = Loader::start(sensor, config, &skin, runtime, &mut estimator)?;
 
         let node = Node::open(options(config, &skin)?, backend)?;
         declare(node.parameters(), config, &skin, &mut estimator)?;
@@ -190,23 +198,31 @@ impl SkinNode {
         if config.mount.is_some() {
             publishers.transform = transforms(&node, &skin)?;
         }
-        let slow = slow_lane().map_err(|source| RunError::Thread { skin: skin.name.clone(), source })?;
+        let thread_error = |source| RunError::Thread { skin: skin.name.clone(), source };
+        let slow = slow_lane().map_err(thread_error)?;
         let shared = Arc::new(Shared {
             sensor: *sensor,
             device_time: config.device_time,
             mount: config.mount.clone(),
             correction: config.correction.clone(),
-            skin,
+            skin: skin.clone(),
             surface,
             url,
             runtime,
             node: node.clone(),
             slow,
+            commands: config.commands.clone(),
+            model_limits: config.model_limits,
+            model_folders: config
+                .model_folders
+                .clone()
+                .unwrap_or_else(|| folders::of_bundles(&config.models)),
             core: Mutex::new(Core {
                 reader: None,
                 estimator,
                 publishers,
                 enabled: true,
+                loading: loader.is_some(),
                 sequence: 0,
                 figures: Figures::default(),
                 source: SourceStats::default(),
@@ -228,10 +244,13 @@ impl SkinNode {
         let worker = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
             .name(format!("dermis-{}", sensor.name))
-            .spawn(move || worker.work())
-            .map_err(|source| RunError::Thread { skin: shared.skin.name.clone(), source })?;
+            .spawn(move || worker.work(early))
+            .map_err(thread_error)?;
         let running = Self { node, shared, thread: Some(thread), _services: services };
         running.manage(config.autostart)?;
+        if let Some(loader) = loader {
+            loader.hand_over(&running.shared, config.strict)?;
+        }
         Ok(running)
     }
 
@@ -304,26 +323,12 @@ impl Drop for SkinNode {
     }
 }
 
-fn load_models(
-    sensor: &Sensor,
-    skin: &SkinDescription,
-    folders: &[PathBuf],
-    runtime: &Runtime,
-    correction: Option<&Path>,
-) -> Result<Models, SetupError> {
-    let mut bundles = folders.iter().map(|f| Bundle::load(f, skin)).collect::<Result<Vec<_>, _>>()?;
-    if let Some(file) = correction {
-        for bundle in bundles.iter_mut().filter(|bundle| bundle.manifest().inversion.is_some()) {
-            bundle.take_correction(file, skin)?;
-        }
-    }
-    Models::load(sensor, skin, &bundles, runtime)
-}
-
 fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunError> {
     let mut options = NodeOptions::new(config.node_name(skin))
         .namespace(&config.namespace)
         .use_sim_time(config.use_sim_time);
+    options.parameters_refused = config.commands.refusal(Command::Parameters);
+    options.lifecycle_refused = config.commands.refusal(Command::Lifecycle);
     options.domain_id = config.domain_id;
     options.network = config.network_choice();
     for rule in &config.remap {
@@ -343,7 +348,7 @@ pub(crate) fn check(sensor: &Sensor, config: &Config) -> Result<(), RunError> {
     let (skin, _) = skin_and_source(sensor, config)?;
     let mut estimator = SkinEstimator::new(&skin, &config.masked)?;
     for folder in &config.models {
-        Bundle::load(folder, &skin).map_err(SetupError::from)?;
+        Bundle::load_within(folder, &skin, &config.model_limits).map_err(SetupError::from)?;
     }
     check_correction(config, &skin)?;
     let parameters = Parameters::new(options(config, &skin)?.parameters);
@@ -374,6 +379,9 @@ fn skin_and_source(sensor: &Sensor, config: &Config) -> Result<(SkinDescription,
             found: skin.sensor,
             expected: sensor.name,
         });
+    }
+    if let Err(ModelError::Description { field, reason, .. }) = (sensor.medium)(&skin) {
+        return Err(RunError::Medium { path: config.skin.clone(), field, reason });
     }
     Ok((config.instance_of(skin)?, SourceUrl::parse(&config.source)?))
 }
@@ -622,6 +630,10 @@ struct Shared {
     runtime: &'static Runtime,
     node: Node,
     slow: SyncSender<Job>,
+    commands: Commands,
+    model_limits: Limits,
+    /// Folders below which bundles may be loaded from.
+    model_folders: Vec<PathBuf>,
     core: Mutex<Core>,
     /// Told after every batch of frames.
     progress: Condvar,
@@ -635,6 +647,8 @@ struct Core {
     estimator: SkinEstimator,
     publishers: Publishers,
     enabled: bool,
+    /// The models that are configured are still being made ready.
+    loading: bool,
     /// Of the latest frame.
     sequence: u64,
     figures: Figures,
@@ -684,7 +698,7 @@ impl Shared {
     }
 
     /// The working thread: reads while the node is active, says that it is blind while nothing comes.
-    fn work(&self) {
+    fn work(&self, mut early: Option<Source>) {
         let mut source: Option<Source> = None;
         let mut last_frame = Instant::now();
         let mut last_blind: Option<Instant> = None;
@@ -719,8 +733,9 @@ impl Shared {
                 last_frame = Instant::now();
                 last_blind = None;
             }
-            let source =
-                source.get_or_insert_with(|| Source::open(self.url.clone(), SourceOptions::default()));
+            let source = source.get_or_insert_with(|| {
+                early.take().unwrap_or_else(|| Source::open(self.url.clone(), SourceOptions::default()))
+            });
             let mut event = match (waiting.is_empty(), live) {
                 (true, _) => source.next_timeout(TICK),
                 (false, true) => source.next_timeout(Duration::ZERO),
@@ -851,6 +866,9 @@ impl Shared {
     fn why_blind(&self, core: &Core, silence: Duration) -> (u8, String) {
         let stats = core.reader.as_ref().map(FrameReader::stats);
         let name = &self.skin.name;
+        if let Some(key) = core.reader.as_ref().and_then(FrameReader::other_wire) {
+            return (ContactArray::STATUS_FAULT, format!("skin `{name}` on {}: {key}", self.url));
+        }
         if let Some(diagnosis) = stats.and_then(|s| s.diagnosis(Some(&self.url))) {
             return (ContactArray::STATUS_FAULT, format!("skin `{name}` on {}: {diagnosis}", self.url));
         }
@@ -964,35 +982,44 @@ impl Shared {
         });
     }
 
+    /// Answers a command, where the node obeys it.
+    fn command<T>(
+        weak: &Weak<Self>,
+        command: Command,
+        act: impl FnOnce(&Self) -> Result<T, String>,
+    ) -> Result<T, String> {
+        let shared = weak.upgrade().ok_or("the node is stopping")?;
+        match shared.commands.refusal(command) {
+            Some(why) => Err(why),
+            None => act(&shared),
+        }
+    }
+
     fn serve(self: &Arc<Self>) -> Result<Vec<ServiceServer>, NodeError> {
+        let answer = |done: Result<String, String>| match done {
+            Ok(message) => (true, message),
+            Err(message) => (false, message),
+        };
         let shared = Arc::downgrade(self);
         let tare = self.node.serve::<Trigger>("~/tare", move |_| {
-            let done = shared.upgrade().map_or_else(|| Err("the node is stopping".to_owned()), |s| s.tare());
-            let (success, message) = match done {
-                Ok(message) => (true, message),
-                Err(message) => (false, message),
-            };
+            let (success, message) = answer(Self::command(&shared, Command::Tare, Self::tare));
             TriggerResponse { success, message }
         })?;
         let shared = Arc::downgrade(self);
         let enable = self.node.serve::<SetBool>("~/set_enabled", move |request| {
-            let Some(shared) = shared.upgrade() else {
-                return SetBoolResponse { success: false, message: "the node is stopping".into() };
-            };
-            shared.lock().enabled = request.data;
-            let message = if request.data { "enabled" } else { "disabled: contacts are reported as stale" };
-            SetBoolResponse { success: true, message: message.into() }
+            let (success, message) = answer(Self::command(&shared, Command::Enable, |shared| {
+                shared.lock().enabled = request.data;
+                let message =
+                    if request.data { "enabled" } else { "disabled: contacts are reported as stale" };
+                Ok(message.into())
+            }));
+            SetBoolResponse { success, message }
         })?;
         let shared = Arc::downgrade(self);
         let load = self.node.serve::<LoadModel>("~/load_model", move |request| {
-            let loaded = shared.upgrade().map_or_else(
-                || Err("the node is stopping".to_owned()),
-                |s| s.load_model(request.bundle.into()),
-            );
-            match loaded {
-                Ok(message) => LoadModelResponse { success: true, message },
-                Err(message) => LoadModelResponse { success: false, message },
-            }
+            let load = |shared: &Self| shared.load_model(&request.bundle);
+            let (success, message) = answer(Self::command(&shared, Command::Load, load));
+            LoadModelResponse { success, message }
         })?;
         Ok(vec![tare, enable, load])
     }
@@ -1036,10 +1063,17 @@ impl Shared {
     }
 
     /// Takes a bundle in place of those that give the same outputs.
-    fn load_model(&self, folder: PathBuf) -> Result<String, String> {
-        let models =
-            load_models(&self.sensor, &self.skin, &[folder], self.runtime, self.correction.as_deref())
-                .map_err(|e| e.to_string())?;
+    fn load_model(&self, name: &str) -> Result<String, String> {
+        if self.lock().loading {
+            return Err(
+                "the models that are configured are still being made ready; call again when contacts come"
+                    .into(),
+            );
+        }
+        let folder = folders::bundle(name, &self.model_folders)?;
+        let models = loader::bundles(&[folder], &self.skin, &self.model_limits, self.correction.as_deref())
+            .and_then(|bundles| Models::load(&self.sensor, &self.skin, &bundles, self.runtime))
+            .map_err(|e| e.to_string())?;
         let mut core = self.lock();
         core.publishers.add(&self.node, models.maps()).map_err(|e| e.to_string())?;
         core.estimator.replace_models(models);
@@ -1177,6 +1211,7 @@ impl Shared {
         );
         let models: Vec<String> =
             core.estimator.models().map(|(name, path)| format!("{name} ({})", path.display())).collect();
+        let models = if core.loading { vec!["being made ready".to_owned()] } else { models };
         status.value("models", if models.is_empty() { "none".into() } else { models.join(", ") });
         status.value("runtime", self.runtime.report());
         status.value("source", &self.url);

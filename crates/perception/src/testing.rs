@@ -27,10 +27,12 @@ pub(crate) const PAD: Sensor = Sensor {
             reason: "has no forward model".into(),
         })
     },
+    medium: |_| Ok(()),
 };
 
 /// A family whose forward model is a [`Membrane`].
-pub(crate) const STRETCHED: Sensor = Sensor { name: "pad", model: |skin| Ok(Arc::new(Membrane::new(skin))) };
+pub(crate) const STRETCHED: Sensor =
+    Sensor { name: "pad", model: |skin| Ok(Arc::new(Membrane::new(skin))), medium: |_| Ok(()) };
 
 /// A soft skin: presses are felt, and push its surface in, as bells about them.
 pub(crate) struct Membrane {

@@ -561,6 +561,22 @@ impl SkinDescription {
         })
     }
 
+    /// What `read`, a family's reader of [`medium`](Self::medium), says of that table. A skin without one has no forward model, which
+    /// is no mistake; neither is one that the family has no model for.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Description`] for a field of `medium`.
+    pub fn check_medium(&self, read: impl FnOnce() -> Result<(), ModelError>) -> Result<(), ModelError> {
+        if self.medium.is_empty() {
+            return Ok(());
+        }
+        match read() {
+            Err(error @ ModelError::Description { .. }) if error.is_of_medium() => Err(error),
+            _ => Ok(()),
+        }
+    }
+
     /// Numbers of a frame, in order. `range` and `noise` have the skin's values filled in.
     #[must_use]
     pub fn channels(&self) -> &[Channel] {

@@ -18,7 +18,7 @@ use dermis_skin::{ForwardModel, ModelError, SkinDescription};
 pub const SENSOR: &str = "barodome";
 
 /// The family, as node and estimator need it.
-pub const FAMILY: Sensor = Sensor { name: SENSOR, model };
+pub const FAMILY: Sensor = Sensor { name: SENSOR, model, medium };
 
 /// Stimulus → channels, for skins whose `medium` says what lies between surface and taxels.
 ///
@@ -27,4 +27,13 @@ pub const FAMILY: Sensor = Sensor { name: SENSOR, model };
 /// [`ModelError::Description`] where the medium is unknown, or one that the model does not cover.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
     dermis_skin::device(skin, |inner| Ok(Arc::new(model::BarometerModel::new(inner)?)))
+}
+
+/// What is wrong with the table `medium` of a skin that has one; nothing is computed.
+///
+/// # Errors
+///
+/// [`ModelError::Description`] names the field.
+pub fn medium(skin: &SkinDescription) -> Result<(), ModelError> {
+    skin.check_medium(|| parameters::Parameters::nominal(skin).map(drop))
 }

@@ -19,7 +19,7 @@ use dermis_skin::{ForwardModel, ModelError, SkinDescription};
 pub const SENSOR: &str = "hapdef";
 
 /// The family, as node and estimator need it.
-pub const FAMILY: Sensor = Sensor { name: SENSOR, model };
+pub const FAMILY: Sensor = Sensor { name: SENSOR, model, medium };
 
 /// Stimulus → strains, for skins whose `medium` says what the shell is made of.
 ///
@@ -28,4 +28,13 @@ pub const FAMILY: Sensor = Sensor { name: SENSOR, model };
 /// [`ModelError::Description`] where the shell, or one of its gauges, cannot be.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
     dermis_skin::device(skin, |inner| Ok(Arc::new(model::ShellModel::new(inner)?)))
+}
+
+/// What is wrong with the table `medium` of a skin that has one; nothing is computed.
+///
+/// # Errors
+///
+/// [`ModelError::Description`] names the field.
+pub fn medium(skin: &SkinDescription) -> Result<(), ModelError> {
+    skin.check_medium(|| parameters::Parameters::nominal(skin).map(drop))
 }

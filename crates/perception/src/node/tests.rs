@@ -6,6 +6,15 @@ use std::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::mpsc::{Receiver, channel};
 
 use dermis_msgs::Message;
+use dermis_msgs::lifecycle_msgs::srv::{
+    ChangeState, ChangeStateRequest, GetAvailableTransitions, GetAvailableTransitionsRequest, GetState,
+    GetStateRequest,
+};
+use dermis_msgs::rcl_interfaces::msg::Parameter;
+use dermis_msgs::rcl_interfaces::srv::{
+    DescribeParameters, DescribeParametersRequest, GetParameters, GetParametersRequest, SetParameters,
+    SetParametersAtomically, SetParametersAtomicallyRequest, SetParametersRequest,
+};
 use dermis_msgs::srv::LoadModelRequest;
 use dermis_msgs::std_srvs::srv::{SetBoolRequest, TriggerRequest};
 use dermis_msgs::visualization_msgs::msg::Marker;
@@ -204,7 +213,7 @@ fn frames_become_contacts() {
     let load = observer.client::<LoadModel>("pad/load_model").unwrap();
     let missing = LoadModelRequest { bundle: bench.path("none").display().to_string() };
     let answer = load.call_blocking(&missing, WAIT).unwrap();
-    assert!(!answer.success && answer.message.contains("there is no such folder"), "{}", answer.message);
+    assert!(!answer.success && answer.message.contains("there is none of that name"), "{}", answer.message);
     let mut harder = TestBundle::default();
     harder.outputs.last_mut().unwrap().clone_from(&Out::new("force.normal", "N", 2.0, [1.0; 4]));
     harder.write(running.skin(), &bench.path("harder"));
@@ -264,6 +273,122 @@ fn a_mounted_skin_says_where_it_is() {
     let (at, turned) = (&transform.transform.translation, &transform.transform.rotation);
     assert_eq!([at.x, at.y, at.z], [0.1, 0.0, 0.02]);
     assert_eq!([turned.x, turned.y, turned.z, turned.w], [0.0, 0.0, 0.6, 0.8]);
+}
+
+#[test]
+fn commands_that_are_switched_off_are_refused_and_reading_goes_on() {
+    let bench = Bench::new();
+    let _device = Device::plug(&bench.path("tty"));
+    let running = bench.start(&Config { commands: "tare".parse().unwrap(), ..bench.config() });
+    let observer = bench.observer();
+    let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
+    expect(&contacts, "untouched", untouched);
+    let tare = observer.client::<Trigger>("pad/tare").unwrap();
+    let tared = tare.call_blocking(&TriggerRequest::default(), WAIT).unwrap();
+    assert!(tared.success, "{}", tared.message);
+
+    let enable = observer.client::<SetBool>("pad/set_enabled").unwrap();
+    let answer = enable.call_blocking(&SetBoolRequest { data: false }, WAIT).unwrap();
+    let why = "this node does not obey commands of the group `enable`: its configuration says `commands = [\"tare\"]`";
+    assert_eq!((answer.success, answer.message.as_str()), (false, why));
+    let load = observer.client::<LoadModel>("pad/load_model").unwrap();
+    let answer = load.call_blocking(&LoadModelRequest { bundle: "model".into() }, WAIT).unwrap();
+    assert!(!answer.success && answer.message.contains("the group `load`"), "{}", answer.message);
+
+    // Parameters are read, not set; other nodes see that they cannot be.
+    let set = observer.client::<SetParameters>("pad/set_parameters").unwrap();
+    let value = ParameterValue::Double(9.0).to_msg();
+    let change = Parameter { name: "contact_threshold".into(), value };
+    let refused =
+        set.call_blocking(&SetParametersRequest { parameters: vec![change.clone()] }, WAIT).unwrap().results;
+    assert!(!refused[0].successful && refused[0].reason.contains("the group `parameters`"), "{refused:?}");
+    let all = observer.client::<SetParametersAtomically>("pad/set_parameters_atomically").unwrap();
+    let refused =
+        all.call_blocking(&SetParametersAtomicallyRequest { parameters: vec![change] }, WAIT).unwrap();
+    assert!(!refused.result.successful);
+    let names = vec!["contact_threshold".to_owned()];
+    let get = observer.client::<GetParameters>("pad/get_parameters").unwrap();
+    let values = get.call_blocking(&GetParametersRequest { names: names.clone() }, WAIT).unwrap().values;
+    assert_ne!(values[0].double_value, 9.0);
+    let describe = observer.client::<DescribeParameters>("pad/describe_parameters").unwrap();
+    let described = describe.call_blocking(&DescribeParametersRequest { names }, WAIT).unwrap();
+    assert!(described.descriptors[0].read_only);
+
+    // So is the state.
+    let change = observer.client::<ChangeState>("pad/change_state").unwrap();
+    let transition = dermis_msgs::lifecycle_msgs::msg::Transition { id: 0, label: "deactivate".into() };
+    assert!(!change.call_blocking(&ChangeStateRequest { transition }, WAIT).unwrap().success);
+    let state = observer.client::<GetState>("pad/get_state").unwrap();
+    let now = state.call_blocking(&GetStateRequest::default(), WAIT).unwrap().current_state;
+    assert_eq!(now.label, "active");
+    let possible = observer.client::<GetAvailableTransitions>("pad/get_available_transitions").unwrap();
+    let none = possible.call_blocking(&GetAvailableTransitionsRequest::default(), WAIT).unwrap();
+    assert!(none.available_transitions.is_empty());
+    expect(&contacts, "as before", untouched);
+    running.stop();
+}
+
+/// A family whose forward model takes until [`COMPUTED`] says so.
+const SLOW: Sensor = Sensor {
+    name: "pad",
+    model: |skin| {
+        while !COMPUTED.load(Ordering::Acquire) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        Ok(Arc::new(crate::testing::Membrane::new(skin)))
+    },
+    medium: |_| Ok(()),
+};
+static COMPUTED: AtomicBool = AtomicBool::new(false);
+
+#[test]
+fn readings_come_while_the_model_is_computed() {
+    let bench = Bench::new();
+    let settings = dermis_inversion::Settings::new(0.004, 5.0);
+    let skin = SkinDescription::load(bench.path("pad.toml")).unwrap();
+    TestBundle { inversion: Some(settings), ..TestBundle::default() }.write(&skin, &bench.path("model"));
+    let _device = Device::plug(&bench.path("tty"));
+    let running = SkinNode::start(&SLOW, &bench.config(), &Bench::backend()).unwrap();
+    let observer = bench.observer();
+    let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
+    let (_taxels, taxels) = listen::<TaxelFrame>(&observer, "taxels", Qos::sensor_data());
+    expect(&taxels, "readings", |_| true);
+    let waits = expect(&contacts, "the reason", |m| m.status == ContactArray::STATUS_UNCALIBRATED);
+    assert!(waits.status_text.starts_with("the model (linear) is being made ready"), "{}", waits.status_text);
+    let load = observer.client::<LoadModel>("pad/load_model").unwrap();
+    let answer = load.call_blocking(&LoadModelRequest { bundle: "model".into() }, WAIT).unwrap();
+    assert!(!answer.success && answer.message.contains("still being made ready"), "{}", answer.message);
+    let status = running.diagnosis();
+    assert!(status.values.iter().any(|(k, v)| k == "models" && v == "being made ready"), "{status:?}");
+    COMPUTED.store(true, Ordering::Release);
+    expect(&contacts, "contacts", untouched);
+    let answer = load.call_blocking(&LoadModelRequest { bundle: "model".into() }, WAIT).unwrap();
+    assert!(answer.success, "{}", answer.message);
+    running.stop();
+}
+
+#[test]
+fn a_device_on_the_other_wire_is_told_the_key() {
+    let bench = Bench::new();
+    let mut pty = Pty::open().unwrap();
+    pty.link(bench.path("tty")).unwrap();
+    let running = bench.start(&bench.config());
+    let observer = bench.observer();
+    let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
+    let deadline = Instant::now() + WAIT;
+    loop {
+        assert!(Instant::now() < deadline, "{:?}", running.diagnosis());
+        let _ = pty.write_lossy(b"101325.0,101320.5,101318.0,101330.0\r\n");
+        match contacts.recv_timeout(Duration::from_millis(10)) {
+            Ok(message) if message.status == ContactArray::STATUS_FAULT => {
+                let key = "write `[wire]` and below it `protocol = \"ascii\"` into the skin file";
+                assert!(message.status_text.contains(key), "{}", message.status_text);
+                break;
+            }
+            _ => {}
+        }
+    }
+    assert_eq!(running.diagnosis().level, Level::Error);
 }
 
 #[test]

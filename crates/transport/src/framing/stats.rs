@@ -185,7 +185,8 @@ impl DecoderStats {
             self.sample.iter().filter(|b| matches!(b, b' '..=b'~' | b'\r' | b'\n' | b'\t')).count();
         if printable == self.sample.len() && r.not_a_number == 0 {
             text.push_str(
-                "the device sends text, not our binary wire; choose the ascii format, or plug in the skin",
+                "the device sends text, not our binary wire; where its lines are numbers, write `[wire]` and below it \
+                 `protocol = \"ascii\"` into the skin file, otherwise plug in the skin",
             );
         } else if printable == self.sample.len() {
             text.push_str(
@@ -247,7 +248,7 @@ mod tests {
         let nmea: Vec<u8> =
             b"$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n".iter().copied().cycle().take(5000).collect();
         let text = diagnose(NativeDecoder::new(Some(4)), &nmea, &serial()).unwrap();
-        insta::assert_snapshot!(text, @r#"5000 bytes and not one valid frame: the device sends text, not our binary wire; choose the ascii format, or plug in the skin; it begins with "$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n$GPGG""#);
+        insta::assert_snapshot!(text, @r#"5000 bytes and not one valid frame: the device sends text, not our binary wire; where its lines are numbers, write `[wire]` and below it `protocol = "ascii"` into the skin file, otherwise plug in the skin; it begins with "$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n$GPGG""#);
         let text = diagnose(AsciiDecoder::new(AsciiOptions::channels(4)), &nmea, &serial()).unwrap();
         insta::assert_snapshot!(text, @r#"5000 bytes and not one valid frame: the device sends text that is not lines of numbers, it is probably another device; it begins with "$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n$GPGG""#);
     }

@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "the rest of the crate uses more of these files")]
 
+#[path = "../../../../crates/perception/src/commands.rs"]
+mod commands;
 #[path = "../../../../crates/perception/src/config.rs"]
 mod config;
 #[path = "../../../../crates/perception/src/frame.rs"]

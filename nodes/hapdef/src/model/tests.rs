@@ -74,10 +74,10 @@ fn a_touch_reads_as_the_shell_under_the_same_forces() {
             .iter()
             .map(|(w, a)| (*w, a)),
     );
-    let direct = &model.shell.solve(&[load]).unwrap()[0];
+    let direct = &model.shell().unwrap().solve(&[load]).unwrap()[0];
     let parameters = Parameters::nominal(&coarse()).unwrap();
     for (gauge, strain) in parameters.gauges.iter().zip(read(model, vec![contact])) {
-        let row = model.shell.gauge(&rectangle(gauge, parameters.thickness, false)).unwrap().row;
+        let row = model.shell().unwrap().gauge(&rectangle(gauge, parameters.thickness, false)).unwrap().row;
         assert_relative_eq!(direct.dot(&row), strain, max_relative = 1e-6, epsilon = 1e-12);
     }
 }
