@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 
 use dermis_inference::onnx::{Element, GraphBuilder, Value};
 use dermis_inference::{
-    Baseline, Bundle, BundleWriter, FeatureConfig, Manifest, OutputConfig, OutputSpec, TrainingSection,
+    Baseline, Bundle, BundleWriter, FeatureConfig, Manifest, OutputConfig, OutputSpec, Runtime,
+    RuntimeConfig, TrainingSection,
 };
 use dermis_integration_tests::{Peer, domain, program, refused, root};
 use dermis_msgs::msg::ContactArray;
@@ -297,4 +298,25 @@ fn a_node_reads_while_it_computes_and_computes_once() {
     assert!(mended.contains("is ignored: it is damaged"), "{mended}");
     assert!(mended.contains("computes the pressure in the elastomer under a tip"), "{mended}");
     assert!(!run().contains("computes "));
+}
+
+/// What ships passes the checks that what comes from outside has to pass.
+#[test]
+fn the_models_that_ship_are_taken() {
+    let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
+    let mut count = 0;
+    for entry in std::fs::read_dir(root().join("models")).unwrap() {
+        let path = entry.unwrap().path();
+        if !path.is_dir() {
+            continue;
+        }
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        let skin = name.trim_end_matches("-two").trim_end_matches("-x");
+        let skin = SkinDescription::load(root().join(format!("launch/skins/{skin}.toml"))).unwrap();
+        let bundle = Bundle::load(&path, &skin).unwrap();
+        bundle.session(runtime).unwrap_or_else(|e| panic!("{name}: {e}"));
+        bundle.sensitivity(runtime).unwrap_or_else(|e| panic!("{name}: {e}"));
+        count += 1;
+    }
+    assert!(count >= 6, "{count} bundles");
 }

@@ -20,7 +20,7 @@ use crate::onnx;
 use crate::outputs::Outputs;
 use crate::peaks::PeakSection;
 use crate::runtime::Runtime;
-use crate::trial;
+use crate::trial::{self, Candidate};
 
 const MANIFEST: &str = "bundle.toml";
 const MODEL: &str = "model.onnx";
@@ -364,7 +364,8 @@ impl Bundle {
     ///
     /// [`trial`]: crate::trial
     pub fn session(&self, runtime: &Runtime) -> Result<Model, BundleError> {
-        trial::load(runtime, &self.graph, &self.manifest.model.interface, &self.limits)
+        let interface = &self.manifest.model.interface;
+        trial::load(runtime, &Candidate { graph: &self.graph, interface, ranges: &[] }, &self.limits)
             .map_err(|source| BundleError::Model { path: self.path.join(MODEL), source })
     }
 
@@ -376,7 +377,8 @@ impl Bundle {
     /// As [`session`](Self::session).
     pub fn sensitivity(&self, runtime: &Runtime) -> Result<Option<Model>, BundleError> {
         let Some(graph) = &self.sensitivity else { return Ok(None) };
-        trial::load(runtime, graph, &PeakSection::interface(), &self.limits)
+        let interface = &PeakSection::interface();
+        trial::load(runtime, &Candidate { graph, interface, ranges: &PeakSection::RANGES }, &self.limits)
             .map(Some)
             .map_err(|source| BundleError::Model { path: self.path.join(SENSITIVITY), source })
     }

@@ -112,6 +112,8 @@ pub enum ModelError {
 
 /// Inputs that a model is tried on.
 const REHEARSALS: usize = 9;
+/// Range of a normalised reading: deviations from its mean.
+const NORMALISED: [f32; 2] = [-3.0, 3.0];
 
 /// One loaded graph; runs on the calling thread.
 #[derive(Debug)]
@@ -177,24 +179,26 @@ impl Model {
         self.output_len
     }
 
-    /// Runs it on plausible inputs, the same ones each time: a skin that nothing touches, and readings about as far from their mean
-    /// as those that it was trained on, and three times as far.
+    /// Runs it on plausible inputs, the same ones each time: on zeros, and on numbers from all of `ranges` and from their middle third.
+    /// An input beyond the last range is a normalised reading: up to three deviations from its mean.
     ///
     /// # Errors
     ///
     /// [`ModelError::OutputNotFinite`], and as [`run`](Self::run).
-    pub fn rehearse(&mut self) -> Result<(), ModelError> {
+    pub fn rehearse(&mut self, ranges: &[[f32; 2]]) -> Result<(), ModelError> {
         let (mut input, mut output) = (vec![0.0; self.input_len], Vec::new());
-        // Numbers between −1 and 1 of an xorshift generator: any will do.
+        // Numbers from −1 to 1 of an xorshift generator: any will do.
         let mut state = 0x9e37_79b9_7f4a_7c15_u64;
         for run in 0..REHEARSALS {
             if run > 0 {
-                let scale = if run % 2 == 0 { 1.0 } else { 3.0 };
-                for value in &mut input {
+                let share = if run % 2 == 0 { 1.0 / 3.0 } else { 1.0 };
+                for (i, value) in input.iter_mut().enumerate() {
                     state ^= state << 13;
                     state ^= state >> 7;
                     state ^= state << 17;
-                    *value = scale * ((state >> 40) as f32 / (1u32 << 23) as f32 - 1.0);
+                    let [low, high] = ranges.get(i).copied().unwrap_or(NORMALISED);
+                    let place = share * ((state >> 40) as f32 / (1u32 << 23) as f32 - 1.0);
+                    *value = 0.5 * (low + high) + 0.5 * (high - low) * place;
                 }
             }
             self.run(&input, &mut output)?;

@@ -36,6 +36,10 @@ pub struct PeakSection {
 }
 
 impl PeakSection {
+    /// Between what the inputs of a sensitivity network plausibly lie: places on a skin of a robot \[m\], and how far it gives way
+    /// there \[m\].
+    pub(crate) const RANGES: [[f32; 2]; 4] = [[-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1], [0.0, 1e-3]];
+
     /// What a sensitivity network takes and gives.
     #[must_use]
     pub fn interface() -> Interface {

@@ -42,9 +42,21 @@ static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
 #[derive(Debug, Serialize, Deserialize)]
 struct Request {
     interface: Interface,
+    ranges: Vec<[f32; 2]>,
     runtime: RuntimeConfig,
     limits: Limits,
     bytes: u64,
+}
+
+/// A graph to be tried.
+#[derive(Debug, Clone, Copy)]
+pub struct Candidate<'a> {
+    /// The bytes of its file.
+    pub graph: &'a [u8],
+    /// What goes in and what comes out.
+    pub interface: &'a Interface,
+    /// Between what its first inputs plausibly lie; all others are normalised readings.
+    pub ranges: &'a [[f32; 2]],
 }
 
 /// Makes this program one that tries models in processes of their own. Call it first in `main`: where the program was started for a
@@ -70,19 +82,15 @@ pub fn serve() -> Option<ExitCode> {
 /// # Errors
 ///
 /// [`ModelError`] says why it is not to be loaded.
-pub fn check(
-    runtime: &Runtime,
-    graph: &[u8],
-    interface: &Interface,
-    limits: &Limits,
-) -> Result<(), ModelError> {
+pub fn check(runtime: &Runtime, candidate: &Candidate<'_>, limits: &Limits) -> Result<(), ModelError> {
+    let Candidate { graph, interface, ranges } = *candidate;
     onnx::check(graph, interface)?;
     onnx::check_constants(graph, limits.constant_bytes)?;
     let Some(program) = PROGRAM.get() else { return Ok(()) };
-    let depends = (crate::bundle::hash(graph), interface, runtime.report(), limits);
+    let depends = (crate::bundle::hash(graph), interface, ranges, runtime.report(), limits);
     let key = || Key::new("trial").debug(&depends);
     if !cache::noted(key()) {
-        attempt_elsewhere(Command::new(program).arg(ARGUMENT), runtime, graph, interface, limits)?;
+        attempt_elsewhere(Command::new(program).arg(ARGUMENT), runtime, candidate, limits)?;
         cache::note("that a model passed its trial", key());
     }
     Ok(())
@@ -91,18 +99,17 @@ pub fn check(
 /// Loads a graph after its trial, and rehearses it.
 pub(crate) fn load(
     runtime: &Runtime,
-    graph: &[u8],
-    interface: &Interface,
+    candidate: &Candidate<'_>,
     limits: &Limits,
 ) -> Result<Model, ModelError> {
-    check(runtime, graph, interface, limits)?;
+    check(runtime, candidate, limits)?;
     if PROGRAM.get().is_none()
-        && let Some(operator) = onnx::unbounded(graph)
+        && let Some(operator) = onnx::unbounded(candidate.graph)
     {
         return Err(ModelError::Unbounded { operator });
     }
-    let mut model = Model::load(runtime, graph, interface)?;
-    model.rehearse()?;
+    let mut model = Model::load(runtime, candidate.graph, candidate.interface)?;
+    model.rehearse(candidate.ranges)?;
     Ok(model)
 }
 
@@ -110,15 +117,16 @@ pub(crate) fn load(
 fn attempt_elsewhere(
     command: &mut Command,
     runtime: &Runtime,
-    graph: &[u8],
-    interface: &Interface,
+    candidate: &Candidate<'_>,
     limits: &Limits,
 ) -> Result<(), ModelError> {
+    let Candidate { graph, interface, ranges } = *candidate;
     let failed = |reason: String| ModelError::Trial { reason };
     let report = runtime.report();
     let choice = if report.path.is_some() { RuntimeChoice::Native } else { RuntimeChoice::Embedded };
     let request = Request {
         interface: interface.clone(),
+        ranges: ranges.to_vec(),
         runtime: RuntimeConfig { choice, library: report.path.clone() },
         limits: *limits,
         bytes: graph.len() as u64,
@@ -234,7 +242,7 @@ fn tried() -> Result<(), String> {
         .map_err(|e| e.to_string())?;
     confine(&request.limits).map_err(|e| format!("the trial cannot be limited: {e}"))?;
     let mut model = Model::load(runtime, &graph, &request.interface).map_err(|e| e.to_string())?;
-    model.rehearse().map_err(|e| e.to_string())
+    model.rehearse(&request.ranges).map_err(|e| e.to_string())
 }
 
 /// Limits this process from here on.
@@ -279,7 +287,9 @@ mod tests {
 
     #[test]
     fn a_model_that_answers_no_numbers_is_refused() {
-        let text = load(runtime(), &inverse(), &Interface::flat(2, 2), &Limits::default()).unwrap_err();
+        let interface = Interface::flat(2, 2);
+        let candidate = Candidate { graph: &inverse(), interface: &interface, ranges: &[] };
+        let text = load(runtime(), &candidate, &Limits::default()).unwrap_err();
         insta::assert_snapshot!(text, @"answers inf to plausible readings (output 0, run 0 of its trial); train or export the model again");
     }
 
@@ -290,19 +300,17 @@ mod tests {
         let n = g.constant_i64("n", &[2], &[1, 1_000_000_000]);
         let y = g.operator("Tile", &[&x, &n], &[], 1).remove(0);
         g.output("output", &y, &[1, 2]);
-        let text = load(runtime(), &g.finish().unwrap(), &Interface::flat(2, 2), &Limits::default());
+        let interface = Interface::flat(2, 2);
+        let candidate = Candidate { graph: &g.finish().unwrap(), interface: &interface, ranges: &[] };
+        let text = load(runtime(), &candidate, &Limits::default());
         insta::assert_snapshot!(text.unwrap_err(), @"has the operator `Tile`, whose result may be of any size, and this program has no process to try it in: call `dermis_inference::trial::serve` first in `main`");
     }
 
     fn elsewhere(program: &str, arguments: &[&str], limits: &Limits) -> Result<(), ModelError> {
         let mut command = Command::new(program);
-        attempt_elsewhere(
-            command.args(arguments),
-            runtime(),
-            &vec![0; 1 << 20],
-            &Interface::flat(2, 2),
-            limits,
-        )
+        let interface = Interface::flat(2, 2);
+        let candidate = Candidate { graph: &vec![0; 1 << 20], interface: &interface, ranges: &[] };
+        attempt_elsewhere(command.args(arguments), runtime(), &candidate, limits)
     }
 
     /// With other programs in the place of ours, which read nothing of what they are sent.

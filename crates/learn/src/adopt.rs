@@ -299,8 +299,8 @@ fn trial(
         );
     };
     // It comes from outside: whether it can be run at all shows in a process of its own.
-    if let Err(error) = dermis_inference::trial::check(request.runtime, graph, interface, &Limits::default())
-    {
+    let candidate = dermis_inference::trial::Candidate { graph, interface, ranges: &[] };
+    if let Err(error) = dermis_inference::trial::check(request.runtime, &candidate, &Limits::default()) {
         refused(&mut findings, &error);
         return Err(LearnError::Unfit(findings));
     }
