@@ -420,7 +420,7 @@ fn declare(
     )?;
     parameters.declare("frame_id", skin.frame_id.as_str(), fixed("coordinate frame of this skin"))?;
     let mount = config.mount.as_ref();
-    let parent = mount.map(dermis_skin::Mount::parent).unwrap_or_default();
+    let parent = mount.map(Mount::parent).unwrap_or_default();
     parameters.declare(
         "mount_parent",
         parent,
