@@ -135,7 +135,7 @@ async fn play(
         let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
         seen.compare(&device);
         if !options.json {
-            table.draw(std::iter::once(&seen.felt))?;
+            crate::table::shown(table.draw(std::iter::once(&seen.felt)))?;
         }
         if options.duration.is_some_and(|d| table.elapsed() >= d) {
             break;

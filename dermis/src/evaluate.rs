@@ -144,7 +144,7 @@ pub fn unknowns(data: &Dataset, evaluation: &Evaluation) -> Unknowns {
 /// The split that a model was trained with.
 pub fn split_of(model: &Path) -> Result<SplitConfig> {
     let path = model.join("card.json");
-    let text = std::fs::read_to_string(&path).with_context(|| {
+    let text = dermis_io::read_text(&path, dermis_io::REPORT).with_context(|| {
         format!("{} cannot be read: `--held-out` needs the data card of the model", path.display())
     })?;
     let card: serde_json::Value =

@@ -39,6 +39,7 @@ mod watch;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use dermis_io::pipe::ReaderGone;
 
 #[derive(Parser)]
 #[command(
@@ -123,6 +124,7 @@ fn main() -> ExitCode {
     if let Some(code) = dermis_inference::trial::serve() {
         return code;
     }
+    dermis_io::pipe::end_quietly();
     let cli = Cli::parse();
     let level = match cli.command {
         Command::Barodome(_) | Command::Hapdef(_) | Command::Bridge(_) | Command::Device(_) => "info",
@@ -170,6 +172,7 @@ fn main() -> ExitCode {
     };
     let code = match done {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if error.is::<ReaderGone>() => dermis_io::pipe::die(),
         Err(error) => {
             report(&error, format);
             // What was asked for is there, but not all of it.

@@ -213,7 +213,7 @@ impl Done {
     /// What was kept of the same; nothing where it was of another kind, or cannot be read.
     fn of(bundle: &Path, key: serde_json::Value) -> Self {
         let path = bundle.join(DONE);
-        let kept = std::fs::read_to_string(&path).ok();
+        let kept = dermis_io::read_text(&path, dermis_io::REPORT).ok();
         let kept: Option<Self> = kept.and_then(|text| serde_json::from_str(&text).ok());
         match kept {
             Some(kept) if kept.key == key => Self { path, ..kept },
@@ -419,8 +419,8 @@ fn ratio(with: &Evaluation, without: &Evaluation) -> Option<f64> {
 /// Puts what was measured into the card.
 fn amend_card(bundle: &Path, record: &serde_json::Value) -> Result<()> {
     let path = bundle.join("card.json");
-    let text =
-        std::fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let text = dermis_io::read_text(&path, dermis_io::REPORT)
+        .with_context(|| format!("{} cannot be read", path.display()))?;
     let mut card: serde_json::Value =
         serde_json::from_str(&text).with_context(|| format!("{} is not JSON", path.display()))?;
     let object = card.as_object_mut().with_context(|| format!("{} is no object", path.display()))?;

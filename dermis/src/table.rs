@@ -213,6 +213,15 @@ impl Table {
     }
 }
 
+/// What came of drawing. Where nobody reads the output any more, the program still ends as it does by Ctrl-C, so that its device and
+/// its files go, too.
+pub fn shown(drawn: std::io::Result<()>) -> anyhow::Result<()> {
+    drawn.map_err(|error| match error.kind() {
+        std::io::ErrorKind::BrokenPipe => dermis_io::pipe::ReaderGone.into(),
+        _ => error.into(),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

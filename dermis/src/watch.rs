@@ -98,7 +98,7 @@ async fn watch(options: &Options, node: &Node, seen: &Arc<Mutex<Seen>>) -> Resul
         }
         let seen = lock(seen);
         if !options.json {
-            table.draw(seen.shown.values())?;
+            crate::table::shown(table.draw(seen.shown.values()))?;
         } else if table.elapsed().as_secs() > objects && !seen.shown.is_empty() {
             objects = table.elapsed().as_secs();
             print(&object(node, &seen))?;

@@ -79,7 +79,7 @@ fn one(fuzz: &Path, programs: &Path, target: &str, options: &Options) -> Result<
     }
     let program = || {
         let mut c = Command::new(programs.join(target));
-        c.env("TMPDIR", &scratch).arg("-rss_limit_mb=2048");
+        c.env("TMPDIR", &scratch).args(["-rss_limit_mb=2048", "-malloc_limit_mb=1024", "-timeout=10"]);
         c.arg(format!("-max_len={}", options.max_len));
         c
     };

@@ -21,12 +21,12 @@ fn room(folder: &str, name: &str) -> Option<Room> {
         ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(7, true),
         ("dermis", _) => room(6, true),
         ("nodes" | "bridges", _) => room(5, true),
+        ("msgs", _) | ("crates", "dermis-io") => room(0, true),
         ("crates", "dermis-skin") => room(1, true),
         // What bundles say of it, inference reads.
         ("crates", "dermis-inversion") => room(2, true),
         ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(3, true),
         ("crates", _) => room(4, false),
-        ("msgs", _) => room(0, true),
         _ => None,
     }
 }
@@ -58,7 +58,7 @@ const FAMILIES: [&str; 4] = ["hapdef", "barodome", "insight", "ert"];
 const TOOL: &str = "dermis-gap";
 const WORLDS: &str = "dermis-gap-worlds";
 /// What worlds share with the rest: vocabulary, stimuli and files, no model.
-const WORLDS_MAY: [&str; 4] = ["dermis-skin", "dermis-testbed", "dermis-bag", "dermis_msgs"];
+const WORLDS_MAY: [&str; 5] = ["dermis-skin", "dermis-testbed", "dermis-bag", "dermis-io", "dermis_msgs"];
 
 /// Every import that runs the wrong way, as one sentence each.
 pub fn violations(metadata: &str) -> Result<Vec<String>> {

@@ -51,6 +51,7 @@ enum Command {
 }
 
 fn main() -> Result<()> {
+    dermis_io::pipe::end_quietly();
     let root = run::root()?;
     match Cli::parse().command {
         Command::Test(options) => test::run(&root, &options),

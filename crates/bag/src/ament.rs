@@ -30,8 +30,7 @@ fn from_files(prefixes: &[PathBuf], name: &str) -> Option<String> {
     }
     prefixes.iter().find_map(|prefix| {
         let path = prefix.join("share").join(package).join("msg").join(format!("{short}.msg"));
-        let small = std::fs::metadata(&path).is_ok_and(|file| file.len() <= LARGEST);
-        if small { std::fs::read_to_string(path).ok() } else { None }
+        dermis_io::read_text(&path, LARGEST).ok()
     })
 }
 

@@ -387,7 +387,7 @@ impl FileCheck<'_> {
     }
 
     fn run(&mut self) -> Result<(), BagError> {
-        let mut file = File::open(self.file).map_err(BagError::io("open", self.file))?;
+        let mut file = dermis_io::open(self.file).map_err(BagError::io("open", self.file))?;
         let length = file.metadata().map_err(BagError::io("read", self.file))?.len();
         let mut channels = BTreeMap::new();
         let mut schemas = BTreeMap::new();

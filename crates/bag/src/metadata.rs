@@ -3,9 +3,11 @@
 use std::{
     collections::BTreeMap,
     fmt::Write as _,
+    io::ErrorKind,
     path::{Component, Path, PathBuf},
 };
 
+use dermis_io::yaml::{self, Budget};
 use yaml_rust2::{Yaml, YamlLoader};
 
 use crate::{BagError, BagQos};
@@ -51,15 +53,6 @@ pub(crate) struct Metadata {
 /// A YAML double-quoted scalar; JSON's escapes are a subset of YAML's.
 fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
-}
-
-/// The first line whose content stands further right than any file of ours has it: block nesting is read recursively, and
-/// thousands of levels would end the program.
-fn nested_too_deeply(text: &str) -> Option<usize> {
-    const DEEPEST: usize = 200;
-    let column =
-        |line: &str| line.find(|c: char| !matches!(c, ' ' | '\t' | '-' | '?' | ':')).unwrap_or(line.len());
-    text.lines().position(|line| column(line) > DEEPEST).map(|at| at + 1)
 }
 
 impl Metadata {
@@ -129,24 +122,18 @@ impl Metadata {
 
     /// Reads the `metadata.yaml` at `path`; refuses a storage or compression that is not read here.
     pub(crate) fn read(path: &Path) -> Result<Self, BagError> {
-        let length = std::fs::metadata(path).map_err(BagError::io("open", path))?.len();
-        if length > LARGEST {
-            return Err(BagError::Metadata {
-                path: path.into(),
-                problem: format!("it is {length} bytes long"),
-            });
-        }
-        let bytes = std::fs::read(path).map_err(BagError::io("read", path))?;
-        let text = String::from_utf8(bytes)
-            .map_err(|_| BagError::Metadata { path: path.into(), problem: "it is not UTF-8 text".into() })?;
+        let text = dermis_io::read_text(path, LARGEST).map_err(|error| match error.kind() {
+            ErrorKind::FileTooLarge | ErrorKind::InvalidData => {
+                BagError::Metadata { path: path.into(), problem: error.to_string() }
+            }
+            _ => BagError::io("open", path)(error),
+        })?;
         Self::parse(path, &text)
     }
 
     pub(crate) fn parse(path: &Path, text: &str) -> Result<Self, BagError> {
         let wrong = |problem: String| BagError::Metadata { path: path.into(), problem };
-        if let Some(line) = nested_too_deeply(text) {
-            return Err(wrong(format!("line {line} is nested too deeply")));
-        }
+        yaml::check(text, Budget::REPORTED).map_err(wrong)?;
         let documents = YamlLoader::load_from_str(text).map_err(|error| wrong(error.to_string()))?;
         let root = documents.first().ok_or_else(|| wrong("it is empty".into()))?;
         let info = &root["rosbag2_bagfile_information"];

@@ -593,7 +593,7 @@ pub(crate) fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
 /// Collects topics and counts of a file: from its summary, or message by message where it has none.
 /// Returns whether the file is complete, and its disorder.
 fn scan(path: &Path, recover: bool, contents: &mut Contents) -> Result<(bool, i64), BagError> {
-    let mut file = File::open(path).map_err(BagError::io("open", path))?;
+    let mut file = dermis_io::open(path).map_err(BagError::io("open", path))?;
     let length = file.metadata().map_err(BagError::io("read", path))?.len();
     let mut start = Vec::new();
     file.by_ref().take(16).read_to_end(&mut start).map_err(BagError::io("read", path))?;
@@ -690,7 +690,7 @@ enum Reader {
 
 impl FileMessages {
     fn open(path: &Arc<Path>, recover: bool) -> Result<Self, BagError> {
-        let mut file = File::open(path).map_err(BagError::io("open", &**path))?;
+        let mut file = dermis_io::open(path).map_err(BagError::io("open", &**path))?;
         let length = file.metadata().map_err(BagError::io("read", &**path))?.len();
         let options = LinearReaderOptions::default()
             .with_prevalidate_chunk_crcs(true)

@@ -202,7 +202,7 @@ fn generator() -> String {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, WorldError> {
-    std::fs::read(path).map_err(WorldError::io(path, "read"))
+    dermis_io::read(path, dermis_io::TABLE).map_err(WorldError::io(path, "read"))
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), WorldError> {

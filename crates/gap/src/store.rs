@@ -46,7 +46,9 @@ pub(crate) fn key(simulator: &Simulator<'_>, recording: &Recording, rows: &Rows)
 
 /// Signatures that were kept; `None` where there are none that can be read.
 pub(crate) fn load(folder: &Path, key: &str) -> Option<Signatures> {
-    let mut file = std::io::BufReader::new(std::fs::File::open(folder.join(format!("{key}.sig"))).ok()?);
+    let mut file = std::io::BufReader::new(
+        dermis_io::open_at_most(&folder.join(format!("{key}.sig")), dermis_io::TABLE).ok()?,
+    );
     let mut start = [0u8; 16];
     file.read_exact(&mut start).ok()?;
     if &start[..8] != MAGIC {

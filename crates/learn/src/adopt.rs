@@ -110,7 +110,7 @@ impl Wiring {
     /// [`LearnError`] names the file and line.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, LearnError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path).map_err(LearnError::io(path, "read"))?;
+        let text = dermis_io::read_text(path, dermis_io::TEXT).map_err(LearnError::io(path, "read"))?;
         let file = path.display().to_string();
         toml::from_str(&text).map_err(|e| LearnError::toml(&text, &file, &e))
     }
@@ -167,7 +167,8 @@ const ROUNDING: f32 = 1e-3;
 pub fn adopt(request: &Adoption<'_>) -> Result<Adopted, LearnError> {
     let (skin, wiring) = (request.skin, request.wiring);
     let place = format!("model file {}", request.onnx.display());
-    let raw = std::fs::read(request.onnx).map_err(LearnError::io(request.onnx, "read"))?;
+    let raw =
+        dermis_io::read(request.onnx, dermis_io::TABLE).map_err(LearnError::io(request.onnx, "read"))?;
     let mut findings = Findings::default();
     let features = wiring.features(skin.channels().len());
     let outputs = outputs(request.outputs, wiring, &mut findings);

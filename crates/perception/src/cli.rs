@@ -131,6 +131,7 @@ pub fn program(sensor: &Sensor, name: &'static str, version: &'static str, about
     if let Some(code) = dermis_inference::trial::serve() {
         return code;
     }
+    dermis_io::pipe::end_quietly();
     let options = Arguments::augment_args(Command::new(name).version(version).about(about)).get_matches();
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into());
     let limit = LogLimit::default();

@@ -255,7 +255,7 @@ impl Config {
     /// [`ConfigError`] names the file and the field or key.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path).map_err(|e| ConfigError::Read {
+        let text = dermis_io::read_text(path, dermis_io::TEXT).map_err(|e| ConfigError::Read {
             path: path.to_owned(),
             reason: format!("cannot be read: {e}; check the path and its permissions"),
         })?;
@@ -330,11 +330,9 @@ impl Config {
     }
 
     fn parse(text: &str, yaml: bool, path: &Path) -> Result<Self, ConfigError> {
-        if let Some(line) = nested_too_deeply(text).filter(|_| yaml) {
-            return Err(ConfigError::Read {
-                path: path.to_owned(),
-                reason: format!("line {line} is nested too deeply"),
-            });
+        if yaml {
+            dermis_io::yaml::check(text, dermis_io::yaml::Budget::WRITTEN)
+                .map_err(|reason| ConfigError::Read { path: path.to_owned(), reason })?;
         }
         let format = if yaml { ::config::FileFormat::Yaml } else { ::config::FileFormat::Toml };
         let tree = ::config::Config::builder()
@@ -373,15 +371,6 @@ impl Config {
             reason: one_line(&e.to_string()),
         })
     }
-}
-
-/// The first line whose content stands further right than any file of ours has it: block nesting is read recursively, and
-/// thousands of levels would end the program.
-fn nested_too_deeply(text: &str) -> Option<usize> {
-    const DEEPEST: usize = 200;
-    let column =
-        |line: &str| line.find(|c: char| !matches!(c, ' ' | '\t' | '-' | '?' | ':')).unwrap_or(line.len());
-    text.lines().position(|line| column(line) > DEEPEST).map(|at| at + 1)
 }
 
 fn one_line(text: &str) -> String {

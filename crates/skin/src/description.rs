@@ -292,7 +292,7 @@ impl SkinDescription {
     /// [`SkinError`] says which file and field is wrong and what would be right.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, SkinError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path)
+        let text = dermis_io::read_text(path, dermis_io::TEXT)
             .map_err(|source| SkinError::Read { path: path.to_owned(), source })?;
         Self::from_toml(&text, &path.display().to_string())
     }
@@ -329,6 +329,11 @@ impl SkinDescription {
             reason: e.message().to_owned(),
         })?;
         skin.finish(file)?;
+        crate::limits::distinct(&skin.taxels).map_err(|(field, reason)| SkinError::Impossible {
+            file: file.to_owned(),
+            field,
+            reason,
+        })?;
         Ok(skin)
     }
 
@@ -342,6 +347,9 @@ impl SkinDescription {
                 "schema".into(),
                 format!("is \"{}\" where this program reads \"{SCHEMA}\"", self.schema),
             );
+        }
+        if let Err((field, reason)) = crate::limits::check(self) {
+            return wrong(field, reason);
         }
         let name_ok = |s: &str| {
             !s.is_empty()
@@ -445,21 +453,6 @@ impl SkinDescription {
                 Ok(read) => *mesh = read,
                 Err(reason) => return wrong("surface.file".into(), reason),
             }
-        }
-        let (extent, spacing) = match self.surface {
-            SurfaceSpec::Panel { size, spacing, .. } => (size[0] * size[1], spacing),
-            // Its points were counted as it was read.
-            SurfaceSpec::Mesh { .. } => (0.0, 1.0),
-            SurfaceSpec::Rectangle { size, spacing } => (size[0] * size[1], spacing),
-            SurfaceSpec::Dome { radius, cylinder, spacing } => {
-                (std::f64::consts::TAU * radius * (radius + cylinder), spacing)
-            }
-        };
-        if extent / (spacing * spacing) > 1e6 {
-            return wrong(
-                "surface.spacing".into(),
-                format!("{spacing} m makes more than a million points; coarsen it"),
-            );
         }
         if self.taxels.is_empty() {
             return wrong("taxels".into(), "is empty: a skin has at least one".into());

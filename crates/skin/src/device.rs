@@ -1116,7 +1116,7 @@ taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", positi
         assert_eq!(coupled[0], plain[0]);
         approx::assert_relative_eq!(coupled[1], plain[1] + 0.2 * plain[0], max_relative = 1e-12);
         // What the medium remembers is what it felt.
-        let taxel = |i| format!("{{ name = \"t{i}\", position = [0.0, 0.0, -0.005] }}");
+        let taxel = |i| format!("{{ name = \"t{i}\", position = [0.00{i}, 0.0, -0.005] }}");
         let taxels: Vec<String> = (0..7).map(taxel).collect();
         let line = SKIN.lines().find(|l| l.starts_with("taxels")).unwrap();
         let text = SKIN.replace(line, &format!("taxels = [{}]", taxels.join(", ")));

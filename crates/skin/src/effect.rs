@@ -128,7 +128,7 @@ impl Effect {
             effects: Vec<Effect>,
         }
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path)
+        let text = dermis_io::read_text(path, dermis_io::TEXT)
             .map_err(|source| SkinError::ReadEffects { path: path.to_owned(), source })?;
         let file = path.display().to_string();
         let wrong = |field: String, reason: &str| SkinError::Effects {
@@ -203,9 +203,24 @@ impl Effect {
     }
 }
 
+/// Effects of a device.
+const EFFECTS: usize = 1000;
+/// Strength of an effect: many times of what is typical.
+const STRENGTH: f64 = 1e6;
+
 /// What no sensor family could make sense of: field and reason.
 pub(crate) fn impossible(effects: &[Effect]) -> Option<(String, String)> {
+    if effects.len() > EFFECTS {
+        let reason = format!("are {}; {EFFECTS} at most make sense", effects.len());
+        return Some(("effects".to_owned(), reason));
+    }
     for (i, effect) in effects.iter().enumerate() {
+        if effect.strength > STRENGTH {
+            return Some((
+                format!("effects[{i}].strength"),
+                format!("is {:e} and must be {STRENGTH} at most", effect.strength),
+            ));
+        }
         if !(effect.strength.is_finite() && effect.strength >= 0.0) {
             return Some((
                 format!("effects[{i}].strength"),

@@ -49,6 +49,7 @@ mod effect;
 mod error;
 mod frame;
 mod instance;
+mod limits;
 mod mesh;
 mod panel;
 mod phase;

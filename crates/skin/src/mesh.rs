@@ -12,6 +12,8 @@ use sha2::{Digest, Sha256};
 const SAME: f64 = 1e-6;
 /// Points that a mesh may have.
 const POINTS_MAX: usize = 1_000_000;
+/// \[m\] that they may be away along each axis.
+const FARTHEST: f64 = 100.0;
 
 /// A triangulation that was read from a file and checked: one piece of surface, its triangles counter-clockwise seen from outside.
 #[derive(Debug, Clone, Default)]
@@ -107,7 +109,8 @@ impl TriangleMesh {
     pub fn load(path: &Path, scale: f64, rims: usize) -> Result<Self, String> {
         let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         let open = || {
-            std::fs::File::open(path).map_err(|e| format!("mesh file {} cannot be read: {e}", path.display()))
+            let file = dermis_io::open_at_most(path, dermis_io::MESH);
+            file.map_err(|e| format!("mesh file {} cannot be read: {e}", path.display()))
         };
         let unreadable = |e: &dyn std::fmt::Display| format!("mesh file {}: {e}", path.display());
         let (points, triangles) = match extension.as_deref() {
@@ -168,6 +171,12 @@ impl TriangleMesh {
             return Err(format!("point {i} ({}, {}, {}) is not a number", p.x, p.y, p.z));
         }
         let points: Vec<Point3<f64>> = points.into_iter().map(|p| p * scale).collect();
+        if let Some((i, p)) = points.iter().enumerate().find(|(_, p)| p.coords.amax() > FARTHEST) {
+            return Err(format!(
+                "point {i} lies {:e} m away from the origin of the link, and {FARTHEST} m at most make sense: correct `scale`",
+                p.coords.norm()
+            ));
+        }
         let (points, number) = merged(&points);
         let mut kept = Vec::with_capacity(triangles.len());
         for (i, t) in triangles.iter().enumerate() {

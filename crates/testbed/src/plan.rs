@@ -1,5 +1,6 @@
 //! What a testbed does to a skin, as a file says it.
 
+mod limits;
 mod step;
 
 use std::path::Path;
@@ -7,6 +8,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::TestbedError;
+pub(crate) use limits::LONGEST;
 pub use step::{Action, Level, Levels, Manner, Step};
 use step::{OneOrMore, StepFile};
 
@@ -181,7 +183,7 @@ impl Plan {
     /// [`TestbedError`] says which file and field is wrong and what would be right.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, TestbedError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path)
+        let text = dermis_io::read_text(path, dermis_io::TEXT)
             .map_err(|source| TestbedError::ReadPlan { path: path.to_owned(), source })?;
         Self::from_toml(&text, &path.display().to_string())
     }
@@ -244,6 +246,9 @@ impl Plan {
 
     fn check(&self) -> Result<(), TestbedError> {
         let wrong = |field: String, reason: String| Err(self.wrong(field, reason));
+        if let Err((field, reason)) = limits::check(self) {
+            return wrong(field, reason);
+        }
         if self.name.is_empty() || self.name.contains(['/', '\0']) {
             return wrong("name".into(), "names a recording: not empty, without slashes".into());
         }

@@ -13,7 +13,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TestbedError;
-use crate::plan::{Action, ForceDistribution, Level, Levels, Manner, Plan};
+use crate::plan::{Action, ForceDistribution, LONGEST, Level, Levels, Manner, Plan};
 use sites::Sites;
 
 /// The testbed at one instant: the ground truth.
@@ -152,7 +152,7 @@ impl Timeline {
         let sites = Sites::new(surface, plan.margin, plan.region);
         let mut more = ChaCha8Rng::seed_from_u64(seed);
         more.set_stream(1);
-        let mut draw = Draw { rng: ChaCha8Rng::seed_from_u64(seed), more, plan, sites: &sites };
+        let mut draw = Draw { rng: ChaCha8Rng::seed_from_u64(seed), more, plan, sites: &sites, tried: 0 };
         let mut timeline = Self { presses: Vec::new(), duration: 0.0, count: 0, model: Arc::clone(model) };
         let mut location = 0;
         let too_narrow = || {
@@ -162,12 +162,14 @@ impl Timeline {
         };
         for (i, step) in plan.steps.iter().enumerate() {
             let place = |draw: &mut Draw<'_>| draw.place().ok_or_else(too_narrow);
+            let bounded = |timeline: &Self, draw: &Draw<'_>| timeline.bounded(plan, draw, i);
             let manner = &step.manner;
             let known = |touch: &Touch| knows(plan, model, i, touch);
             match &step.action {
                 Action::Idle { duration } => timeline.idle(*duration),
                 Action::Presses { count, level, repeats } => {
                     for _ in 0..*count {
+                        bounded(&timeline, &draw)?;
                         let at = place(&mut draw)?;
                         location += 1;
                         let diameter = draw.diameter(manner);
@@ -189,6 +191,7 @@ impl Timeline {
                     plan.fits(places.len() as u64 * u64::from(levels.repeats) * levels.presses() as u64)?;
                     places.shuffle(&mut draw.rng);
                     for at in places {
+                        bounded(&timeline, &draw)?;
                         location += 1;
                         timeline.place(&mut draw, manner, (i, location), at, levels)?;
                     }
@@ -217,6 +220,7 @@ impl Timeline {
                 }
                 Action::Slides { count, force, length, speed } => {
                     for _ in 0..*count {
+                        bounded(&timeline, &draw)?;
                         let (from, to) = draw.way(*length).ok_or_else(|| {
                             let reason =
                                 format!("no way of {} m fits on the surface within the margin", length[0]);
@@ -232,6 +236,7 @@ impl Timeline {
                 }
                 Action::Multi { count, contacts, distance, level } => {
                     for _ in 0..*count {
+                        bounded(&timeline, &draw)?;
                         let wanted = draw.rng.random_range(contacts[0]..=contacts[1]) as usize;
                         let at = draw.apart(wanted, *distance).ok_or_else(|| {
                             let [least, most] = *distance;
@@ -256,11 +261,28 @@ impl Timeline {
                     }
                 }
             }
+            bounded(&timeline, &draw)?;
         }
         if timeline.duration <= 0.0 {
             return Err(plan.wrong("timing", "lets the plan last no time at all: lengthen a phase"));
         }
         Ok(timeline)
+    }
+
+    /// Refuses a plan that takes too long to carry out, or to draw.
+    fn bounded(&self, plan: &Plan, draw: &Draw<'_>, step: usize) -> Result<(), TestbedError> {
+        if self.duration > LONGEST {
+            let days = LONGEST / 86_400.0;
+            let reason =
+                format!("makes the plan last longer than {days} days: take fewer or shorter presses");
+            return Err(plan.wrong(format!("steps[{step}]"), reason));
+        }
+        if draw.tried > EFFORT {
+            let reason = "finds too few places that keep the margin and the distances: take fewer presses, a smaller margin or \
+                          shorter distances";
+            return Err(plan.wrong(format!("steps[{step}]"), reason));
+        }
+        Ok(())
     }
 
     /// All presses at one place.
@@ -495,7 +517,12 @@ struct Draw<'a> {
     more: ChaCha8Rng,
     plan: &'a Plan,
     sites: &'a Sites<'a>,
+    /// Comparisons with edges of the rim and with other contacts, for places that were tried.
+    tried: u64,
 }
+
+/// Comparisons of all places that a plan draws: some seconds.
+const EFFORT: u64 = 1_000_000_000;
 
 /// Tries before a surface counts as too small for what is asked.
 const TRIES: usize = 2000;
@@ -543,6 +570,7 @@ impl Draw<'_> {
 
     fn place(&mut self) -> Option<Point3<f64>> {
         (0..TRIES).find_map(|_| {
+            self.tried += 10 + self.sites.edges();
             let p = self.sites.random(&mut self.rng);
             self.sites.may_be_touched(&p).then_some(p)
         })
@@ -558,6 +586,7 @@ impl Draw<'_> {
                 continue;
             };
             let (to, _) = self.sites.surface.project(&(from + along * long));
+            self.tried += self.sites.edges();
             // A way that the rim or the curvature cut short is another way than the one that was asked for.
             if (to - from).norm() > 0.7 * long && self.sites.may_be_touched(&to) {
                 return Some((from, to));
@@ -570,6 +599,7 @@ impl Draw<'_> {
         for _ in 0..20 {
             let mut places: Vec<Point3<f64>> = Vec::new();
             for _ in 0..TRIES / 10 {
+                self.tried += places.len() as u64;
                 let p = self.place()?;
                 if places.iter().all(|q| (least..=most).contains(&(p - q).norm())) {
                     places.push(p);
@@ -787,7 +817,7 @@ mod tests {
         }
         assert!((nalgebra::center(&places[0], &places[places.len() - 1]).coords).norm() < 1e-12);
         let refused = |from: &str, to: &str| carried_out(&steps.replace(from, to)).unwrap_err();
-        insta::assert_snapshot!(refused("[0.0007, 0.004]", "1e-9"), @"plan some.toml: field `steps[0].pitch`: makes 416000026000000 places; 1000000 contacts at most fit a recording");
+        insta::assert_snapshot!(refused("[0.0007, 0.004]", "1e-6"), @"plan some.toml: field `steps[0].pitch`: makes 416042001 places; 1000000 contacts at most fit a recording");
         insta::assert_snapshot!(refused("[0.0007, 0.004]\nforces = [0.1]", "0.00003\nforces = [0.1, 0.2, 0.3]"), @"plan some.toml: field `steps`: make 1388934 contacts; 1000000 at most fit a recording");
         let text = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}");
         let on_a_dome = |pitch: &str| {

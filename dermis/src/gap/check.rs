@@ -81,7 +81,8 @@ pub fn run(options: &Options) -> Result<()> {
     {
         for case in &manifest.cases {
             let path = report(out, case);
-            let text = std::fs::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
+            let text = dermis_io::read(&path, dermis_io::REPORT)
+                .with_context(|| format!("{} cannot be read", path.display()))?;
             let read: Value =
                 serde_json::from_slice(&text).with_context(|| format!("{} is no report", path.display()))?;
             let (secret, answer) = (pack::unseal(secrets, case)?, answer(&read));
@@ -341,11 +342,12 @@ fn seal(manifest: &Manifest, out: &Path) -> Result<String> {
     let mut list = String::new();
     for case in &manifest.cases {
         let path = report(out, case);
-        let text = std::fs::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
+        let text = dermis_io::read(&path, dermis_io::REPORT)
+            .with_context(|| format!("{} cannot be read", path.display()))?;
         list.push_str(&format!("{}  {}.json\n", pack::sha256(&text), case.id));
     }
     let path = out.join("reports.sha256");
-    match std::fs::read_to_string(&path) {
+    match dermis_io::read_text(&path, dermis_io::REPORT) {
         Ok(before) if before != list => bail!(
             "{}: names other hashes than the reports beside it have: they were changed after they were sealed; take another folder",
             path.display()

@@ -92,7 +92,7 @@ fn size(text: &str) -> Result<f64, String> {
 
 /// Makes it. Ctrl-C ends early with a smaller, valid pack.
 pub fn run(options: &Options) -> Result<()> {
-    let text = std::fs::read_to_string(&options.skin)
+    let text = dermis_io::read_text(&options.skin, dermis_io::TEXT)
         .with_context(|| format!("skin file {} cannot be read", options.skin.display()))?;
     SkinDescription::from_toml(&text, &options.skin.display().to_string())?;
     let mut order = Order::mixed(options.share, options.seed, options.size);

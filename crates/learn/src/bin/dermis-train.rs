@@ -77,6 +77,7 @@ struct Options {
 }
 
 fn main() -> ExitCode {
+    dermis_io::pipe::end_quietly();
     let options = Options::parse();
     match train(&options) {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use dermis_bag::BagWriter;
 use dermis_msgs::msg::TaxelFrame;

@@ -51,7 +51,7 @@ impl Settings {
     /// [`LearnError`] names file and field.
     pub fn load(path: Option<&Path>) -> Result<Self, LearnError> {
         let Some(path) = path else { return Ok(Self::default()) };
-        let text = std::fs::read_to_string(path).map_err(LearnError::io(path, "read"))?;
+        let text = dermis_io::read_text(path, dermis_io::TEXT).map_err(LearnError::io(path, "read"))?;
         let file = path.display().to_string();
         let settings: Self = toml::from_str(&text).map_err(|e| LearnError::toml(&text, &file, &e))?;
         settings.pipeline.validate(&file)?;

@@ -47,7 +47,7 @@ pub(super) fn save(path: &Path, state: &State, signature: &str) -> Result<(), Le
 /// Goes on from a file, for a network of the same shape.
 pub(super) fn load(path: &Path, fresh: Mlp, signature: &str) -> Result<State, LearnError> {
     let wrong = |reason: &str| LearnError::Checkpoint { path: path.into(), reason: reason.into() };
-    let bytes = std::fs::read(path).map_err(LearnError::io(path, "read"))?;
+    let bytes = dermis_io::read(path, dermis_io::TABLE).map_err(LearnError::io(path, "read"))?;
     let end = bytes.iter().position(|b| *b == b'\n').ok_or_else(|| wrong("is no checkpoint"))?;
     let header: Header = serde_json::from_slice(&bytes[..end]).map_err(|_| wrong("is no checkpoint"))?;
     if header.schema != SCHEMA {

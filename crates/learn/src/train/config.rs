@@ -204,7 +204,7 @@ impl TrainConfig {
     ///
     /// [`LearnError`] names the file and field.
     pub fn load(path: &Path) -> Result<Self, LearnError> {
-        let text = std::fs::read_to_string(path).map_err(LearnError::io(path, "read"))?;
+        let text = dermis_io::read_text(path, dermis_io::TEXT).map_err(LearnError::io(path, "read"))?;
         Self::from_toml(&text, &path.display().to_string())
     }
 

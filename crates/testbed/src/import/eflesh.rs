@@ -58,7 +58,7 @@ pub(super) fn recognises(path: &Path) -> bool {
 
 /// Reads rows of numbers; every row has as many columns as the first, and time never runs back.
 fn read(path: &Path) -> Result<Vec<Row>, ImportError> {
-    let file = std::fs::File::open(path).map_err(ImportError::read(path))?;
+    let file = dermis_io::open_at_most(path, dermis_io::TABLE).map_err(ImportError::read(path))?;
     let mut rows: Vec<Row> = Vec::new();
     for (index, line) in BufReader::new(file).lines().enumerate() {
         let line = line.map_err(ImportError::read(path))?;

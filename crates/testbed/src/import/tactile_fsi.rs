@@ -97,6 +97,9 @@ struct Press {
     depth: f64,
 }
 
+/// Cells of the rectangle around all of a sheet.
+const MOST_CELLS: u64 = 10_000_000;
+
 /// `C7` of a row and column that count from 0.
 fn cell_name(row: usize, column: usize) -> String {
     let mut letters = String::new();
@@ -108,8 +111,27 @@ fn cell_name(row: usize, column: usize) -> String {
     format!("{letters}{}", row + 1)
 }
 
+/// Refuses a sheet of which two cells are so far apart that the rectangle between them, which is held in memory, fills it.
+fn bounded(book: &mut Xlsx<BufReader<File>>, file: &Path, sheet: &str) -> Result<(), ImportError> {
+    let wrong = |problem: String| ImportError::file(file, format!("sheet {sheet} {problem}"));
+    let unreadable = |error: calamine::XlsxError| wrong(format!("cannot be read: {error}"));
+    let mut cells = book.worksheet_cells_reader(sheet).map_err(unreadable)?;
+    let mut corner = [0u64; 2];
+    while let Some(cell) = cells.next_cell().map_err(unreadable)? {
+        let (row, column) = cell.get_position();
+        corner = [corner[0].max(u64::from(row) + 1), corner[1].max(u64::from(column) + 1)];
+        if corner[0] * corner[1] > MOST_CELLS {
+            let at = cell_name(row as usize, column as usize);
+            return Err(wrong(format!(
+                "has a cell {at}: it spans more than {MOST_CELLS} cells; remove what is far away"
+            )));
+        }
+    }
+    Ok(())
+}
+
 fn read_sheet(file: &Path) -> Result<Vec<Press>, ImportError> {
-    let handle = File::open(file).map_err(ImportError::read(file))?;
+    let handle = dermis_io::open_at_most(file, dermis_io::TABLE).map_err(ImportError::read(file))?;
     let mut book: Xlsx<_> = Xlsx::new(BufReader::new(handle))
         .map_err(|error| ImportError::file(file, format!("is not a readable .xlsx workbook: {error}")))?;
     let sheet = book
@@ -117,6 +139,7 @@ fn read_sheet(file: &Path) -> Result<Vec<Press>, ImportError> {
         .first()
         .cloned()
         .ok_or_else(|| ImportError::file(file, "the workbook has no sheet"))?;
+    bounded(&mut book, file, &sheet)?;
     let range = book
         .worksheet_range(&sheet)
         .map_err(|error| ImportError::file(file, format!("sheet {sheet} cannot be read: {error}")))?;
@@ -297,7 +320,7 @@ fn array<T: npyz::Deserialize + Copy>(
 }
 
 fn time_series(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError> {
-    let handle = File::open(file).map_err(ImportError::read(file))?;
+    let handle = dermis_io::open_at_most(file, dermis_io::TABLE).map_err(ImportError::read(file))?;
     let mut archive = zip::ZipArchive::new(BufReader::new(handle))
         .map_err(|error| ImportError::file(file, format!("is not a readable .npz archive: {error}")))?;
     let (shape, volts) = array::<f32>(file, &mut archive, "volts")?;

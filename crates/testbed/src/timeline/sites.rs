@@ -49,6 +49,11 @@ impl<'a> Sites<'a> {
         self.surface.project(&(a + (b - a) * u + (c - a) * v)).0
     }
 
+    /// Edges that a place is compared with.
+    pub(super) fn edges(&self) -> u64 {
+        if self.margin > 0.0 { self.rim.len() as u64 } else { 0 }
+    }
+
     /// Whether a place lies in the region and keeps the margin.
     pub(super) fn may_be_touched(&self, p: &Point3<f64>) -> bool {
         self.lies_within(p) && self.keeps_margin(p)

@@ -7,7 +7,6 @@
 //! recording has several, it has to be said which is meant.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::fs::File;
 use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -111,7 +110,7 @@ type Topics = BTreeMap<String, BTreeSet<String>>;
 /// The topics that the summary at the end of a file lists; nothing where the recorder did not get to write one.
 fn summary_topics(path: &Path, topics: &mut Topics) -> Result<(), String> {
     let open = |e: std::io::Error| format!("cannot read {}: {e}", path.display());
-    let mut file = File::open(path).map_err(open)?;
+    let mut file = dermis_io::open(path).map_err(open)?;
     let size = file.metadata().map_err(open)?.len();
     let options = SummaryReaderOptions::default().with_file_size(size).with_record_length_limit(RECORD_LIMIT);
     let mut reader = SummaryReader::new_with_options(options);
@@ -201,7 +200,7 @@ enum Go {
 
 fn read_records(path: &Path, mut each: impl FnMut(Record<'_>) -> Result<Go, String>) -> Result<Go, String> {
     let damaged = |e: mcap::McapError| format!("{} is damaged or cut off: {e}", path.display());
-    let mut file = File::open(path).map_err(|e| format!("cannot open {}: {e}", path.display()))?;
+    let mut file = dermis_io::open(path).map_err(|e| format!("cannot open {}: {e}", path.display()))?;
     let options =
         LinearReaderOptions::default().with_record_length_limit(RECORD_LIMIT).with_validate_chunk_crcs(true);
     let mut reader = LinearReader::new_with_options(options);
