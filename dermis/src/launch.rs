@@ -143,18 +143,18 @@ impl Host for Dermis {
         text.parse::<Reach>().map(drop).map_err(|error| error.to_string())
     }
 
-    fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Refusal> {
+    fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>> {
         let family = FAMILIES.iter().find(|family| family.name == request.kind).ok_or_else(|| {
             let known: Vec<&str> = FAMILIES.iter().map(|family| family.name).collect();
-            Refusal {
+            vec![Refusal {
                 field: "node".to_owned(),
                 reason: format!("there is no node `{}`; there is {}", request.kind, known.join(", ")),
-            }
+            }]
         })?;
         (family.node)(request)
     }
 
-    fn together(&self, nodes: &[(&str, &Value)]) -> Result<(), (usize, Refusal)> {
+    fn together(&self, nodes: &[(&str, &Value)]) -> Vec<(usize, Refusal)> {
         crate::nodes::together(nodes)
     }
 }

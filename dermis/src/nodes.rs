@@ -39,22 +39,27 @@ fn reader(error: &RunError) -> Option<&'static str> {
 const OUTSIDE: [&str; 5] = ["name", "namespace", "domain_id", "remap", "parameters"];
 
 /// The configuration that a launch file gives this node.
-pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Refusal> {
+pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>> {
     let refuse = |field: String, reason: String| Refusal { field, reason };
     let loaded = match request.config {
         Value::String(path) => Config::load(request.folder.join(path)),
         Value::Null => {
-            return Err(refuse(
+            return Err(vec![refuse(
                 "config".into(),
                 "is missing; give a table with `skin` and `source`, or a configuration file".into(),
-            ));
+            )]);
         }
         table => {
-            if let Some(key) = OUTSIDE.into_iter().find(|key| table.get(key).is_some()) {
-                return Err(refuse(
-                    format!("config.{key}"),
-                    format!("belongs to the process; move `{key}` out of `config`"),
-                ));
+            let outside: Vec<Refusal> = OUTSIDE
+                .into_iter()
+                .filter(|key| table.get(key).is_some())
+                .map(|key| {
+                    let reason = format!("belongs to the process; move `{key}` out of `config`");
+                    refuse(format!("config.{key}"), reason)
+                })
+                .collect();
+            if !outside.is_empty() {
+                return Err(outside);
             }
             Config::from_json(table.clone(), request.file, request.folder)
         }
@@ -62,20 +67,20 @@ pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Refus
     let mut config = loaded.map_err(|error| match error {
         ConfigError::UnknownKey { key, path } if path == request.file => {
             let known: Vec<&str> = Config::KEYS.into_iter().filter(|key| !OUTSIDE.contains(key)).collect();
-            refuse(format!("config.{key}"), format!("is not known; known here: {}", known.join(", ")))
+            vec![refuse(format!("config.{key}"), format!("is not known; known here: {}", known.join(", ")))]
         }
         ConfigError::Field { field, reason, path } if path == request.file => match field.as_str() {
-            "(top level)" => refuse("config".into(), reason),
-            field => refuse(format!("config.{field}"), reason),
+            "(top level)" => vec![refuse("config".into(), reason)],
+            field => vec![refuse(format!("config.{field}"), reason)],
         },
-        other => refuse("config".into(), other.to_string()),
+        other => vec![refuse("config".into(), other.to_string())],
     })?;
     config.name = Some(request.name.to_owned());
     request.namespace.clone_into(&mut config.namespace);
     config.domain_id = request.domain_id.or(config.domain_id);
     config.remap.extend_from_slice(request.remap);
     config.parameters.extend(request.parameters.iter().map(|(name, value)| (name.clone(), value.clone())));
-    sensor.check(&config).map_err(|error| {
+    let refusal = |error: RunError| {
         let field = match &error {
             RunError::Skin(_) | RunError::Medium { .. } | RunError::Sensor { .. } => "config.skin".to_owned(),
             RunError::Source(_) => "config.source".to_owned(),
@@ -95,18 +100,23 @@ pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Refus
         };
         let hint = reader(&error).map_or(String::new(), |command| format!("; write `node: {command}`"));
         refuse(field, format!("{error}{hint}"))
-    })?;
+    };
+    let refusals: Vec<Refusal> = sensor.check(&config).into_iter().map(refusal).collect();
+    if !refusals.is_empty() {
+        return Err(refusals);
+    }
     // Said outright, so that `--check` shows them and nodes can be compared.
     if let Ok(skin) = SkinDescription::load(&config.skin) {
         config.instance = Some(config.instance_name(&skin));
         config.frame_id.get_or_insert(skin.frame_id);
     }
-    serde_json::to_value(&config).map_err(|error| refuse("config".into(), error.to_string()))
+    serde_json::to_value(&config).map_err(|error| vec![refuse("config".into(), error.to_string())])
 }
 
 /// Whether the devices of these nodes can be told apart: two of one name would be one skin to everybody who listens, and two of
 /// one type in one coordinate frame would lie on top of each other.
-pub fn together(nodes: &[(&str, &Value)]) -> Result<(), (usize, Refusal)> {
+pub fn together(nodes: &[(&str, &Value)]) -> Vec<(usize, Refusal)> {
+    let mut found = Vec::new();
     let configs: Vec<Option<Config>> =
         nodes.iter().map(|(_, config)| serde_json::from_value((*config).clone()).ok()).collect();
     let known = |i: usize| configs[i].as_ref().map(|config| (nodes[i].0, config));
@@ -115,11 +125,11 @@ pub fn together(nodes: &[(&str, &Value)]) -> Result<(), (usize, Refusal)> {
             (0..i).filter_map(known).filter(|(_, other)| other.domain_id == config.domain_id)
         {
             if let Some(reason) = clash(config, label, other) {
-                return Err((i, reason));
+                found.push((i, reason));
             }
         }
     }
-    Ok(())
+    found
 }
 
 fn clash(config: &Config, label: &str, other: &Config) -> Option<Refusal> {

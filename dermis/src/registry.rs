@@ -31,7 +31,7 @@ pub struct Family {
     pub node: MakeConfig,
 }
 
-type MakeConfig = fn(&NodeRequest<'_>) -> Result<Value, Refusal>;
+type MakeConfig = fn(&NodeRequest<'_>) -> Result<Value, Vec<Refusal>>;
 type MakeEstimator = fn(&SkinDescription, &[PathBuf]) -> Result<Box<dyn Estimator>>;
 
 /// All families.

@@ -44,6 +44,30 @@ pub enum LaunchError {
     },
 }
 
+/// All that is wrong with a launch, in the order in which it was found; never empty.
+#[derive(Debug)]
+pub struct LaunchErrors(pub Vec<LaunchError>);
+
+impl std::error::Error for LaunchErrors {}
+
+impl std::fmt::Display for LaunchErrors {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.0[..] {
+            [one] => one.fmt(f),
+            all => {
+                write!(f, "{} mistakes:", all.len())?;
+                all.iter().try_for_each(|error| write!(f, "\n  {error}"))
+            }
+        }
+    }
+}
+
+impl From<LaunchError> for LaunchErrors {
+    fn from(error: LaunchError) -> Self {
+        Self(vec![error])
+    }
+}
+
 impl LaunchError {
     pub(crate) fn system(what: impl Into<String>, source: impl Into<std::io::Error>) -> Self {
         Self::System { what: what.into(), source: source.into() }

@@ -1,15 +1,17 @@
 //! What a launch file holds, as it is written.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
 
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, Deserializer, Error as _, Visitor};
 use serde_json::{Map, Value};
+use serde_path_to_error::Segment;
 
 use crate::backoff::Backoff;
 use crate::error::LaunchError;
+use crate::faults::Faults;
 use crate::log::LogLimits;
 use crate::plan::{Restart, Stop};
 
@@ -77,7 +79,8 @@ pub(crate) struct File {
     pub log: Option<Text>,
     #[serde(default)]
     pub log_limits: LogLimits,
-    pub processes: Vec<Entry>,
+    /// Each is an [`Entry`].
+    pub processes: Vec<Value>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -106,7 +109,8 @@ pub(crate) struct Group {
     pub zenoh_config: Option<Text>,
     #[serde(default)]
     pub log: Option<Text>,
-    pub processes: Vec<Entry>,
+    /// Each is an [`Entry`].
+    pub processes: Vec<Value>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -136,8 +140,10 @@ pub(crate) struct Entry {
     pub node: Option<Text>,
     pub dermis: Option<Vec<Text>>,
     pub program: Option<Vec<Text>>,
-    pub group: Option<Group>,
-    pub include: Option<Include>,
+    /// A [`Group`].
+    pub group: Option<Value>,
+    /// An [`Include`].
+    pub include: Option<Value>,
     pub config: Option<Value>,
     pub flags: Vec<Text>,
     pub parameters: Map<String, Value>,
@@ -178,7 +184,7 @@ fn half_a_minute() -> f64 {
 
 /// The tree of a file: YAML where its name ends in `.yaml` or `.yml`, otherwise TOML.
 pub(crate) fn read(path: &Path) -> Result<Value, LaunchError> {
-    let text = std::fs::read_to_string(path).map_err(|e| LaunchError::Read {
+    let text = dermis_io::read_text(path, dermis_io::TEXT).map_err(|e| LaunchError::Read {
         path: path.to_owned(),
         reason: format!("cannot be read: {e}; check the path and its permissions"),
     })?;
@@ -187,8 +193,8 @@ pub(crate) fn read(path: &Path) -> Result<Value, LaunchError> {
 }
 
 pub(crate) fn parse(text: &str, yaml: bool) -> Result<Value, String> {
-    if let Some(line) = nested_too_deeply(text).filter(|_| yaml) {
-        return Err(format!("line {line} is nested too deeply"));
+    if yaml {
+        dermis_io::yaml::check(text, dermis_io::yaml::Budget::WRITTEN)?;
     }
     let format = if yaml { config::FileFormat::Yaml } else { config::FileFormat::Toml };
     config::Config::builder()
@@ -198,27 +204,53 @@ pub(crate) fn parse(text: &str, yaml: bool) -> Result<Value, String> {
         .map_err(|e| one_line(&e.to_string()))
 }
 
-/// A part of a tree as what it should be; the path of a field that is not begins with `at`.
-pub(crate) fn typed<T: DeserializeOwned>(value: Value, path: &Path, at: &str) -> Result<T, LaunchError> {
-    serde_path_to_error::deserialize(value).map_err(|e| {
-        let inner = e.path().to_string();
+/// A part of a tree as what it should be, and the keys of it that are not right. Every field that is not is told, with a path that
+/// begins with `at`, and left out; `None` where nothing can be left out.
+pub(crate) fn typed<T: DeserializeOwned>(
+    mut value: Value,
+    path: &Path,
+    at: &str,
+    faults: &mut Faults,
+) -> (Option<T>, BTreeSet<String>) {
+    let mut bad = BTreeSet::new();
+    loop {
+        let error = match serde_path_to_error::deserialize(&value) {
+            Ok(read) => return (Some(read), bad),
+            Err(error) => error,
+        };
+        let inner = error.path().to_string();
         let field = match (at, inner.as_str()) {
             ("", ".") => "(top level)".to_owned(),
             (at, ".") => at.to_owned(),
             ("", inner) => inner.to_owned(),
             (at, inner) => format!("{at}.{inner}"),
         };
-        LaunchError::Field { path: path.to_owned(), field, reason: one_line(&e.inner().to_string()) }
-    })
+        let reason = one_line(&error.inner().to_string());
+        faults.push(LaunchError::Field { path: path.to_owned(), field, reason });
+        let left_out = without(&mut value, error.path());
+        bad.extend(left_out.clone());
+        if left_out.is_none() || faults.full() {
+            return (None, bad);
+        }
+    }
 }
 
-/// The first line whose content stands further right than any launch file has it: block nesting is read recursively, and
-/// thousands of levels would end the program.
-fn nested_too_deeply(text: &str) -> Option<usize> {
-    const DEEPEST: usize = 200;
-    let column =
-        |line: &str| line.find(|c: char| !matches!(c, ' ' | '\t' | '-' | '?' | ':')).unwrap_or(line.len());
-    text.lines().position(|line| column(line) > DEEPEST).map(|at| at + 1)
+/// Takes the innermost key of a path out of a tree; the outermost one is returned.
+fn without(value: &mut Value, path: &serde_path_to_error::Path) -> Option<String> {
+    let segments: Vec<&Segment> = path.iter().collect();
+    let last = segments.iter().rposition(|segment| matches!(segment, Segment::Map { .. }))?;
+    let mut at = value;
+    for segment in &segments[..last] {
+        at = match segment {
+            Segment::Map { key } => at.get_mut(key)?,
+            Segment::Seq { index } => at.get_mut(index)?,
+            Segment::Enum { .. } | Segment::Unknown => return None,
+        };
+    }
+    let Segment::Map { key } = segments[last] else { return None };
+    at.as_object_mut()?.remove(key)?;
+    let Some(Segment::Map { key }) = segments.first() else { return None };
+    Some(key.clone())
 }
 
 pub(crate) fn one_line(text: &str) -> String {

@@ -1,7 +1,7 @@
 //! Launch files: what to start, and keeping it running.
 //!
-//! [`load`] reads a launch file (YAML or TOML), its includes and its arguments into a [`Plan`], or says in one sentence
-//! with file and field what is wrong. [`run`] starts the processes of a plan in order, gathers what they print, starts
+//! [`load`] reads a launch file (YAML or TOML), its includes and its arguments into a [`Plan`], or says with
+//! file and field all that is wrong, a sentence each. [`run`] starts the processes of a plan in order, gathers what they print, starts
 //! again what fails, and stops everything in the reverse order. What a node or a command of the own program is, it asks
 //! a [`Host`].
 //!
@@ -23,6 +23,7 @@
 
 mod backoff;
 mod error;
+mod faults;
 mod file;
 mod guard;
 mod lines;
@@ -34,7 +35,7 @@ mod substitute;
 mod supervise;
 
 pub use backoff::Backoff;
-pub use error::LaunchError;
+pub use error::{LaunchError, LaunchErrors};
 pub use guard::guard;
 pub use log::{Format, LogLimits, LogOptions};
 pub use plan::{Declared, Host, NodeRequest, Plan, Process, Ready, Refusal, Restart, Stop, load};

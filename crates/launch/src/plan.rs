@@ -1,22 +1,30 @@
 //! From launch files to what is started.
 
-use std::collections::BTreeMap;
+use std::cell::Cell;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use regex::Regex;
+use regex::{Regex, RegexBuilder};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use crate::backoff::{Backoff, bad_seconds};
-use crate::error::LaunchError;
-use crate::file::{self, Argument, Entry, File, Include, Text, loose};
+use crate::error::{LaunchError, LaunchErrors};
+use crate::faults::Faults;
+use crate::file::{self, Argument, Entry, File, Group, Include, Text, loose};
 use crate::log::LogLimits;
-use crate::substitute::Scope;
+use crate::substitute::{PUT_IN, Scope};
 
 /// Files within files, so that two that include each other end with a sentence.
 const DEEPEST: usize = 16;
+/// Files that a launch reads, each as often as it is included: a few files that include each other in turn would be read for years.
+const FILES: usize = 256;
+/// Processes that a launch starts.
+const PROCESSES: usize = 1024;
+/// \[bytes\] that a regular expression takes once it is compiled: repetitions of repetitions take gigabytes.
+const PATTERN: usize = 1 << 20;
 /// What `log` may say, beside filters.
 const LEVELS: [&str; 6] = ["off", "error", "warn", "info", "debug", "trace"];
 /// What `${…}` gives in every file.
@@ -45,17 +53,14 @@ pub trait Host {
     ///
     /// # Errors
     ///
-    /// The field that cannot be used, and why.
-    fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Refusal>;
+    /// The fields that cannot be used, and why.
+    fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>>;
 
-    /// Whether these nodes can run beside each other: label and configuration, as [`node`](Self::node) gave it, of each.
-    ///
-    /// # Errors
-    ///
-    /// Which of them cannot, its field, and why.
-    fn together(&self, nodes: &[(&str, &Value)]) -> Result<(), (usize, Refusal)> {
+    /// Which of these nodes cannot run beside each other: label and configuration, as [`node`](Self::node) gave it, of each. Of those
+    /// that cannot, its index, its field, and why.
+    fn together(&self, nodes: &[(&str, &Value)]) -> Vec<(usize, Refusal)> {
         let _ = nodes;
-        Ok(())
+        Vec::new()
     }
 }
 
@@ -221,21 +226,27 @@ pub struct Plan {
 ///
 /// # Errors
 ///
-/// [`LaunchError`] names the file and the field or argument.
-pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> Result<Plan, LaunchError> {
+/// [`LaunchErrors`] names every mistake with the file and the field or argument.
+pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> Result<Plan, LaunchErrors> {
     let cwd = std::env::current_dir()
         .map_err(|e| LaunchError::system("the working directory cannot be found out", e))?;
+    let mut faults = Faults::default();
     let mut given = BTreeMap::new();
     for argument in arguments {
-        let refuse = |reason: &str| LaunchError::Argument {
-            path: path.to_owned(),
-            argument: argument.clone(),
-            reason: reason.to_owned(),
+        let mut refuse = |reason: &str| {
+            faults.push(LaunchError::Argument {
+                path: path.to_owned(),
+                argument: argument.clone(),
+                reason: reason.to_owned(),
+            });
         };
-        let (name, value) =
-            argument.split_once(":=").ok_or_else(|| refuse("is none; write `name:=value`"))?;
-        if given.insert(name.to_owned(), value.to_owned()).is_some() {
-            return Err(refuse("is given twice; leave one"));
+        match argument.split_once(":=") {
+            None => refuse("is none; write `name:=value`"),
+            Some((name, value)) => {
+                if given.insert(name.to_owned(), value.to_owned()).is_some() {
+                    refuse("is given twice; leave one");
+                }
+            }
         }
     }
     let mut loader = Loader {
@@ -243,21 +254,24 @@ pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> R
         cwd,
         tmp: tmp.to_owned(),
         processes: Vec::new(),
+        named: Vec::new(),
+        complete: true,
         open: Vec::new(),
+        files: 0,
+        room: Cell::new(PUT_IN),
         log_limits: LogLimits::default(),
+        faults,
     };
     let outer = Around { folder: loader.cwd.clone(), ..Around::default() };
-    let declared = loader.file(path, given, &outer)?;
-    let log_limits = std::mem::take(&mut loader.log_limits);
-    let processes = loader.linked()?;
-    let nodes: Vec<(&Process, &Value)> =
-        processes.iter().filter_map(|p| Some((p, p.config.as_ref()?))).collect();
-    let asked: Vec<(&str, &Value)> = nodes.iter().map(|(p, config)| (p.label.as_str(), *config)).collect();
-    host.together(&asked).map_err(|(i, refusal)| {
-        let process = nodes[i].0;
-        At { file: &process.file, field: &process.field }.refuse(&refusal.field, refusal.reason)
-    })?;
-    Ok(Plan { file: path.to_owned(), arguments: declared, processes, log_limits })
+    let declared = loader.file(path, given, &outer);
+    let waits = loader.waits();
+    loader.beside();
+    let mut processes = loader.processes;
+    for (process, after) in processes.iter_mut().zip(waits) {
+        process.after = after;
+    }
+    let log_limits = loader.log_limits;
+    loader.faults.or(Plan { file: path.to_owned(), arguments: declared, processes, log_limits })
 }
 
 /// What groups and files around an entry say.
@@ -310,10 +324,15 @@ impl Network {
     }
 }
 
-struct Pending {
-    process: Process,
+/// What has a name, whether it can be started or not.
+struct Named {
+    label: String,
+    file: PathBuf,
+    field: String,
     namespace: String,
     after: Vec<String>,
+    /// Whether it says when it is ready, or tries to.
+    ready: bool,
 }
 
 /// What is run.
@@ -328,10 +347,19 @@ struct Loader<'a> {
     host: &'a dyn Host,
     cwd: PathBuf,
     tmp: PathBuf,
-    processes: Vec<Pending>,
+    /// What can be started. As long as nothing is wrong, there is one for each of `named`.
+    processes: Vec<Process>,
+    named: Vec<Named>,
+    /// Whether all names are known: no file or entry was left out.
+    complete: bool,
     open: Vec<PathBuf>,
+    /// Files that were read.
+    files: usize,
+    /// What `${…}` may still put in.
+    room: Cell<usize>,
     /// Of the outermost file.
     log_limits: LogLimits,
+    faults: Faults,
 }
 
 /// Errors of one field of a file.
@@ -352,13 +380,74 @@ impl At<'_> {
 }
 
 impl Loader<'_> {
-    fn file(
-        &mut self,
-        path: &Path,
-        given: BTreeMap<String, String>,
-        around: &Around,
-    ) -> Result<Vec<Declared>, LaunchError> {
-        let mut tree = file::read(path)?;
+    /// Reads a file and all that it includes; what it declares.
+    fn file(&mut self, path: &Path, given: BTreeMap<String, String>, around: &Around) -> Vec<Declared> {
+        let read = self.tree(path).and_then(|tree| Ok((tree, self.enter(path)?)));
+        let (mut tree, folder) = match read {
+            Ok(read) => read,
+            Err(error) => {
+                self.complete = false;
+                self.faults.push(error);
+                return Vec::new();
+            }
+        };
+        let mut values: BTreeMap<String, String> =
+            [("here", &folder), ("cwd", &self.cwd), ("tmp", &self.tmp)]
+                .map(|(name, folder)| (name.to_owned(), folder.display().to_string()))
+                .into();
+        let room = Some(&self.room);
+        let scope = Scope { values: values.clone(), room };
+        let declared = arguments(&tree, given, path, &scope, around, &folder, &mut self.faults);
+        values.extend(declared.iter().map(|a| (a.name.clone(), a.value.clone())));
+        if let Value::Object(fields) = &mut tree {
+            fields.remove("arguments");
+        }
+        Scope { values, room }.tree(&mut tree, "", false, &mut |field, reason| {
+            self.faults.push(LaunchError::Field { path: path.to_owned(), field, reason });
+        });
+        let (file, _) = file::typed::<File>(tree, path, "", &mut self.faults);
+        if let Some(file) = file {
+            let at = At { file: path, field: "" };
+            if let Err((field, reason)) = file.log_limits.check() {
+                self.faults.push(at.refuse(&format!("log_limits.{field}"), reason));
+            }
+            if self.open.len() == 1 {
+                self.log_limits = file.log_limits.clone();
+            }
+            let mut inner = around.inside(
+                &at,
+                file.namespace.as_ref(),
+                &file.environment,
+                file.domain_id,
+                file.log.as_ref(),
+                &mut self.faults,
+            );
+            inner.folder = folder;
+            self.reach(&at, &mut inner, file.network.as_ref(), file.zenoh_config.as_ref());
+            self.entries(file.processes, &at, &inner);
+        } else {
+            self.complete = false;
+        }
+        self.open.pop();
+        declared
+    }
+
+    /// What a file says, if it may be read.
+    fn tree(&mut self, path: &Path) -> Result<Value, LaunchError> {
+        self.files += 1;
+        if self.files > FILES {
+            return Err(LaunchError::Read {
+                path: path.to_owned(),
+                reason: format!(
+                    "is one file too many: a launch reads {FILES} at most, each as often as it is included"
+                ),
+            });
+        }
+        file::read(path)
+    }
+
+    /// Notes that a file is open; its folder.
+    fn enter(&mut self, path: &Path) -> Result<PathBuf, LaunchError> {
         let real = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         if self.open.len() >= DEEPEST || self.open.contains(&real) {
             return Err(LaunchError::Read {
@@ -368,158 +457,130 @@ impl Loader<'_> {
         }
         self.open.push(real);
         let absolute = std::path::absolute(path).unwrap_or_else(|_| self.cwd.join(path));
-        let folder = absolute.parent().unwrap_or(Path::new("/")).to_owned();
-
-        let mut values: BTreeMap<String, String> =
-            [("here", &folder), ("cwd", &self.cwd), ("tmp", &self.tmp)]
-                .map(|(name, folder)| (name.to_owned(), folder.display().to_string()))
-                .into();
-        let declared = arguments(&tree, given, path, &Scope { values: values.clone() }, around, &folder)?;
-        values.extend(declared.iter().map(|a| (a.name.clone(), a.value.clone())));
-        if let Value::Object(fields) = &mut tree {
-            fields.remove("arguments");
-        }
-        Scope { values }.tree(&mut tree, "", false).map_err(|(field, reason)| LaunchError::Field {
-            path: path.to_owned(),
-            field,
-            reason,
-        })?;
-        alone(&tree, "", path)?;
-        let file: File = file::typed(tree, path, "")?;
-        let at = At { file: path, field: "" };
-        file.log_limits
-            .check()
-            .map_err(|(field, reason)| at.refuse(&format!("log_limits.{field}"), reason))?;
-        if self.open.len() == 1 {
-            self.log_limits = file.log_limits.clone();
-        }
-        let mut inner = around.inside(
-            &at,
-            file.namespace.as_ref(),
-            &file.environment,
-            file.domain_id,
-            file.log.as_ref(),
-        )?;
-        inner.folder = folder;
-        self.reach(&at, &mut inner, file.network.as_ref(), file.zenoh_config.as_ref())?;
-        self.entries(&file.processes, &at, &inner)?;
-        self.open.pop();
-        Ok(declared)
+        Ok(absolute.parent().unwrap_or(Path::new("/")).to_owned())
     }
 
-    fn entries(&mut self, entries: &[Entry], at: &At, around: &Around) -> Result<(), LaunchError> {
+    fn entries(&mut self, entries: Vec<Value>, at: &At, around: &Around) {
         if entries.is_empty() {
-            return Err(at.refuse("processes", "is empty; give at least one process"));
+            self.faults.push(at.refuse("processes", "is empty; give at least one process"));
         }
-        for (i, entry) in entries.iter().enumerate() {
-            let field = At { file: at.file, field: "" };
+        for (i, entry) in entries.into_iter().enumerate() {
+            if self.faults.full() || self.files > FILES || self.named.len() > PROCESSES {
+                self.complete = false;
+                return;
+            }
             let prefix = if at.field.is_empty() { String::new() } else { format!("{}.", at.field) };
             let path = format!("{prefix}processes[{i}]");
-            let here = At { field: &path, ..field };
-            if let Some(group) = &entry.group {
-                let path = format!("{path}.group");
-                let at = At { field: &path, ..here };
-                let mut inner = around.inside(
-                    &at,
-                    group.namespace.as_ref(),
-                    &group.environment,
-                    group.domain_id,
-                    group.log.as_ref(),
-                )?;
-                self.reach(&at, &mut inner, group.network.as_ref(), group.zenoh_config.as_ref())?;
-                self.entries(&group.processes, &at, &inner)?;
-            } else if let Some(include) = &entry.include {
-                self.include(include, &At { field: &format!("{path}.include"), ..here }, around)?;
-            } else {
-                self.process(entry, &here, around)?;
-            }
+            self.entry(entry, &At { field: &path, file: at.file }, around);
         }
-        Ok(())
     }
 
     /// Takes the keys `network` and `zenoh_config` into what is around; the inner one wins.
-    fn reach(
-        &self,
-        at: &At,
-        around: &mut Around,
-        network: Option<&Text>,
-        file: Option<&Text>,
-    ) -> Result<(), LaunchError> {
+    fn reach(&mut self, at: &At, around: &mut Around, network: Option<&Text>, file: Option<&Text>) {
         match (network, file) {
             (None, None) => {}
             (Some(_), Some(_)) => {
-                return Err(
-                    at.refuse("network", "stands beside `zenoh_config`, which says all of it; leave one")
-                );
+                let reason = "stands beside `zenoh_config`, which says all of it; leave one";
+                self.faults.push(at.refuse("network", reason));
             }
             (Some(Text(reach)), None) => {
-                self.host.network(reach).map_err(|reason| at.refuse("network", reason))?;
+                if let Err(reason) = self.host.network(reach) {
+                    self.faults.push(at.refuse("network", reason));
+                }
                 around.network = Some(Network::Reach(reach.clone()));
             }
             (None, Some(Text(file))) => {
                 let path = around.folder.join(file);
                 if !path.is_file() {
                     let reason = format!("{} is no file; check the path", path.display());
-                    return Err(at.refuse("zenoh_config", reason));
+                    self.faults.push(at.refuse("zenoh_config", reason));
                 }
                 around.network = Some(Network::File(path));
             }
         }
-        Ok(())
     }
 
-    fn include(&mut self, include: &Include, at: &At, around: &Around) -> Result<(), LaunchError> {
+    fn entry(&mut self, value: Value, at: &At, around: &Around) {
+        let outer = ["group", "include"].into_iter().find(|key| value.get(key).is_some());
+        if let (Some(key), Value::Object(fields)) = (outer, &value) {
+            for other in fields.keys().filter(|k| *k != key) {
+                let reason = format!("stands beside `{key}`; move it into the `{key}`, or remove it");
+                self.faults.push(at.refuse(other, reason));
+            }
+        }
+        match (outer, value) {
+            (Some("group"), mut value) => self.group(value["group"].take(), at, around),
+            (Some(_), mut value) => self.include(value["include"].take(), at, around),
+            (None, value) => match file::typed::<Entry>(value, at.file, at.field, &mut self.faults) {
+                (Some(entry), bad) => self.process(&entry, &bad, at, around),
+                (None, _) => self.complete = false,
+            },
+        }
+    }
+
+    fn group(&mut self, group: Value, at: &At, around: &Around) {
+        let path = format!("{}.group", at.field);
+        let at = At { field: &path, file: at.file };
+        let (Some(group), _) = file::typed::<Group>(group, at.file, at.field, &mut self.faults) else {
+            self.complete = false;
+            return;
+        };
         let mut inner = around.inside(
-            at,
+            &at,
+            group.namespace.as_ref(),
+            &group.environment,
+            group.domain_id,
+            group.log.as_ref(),
+            &mut self.faults,
+        );
+        self.reach(&at, &mut inner, group.network.as_ref(), group.zenoh_config.as_ref());
+        self.entries(group.processes, &at, &inner);
+    }
+
+    fn include(&mut self, include: Value, at: &At, around: &Around) {
+        let path = format!("{}.include", at.field);
+        let at = At { field: &path, file: at.file };
+        let (Some(include), _) = file::typed::<Include>(include, at.file, at.field, &mut self.faults) else {
+            self.complete = false;
+            return;
+        };
+        let mut inner = around.inside(
+            &at,
             include.namespace.as_ref(),
             &include.environment,
             include.domain_id,
             include.log.as_ref(),
-        )?;
-        self.reach(at, &mut inner, include.network.as_ref(), include.zenoh_config.as_ref())?;
+            &mut self.faults,
+        );
+        self.reach(&at, &mut inner, include.network.as_ref(), include.zenoh_config.as_ref());
         let path = around.folder.join(&include.file.0);
-        if !path.is_file() {
-            return Err(at.refuse("file", format!("{} is no file; check the path", path.display())));
+        if !path.exists() {
+            self.complete = false;
+            self.faults.push(at.refuse("file", format!("{} is no file; check the path", path.display())));
+            return;
         }
         let given = include.arguments.iter().map(|(name, value)| (name.clone(), value.0.clone())).collect();
-        self.file(&path, given, &inner).map(drop)
+        self.file(&path, given, &inner);
     }
 
-    fn process(&mut self, entry: &Entry, at: &At, around: &Around) -> Result<(), LaunchError> {
+    /// A process; keys in `bad` are there, but not as they should be.
+    fn process(&mut self, entry: &Entry, bad: &BTreeSet<String>, at: &At, around: &Around) {
+        let before = self.faults.count();
         let mut inner = around.inside(
             at,
             entry.namespace.as_ref(),
             &entry.environment,
             entry.domain_id,
             entry.log.as_ref(),
-        )?;
-        self.reach(at, &mut inner, entry.network.as_ref(), entry.zenoh_config.as_ref())?;
-        let Some(name) = &entry.name else {
-            return Err(at.refuse("name", "is missing; logs and `after` call the process by it"));
-        };
-        let name = name.0.as_str();
-        let ros_name = entry.node.is_some() || entry.ros_args;
-        if !is_name(name, !ros_name) {
-            let more = if ros_name { "" } else { ", `-` or `.`" };
-            return Err(at.refuse(
-                "name",
-                format!(
-                    "`{name}` is no name; it begins with a letter and goes on with letters, digits, `_`{more}"
-                ),
-            ));
+            &mut self.faults,
+        );
+        self.reach(at, &mut inner, entry.network.as_ref(), entry.zenoh_config.as_ref());
+        let label = self.label(entry, at, &inner);
+        if label.is_none() {
+            self.complete = false;
         }
-        let label = format!("{}/{name}", inner.namespace).trim_start_matches('/').to_owned();
-        if let Some(other) = self.processes.iter().find(|p| p.process.label == label) {
-            return Err(at.refuse(
-                "name",
-                format!(
-                    "`{label}` is the name of {} in {} too; give one of them another name or namespace",
-                    other.process.field,
-                    other.process.file.display()
-                ),
-            ));
-        }
-        let Command { own, program, arguments, config } = self.command(entry, name, &label, at, &inner)?;
+        let label = label.unwrap_or_default();
+        let command = self.command(entry, bad, &label, at, &inner);
 
         let mut environment = inner.environment.clone();
         let mut preset = |name: &str, value: String| {
@@ -528,6 +589,7 @@ impl Loader<'_> {
         if let Some(domain) = inner.domain_id {
             preset("ROS_DOMAIN_ID", domain.to_string());
         }
+        let own = command.as_ref().is_some_and(|command| command.own);
         for (name, value) in inner.network.iter().flat_map(|network| network.variables(own)) {
             preset(name, value);
         }
@@ -540,196 +602,275 @@ impl Loader<'_> {
         }
         let directory = match &entry.directory {
             None => inner.folder.clone(),
-            Some(directory) => {
-                let directory = inner.folder.join(&directory.0);
-                if !directory.is_dir() {
-                    return Err(at.refuse("directory", format!("{} is no folder", directory.display())));
-                }
-                directory
-            }
+            Some(directory) => inner.folder.join(&directory.0),
         };
+        if !directory.is_dir() {
+            self.faults.push(at.refuse("directory", format!("{} is no folder", directory.display())));
+        }
         if let Some((field, reason)) = entry.backoff.fault() {
-            return Err(at.refuse(&format!("backoff.{field}"), reason));
+            self.faults.push(at.refuse(&format!("backoff.{field}"), reason));
         }
         for (field, seconds) in [("interrupt", entry.stop.interrupt), ("terminate", entry.stop.terminate)] {
             if let Some(reason) = bad_seconds(seconds) {
-                return Err(at.refuse(&format!("stop.{field}"), reason));
+                self.faults.push(at.refuse(&format!("stop.{field}"), reason));
             }
         }
-        let ready = entry.ready.as_ref().map(|ready| readiness(ready, at, &inner.folder)).transpose()?;
-        self.processes.push(Pending {
-            process: Process {
-                label,
-                file: at.file.to_owned(),
-                field: at.field.to_owned(),
-                own,
-                program,
-                arguments,
-                config,
-                environment,
-                directory,
-                after: Vec::new(),
-                ready,
-                restart: entry.restart,
-                backoff: entry.backoff.clone(),
-                required: entry.required,
-                stop: entry.stop.clone(),
-            },
+        let ready = entry.ready.as_ref().map(|ready| readiness(ready, at, &inner.folder, &mut self.faults));
+        if self.named.len() == PROCESSES {
+            let reason = format!("is one process too many: a launch starts {PROCESSES} at most");
+            self.faults.tell(at.refuse("", reason));
+        }
+        self.named.push(Named {
+            label: label.clone(),
+            file: at.file.to_owned(),
+            field: at.field.to_owned(),
             namespace: inner.namespace,
             after: texts(&entry.after),
+            ready: ready.is_some() || bad.contains("ready"),
         });
-        Ok(())
+        let (Some(Command { own, program, arguments, config }), ready) = (command, ready.flatten()) else {
+            return;
+        };
+        if self.faults.count() > before {
+            return;
+        }
+        self.processes.push(Process {
+            label,
+            file: at.file.to_owned(),
+            field: at.field.to_owned(),
+            own,
+            program,
+            arguments,
+            config,
+            environment,
+            directory,
+            after: Vec::new(),
+            ready,
+            restart: entry.restart,
+            backoff: entry.backoff.clone(),
+            required: entry.required,
+            stop: entry.stop.clone(),
+        });
+    }
+
+    /// Namespace and name of a process, if they can be used.
+    fn label(&mut self, entry: &Entry, at: &At, inner: &Around) -> Option<String> {
+        let Some(Text(name)) = &entry.name else {
+            self.faults.push(at.refuse("name", "is missing; logs and `after` call the process by it"));
+            return None;
+        };
+        let ros_name = entry.node.is_some() || entry.ros_args;
+        if !is_name(name, !ros_name) {
+            let more = if ros_name { "" } else { ", `-` or `.`" };
+            self.faults.push(at.refuse(
+                "name",
+                format!(
+                    "`{name}` is no name; it begins with a letter and goes on with letters, digits, `_`{more}"
+                ),
+            ));
+            return None;
+        }
+        let label = format!("{}/{name}", inner.namespace).trim_start_matches('/').to_owned();
+        if let Some(other) = self.named.iter().find(|named| named.label == label) {
+            self.faults.push(at.refuse(
+                "name",
+                format!(
+                    "`{label}` is the name of {} in {} too; give one of them another name or namespace",
+                    other.field,
+                    other.file.display()
+                ),
+            ));
+        }
+        Some(label)
     }
 
     fn command(
-        &self,
+        &mut self,
         entry: &Entry,
-        name: &str,
+        bad: &BTreeSet<String>,
         label: &str,
         at: &At,
         inner: &Around,
-    ) -> Result<Command, LaunchError> {
+    ) -> Option<Command> {
         let remap = texts(&entry.remap);
-        if let Some(i) = remap.iter().position(|rule| !rule.contains(":=")) {
-            return Err(at.refuse(&format!("remap[{i}]"), format!("`{}` is no `from:=to`", remap[i])));
+        for (i, rule) in remap.iter().enumerate().filter(|(_, rule)| !rule.contains(":=")) {
+            self.faults.push(at.refuse(&format!("remap[{i}]"), format!("`{rule}` is no `from:=to`")));
         }
-        if entry.node.is_none() {
-            let only = "only a `node` takes this";
-            if entry.config.is_some() {
-                return Err(at.refuse("config", only));
-            }
-            if !entry.flags.is_empty() {
-                return Err(at.refuse("flags", only));
+        if entry.node.is_none() && !bad.contains("node") {
+            for (field, given) in [("config", entry.config.is_some()), ("flags", !entry.flags.is_empty())] {
+                if given {
+                    self.faults.push(at.refuse(field, "only a `node` takes this"));
+                }
             }
             for (field, given) in [("parameters", !entry.parameters.is_empty()), ("remap", !remap.is_empty())]
             {
                 if given && !entry.ros_args {
-                    return Err(
-                        at.refuse(field, "only a `node`, or a `program` with `ros_args: true`, takes this")
-                    );
+                    let only = "only a `node`, or a `program` with `ros_args: true`, takes this";
+                    self.faults.push(at.refuse(field, only));
                 }
             }
         }
-        if entry.ros_args && entry.program.is_none() {
-            return Err(at.refuse("ros_args", "only a `program` takes this"));
+        if entry.ros_args && entry.program.is_none() && !bad.contains("program") {
+            self.faults.push(at.refuse("ros_args", "only a `program` takes this"));
         }
         match (&entry.node, &entry.dermis, &entry.program) {
-            (Some(kind), None, None) => {
-                let namespace = if inner.namespace.is_empty() { "/" } else { &inner.namespace };
-                let request = NodeRequest {
-                    kind: &kind.0,
-                    name,
-                    namespace,
-                    domain_id: inner.domain_id,
-                    remap: &remap,
-                    parameters: &entry.parameters,
-                    config: entry.config.as_ref().unwrap_or(&Value::Null),
-                    file: at.file,
-                    folder: &inner.folder,
-                };
-                let config = self.host.node(&request).map_err(|r| at.refuse(&r.field, r.reason))?;
-                // JSON is YAML too.
-                let file = self.tmp.join(format!("{}.yaml", label.replace('/', ".")));
-                std::fs::write(&file, format!("{config:#}\n"))
-                    .map_err(|e| LaunchError::system(format!("{} cannot be written", file.display()), e))?;
-                let mut arguments = vec![kind.0.clone(), "--config".to_owned(), file.display().to_string()];
-                arguments.extend(texts(&entry.flags));
-                self.host.check(&arguments).map_err(|reason| at.refuse("flags", reason))?;
-                let program = self.host.program().to_owned();
-                Ok(Command { own: true, program, arguments, config: Some(config) })
-            }
+            (Some(Text(kind)), None, None) => self.node(entry, kind, &remap, label, at, inner),
             (None, Some(arguments), None) => {
                 let arguments = texts(arguments);
-                self.host.check(&arguments).map_err(|reason| at.refuse("dermis", reason))?;
-                Ok(Command { own: true, program: self.host.program().to_owned(), arguments, config: None })
+                if let Err(reason) = self.host.check(&arguments) {
+                    self.faults.push(at.refuse("dermis", reason));
+                }
+                Some(Command { own: true, program: self.host.program().to_owned(), arguments, config: None })
             }
             (None, None, Some(words)) => {
                 let words = texts(words);
                 let Some((program, rest)) = words.split_first() else {
-                    return Err(at.refuse("program", "is empty; give a program and its arguments"));
+                    self.faults.push(at.refuse("program", "is empty; give a program and its arguments"));
+                    return None;
                 };
-                let file = find_program(program, inner).map_err(|reason| at.refuse("program[0]", reason))?;
+                let file = find_program(program, inner)
+                    .map_err(|reason| self.faults.push(at.refuse("program[0]", reason)))
+                    .ok()?;
                 let mut arguments = rest.to_vec();
                 if entry.ros_args {
+                    let name = entry.name.as_ref().map_or("", |name| name.0.as_str());
                     arguments.extend(ros_args(name, inner, &remap, &entry.parameters));
                 }
-                Ok(Command { own: false, program: file, arguments, config: None })
+                Some(Command { own: false, program: file, arguments, config: None })
             }
-            (None, None, None) => Err(at.refuse(
-                "",
-                "says not what to start; give one of `node`, `dermis`, `program`, `group`, `include`",
-            )),
-            _ => Err(at.refuse("", "says twice what to start; leave one of `node`, `dermis`, `program`")),
+            (None, None, None) => {
+                if !["node", "dermis", "program"].into_iter().any(|key| bad.contains(key)) {
+                    self.faults.tell(at.refuse(
+                        "",
+                        "says not what to start; give one of `node`, `dermis`, `program`, `group`, `include`",
+                    ));
+                }
+                None
+            }
+            _ => {
+                let reason = "says twice what to start; leave one of `node`, `dermis`, `program`";
+                self.faults.tell(at.refuse("", reason));
+                None
+            }
         }
     }
 
-    /// The processes, with what they wait for found.
-    fn linked(self) -> Result<Vec<Process>, LaunchError> {
-        let labels: Vec<String> = self.processes.iter().map(|p| p.process.label.clone()).collect();
-        let mut processes = Vec::new();
-        for Pending { mut process, namespace, after } in self.processes {
-            for (i, wanted) in after.iter().enumerate() {
-                let refuse = |reason: String| LaunchError::Field {
-                    path: process.file.clone(),
-                    field: format!("{}.after[{i}]", process.field),
-                    reason,
-                };
-                let near = format!("{namespace}/{wanted}");
-                let found = [near.trim_start_matches('/'), wanted.trim_start_matches('/')]
-                    .into_iter()
-                    .find_map(|name| labels.iter().position(|label| label == name));
-                let Some(found) = found else {
-                    return Err(refuse(format!(
-                        "there is no process `{wanted}`; there are {}",
-                        labels.join(", ")
-                    )));
-                };
-                process.after.push(found);
-            }
-            processes.push(process);
+    fn node(
+        &mut self,
+        entry: &Entry,
+        kind: &str,
+        remap: &[String],
+        label: &str,
+        at: &At,
+        inner: &Around,
+    ) -> Option<Command> {
+        let request = NodeRequest {
+            kind,
+            // One that has no name, or none that can be used, is checked all the same.
+            name: label.rsplit('/').next().filter(|name| !name.is_empty()).unwrap_or("unnamed"),
+            namespace: if inner.namespace.is_empty() { "/" } else { &inner.namespace },
+            domain_id: inner.domain_id,
+            remap,
+            parameters: &entry.parameters,
+            config: entry.config.as_ref().unwrap_or(&Value::Null),
+            file: at.file,
+            folder: &inner.folder,
+        };
+        // JSON is YAML too.
+        let file = self.tmp.join(format!("{}.yaml", label.replace('/', ".")));
+        let mut arguments = vec![kind.to_owned(), "--config".to_owned(), file.display().to_string()];
+        arguments.extend(texts(&entry.flags));
+        let config = self.host.node(&request);
+        let known = !matches!(&config, Err(refusals) if refusals.iter().any(|r| r.field == "node"));
+        if known && let Err(reason) = self.host.check(&arguments) {
+            self.faults.push(at.refuse("flags", reason));
         }
-        for process in &processes {
-            for (i, wanted) in process.after.iter().enumerate() {
-                let refuse = |reason: String| LaunchError::Field {
-                    path: process.file.clone(),
-                    field: format!("{}.after[{i}]", process.field),
-                    reason,
-                };
-                let other = &processes[*wanted];
-                if other.ready.is_none() {
-                    return Err(refuse(format!(
+        let config = match config {
+            Ok(config) => config,
+            Err(refusals) => {
+                for Refusal { field, reason } in refusals {
+                    self.faults.push(at.refuse(&field, reason));
+                }
+                return None;
+            }
+        };
+        if let Err(error) = std::fs::write(&file, format!("{config:#}\n")) {
+            let what = format!("{} cannot be written", file.display());
+            self.faults.push(LaunchError::system(what, error));
+        }
+        let program = self.host.program().to_owned();
+        Some(Command { own: true, program, arguments, config: Some(config) })
+    }
+
+    /// Asks whether the nodes can run beside each other.
+    fn beside(&mut self) {
+        let nodes: Vec<(&Process, &Value)> =
+            self.processes.iter().filter_map(|p| Some((p, p.config.as_ref()?))).collect();
+        let asked: Vec<(&str, &Value)> =
+            nodes.iter().map(|(p, config)| (p.label.as_str(), *config)).collect();
+        for (i, Refusal { field, reason }) in self.host.together(&asked) {
+            let process = nodes[i].0;
+            self.faults.push(At { file: &process.file, field: &process.field }.refuse(&field, reason));
+        }
+    }
+
+    /// What each process waits for, as indices.
+    fn waits(&mut self) -> Vec<Vec<usize>> {
+        let labels: Vec<&str> = self.named.iter().map(|named| named.label.as_str()).collect();
+        let find = |named: &Named, wanted: &str| {
+            let near = format!("{}/{wanted}", named.namespace);
+            let names = [near.trim_start_matches('/'), wanted.trim_start_matches('/')];
+            names.into_iter().find_map(|name| labels.iter().position(|label| *label == name))
+        };
+        let found: Vec<Vec<Option<usize>>> = self
+            .named
+            .iter()
+            .map(|named| named.after.iter().map(|wanted| find(named, wanted)).collect())
+            .collect();
+        let waits: Vec<Vec<usize>> =
+            found.iter().map(|after| after.iter().copied().flatten().collect()).collect();
+        for (named, found) in self.named.iter().zip(&found) {
+            for (i, (wanted, other)) in named.after.iter().zip(found).enumerate() {
+                let reason = match other.map(|other| (other, &self.named[other])) {
+                    None if !self.complete => continue,
+                    None => format!("there is no process `{wanted}`; there are {}", labels.join(", ")),
+                    Some((_, other)) if !other.ready => format!(
                         "`{}` says not when it is ready; give it `ready: {{file: …}}` or `ready: {{line: …}}`",
                         other.label
-                    )));
-                }
-                if waits_for(&processes, *wanted, &process.label) {
-                    return Err(refuse(format!(
+                    ),
+                    Some((at, other)) if waits_for(&labels, &waits, at, &named.label) => format!(
                         "`{}` waits for `{}` itself, so that neither would start",
-                        other.label, process.label
-                    )));
-                }
+                        other.label, named.label
+                    ),
+                    Some(_) => continue,
+                };
+                self.faults.push(LaunchError::Field {
+                    path: named.file.clone(),
+                    field: format!("{}.after[{i}]", named.field),
+                    reason,
+                });
             }
         }
-        Ok(processes)
+        waits
     }
 }
 
 /// Whether a process waits for the one with this label, or is it.
-fn waits_for(processes: &[Process], from: usize, label: &str) -> bool {
-    let mut seen = vec![false; processes.len()];
+fn waits_for(labels: &[&str], waits: &[Vec<usize>], from: usize, label: &str) -> bool {
+    let mut seen = vec![false; waits.len()];
     let mut open = vec![from];
     while let Some(i) = open.pop() {
-        if processes[i].label == label {
+        if labels[i] == label {
             return true;
         }
         if !std::mem::replace(&mut seen[i], true) {
-            open.extend(&processes[i].after);
+            open.extend(&waits[i]);
         }
     }
     false
 }
 
-/// The arguments that a file declares, with their values.
+/// The arguments that a file declares, with their values; one that cannot be used has the text that it has in the file.
 fn arguments(
     tree: &Value,
     mut given: BTreeMap<String, String>,
@@ -737,85 +878,77 @@ fn arguments(
     scope: &Scope,
     around: &Around,
     folder: &Path,
-) -> Result<Vec<Declared>, LaunchError> {
+    faults: &mut Faults,
+) -> Vec<Declared> {
     let at = At { file: path, field: "arguments" };
     let empty = Map::new();
     let declarations = match tree.get("arguments") {
         None | Some(Value::Null) => &empty,
         Some(Value::Object(declarations)) => declarations,
         Some(_) => {
-            return Err(LaunchError::Field {
-                path: path.to_owned(),
-                field: "arguments".to_owned(),
-                reason: "is no table; write `name: default`, or `name: {default: …, about: …}`".to_owned(),
-            });
+            let reason = "is no table; write `name: default`, or `name: {default: …, about: …}`";
+            faults.push(at.refuse("", reason));
+            &empty
         }
     };
     let mut declared = Vec::new();
     for (name, declaration) in declarations {
         if FOLDERS.contains(&name.as_str()) || !is_name(name, true) {
-            return Err(at.refuse(
+            faults.push(at.refuse(
                 name,
                 format!(
                     "cannot be the name of an argument: it begins with a letter, goes on with letters, digits, `_`, `-` or `.`, and is none of {}",
                     FOLDERS.join(", ")
                 ),
             ));
+            continue;
         }
         let field = format!("arguments.{name}");
-        let argument: Argument = match declaration {
-            Value::Object(_) => file::typed(declaration.clone(), path, &field)?,
-            Value::Null => Argument { default: None, about: String::new(), path: false },
-            scalar => {
-                let default: Text = file::typed(scalar.clone(), path, &field)?;
-                Argument { default: Some(default), about: String::new(), path: false }
-            }
+        let argument = match declaration {
+            Value::Object(_) => file::typed::<Argument>(declaration.clone(), path, &field, faults).0,
+            Value::Null => Some(Argument { default: None, about: String::new(), path: false }),
+            scalar => file::typed::<Text>(scalar.clone(), path, &field, faults).0.map(|text| Argument {
+                default: Some(text),
+                about: String::new(),
+                path: false,
+            }),
         };
+        // It is known all the same, so that what uses it is no mistake.
+        let argument = argument.unwrap_or(Argument {
+            default: Some(Text::default()),
+            about: String::new(),
+            path: false,
+        });
         let (value, base) = match (given.remove(name), argument.default) {
             // What is given is relative to where it is given.
             (Some(value), _) => (value, &around.folder),
             (None, Some(Text(default))) => {
-                (scope.text(&default).map_err(|reason| at.refuse(name, reason))?, &folder.to_owned())
+                let value = scope.text(&default).unwrap_or_else(|reason| {
+                    faults.push(at.refuse(name, reason));
+                    default
+                });
+                (value, &folder.to_owned())
             }
             (None, None) => {
-                return Err(at.refuse(name, format!("has no default; give it: `{name}:=VALUE`")));
+                faults.push(at.refuse(name, format!("has no default; give it: `{name}:=VALUE`")));
+                (String::new(), &around.folder)
             }
         };
         let value =
             if argument.path && !value.is_empty() { base.join(value).display().to_string() } else { value };
         declared.push(Declared { name: name.clone(), value, about: argument.about });
     }
-    if let Some((name, value)) = given.pop_first() {
+    for (name, value) in given {
         let known: Vec<&str> = declarations.keys().map(String::as_str).collect();
         let known =
             if known.is_empty() { "it has none".to_owned() } else { format!("it has {}", known.join(", ")) };
-        return Err(LaunchError::Argument {
+        faults.push(LaunchError::Argument {
             path: path.to_owned(),
             argument: format!("{name}:={value}"),
             reason: format!("the file declares no argument `{name}`; {known}"),
         });
     }
-    Ok(declared)
-}
-
-/// Refuses what stands beside `group` or `include`, where it would do nothing.
-fn alone(tree: &Value, at: &str, path: &Path) -> Result<(), LaunchError> {
-    let Some(Value::Array(entries)) = tree.get("processes") else { return Ok(()) };
-    for (i, entry) in entries.iter().enumerate() {
-        let Value::Object(fields) = entry else { continue };
-        for key in ["group", "include"] {
-            let Some(inside) = fields.get(key) else { continue };
-            if let Some(other) = fields.keys().find(|k| *k != key) {
-                return Err(LaunchError::Field {
-                    path: path.to_owned(),
-                    field: format!("{at}processes[{i}].{other}"),
-                    reason: format!("stands beside `{key}`; move it into the `{key}`, or remove it"),
-                });
-            }
-            alone(inside, &format!("{at}processes[{i}].{key}."), path)?;
-        }
-    }
-    Ok(())
+    declared
 }
 
 impl Around {
@@ -826,7 +959,8 @@ impl Around {
         environment: &BTreeMap<String, Text>,
         domain_id: Option<u16>,
         log: Option<&Text>,
-    ) -> Result<Self, LaunchError> {
+        faults: &mut Faults,
+    ) -> Self {
         let mut inner = self.clone();
         if let Some(Text(namespace)) = namespace {
             let joined = match namespace.strip_prefix('/') {
@@ -835,7 +969,7 @@ impl Around {
             };
             let tokens: Vec<&str> = joined.split('/').filter(|t| !t.is_empty()).collect();
             if let Some(bad) = tokens.iter().find(|token| !is_name(token, false)) {
-                return Err(at.refuse(
+                faults.push(at.refuse(
                     "namespace",
                     format!("`{bad}` is no part of a namespace; it begins with a letter and goes on with letters, digits or `_`"),
                 ));
@@ -844,19 +978,19 @@ impl Around {
         }
         for (name, Text(value)) in environment {
             if name.is_empty() || name.contains(['=', '\0']) || value.contains('\0') {
-                return Err(at.refuse(&format!("environment.{name}"), "is no environment variable"));
+                faults.push(at.refuse(&format!("environment.{name}"), "is no environment variable"));
             }
             inner.environment.insert(name.clone(), value.clone());
         }
         if let Some(domain) = domain_id {
             if domain > 232 {
-                return Err(at.refuse("domain_id", format!("{domain} is no ROS domain; give 0 to 232")));
+                faults.push(at.refuse("domain_id", format!("{domain} is no ROS domain; give 0 to 232")));
             }
             inner.domain_id = Some(domain);
         }
         if let Some(Text(log)) = log {
             if !LEVELS.contains(&log.as_str()) && !log.contains(['=', ',']) {
-                return Err(at.refuse(
+                faults.push(at.refuse(
                     "log",
                     format!(
                         "`{log}` is no level; give one of {}, or a filter such as `info,dermis_node=debug`",
@@ -866,7 +1000,7 @@ impl Around {
             }
             inner.log = Some(log.clone());
         }
-        Ok(inner)
+        inner
     }
 }
 
@@ -879,23 +1013,27 @@ fn is_name(name: &str, free: bool) -> bool {
     name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_') && name.chars().all(more)
 }
 
-fn readiness(ready: &file::Ready, at: &At, folder: &Path) -> Result<Ready, LaunchError> {
-    if let Some(reason) = bad_seconds(ready.within) {
-        return Err(at.refuse("ready.within", reason));
+fn readiness(ready: &file::Ready, at: &At, folder: &Path, faults: &mut Faults) -> Option<Ready> {
+    let bad = bad_seconds(ready.within);
+    let seconds = if bad.is_some() { 0.0 } else { ready.within };
+    if let Some(reason) = bad {
+        faults.push(at.refuse("ready.within", reason));
     }
-    let within = Duration::from_secs_f64(ready.within);
+    let within = Duration::from_secs_f64(seconds);
     match (&ready.file, &ready.line) {
-        (Some(Text(path)), None) => Ok(Ready::File { path: folder.join(path), within }),
-        (None, Some(Text(line))) => {
-            let pattern = Regex::new(line).map_err(|e| {
-                at.refuse(
-                    "ready.line",
-                    format!("is no regular expression: {}", file::one_line(&e.to_string())),
-                )
-            })?;
-            Ok(Ready::Line { pattern, within })
+        (Some(Text(path)), None) => Some(Ready::File { path: folder.join(path), within }),
+        (None, Some(Text(line))) => match RegexBuilder::new(line).size_limit(PATTERN).build() {
+            Ok(pattern) => Some(Ready::Line { pattern, within }),
+            Err(error) => {
+                let error = file::one_line(&error.to_string());
+                faults.push(at.refuse("ready.line", format!("is no regular expression: {error}")));
+                None
+            }
+        },
+        _ => {
+            faults.push(at.refuse("ready", "needs one of `file` and `line`"));
+            None
         }
-        _ => Err(at.refuse("ready", "needs one of `file` and `line`")),
     }
 }
 

@@ -1,15 +1,24 @@
 //! `${…}` in the texts of a launch file.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 
 use serde_json::Value;
 
 /// What `${…}` can stand for in one file.
 #[derive(Debug, Default)]
-pub(crate) struct Scope {
+pub(crate) struct Scope<'a> {
     /// Arguments and the folders `here`, `cwd`, `tmp`.
     pub values: BTreeMap<String, String>,
+    /// What may still be put in, in all files of a launch.
+    pub room: Room<'a>,
 }
+
+/// \[bytes\] that `${…}` may still put in: arguments are handed on from file to file, and each may repeat the one before.
+pub(crate) type Room<'a> = Option<&'a Cell<usize>>;
+
+/// \[bytes\] of all that `${…}` puts into a launch.
+pub(crate) const PUT_IN: usize = 4 << 20;
 
 /// Keys whose value is a command: a text there is cut at its spaces before anything is put in, so that what is put in
 /// stays one word.
@@ -17,7 +26,7 @@ const COMMANDS: [&str; 2] = ["dermis", "program"];
 /// Keys below which a text that is one `${…}` takes the type of what is put in, as if it had been written there.
 const TYPED: [&str; 2] = ["parameters", "config"];
 
-impl Scope {
+impl Scope<'_> {
     /// One text.
     pub(crate) fn text(&self, text: &str) -> Result<String, String> {
         let mut out = String::with_capacity(text.len());
@@ -32,7 +41,14 @@ impl Scope {
                 let end = after.find('}').ok_or_else(|| {
                     format!("`${{{after}` has no closing `}}`; write `$$` for a dollar sign")
                 })?;
-                out.push_str(&self.value(&after[..end])?);
+                let value = self.value(&after[..end])?;
+                if let Some(room) = self.room {
+                    let left = room.get().checked_sub(value.len()).ok_or_else(|| {
+                        format!("`${{…}}` puts more than {PUT_IN} bytes into this launch; hand on less")
+                    })?;
+                    room.set(left);
+                }
+                out.push_str(&value);
                 rest = &after[end + 1..];
             } else {
                 out.push('$');
@@ -66,17 +82,25 @@ impl Scope {
         }
     }
 
-    /// All texts of a tree, in place. An error names the path of its field.
-    pub(crate) fn tree(&self, value: &mut Value, path: &str, typed: bool) -> Result<(), (String, String)> {
+    /// All texts of a tree, in place. What cannot be put in is told with the path of its field, and stays.
+    pub(crate) fn tree(
+        &self,
+        value: &mut Value,
+        path: &str,
+        typed: bool,
+        tell: &mut impl FnMut(String, String),
+    ) {
         match value {
             Value::String(text) => {
                 let whole = typed && text.starts_with("${") && text.find('}') == Some(text.len() - 1);
-                let put_in = self.text(text).map_err(|reason| (path.to_owned(), reason))?;
-                *value = if whole { scalar(put_in) } else { Value::String(put_in) };
+                match self.text(text) {
+                    Ok(put_in) => *value = if whole { scalar(put_in) } else { Value::String(put_in) },
+                    Err(reason) => tell(path.to_owned(), reason),
+                }
             }
             Value::Array(items) => {
                 for (i, item) in items.iter_mut().enumerate() {
-                    self.tree(item, &format!("{path}[{i}]"), typed)?;
+                    self.tree(item, &format!("{path}[{i}]"), typed, tell);
                 }
             }
             Value::Object(fields) => {
@@ -88,12 +112,11 @@ impl Scope {
                         *field = text.split_whitespace().collect();
                     }
                     let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-                    self.tree(field, &path, typed || TYPED.contains(&key.as_str()))?;
+                    self.tree(field, &path, typed || TYPED.contains(&key.as_str()), tell);
                 }
             }
             Value::Null | Value::Bool(_) | Value::Number(_) => {}
         }
-        Ok(())
     }
 }
 
@@ -111,9 +134,9 @@ mod tests {
     use proptest::prelude::*;
     use serde_json::json;
 
-    fn scope() -> Scope {
+    fn scope() -> Scope<'static> {
         let values = [("skin", "a b.toml"), ("rate", "50.0"), ("on", "true"), ("here", "/robot")];
-        Scope { values: values.map(|(k, v)| (k.to_owned(), v.to_owned())).into() }
+        Scope { values: values.map(|(k, v)| (k.to_owned(), v.to_owned())).into(), room: None }
     }
 
     #[test]
@@ -135,7 +158,7 @@ mod tests {
             "parameters": {"rate": "${rate}", "text": "x${rate}", "list": ["${on}"], "program": "a b"},
             "log": "${rate}",
         });
-        scope().tree(&mut tree, "", false).unwrap();
+        scope().tree(&mut tree, "", false, &mut |field, reason| panic!("{field}: {reason}"));
         assert_eq!(
             tree,
             json!({
@@ -144,9 +167,18 @@ mod tests {
                 "log": "50.0",
             })
         );
-        let mut tree = json!({"processes": [{"dermis": "skin ${none}"}]});
-        let (field, _) = scope().tree(&mut tree, "", false).unwrap_err();
-        assert_eq!(field, "processes[0].dermis[1]");
+        let mut tree = json!({"processes": [{"dermis": "skin ${none}"}, {"log": "${no"}]});
+        let mut fields = Vec::new();
+        scope().tree(&mut tree, "", false, &mut |field, _| fields.push(field));
+        assert_eq!(fields, ["processes[0].dermis[1]", "processes[1].log"]);
+    }
+
+    #[test]
+    fn what_is_put_in_has_an_end() {
+        let room = Cell::new(20);
+        let scope = Scope { room: Some(&room), ..scope() };
+        assert_eq!(scope.text("${skin}${skin}").unwrap(), "a b.tomla b.toml");
+        insta::assert_snapshot!(scope.text("${skin}").unwrap_err(), @"`${…}` puts more than 4194304 bytes into this launch; hand on less");
     }
 
     proptest! {

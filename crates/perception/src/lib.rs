@@ -68,12 +68,10 @@ impl Sensor {
     }
 
     /// Whether a node would start with this configuration, as far as can be told without starting it: skin, source,
-    /// masked channels and parameters. Models are looked for, not loaded; the device is not opened.
-    ///
-    /// # Errors
-    ///
-    /// [`RunError`], as the node itself would say.
-    pub fn check(&self, config: &Config) -> Result<(), RunError> {
+    /// masked channels and parameters. Models are looked for, not loaded; the device is not opened. What is wrong is as the node
+    /// itself would say it, each for itself; nothing where it would start.
+    #[must_use]
+    pub fn check(&self, config: &Config) -> Vec<RunError> {
         node::check(self, config)
     }
 

@@ -344,17 +344,35 @@ fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunEr
 }
 
 /// See [`Sensor::check`].
-pub(crate) fn check(sensor: &Sensor, config: &Config) -> Result<(), RunError> {
-    let (skin, _) = skin_and_source(sensor, config)?;
-    let mut estimator = SkinEstimator::new(&skin, &config.masked)?;
-    for folder in &config.models {
-        Bundle::load_within(folder, &skin, &config.model_limits).map_err(SetupError::from)?;
+pub(crate) fn check(sensor: &Sensor, config: &Config) -> Vec<RunError> {
+    let mut faults: Vec<RunError> =
+        SourceUrl::parse(&config.source).map_err(RunError::from).err().into_iter().collect();
+    // All the rest is about the skin.
+    let skin = match skin(sensor, config) {
+        Ok(skin) => skin,
+        Err(error) => {
+            faults.push(error);
+            return faults;
+        }
+    };
+    let bundles = config
+        .models
+        .iter()
+        .filter_map(|folder| Bundle::load_within(folder, &skin, &config.model_limits).err());
+    faults.extend(bundles.map(|error| RunError::from(SetupError::from(error))));
+    if faults.is_empty() {
+        // What is wrong with a bundle makes its correction useless, too.
+        faults.extend(check_correction(config, &skin).err());
     }
-    check_correction(config, &skin)?;
-    let parameters = Parameters::new(options(config, &skin)?.parameters);
-    // Of every node.
-    parameters.declare("use_sim_time", config.use_sim_time, ParameterDescriptor::default())?;
-    declare(&parameters, config, &skin, &mut estimator)
+    let start = || -> Result<(), RunError> {
+        let mut estimator = SkinEstimator::new(&skin, &config.masked)?;
+        let parameters = Parameters::new(options(config, &skin)?.parameters);
+        // Of every node.
+        parameters.declare("use_sim_time", config.use_sim_time, ParameterDescriptor::default())?;
+        declare(&parameters, config, &skin, &mut estimator)
+    };
+    faults.extend(start().err());
+    faults
 }
 
 /// Whether the correction of this device can be read, and is of use to one of the models.
@@ -372,6 +390,10 @@ fn check_correction(config: &Config, skin: &SkinDescription) -> Result<(), RunEr
 }
 
 fn skin_and_source(sensor: &Sensor, config: &Config) -> Result<(SkinDescription, SourceUrl), RunError> {
+    Ok((skin(sensor, config)?, SourceUrl::parse(&config.source)?))
+}
+
+fn skin(sensor: &Sensor, config: &Config) -> Result<SkinDescription, RunError> {
     let skin = SkinDescription::load(&config.skin)?;
     if skin.sensor != sensor.name {
         return Err(RunError::Sensor {
@@ -383,7 +405,7 @@ fn skin_and_source(sensor: &Sensor, config: &Config) -> Result<(SkinDescription,
     if let Err(ModelError::Description { field, reason, .. }) = (sensor.medium)(&skin) {
         return Err(RunError::Medium { path: config.skin.clone(), field, reason });
     }
-    Ok((config.instance_of(skin)?, SourceUrl::parse(&config.source)?))
+    Ok(config.instance_of(skin)?)
 }
 
 /// Parameters that say how a node was configured, and the key that decides each.

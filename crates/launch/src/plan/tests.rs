@@ -23,12 +23,16 @@ impl Host for Fake {
             .ok_or(format!("`{text}` is no network"))
     }
 
-    fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Refusal> {
-        if let Some(name) = request.parameters.keys().find(|name| *name != "rate") {
-            return Err(Refusal {
+    fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>> {
+        let unknown = request.parameters.keys().filter(|name| *name != "rate");
+        let refusals: Vec<Refusal> = unknown
+            .map(|name| Refusal {
                 field: format!("parameters.{name}"),
                 reason: "there is only `rate`".into(),
-            });
+            })
+            .collect();
+        if !refusals.is_empty() {
+            return Err(refusals);
         }
         Ok(json!({
             "name": request.name, "namespace": request.namespace, "domain": request.domain_id,
@@ -259,7 +263,11 @@ fn refusals_name_file_and_field() {
     insta::assert_snapshot!(refusal("processes: [{name: a, program: surely-not-installed}]"), @"launch file /robot.yaml: field `processes[0].program[0]`: `surely-not-installed` is not on PATH; install it, or give its path");
     insta::assert_snapshot!(refusal("processes: [{name: a, program: ./missing}]"), @"launch file /robot.yaml: field `processes[0].program[0]`: /./missing is no program; check the path and its permissions");
     insta::assert_snapshot!(refusal("processes: [{group: {processes: [{name: a, dermis: '${none}'}]}}]"), @"launch file /robot.yaml: field `processes[0].group.processes[0].dermis[0]`: `${none}` is not known; declare it under `arguments`, or use one of cwd, here, tmp, env:NAME");
-    insta::assert_snapshot!(refusal("processes: [{group: {processes: []}, namespace: a}]"), @"launch file /robot.yaml: field `processes[0].namespace`: stands beside `group`; move it into the `group`, or remove it");
+    insta::assert_snapshot!(refusal("processes: [{group: {processes: []}, namespace: a}]"), @r"
+2 mistakes:
+  launch file /robot.yaml: field `processes[0].namespace`: stands beside `group`; move it into the `group`, or remove it
+  launch file /robot.yaml: field `processes[0].group.processes`: is empty; give at least one process
+");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, ready: {within: 3}}]"), @"launch file /robot.yaml: field `processes[0].ready`: needs one of `file` and `line`");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, ready: {line: '('}}]"), @"launch file /robot.yaml: field `processes[0].ready.line`: is no regular expression: regex parse error: ( ^ error: unclosed group");
     insta::assert_snapshot!(refusal("namespace: 3a\nprocesses: [{name: a, dermis: device}]"), @"launch file /robot.yaml: field `namespace`: `3a` is no part of a namespace; it begins with a letter and goes on with letters, digits or `_`");
@@ -286,7 +294,12 @@ processes:
   - {name: a, dermis: device, ready: {file: x}, after: [c]}
   - {name: b, dermis: device, ready: {file: x}, after: [a]}
   - {name: c, dermis: device, ready: {file: x}, after: [b]}
-"), @"launch file /robot.yaml: field `processes[0].after[0]`: `c` waits for `a` itself, so that neither would start");
+"), @r"
+3 mistakes:
+  launch file /robot.yaml: field `processes[0].after[0]`: `c` waits for `a` itself, so that neither would start
+  launch file /robot.yaml: field `processes[1].after[0]`: `a` waits for `b` itself, so that neither would start
+  launch file /robot.yaml: field `processes[2].after[0]`: `b` waits for `c` itself, so that neither would start
+");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, ready: {file: x}, after: [a]}]"), @"launch file /robot.yaml: field `processes[0].after[0]`: `a` waits for `a` itself, so that neither would start");
 }
 
@@ -312,7 +325,8 @@ fn every_key_is_explained() {
     ]
     .map(refusal);
     for sentence in keys {
-        let (_, known) = sentence.split_once("expected ").unwrap_or_else(|| panic!("{sentence}"));
+        let line = sentence.lines().find(|line| line.contains("unknown field")).unwrap_or(&sentence);
+        let (_, known) = line.split_once("expected ").unwrap_or_else(|| panic!("{sentence}"));
         for key in known.split('`').skip(1).step_by(2) {
             assert!(guide.contains(&format!("`{key}`")), "launch/README.md does not explain `{key}`");
         }
