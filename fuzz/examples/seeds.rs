@@ -19,7 +19,8 @@ fn main() -> Done {
     seeds.frames()?;
     seeds.messages()?;
     seeds.bags()?;
-    seeds.files()
+    seeds.files()?;
+    seeds.limits()
 }
 
 struct Seeds {
@@ -156,5 +157,67 @@ impl Seeds {
             self.put("config", &format!("u-{name}"), &[b"u", url.as_bytes()])?;
         }
         Ok(())
+    }
+
+    /// What took all memory or time once, and the smallest of each kind that is right.
+    fn limits(&self) -> Done {
+        for (target, folder, prefix) in [
+            ("skin", "launch/skins", ""),
+            ("plan", "launch/plans", ""),
+            ("labels", "launch/labels", ""),
+            ("bundle", "models/baro-grid", ""),
+            ("launch", "launch", "y"),
+        ] {
+            for entry in fs::read_dir(self.root.join(folder))? {
+                let path = entry?.path();
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                if name.ends_with(".toml") || name.ends_with(".launch.yaml") {
+                    self.put(target, &name, &[prefix.as_bytes(), &fs::read(&path)?])?;
+                }
+            }
+        }
+        let skin = fs::read_to_string(self.root.join("launch/skins/baro-line.toml"))?;
+        for (name, from, to) in [
+            (
+                "size",
+                "surface = {",
+                "surface = { type = \"rectangle\", size = [1e300, 1e-300], spacing = 0.002 } # {",
+            ),
+            ("rate", "rate = ", "rate = 1e300 # "),
+            ("noise", "noise = ", "noise = 1e-300 # "),
+        ] {
+            self.put("skin", name, &[skin.replacen(from, to, 1).as_bytes()])?;
+        }
+        let plan = "schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n[[steps]]\n";
+        self.put(
+            "plan",
+            "count",
+            &[plan.as_bytes(), b"kind = \"presses\"\ncount = 4000000000\nforce = 0.5\n"],
+        )?;
+        let slow = b"kind = \"slides\"\ncount = 1\nforce = 0.5\nlength = 1e300\nspeed = 1e-300\n";
+        self.put("plan", "slow", &[plan.as_bytes(), slow])?;
+        let mut laughs = "yprocesses: &a0 [{name: a}]\n".to_owned();
+        for i in 1..=9 {
+            laughs += &format!("x{i}: &a{i} [{}]\n", vec![format!("*a{}", i - 1); 9].join(", "));
+        }
+        self.put("launch", "laughs", &[laughs.as_bytes()])?;
+        let itself = vec!["{include: {file: launch.yaml, arguments: {a: '${a}${a}'}}}"; 4].join(", ");
+        let text = format!("yarguments: {{a: xx}}\nprocesses: [{itself}]\n");
+        self.put("launch", "itself", &[text.as_bytes()])?;
+        let pattern = b"yprocesses: [{name: a, program: sh, ready: {line: '(((a{100}){100}){100}){100}'}}]\n";
+        self.put("launch", "pattern", &[pattern])?;
+        let stl = b"ssolid t\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid t\n";
+        self.put("mesh", "text", &[stl])?;
+        let mut binary = vec![b's'];
+        binary.extend([b' '; 80]);
+        // It says four billion triangles and holds one.
+        binary.extend(u32::MAX.to_le_bytes());
+        for v in [0.0f32, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0] {
+            binary.extend(v.to_le_bytes());
+        }
+        binary.extend([0, 0]);
+        self.put("mesh", "binary", &[&binary])?;
+        self.put("mesh", "tray", &[b"ov 0 0 0\nv 10 0 0\nv 10 8 0\nv 0 8 0\nf 1 2 3\nf 1 3 4\n"])?;
+        self.put("mesh", "far", &[b"ov 0 0 0\nv 1e38 0 0\nv 1 1e38 0\nf 1 2 3\n"])
     }
 }

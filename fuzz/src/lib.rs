@@ -11,8 +11,10 @@ use std::sync::OnceLock;
 
 use dermis_bag::{BagError, BagReader};
 use dermis_inference::Manifest;
+use dermis_launch::{Host, NodeRequest, Refusal};
+use dermis_learn::LabelMap;
 use dermis_perception::{Config, FrameReader};
-use dermis_skin::{Frame, SkinDescription};
+use dermis_skin::{Frame, SkinDescription, TriangleMesh};
 use dermis_testbed::Plan;
 use dermis_transport::framing::{
     AsciiDecoder, AsciiOptions, CRC_16, DecodedFrame, FrameDecoder, NativeDecoder, NativeEncoder,
@@ -25,7 +27,13 @@ use tempfile::TempDir;
 pub type Target = fn(&[u8]);
 
 /// Every target by its name, which is also that of its folder in `corpus/`.
-pub const TARGETS: [(&str, Target); 6] = [
+pub const TARGETS: [(&str, Target); 12] = [
+    ("bundle", bundle),
+    ("labels", labels),
+    ("launch", launch),
+    ("mesh", mesh),
+    ("plan", plan),
+    ("skin", skin),
     ("frames", frames),
     ("cdr", cdr),
     ("json", json),
@@ -275,6 +283,81 @@ pub fn metadata(data: &[u8]) {
             }
         }
     });
+}
+
+/// A skin description, and what is computed of it at once: surface and hash.
+pub fn skin(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    reads_back(text, |t| SkinDescription::from_toml(t, "skin.toml"), toml::to_string);
+    if let Ok(skin) = SkinDescription::from_toml(text, "skin.toml") {
+        let surface = skin.surface();
+        assert!(surface.points.iter().all(|p| p.iter().all(|v| v.is_finite())), "a point is not finite");
+        assert!(skin.hash().starts_with("sha256:"));
+    }
+}
+
+/// A plan of what is done to a skin.
+pub fn plan(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    reads_back(text, |t| Plan::from_toml(t, "plan.toml"), toml::to_string);
+}
+
+/// The manifest of a model bundle.
+pub fn bundle(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    reads_back(text, |t| Manifest::from_toml(t, "bundle.toml"), toml::to_string);
+}
+
+/// A map from a rig's topics to ground truth.
+pub fn labels(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    reads_back(text, |t| LabelMap::from_toml(t, "labels.toml"), toml::to_string);
+}
+
+/// A triangulated surface: one character that chooses, then the file. `s` STL, `o` OBJ.
+pub fn mesh(data: &[u8]) {
+    let Some((kind, file)) = data.split_first() else { return };
+    folder(|folder| {
+        let path = folder.join(if *kind == b'o' { "skin.obj" } else { "skin.stl" });
+        write(&path, file);
+        if let Err(error) = TriangleMesh::load(&path, 1e-3, 1) {
+            one_sentence(&error);
+        }
+    });
+}
+
+/// A launch file: one character that chooses, then text. `t` TOML, else YAML. It may include itself by the name `launch.yaml`.
+pub fn launch(data: &[u8]) {
+    let Some((kind, text)) = data.split_first() else { return };
+    folder(|folder| {
+        let path = folder.join(if *kind == b't' { "launch.toml" } else { "launch.yaml" });
+        write(&path, text);
+        if let Err(errors) = dermis_launch::load(&path, &[], folder, &Anything) {
+            assert!(!errors.0.is_empty(), "refused without a mistake");
+            errors.0.iter().for_each(one_sentence);
+        }
+    });
+}
+
+/// A program that takes whatever a launch file asks of it.
+struct Anything;
+
+impl Host for Anything {
+    fn program(&self) -> &Path {
+        Path::new("/bin/true")
+    }
+
+    fn check(&self, _: &[String]) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn network(&self, _: &str) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn node(&self, request: &NodeRequest<'_>) -> Result<serde_json::Value, Vec<Refusal>> {
+        Ok(request.config.clone())
+    }
 }
 
 /// Files that people write: one character that chooses, then text.

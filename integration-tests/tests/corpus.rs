@@ -5,8 +5,21 @@
 mod fuzz;
 
 use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
 
 use dermis_integration_tests::root;
+
+/// Longest time that an input takes, on a machine at full load.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// \[bytes\] that this process may ever hold.
+const MEMORY: u64 = 1 << 30;
+
+/// \[bytes\] that this process has held at most.
+fn most_memory() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or_default();
+    line.trim().trim_end_matches(" kB").parse::<u64>().unwrap_or(0) * 1024
+}
 
 fn replay(target: &str) {
     let (_, run) = fuzz::TARGETS.iter().find(|(name, _)| *name == target).expect("a fuzz target");
@@ -16,9 +29,12 @@ fn replay(target: &str) {
     for file in files {
         let path = file.expect("an entry of the corpus").path();
         let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let begun = Instant::now();
         if std::panic::catch_unwind(|| run(&bytes)).is_err() {
             panic!("{} fails", path.display());
         }
+        assert!(begun.elapsed() < PATIENCE, "{} takes {:?}", path.display(), begun.elapsed());
+        assert!(most_memory() < MEMORY, "{} takes {} bytes of memory", path.display(), most_memory());
         count += 1;
     }
     println!("{count} inputs of {target}");
@@ -53,6 +69,36 @@ fn metadata() {
 #[test]
 fn config() {
     replay("config");
+}
+
+#[test]
+fn bundle() {
+    replay("bundle");
+}
+
+#[test]
+fn labels() {
+    replay("labels");
+}
+
+#[test]
+fn launch() {
+    replay("launch");
+}
+
+#[test]
+fn mesh() {
+    replay("mesh");
+}
+
+#[test]
+fn plan() {
+    replay("plan");
+}
+
+#[test]
+fn skin() {
+    replay("skin");
 }
 
 #[test]

@@ -313,9 +313,8 @@ fn look_around(node: &Node, shared: &Arc<Shared>, bridged: &mut BTreeMap<(String
         // Geometry is latched; everything else is a stream, where the newest counts.
         let qos = if kind.ends_with("/SkinGeometry") { Qos::latched() } else { Qos::sensor_data() };
         let (callback_shared, callback_topic) = (Arc::clone(shared), topic.clone());
-        let subscribed = node.subscribe_raw(&topic, support, qos, move |bytes, info| {
-            let publisher = info.publication.map(|publication| publication.publisher);
-            forward(&callback_shared, &callback_topic, support, bytes, publisher);
+        let subscribed = node.subscribe_raw(&topic, support, qos, move |bytes, _| {
+            forward(&callback_shared, &callback_topic, support, bytes, None);
         });
         match subscribed {
             Ok(subscription) => {
