@@ -250,7 +250,7 @@ processes:
 
 #[test]
 fn refusals_name_file_and_field() {
-    insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, retsart: always}]"), @"launch file /robot.yaml: field `processes[0].retsart`: unknown field `retsart`, expected one of `name`, `node`, `dermis`, `program`, `group`, `include`, `config`, `flags`, `parameters`, `remap`, `ros_args`, `namespace`, `environment`, `domain_id`, `log`, `network`, `zenoh_config`, `directory`, `after`, `ready`, `restart`, `backoff`, `required`, `stop`");
+    insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, retsart: always}]"), @"launch file /robot.yaml: field `processes[0].retsart`: unknown field `retsart`, expected one of `name`, `node`, `dermis`, `program`, `group`, `include`, `config`, `flags`, `parameters`, `remap`, `ros_args`, `namespace`, `environment`, `domain_id`, `network`, `zenoh_config`, `log`, `directory`, `after`, `ready`, `restart`, `backoff`, `required`, `stop`");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, restart: sometimes}]"), @"launch file /robot.yaml: field `processes[0].restart`: unknown variant `sometimes`, expected one of `never`, `on-failure`, `always`");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, backoff: {first: soon}}]"), @r#"launch file /robot.yaml: field `processes[0].backoff.first`: invalid type: string "soon", expected f64"#);
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, backoff: {most: 0.1}}]"), @"launch file /robot.yaml: field `processes[0].backoff.most`: 0.1 s is less than the first wait of 0.5 s; raise it");
