@@ -108,13 +108,9 @@ fn foxglove() -> Vec<Wish> {
 
 #[test]
 fn layouts_show_what_a_node_publishes() {
-    let _demo = Peer::start(Command::new(program("dermis")).args([
-        "demo",
-        "--duration",
-        "120s",
-        "--json",
-        "--no-bridge",
-    ]));
+    let folder = tempfile::tempdir().unwrap();
+    // Mounted, so that it is in the tree of frames, too.
+    let _pad = Pad::start(folder.path(), &["--mount", "wrist,0,0,0.1"]);
     let options = NodeOptions::new("viewer").domain_id(domain()).localhost_only(true);
     let viewer = Node::open(options, &backend()).unwrap();
     let begun = Instant::now();
