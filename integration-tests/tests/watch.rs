@@ -3,14 +3,14 @@
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use dermis_integration_tests::{Pad, Peer, domain, json, program, root};
+use dermis_integration_tests::{Pad, Peer, domain, isolate, json, program, root};
 use serde_json::Value;
 
 const SOON: Duration = Duration::from_secs(60);
 
 fn dermis() -> Command {
     let mut command = Command::new(program("dermis"));
-    command.current_dir(root());
+    isolate(command.current_dir(root()));
     command
 }
 
