@@ -260,12 +260,15 @@ fn one_is_replayed(folder: &Path, bag: &Path) {
     let source = format!("replay://{}?speed=0&skin=left_palm", bag.display());
     // A device that has sent all hangs up, with what is still on its line.
     let all = recorded.len();
-    for (url, least) in [(format!("serial://{}", link.display()), all / 2), (source, all)] {
+    for (url, least) in [(format!("pty://{}", link.display()), all / 2), (source, all)] {
         let source = Source::open(SourceUrl::parse(&url).unwrap(), SourceOptions::default());
         let mut decoder = NativeDecoder::new(Some(25));
         let mut frames = Vec::new();
         until("its frames come back", || {
-            if let Some(Event::Bytes { data, received_ns }) = source.next_timeout(Duration::from_millis(50)) {
+            while frames.len() < least
+                && let Some(Event::Bytes { data, received_ns }) =
+                    source.next_timeout(Duration::from_millis(50))
+            {
                 decoder.push(&data, received_ns, &mut frames);
             }
             (frames.len() >= least).then_some(())
