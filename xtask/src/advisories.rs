@@ -10,10 +10,19 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
+use crate::environment;
 use crate::run::{cargo, output, run};
+
+/// What the copy is called in the configuration of `cargo deny`, which takes no path: git goes to the copy instead.
+const COPY: &str = "https://advisories.invalid/advisory-db";
 
 /// Longest time to fetch the database.
 const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Makes sure that `cargo deny` is there.
+pub fn tool(root: &Path) -> Result<()> {
+    environment::subcommand(root, "deny", "0.20.2")
+}
 
 /// Checks `Cargo.lock`; answers what to know of the database, where it is not the present one.
 pub fn check(root: &Path) -> Result<Option<String>> {
@@ -29,8 +38,12 @@ pub fn check(root: &Path) -> Result<Option<String>> {
     let source = home.join("source");
     unpack(&copy, &source, date).with_context(|| format!("{} cannot be unpacked", copy.display()))?;
     let copied = home.join("deny.toml");
-    fs::write(&copied, with_database(&fs::read_to_string(&config)?, &home.join("databases"), &source)?)?;
-    run(deny(root, &copied).args(["check", "advisories"]))?;
+    fs::write(&copied, with_database(&fs::read_to_string(&config)?, &home.join("databases"))?)?;
+    run(deny(root, &copied)
+        .args(["check", "advisories"])
+        .env("GIT_CONFIG_COUNT", "1")
+        .env("GIT_CONFIG_KEY_0", format!("url.file://{}.insteadOf", source.display()))
+        .env("GIT_CONFIG_VALUE_0", COPY))?;
     Ok(Some(format!(
         "advisories newer than {date}: the database could not be fetched, its copy in .ci/advisories was used"
     )))
@@ -109,13 +122,13 @@ fn unpack(copy: &Path, source: &Path, date: &str) -> Result<()> {
 }
 
 /// The configuration of `cargo deny` with another database.
-fn with_database(config: &str, databases: &Path, source: &Path) -> Result<String> {
+fn with_database(config: &str, databases: &Path) -> Result<String> {
     let mut config: toml::Table = toml::from_str(config).context("deny.toml cannot be read")?;
     let Some(toml::Value::Table(advisories)) = config.get_mut("advisories") else {
         bail!("deny.toml has no table `advisories`");
     };
     advisories.insert("db-path".into(), databases.display().to_string().into());
-    advisories.insert("db-urls".into(), vec![format!("file://{}", source.display())].into());
+    advisories.insert("db-urls".into(), vec![COPY].into());
     Ok(toml::to_string(&config)?)
 }
 
@@ -126,12 +139,12 @@ mod tests {
     #[test]
     fn what_is_ignored_stays_where_the_database_changes() {
         let config = "[advisories]\nignore = [{ id = 'RUSTSEC-2023-0071', reason = 'x' }]\n[bans]\nwildcards = 'allow'";
-        let other = with_database(config, Path::new("/d"), Path::new("/s")).unwrap();
+        let other = with_database(config, Path::new("/d")).unwrap();
         let other: toml::Table = toml::from_str(&other).unwrap();
-        assert_eq!(other["advisories"]["db-urls"][0].as_str(), Some("file:///s"));
+        assert_eq!(other["advisories"]["db-urls"][0].as_str(), Some(COPY));
         assert_eq!(other["advisories"]["ignore"][0]["id"].as_str(), Some("RUSTSEC-2023-0071"));
         assert_eq!(other["bans"]["wildcards"].as_str(), Some("allow"));
-        assert!(with_database("[bans]", Path::new("/d"), Path::new("/s")).is_err());
+        assert!(with_database("[bans]", Path::new("/d")).is_err());
     }
 
     #[test]

@@ -48,6 +48,8 @@ enum Command {
     Fuzz(fuzz::Options),
     /// Check that imports between crates run one way.
     Layers,
+    /// Check the crates that we depend on against the advisories that are known of them.
+    Advisories,
 }
 
 fn main() -> Result<()> {
@@ -79,5 +81,9 @@ fn main() -> Result<()> {
         Command::Measure(measurement) => measure::run(&root, &measurement),
         Command::Fuzz(options) => fuzz::run(&root, &options),
         Command::Layers => layers::check(&root),
+        Command::Advisories => {
+            advisories::tool(&root)?;
+            advisories::check(&root).map(|note| note.iter().for_each(|note| println!("not checked: {note}")))
+        }
     }
 }

@@ -53,7 +53,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     let clients = step("Python clients", || environment::clients(root))?;
     if !options.no_lint {
         step("licences and sources", || {
-            environment::subcommand(root, "deny", "0.20.2")?;
+            advisories::tool(root)?;
             // Crates of every platform: cargo builds with those of this one only, and has no others.
             execute(cargo(root).args(["fetch", "--locked", "--quiet"]))?;
             execute(cargo(root).args(["deny", "--offline", "check", "licenses", "bans", "sources"]))
