@@ -151,7 +151,7 @@ impl Salvage {
                 }
             }
             Record::Metadata(metadata) if metadata.name == losses::RECORD => {
-                self.note = Some(metadata.metadata)
+                self.note = Some(metadata.metadata);
             }
             _ => {}
         }
