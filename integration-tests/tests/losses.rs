@@ -255,7 +255,6 @@ fn a_topic_that_nobody_publishes_is_said_and_fails() {
             })
             .then_some(())
     });
-    assert!(!lines().contains("/mute"), "it is published: {}", lines());
     let late = node.publisher::<Int32>("/late", Qos::reliable(10)).unwrap();
     until("it says that one is there", || lines().contains("/late is published now").then_some(()));
     until("it is recorded", || {
