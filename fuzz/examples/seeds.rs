@@ -192,9 +192,9 @@ impl Seeds {
         self.put(
             "plan",
             "count",
-            &[plan.as_bytes(), b"kind = \"presses\"\ncount = 4000000000\nforce = 0.5\n"],
+            &[plan.as_bytes(), b"kind = \"presses\"\ncount = 4000000000\nforce = [0.1, 0.5]\n"],
         )?;
-        let slow = b"kind = \"slides\"\ncount = 1\nforce = 0.5\nlength = 1e300\nspeed = 1e-300\n";
+        let slow = b"kind = \"slides\"\ncount = 1\nforce = [0.1, 0.5]\nlength = [1e300, 1e300]\nspeed = [1e-300, 1e-300]\n";
         self.put("plan", "slow", &[plan.as_bytes(), slow])?;
         let mut laughs = "yprocesses: &a0 [{name: a}]\n".to_owned();
         for i in 1..=9 {
