@@ -412,6 +412,58 @@ fn an_unplugged_skin_is_stale_and_comes_back() {
 }
 
 #[test]
+fn a_second_sender_on_the_port_is_left_out_and_diagnosed() {
+    let bench = Bench::new();
+    let bind = || std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let to = bind().local_addr().unwrap();
+    let mut config = bench.config();
+    config.source = format!("udp://{to}?hold=5");
+    let running = bench.start(&config);
+    let stop = Arc::new(AtomicBool::new(false));
+    let sender = || {
+        let (socket, stop) = (bind(), Arc::clone(&stop));
+        let own = socket.local_addr().unwrap();
+        let thread = std::thread::spawn(move || {
+            let mut encoder = NativeEncoder::new(NativeFormat::F32);
+            for k in 0_u32.. {
+                if stop.load(Ordering::Acquire) {
+                    break;
+                }
+                let _ = socket.send_to(encoder.encode(k, 1, &[101_325.0 + (k % 40) as f32; 4]).unwrap(), to);
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        });
+        (own, thread)
+    };
+    let until = |what: &str, holds: &dyn Fn(&Status) -> bool| {
+        let deadline = Instant::now() + WAIT;
+        loop {
+            let status = running.diagnosis();
+            if holds(&status) {
+                return status;
+            }
+            assert!(Instant::now() < deadline, "never came: {what}; {status:?}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    let value = |status: &Status, key: &str| {
+        status.values.iter().find(|(k, _)| k == key).map_or(String::new(), |(_, value)| value.clone())
+    };
+    let (first, one) = sender();
+    until("frames", &|s| value(s, "frames").parse::<u64>().is_ok_and(|n| n > 5));
+    let (second, two) = sender();
+    let sentence = format!("{second} wants to send too and is left out, while {first} is read");
+    let status = until("the warning", &|s| s.message.contains(&sentence));
+    assert!(status.level >= Level::Warn);
+    assert_eq!(value(&status, "other senders"), second.to_string());
+    assert_ne!(value(&status, "datagrams of others"), "0");
+    stop.store(true, Ordering::Release);
+    one.join().unwrap();
+    two.join().unwrap();
+    running.stop();
+}
+
+#[test]
 fn a_foreign_device_is_a_fault_with_one_sentence() {
     let bench = Bench::new();
     let running = bench.start(&bench.config());
