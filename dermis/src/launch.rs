@@ -44,6 +44,9 @@ pub struct Options {
     log_keep: Option<u32>,
 }
 
+/// Names the folder in which nodes keep what they want to know after a crash.
+const RESTART: &str = "DERMIS_RESTART_DIR";
+
 /// The command that is the guard of a launch.
 pub const GUARD: &str = "launch-guard";
 
@@ -69,6 +72,10 @@ pub async fn run(options: &Options, format: Format) -> Result<()> {
             print!("{}", plan.text());
         }
         return Ok(());
+    }
+    // A node that is killed goes on with the zero that it had.
+    for process in plan.processes.iter_mut().filter(|process| process.own) {
+        process.environment.insert(RESTART.to_owned(), tmp.path().display().to_string());
     }
     let mut limits = plan.log_limits.clone();
     limits.rate = options.log_rate.unwrap_or(limits.rate);

@@ -37,8 +37,10 @@ use crate::messages::{
     blind_message, contacts_message, markers_message, no_markers_message, points_message, transform_message,
     wrench_message,
 };
+use kept_zero::KeptZero;
 use loader::Loader;
 
+mod kept_zero;
 mod loader;
 
 /// Longest wait for bytes, and so the longest time until a stop or a silence is noticed.
@@ -194,6 +196,18 @@ impl SkinNode {
 
         let node = Node::open(options(config, &skin)?, backend)?;
         declare(node.parameters(), config, &skin, &mut estimator)?;
+        // A recording that is started again is at its beginning.
+        let live = !matches!(url, SourceUrl::Replay { .. });
+        let folder = std::env::var_os(kept_zero::FOLDER).filter(|_| live).map(PathBuf::from);
+        let kept_zero = KeptZero::new(folder.as_deref(), &node.full_name(), &skin);
+        if let Some((zero, age)) = kept_zero.load(now_ns()) {
+            let age = age.as_secs_f64();
+            tracing::info!(
+                "skin `{}`: goes on with its zero of {age:.1} s ago, before the restart",
+                skin.name
+            );
+            estimator.set_zero(&zero);
+        }
         let mut publishers = Publishers::new(&node, estimator.maps())?;
         if config.mount.is_some() {
             publishers.transform = transforms(&node, &skin)?;
@@ -217,6 +231,7 @@ impl SkinNode {
                 .model_folders
                 .clone()
                 .unwrap_or_else(|| folders::of_bundles(&config.models)),
+            kept_zero,
             core: Mutex::new(Core {
                 reader: None,
                 estimator,
@@ -312,6 +327,8 @@ impl SkinNode {
             && thread.join().is_err()
         {
             tracing::error!("the thread of skin `{}` ended by a panic", self.shared.skin.name);
+        } else {
+            self.shared.kept_zero.forget();
         }
         self.node.shutdown();
     }
@@ -656,6 +673,7 @@ struct Shared {
     model_limits: Limits,
     /// Folders below which bundles may be loaded from.
     model_folders: Vec<PathBuf>,
+    kept_zero: KeptZero,
     core: Mutex<Core>,
     /// Told after every batch of frames.
     progress: Condvar,
@@ -732,6 +750,7 @@ impl Shared {
         // What a frame takes, on average over the last few.
         let mut pace = 0.0f64;
         let mut link = LinkNews::default();
+        let mut kept: Option<Instant> = None;
         while !self.stopping() {
             if !self.active.load(Ordering::Acquire) {
                 if source.take().is_some() {
@@ -848,6 +867,16 @@ impl Shared {
                     self.clear_arrows(&mut core);
                 }
                 core.blind = Some((status, text));
+            }
+            if !stale
+                && kept.is_none_or(|at| at.elapsed() >= kept_zero::PERIOD)
+                && let Some(save) = core.estimator.zero().and_then(|zero| self.kept_zero.save(zero, now_ns()))
+            {
+                kept = Some(Instant::now());
+                self.slowly(move || {
+                    save();
+                    Ok(())
+                });
             }
             drop(core);
             self.progress.notify_all();
