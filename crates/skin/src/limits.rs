@@ -249,26 +249,26 @@ mod tests {
     #[test]
     fn what_no_skin_can_be_is_refused_before_it_is_computed() {
         insta::assert_snapshot!(refused("[0.02, 0.01]", "[1e300, 1e-300]"), @"skin file pad.toml: field `surface.size[0]`: is 1e300 m and must be 0.000001 to 100 m");
-        insta::assert_snapshot!(refused("[0.02, 0.01]", "[100.0, 90.0]"), @"");
-        insta::assert_snapshot!(refused("spacing = 0.005", "spacing = 1e-300"), @"");
-        insta::assert_snapshot!(refused("rate = 100.0", "rate = 1e300"), @"");
-        insta::assert_snapshot!(refused("rate = 100.0", "rate = 1e-300"), @"");
-        insta::assert_snapshot!(refused("noise = 20.0", "noise = 1e300"), @"");
-        insta::assert_snapshot!(refused("noise = 20.0", "noise = 1e-300"), @"");
-        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\nrange = [-1e300, 1e5]"), @"");
-        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\nwire = { scale = 1e-300 }"), @"");
-        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\ncondition = { tare_duration = 1e9 }"), @"");
-        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\nmedium = { layers = [{ young = 1e300 }] }"), @"");
-        insta::assert_snapshot!(refused("[0.005, 0.0, -0.005]", "[1e9, 0.0, -0.005]"), @"");
-        insta::assert_snapshot!(refused("[0.005, 0.0, -0.005]", "[0.005, 0.0, -0.005], normal = [0, 0, 1e300]"), @"");
+        insta::assert_snapshot!(refused("[0.02, 0.01]", "[100.0, 90.0]"), @"skin file pad.toml: field `surface.spacing`: 0.005 m makes more than a million points; coarsen it");
+        insta::assert_snapshot!(refused("spacing = 0.005", "spacing = 1e-300"), @"skin file pad.toml: field `surface.spacing`: is 1e-300 m and must be 0.000001 to 100 m");
+        insta::assert_snapshot!(refused("rate = 100.0", "rate = 1e300"), @"skin file pad.toml: field `rate`: is 1e300 Hz and must be 0.001 to 1000000 Hz");
+        insta::assert_snapshot!(refused("rate = 100.0", "rate = 1e-300"), @"skin file pad.toml: field `rate`: is 1e-300 Hz and must be 0.001 to 1000000 Hz");
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 1e300"), @"skin file pad.toml: field `noise`: is 1e300 Pa and must be 0.000000000000001 to 1000000000000000 Pa");
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 1e-300"), @"skin file pad.toml: field `noise`: is 1e-300 Pa and must be 0.000000000000001 to 1000000000000000 Pa");
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\nrange = [-1e300, 1e5]"), @"skin file pad.toml: field `range`: is -1e300 and must be 0, or of a size from 1e-15 to 1e15");
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\nwire = { scale = 1e-300 }"), @"skin file pad.toml: field `wire.scale`: is 1e-300 and must be 0, or of a size from 1e-15 to 1e15");
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\ncondition = { tare_duration = 1e9 }"), @"skin file pad.toml: field `condition.tare_duration`: is 1e9 s and must be 0.001 to 600 s");
+        insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\nmedium = { layers = [{ young = 1e300 }] }"), @"skin file pad.toml: field `medium.layers[0].young`: is 1e300 and must be 0, or of a size from 1e-15 to 1e15");
+        insta::assert_snapshot!(refused("[0.005, 0.0, -0.005]", "[1e9, 0.0, -0.005]"), @"skin file pad.toml: field `taxels[1].position`: holds 1e9 m and must be -100 to 100 m");
+        insta::assert_snapshot!(refused("[0.005, 0.0, -0.005]", "[0.005, 0.0, -0.005], normal = [0, 0, 1e300]"), @"skin file pad.toml: field `taxels[1].normal`: holds 1e300 and must be -1000000 to 1000000");
         let rectangle = "{ type = \"rectangle\", size = [0.02, 0.01], spacing = 0.005 }";
         let panel =
             "{ type = \"panel\", radius = 0.1, size = [0.2, 0.2], spacing = 0.01, cells = [4000000000, 1] }";
-        insta::assert_snapshot!(refused(rectangle, panel), @"");
+        insta::assert_snapshot!(refused(rectangle, panel), @"skin file pad.toml: field `surface.cells[0]`: is 4000000000; 1000 openings in a row at most make sense");
         let dome = "{ type = \"dome\", radius = 100.0, cylinder = 1e-6, spacing = 0.01 }";
-        insta::assert_snapshot!(refused(rectangle, dome), @"");
+        insta::assert_snapshot!(refused(rectangle, dome), @"skin file pad.toml: field `surface.spacing`: 0.01 m makes more than a million points; coarsen it");
         let mesh = "{ type = \"mesh\", file = \"pad.stl\", scale = 1e300 }";
-        insta::assert_snapshot!(refused(rectangle, mesh), @"");
+        insta::assert_snapshot!(refused(rectangle, mesh), @"skin file pad.toml: field `surface.scale`: is 1e300 m and must be 0.000000001 to 1000 m");
     }
 
     #[test]
