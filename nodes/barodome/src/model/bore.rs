@@ -136,7 +136,7 @@ mod tests {
             BarometerModel::new(&skin).unwrap_err().to_string()
         };
         insta::assert_snapshot!(refused("half_force = 1.47", "half_force = 0.0"), @"skin `tactile-fsi-line`: field `medium.bore.half_force`: is 0 and must be a positive number");
-        insta::assert_snapshot!(refused("[-0.050, 0.0, -0.005]", "[0.050, 0.0, -0.005]"), @"skin `tactile-fsi-line`: field `taxels`: must lie at the two ends of the bore, along x");
+        insta::assert_snapshot!(refused("[-0.050, 0.0, -0.005]", "[0.050, 0.001, -0.005]"), @"skin `tactile-fsi-line`: field `taxels`: must lie at the two ends of the bore, along x");
         insta::assert_snapshot!(refused("half_force = 1.47", "half_forc = 1.47"), @"skin `tactile-fsi-line`: field `medium.bore.half_forc`: unknown field `half_forc`, expected one of `fluid_stiffness`, `dead_length`, `displaced_length`, `half_force`, `pinch_force`");
     }
 }
