@@ -101,7 +101,7 @@ impl Bench {
         let text = format!("schema = \"dermis-plan/1\"\nname = \"some\"\n{text}");
         let file = self.file("plan.toml", text);
         let out = self.path("bag").display().to_string();
-        self.refused(&["collect", "--skin", "launch/skins/baro-grid.toml", "--plan", &file, "--out", &out])
+        self.refused(&["collect", "launch/skins/baro-grid.toml", "--plan", &file, "--out", &out])
     }
 }
 
@@ -224,8 +224,8 @@ fn a_pipe_a_device_and_an_endless_file_are_no_input() {
             &["skin", &file],
             &["skin", &solid],
             &["launch", "--check", &file],
-            &["collect", "--skin", skin, "--plan", &file, "--out", &out],
-            &["collect", "--skin", skin, "--plan", plan, "--effects", &file, "--out", &out],
+            &["collect", skin, "--plan", &file, "--out", &out],
+            &["collect", skin, "--plan", plan, "--effects", &file, "--out", &out],
             &["barodome", "--config", &file],
             &["evaluate", "--skin", skin, "--model", "models/baro-grid", "--map", &file, "bag"],
             &["bag", "info", &metadata],
@@ -317,7 +317,7 @@ processes:
   - {name: what, log: '${none}'}
 ",
     );
-    assert!(said.starts_with("dermis: 19 mistakes:"), "{said}");
+    assert!(said.starts_with("dermis: 20 mistakes:"), "{said}");
     for mistake in [
         "robot.launch.yaml: field `namespace`: `3a` is no part of a namespace",
         "field `arguments.rate.defualt`: unknown field",
