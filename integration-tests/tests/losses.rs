@@ -9,11 +9,11 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use dermis_bag::{BagReader, RecordedLosses};
-use dermis_integration_tests::{Peer, domain, program};
+use dermis_integration_tests::{Peer, backend, domain, program};
 use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use dermis_msgs::msg::TaxelFrame;
 use dermis_msgs::std_msgs::msg::Int32;
-use dermis_node::{HirozBackend, Node, NodeOptions, Publisher, Qos};
+use dermis_node::{Node, NodeOptions, Publisher, Qos};
 
 const SOON: Duration = Duration::from_secs(60);
 
@@ -50,7 +50,7 @@ fn until<T>(what: &str, mut test: impl FnMut() -> Option<T>) -> T {
 
 fn node() -> Node {
     let options = NodeOptions::new("source").domain_id(domain()).localhost_only(true);
-    Node::open(options, &HirozBackend::default()).unwrap()
+    Node::open(options, &backend()).unwrap()
 }
 
 /// The numbers of the frames that a bag holds by now.

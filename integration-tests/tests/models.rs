@@ -18,10 +18,10 @@ use dermis_inference::{
     Baseline, Bundle, BundleWriter, FeatureConfig, Manifest, OutputConfig, OutputSpec, Runtime,
     RuntimeConfig, TrainingSection,
 };
-use dermis_integration_tests::{Peer, domain, program, refused, root};
+use dermis_integration_tests::{Peer, backend, domain, program, refused, root};
 use dermis_msgs::msg::ContactArray;
 use dermis_msgs::srv::{LoadModel, LoadModelRequest};
-use dermis_node::{HirozBackend, Node, NodeOptions, Qos, Subscription};
+use dermis_node::{Node, NodeOptions, Qos, Subscription};
 use dermis_skin::SkinDescription;
 use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
@@ -117,7 +117,7 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let options = NodeOptions::new("operator").domain_id(domain()).localhost_only(true);
-        let node = Node::open(options, &HirozBackend::default()).unwrap();
+        let node = Node::open(options, &backend()).unwrap();
         let (send, contacts) = channel();
         let subscription = node
             .subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {
