@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "the rest of the crate uses more of these files")]
 
+#[path = "../../../../crates/inference/src/correction.rs"]
+mod correction;
 #[path = "../../../../crates/inference/src/features.rs"]
 mod features;
 #[path = "../../../../crates/inference/src/interface.rs"]
@@ -12,6 +14,8 @@ mod limits;
 mod manifest;
 #[path = "../../../../crates/inference/src/outputs.rs"]
 mod outputs;
+#[path = "../../../../crates/inference/src/peaks/section.rs"]
+mod peaks;
 #[path = "../../../../crates/inference/src/runtime_config.rs"]
 mod runtime_config;
 
