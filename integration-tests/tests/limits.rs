@@ -391,8 +391,8 @@ fn a_plan_that_would_never_end_is_refused() {
     );
     says(
         &plan(
-            "kind = \"multi\"\ncount = 10000\ncontacts = [100, 100]\ndistance = 0.0015\nforce = [0.1, 0.2]",
+            "kind = \"multi\"\ncount = 10000\ncontacts = [100, 100]\ndistance = 0.02\nforce = [0.1, 0.2]",
         ),
-        "field `steps[0]",
+        "field `steps[0].distance`: 100 contacts 0.02 m apart do not fit on the surface",
     );
 }
