@@ -390,9 +390,7 @@ fn a_plan_that_would_never_end_is_refused() {
         "field `steps[0].speed`: is 1e-300 m/s and must be 0.000001 to 1000 m/s",
     );
     says(
-        &plan(
-            "kind = \"multi\"\ncount = 10000\ncontacts = [100, 100]\ndistance = 0.02\nforce = [0.1, 0.2]",
-        ),
+        &plan("kind = \"multi\"\ncount = 10000\ncontacts = [100, 100]\ndistance = 0.02\nforce = [0.1, 0.2]"),
         "field `steps[0].distance`: 100 contacts 0.02 m apart do not fit on the surface",
     );
 }
