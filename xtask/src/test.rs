@@ -20,6 +20,9 @@ pub struct Options {
     /// Leave out formatting, lints and licences.
     #[arg(long)]
     no_lint: bool,
+    /// Also the tests that need minutes and the machine to themselves: the long run, and the listener that hangs.
+    #[arg(long)]
+    nightly: bool,
     /// Only tests whose name contains this.
     filter: Option<String>,
 }
@@ -91,8 +94,14 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         c.env("DERMIS_CLIENT_PYTHON", &clients).env("DERMIS_DATA", &data).env("DERMIS_BIN", programs);
         execute(c.args(["-E", which, "--no-tests=pass"]).args(&options.filter))
     };
-    const RUN: [&str; 3] = ["nextest", "run", "--release"];
-    step("tests", || nextest(everything(&RUN), &release, "not binary(ros2)"))?;
+    let profile = if options.nightly {
+        "--profile=nightly"
+    } else {
+        skipped.push("the long run and the listener that hangs (--nightly)".to_owned());
+        "--profile=default"
+    };
+    let tests = ["nextest", "run", "--release", profile];
+    step("tests", || nextest(everything(&tests), &release, "not binary(ros2)"))?;
     if options.filter.is_none() {
         step("documentation tests", || execute(&mut everything(&["test", "--release", "--doc", "--quiet"])))?;
     }
@@ -108,7 +117,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         let programs = step("build with ROS 2", || {
             build_aside(&release, &["dermis", "dermis-train"], || execute(&mut with(&BUILD)))
         })?;
-        step("tests with ROS 2", || nextest(with(&RUN), &programs, "binary(ros2)"))?;
+        step("tests with ROS 2", || nextest(with(&tests), &programs, "binary(ros2)"))?;
     }
     if skipped.is_empty() {
         println!("all tests passed, nothing skipped");
