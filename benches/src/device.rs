@@ -3,7 +3,8 @@
 use std::io::Write;
 
 use anyhow::{Context, Result};
-use dermis_skin::{Indentation, SkinDescription, Stimulus};
+use dermis_model::{Indentation, Stimulus};
+use dermis_skin::SkinDescription;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
 use dermis_transport::{Pty, now_ns};
 use nalgebra::{Point3, Vector3};

@@ -8,10 +8,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use dermis_gap::{Memory, Moment, Phase, Recording, Simulator, diagnose};
-use dermis_skin::{
-    Effect, EffectInfo, ForwardModel, Indentation, ModelError, ParameterInfo, SkinDescription, Stimulus,
-    Surface, Trajectory,
-};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_skin::{Effect, EffectInfo, ModelError, ParameterInfo, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

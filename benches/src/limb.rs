@@ -7,8 +7,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_msgs::msg::ContactArray;
-use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus};
+use dermis_skin::SkinDescription;
 use dermis_transport::framing::NativeFormat;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

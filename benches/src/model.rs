@@ -6,7 +6,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::SkinDescription;
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

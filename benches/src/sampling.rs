@@ -4,7 +4,8 @@ use std::sync::Barrier;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use dermis_skin::{ForwardModel, SkinDescription, Stimulus};
+use dermis_model::{ForwardModel, Stimulus};
+use dermis_skin::SkinDescription;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

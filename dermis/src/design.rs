@@ -6,9 +6,8 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum as _};
-use dermis_skin::{
-    ForwardModel, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Trajectory, Unknowns,
-};
+use dermis_model::{ForwardModel, Stimulus, Trajectory, Unknowns};
+use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
 use dermis_theory::resolution::{along_line, on_surface};
 use dermis_theory::{Responses, Summary, force_ladder, over_surface};
 use indicatif::{ProgressBar, ProgressStyle};

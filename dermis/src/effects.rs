@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use clap::Args;
-use dermis_skin::{
-    COMMON, CommonEffect, CommonParameters, Effect, EffectInfo, ParameterInfo, SkinDescription,
-};
+use dermis_model::{COMMON, CommonEffect, CommonParameters};
+use dermis_skin::{Effect, EffectInfo, ParameterInfo, SkinDescription};
 
 use crate::registry::{FAMILIES, Family};
 
@@ -224,7 +223,7 @@ mod tests {
 
     #[test]
     fn an_effect_of_every_skin_is_described_alike() {
-        let info = dermis_skin::common_effect("warm-up").unwrap();
+        let info = dermis_model::common_effect("warm-up").unwrap();
         insta::assert_snapshot!(describe_common(info, None), @r#"
 warm-up
     The zero of channels, and the sensitivity of all, are off when the device is switched on, and go home as it warms itself. Remembers.

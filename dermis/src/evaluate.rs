@@ -10,7 +10,8 @@ use dermis_learn::cli::Labels;
 use dermis_learn::{
     Bounds, Dataset, Evaluation, Requirement, SampleId, SplitConfig, SplitKind, Verdicts, bounds, evaluate_by,
 };
-use dermis_skin::{SkinDescription, Unknowns};
+use dermis_model::Unknowns;
+use dermis_skin::SkinDescription;
 use serde_json::json;
 
 use crate::registry::Family;

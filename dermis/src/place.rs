@@ -426,12 +426,13 @@ fn forces(skin: &SkinDescription, options: &Options, places: &[Place]) -> Result
     let mut out = vec![0.0; model.channels()];
     let mut clear = Vec::new();
     for place in places.iter().step_by(places.len().div_ceil(200).max(1)) {
-        let contact = dermis_skin::Indentation {
+        let contact = dermis_model::Indentation {
             position: place.point,
             force: -place.normal,
             diameter: options.diameter,
         };
-        model.response(&dermis_skin::Stimulus { contacts: vec![contact], ..Default::default() }, &mut out)?;
+        model
+            .response(&dermis_model::Stimulus { contacts: vec![contact], ..Default::default() }, &mut out)?;
         clear.push(out.iter().zip(model.noise()).map(|(v, n)| v.abs() / n).fold(0.0, f64::max));
     }
     clear.sort_by(f64::total_cmp);

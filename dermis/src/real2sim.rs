@@ -11,7 +11,8 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use dermis_learn::real2sim::VirtualSensors;
-use dermis_skin::{ForwardModel, SkinDescription};
+use dermis_model::ForwardModel;
+use dermis_skin::SkinDescription;
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// What to do.

@@ -7,8 +7,9 @@ use anyhow::{Result, anyhow, bail};
 use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_mechanics::Case;
+use dermis_model::ForwardModel;
 use dermis_perception::Sensor;
-use dermis_skin::{EffectInfo, Estimator, ForwardModel, ModelError, SkinDescription, Taxel};
+use dermis_skin::{EffectInfo, Estimator, ModelError, SkinDescription, Taxel};
 use serde_json::Value;
 
 /// What the program needs of a sensor family.

@@ -10,7 +10,8 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_learn::cli::Labels;
-use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface, Unknowns};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
+use dermis_skin::{SkinDescription, Surface};
 use dermis_theory::resolution::{Testbed, on_surface};
 use dermis_theory::{
     Isoline, Line, LineStudy, Responses, StudyOptions, Summary, SurfaceBound, TwoContacts, force_ladder,

@@ -19,11 +19,12 @@ use dermis_inference::{
 };
 use dermis_integration_tests::{Peer, backend, client_python, domain, program, root};
 use dermis_inversion::{Correction, CorrectionSettings, ForcePrior, PeakSettings, Search, Settings};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_msgs::Message;
 use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use dermis_msgs::msg::{Contact, ContactArray, DisplacementMap, ForceMap};
 use dermis_node::{Node, NodeOptions, Qos, Subscription};
-use dermis_skin::{ForwardModel, Indentation, SkinDescription, Stimulus, Surface};
+use dermis_skin::{SkinDescription, Surface};
 use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
 use nalgebra::{DMatrix, Point3, Vector3};

@@ -18,15 +18,19 @@ fn room(folder: &str, name: &str) -> Option<Room> {
     let (first, _) = folder.split_once('/').unwrap_or((folder, ""));
     let room = |rank, alone| Some(Room { rank, alone });
     match (first, name) {
-        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(7, true),
-        ("dermis", _) => room(6, true),
-        ("nodes" | "bridges", _) => room(5, true),
+        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(11, true),
+        ("dermis", _) => room(10, true),
+        ("nodes" | "bridges", _) => room(9, true),
         ("msgs", _) | ("crates", "dermis-io") => room(0, true),
         ("crates", "dermis-skin") => room(1, true),
+        ("crates", "dermis-model") => room(2, true),
         // What bundles say of it, inference reads.
-        ("crates", "dermis-inversion") => room(2, true),
-        ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(3, true),
-        ("crates", _) => room(4, false),
+        ("crates", "dermis-inversion") => room(3, true),
+        ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(4, true),
+        ("crates", "dermis-sensor") => room(5, true),
+        ("crates", "dermis-studies") => room(7, true),
+        ("crates", "dermis-report") => room(8, true),
+        ("crates", _) => room(6, false),
         _ => None,
     }
 }
@@ -58,7 +62,8 @@ const FAMILIES: [&str; 4] = ["hapdef", "barodome", "insight", "ert"];
 const TOOL: &str = "dermis-gap";
 const WORLDS: &str = "dermis-gap-worlds";
 /// What worlds share with the rest: vocabulary, stimuli and files, no model.
-const WORLDS_MAY: [&str; 5] = ["dermis-skin", "dermis-testbed", "dermis-bag", "dermis-io", "dermis_msgs"];
+const WORLDS_MAY: [&str; 6] =
+    ["dermis-skin", "dermis-model", "dermis-testbed", "dermis-bag", "dermis-io", "dermis_msgs"];
 
 /// Every import that runs the wrong way, as one sentence each.
 pub fn violations(metadata: &str) -> Result<Vec<String>> {

@@ -11,7 +11,8 @@ mod tip;
 
 use std::sync::Arc;
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::{Point3, Rotation2, Vector2, Vector3};
 use rand::Rng;
 

@@ -20,7 +20,8 @@ mod shell;
 
 use std::sync::Arc;
 
-use dermis_skin::{ForwardModel, SkinDescription};
+use dermis_model::ForwardModel;
+use dermis_skin::SkinDescription;
 use rand::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 

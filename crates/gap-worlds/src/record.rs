@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use dermis_bag::{BagQos, BagWriter};
+use dermis_model::ForwardModel;
 use dermis_msgs::TypeSupport;
 use dermis_msgs::msg::{Contact, Indentation, SkinGeometry, TaxelFrame};
-use dermis_skin::{ChannelFlags, ForwardModel, Frame, SkinDescription, Stamp};
+use dermis_skin::{ChannelFlags, Frame, SkinDescription, Stamp};
 use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{ForwardModel, Stimulus};
+use dermis_model::{ForwardModel, Stimulus};
 use dermis_testbed::{Moment, Phase, Plan, Timeline};
 
 use crate::WorldError;

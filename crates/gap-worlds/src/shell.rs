@@ -9,7 +9,8 @@ mod plate;
 
 use std::sync::Arc;
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ModelError, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 use rand::Rng;
 

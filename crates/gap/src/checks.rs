@@ -352,7 +352,7 @@ fn order(tared: &Tared) -> Option<Vec<usize>> {
 
 #[cfg(test)]
 mod tests {
-    use dermis_skin::{Indentation, Stimulus};
+    use dermis_model::{Indentation, Stimulus};
     use nalgebra::{Point3, Vector3};
 
     use super::*;

@@ -1,6 +1,7 @@
 //! What was done to a skin, and what it read: the input of every diagnosis.
 
-use dermis_skin::{Phase, Stimulus};
+use dermis_model::Stimulus;
+use dermis_skin::Phase;
 use sha2::{Digest, Sha256};
 
 /// One instant of a recording.

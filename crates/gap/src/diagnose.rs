@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-use dermis_skin::{CURVED, Effect, SkinDescription, common_effect};
+use dermis_model::{CURVED, common_effect};
+use dermis_skin::{Effect, SkinDescription};
 use indicatif::ProgressBar;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

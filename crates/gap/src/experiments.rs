@@ -2,7 +2,8 @@
 
 use std::sync::atomic::AtomicBool;
 
-use dermis_skin::{Effect, Indentation, Phase, Stimulus};
+use dermis_model::{Indentation, Stimulus};
+use dermis_skin::{Effect, Phase};
 use indicatif::ProgressBar;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};

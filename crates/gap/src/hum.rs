@@ -145,7 +145,8 @@ fn detrend(values: &mut [f64]) {
 mod tests {
     use super::*;
     use crate::Moment;
-    use dermis_skin::{Phase, Stimulus};
+    use dermis_model::Stimulus;
+    use dermis_skin::Phase;
 
     #[test]
     fn a_hum_has_a_frequency_and_an_amplitude() {

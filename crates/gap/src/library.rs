@@ -9,7 +9,8 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
-use dermis_skin::{Effect, EffectInfo, SkinDescription, common_effect, full_scale};
+use dermis_model::{common_effect, full_scale};
+use dermis_skin::{Effect, EffectInfo, SkinDescription};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 

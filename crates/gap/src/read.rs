@@ -4,9 +4,10 @@ use std::path::Path;
 
 use dermis_bag::{BagReader, Filter, SkinChoice};
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
+use dermis_model::{Indentation as Touch, Stimulus};
 use dermis_msgs::msg::{Indentation, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
-use dermis_skin::{Frame, Indentation as Touch, Phase, SkinDescription, Stamp, Stimulus, Surface};
+use dermis_skin::{Frame, Phase, SkinDescription, Stamp, Surface};
 use nalgebra::{Point3, Vector3};
 
 use crate::GapError;

@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use dermis_skin::{Effect, EffectInfo, ForwardModel, SkinDescription, common_effect, device};
+use dermis_model::{ForwardModel, common_effect, device};
+use dermis_skin::{Effect, EffectInfo, SkinDescription};
 use indicatif::ProgressBar;
 
 use crate::GapError;

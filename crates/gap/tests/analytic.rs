@@ -5,10 +5,8 @@
 use std::sync::Arc;
 
 use dermis_gap::{Memory, Moment, Options, Phase, Recording, Report, Simulator, Tier, Verdict, diagnose};
-use dermis_skin::{
-    Effect, EffectInfo, ForwardModel, Indentation, ModelError, ParameterInfo, SkinDescription, Stimulus,
-    Surface, Trajectory,
-};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_skin::{Effect, EffectInfo, ModelError, ParameterInfo, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,7 +1,8 @@
 //! A displacement map → contacts.
 
 use dermis_inversion::{PeakFinder, PeakSettings, suppress};
-use dermis_skin::{Contact, ForceComponents, Surface, tangents};
+use dermis_model::tangents;
+use dermis_skin::{Contact, ForceComponents, Surface};
 
 use crate::bundle::{Bundle, BundleError};
 use crate::model::{Model, ModelError};

@@ -1,6 +1,7 @@
 //! How far a device and its forward model are apart.
 
-use dermis_skin::{ForwardModel, ModelError, Stimulus, Unknowns};
+use dermis_model::{ForwardModel, Stimulus, Unknowns};
+use dermis_skin::ModelError;
 
 use crate::fit::{Datum, Problem};
 

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface, Trajectory};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_skin::{ModelError, Surface};
 use nalgebra::{DMatrix, Point3};
 use serde::{Deserialize, Serialize};
 

@@ -1,6 +1,7 @@
 //! Responses of single contacts at places all over a surface: where a search begins, and what a weak signal can mean.
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ModelError, Surface};
 use nalgebra::{Point3, Vector3};
 
 /// Shares of the largest force at which responses are kept: a soft medium is not quite linear in it.

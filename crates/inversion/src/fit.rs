@@ -1,6 +1,7 @@
 //! Least squares: contacts near a start that explain readings best.
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface, Unknown, Unknowns, tangents};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknown, Unknowns, tangents};
+use dermis_skin::{ModelError, Surface};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// \[m\] by which a place is moved for its derivative.

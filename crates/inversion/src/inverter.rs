@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{
-    ChannelFlags, ForwardModel, Indentation, ModelError, Stimulus, Surface, Unknowns, tangents,
-};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, tangents};
+use dermis_skin::{ChannelFlags, ModelError, Surface};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 

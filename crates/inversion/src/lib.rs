@@ -2,7 +2,7 @@
 //!
 //! A learned model answers in one step and knows what it was trained on. A forward model can be asked the other way round:
 //! which contacts would have made these readings? [`Inverter`] finds them, one or several, with the error that the noise
-//! leaves, for any [`ForwardModel`](dermis_skin::ForwardModel). [`Calibration`] measures on labelled readings how far a
+//! leaves, for any [`ForwardModel`](dermis_model::ForwardModel). [`Calibration`] measures on labelled readings how far a
 //! device and its forward model are apart, so that the answer does not believe the model more than it deserves, and
 //! [`Corrected`] takes what presses at known places show of the difference into the model.
 //!

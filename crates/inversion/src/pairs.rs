@@ -1,6 +1,6 @@
 //! Where to begin with two contacts: the best of all pairs of places.
 
-use dermis_skin::Indentation;
+use dermis_model::Indentation;
 use nalgebra::{Point3, Vector3};
 
 use crate::dictionary::{Dictionary, SHAPE};

@@ -1,6 +1,6 @@
 //! Contacts as the sparse non-negative combination of responses that explains readings.
 
-use dermis_skin::Indentation;
+use dermis_model::Indentation;
 
 use crate::dictionary::SHAPE;
 use crate::inverter::{Inverter, InverterError, Reading};

@@ -1,6 +1,7 @@
 //! A made-up skin for tests.
 
-use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface, SurfaceSpec};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ModelError, Surface, SurfaceSpec};
 use nalgebra::{Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

@@ -3,10 +3,8 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use dermis_skin::{
-    ChannelFlags, ForceComponents, ForwardModel, Indentation, ModelError, Stimulus, Surface, Trajectory,
-    Unknowns,
-};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory, Unknowns};
+use dermis_skin::{ChannelFlags, ForceComponents, ModelError, Surface};
 use dermis_theory::{ContactBound, TheoryError, cramer_rao};
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};

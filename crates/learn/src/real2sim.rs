@@ -11,7 +11,7 @@
 //! | sensitivity | place and displacement of a peak → force | peaks of reconstructed maps |
 //!
 //! Peaks of the map ([`PeakFinder`](dermis_inversion::PeakFinder)) are contacts; the weak ones are suppressed. Nothing here knows
-//! a sensor family: a [`ForwardModel`](dermis_skin::ForwardModel) with displacements is all.
+//! a sensor family: a [`ForwardModel`](dermis_model::ForwardModel) with displacements is all.
 //!
 //! Maps have thousands of points, but are sums of a few shapes: networks give the amplitudes of these ([`MapBasis`]), and one
 //! matrix product the map. Every figure is measured on whole maps.

@@ -1,6 +1,7 @@
 //! Single contacts that were recorded.
 
-use dermis_skin::{ChannelFlags, Indentation, Stimulus};
+use dermis_model::{Indentation, Stimulus};
+use dermis_skin::ChannelFlags;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

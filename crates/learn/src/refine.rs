@@ -6,7 +6,8 @@ use std::sync::Arc;
 use dermis_inversion::{
     Calibration, Correction, CorrectionSettings, Inverter, InverterError, Press, Reading, Settings,
 };
-use dermis_skin::{ChannelFlags, ForwardModel, Indentation, Stimulus, Surface, Unknowns};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
+use dermis_skin::{ChannelFlags, Surface};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 

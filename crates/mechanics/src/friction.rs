@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{Indentation, Stimulus, Surface};
+use dermis_model::{Indentation, Stimulus};
+use dermis_skin::Surface;
 
 /// \[m/s\] above which a contact that moves is another contact.
 const SLIDE_MAX: f64 = 1.0;

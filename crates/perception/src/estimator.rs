@@ -9,10 +9,10 @@ use dermis_inference::{
     Baseline, Bundle, BundleError, Features, MAP_DISPLACEMENT, MapContacts, Missing, Model, Outputs, Runtime,
 };
 use dermis_inversion::{Corrected, Found, Inverter, InverterError, Reading, Solution};
+use dermis_model::{Indentation, Stimulus};
 use dermis_skin::{
     ChannelFlags, Condition, Contact, DisplacementMap, Estimate, EstimateError, Estimator, ForceComponents,
-    ForceMap, ForceValues, Frame, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec,
-    TareState,
+    ForceMap, ForceValues, Frame, ModelError, SkinDescription, Surface, SurfaceSpec, TareState,
 };
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -1103,7 +1103,7 @@ mod tests {
         Membrane, Out, STRETCHED, TestBundle, load, load_for, nine, skin_with, tared_estimator,
     };
     use dermis_inversion::Settings;
-    use dermis_skin::ForwardModel;
+    use dermis_model::ForwardModel;
 
     const IDLE: f32 = 101_325.0;
 

@@ -23,8 +23,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use dermis_inference::{Bundle, Runtime};
+use dermis_model::ForwardModel;
 use dermis_node::Backend;
-use dermis_skin::{Estimator, ForwardModel, ModelError, SkinDescription};
+use dermis_skin::{Estimator, ModelError, SkinDescription};
 
 pub use crate::config::{CacheConfig, Config, ConfigError};
 pub use commands::{Command, Commands, UnknownCommand};

@@ -9,9 +9,8 @@ use dermis_inference::{
     RuntimeConfig, Taps, TrainingSection,
 };
 use dermis_inversion::Settings;
-use dermis_skin::{
-    Estimator, ForwardModel, Frame, Indentation, ModelError, SkinDescription, Stimulus, Surface,
-};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{Estimator, Frame, ModelError, SkinDescription, Surface};
 use nalgebra::Point3;
 
 use crate::Sensor;

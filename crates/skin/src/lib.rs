@@ -6,9 +6,7 @@
 //! | instance | [`SkinDescription::into_instance`], [`Mount`] | a device of that type on a robot: its name, coordinate frame and place |
 //! | surface | [`Surface`] | triangulated outside of the skin, in the frame of its link |
 //! | frame | [`Frame`] | one reading of every channel at one instant |
-//! | stimulus | [`Stimulus`] | what touches the skin: the input of a forward model |
 //! | contact, maps | [`Contact`], [`ForceMap`], [`DisplacementMap`] | what an estimator answers |
-//! | forward model | [`ForwardModel`] | stimulus → channels |
 //! | estimator | [`Estimator`] | frame → contacts |
 //! | zero | [`ZeroTracker`] | tare, and drift while untouched |
 //!
@@ -44,7 +42,6 @@ pub mod cache;
 mod contact;
 mod convert;
 mod description;
-mod device;
 mod effect;
 mod error;
 mod frame;
@@ -53,11 +50,8 @@ mod limits;
 mod mesh;
 mod panel;
 mod phase;
-#[cfg(feature = "test-suite")]
-pub mod suite;
 mod surface;
 mod traits;
-mod unknowns;
 mod zero;
 
 pub use contact::{Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues};
@@ -65,16 +59,14 @@ pub use convert::contact_array;
 pub use description::{
     Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
 };
-pub use device::{COMMON, CURVED, CommonEffect, CommonParameters, common_effect, device, full_scale};
-pub use effect::{Effect, EffectInfo, Memoryless, ParameterInfo, Trajectory};
+pub use effect::{Effect, EffectInfo, ParameterInfo};
 pub use error::SkinError;
 pub use frame::{ChannelFlags, Frame};
 pub use instance::{InstanceError, Mount, MountError};
 pub use mesh::{TriangleMesh, closest_on_triangle};
 pub use phase::Phase;
 pub use surface::Surface;
-pub use traits::{EstimateError, Estimator, ForwardModel, Indentation, ModelError, Stimulus};
-pub use unknowns::{Unknown, Unknowns, tangents};
+pub use traits::{EstimateError, Estimator, ModelError};
 pub use zero::{TareState, ZeroTracker};
 
 /// Nanoseconds since the Unix epoch: the time at which something was measured.

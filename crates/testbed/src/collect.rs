@@ -7,9 +7,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_bag::{BagQos, BagWriter};
+use dermis_model::ForwardModel;
 use dermis_msgs::msg::{Indentation, SkinGeometry, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
-use dermis_skin::{ForwardModel, Frame, SkinDescription, Stamp, Surface};
+use dermis_skin::{Frame, SkinDescription, Stamp, Surface};
 use indicatif::ProgressBar;
 use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
@@ -274,7 +275,8 @@ mod tests {
     use super::*;
     use crate::testing::{self, Bumps};
     use dermis_bag::BagReader;
-    use dermis_skin::{ChannelFlags, ModelError, Stimulus, Surface};
+    use dermis_model::Stimulus;
+    use dermis_skin::{ChannelFlags, ModelError, Surface};
 
     const START: Stamp = 1_700_000_000_000_000_000;
 
@@ -361,7 +363,7 @@ mod tests {
     fn a_reading_beyond_the_range_is_cut_and_flagged() {
         let skin = testing::skin(100.0);
         let mut sampler = Sampler::new(Bumps::shared(&skin), &skin, 1).unwrap();
-        let contact = dermis_skin::Indentation {
+        let contact = dermis_model::Indentation {
             position: nalgebra::Point3::origin(),
             force: Vector3::new(0.0, 0.0, -2.0),
             diameter: 0.004,
@@ -396,7 +398,7 @@ mod tests {
         fn noise(&self) -> &[f64] {
             self.inner.noise()
         }
-        fn trajectory(&self) -> Box<dyn dermis_skin::Trajectory> {
+        fn trajectory(&self) -> Box<dyn dermis_model::Trajectory> {
             self.inner.trajectory()
         }
         fn depth_at(&self, at: &nalgebra::Point3<f64>, diameter: f64, force: f64) -> Option<f64> {

@@ -13,8 +13,9 @@ use std::thread::{JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
 use dermis_bag::{BagError, BagReader, SkinChoice, SkinChoiceError, Typed};
+use dermis_model::ForwardModel;
 use dermis_msgs::msg::{Indentation, TaxelFrame};
-use dermis_skin::{ForwardModel, SkinDescription, Stamp, WireProtocol};
+use dermis_skin::{SkinDescription, Stamp, WireProtocol};
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
 use dermis_transport::{Pty, now_ns};
 

@@ -5,7 +5,7 @@
 //! - [`collect`] carries a plan out on a modelled skin and writes a labelled bag.
 //! - [`VirtualDevice`] is a modelled skin, [`ReplayDevice`] a recording, that sends bytes like hardware.
 //!
-//! Nothing here knows a sensor by name: any [`ForwardModel`](dermis_skin::ForwardModel) with its
+//! Nothing here knows a sensor by name: any [`ForwardModel`](dermis_model::ForwardModel) with its
 //! [`SkinDescription`](dermis_skin::SkinDescription) will do.
 
 mod collect;

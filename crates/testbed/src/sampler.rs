@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{ChannelFlags, ForwardModel, ModelError, SkinDescription, Stimulus, Trajectory};
+use dermis_model::{ForwardModel, Stimulus, Trajectory};
+use dermis_skin::{ChannelFlags, ModelError, SkinDescription};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{
-    ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Trajectory,
-};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::Point3;
 
 /// Three channels on a pad of 30 mm by 20 mm.

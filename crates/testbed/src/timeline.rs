@@ -4,9 +4,10 @@ mod sites;
 
 use std::sync::Arc;
 
+use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, IndentationContact};
-use dermis_skin::{ForwardModel, Indentation, Phase, SkinDescription, Stamp, Stimulus, Surface};
+use dermis_skin::{Phase, SkinDescription, Stamp, Surface};
 use nalgebra::{Point3, Vector3};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};

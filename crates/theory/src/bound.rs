@@ -1,6 +1,7 @@
 //! The Cramér–Rao bound of the contacts that one frame shows.
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus, Surface, Unknown, Unknowns, tangents};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknown, Unknowns, tangents};
+use dermis_skin::Surface;
 use nalgebra::DMatrix;
 use serde::Serialize;
 

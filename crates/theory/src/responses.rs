@@ -1,6 +1,7 @@
 //! What the channels of a skin read over places and forces: of a forward model, or of a recording.
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus, Surface, tangents};
+use dermis_model::{ForwardModel, Indentation, Stimulus, tangents};
+use dermis_skin::Surface;
 use nalgebra::{DMatrix, Point3};
 
 use crate::TheoryError;

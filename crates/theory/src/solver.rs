@@ -1,6 +1,7 @@
 //! Contacts by triangulation: where the isolines of what the strongest taxels read cross (thesis 5.7.1).
 
-use dermis_skin::{ForwardModel, Surface, SurfaceSpec};
+use dermis_model::ForwardModel;
+use dermis_skin::{Surface, SurfaceSpec};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -392,7 +393,7 @@ fn triples(channels: &[usize]) -> impl Iterator<Item = [usize; 3]> {
 
 #[cfg(test)]
 mod tests {
-    use dermis_skin::Unknowns;
+    use dermis_model::Unknowns;
     use proptest::prelude::*;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal, Uniform};

@@ -1,6 +1,7 @@
 //! Everything that the isolines along a line say of a skin, as figures and files need it.
 
-use dermis_skin::{Surface, tangents};
+use dermis_model::tangents;
+use dermis_skin::Surface;
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
@@ -338,7 +339,7 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use approx::assert_relative_eq;
-    use dermis_skin::{ForwardModel, Unknowns};
+    use dermis_model::{ForwardModel, Unknowns};
 
     use super::*;
     use crate::testing::{Dome, Row, Toy};

@@ -1,6 +1,6 @@
 //! The bound over a whole skin, and of two contacts that come ever closer.
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus, Unknowns, tangents};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, tangents};
 use nalgebra::Point3;
 use serde::Serialize;
 

@@ -1,7 +1,8 @@
 //! Made-up skins with formulas of their own.
 
 use dermis_mechanics::{Base, Medium, PressureTable};
-use dermis_skin::{ForwardModel, Indentation, ModelError, Stimulus, Surface, SurfaceSpec};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ModelError, Surface, SurfaceSpec};
 use nalgebra::Point3;
 
 /// Point taxels at depth h under a plane: force · h / (r² + h²), and shear along x tilts the field.

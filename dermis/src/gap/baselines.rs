@@ -7,8 +7,9 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use dermis_bag::BagReader;
 use dermis_gap_worlds::score::{Answer, Named};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_msgs::msg::{Indentation as Label, TaxelFrame};
-use dermis_skin::{Effect, ForwardModel, Indentation, SkinDescription, Stimulus};
+use dermis_skin::{Effect, SkinDescription};
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use crate::registry::Family;

@@ -14,7 +14,8 @@ use dermis_learn::cli::Labels;
 use dermis_learn::real2sim::{Compliance, Recorded, matched, superpose};
 use dermis_learn::refine::Learned;
 use dermis_learn::{Dataset, Evaluation, Evaluator, SampleId, Truth, TruthContact, bounds, refine};
-use dermis_skin::{Estimate, ForwardModel, SkinDescription, Unknowns};
+use dermis_model::{ForwardModel, Unknowns};
+use dermis_skin::{Estimate, SkinDescription};
 use indicatif::ProgressBar;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -321,7 +322,7 @@ fn prepare(
     Ok(Prepared { methods, notes })
 }
 
-type Sum = (dermis_skin::Stimulus, Vec<f32>);
+type Sum = (dermis_model::Stimulus, Vec<f32>);
 
 /// Penalty and share that give the right number most often, and places that are nearest.
 fn tune_sparse(inverter: &Inverter, frames: &[Sum]) -> Result<SparseSettings> {
@@ -363,10 +364,10 @@ fn row(
         bar.inc(1);
         wanted += truth.contacts.len();
         right += usize::from(contacts.len() == truth.contacts.len());
-        let true_ones: Vec<dermis_skin::Indentation> = truth
+        let true_ones: Vec<dermis_model::Indentation> = truth
             .contacts
             .iter()
-            .map(|c| dermis_skin::Indentation { position: c.position, force: c.force, diameter: c.diameter })
+            .map(|c| dermis_model::Indentation { position: c.position, force: c.force, diameter: c.diameter })
             .collect();
         for (t, index) in matched(&true_ones, &contacts, f64::INFINITY).into_iter().enumerate() {
             let Some(found) = index.map(|i| &contacts[i]) else { continue };

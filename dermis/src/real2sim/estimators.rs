@@ -8,8 +8,9 @@ use dermis_inversion::{Found, Inverter, Reading, SparseSettings};
 use dermis_learn::Sample;
 use dermis_learn::real2sim::Recorded;
 use dermis_learn::train::{Batch, Mlp, NetworkConfig, TrainingConfig, fit};
+use dermis_model::{ForwardModel, Indentation};
 use dermis_regress::{Neighbours, Rows, Svr, SvrSettings};
-use dermis_skin::{Contact, ForceComponents, ForwardModel, Indentation, SkinDescription, Surface};
+use dermis_skin::{Contact, ForceComponents, SkinDescription, Surface};
 use nalgebra::Point3;
 
 /// Something that finds contacts in one sample.

@@ -324,7 +324,7 @@ fn bounds(body: &mut String, findings: &Findings) -> Result<()> {
     let skin = model.surface();
     let (points, [x, y]) = flat(skin, &skin.points);
     let (taxels, _) = flat(skin, &super::feet(&findings.skin, skin));
-    let row = findings.unknowns == dermis_skin::Unknowns::Line;
+    let row = findings.unknowns == dermis_model::Unknowns::Line;
     body.push_str("<h2>The bound</h2>\n");
     let mut pictures = Vec::new();
     if row {

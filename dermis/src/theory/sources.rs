@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use anyhow::{Result, bail};
 use dermis_learn::{Dataset, Run};
-use dermis_skin::{ForwardModel, SkinDescription, Surface};
+use dermis_model::ForwardModel;
+use dermis_skin::{SkinDescription, Surface};
 use dermis_theory::{Press, Responses, noise_of_repeats};
 use nalgebra::Point3;
 

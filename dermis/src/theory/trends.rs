@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use anyhow::Result;
-use dermis_skin::{ForwardModel, SkinDescription};
+use dermis_model::ForwardModel;
+use dermis_skin::SkinDescription;
 use dermis_theory::{Isoline, Path, Responses, force_ladder};
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;

@@ -11,8 +11,9 @@ pub mod verify;
 
 use std::sync::Arc;
 
+use dermis_model::ForwardModel;
 use dermis_perception::Sensor;
-use dermis_skin::{ForwardModel, ModelError, SkinDescription};
+use dermis_skin::{ModelError, SkinDescription};
 
 /// What a skin description names in `sensor` for this family.
 pub const SENSOR: &str = "barodome";
@@ -26,7 +27,7 @@ pub const FAMILY: Sensor = Sensor { name: SENSOR, model, medium };
 ///
 /// [`ModelError::Description`] where the medium is unknown, or one that the model does not cover.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
-    dermis_skin::device(skin, |inner| Ok(Arc::new(model::BarometerModel::new(inner)?)))
+    dermis_model::device(skin, |inner| Ok(Arc::new(model::BarometerModel::new(inner)?)))
 }
 
 /// What is wrong with the table `medium` of a skin that has one; nothing is computed.

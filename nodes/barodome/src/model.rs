@@ -11,9 +11,8 @@ mod flat;
 mod rim;
 mod sink;
 
-use dermis_skin::{
-    ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec, Trajectory,
-};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::{Point3, Vector3};
 
 use crate::effects::{self, Dynamics};
@@ -211,7 +210,7 @@ impl ForwardModel for BarometerModel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis_skin::Indentation;
+    use dermis_model::Indentation;
     use nalgebra::{Point3, Vector3};
     use proptest::prelude::*;
     use std::sync::LazyLock;

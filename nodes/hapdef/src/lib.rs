@@ -12,8 +12,9 @@ pub mod verify;
 use std::sync::Arc;
 
 pub use candidates::candidates;
+use dermis_model::ForwardModel;
 use dermis_perception::Sensor;
-use dermis_skin::{ForwardModel, ModelError, SkinDescription};
+use dermis_skin::{ModelError, SkinDescription};
 
 /// What a skin description names in `sensor` for this family.
 pub const SENSOR: &str = "hapdef";
@@ -27,7 +28,7 @@ pub const FAMILY: Sensor = Sensor { name: SENSOR, model, medium };
 ///
 /// [`ModelError::Description`] where the shell, or one of its gauges, cannot be.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
-    dermis_skin::device(skin, |inner| Ok(Arc::new(model::ShellModel::new(inner)?)))
+    dermis_model::device(skin, |inner| Ok(Arc::new(model::ShellModel::new(inner)?)))
 }
 
 /// What is wrong with the table `medium` of a skin that has one; nothing is computed.

@@ -9,8 +9,9 @@ mod nodes;
 use std::sync::OnceLock;
 
 use dermis_mechanics::shell::{Action, Face, Gauge, Shell, ShellMesh, Support};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
 use dermis_skin::cache::{self, Bytes, Keep, Key};
-use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, Trajectory};
+use dermis_skin::{ModelError, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 

@@ -1,7 +1,8 @@
 //! Found contacts beside true ones, and the settings of the suppression that follow from it.
 
 use dermis_inversion::{PeakSettings, suppress};
-use dermis_skin::{Contact, Indentation};
+use dermis_model::Indentation;
+use dermis_skin::Contact;
 
 /// Shares of the strongest force that are tried.
 const SHARES: [f64; 12] = [0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4];

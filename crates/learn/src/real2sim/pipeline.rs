@@ -5,7 +5,7 @@ use std::sync::Arc;
 use dermis_inference::onnx::{GraphBuilder, OnnxError};
 use dermis_inference::{Interface, MapContacts, Model, PeakSection, Runtime};
 use dermis_inversion::PeakSettings;
-use dermis_skin::{ForwardModel, Indentation, Stimulus};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,6 @@
 //! Simulated contacts, one to four at a time.
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
 use nalgebra::{Point3, Vector3};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{ForwardModel, SkinDescription, Stimulus};
+use dermis_model::{ForwardModel, Stimulus};
+use dermis_skin::SkinDescription;
 
 use super::{MapBasis, Told};
 use crate::LearnError;

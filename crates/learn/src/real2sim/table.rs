@@ -1,6 +1,6 @@
 //! Who extrapolates to more contacts than were learned from: Table 3.1 of the thesis.
 
-use dermis_skin::ForwardModel;
+use dermis_model::ForwardModel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

@@ -1,7 +1,8 @@
 use std::sync::Arc;
 
 use dermis_inference::{Interface, Model, Runtime, RuntimeChoice, RuntimeConfig};
-use dermis_skin::{ForwardModel, Indentation, ModelError, SkinDescription, Stimulus, Surface, SurfaceSpec};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::Point3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,6 +1,6 @@
 //! What every candidate reads for presses all over a skin.
 
-use dermis_skin::{ForwardModel, Indentation, Stimulus, Unknowns};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
 use nalgebra::{DMatrix, Point3, Vector3};
 
 use super::Watch;

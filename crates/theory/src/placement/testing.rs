@@ -1,6 +1,7 @@
 //! A plate that is held at both ends, with elements that read its bending along x where they are.
 
-use dermis_skin::{ForwardModel, ModelError, Stimulus, Surface, SurfaceSpec};
+use dermis_model::{ForwardModel, Stimulus};
+use dermis_skin::{ModelError, Surface, SurfaceSpec};
 use nalgebra::Point3;
 
 use super::{Field, Place};

@@ -2,8 +2,9 @@
 
 use std::sync::{Arc, LazyLock};
 
-use dermis_skin::suite::{Device, Effects};
-use dermis_skin::{Effect, EffectInfo, ForwardModel, Indentation, ModelError, SkinDescription, Stimulus};
+use dermis_model::suite::{Device, Effects};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 

@@ -4,7 +4,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use dermis_mechanics::{Friction, Prony, Wander, Warmth, stream};
-use dermis_skin::{Effect, ModelError, SkinDescription, Stimulus, Trajectory};
+use dermis_model::{Stimulus, Trajectory};
+use dermis_skin::{Effect, ModelError, SkinDescription};
 use rand::Rng;
 
 use super::EFFECTS;

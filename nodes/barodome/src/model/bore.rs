@@ -6,7 +6,8 @@
 //! force, because a bore that is closed can only close further along. All is quasi-static: neither the viscosity of the fluid
 //! nor the memory of the elastomer is in it.
 
-use dermis_skin::{Indentation, ModelError, SkinDescription};
+use dermis_model::Indentation;
+use dermis_skin::{ModelError, SkinDescription};
 
 use super::{Field, refusal};
 use crate::parameters::{BoreSpec, Parameters};
@@ -81,7 +82,8 @@ impl Field for Bore {
 #[cfg(test)]
 mod tests {
     use crate::model::BarometerModel;
-    use dermis_skin::{ForwardModel as _, Indentation, SkinDescription, Stimulus};
+    use dermis_model::{ForwardModel as _, Indentation, Stimulus};
+    use dermis_skin::SkinDescription;
     use nalgebra::{Point3, Vector3};
 
     const SKIN: &str = include_str!("../../../../launch/gap/tactile-fsi-air.toml");

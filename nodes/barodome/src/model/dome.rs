@@ -11,8 +11,9 @@ use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 use dermis_mechanics::fem::{self, DomeShape, Probe};
 use dermis_mechanics::{Base, MechanicsError, Medium, SphereContact};
+use dermis_model::Indentation;
 use dermis_skin::cache::{Key, kept};
-use dermis_skin::{Indentation, ModelError, SkinDescription};
+use dermis_skin::{ModelError, SkinDescription};
 use nalgebra::Vector3;
 
 use super::flat::footprint;

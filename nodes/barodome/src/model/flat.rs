@@ -10,8 +10,9 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 use dermis_mechanics::{MechanicsError, Medium, PressureTable, SphereContacts, gauss_legendre};
+use dermis_model::Indentation;
 use dermis_skin::cache::{Key, kept};
-use dermis_skin::{Indentation, ModelError, SkinDescription};
+use dermis_skin::{ModelError, SkinDescription};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::rim::Rim;

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use dermis_mechanics::MechanicsError;
 use dermis_mechanics::fem::{Bicubic, Probe, free_sides};
-use dermis_skin::Indentation;
+use dermis_model::Indentation;
 use dermis_skin::cache::{Key, kept};
 
 /// One for the force along each axis: most contacts do without two of them.

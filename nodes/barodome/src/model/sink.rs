@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock};
 
 use dermis_mechanics::{Medium, SphereContacts};
-use dermis_skin::{Indentation, ModelError, SkinDescription, SurfaceSpec};
+use dermis_model::Indentation;
+use dermis_skin::{ModelError, SkinDescription, SurfaceSpec};
 use nalgebra::Point3;
 
 use super::refusal;

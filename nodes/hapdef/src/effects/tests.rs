@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use approx::assert_relative_eq;
-use dermis_skin::suite::{Device, Effects};
-use dermis_skin::{Effect, EffectInfo, ForwardModel, Indentation, ModelError, SkinDescription, Stimulus};
+use dermis_model::suite::{Device, Effects};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 

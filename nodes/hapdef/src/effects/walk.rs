@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use dermis_mechanics::{Friction, Prony, Walk as Drift, Wander, Warmth, stream};
-use dermis_skin::{Effect, ModelError, SkinDescription, Stimulus, Surface, Trajectory, tangents};
+use dermis_model::{Stimulus, Trajectory, tangents};
+use dermis_skin::{Effect, ModelError, SkinDescription, Surface};
 use nalgebra::{Unit, UnitQuaternion};
 use rand::Rng;
 

@@ -1,6 +1,7 @@
 //! Where on the mesh a touch is.
 
-use dermis_skin::{Surface, tangents};
+use dermis_model::tangents;
+use dermis_skin::Surface;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// A touch is never narrower than this many edges of the mesh: fewer points would not carry it evenly.

@@ -233,7 +233,7 @@ proptest! {
 
     #[test]
     fn readings_are_smooth_in_the_place(p in places(), turn in 0.0..std::f64::consts::TAU) {
-        let [first, second] = dermis_skin::tangents(&MODEL.surface.project(&p).1);
+        let [first, second] = dermis_model::tangents(&MODEL.surface.project(&p).1);
         let step = 5e-5;
         let by = (first * turn.cos() + second * turn.sin()) * step;
         let q = MODEL.surface.project(&(p + by)).0;

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use crate::ForceComponents;
+use dermis_skin::ForceComponents;
 
 /// What is not known of a contact, and is estimated or bounded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::{Effect, EffectInfo, ForwardModel, ModelError, SkinDescription, Stimulus, Trajectory};
+use crate::{ForwardModel, Stimulus, Trajectory};
+use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 
 /// A device as its effects made it.
 pub struct Device {

@@ -10,9 +10,8 @@ use std::sync::Arc;
 use nalgebra::{Point3, Rotation3, Vector3};
 use serde::Serialize;
 
-use crate::{
-    Channel, Effect, ForwardModel, ModelError, ParameterInfo, SkinDescription, Stimulus, Surface, Trajectory,
-};
+use crate::{ForwardModel, Stimulus, Trajectory};
+use dermis_skin::{Channel, Effect, ModelError, ParameterInfo, SkinDescription, Surface};
 
 /// An effect that every skin can have. Without parameters it is the identity.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -916,7 +915,7 @@ taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", positi
             assert!(inner.effects.iter().all(|e| e.name == "inner"));
             Ok(Arc::new(Plain {
                 surface: inner.surface(),
-                taxels: inner.taxels.iter().map(crate::Taxel::point).collect(),
+                taxels: inner.taxels.iter().map(dermis_skin::Taxel::point).collect(),
             }))
         })
     }
