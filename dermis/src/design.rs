@@ -150,7 +150,10 @@ fn coarsen(skin: &mut SkinDescription) {
         }
         SurfaceSpec::Dome { spacing, .. } => *spacing = spacing.max(least),
         // The mesh of a shell is its model, too.
-        SurfaceSpec::Rectangle { .. } | SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } => {}
+        SurfaceSpec::Rectangle { .. }
+        | SurfaceSpec::Panel { .. }
+        | SurfaceSpec::Mesh { .. }
+        | SurfaceSpec::Family(_) => {}
     }
 }
 
@@ -211,7 +214,7 @@ fn varied(
     let model = if parameter == Parameter::Noise {
         Arc::new(WithNoise { model: Arc::clone(nominal), noise: scaled.channel_noise() })
     } else {
-        (crate::registry::family(skin)?.model)(&scaled)?
+        crate::registry::family(skin)?.model(&scaled)?
     };
     figures(&scaled, model.as_ref(), options)
 }
@@ -493,7 +496,7 @@ mod tests {
     fn sweeps(options: &Options) -> (Figures, Vec<Sweep>, SkinDescription) {
         let mut skin = SkinDescription::load(&options.skin).unwrap();
         coarsen(&mut skin);
-        let model = (crate::registry::family(&skin).unwrap().model)(&skin).unwrap();
+        let model = crate::registry::family(&skin).unwrap().model(&skin).unwrap();
         let nominal = figures(&skin, model.as_ref(), options).unwrap();
         let progress = ProgressBar::hidden();
         let sweeps = sweep(&options.vary, &skin, (&model, nominal), options, &progress).unwrap();
@@ -536,7 +539,7 @@ mod tests {
         let mut skin = SkinDescription::load(&options.skin).unwrap();
         // Twice as deep, the taxels lie below a thinner medium.
         *skin.medium.get_mut("thickness").unwrap() = 0.008.into();
-        let model = (crate::registry::family(&skin).unwrap().model)(&skin).unwrap();
+        let model = crate::registry::family(&skin).unwrap().model(&skin).unwrap();
         let nominal = figures(&skin, model.as_ref(), &options).unwrap();
         let progress = ProgressBar::hidden();
         let sweeps = sweep(&options.vary, &skin, (&model, nominal), &options, &progress).unwrap();

@@ -14,7 +14,7 @@ use dermis_model::Unknowns;
 use dermis_skin::SkinDescription;
 use serde_json::json;
 
-use crate::registry::Family;
+use dermis_sensor::Sensor;
 
 /// \[m\] of width below which presses lie on a line.
 const LINE: f64 = 1e-3;
@@ -65,7 +65,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
-    let mut estimator = (family.estimator)(&skin, &options.model)?;
+    let mut estimator = crate::registry::estimator(family, &skin, &options.model)?;
     let mut how = options.labels.options()?;
     how.tare_when_idle = !options.unattended;
     let data = Dataset::from_bags(&options.bags, &skin, &how)?;
@@ -120,14 +120,14 @@ pub fn run(options: &Options) -> Result<()> {
 
 /// What any estimator without bias could reach at best on the same contacts, where the skin has a forward model.
 fn bound(
-    family: &Family,
+    family: &dyn Sensor,
     skin: &SkinDescription,
     data: &Dataset,
     only: Option<&[SampleId]>,
     evaluation: &Evaluation,
     edges: &[f64],
 ) -> Result<Option<Bounds>> {
-    let Ok(model) = (family.model)(skin) else { return Ok(None) };
+    let Ok(model) = family.model(skin) else { return Ok(None) };
     Ok(bounds(model.as_ref(), data, only, unknowns(data, evaluation), edges)?)
 }
 

@@ -132,8 +132,8 @@ fn diagnose(options: &Diagnose) -> Result<Diagnosis> {
     let progress = ProgressBar::new(0)
         .with_style(ProgressStyle::with_template("{msg} {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.set_message("simulating effects");
-    let make = |skin: &SkinDescription| (family.model)(skin).map_err(|e| format!("{e:#}"));
-    let simulator = Simulator { skin: &skin, effects: family.effects, make: &make };
+    let make = |skin: &SkinDescription| family.model(skin).map_err(|e| format!("{e:#}"));
+    let simulator = Simulator { skin: &skin, effects: family.effects(), make: &make };
     let mut how = dermis_gap::Options {
         resamples: options.resamples,
         cache: options.cache.clone().or_else(cache),

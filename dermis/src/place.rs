@@ -21,8 +21,6 @@ use serde_json::json;
 
 use crate::steps::Steps;
 
-pub use candidates::below_the_surface;
-
 /// Places that crlb looks at, at most.
 const SEEN: usize = 700;
 /// Points of the surface that the Gaussian process knows at most.
@@ -250,7 +248,7 @@ fn find(options: &Options) -> Result<Findings> {
     let bar = Steps { bar, stop: &stop };
     bar.begin("candidates");
     let surface = skin.surface();
-    let proposed = (family.candidates)(&skin)?;
+    let proposed = family.candidates(&skin)?;
     let held = candidates::held(&skin.surface, &surface);
     let spacing = (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt();
     let rule = Feasibility {

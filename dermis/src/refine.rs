@@ -150,7 +150,7 @@ pub fn run(options: &Options) -> Result<()> {
     let without = copy(&bundle, &skin, trial.path().join("without"), None)?;
     let measure = |folder: &Path, what: &str| -> Result<Option<[Evaluation; 2]>> {
         bar.begin(what);
-        let mut estimator = (family.estimator)(&skin, &[folder.to_owned()])?;
+        let mut estimator = crate::registry::estimator(family, &skin, &[folder.to_owned()])?;
         let parts = [("held out", choosing.as_slice()), ("held out", reporting.as_slice())];
         let found = evaluate_parts(estimator.as_mut(), &data, &parts, &|share| bar.at(share))?;
         Ok(found.and_then(|all| all.try_into().ok()))

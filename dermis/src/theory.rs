@@ -410,7 +410,7 @@ mod tests {
     fn the_row_is_bounded_as_a_prototype_found() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch/skins/baro-line.toml");
         let skin = SkinDescription::load(path).unwrap();
-        let model = (crate::registry::family(&skin).unwrap().model)(&skin).unwrap();
+        let model = crate::registry::family(&skin).unwrap().model(&skin).unwrap();
         let edges = [0.02, 0.14, 0.2, 0.4, 0.6, 0.9, 1.2, 1.5];
         let expected = [0.45, 0.119, 0.072, 0.041, 0.027, 0.019, 0.015];
         for (interval, expected) in edges.windows(2).zip(expected) {
@@ -455,7 +455,7 @@ row of 6 taxels, 32.500 mm: c(0) = 0.156 N/kPa, linear within 1 %; F_S from 0.01
         let folder = tempfile::tempdir().unwrap();
         let mut options = options("baro-line.toml", true);
         let skin = SkinDescription::load(&options.skin).unwrap();
-        let model = (crate::registry::family(&skin).unwrap().model)(&skin).unwrap();
+        let model = crate::registry::family(&skin).unwrap().model(&skin).unwrap();
         let plan = dermis_testbed::Plan::from_toml(
             r#"
             schema = "dermis-plan/1"

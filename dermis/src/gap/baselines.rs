@@ -12,7 +12,7 @@ use dermis_msgs::msg::{Indentation as Label, TaxelFrame};
 use dermis_skin::{Effect, SkinDescription};
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
-use crate::registry::Family;
+use dermis_sensor::Sensor;
 
 /// Frames between two that are looked at: effects that remember see a slower clock, nothing else.
 const STRIDE: usize = 5;
@@ -105,14 +105,14 @@ struct Simulated {
 #[derive(Default)]
 pub struct Columns(BTreeMap<(PathBuf, usize), Simulated>);
 
-fn simulated(skin: &SkinDescription, family: &Family, record: &Record) -> Result<Simulated> {
-    let nominal = simulate(&(family.model)(skin)?, record)?;
+fn simulated(skin: &SkinDescription, family: &dyn Sensor, record: &Record) -> Result<Simulated> {
+    let nominal = simulate(&family.model(skin)?, record)?;
     let mut changed = Vec::new();
-    for info in family.effects {
+    for info in family.effects() {
         for seed in 0..if info.random { DEVICES } else { 1 } {
             let mut other = skin.clone();
             other.effects = vec![Effect::new(info.name).seed(seed)];
-            let Ok(model) = (family.model)(&other) else { continue };
+            let Ok(model) = family.model(&other) else { continue };
             let Ok(readings) = simulate(&model, record) else { continue };
             changed.push((info.name, readings));
         }
@@ -123,7 +123,7 @@ fn simulated(skin: &SkinDescription, family: &Family, record: &Record) -> Result
 /// The answers of all baselines on one recording, whose presses are those of all that have the same `key`.
 pub fn answers(
     skin: &SkinDescription,
-    family: &Family,
+    family: &dyn Sensor,
     bag: &Path,
     key: &(PathBuf, usize),
     columns: &mut Columns,

@@ -180,8 +180,8 @@ fn library(cases: &[Opened]) -> BTreeSet<String> {
 /// Tries what each report switches on in another recording of the same world, which no report has seen.
 fn elsewhere(skin: &SkinDescription, cases: &mut [Opened], options: &Options) -> Result<()> {
     let family = crate::registry::family(skin)?;
-    let make = |skin: &SkinDescription| (family.model)(skin).map_err(|e| format!("{e:#}"));
-    let simulator = Simulator { skin, effects: family.effects, make: &make };
+    let make = |skin: &SkinDescription| family.model(skin).map_err(|e| format!("{e:#}"));
+    let simulator = Simulator { skin, effects: family.effects(), make: &make };
     let sigma = skin.channel_noise();
     let open: Vec<&mut Opened> = cases.iter_mut().filter(|c| c.answer.closure.is_some()).collect();
     let progress = ProgressBar::new(open.len() as u64).with_style(ProgressStyle::with_template(

@@ -77,7 +77,7 @@ pub fn trends(
             Arc::clone(model)
         } else {
             crate::registry::family(skin)
-                .and_then(|family| (family.model)(&parameter.scaled(skin, factor)?))
+                .and_then(|family| Ok(family.model(&parameter.scaled(skin, factor)?)?))
                 .ok()?
         };
         let isoline = curve(varied.as_ref(), diameter, value).ok()?;
@@ -112,7 +112,7 @@ mod tests {
     fn pressures_follow_depth_thickness_poisson_and_tip() {
         let file = FilePath::new(env!("CARGO_MANIFEST_DIR")).join("../launch/skins/baro-line.toml");
         let skin = SkinDescription::load(file).unwrap();
-        let model = (crate::registry::family(&skin).unwrap().model)(&skin).unwrap();
+        let model = crate::registry::family(&skin).unwrap().model(&skin).unwrap();
         let feet = super::super::feet(&skin, model.surface());
         let trends = trends(&skin, &model, &feet, 0.004).unwrap();
         let labels: Vec<&str> = trends.iter().map(|t| t.label).collect();
