@@ -781,6 +781,11 @@ impl Shared {
             let source = source.get_or_insert_with(|| {
                 early.take().unwrap_or_else(|| Source::open(self.url.clone(), SourceOptions::default()))
             });
+            let request = self.lock().reader.as_mut().and_then(|reader| reader.request(now_ns()));
+            if let Some(request) = request {
+                // Where the link is down it is made again.
+                source.send(&request);
+            }
             let mut event = match (waiting.is_empty(), live) {
                 (true, _) => source.next_timeout(TICK),
                 (false, true) => source.next_timeout(Duration::ZERO),
