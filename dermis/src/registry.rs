@@ -19,7 +19,7 @@ pub fn estimator(
     bundles: &[PathBuf],
 ) -> Result<Box<dyn Estimator>> {
     let runtime = Runtime::load(&RuntimeConfig::default())?;
-    Ok(dermis_perception::estimator(sensor, skin, bundles, &[], runtime)?)
+    Ok(dermis_estimate::estimator(sensor, skin, bundles, &[], runtime)?)
 }
 
 /// The forward model of a skin that was read from `path`, effects that every skin can have included; refusals name that file.

@@ -29,12 +29,12 @@ use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, Tra
 
 use crate::commands::{Command, Commands};
 use crate::config::Config;
-use crate::estimator::{Maps, Models, Quality, SetupError, SkinEstimator};
 use crate::folders;
 use crate::messages::{
     blind_message, contacts_message, markers_message, no_markers_message, points_message, transform_message,
     wrench_message,
 };
+use dermis_estimate::{Maps, Models, Quality, SetupError, SkinEstimator};
 use dermis_sensor::{Decoder, DecoderOptions, Sensor};
 use kept_zero::KeptZero;
 use loader::Loader;
