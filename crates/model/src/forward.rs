@@ -1,6 +1,6 @@
 //! Stimulus → channels.
 
-use dermis_skin::{ModelError, Surface};
+use dermis_skin::{Image, ModelError, Surface};
 use nalgebra::{Point3, Vector3};
 
 use crate::{Memoryless, Trajectory};
@@ -96,6 +96,29 @@ pub trait ForwardModel: Send + Sync {
     fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
         let _ = (stimulus, out);
         Ok(false)
+    }
+
+    /// The picture that the skin's camera takes of `stimulus`, with the noise of its pixels made of `noise`, which gives standard
+    /// normal numbers; `None` where the skin has no camera. [`response`](Self::response) is what [`observe`](Self::observe) makes
+    /// of such a picture without noise.
+    ///
+    /// # Errors
+    ///
+    /// As [`response`](Self::response).
+    fn capture(
+        &self,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        let _ = (stimulus, noise);
+        Ok(None)
+    }
+
+    /// The numbers of a frame that are made of a picture, one a channel, written to `out`. `false`, and `out` of no use, where
+    /// the picture is not one of this skin.
+    fn observe(&self, image: &Image, out: &mut [f64]) -> bool {
+        let _ = (image, out);
+        false
     }
 
     /// What the effects of the skin remember from frame to frame, at its beginning: a device that has never been touched.

@@ -108,13 +108,15 @@ pub struct DecoderStats {
 }
 
 impl DecoderStats {
-    /// `frame_bytes` is the longest frame that is expected \[bytes\].
-    pub(super) fn new(frame_bytes: usize) -> Self {
+    /// Nothing yet; `frame_bytes` is the longest frame that is expected \[bytes\].
+    #[must_use]
+    pub fn new(frame_bytes: usize) -> Self {
         // Less than a few frames of silence says nothing.
         Self { diagnosis_after: DIAGNOSIS_AFTER.max(3 * frame_bytes as u64), ..Self::default() }
     }
 
-    pub(super) fn take_in(&mut self, bytes: &[u8]) {
+    /// These bytes came.
+    pub fn take_in(&mut self, bytes: &[u8]) {
         self.bytes += bytes.len() as u64;
         self.bytes_since_valid += bytes.len() as u64;
         let room = SAMPLE_LEN.saturating_sub(self.sample.len());
@@ -122,7 +124,7 @@ impl DecoderStats {
     }
 
     /// A valid frame ended `rest` bytes before the end of what was taken in.
-    pub(super) fn valid(&mut self, rest: usize) {
+    pub fn valid(&mut self, rest: usize) {
         self.bytes_since_valid = rest as u64;
         self.sample.clear();
         if self.unsynced {
@@ -131,7 +133,8 @@ impl DecoderStats {
         }
     }
 
-    pub(super) fn reject(&mut self, reason: Rejection, why: impl FnOnce() -> String) {
+    /// Something was rejected; `why` makes the sentence that says so, where somebody reads it.
+    pub fn reject(&mut self, reason: Rejection, why: impl FnOnce() -> String) {
         let r = &mut self.rejected;
         let counter = match reason {
             Rejection::Crc => &mut r.crc,
