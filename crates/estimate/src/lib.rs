@@ -7,6 +7,7 @@
 mod condition;
 mod contacts;
 mod estimator;
+pub mod finder;
 mod models;
 #[cfg(any(test, feature = "test-suite"))]
 pub mod testing;
@@ -20,6 +21,7 @@ use dermis_skin::{Estimator, SkinDescription};
 pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
 pub use contacts::{TaxelShares, Tracker};
 pub use estimator::{Maps, Quality, SkinEstimator, Verdict};
+pub use finder::{ConditionedFrame, ContactFinder, FindError};
 pub use models::{Models, SetupError};
 
 /// Frame → contacts, without maps, with these model bundles; `masked` names channels to leave out.

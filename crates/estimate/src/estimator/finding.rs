@@ -3,10 +3,10 @@
 use dermis_inference::{Baseline, MAP_DISPLACEMENT, Missing};
 use dermis_inversion::{Found, Inverter, InverterError, Reading, Solution};
 use dermis_model::Indentation;
-use dermis_skin::{Contact, ForceComponents, SurfaceSpec};
-use nalgebra::{Matrix3, Point3, Vector3};
+use dermis_skin::Contact;
 
 use super::SkinEstimator;
+use crate::finder::{Regressed, inverted, is_flat, readings, regressed};
 use crate::models::Pipeline;
 
 /// Presence by probability begins above the first and ends below the second.
@@ -92,8 +92,7 @@ impl SkinEstimator {
         }
         let signal = &self.cleaned.signal;
         self.readings.clear();
-        let channels = signal.values.iter().zip(&signal.flags);
-        self.readings.extend(channels.map(|(value, flags)| Reading::of(*value, *flags)));
+        self.readings.extend(readings(&signal.values, &signal.flags));
     }
 
     /// Guesses what channels without a reading would read, from the contacts that a forward model finds in the others.
@@ -189,14 +188,9 @@ impl SkinEstimator {
             .contacts
             .into_iter()
             .map(|found| {
-                let Found { position, normal, force, position_covariance, force_covariance } = found;
-                let mut contact = Contact::at(position, normal);
-                contact.force = force;
-                contact.force_components = components;
-                contact.position_covariance = position_covariance;
-                contact.force_covariance = force_covariance;
+                let mut contact = inverted(&found, components);
                 contact.confidence = self.confidence(contact.normal_force()) as f32;
-                contact.taxels = if single { carrying.clone() } else { self.shares.near(&position) };
+                contact.taxels = if single { carrying.clone() } else { self.shares.near(&found.position) };
                 contact
             })
             .collect();
@@ -204,54 +198,12 @@ impl SkinEstimator {
     }
 
     pub(super) fn contact(&mut self) -> Contact {
-        let flat = matches!(self.skin.surface, SurfaceSpec::Rectangle { .. });
-        let (position, normal) =
-            match (self.get("position.x"), self.get("position.y"), self.get("position.z")) {
-                (Some(x), Some(y), Some(z)) => self.surface.project(&Point3::new(x, y, z)),
-                (Some(x), Some(y), None) if flat => self.surface.project(&Point3::new(x, y, 0.0)),
-                // On a flat skin the normal is known without the position.
-                _ if flat => (Point3::from(Vector3::repeat(f64::NAN)), Vector3::z()),
-                _ => (Point3::from(Vector3::repeat(f64::NAN)), Vector3::repeat(f64::NAN)),
-            };
-        let mut contact = Contact::at(position, normal);
-
-        let full = match (self.get("force.x"), self.get("force.y"), self.get("force.z")) {
-            (Some(x), Some(y), Some(z)) => Some(Vector3::new(x, y, z)),
-            _ => None,
-        };
-        let pressing = self.get("force.normal").or_else(|| self.get("force.z").filter(|_| flat).map(|z| -z));
-        let magnitude = if let Some(force) = full {
-            contact.force = force;
-            contact.force_components = ForceComponents::Full;
-            let along = -force.dot(&normal);
-            let along = if along.is_nan() { force.norm() } else { along };
-            contact.force_covariance = Matrix3::from_diagonal(&Vector3::new(
-                self.sigma("force.x", along).powi(2),
-                self.sigma("force.y", along).powi(2),
-                self.sigma("force.z", along).powi(2),
-            ));
-            along
-        } else if let Some(pressing) = pressing.filter(|_| !normal.x.is_nan()) {
-            contact.force = -normal * pressing;
-            contact.force_components = ForceComponents::Normal;
-            let by_normal = self.sigma("force.normal", pressing);
-            let sigma = if by_normal.is_nan() { self.sigma("force.z", pressing) } else { by_normal };
-            contact.force_covariance = normal * normal.transpose() * sigma.powi(2);
-            pressing
-        } else {
-            f64::NAN
-        };
-
-        if !position.x.is_nan() {
-            let at = if magnitude.is_nan() { 0.0 } else { magnitude };
-            let z = self.sigma("position.z", at);
-            contact.position_covariance = Matrix3::from_diagonal(&Vector3::new(
-                self.sigma("position.x", at).powi(2),
-                self.sigma("position.y", at).powi(2),
-                // A flat skin knows its own height.
-                if flat { 0.0 } else { z.powi(2) },
-            ));
-        }
+        let Regressed { mut contact, magnitude } = regressed(
+            |name| self.get(name),
+            |name, force| self.sigma(name, force),
+            &self.surface,
+            is_flat(&self.skin),
+        );
         if self.channels_missing() {
             // The errors of a model were measured with every channel there.
             contact.position_covariance.fill(f64::NAN);
