@@ -10,7 +10,7 @@ use dermis_skin::{Effect, EffectInfo, ParameterInfo, SkinDescription};
 
 use dermis_sensor::Sensor;
 
-use crate::registry::SENSORS;
+use crate::registry::sensors;
 
 /// Whose effects.
 #[derive(Args)]
@@ -68,15 +68,15 @@ impl Chosen {
 /// Lists effects.
 pub fn run(options: &Options) -> Result<()> {
     let (families, skin): (Vec<&'static dyn Sensor>, Option<SkinDescription>) = match &options.of {
-        None => (SENSORS.iter().collect(), None),
-        Some(of) => match SENSORS.get(of) {
+        None => (sensors().iter().collect(), None),
+        Some(of) => match sensors().get(of) {
             Some(family) => (vec![family], None),
             None if Path::new(of).exists() => {
                 let skin = SkinDescription::load(of)?;
                 (vec![crate::registry::family(&skin)?], Some(skin))
             }
             None => {
-                let known = SENSORS.names();
+                let known = sensors().names();
                 bail!("`{of}` is neither a sensor family ({}) nor a skin description file", known.join(", "))
             }
         },

@@ -12,7 +12,7 @@ use dermis_perception::cli::NetworkArguments;
 use serde_json::Value;
 
 use crate::log::Format;
-use crate::registry::SENSORS;
+use crate::registry::sensors;
 
 /// What to start.
 #[derive(Args)]
@@ -151,8 +151,8 @@ impl Host for Dermis {
     }
 
     fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>> {
-        let family = SENSORS.get(request.kind).ok_or_else(|| {
-            let known = SENSORS.names();
+        let family = sensors().get(request.kind).ok_or_else(|| {
+            let known = sensors().names();
             vec![Refusal {
                 field: "node".to_owned(),
                 reason: format!("there is no node `{}`; there is {}", request.kind, known.join(", ")),

@@ -10,7 +10,7 @@ use dermis_skin::{InstanceError, SkinDescription};
 use serde_json::Value;
 
 use crate::backend::Choice;
-use crate::registry::SENSORS;
+use crate::registry::sensors;
 
 /// The node of one skin.
 #[derive(Args)]
@@ -36,7 +36,7 @@ impl FromArgMatches for Node {
         let Some((name, matches)) = matches.subcommand() else {
             return Err(clap::Error::new(clap::error::ErrorKind::MissingSubcommand));
         };
-        Ok(Self { sensor: SENSORS.get(name), options: Box::new(Skin::from_arg_matches(matches)?) })
+        Ok(Self { sensor: sensors().get(name), options: Box::new(Skin::from_arg_matches(matches)?) })
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
@@ -50,7 +50,7 @@ impl Subcommand for Node {
         let run = Skin::augment_args(Command::new(RUN))
             .mut_arg("skin", |skin| skin.long(None).index(1))
             .about("Run the node of a skin, of whatever family its file names: raw bytes in, contacts out");
-        SENSORS.iter().fold(command.subcommand(run), |command, sensor| {
+        sensors().iter().fold(command.subcommand(run), |command, sensor| {
             command.subcommand(Skin::augment_args(Command::new(sensor.name())).about(sensor.about()))
         })
     }
@@ -60,7 +60,7 @@ impl Subcommand for Node {
     }
 
     fn has_subcommand(name: &str) -> bool {
-        name == RUN || SENSORS.get(name).is_some()
+        name == RUN || sensors().get(name).is_some()
     }
 }
 
@@ -82,7 +82,7 @@ pub async fn run(Node { sensor, options }: Node) -> Result<()> {
 /// The command that reads a skin which another family's node was given.
 fn reader(error: &RunError) -> Option<&'static str> {
     let RunError::Sensor { found, .. } = error else { return None };
-    SENSORS.get(found).map(|family| family.name())
+    sensors().get(found).map(|family| family.name())
 }
 
 /// What the process itself says in a launch file, and its table `config` must not say again.

@@ -1,7 +1,7 @@
-//! The sensor families that this program knows: one line each.
+//! The sensor families that this program knows.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use anyhow::{Result, anyhow};
 use dermis_inference::{Runtime, RuntimeConfig};
@@ -9,8 +9,20 @@ use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
 use dermis_skin::{Estimator, ModelError, SkinDescription};
 
-/// All families.
-pub const SENSORS: Registry = Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY]);
+/// The families that ship.
+pub static SHIPPED: Registry = Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY]);
+
+static CHOSEN: OnceLock<&'static Registry> = OnceLock::new();
+
+/// Makes these the families of the program; the first call counts.
+pub fn choose(sensors: &'static Registry) {
+    CHOSEN.get_or_init(|| sensors).install();
+}
+
+/// The families of the program.
+pub fn sensors() -> &'static Registry {
+    CHOSEN.get().copied().unwrap_or(&SHIPPED)
+}
 
 /// Frame → contacts, with these model bundles.
 pub fn estimator(
@@ -39,5 +51,5 @@ pub fn of_file(path: &Path, error: ModelError) -> anyhow::Error {
 
 /// The family that reads a skin.
 pub fn family(skin: &SkinDescription) -> Result<&'static dyn Sensor> {
-    Ok(SENSORS.of(skin)?)
+    Ok(sensors().of(skin)?)
 }

@@ -10,7 +10,7 @@ use dermis_mechanics::calculix::CalculixError;
 use indicatif::ProgressBar;
 use serde_json::json;
 
-use crate::registry::SENSORS;
+use crate::registry::sensors;
 
 /// What to verify.
 #[derive(Args)]
@@ -24,9 +24,9 @@ pub struct Options {
 
 /// Computes every case; an error where one fails.
 pub fn run(options: &Options) -> Result<()> {
-    let matching: Vec<_> = SENSORS.iter().filter(|f| f.name().starts_with(&options.family)).collect();
+    let matching: Vec<_> = sensors().iter().filter(|f| f.name().starts_with(&options.family)).collect();
     let [family] = matching.as_slice() else {
-        let known = SENSORS.names();
+        let known = sensors().names();
         bail!(
             "`{}` names {} sensor families of this program; it knows {}",
             options.family,

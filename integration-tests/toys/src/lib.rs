@@ -12,4 +12,4 @@ pub mod foam;
 use dermis_sensor::Registry;
 
 /// The families of the test.
-pub const SENSORS: Registry = Registry::new(&[foam::FAMILY, camera::FAMILY]);
+pub static SENSORS: Registry = Registry::new(&[foam::FAMILY, camera::FAMILY]);
