@@ -10,6 +10,7 @@ use dermis_mechanics::Case;
 use dermis_model::ForwardModel;
 use dermis_perception::Sensor;
 use dermis_skin::{EffectInfo, Estimator, ModelError, SkinDescription, Taxel};
+use dermis_studies::Families;
 use serde_json::Value;
 
 /// What the program needs of a sensor family.
@@ -50,7 +51,7 @@ pub const FAMILIES: &[Family] = &[
             }
             Ok(cases)
         },
-        candidates: crate::place::below_the_surface,
+        candidates: dermis_studies::placement::below_the_surface,
         node: |request| crate::nodes::config(&dermis_barodome::FAMILY, request),
     },
     Family {
@@ -79,6 +80,31 @@ fn estimator(sensor: &Sensor, skin: &SkinDescription, bundles: &[PathBuf]) -> Re
 /// The forward model of a skin that was read from `path`, effects that every skin can have included; refusals name that file.
 pub fn forward(path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
     (family(skin)?.model)(skin).map_err(|error| of_file(path, error))
+}
+
+/// All families, as studies ask for them.
+pub struct Registry;
+
+impl Families for Registry {
+    fn model(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
+        (family(skin)?.model)(skin)
+    }
+
+    fn model_of_file(&self, path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
+        forward(path, skin)
+    }
+
+    fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>> {
+        (family(skin)?.estimator)(skin, bundles)
+    }
+
+    fn candidates(&self, skin: &SkinDescription) -> Result<Vec<Taxel>> {
+        (family(skin)?.candidates)(skin)
+    }
+
+    fn effects(&self, skin: &SkinDescription) -> Result<&'static [EffectInfo]> {
+        Ok(family(skin)?.effects)
+    }
 }
 
 /// What a family says of a skin, with the name of the file.

@@ -1,0 +1,89 @@
+//! Experiments on skins as a library: a request goes in, findings come out, and both go through serde.
+//!
+//! A request says what a command line says, with the same names, units and defaults; clap reads it there, serde reads it
+//! from a file. Findings serialise to the record that `--json` prints. What only a person reads (text, HTML, figures) is made
+//! of them in `dermis-report`.
+//!
+//! No study names a sensor family: models, estimators and candidates come from [`Families`].
+
+pub mod bounds;
+pub mod comparison;
+pub mod evaluation;
+pub mod flat;
+pub mod gap;
+pub mod placement;
+pub mod real2sim;
+pub mod refinement;
+pub mod sweep;
+pub mod variation;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Result;
+use dermis_model::ForwardModel;
+use dermis_skin::{EffectInfo, Estimator, SkinDescription, Taxel};
+
+/// What studies ask of the sensor family that reads a skin.
+pub trait Families: Sync {
+    /// The forward model of a skin, with the effects that its description switches on.
+    ///
+    /// # Errors
+    ///
+    /// Where the family has no such model, or the skin cannot be.
+    fn model(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>>;
+
+    /// The forward model of a skin that was read from `path`; refusals name that file.
+    ///
+    /// # Errors
+    ///
+    /// As [`model`](Self::model).
+    fn model_of_file(&self, path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>>;
+
+    /// The estimator that the family's node runs with these model bundles.
+    ///
+    /// # Errors
+    ///
+    /// Where a bundle does not fit, or cannot be read.
+    fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>>;
+
+    /// Where sensing elements of such a skin could be.
+    ///
+    /// # Errors
+    ///
+    /// Where the family knows no places for this skin.
+    fn candidates(&self, skin: &SkinDescription) -> Result<Vec<Taxel>>;
+
+    /// The effects that the family knows besides the common ones.
+    ///
+    /// # Errors
+    ///
+    /// Where no family reads this skin.
+    fn effects(&self, skin: &SkinDescription) -> Result<&'static [EffectInfo]>;
+}
+
+/// Who watches a study.
+pub trait Progress: Sync {
+    /// A step begins.
+    fn begin(&self, step: &str);
+
+    /// This share of the step is done, from 0 to 1; `false` ends the study early, where it can end early.
+    fn at(&self, share: f64) -> bool;
+
+    /// Something that a person should know of the input.
+    fn note(&self, sentence: &str);
+}
+
+/// Nobody watches; notes are lost.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Unwatched;
+
+impl Progress for Unwatched {
+    fn begin(&self, _: &str) {}
+
+    fn at(&self, _: f64) -> bool {
+        true
+    }
+
+    fn note(&self, _: &str) {}
+}
