@@ -6,7 +6,7 @@ use dermis_report::bounds as report;
 use dermis_studies::bounds::{self, Request};
 
 use crate::output::{self, Output};
-use crate::registry::Registry;
+use crate::registry::FAMILIES;
 use crate::steps::Steps;
 
 /// What to bound.
@@ -23,7 +23,7 @@ pub fn run(options: &Options) -> Result<()> {
     // Only the page shows how other skins would be.
     let request = Request { trends: options.output.out.is_some(), ..options.request.clone() };
     let steps = Steps::new("{msg} {wide_bar} {percent} %, {eta} left")?;
-    let findings = bounds::bound(&request, &Registry, &steps)?;
+    let findings = bounds::bound(&request, &FAMILIES, &steps)?;
     steps.finish();
     let text = report::text(&findings);
     if let Some(folder) = &options.output.out {

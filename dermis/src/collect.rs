@@ -147,7 +147,7 @@ mod tests {
             let plan = Plan::load(&path).unwrap_or_else(|e| panic!("{e}"));
             let of = ["baro-line", "baro-dome"].into_iter().find(|skin| plan.name.starts_with(skin));
             let skin = skin(of.unwrap_or("baro-grid"));
-            let model = (crate::registry::family(&skin).unwrap().model)(&skin).unwrap();
+            let model = crate::registry::family(&skin).unwrap().model(&skin).unwrap();
             Timeline::new(&plan, &model, plan.seed).unwrap_or_else(|e| panic!("{e}"));
         }
     }
@@ -168,7 +168,7 @@ mod tests {
                 let chosen = Chosen { effects: vec![path.clone()], effect: vec![] };
                 chosen.apply(&mut skin, 7).unwrap();
                 assert_eq!(skin.effects.len(), Effect::load(&path).unwrap().len());
-                let model = (crate::registry::family(&skin).unwrap().model)(&skin);
+                let model = crate::registry::family(&skin).unwrap().model(&skin);
                 model.unwrap_or_else(|e| panic!("{name}, {}: {e}", path.display()));
             }
         }

@@ -6,7 +6,7 @@ use dermis_report::comparison as report;
 use dermis_studies::comparison::{self, Request};
 
 use crate::output::{self, Output};
-use crate::registry::Registry;
+use crate::registry::FAMILIES;
 use crate::steps::Steps;
 
 /// What to compare on what.
@@ -21,7 +21,7 @@ pub struct Options {
 /// Compares, and says what was found.
 pub fn run(options: &Options) -> Result<()> {
     let steps = Steps::new("{msg} {wide_bar} {eta} left")?;
-    let findings = comparison::compare(&options.request, &Registry, &steps)?;
+    let findings = comparison::compare(&options.request, &FAMILIES, &steps)?;
     steps.finish();
     let text = report::text(&findings)?;
     if let Some(folder) = &options.output.out {

@@ -104,7 +104,7 @@ async fn play(
     config.models = vec![bundle.to_path_buf()];
     let network = options.network.choice();
     (config.network, config.zenoh_config) = (network.network, network.zenoh_config.clone());
-    let node = SkinNode::start(&dermis_barodome::FAMILY, &config, backend.as_ref())?;
+    let node = SkinNode::start(dermis_barodome::FAMILY, &config, backend.as_ref())?;
 
     let watcher = Node::open(NodeOptions::new("dermis_demo").network(network.clone()), backend.as_ref())?;
     eprintln!("{}", watcher.open_to());

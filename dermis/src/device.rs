@@ -119,7 +119,8 @@ pub fn run(device: &Device) -> Result<()> {
             };
             let rig = told.rig.as_deref().map(LabelMap::load).transpose()?;
             let skin = skin.into_instance(told.instance.as_deref(), told.frame_id.as_deref(), None)?;
-            let device = VirtualDevice::start(model, &skin, &plan, *seed, &outlet.outlet())?;
+            let encoder = crate::registry::family(&skin)?.encoder(&skin)?;
+            let device = VirtualDevice::start_on(encoder, model, &skin, &plan, *seed, &outlet.outlet())?;
             println!("{}", device.url());
             if told.ground_truth.is_some() || rig.is_some() {
                 crate::block_on(tell(&device, &skin, told, rig.as_ref(), *seed, &stop))?;
@@ -139,7 +140,8 @@ pub fn run(device: &Device) -> Result<()> {
                 instance: skin_instance.clone(),
                 outlet: outlet.outlet(),
             };
-            let device = ReplayDevice::start(bag, &skin, &options)?;
+            let encoder = crate::registry::family(&skin)?.encoder(&skin)?;
+            let device = ReplayDevice::start_on(encoder, bag, &skin, &options)?;
             println!("{}", device.url());
             while device.running() && !device.finished() && !stop.load(Ordering::Acquire) {
                 std::thread::sleep(wait);

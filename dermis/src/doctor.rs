@@ -43,7 +43,7 @@ pub fn run(options: &Options) -> Result<()> {
                 "serial_devices": serial,
                 "network": network,
                 "ros": { "distro": ros, "rmw": rmw, "domain": domain, "backend_ros2": cfg!(feature = "ros2") },
-                "sensor_families": crate::registry::FAMILIES.iter().map(|f| f.name).collect::<Vec<_>>(),
+                "sensor_families": crate::registry::SENSORS.names(),
             })
         );
         return Ok(());
@@ -67,7 +67,7 @@ pub fn run(options: &Options) -> Result<()> {
         "              peers see us with RMW_IMPLEMENTATION=rmw_zenoh_cpp over hiroz, with any RMW over ros2"
     );
     println!("network       {network}");
-    let families: Vec<&str> = crate::registry::FAMILIES.iter().map(|f| f.name).collect();
+    let families = crate::registry::SENSORS.names();
     println!("sensors       {}", families.join(", "));
     Ok(())
 }

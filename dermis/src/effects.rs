@@ -8,7 +8,9 @@ use clap::Args;
 use dermis_model::{COMMON, CommonEffect, CommonParameters};
 use dermis_skin::{Effect, EffectInfo, ParameterInfo, SkinDescription};
 
-use crate::registry::{FAMILIES, Family};
+use dermis_sensor::Sensor;
+
+use crate::registry::SENSORS;
 
 /// Whose effects.
 #[derive(Args)]
@@ -65,16 +67,16 @@ impl Chosen {
 
 /// Lists effects.
 pub fn run(options: &Options) -> Result<()> {
-    let (families, skin): (Vec<&Family>, Option<SkinDescription>) = match &options.of {
-        None => (FAMILIES.iter().collect(), None),
-        Some(of) => match FAMILIES.iter().find(|f| f.name == of) {
+    let (families, skin): (Vec<&'static dyn Sensor>, Option<SkinDescription>) = match &options.of {
+        None => (SENSORS.iter().collect(), None),
+        Some(of) => match SENSORS.get(of) {
             Some(family) => (vec![family], None),
             None if Path::new(of).exists() => {
                 let skin = SkinDescription::load(of)?;
                 (vec![crate::registry::family(&skin)?], Some(skin))
             }
             None => {
-                let known: Vec<&str> = FAMILIES.iter().map(|f| f.name).collect();
+                let known = SENSORS.names();
                 bail!("`{of}` is neither a sensor family ({}) nor a skin description file", known.join(", "))
             }
         },
@@ -82,18 +84,18 @@ pub fn run(options: &Options) -> Result<()> {
     let on = |name: &str| skin.as_ref().and_then(|s| s.effects.iter().find(|e| e.name == name));
     if let Some(skin) = &skin {
         // Unknown names and impossible values are for the model to refuse.
-        (families[0].model)(skin)?;
+        families[0].model(skin)?;
     }
     if options.json {
-        let of = |family: &&Family| -> Result<serde_json::Value> {
-            let effects = family.effects.iter().map(|info| {
+        let of = |family: &&'static dyn Sensor| -> Result<serde_json::Value> {
+            let effects = family.effects().iter().map(|info| {
                 let mut value = serde_json::to_value(info)?;
                 if skin.is_some() {
                     value["of_skin"] = serde_json::to_value(on(info.name))?;
                 }
                 Ok(value)
             });
-            Ok(serde_json::json!({ "name": family.name, "effects": effects.collect::<Result<Vec<_>>>()? }))
+            Ok(serde_json::json!({ "name": family.name(), "effects": effects.collect::<Result<Vec<_>>>()? }))
         };
         let families = families.iter().map(of).collect::<Result<Vec<_>>>()?;
         let common = COMMON.iter().map(|info| {
@@ -108,8 +110,8 @@ pub fn run(options: &Options) -> Result<()> {
         return Ok(());
     }
     for family in families {
-        println!("{}", family.name);
-        for info in family.effects {
+        println!("{}", family.name());
+        for info in family.effects() {
             print!("{}", describe(info, on(info.name)));
         }
     }
@@ -235,7 +237,7 @@ warm-up
 
     #[test]
     fn an_effect_is_described_with_units_and_ranges() {
-        let info = FAMILIES[0].effects.iter().find(|e| e.name == "tilt").unwrap();
+        let info = dermis_barodome::FAMILY.effects().iter().find(|e| e.name == "tilt").unwrap();
         let effect = Effect::new("tilt").strength(0.5).with("angle", 0.1);
         insta::assert_snapshot!(describe(info, Some(&effect)), @r#"
 tilt  [strength 0.5 on this skin]

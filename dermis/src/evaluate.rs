@@ -5,7 +5,7 @@ use clap::Args;
 use dermis_studies::evaluation::{Request, evaluate};
 
 use crate::output;
-use crate::registry::Registry;
+use crate::registry::FAMILIES;
 use crate::steps::Steps;
 
 /// What to measure on what.
@@ -21,7 +21,7 @@ pub struct Options {
 /// Evaluates, and fails where a requirement is missed.
 pub fn run(options: &Options) -> Result<()> {
     let steps = Steps::new("{msg:40} {spinner} {elapsed}")?;
-    let findings = evaluate(&options.request, &Registry, &steps)?;
+    let findings = evaluate(&options.request, &FAMILIES, &steps)?;
     steps.finish();
     output::print(options.json, &findings, &dermis_report::evaluation::text(&findings))?;
     Ok(findings.verdicts.require()?)

@@ -14,7 +14,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
 
 use crate::output;
-use crate::registry::Registry;
+use crate::registry::FAMILIES;
 use crate::steps::Steps;
 
 /// What to do about a gap.
@@ -105,7 +105,7 @@ fn diagnose(request: &diagnosis::Request) -> Result<Diagnosis> {
         .with_style(ProgressStyle::with_template("{msg} {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.set_message("simulating effects");
     let stop = crate::collect::stop_on_interrupt()?;
-    let found = diagnosis::diagnose(request, &Registry, progress.clone(), stop)?;
+    let found = diagnosis::diagnose(request, &FAMILIES, progress.clone(), stop)?;
     progress.finish_and_clear();
     Ok(found)
 }
@@ -173,7 +173,7 @@ fn diagnose_case(skin: &Path, bag: &Path, more: &[String]) -> Result<Vec<u8>> {
 
 fn check(options: &Check) -> Result<()> {
     let steps = Steps::stoppable("{msg} {wide_bar} {percent} %, {eta} left")?;
-    let found = benchmark::run(&options.request, &Registry, &diagnose_case, &steps)?;
+    let found = benchmark::run(&options.request, &FAMILIES, &diagnose_case, &steps)?;
     steps.finish();
     let scored = match found {
         benchmark::Findings::Sealed(seals) => {

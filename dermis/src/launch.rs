@@ -12,7 +12,7 @@ use dermis_perception::cli::NetworkArguments;
 use serde_json::Value;
 
 use crate::log::Format;
-use crate::registry::FAMILIES;
+use crate::registry::SENSORS;
 
 /// What to start.
 #[derive(Args)]
@@ -151,14 +151,14 @@ impl Host for Dermis {
     }
 
     fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>> {
-        let family = FAMILIES.iter().find(|family| family.name == request.kind).ok_or_else(|| {
-            let known: Vec<&str> = FAMILIES.iter().map(|family| family.name).collect();
+        let family = SENSORS.get(request.kind).ok_or_else(|| {
+            let known = SENSORS.names();
             vec![Refusal {
                 field: "node".to_owned(),
                 reason: format!("there is no node `{}`; there is {}", request.kind, known.join(", ")),
             }]
         })?;
-        (family.node)(request)
+        crate::nodes::config(family, request)
     }
 
     fn together(&self, nodes: &[(&str, &Value)]) -> Vec<(usize, Refusal)> {

@@ -124,6 +124,7 @@ fn main() -> ExitCode {
         return code;
     }
     dermis_io::pipe::end_quietly();
+    registry::SENSORS.install();
     let cli = Cli::parse();
     let level = match cli.command {
         Command::Barodome(_) | Command::Hapdef(_) | Command::Bridge(_) | Command::Device(_) => "info",
@@ -139,8 +140,8 @@ fn main() -> ExitCode {
     let limit = log::start(format, level);
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
-        Command::Barodome(options) => block_on(nodes::run(&dermis_barodome::FAMILY, *options)),
-        Command::Hapdef(options) => block_on(nodes::run(&dermis_hapdef::FAMILY, *options)),
+        Command::Barodome(options) => block_on(nodes::run(dermis_barodome::FAMILY, *options)),
+        Command::Hapdef(options) => block_on(nodes::run(dermis_hapdef::FAMILY, *options)),
         Command::Watch(options) => block_on(watch::run(options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),

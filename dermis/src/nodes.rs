@@ -4,7 +4,8 @@ use anyhow::{Result, anyhow};
 use clap::Args;
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_node::NodeError;
-use dermis_perception::{Config, ConfigError, RunError, Sensor};
+use dermis_perception::{Config, ConfigError, RunError};
+use dermis_sensor::Sensor;
 use dermis_skin::{InstanceError, SkinDescription};
 use serde_json::Value;
 
@@ -21,25 +22,27 @@ pub struct Skin {
 }
 
 /// Runs until Ctrl-C, or until it is shut down through its lifecycle.
-pub async fn run(sensor: &Sensor, options: Skin) -> Result<()> {
+pub async fn run(sensor: &'static dyn Sensor, options: Skin) -> Result<()> {
     let config = options.arguments.into_config()?;
-    sensor.run(&config, options.backend.open()?.as_ref()).await.map_err(|error| match reader(&error) {
-        Some(command) => anyhow!("{error}; `dermis {command}` reads it"),
-        None => error.into(),
+    dermis_perception::run(sensor, &config, options.backend.open()?.as_ref()).await.map_err(|error| {
+        match reader(&error) {
+            Some(command) => anyhow!("{error}; `dermis {command}` reads it"),
+            None => error.into(),
+        }
     })
 }
 
 /// The command that reads a skin which another family's node was given.
 fn reader(error: &RunError) -> Option<&'static str> {
     let RunError::Sensor { found, .. } = error else { return None };
-    crate::registry::FAMILIES.iter().find(|family| family.name == found).map(|family| family.name)
+    crate::registry::SENSORS.get(found).map(|family| family.name())
 }
 
 /// What the process itself says in a launch file, and its table `config` must not say again.
 const OUTSIDE: [&str; 5] = ["name", "namespace", "domain_id", "remap", "parameters"];
 
 /// The configuration that a launch file gives this node.
-pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>> {
+pub fn config(sensor: &'static dyn Sensor, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>> {
     let refuse = |field: String, reason: String| Refusal { field, reason };
     let loaded = match request.config {
         Value::String(path) => Config::load(request.folder.join(path)),
@@ -101,7 +104,7 @@ pub fn config(sensor: &Sensor, request: &NodeRequest<'_>) -> Result<Value, Vec<R
         let hint = reader(&error).map_or(String::new(), |command| format!("; write `node: {command}`"));
         refuse(field, format!("{error}{hint}"))
     };
-    let refusals: Vec<Refusal> = sensor.check(&config).into_iter().map(refusal).collect();
+    let refusals: Vec<Refusal> = dermis_perception::check(sensor, &config).into_iter().map(refusal).collect();
     if !refusals.is_empty() {
         return Err(refusals);
     }

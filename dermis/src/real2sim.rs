@@ -6,7 +6,7 @@ use dermis_report::real2sim as report;
 use dermis_studies::real2sim::{compare, table, train};
 
 use crate::output::{self, Output};
-use crate::registry::Registry;
+use crate::registry::FAMILIES;
 use crate::steps::Steps;
 
 /// What to do.
@@ -54,7 +54,7 @@ pub fn run(command: &Real2Sim) -> Result<()> {
     let steps = Steps::new("{msg:40} {wide_bar} {percent} %, {elapsed} gone")?;
     match command {
         Real2Sim::Table(options) => {
-            let findings = table::make(&options.request, &Registry, &steps)?;
+            let findings = table::make(&options.request, &FAMILIES, &steps)?;
             steps.finish();
             let text = report::table(&findings);
             if let Some(folder) = &options.output.out {
@@ -65,12 +65,12 @@ pub fn run(command: &Real2Sim) -> Result<()> {
             output::print(options.output.json, &findings, &text)
         }
         Real2Sim::Train(options) => {
-            let findings = train::learn(&options.request, &Registry, &steps)?;
+            let findings = train::learn(&options.request, &FAMILIES, &steps)?;
             steps.finish();
             output::print(options.json, &findings, &report::trained(&findings))
         }
         Real2Sim::Compare(options) => {
-            let findings = compare::compare(&options.request, &Registry, &steps)?;
+            let findings = compare::compare(&options.request, &FAMILIES, &steps)?;
             steps.finish();
             let text = report::comparison(&findings);
             if let Some(folder) = &options.output.out {

@@ -5,7 +5,7 @@ use clap::Args;
 use dermis_studies::refinement::{Request, refine_bundle};
 
 use crate::output;
-use crate::registry::Registry;
+use crate::registry::FAMILIES;
 use crate::steps::Steps;
 
 /// What to refine, and on what it is measured.
@@ -21,7 +21,7 @@ pub struct Options {
 /// Refines, and says what that is worth.
 pub fn run(options: &Options) -> Result<()> {
     let steps = Steps::stoppable("{msg:36} {wide_bar} {percent} %, {elapsed} gone")?;
-    let findings = refine_bundle(&options.request, &Registry, &steps)?;
+    let findings = refine_bundle(&options.request, &FAMILIES, &steps)?;
     steps.finish();
     output::print(options.json, &findings, &dermis_report::refinement::text(&findings))
 }

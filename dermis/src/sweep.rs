@@ -6,7 +6,7 @@ use dermis_report::sweep as report;
 use dermis_studies::sweep::{self, Request};
 
 use crate::output::{self, Output};
-use crate::registry::Registry;
+use crate::registry::FAMILIES;
 use crate::steps::Steps;
 
 /// What to vary.
@@ -21,7 +21,7 @@ pub struct Options {
 /// Varies, and says what helps.
 pub fn run(options: &Options) -> Result<()> {
     let steps = Steps::new("{msg} {wide_bar} {percent} %, {eta} left")?;
-    let findings = sweep::sweep(&options.request, &Registry, &steps)?;
+    let findings = sweep::sweep(&options.request, &FAMILIES, &steps)?;
     steps.finish();
     let text = report::text(&findings);
     if let Some(folder) = &options.output.out {

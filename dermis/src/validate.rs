@@ -9,7 +9,7 @@ use indicatif::ProgressBar;
 use serde_json::json;
 
 use crate::output;
-use crate::registry::FAMILIES;
+use crate::registry::SENSORS;
 
 /// What to validate.
 #[derive(Args)]
@@ -23,9 +23,9 @@ pub struct Options {
 
 /// Computes every case; an error where one fails.
 pub fn run(options: &Options) -> Result<()> {
-    let matching: Vec<_> = FAMILIES.iter().filter(|f| f.name.starts_with(&options.family)).collect();
+    let matching: Vec<_> = SENSORS.iter().filter(|f| f.name().starts_with(&options.family)).collect();
     let [family] = matching.as_slice() else {
-        let known: Vec<&str> = FAMILIES.iter().map(|f| f.name).collect();
+        let known = SENSORS.names();
         bail!(
             "`{}` names {} sensor families of this program; it knows {}",
             options.family,
@@ -40,11 +40,12 @@ pub fn run(options: &Options) -> Result<()> {
     // Hidden where stderr is not a terminal.
     let busy = ProgressBar::new_spinner().with_message("computing, and asking others");
     busy.enable_steady_tick(Duration::from_millis(100));
-    let cases = (family.verify)();
+    let cases = family.validation_cases();
     busy.finish_and_clear();
-    let cases = cases?;
+    let cases = cases.map_err(anyhow::Error::msg)?;
     let failed: Vec<&str> = cases.iter().filter(|c| !c.pass).map(|c| c.id.as_str()).collect();
-    let record = json!({ "family": family.name, "cases": cases, "failed": failed.len(), "calculix": judge });
+    let record =
+        json!({ "family": family.name(), "cases": cases, "failed": failed.len(), "calculix": judge });
     output::print(options.json, &record, &dermis_report::validation::text(&cases))?;
     if !failed.is_empty() {
         bail!("{} of {} cases missed their reference: {}", failed.len(), cases.len(), failed.join("; "));

@@ -13,7 +13,8 @@ use dermis_bag::{BagError, BagReader};
 use dermis_inference::Manifest;
 use dermis_launch::{Host, NodeRequest, Refusal};
 use dermis_learn::LabelMap;
-use dermis_perception::{Config, FrameReader};
+use dermis_perception::Config;
+use dermis_sensor::{Decoder as _, FrameReader};
 use dermis_skin::{Frame, SkinDescription, TriangleMesh};
 use dermis_testbed::Plan;
 use dermis_transport::framing::{
@@ -44,6 +45,11 @@ pub const TARGETS: [(&str, Target); 12] = [
 
 /// \[ns since the Unix epoch\] when fuzzed bytes begin to arrive.
 const ARRIVAL: i64 = 1_700_000_000_000_000_000;
+
+/// A reader of one of the wires that every family knows.
+fn plain_reader(skin: &SkinDescription) -> FrameReader {
+    FrameReader::new(skin).expect("a wire that every family knows")
+}
 
 /// The way from bytes to frames: three bytes of choices, then a stream.
 ///
@@ -107,7 +113,7 @@ pub fn frames(data: &[u8]) {
 
     // The whole way, with time that passes, gaps, and stamps.
     let skin = &skins()[usize::from(ascii) * 8 + channels - 1];
-    for mut reader in [FrameReader::new(skin), FrameReader::new(skin).with_device_time()] {
+    for mut reader in [plain_reader(skin), plain_reader(skin).with_device_time()] {
         let mut out: Vec<Frame> = Vec::new();
         let mut received = ARRIVAL;
         for (i, piece) in stream.chunks(1 + usize::from(cut)).enumerate() {
@@ -121,7 +127,7 @@ pub fn frames(data: &[u8]) {
         }
         assert!(out.windows(2).all(|w| w[0].sequence < w[1].sequence));
     }
-    let mut reader = FrameReader::new(skin);
+    let mut reader = plain_reader(skin);
     let mut out: Vec<Frame> = Vec::new();
     let mut received = ARRIVAL;
     for piece in stream.chunks(1 + usize::from(cut)) {

@@ -89,7 +89,9 @@ fn online_equals_offline(
     let held_out: std::collections::BTreeSet<SampleId> =
         split.apply(&data).unwrap().test.into_iter().collect();
     let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
-    let mut offline = dermis_barodome::FAMILY.estimator(skin, &[model.to_owned()], &[], runtime).unwrap();
+    let mut offline =
+        dermis_perception::estimator(dermis_barodome::FAMILY, skin, &[model.to_owned()], &[], runtime)
+            .unwrap();
     offline.reset();
 
     let mut pty = Pty::open().unwrap();

@@ -25,7 +25,7 @@
 //! ```
 
 pub mod calculix;
-mod case;
+
 mod contact;
 mod displacement;
 mod error;
@@ -37,8 +37,8 @@ mod quadrature;
 pub mod shell;
 mod table;
 
-pub use case::Case;
 pub use contact::SphereContact;
+pub use dermis_model::Case;
 pub use displacement::{Displacement, SphereDisplacement};
 pub use error::MechanicsError;
 pub use friction::Friction;

@@ -9,6 +9,7 @@
 //!
 //! Everything that works on readings (testbed, training, inversion, bounds, diagnosis) is written on [`ForwardModel`].
 
+mod case;
 mod device;
 mod forward;
 mod state;
@@ -16,6 +17,7 @@ mod state;
 pub mod suite;
 mod unknowns;
 
+pub use case::Case;
 pub use device::{COMMON, CURVED, CommonEffect, CommonParameters, common_effect, device, full_scale};
 pub use forward::{ForwardModel, Indentation, Stimulus};
 pub use state::{Memoryless, Trajectory};

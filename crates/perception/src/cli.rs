@@ -12,7 +12,9 @@ use log_limit::LogLimit;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
-use crate::{CacheConfig, Commands, Config, ConfigError, Sensor};
+use dermis_sensor::Sensor;
+
+use crate::{CacheConfig, Commands, Config, ConfigError};
 
 /// Who can reach a program over the network, on a command line.
 #[derive(Debug, Clone, Default, Args)]
@@ -125,14 +127,16 @@ impl Arguments {
 }
 
 /// The whole of a program that is one family's node: options, log, the node over the embedded backend until it is stopped. `name`
-/// and `version` are the program's, `about` says what it does.
+/// and `version` are the program's.
 #[must_use]
-pub fn program(sensor: &Sensor, name: &'static str, version: &'static str, about: &'static str) -> ExitCode {
+pub fn program(sensor: &'static dyn Sensor, name: &'static str, version: &'static str) -> ExitCode {
     if let Some(code) = dermis_inference::trial::serve() {
         return code;
     }
     dermis_io::pipe::end_quietly();
-    let options = Arguments::augment_args(Command::new(name).version(version).about(about)).get_matches();
+    dermis_skin::register(sensor);
+    let options =
+        Arguments::augment_args(Command::new(name).version(version).about(sensor.about())).get_matches();
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into());
     let limit = LogLimit::default();
     let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
@@ -140,7 +144,7 @@ pub fn program(sensor: &Sensor, name: &'static str, version: &'static str, about
     let run = || -> Result<(), Box<dyn std::error::Error>> {
         let config = Arguments::from_arg_matches(&options)?.into_config()?;
         let runtime = tokio::runtime::Runtime::new()?;
-        Ok(runtime.block_on(sensor.run(&config, &HirozBackend::default()))?)
+        Ok(runtime.block_on(crate::run(sensor, &config, &HirozBackend::default()))?)
     };
     let done = run();
     limit.finish();

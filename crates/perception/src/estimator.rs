@@ -16,9 +16,9 @@ use dermis_skin::{
 };
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::Sensor;
 use crate::condition::{ConditionError, Conditioned, Conditioner, TareRefusal, listed};
 use crate::contacts::{TaxelShares, Tracker};
+use dermis_sensor::Sensor;
 
 /// Presence by probability begins above the first and ends below the second.
 const PRESENT: (f64, f64) = (0.5, 0.4);
@@ -157,7 +157,7 @@ struct Pipeline {
 
 impl Pipeline {
     fn new(
-        sensor: &Sensor,
+        sensor: &dyn Sensor,
         skin: &SkinDescription,
         bundle: &Bundle,
         runtime: &Runtime,
@@ -166,7 +166,8 @@ impl Pipeline {
         let inverter = match &bundle.manifest().inversion {
             None => None,
             Some(settings) => {
-                let mut model = (sensor.model)(skin)
+                let mut model = sensor
+                    .model(skin)
                     .map_err(|source| SetupError::NoForwardModel { path: path(), source })?;
                 if let Some(correction) = bundle.correction() {
                     let corrected = Corrected::new(model, correction.clone())
@@ -234,7 +235,7 @@ impl Models {
     /// [`SetupError`] where a graph is refused, two bundles give the same output, or a force map does not fit the
     /// surface.
     pub fn load(
-        sensor: &Sensor,
+        sensor: &dyn Sensor,
         skin: &SkinDescription,
         bundles: &[Bundle],
         runtime: &Runtime,
@@ -1332,7 +1333,7 @@ mod tests {
         bundle.outputs.extend_from_slice(outputs);
         let dir = tempfile::tempdir().unwrap();
         bundle.write(&skin, dir.path());
-        let mut estimator = load_for(&STRETCHED, &skin, &[dir.path()], masked).unwrap();
+        let mut estimator = load_for(STRETCHED, &skin, &[dir.path()], masked).unwrap();
         for k in 0..80 {
             pressed(&mut estimator, k, None, &[]);
         }
@@ -1469,7 +1470,7 @@ mod tests {
         let bundle = TestBundle { inversion: Some(settings), ..TestBundle::default() };
         let dir = tempfile::tempdir().unwrap();
         bundle.write(&skin, dir.path());
-        let mut estimator = load_for(&STRETCHED, &skin, &[dir.path()], &[]).unwrap();
+        let mut estimator = load_for(STRETCHED, &skin, &[dir.path()], &[]).unwrap();
         for k in 0..80 {
             estimator.estimate(&both(k, &[])).unwrap();
         }
@@ -1542,7 +1543,7 @@ mod tests {
             manifest.correction = corrected.then(dermis_inference::CorrectionSection::default);
             let correction = corrected.then(|| serde_json::from_str(&text(&gains)).unwrap());
             loaded.amend(manifest, correction).unwrap();
-            let mut estimator = load_for(&STRETCHED, &skin, &[dir.path()], &[]).unwrap();
+            let mut estimator = load_for(STRETCHED, &skin, &[dir.path()], &[]).unwrap();
             let device = |k: u64, presses: &[([f64; 2], f64)]| {
                 let mut frame = both(k, presses);
                 for (value, gain) in frame.values.iter_mut().zip(&gains) {
@@ -1568,7 +1569,7 @@ mod tests {
             let bundle = TestBundle { inversion: Some(settings), ..TestBundle::default() };
             let dir = tempfile::tempdir().unwrap();
             bundle.write(&skin, dir.path());
-            let mut estimator = load_for(&STRETCHED, &skin, &[dir.path()], &[]).unwrap();
+            let mut estimator = load_for(STRETCHED, &skin, &[dir.path()], &[]).unwrap();
             for k in 0..80 {
                 estimator.estimate(&both(k, &[])).unwrap();
             }

@@ -27,16 +27,15 @@ use dermis_skin::{
 };
 use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, TransportError, now_ns};
 
-use crate::Sensor;
 use crate::commands::{Command, Commands};
 use crate::config::Config;
 use crate::estimator::{Maps, Models, Quality, SetupError, SkinEstimator};
 use crate::folders;
-use crate::frame::FrameReader;
 use crate::messages::{
     blind_message, contacts_message, markers_message, no_markers_message, points_message, transform_message,
     wrench_message,
 };
+use dermis_sensor::{Decoder, DecoderOptions, Sensor};
 use kept_zero::KeptZero;
 use loader::Loader;
 
@@ -93,7 +92,7 @@ pub enum RunError {
     /// The device's name, coordinate frame or mount cannot be.
     #[error(transparent)]
     Instance(#[from] InstanceError),
-    /// The table `medium` of the skin description cannot be.
+    /// What the sensor family reads of the skin description cannot be: its medium, or its wire.
     #[error("skin file {path}: field `{field}`: {reason}")]
     Medium {
         /// Skin description file.
@@ -183,7 +182,11 @@ impl SkinNode {
     /// # Errors
     ///
     /// [`RunError`] says in one sentence what is wrong: file, field or channel, and what to do.
-    pub fn start(sensor: &Sensor, config: &Config, backend: &dyn Backend) -> Result<Self, RunError> {
+    pub fn start(
+        sensor: &'static dyn Sensor,
+        config: &Config,
+        backend: &dyn Backend,
+    ) -> Result<Self, RunError> {
         let (skin, url) = skin_and_source(sensor, config)?;
         // Joining the network takes half a second, in which the device can send already: a zero is found by then.
         let early = config.autostart.then(|| Source::open(url.clone(), SourceOptions::default()));
@@ -215,7 +218,7 @@ impl SkinNode {
         let thread_error = |source| RunError::Thread { skin: skin.name.clone(), source };
         let slow = slow_lane().map_err(thread_error)?;
         let shared = Arc::new(Shared {
-            sensor: *sensor,
+            sensor,
             device_time: config.device_time,
             mount: config.mount.clone(),
             correction: config.correction.clone(),
@@ -258,7 +261,7 @@ impl SkinNode {
         });
         let worker = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
-            .name(format!("dermis-{}", sensor.name))
+            .name(format!("dermis-{}", sensor.name()))
             .spawn(move || worker.work(early))
             .map_err(thread_error)?;
         let running = Self { node, shared, thread: Some(thread), _services: services };
@@ -360,8 +363,8 @@ fn options(config: &Config, skin: &SkinDescription) -> Result<NodeOptions, RunEr
     Ok(options)
 }
 
-/// See [`Sensor::check`].
-pub(crate) fn check(sensor: &Sensor, config: &Config) -> Vec<RunError> {
+/// See [`crate::check`].
+pub(crate) fn check(sensor: &dyn Sensor, config: &Config) -> Vec<RunError> {
     let mut faults: Vec<RunError> =
         SourceUrl::parse(&config.source).map_err(RunError::from).err().into_iter().collect();
     // All the rest is about the skin.
@@ -406,20 +409,20 @@ fn check_correction(config: &Config, skin: &SkinDescription) -> Result<(), RunEr
     if used { Ok(()) } else { Err(RunError::UnusedCorrection { path: file.clone() }) }
 }
 
-fn skin_and_source(sensor: &Sensor, config: &Config) -> Result<(SkinDescription, SourceUrl), RunError> {
+fn skin_and_source(sensor: &dyn Sensor, config: &Config) -> Result<(SkinDescription, SourceUrl), RunError> {
     Ok((skin(sensor, config)?, SourceUrl::parse(&config.source)?))
 }
 
-fn skin(sensor: &Sensor, config: &Config) -> Result<SkinDescription, RunError> {
+fn skin(sensor: &dyn Sensor, config: &Config) -> Result<SkinDescription, RunError> {
     let skin = SkinDescription::load(&config.skin)?;
-    if skin.sensor != sensor.name {
+    if skin.sensor != sensor.name() {
         return Err(RunError::Sensor {
             path: config.skin.clone(),
             found: skin.sensor,
-            expected: sensor.name,
+            expected: sensor.name(),
         });
     }
-    if let Err(ModelError::Description { field, reason, .. }) = (sensor.medium)(&skin) {
+    if let Err(ModelError::Description { field, reason, .. }) = sensor.check(&skin) {
         return Err(RunError::Medium { path: config.skin.clone(), field, reason });
     }
     Ok(config.instance_of(skin)?)
@@ -656,7 +659,7 @@ fn slow_lane() -> std::io::Result<SyncSender<Job>> {
 
 /// What the working thread, services, parameters and diagnostics share.
 struct Shared {
-    sensor: Sensor,
+    sensor: &'static dyn Sensor,
     /// Whether stamps follow the device's clock as it is.
     device_time: bool,
     /// Where this device is fixed, if that is known.
@@ -683,7 +686,7 @@ struct Shared {
 
 struct Core {
     /// While active.
-    reader: Option<FrameReader>,
+    reader: Option<Box<dyn Decoder>>,
     estimator: SkinEstimator,
     publishers: Publishers,
     enabled: bool,
@@ -764,10 +767,11 @@ impl Shared {
                 continue;
             }
             if source.is_none() {
-                let reader = FrameReader::new(&self.skin);
-                let reader = if self.device_time { reader.with_device_time() } else { reader };
+                let options = DecoderOptions { device_time: self.device_time };
+                let reader = self.sensor.decoder(&self.skin, options);
                 let mut core = self.lock();
-                core.reader = Some(reader);
+                // That there is one was seen before the node was started.
+                core.reader = reader.ok();
                 core.jumps = (0, None);
                 drop(core);
                 self.publish_latched();
@@ -901,7 +905,7 @@ impl Shared {
 
     /// Says that stamps begin anew, because what computes with them takes a gap for a movement.
     fn warn_of_jumps(&self, core: &mut Core) {
-        let jumps = core.reader.as_ref().map_or(0, FrameReader::clock_jumps);
+        let jumps = core.reader.as_ref().map_or(0, |reader| reader.clock_jumps());
         let (warned, at) = core.jumps;
         if jumps > warned && at.is_none_or(|at| at.elapsed() >= JUMP_PERIOD) {
             core.jumps = (jumps, Some(Instant::now()));
@@ -915,9 +919,9 @@ impl Shared {
 
     /// Why no frame comes, as far as link and decoder know.
     fn why_blind(&self, core: &Core, silence: Duration) -> (u8, String) {
-        let stats = core.reader.as_ref().map(FrameReader::stats);
+        let stats = core.reader.as_ref().map(|reader| reader.stats());
         let name = &self.skin.name;
-        if let Some(key) = core.reader.as_ref().and_then(FrameReader::other_wire) {
+        if let Some(key) = core.reader.as_ref().and_then(|reader| reader.other_wire()) {
             return (ContactArray::STATUS_FAULT, format!("skin `{name}` on {}: {key}", self.url));
         }
         if let Some(diagnosis) = stats.and_then(|s| s.diagnosis(Some(&self.url))) {
@@ -1123,7 +1127,7 @@ impl Shared {
         }
         let folder = folders::bundle(name, &self.model_folders)?;
         let models = loader::bundles(&[folder], &self.skin, &self.model_limits, self.correction.as_deref())
-            .and_then(|bundles| Models::load(&self.sensor, &self.skin, &bundles, self.runtime))
+            .and_then(|bundles| Models::load(self.sensor, &self.skin, &bundles, self.runtime))
             .map_err(|e| e.to_string())?;
         let mut core = self.lock();
         core.publishers.add(&self.node, models.maps()).map_err(|e| e.to_string())?;

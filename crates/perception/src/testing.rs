@@ -10,28 +10,57 @@ use dermis_inference::{
 };
 use dermis_inversion::Settings;
 use dermis_model::{ForwardModel, Indentation, Stimulus};
-use dermis_skin::{Estimator, Frame, ModelError, SkinDescription, Surface};
+use dermis_skin::{Estimator, Family, Frame, ModelError, SkinDescription, Surface};
 use nalgebra::Point3;
 
-use crate::Sensor;
 use crate::estimator::{Models, SetupError, SkinEstimator};
+use dermis_sensor::Sensor;
 
 /// A family without a forward model.
-pub(crate) const PAD: Sensor = Sensor {
-    name: "pad",
-    model: |skin| {
+pub(crate) const PAD: &dyn Sensor = &Pad;
+
+struct Pad;
+
+impl Family for Pad {
+    fn name(&self) -> &'static str {
+        "pad"
+    }
+}
+
+impl Sensor for Pad {
+    fn about(&self) -> &'static str {
+        "Reads a pad of a test"
+    }
+
+    fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
         Err(ModelError::Description {
             skin: skin.name.clone(),
             field: "sensor".into(),
             reason: "has no forward model".into(),
         })
-    },
-    medium: |_| Ok(()),
-};
+    }
+}
 
 /// A family whose forward model is a [`Membrane`].
-pub(crate) const STRETCHED: Sensor =
-    Sensor { name: "pad", model: |skin| Ok(Arc::new(Membrane::new(skin))), medium: |_| Ok(()) };
+pub(crate) const STRETCHED: &dyn Sensor = &Stretched;
+
+struct Stretched;
+
+impl Family for Stretched {
+    fn name(&self) -> &'static str {
+        "pad"
+    }
+}
+
+impl Sensor for Stretched {
+    fn about(&self) -> &'static str {
+        "Reads a membrane of a test"
+    }
+
+    fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
+        Ok(Arc::new(Membrane::new(skin)))
+    }
+}
 
 /// A soft skin: presses are felt, and push its surface in, as bells about them.
 pub(crate) struct Membrane {
@@ -257,12 +286,12 @@ impl TestBundle {
 
 /// An estimator with these bundles.
 pub(crate) fn load(skin: &SkinDescription, folders: &[&Path]) -> Result<SkinEstimator, SetupError> {
-    load_for(&PAD, skin, folders, &[])
+    load_for(PAD, skin, folders, &[])
 }
 
 /// An estimator of a family with these bundles and without these channels.
 pub(crate) fn load_for(
-    sensor: &Sensor,
+    sensor: &dyn Sensor,
     skin: &SkinDescription,
     folders: &[&Path],
     masked: &[String],

@@ -12,7 +12,8 @@ pub fn text(findings: &Findings) -> String {
     let mut out = String::new();
     let settings = &refinement.settings;
     if let Some((learned, _)) = &refinement.correction {
-        let _ = writeln!(out, 
+        let _ = writeln!(
+            out,
             "correction: {} presses; at other places the forward model leaves {:.1} times the noise without it, {:.1} with it",
             learned.presses, learned.left[0], learned.left[1]
         );
@@ -24,19 +25,22 @@ pub fn text(findings: &Findings) -> String {
     }
     let _ = writeln!(out, "model and device differ by {:.2} % of a signal", settings.model_error * 100.0);
     if settings.contacts > 1 {
-        let _ = writeln!(out, 
+        let _ = writeln!(
+            out,
             "{} contacts at most; one more must lower the squared deviations by {}",
             settings.contacts, settings.evidence
         );
     }
     if settings.presence > Settings::new(settings.diameter, settings.force_max).presence {
-        let _ = writeln!(out, 
+        let _ = writeln!(
+            out,
             "untouched readings drift: a contact that the level does not show must lower the squared deviations by {:.0}",
             settings.presence
         );
     }
     if let Some(ratio) = ratio {
-        let _ = writeln!(out, 
+        let _ = writeln!(
+            out,
             "with the forward model the error is {ratio:.3} times that of the model alone (choosing half)"
         );
     }

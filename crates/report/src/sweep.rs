@@ -7,7 +7,11 @@ use dermis_figures::{Axes, Curve, Pen, curves, escape, figure, page, short};
 use dermis_studies::sweep::{Figures, Findings, Sweep, Variant};
 use dermis_studies::variation::Parameter;
 
-fn text(skin: &SkinDescription, nominal: Figures, sweeps: &[Sweep], options: &Request) -> String {
+/// For people.
+#[must_use]
+pub fn text(findings: &Findings) -> String {
+    let Findings { request: options, skin, nominal, sweeps } = findings;
+    let nominal = *nominal;
     let mut out = format!(
         "{}: one contact of {} N, tip of {} mm: position {:.3} mm RMS ({:.3} median), force {:.4} N RMS, F_S {:.4} N \
          median, Ω {:.0}\n\n",

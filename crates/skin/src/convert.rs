@@ -91,6 +91,7 @@ impl From<&TaxelFrame> for Frame {
             values: m.values.clone(),
             flags,
             temperature: m.temperature,
+            image: None,
         }
     }
 }

@@ -7,6 +7,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::family::{self, FamilyShape, FieldFault};
 use crate::mesh::TriangleMesh;
 use crate::panel::Panel;
 use crate::{Effect, ModelError, SkinError, Surface};
@@ -82,6 +83,9 @@ pub enum SurfaceSpec {
         #[serde(skip)]
         mesh: TriangleMesh,
     },
+    /// A shape of the sensor family's own.
+    #[serde(skip)]
+    Family(FamilyShape),
 }
 
 impl SurfaceSpec {
@@ -96,6 +100,9 @@ impl SurfaceSpec {
         match self {
             SurfaceSpec::Mesh { mesh, .. } => {
                 serde_json::json!({ "type": "mesh", "sha256": mesh.digest() })
+            }
+            SurfaceSpec::Family(shape) => {
+                serde_json::json!({ "type": shape.name, "parameters": shape.parameters })
             }
             shape => serde_json::json!(shape),
         }
@@ -163,14 +170,36 @@ pub struct Channel {
 }
 
 /// Framing on the raw transport.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(from = "String", into = "String")]
 pub enum WireProtocol {
     /// Binary frames delimited by COBS, with CRC-16, sequence and device time.
     #[default]
     Native,
     /// A line of numbers a frame.
     Ascii,
+    /// One of the sensor family's own, by its name.
+    Family(String),
+}
+
+impl From<String> for WireProtocol {
+    fn from(name: String) -> Self {
+        match name.as_str() {
+            "native" => Self::Native,
+            "ascii" => Self::Ascii,
+            _ => Self::Family(name),
+        }
+    }
+}
+
+impl From<WireProtocol> for String {
+    fn from(protocol: WireProtocol) -> Self {
+        match protocol {
+            WireProtocol::Native => "native".to_owned(),
+            WireProtocol::Ascii => "ascii".to_owned(),
+            WireProtocol::Family(name) => name,
+        }
+    }
 }
 
 /// How raw readings become values in the unit of the skin: `value = raw · scale + offset`.
@@ -270,8 +299,10 @@ pub struct SkinDescription {
     #[serde(default)]
     pub condition: Condition,
     /// Shape of the outside.
+    #[serde(serialize_with = "family::serialize_surface", deserialize_with = "family::deserialize_surface")]
     pub surface: SurfaceSpec,
-    /// Sensing elements.
+    /// Sensing elements; a sensor family may fill them in.
+    #[serde(default)]
     pub taxels: Vec<Taxel>,
     /// Numbers of a frame, in order; one a taxel and of its name where absent.
     #[serde(default)]
@@ -351,6 +382,13 @@ impl SkinDescription {
         if let Err((field, reason)) = crate::limits::check(self) {
             return wrong(field, reason);
         }
+        if let Err(FieldFault { field, reason }) = family::complete(self) {
+            return wrong(field, reason);
+        }
+        // Again, with what the family filled in.
+        if let Err((field, reason)) = crate::limits::check(self) {
+            return wrong(field, reason);
+        }
         let name_ok = |s: &str| {
             !s.is_empty()
                 && s.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_')
@@ -405,6 +443,7 @@ impl SkinDescription {
                 vec![("radius", radius), ("size[0]", size[0]), ("size[1]", size[1]), ("spacing", spacing)]
             }
             SurfaceSpec::Mesh { scale, .. } => vec![("scale", scale)],
+            SurfaceSpec::Family(_) => Vec::new(),
             SurfaceSpec::Rectangle { size, spacing } => {
                 vec![("size[0]", size[0]), ("size[1]", size[1]), ("spacing", spacing)]
             }
@@ -574,6 +613,18 @@ impl SkinDescription {
     #[must_use]
     pub fn channels(&self) -> &[Channel] {
         &self.channels
+    }
+
+    /// Gives the skin these numbers of a frame, for a sensor family that [completes](crate::Family::complete) it.
+    pub fn set_channels(&mut self, channels: Vec<Channel>) {
+        self.channels = channels;
+    }
+
+    /// Gives the shape that only the sensor family knows its mesh; nothing happens to a skin of another shape.
+    pub fn set_shape(&mut self, mesh: TriangleMesh) {
+        if let SurfaceSpec::Family(shape) = &mut self.surface {
+            shape.mesh = mesh;
+        }
     }
 
     /// Standard deviation of each channel's noise, in `unit`.

@@ -1,6 +1,6 @@
 //! One reading of every channel.
 
-use crate::Stamp;
+use crate::{Image, Stamp};
 
 /// What is wrong with one channel of a frame; the bits are those of `TaxelFrame.FLAG_*`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
@@ -105,6 +105,8 @@ pub struct Frame {
     pub flags: Vec<ChannelFlags>,
     /// Temperature of the skin \[K\], NaN where unknown.
     pub temperature: f32,
+    /// The picture that `values` were computed from, where the skin is read by a camera.
+    pub image: Option<Image>,
 }
 
 impl Frame {
@@ -112,7 +114,7 @@ impl Frame {
     #[must_use]
     pub fn new(stamp: Stamp, sequence: u64, values: Vec<f32>) -> Self {
         let flags = vec![ChannelFlags::OK; values.len()];
-        Self { stamp, sequence, device_time_us: 0, values, flags, temperature: f32::NAN }
+        Self { stamp, sequence, device_time_us: 0, values, flags, temperature: f32::NAN, image: None }
     }
 
     /// Number of channels that can be used: finite, and not dead, stuck, masked or saturated.

@@ -122,6 +122,10 @@ fn surface(spec: &SurfaceSpec) -> Result<(), Fault> {
             }
             return Ok(());
         }
+        // The mesh that its family makes of it has limits of its own.
+        SurfaceSpec::Family(ref shape) => {
+            return medium("surface", &toml::Value::Table(shape.parameters.clone()));
+        }
     };
     length("spacing", spacing, low)?;
     if spacing > 0.0 && points > POINTS {

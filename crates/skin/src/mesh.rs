@@ -195,6 +195,24 @@ impl TriangleMesh {
         Ok(Self::new(points, kept))
     }
 
+    /// A mesh of points \[m\] and triangles, counter-clockwise seen from outside, with so many rims.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with it, as for a [file](Self::load).
+    pub fn from_triangles(
+        points: Vec<Point3<f64>>,
+        triangles: &[[usize; 3]],
+        rims: usize,
+    ) -> Result<Self, String> {
+        Self::checked(points, triangles, 1.0, rims)
+    }
+
+    /// Whether there is no triangle in it.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.triangles.is_empty()
+    }
+
     fn new(points: Vec<Point3<f64>>, triangles: Vec<[u32; 3]>) -> Self {
         let mut normals = vec![Vector3::zeros(); points.len()];
         let mut hash = Sha256::new();

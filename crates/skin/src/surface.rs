@@ -34,6 +34,7 @@ impl Surface {
                 spec.panel().map(|panel| panel.triangulate(spacing)).unwrap_or_default()
             }
             SurfaceSpec::Mesh { ref mesh, .. } => mesh.triangulation(),
+            SurfaceSpec::Family(ref shape) => shape.mesh.triangulation(),
         };
         let mut areas = vec![0.0; points.len()];
         for t in &triangles {
@@ -72,6 +73,7 @@ impl Surface {
                 .as_ref()
                 .map_or((*point, Vector3::z()), |panel| panel.roll(panel.nearest(panel.unroll(point)))),
             SurfaceSpec::Mesh { ref mesh, .. } => mesh.project(point),
+            SurfaceSpec::Family(ref shape) => shape.mesh.project(point),
         }
     }
 

@@ -29,7 +29,7 @@ use crate::{Families, Progress};
 
 pub use sources::Source;
 pub use summary::{alphas, by_interval, median, summary};
-pub use trends::{Trend, TrendCurve};
+pub use trends::{Trend, TrendCurve, trends};
 
 /// \[mm\] distances of two contacts that are bounded.
 const DISTANCES: std::ops::RangeInclusive<u32> = 1..=40;
@@ -178,7 +178,7 @@ impl Serialize for Findings {
 /// # Errors
 ///
 /// Where the skin, its model or a bag cannot be read, or a number of the request cannot be.
-pub fn bound(options: &Request, families: &dyn Families, progress: &dyn Progress) -> Result<Findings> {
+pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
     let model = families.model_of_file(&options.skin, &skin);
     let (model, mut notes) = match (model, options.bag.is_empty()) {
@@ -235,7 +235,7 @@ pub fn bound(options: &Request, families: &dyn Families, progress: &dyn Progress
     // A recording is of the skin as it is, and only the page shows how others would be.
     let trends = match &model {
         Some(model) if options.bag.is_empty() && options.trends => {
-            trends::trends(&skin, model, &feet, options.diameter, families)?
+            trends(&skin, model, &feet, options.diameter, families)?
         }
         _ => Vec::new(),
     };

@@ -260,7 +260,7 @@ impl Method for Isolines {
 /// # Errors
 ///
 /// Where skin, bundles or bags cannot be read, or nothing of them was held out.
-pub fn compare(options: &Request, families: &dyn Families, progress: &dyn Progress) -> Result<Findings> {
+pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
     let forward = families.model_of_file(&options.skin, &skin)?;
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;

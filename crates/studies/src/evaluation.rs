@@ -132,7 +132,7 @@ impl Serialize for Findings {
 /// # Errors
 ///
 /// Where skin, bundles or bags cannot be read. A requirement that is missed is a finding.
-pub fn evaluate(options: &Request, families: &dyn Families, progress: &dyn Progress) -> Result<Findings> {
+pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
     let mut estimator = families.estimator(&skin, &options.model)?;
     let mut how = options.labels.options()?;
@@ -169,7 +169,7 @@ pub fn evaluate(options: &Request, families: &dyn Families, progress: &dyn Progr
 
 /// What any estimator without bias could reach at best on the same contacts, where the skin has a forward model.
 fn bound(
-    families: &dyn Families,
+    families: &Families,
     skin: &SkinDescription,
     data: &Dataset,
     only: Option<&[SampleId]>,

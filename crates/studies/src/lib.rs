@@ -20,46 +20,72 @@ pub mod variation;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
+use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_model::ForwardModel;
-use dermis_skin::{EffectInfo, Estimator, SkinDescription, Taxel};
+use dermis_sensor::{Registry, Sensor};
+use dermis_skin::{Estimator, ModelError, SkinDescription};
 
-/// What studies ask of the sensor family that reads a skin.
-pub trait Families: Sync {
+/// The sensor families that studies ask for models, estimators and candidates.
+#[derive(Debug, Clone, Copy)]
+pub struct Families {
+    sensors: &'static Registry,
+}
+
+impl Families {
+    /// Those that a program knows.
+    #[must_use]
+    pub const fn new(sensors: &'static Registry) -> Self {
+        Self { sensors }
+    }
+
+    /// The family that reads a skin.
+    ///
+    /// # Errors
+    ///
+    /// Where none does.
+    pub fn of(&self, skin: &SkinDescription) -> Result<&'static dyn Sensor> {
+        Ok(self.sensors.of(skin)?)
+    }
+
     /// The forward model of a skin, with the effects that its description switches on.
     ///
     /// # Errors
     ///
     /// Where the family has no such model, or the skin cannot be.
-    fn model(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>>;
+    pub fn model(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
+        Ok(self.of(skin)?.model(skin)?)
+    }
 
     /// The forward model of a skin that was read from `path`; refusals name that file.
     ///
     /// # Errors
     ///
     /// As [`model`](Self::model).
-    fn model_of_file(&self, path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>>;
+    pub fn model_of_file(&self, path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
+        self.of(skin)?.model(skin).map_err(|error| of_file(path, error))
+    }
 
     /// The estimator that the family's node runs with these model bundles.
     ///
     /// # Errors
     ///
     /// Where a bundle does not fit, or cannot be read.
-    fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>>;
+    pub fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>> {
+        let runtime = Runtime::load(&RuntimeConfig::default())?;
+        Ok(dermis_perception::estimator(self.of(skin)?, skin, bundles, &[], runtime)?)
+    }
+}
 
-    /// Where sensing elements of such a skin could be.
-    ///
-    /// # Errors
-    ///
-    /// Where the family knows no places for this skin.
-    fn candidates(&self, skin: &SkinDescription) -> Result<Vec<Taxel>>;
-
-    /// The effects that the family knows besides the common ones.
-    ///
-    /// # Errors
-    ///
-    /// Where no family reads this skin.
-    fn effects(&self, skin: &SkinDescription) -> Result<&'static [EffectInfo]>;
+/// What a family says of a skin, with the name of the file.
+#[must_use]
+pub fn of_file(path: &Path, error: ModelError) -> anyhow::Error {
+    match error {
+        ModelError::Description { field, reason, .. } => {
+            anyhow!("skin file {}: field `{field}`: {reason}", path.display())
+        }
+        other => other.into(),
+    }
 }
 
 /// Who watches a study.

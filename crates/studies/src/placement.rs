@@ -25,8 +25,6 @@ use serde_json::json;
 use crate::flat::laid_flat;
 use crate::{Families, Progress};
 
-pub use candidates::below_the_surface;
-
 /// Places that crlb looks at, at most.
 const SEEN: usize = 700;
 /// Points of the surface that the Gaussian process knows at most.
@@ -271,12 +269,12 @@ fn check(options: &Request) -> Result<()> {
 /// # Errors
 ///
 /// Where the skin or its model cannot be, too few candidates are left, or it was interrupted before any method was through.
-pub fn place(options: &Request, families: &dyn Families, bar: &dyn Progress) -> Result<Findings> {
+pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Result<Findings> {
     check(options)?;
     let skin = SkinDescription::load(&options.skin)?;
     bar.begin("candidates");
     let surface = skin.surface();
-    let proposed = families.candidates(&skin)?;
+    let proposed = families.of(&skin)?.candidates(&skin)?;
     let held = candidates::held(&skin.surface, &surface);
     let spacing = (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt();
     let rule = Feasibility {
@@ -445,7 +443,7 @@ fn forces(
     skin: &SkinDescription,
     options: &Request,
     places: &[Place],
-    families: &dyn Families,
+    families: &Families,
 ) -> Result<Vec<f64>> {
     if !options.force.is_empty() {
         let mut forces = options.force.clone();

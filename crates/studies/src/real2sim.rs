@@ -22,7 +22,7 @@ use crate::{Families, Progress};
 /// A skin as it was designed, and its forward model: a simulation knows nothing of what makes a device differ.
 fn nominal(
     path: &Path,
-    families: &dyn Families,
+    families: &Families,
     progress: &dyn Progress,
 ) -> Result<(SkinDescription, Arc<dyn ForwardModel>)> {
     let mut skin = SkinDescription::load(path)?;

@@ -148,7 +148,7 @@ impl From<Looked> for Unknowns {
 /// # Errors
 ///
 /// Where skin, bundle or bags cannot be read or the bundle cannot be written, too little was held out, or it was interrupted.
-pub fn refine_bundle(options: &Request, families: &dyn Families, bar: &dyn Progress) -> Result<Findings> {
+pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
     let model = families.model_of_file(&options.skin, &skin)?;
     let mut bundle = Bundle::load(&options.model, &skin)?;

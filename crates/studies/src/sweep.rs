@@ -138,7 +138,7 @@ impl Serialize for Findings {
 /// # Errors
 ///
 /// Where the skin or its model cannot be, or a number of the request.
-pub fn sweep(request: &Request, families: &dyn Families, progress: &dyn Progress) -> Result<Findings> {
+pub fn sweep(request: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&request.skin)?;
     if !(request.force.is_finite() && request.force > 0.0) {
         bail!("option `--force` is {} N and must be positive", request.force);
@@ -155,7 +155,7 @@ pub fn sweep(request: &Request, families: &dyn Families, progress: &dyn Progress
 pub fn of_skin(
     mut skin: SkinDescription,
     request: &Request,
-    families: &dyn Families,
+    families: &Families,
     progress: &dyn Progress,
 ) -> Result<Findings> {
     coarsen(&mut skin);
@@ -182,7 +182,10 @@ fn coarsen(skin: &mut SkinDescription) {
         }
         SurfaceSpec::Dome { spacing, .. } => *spacing = spacing.max(least),
         // The mesh of a shell is its model, too.
-        SurfaceSpec::Rectangle { .. } | SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } => {}
+        SurfaceSpec::Rectangle { .. }
+        | SurfaceSpec::Panel { .. }
+        | SurfaceSpec::Mesh { .. }
+        | SurfaceSpec::Family(_) => {}
     }
 }
 
@@ -237,7 +240,7 @@ fn varied(
     skin: &SkinDescription,
     nominal: &Arc<dyn ForwardModel>,
     options: &Request,
-    families: &dyn Families,
+    families: &Families,
 ) -> Result<Figures> {
     let scaled = parameter.scaled(skin, relative)?;
     // A model can take seconds to make, and noise is no part of it.
@@ -284,15 +287,18 @@ fn variants(
     skin: &SkinDescription,
     (model, nominal): (&Arc<dyn ForwardModel>, Figures),
     options: &Request,
-    families: &dyn Families,
+    families: &Families,
     progress: &dyn Progress,
 ) -> Result<Vec<Sweep>> {
     let work: Vec<(Parameter, f64)> =
         parameters.iter().flat_map(|p| factors(*p).iter().map(move |f| (*p, *f))).collect();
     let done = AtomicUsize::new(0);
     let found = in_parallel(&work, |&(parameter, relative)| {
-        let figures =
-            if relative == 1.0 { Ok(nominal) } else { varied(parameter, relative, skin, model, options, families) };
+        let figures = if relative == 1.0 {
+            Ok(nominal)
+        } else {
+            varied(parameter, relative, skin, model, options, families)
+        };
         let done = 1 + done.fetch_add(1, Ordering::Relaxed);
         progress.at(done as f64 / work.len() as f64);
         figures

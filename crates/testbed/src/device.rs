@@ -4,7 +4,7 @@
 //! port, with sequence and device time, so that a node cannot tell them from hardware.
 
 use std::collections::VecDeque;
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -15,8 +15,8 @@ use std::time::{Duration, Instant};
 use dermis_bag::{BagError, BagReader, SkinChoice, SkinChoiceError, Typed};
 use dermis_model::ForwardModel;
 use dermis_msgs::msg::{Indentation, TaxelFrame};
-use dermis_skin::{SkinDescription, Stamp, WireProtocol};
-use dermis_transport::framing::{NativeEncoder, NativeFormat};
+use dermis_sensor::{Encoder, FrameWriter};
+use dermis_skin::{Frame, SkinDescription, Stamp};
 use dermis_transport::{Pty, now_ns};
 
 use crate::{Moment, Plan, Sampler, TestbedError, Timeline};
@@ -128,6 +128,18 @@ impl Line {
         Ok(self.pending.is_empty())
     }
 
+    /// What the host wrote, as far as it has come.
+    fn heard(&mut self) -> Vec<u8> {
+        let mut buffer = [0; 4096];
+        let read = match &mut self.port {
+            Port::Pty(pty) => pty.try_read(&mut buffer),
+            Port::Tcp { client: Some(stream), .. } => stream.read(&mut buffer),
+            Port::Tcp { client: None, .. } => return Vec::new(),
+        };
+        // What is wrong with the line shows when it is written to.
+        read.map_or_else(|_| Vec::new(), |n| buffer[..n].to_vec())
+    }
+
     /// What the port takes now; `None` where nobody is there. A TCP client that has gone makes room for another,
     /// which gets whole frames only.
     fn write(&mut self, bytes: &[u8]) -> io::Result<Option<usize>> {
@@ -156,63 +168,18 @@ impl Line {
     }
 }
 
-/// Writes frames as the skin's device would: raw counts, framed.
-#[derive(Debug)]
-struct Encoder {
-    native: Option<NativeEncoder>,
-    scale: f64,
-    offset: f64,
-    counts: Option<[u32; 2]>,
-    raw: Vec<f32>,
-    text: Vec<u8>,
+/// The encoder of a skin whose family has no wire of its own.
+fn plain_encoder(skin: &SkinDescription) -> Result<Box<dyn Encoder>, TestbedError> {
+    FrameWriter::new(skin).map(|writer| Box::new(writer) as Box<dyn Encoder>).ok_or_else(|| {
+        TestbedError::Wire {
+            skin: skin.name.clone(),
+            reason: "is spoken by its sensor family only".to_owned(),
+        }
+    })
 }
 
-impl Encoder {
-    fn new(skin: &SkinDescription) -> Self {
-        let native = match skin.wire.protocol {
-            WireProtocol::Native => Some(NativeEncoder::new(NativeFormat::F32)),
-            WireProtocol::Ascii => None,
-        };
-        Self {
-            native,
-            scale: skin.wire.scale,
-            offset: skin.wire.offset,
-            counts: skin.wire.counts,
-            raw: Vec::new(),
-            text: Vec::new(),
-        }
-    }
-
-    fn encode(&mut self, sequence: u64, device_time_us: u64, values: &[f32]) -> Result<&[u8], TestbedError> {
-        self.raw.clear();
-        self.raw.extend(values.iter().map(|v| {
-            if let Some([low, high]) = self.counts {
-                // A converter gives whole numbers, and no others than it has.
-                let count = (f64::from(*v) - self.offset) / self.scale;
-                return (count.round().clamp(f64::from(low), f64::from(high)) + 0.0) as f32;
-            }
-            // Untouched where the device already speaks the skin's unit: a round trip keeps every bit.
-            if self.scale == 1.0 && self.offset == 0.0 {
-                *v
-            } else {
-                ((f64::from(*v) - self.offset) / self.scale) as f32
-            }
-        }));
-        // The wire's sequence number wraps at 32 bits.
-        match &mut self.native {
-            Some(native) => Ok(native.encode(sequence as u32, device_time_us, &self.raw)?),
-            None => {
-                self.text.clear();
-                for (i, value) in self.raw.iter().enumerate() {
-                    let comma = if i == 0 { "" } else { "," };
-                    self.text.extend_from_slice(format!("{comma}{value}").as_bytes());
-                }
-                self.text.push(b'\n');
-                Ok(&self.text)
-            }
-        }
-    }
-}
+/// \[s\] between two looks at what the host asks for.
+const LISTEN: f64 = 0.002;
 
 /// How long a replay waits for a full line to be read.
 const FULL_LINE: Duration = Duration::from_millis(1);
@@ -370,7 +337,7 @@ impl std::fmt::Debug for VirtualDevice {
 
 impl VirtualDevice {
     /// Plugs the modelled skin in at `outlet` and carries out `plan` on it, over and over; each round draws
-    /// anew from `seed`.
+    /// anew from `seed`. It speaks one of the wires that every family knows.
     ///
     /// # Errors
     ///
@@ -382,9 +349,24 @@ impl VirtualDevice {
         seed: u64,
         outlet: &Outlet,
     ) -> Result<Self, TestbedError> {
+        Self::start_on(plain_encoder(skin)?, model, skin, plan, seed, outlet)
+    }
+
+    /// [`start`](Self::start) with a wire of the sensor family's own.
+    ///
+    /// # Errors
+    ///
+    /// As [`start`](Self::start).
+    pub fn start_on(
+        mut encoder: Box<dyn Encoder>,
+        model: Arc<dyn ForwardModel>,
+        skin: &SkinDescription,
+        plan: &Plan,
+        seed: u64,
+        outlet: &Outlet,
+    ) -> Result<Self, TestbedError> {
         let mut sampler = Sampler::new(Arc::clone(&model), skin, seed ^ 0x5eed_0001)?;
         let (mut line, url) = Line::open(outlet, &skin.name)?;
-        let mut encoder = Encoder::new(skin);
         let mut script = Script::new(plan.clone(), model, seed)?;
         // A model may build tables when it is touched for the first time: not while frames are due.
         let warm_up = script.first_touch();
@@ -401,13 +383,27 @@ impl VirtualDevice {
             let (script, counters, stop) = (Arc::clone(&script), Arc::clone(&counters), Arc::clone(&stop));
             let (name, rate) = (skin.name.clone(), skin.rate);
             move || {
-                let (mut values, mut flags) = (Vec::new(), Vec::new());
+                let mut frame = Frame::new(0, 0, Vec::new());
                 let mut index = 0u64;
+                // Frames that the host asked for and has not got.
+                let mut asked = 0;
                 loop {
                     let t = index as f64 / rate;
-                    sleep_until(begin + Duration::from_secs_f64(t), &stop);
+                    loop {
+                        asked += encoder.asked(&line.heard());
+                        let due = begin + Duration::from_secs_f64(t);
+                        if !encoder.on_request() || stop.load(Ordering::Relaxed) || Instant::now() >= due {
+                            sleep_until(due, &stop);
+                            break;
+                        }
+                        sleep_until(due.min(Instant::now() + Duration::from_secs_f64(LISTEN)), &stop);
+                    }
                     if stop.load(Ordering::Relaxed) {
                         return Ok(());
+                    }
+                    if encoder.on_request() && asked == 0 {
+                        index += 1;
+                        continue;
                     }
                     // A device that was stopped for long does not send what it did not measure.
                     let late = begin.elapsed().as_secs_f64() - t;
@@ -419,10 +415,19 @@ impl VirtualDevice {
                     }
                     let mut moment = script.at(t)?.unwrap_or_default();
                     sampler
-                        .sample(t, &mut moment.stimulus, &mut values, &mut flags)
+                        .sample(t, &mut moment.stimulus, &mut frame.values, &mut frame.flags)
                         .map_err(|source| TestbedError::Model { press: moment.press, source })?;
+                    // A device that is asked numbers its answers.
+                    frame.sequence = if encoder.on_request() {
+                        asked -= 1;
+                        counters.frames.load(Ordering::Relaxed)
+                    } else {
+                        index
+                    };
                     // Device time 0 would mean that there is no clock.
-                    let bytes = encoder.encode(index, 1 + (t * 1e6).round() as u64, &values)?;
+                    let bytes = encoder
+                        .encode(&frame, 1 + (t * 1e6).round() as u64)
+                        .map_err(|reason| TestbedError::Wire { skin: name.clone(), reason })?;
                     let taken = line.send(bytes).map_err(|source| TestbedError::Device {
                         skin: name.clone(),
                         what: "lost its line",
@@ -590,6 +595,20 @@ impl ReplayDevice {
         skin: &SkinDescription,
         options: &ReplayOptions,
     ) -> Result<Self, TestbedError> {
+        Self::start_on(plain_encoder(skin)?, bag, skin, options)
+    }
+
+    /// [`start`](Self::start) with a wire of the sensor family's own.
+    ///
+    /// # Errors
+    ///
+    /// As [`start`](Self::start).
+    pub fn start_on(
+        mut encoder: Box<dyn Encoder>,
+        bag: impl AsRef<Path>,
+        skin: &SkinDescription,
+        options: &ReplayOptions,
+    ) -> Result<Self, TestbedError> {
         let path = bag.as_ref().to_path_buf();
         let wrong = |reason: String| TestbedError::Recording { path: path.clone(), reason };
         if options.speed.is_nan() || options.speed <= 0.0 {
@@ -623,7 +642,6 @@ impl ReplayDevice {
         }
         let messages = frames()?;
         let (mut line, url) = Line::open(&options.outlet, &skin.name)?;
-        let mut encoder = Encoder::new(skin);
         let counters = Arc::new(Counters::default());
         let stop = Arc::new(AtomicBool::new(false));
         let finished = Arc::new(AtomicBool::new(false));
@@ -647,7 +665,9 @@ impl ReplayDevice {
                     }
                     let since = (frame.header.stamp.as_nanos() - zero).max(0) as f64 * 1e-9 / speed;
                     sleep_until(begin + Duration::from_secs_f64(since), &stop);
-                    let bytes = encoder.encode(frame.sequence, frame.device_time_us, &frame.values)?;
+                    let bytes = encoder
+                        .encode(&Frame::from(&frame), frame.device_time_us)
+                        .map_err(|reason| TestbedError::Wire { skin: name.clone(), reason })?;
                     let lost =
                         |source| TestbedError::Device { skin: name.clone(), what: "lost its line", source };
                     while !line.send(bytes).map_err(lost)? {
@@ -904,19 +924,18 @@ mod tests {
     fn raw_counts_are_what_the_description_says() {
         let mut skin = testing::skin(100.0);
         (skin.wire.scale, skin.wire.offset) = (0.25, 100.0);
-        let mut encoder = Encoder::new(&skin);
+        let frame = |sequence: u64, values: [f32; 3]| Frame::new(0, sequence, values.to_vec());
+        let encode = |skin: &SkinDescription, frame: Frame| {
+            plain_encoder(skin).unwrap().encode(&frame, 8).unwrap().to_vec()
+        };
         let mut decoded = Vec::new();
-        NativeDecoder::new(Some(3)).push(
-            encoder.encode(7, 8, &[100.0, 101.0, f32::NAN]).unwrap(),
-            0,
-            &mut decoded,
-        );
+        NativeDecoder::new(Some(3)).push(&encode(&skin, frame(7, [100.0, 101.0, f32::NAN])), 0, &mut decoded);
         assert_eq!(decoded[0].values[..2], [0.0, 4.0]);
         assert!(decoded[0].values[2].is_nan());
-        skin.wire.protocol = WireProtocol::Ascii;
-        assert_eq!(Encoder::new(&skin).encode(7, 8, &[100.0, 101.0, 99.5]).unwrap(), b"0,4,-2\n");
+        skin.wire.protocol = dermis_skin::WireProtocol::Ascii;
+        assert_eq!(encode(&skin, frame(7, [100.0, 101.0, 99.5])), b"0,4,-2\n");
         skin.wire.counts = Some([0, 3]);
-        assert_eq!(Encoder::new(&skin).encode(7, 8, &[99.99, 100.6, 101.0]).unwrap(), b"0,2,3\n");
+        assert_eq!(encode(&skin, frame(7, [99.99, 100.6, 101.0])), b"0,2,3\n");
     }
 
     #[test]

@@ -64,6 +64,14 @@ pub enum TestbedError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// The wire of the skin cannot carry its frames, or is not known here.
+    #[error("simulated device of skin `{skin}`: its wire {reason}")]
+    Wire {
+        /// Name of the skin.
+        skin: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// A recording does not fit the skin that it is replayed for.
     #[error("bag {path}: {reason}")]
     Recording {

@@ -373,7 +373,7 @@ impl SolverOptions {
             | SurfaceSpec::Dome { spacing, .. }
             | SurfaceSpec::Panel { spacing, .. } => *spacing = step,
             // As fine as it was drawn.
-            SurfaceSpec::Mesh { .. } => {}
+            SurfaceSpec::Mesh { .. } | SurfaceSpec::Family(_) => {}
         }
         Ok(Surface::from_spec(&fine))
     }

@@ -101,8 +101,11 @@ impl Pty {
         Ok(sent)
     }
 
-    /// Reads what is there, or [`io::ErrorKind::WouldBlock`].
-    pub(crate) fn try_read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+    /// Reads what is there.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::WouldBlock`] where nothing is there, and what the system says.
+    pub fn try_read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         self.master.read(buffer)
     }
 

@@ -1,6 +1,7 @@
 //! A byte source that runs by itself: a thread reads, reconnects and reports through a bounded queue.
 
 mod link;
+mod outbox;
 mod queue;
 mod replay;
 mod senders;
@@ -21,6 +22,7 @@ use serde::Serialize;
 
 use crate::SourceUrl;
 use link::{Opener, ReadOutcome};
+use outbox::{Outbox, Wake};
 use queue::Queue;
 
 /// What a source tells its consumer, in the order in which it happened.
@@ -176,6 +178,7 @@ pub struct SourceStats {
 pub struct Source {
     url: SourceUrl,
     queue: Arc<Queue>,
+    outbox: Option<Arc<Outbox>>,
     stop: Option<PipeWriter>,
     // Set while the thread is in a system call that the stop pipe cannot interrupt (connecting, resolving).
     busy: Arc<AtomicBool>,
@@ -189,17 +192,21 @@ impl Source {
     pub fn open(url: SourceUrl, options: SourceOptions) -> Self {
         let queue = Arc::new(Queue::new(options.queue_bytes, options.queue_chunks.max(1)));
         let busy = Arc::new(AtomicBool::new(false));
-        let mut source = Self { url: url.clone(), queue: queue.clone(), stop: None, busy, thread: None };
+        let mut source =
+            Self { url: url.clone(), queue: queue.clone(), outbox: None, stop: None, busy, thread: None };
         let spawned = std::io::pipe().and_then(|(stopped, stop)| {
-            let (queue, busy) = (queue.clone(), source.busy.clone());
-            let thread = std::thread::Builder::new()
-                .name("dermis-source".into())
-                .spawn(move || Reader { url, options, queue, stop: Stop(stopped), busy }.run())?;
-            Ok((stop, thread))
+            let (outbox, wake) = Outbox::new()?;
+            let outbox = Arc::new(outbox);
+            let (queue, busy, out) = (queue.clone(), source.busy.clone(), Arc::clone(&outbox));
+            let thread = std::thread::Builder::new().name("dermis-source".into()).spawn(move || {
+                Reader { url, options, queue, outbox: out, wake, stop: Stop(stopped), busy }.run()
+            })?;
+            Ok((stop, outbox, thread))
         });
         match spawned {
-            Ok((stop, thread)) => {
+            Ok((stop, outbox, thread)) => {
                 source.stop = Some(stop);
+                source.outbox = Some(outbox);
                 source.thread = Some(thread);
             }
             Err(e) => {
@@ -219,6 +226,13 @@ impl Source {
     /// The next event, or `None` after `timeout`; blocks the thread.
     pub fn next_timeout(&self, timeout: Duration) -> Option<Event> {
         self.queue.next_timeout(timeout)
+    }
+
+    /// Writes to the device, for one that answers requests. The bytes are sent by the source's own thread as soon as the line
+    /// takes them; over UDP to the sender that is read. `false` where they do not fit behind what waits already (64 KiB), the link
+    /// is down, or the source is a recording: a request that was not sent is made again.
+    pub fn send(&self, bytes: &[u8]) -> bool {
+        self.outbox.as_ref().is_some_and(|outbox| outbox.put(bytes))
     }
 
     /// What was read, dropped and reconnected so far.
@@ -283,6 +297,8 @@ struct Reader {
     url: SourceUrl,
     options: SourceOptions,
     queue: Arc<Queue>,
+    outbox: Arc<Outbox>,
+    wake: Wake,
     stop: Stop,
     busy: Arc<AtomicBool>,
 }
@@ -311,8 +327,11 @@ impl Reader {
             }
             let (reason, was_up) = match opened {
                 Ok(Some(mut link)) => {
+                    self.outbox.open();
                     self.queue.connected(link.description());
-                    match self.pump(&mut link, &mut opener, &mut backoff) {
+                    let ended = self.pump(&mut link, &mut opener, &mut backoff);
+                    self.outbox.close();
+                    match ended {
                         Some(reason) => (reason, true),
                         None => return,
                     }

@@ -2,7 +2,7 @@
 //! whose channels respond smoothly to where and how hard it is pressed.
 //!
 //! Here are the forward model and the effects that it leaves out; how a frame becomes contacts is in
-//! [`dermis_perception`], which [`FAMILY`] is handed to.
+//! [`dermis_perception`], which is handed [`FAMILY`].
 
 pub mod effects;
 pub mod model;
@@ -11,15 +11,50 @@ pub mod verify;
 
 use std::sync::Arc;
 
-use dermis_model::ForwardModel;
-use dermis_perception::Sensor;
-use dermis_skin::{ModelError, SkinDescription};
+use dermis_model::{Case, ForwardModel};
+use dermis_sensor::Sensor;
+use dermis_skin::{EffectInfo, Family, ModelError, SkinDescription};
 
 /// What a skin description names in `sensor` for this family.
 pub const SENSOR: &str = "barodome";
 
-/// The family, as node and estimator need it.
-pub const FAMILY: Sensor = Sensor { name: SENSOR, model, medium };
+/// The family.
+pub const FAMILY: &dyn Sensor = &Barodome;
+
+#[derive(Debug)]
+struct Barodome;
+
+impl Family for Barodome {
+    fn name(&self) -> &'static str {
+        SENSOR
+    }
+}
+
+impl Sensor for Barodome {
+    fn about(&self) -> &'static str {
+        "Reads a skin of taxels in an elastic medium and publishes its contacts"
+    }
+
+    fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
+        Ok(Arc::new(model::BarometerModel::new(skin)?))
+    }
+
+    fn check_medium(&self, skin: &SkinDescription) -> Result<(), ModelError> {
+        skin.check_medium(|| parameters::Parameters::nominal(skin).map(drop))
+    }
+
+    fn effects(&self) -> &'static [EffectInfo] {
+        effects::EFFECTS
+    }
+
+    fn validation_cases(&self) -> Result<Vec<Case>, String> {
+        let mut cases = verify::cases().map_err(|error| error.to_string())?;
+        if dermis_mechanics::calculix::available() {
+            cases.extend(verify::judged().map_err(|error| error.to_string())?);
+        }
+        Ok(cases)
+    }
+}
 
 /// Stimulus → channels, for skins whose `medium` says what lies between surface and taxels.
 ///
@@ -27,14 +62,5 @@ pub const FAMILY: Sensor = Sensor { name: SENSOR, model, medium };
 ///
 /// [`ModelError::Description`] where the medium is unknown, or one that the model does not cover.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
-    dermis_model::device(skin, |inner| Ok(Arc::new(model::BarometerModel::new(inner)?)))
-}
-
-/// What is wrong with the table `medium` of a skin that has one; nothing is computed.
-///
-/// # Errors
-///
-/// [`ModelError::Description`] names the field.
-pub fn medium(skin: &SkinDescription) -> Result<(), ModelError> {
-    skin.check_medium(|| parameters::Parameters::nominal(skin).map(drop))
+    FAMILY.model(skin)
 }

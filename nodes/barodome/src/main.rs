@@ -3,10 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    dermis_perception::cli::program(
-        &dermis_barodome::FAMILY,
-        "dermis-barodome",
-        env!("CARGO_PKG_VERSION"),
-        "Reads a skin of taxels in an elastic medium and publishes its contacts",
-    )
+    dermis_perception::cli::program(dermis_barodome::FAMILY, "dermis-barodome", env!("CARGO_PKG_VERSION"))
 }

@@ -98,7 +98,7 @@ impl BarometerModel {
             SurfaceSpec::Dome { radius, cylinder, .. } => {
                 Box::new(dome::Dome::new(skin, parameters, radius, cylinder)?)
             }
-            SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } => {
+            SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } | SurfaceSpec::Family(_) => {
                 return Err(refusal(
                     skin,
                     "surface.type",

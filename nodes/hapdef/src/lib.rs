@@ -1,7 +1,7 @@
 //! Strain gauges on the inner side of a shell that is clamped at its ends, as in a robot's limb: a touch bends all of it, so
 //! that ten gauges feel the whole.
 //!
-//! How a frame becomes contacts is in [`dermis_perception`], which [`FAMILY`] is handed to.
+//! How a frame becomes contacts is in [`dermis_perception`], which is handed [`FAMILY`].
 
 mod candidates;
 pub mod effects;
@@ -12,15 +12,54 @@ pub mod verify;
 use std::sync::Arc;
 
 pub use candidates::candidates;
-use dermis_model::ForwardModel;
-use dermis_perception::Sensor;
-use dermis_skin::{ModelError, SkinDescription};
+use dermis_model::{Case, ForwardModel};
+use dermis_sensor::Sensor;
+use dermis_skin::{EffectInfo, Family, ModelError, SkinDescription, Taxel};
 
 /// What a skin description names in `sensor` for this family.
 pub const SENSOR: &str = "hapdef";
 
-/// The family, as node and estimator need it.
-pub const FAMILY: Sensor = Sensor { name: SENSOR, model, medium };
+/// The family.
+pub const FAMILY: &dyn Sensor = &Hapdef;
+
+#[derive(Debug)]
+struct Hapdef;
+
+impl Family for Hapdef {
+    fn name(&self) -> &'static str {
+        SENSOR
+    }
+}
+
+impl Sensor for Hapdef {
+    fn about(&self) -> &'static str {
+        "Reads the strain gauges of a shell and publishes its contacts"
+    }
+
+    fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
+        Ok(Arc::new(model::ShellModel::new(skin)?))
+    }
+
+    fn check_medium(&self, skin: &SkinDescription) -> Result<(), ModelError> {
+        skin.check_medium(|| parameters::Parameters::nominal(skin).map(drop))
+    }
+
+    fn effects(&self) -> &'static [EffectInfo] {
+        effects::EFFECTS
+    }
+
+    fn candidates(&self, skin: &SkinDescription) -> Result<Vec<Taxel>, ModelError> {
+        candidates(skin)
+    }
+
+    fn validation_cases(&self) -> Result<Vec<Case>, String> {
+        let mut cases = verify::cases().map_err(|error| error.to_string())?;
+        if dermis_mechanics::calculix::available() {
+            cases.extend(verify::judged().map_err(|error| error.to_string())?);
+        }
+        Ok(cases)
+    }
+}
 
 /// Stimulus → strains, for skins whose `medium` says what the shell is made of.
 ///
@@ -28,14 +67,5 @@ pub const FAMILY: Sensor = Sensor { name: SENSOR, model, medium };
 ///
 /// [`ModelError::Description`] where the shell, or one of its gauges, cannot be.
 pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
-    dermis_model::device(skin, |inner| Ok(Arc::new(model::ShellModel::new(inner)?)))
-}
-
-/// What is wrong with the table `medium` of a skin that has one; nothing is computed.
-///
-/// # Errors
-///
-/// [`ModelError::Description`] names the field.
-pub fn medium(skin: &SkinDescription) -> Result<(), ModelError> {
-    skin.check_medium(|| parameters::Parameters::nominal(skin).map(drop))
+    FAMILY.model(skin)
 }

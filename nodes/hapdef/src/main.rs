@@ -3,10 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    dermis_perception::cli::program(
-        &dermis_hapdef::FAMILY,
-        "dermis-hapdef",
-        env!("CARGO_PKG_VERSION"),
-        "Reads the strain gauges of a shell and publishes its contacts",
-    )
+    dermis_perception::cli::program(dermis_hapdef::FAMILY, "dermis-hapdef", env!("CARGO_PKG_VERSION"))
 }

@@ -14,9 +14,9 @@ use dermis_skin::SkinDescription;
 use dermis_skin::cache::{self, Stage, Work};
 
 use super::{RunError, Shared};
-use crate::Sensor;
 use crate::config::Config;
 use crate::estimator::{Models, SetupError, SkinEstimator};
+use dermis_sensor::Sensor;
 
 /// Work that takes less is not worth a line.
 const QUICK: Duration = Duration::from_millis(300);
@@ -50,7 +50,7 @@ impl Loader {
     /// Begins; `None` where there is nothing to load. Bundles are read here, so that a configuration that cannot work is refused at
     /// once where it is `strict`.
     pub(super) fn start(
-        sensor: &Sensor,
+        sensor: &'static dyn Sensor,
         config: &Config,
         skin: &SkinDescription,
         runtime: &'static Runtime,
@@ -78,11 +78,11 @@ impl Loader {
         ));
         let (node, whom) = channel::<Weak<Shared>>();
         let (end, ended) = channel();
-        let (sensor, skin, begun) = (*sensor, skin.clone(), Instant::now());
+        let (skin, begun) = (skin.clone(), Instant::now());
         let name = skin.name.clone();
         let work = move || {
             tracing::info!("skin `{}`: makes the model ready ({names})", skin.name);
-            let models = Models::load(&sensor, &skin, &bundles, runtime);
+            let models = Models::load(sensor, &skin, &bundles, runtime);
             // The node may have ended, or failed to start, before its models were there.
             let Some(shared) = whom.recv().ok().and_then(|node| node.upgrade()) else { return };
             let done = models.and_then(|models| shared.take_over(models));

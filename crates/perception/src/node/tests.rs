@@ -25,6 +25,8 @@ use dermis_transport::framing::{NativeEncoder, NativeFormat};
 
 use super::*;
 use crate::testing::{Noise, Out, PAD, TestBundle, skin_text};
+use dermis_model::ForwardModel;
+use dermis_skin::Family;
 
 const WAIT: Duration = Duration::from_secs(60);
 
@@ -123,13 +125,13 @@ impl Bench {
     }
 
     fn start(&self, config: &Config) -> SkinNode {
-        SkinNode::start(&PAD, config, &Self::backend()).unwrap()
+        SkinNode::start(PAD, config, &Self::backend()).unwrap()
     }
 
     fn refusal(&self, change: impl FnOnce(&mut Config)) -> String {
         let mut config = self.config();
         change(&mut config);
-        let text = SkinNode::start(&PAD, &config, &Self::backend()).err().unwrap().to_string();
+        let text = SkinNode::start(PAD, &config, &Self::backend()).err().unwrap().to_string();
         text.replace(&self.folder.path().display().to_string(), "DIR")
     }
 
@@ -329,16 +331,29 @@ fn commands_that_are_switched_off_are_refused_and_reading_goes_on() {
 }
 
 /// A family whose forward model takes until [`COMPUTED`] says so.
-const SLOW: Sensor = Sensor {
-    name: "pad",
-    model: |skin| {
+const SLOW: &dyn Sensor = &Slow;
+
+struct Slow;
+
+impl Family for Slow {
+    fn name(&self) -> &'static str {
+        "pad"
+    }
+}
+
+impl Sensor for Slow {
+    fn about(&self) -> &'static str {
+        "Reads a pad whose model takes its time"
+    }
+
+    fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
         while !COMPUTED.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(5));
         }
         Ok(Arc::new(crate::testing::Membrane::new(skin)))
-    },
-    medium: |_| Ok(()),
-};
+    }
+}
+
 static COMPUTED: AtomicBool = AtomicBool::new(false);
 
 #[test]
@@ -348,7 +363,7 @@ fn readings_come_while_the_model_is_computed() {
     let skin = SkinDescription::load(bench.path("pad.toml")).unwrap();
     TestBundle { inversion: Some(settings), ..TestBundle::default() }.write(&skin, &bench.path("model"));
     let _device = Device::plug(&bench.path("tty"));
-    let running = SkinNode::start(&SLOW, &bench.config(), &Bench::backend()).unwrap();
+    let running = SkinNode::start(SLOW, &bench.config(), &Bench::backend()).unwrap();
     let observer = bench.observer();
     let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
     let (_taxels, taxels) = listen::<TaxelFrame>(&observer, "taxels", Qos::sensor_data());

@@ -55,7 +55,7 @@ fn map(findings: &Findings, title: String, over: Vec<Curve>) -> Result<String> {
     let ground = Curve { colour: dermis_figures::RGBColor(215, 222, 230), ..Curve::new("", 0, all) };
     let mut drawn = vec![ground.pen(Pen::Dots)];
     drawn.extend(over);
-    curves(&axes, &drawn)
+    Ok(curves(&axes, &drawn)?)
 }
 
 fn places(body: &mut String, findings: &Findings) -> Result<()> {

@@ -44,12 +44,16 @@ pub struct TrendCurve {
 }
 
 /// The isoline of the middle taxel for other depths, thicknesses, Poisson's ratios and tips.
-pub(super) fn trends(
+///
+/// # Errors
+///
+/// Where the nominal model cannot be pressed.
+pub fn trends(
     skin: &SkinDescription,
     model: &Arc<dyn ForwardModel>,
     feet: &[Point3<f64>],
     diameter: f64,
-    families: &dyn Families,
+    families: &Families,
 ) -> Result<Vec<Trend>> {
     let surface = model.surface();
     let middle = super::middle_of(surface);

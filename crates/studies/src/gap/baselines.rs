@@ -105,10 +105,10 @@ struct Simulated {
 #[derive(Default)]
 pub struct Columns(BTreeMap<(PathBuf, usize), Simulated>);
 
-fn simulated(skin: &SkinDescription, families: &dyn Families, record: &Record) -> Result<Simulated> {
+fn simulated(skin: &SkinDescription, families: &Families, record: &Record) -> Result<Simulated> {
     let nominal = simulate(&families.model(skin)?, record)?;
     let mut changed = Vec::new();
-    for info in families.effects(skin)? {
+    for info in families.of(skin)?.effects() {
         for seed in 0..if info.random { DEVICES } else { 1 } {
             let mut other = skin.clone();
             other.effects = vec![Effect::new(info.name).seed(seed)];
@@ -123,7 +123,7 @@ fn simulated(skin: &SkinDescription, families: &dyn Families, record: &Record) -
 /// The answers of all baselines on one recording, whose presses are those of all that have the same `key`.
 pub fn answers(
     skin: &SkinDescription,
-    families: &dyn Families,
+    families: &Families,
     bag: &Path,
     key: &(PathBuf, usize),
     columns: &mut Columns,

@@ -108,7 +108,7 @@ impl Serialize for Scored {
 /// Where a pack or its secrets cannot be read, a diagnosis fails, or reports were changed after they were sealed.
 pub fn run(
     options: &Request,
-    families: &dyn Families,
+    families: &Families,
     diagnosis: Diagnose<'_>,
     progress: &dyn Progress,
 ) -> Result<Findings> {
@@ -160,8 +160,11 @@ pub fn run(
         elsewhere(&skin, &mut cases, options, families, progress)?;
     }
     let card = Card::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
-    let baselines =
-        if options.no_baselines { Vec::new() } else { baselines(&skin, &cases, &mapping, &library, families, progress)? };
+    let baselines = if options.no_baselines {
+        Vec::new()
+    } else {
+        baselines(&skin, &cases, &mapping, &library, families, progress)?
+    };
     let head = serde_json::json!({
         "schema": "gap-check/1",
         "tool": format!("dermis {}", env!("CARGO_PKG_VERSION")),
@@ -225,11 +228,11 @@ fn elsewhere(
     skin: &SkinDescription,
     cases: &mut [Opened],
     options: &Request,
-    families: &dyn Families,
+    families: &Families,
     progress: &dyn Progress,
 ) -> Result<()> {
     let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
-    let simulator = Simulator { skin, effects: families.effects(skin)?, make: &make };
+    let simulator = Simulator { skin, effects: families.of(skin)?.effects(), make: &make };
     let sigma = skin.channel_noise();
     let open: Vec<&mut Opened> = cases.iter_mut().filter(|c| c.answer.closure.is_some()).collect();
     progress.begin("recording again");
@@ -289,7 +292,7 @@ fn baselines(
     cases: &[Opened],
     mapping: &Mapping,
     library: &BTreeSet<String>,
-    families: &dyn Families,
+    families: &Families,
     progress: &dyn Progress,
 ) -> Result<Vec<(String, Card)>> {
     progress.begin("baselines");

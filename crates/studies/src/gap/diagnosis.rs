@@ -89,7 +89,7 @@ fn share(text: &str) -> Result<f64, String> {
 /// Where skin or bags cannot be read; what is wrong with a recording is a verdict.
 pub fn diagnose(
     options: &Request,
-    families: &dyn Families,
+    families: &Families,
     progress: ProgressBar,
     stop: Arc<AtomicBool>,
 ) -> Result<Diagnosis> {
@@ -103,7 +103,7 @@ pub fn diagnose(
         Zero::Press => dermis_gap::Zero::Press,
     });
     let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
-    let simulator = Simulator { skin: &skin, effects: families.effects(&skin)?, make: &make };
+    let simulator = Simulator { skin: &skin, effects: families.of(&skin)?.effects(), make: &make };
     let mut how = dermis_gap::Options {
         resamples: options.resamples,
         cache: options.cache.clone().or_else(cache),

@@ -19,8 +19,8 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 
 use super::estimators::{Begin, Direct, Likely, Method, Peaks, Refined, Searched, Sparse, inverter};
-use super::train::parts;
 use super::nominal;
+use super::train::parts;
 use crate::{Families, Progress};
 
 /// What to compare on what.
@@ -214,7 +214,7 @@ impl Serialize for Findings {
 /// # Errors
 ///
 /// Where skin, bundles or bags cannot be read, or they hold nothing to learn from or to compare on.
-pub fn compare(options: &Request, families: &dyn Families, progress: &dyn Progress) -> Result<Findings> {
+pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let (skin, model) = nominal(&options.skin, families, progress)?;
     let labels = options.labels.options()?;
     let learned = Dataset::from_bags(&options.train, &skin, &labels)?;

@@ -55,7 +55,7 @@ impl Serialize for Findings {
 /// # Errors
 ///
 /// Where skin or settings cannot be read, or the forward model knows no displacements.
-pub fn make(options: &Request, families: &dyn Families, progress: &dyn Progress) -> Result<Findings> {
+pub fn make(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let settings = Settings::load(options.settings.as_deref())?;
     let (skin, model) = nominal(&options.skin, families, progress)?;
     let scenes = Scenes::new(model.as_ref(), &settings.scenes)?;

@@ -62,7 +62,7 @@ impl Serialize for Findings {
 /// # Errors
 ///
 /// Where skin, settings or bags cannot be read, or the bundle cannot be written.
-pub fn learn(options: &Request, families: &dyn Families, progress: &dyn Progress) -> Result<Findings> {
+pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let settings = Settings::load(options.settings.as_deref())?;
     let (skin, model) = nominal(&options.skin, families, progress)?;
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
@@ -81,8 +81,15 @@ pub fn learn(options: &Request, families: &dyn Families, progress: &dyn Progress
     let sensors = sensors(&model, &skin, settings.pipeline.each)?;
     let runtime = Runtime::load(&RuntimeConfig::default())?;
     let started = std::time::Instant::now();
-    let (pipeline, trained) =
-        train(&model, &sensors, &scenes, (&recorded, &choose), &settings.pipeline, runtime, &watched(progress))?;
+    let (pipeline, trained) = train(
+        &model,
+        &sensors,
+        &scenes,
+        (&recorded, &choose),
+        &settings.pipeline,
+        runtime,
+        &watched(progress),
+    )?;
     let seconds = started.elapsed().as_secs_f64();
     progress.begin("held-out contacts");
     let evaluation = {

@@ -1,6 +1,6 @@
 //! Links: what is read once a source is connected, and how each kind is opened.
 
-use std::io::{self, ErrorKind, Read};
+use std::io::{self, ErrorKind, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::path::Path;
@@ -72,6 +72,19 @@ impl Wire {
         }
     }
 
+    /// Sends what the line takes now. A socket of datagrams sends to the sender that is read, and nothing before there is one.
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Terminal(terminal) => terminal.file().write(bytes),
+            Self::Pty(pty) => pty.write_lossy(bytes),
+            Self::Tcp(stream) => stream.write(bytes),
+            Self::Udp { socket, senders } => match senders.read() {
+                Some(peer) => socket.send_to(bytes, peer),
+                None => Ok(bytes.len()),
+            },
+        }
+    }
+
     /// What the end of the stream, or this error, means to people.
     fn down(&self, name: &str, error: Option<&io::Error>) -> String {
         match (self, error) {
@@ -124,10 +137,12 @@ impl Link {
                 Decision::In(time) => left = Some(left.map_or(time, |left| left.min(time))),
                 Decision::Replace(reason) => return ReadOutcome::Down(reason),
             }
-            let (readable, caller) = {
+            let (readable, writable, caller) = {
+                let writing = if reader.outbox.is_empty() { PollFlags::empty() } else { PollFlags::POLLOUT };
                 let mut fds = vec![
-                    PollFd::new(self.wire.fd(), PollFlags::POLLIN),
+                    PollFd::new(self.wire.fd(), PollFlags::POLLIN | writing),
                     PollFd::new(reader.stop.0.as_fd(), PollFlags::POLLIN),
+                    PollFd::new(reader.wake.as_fd(), PollFlags::POLLIN),
                 ];
                 if let Some(listener) = &opener.listener {
                     fds.push(PollFd::new(listener.as_fd(), PollFlags::POLLIN));
@@ -141,8 +156,17 @@ impl Link {
                 if any(1) {
                     return ReadOutcome::Stopped;
                 }
-                (any(0), any(2))
+                if any(2) {
+                    reader.wake.answer();
+                }
+                let line = fds.first().and_then(PollFd::revents).unwrap_or(PollFlags::POLLERR);
+                (line.intersects(!PollFlags::POLLOUT), line.contains(PollFlags::POLLOUT), any(3))
             };
+            if writable && let Err(e) = reader.outbox.send(|bytes| self.wire.write(bytes)) {
+                if !matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) {
+                    return ReadOutcome::Down(format!("cannot write to {}: {e}", self.name));
+                }
+            }
             if caller {
                 opener.accept_now(Some(&self.name), &reader.queue);
             }

@@ -62,6 +62,11 @@ impl Senders {
         Self { rule, hold, from, current: None, notices: Notices::default() }
     }
 
+    /// The device that is read.
+    pub(super) fn read(&self) -> Option<SocketAddr> {
+        self.current.map(|(address, _)| address)
+    }
+
     /// Decides on a datagram that came `now`.
     pub(super) fn judge(&mut self, sender: SocketAddr, now: Instant) -> Verdict {
         let host = sender.ip().to_canonical();

@@ -1,4 +1,4 @@
-//! The reader of frames and the configuration of the node, as `dermis-perception` has them.
+//! The configuration of the node, as `dermis-perception` has them.
 
 #![allow(dead_code, reason = "the rest of the crate uses more of these files")]
 
@@ -6,8 +6,5 @@
 mod commands;
 #[path = "../../../../crates/perception/src/config.rs"]
 mod config;
-#[path = "../../../../crates/perception/src/frame.rs"]
-mod frame;
 
 pub use crate::config::Config;
-pub use frame::FrameReader;

@@ -139,7 +139,7 @@ fn depth(surface: &SurfaceSpec, point: &Point3<f64>) -> f64 {
     match *surface {
         SurfaceSpec::Rectangle { .. } => -point.z,
         // Refused before.
-        SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } => f64::NAN,
+        SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } | SurfaceSpec::Family(_) => f64::NAN,
         SurfaceSpec::Dome { radius, cylinder, .. } => {
             let up = (point.z - cylinder).max(0.0);
             radius - Vector3::new(point.x, point.y, up).norm()

@@ -43,7 +43,10 @@ impl Sink {
         }
         // Two spheres touch like one of the sum of their curvatures on a plane; a cylinder has the mean of both of its.
         let curvature = match self.surface {
-            SurfaceSpec::Rectangle { .. } | SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } => 0.0,
+            SurfaceSpec::Rectangle { .. }
+            | SurfaceSpec::Panel { .. }
+            | SurfaceSpec::Mesh { .. }
+            | SurfaceSpec::Family(_) => 0.0,
             SurfaceSpec::Dome { radius, cylinder, .. } if at.z < cylinder => 0.5 / radius,
             SurfaceSpec::Dome { radius, .. } => 1.0 / radius,
         };

@@ -6,6 +6,8 @@ use dermis_transport::framing::{
 };
 use dermis_transport::{ClockState, DeviceClock};
 
+use crate::Decoder;
+
 /// Frames of the other wire in a row, each with as many numbers, that are no accident.
 const MISTAKEN: u32 = 3;
 
@@ -29,9 +31,9 @@ pub struct FrameReader {
 }
 
 impl FrameReader {
-    /// A reader of the wire that the skin description names.
+    /// A reader of the wire that the skin description names; `None` where that is one of its family's own.
     #[must_use]
-    pub fn new(skin: &SkinDescription) -> Self {
+    pub fn new(skin: &SkinDescription) -> Option<Self> {
         let channels = skin.channels().len();
         let native = |channels| -> Box<dyn FrameDecoder> { Box::new(NativeDecoder::new(channels)) };
         let lines = |options| -> Box<dyn FrameDecoder> { Box::new(AsciiDecoder::new(options)) };
@@ -42,10 +44,11 @@ impl FrameReader {
                 options.counts = skin.wire.counts;
                 (lines(options), native(None))
             }
+            WireProtocol::Family(_) => return None,
         };
-        Self {
+        Some(Self {
             decoder,
-            protocol: skin.wire.protocol,
+            protocol: skin.wire.protocol.clone(),
             channels,
             other: Some(other),
             foreign: Vec::new(),
@@ -55,7 +58,7 @@ impl FrameReader {
             clock: DeviceClock::new(),
             device_epoch: None,
             decoded: Vec::new(),
-        }
+        })
     }
 
     /// Has stamps follow the device's clock as it is, from the first frame on: for recordings that are played at another
@@ -75,9 +78,19 @@ impl FrameReader {
         self.clock.stamp(device_time_us, received_ns)
     }
 
-    /// Takes the next bytes, read at `received_ns` \[ns since the Unix epoch\], and appends the frames that end in
-    /// them to `out`: values in the unit of the skin, stamped on the host clock with the time of acquisition.
-    pub fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<Frame>) {
+    fn look_for_the_other_wire(&mut self, bytes: &[u8], received_ns: i64) {
+        let Some(other) = &mut self.other else { return };
+        other.push(bytes, received_ns, &mut self.foreign);
+        for frame in self.foreign.drain(..) {
+            let (numbers, row) = &mut self.mistaken;
+            *row = if *numbers == frame.values.len() { row.saturating_add(1) } else { 1 };
+            *numbers = frame.values.len();
+        }
+    }
+}
+
+impl Decoder for FrameReader {
+    fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<Frame>) {
         self.decoder.push(bytes, received_ns, &mut self.decoded);
         let mut arrived = std::mem::take(&mut self.decoded);
         if arrived.is_empty() {
@@ -99,20 +112,7 @@ impl FrameReader {
         self.decoded = arrived;
     }
 
-    fn look_for_the_other_wire(&mut self, bytes: &[u8], received_ns: i64) {
-        let Some(other) = &mut self.other else { return };
-        other.push(bytes, received_ns, &mut self.foreign);
-        for frame in self.foreign.drain(..) {
-            let (numbers, row) = &mut self.mistaken;
-            *row = if *numbers == frame.values.len() { row.saturating_add(1) } else { 1 };
-            *numbers = frame.values.len();
-        }
-    }
-
-    /// What to write into the skin file where the device speaks another wire than that says; `None` where it does not, or nobody
-    /// can tell yet.
-    #[must_use]
-    pub fn other_wire(&self) -> Option<String> {
+    fn other_wire(&self) -> Option<String> {
         let (numbers, row) = self.mistaken;
         // Lines have no checksum: noise that holds a number is none of them.
         let rejected = self.other.as_ref()?.stats().rejected.total();
@@ -129,37 +129,30 @@ impl FrameReader {
                 "the device sends lines of text, and the skin file expects the binary wire: write `[wire]` and below it \
                  `protocol = \"ascii\"` into the skin file{channels}"
             ),
-            WireProtocol::Ascii => format!(
+            _ => format!(
                 "the device sends frames of the binary wire, and the skin file expects lines of text: write `protocol = \
                  \"native\"` into its table `[wire]`{channels}"
             ),
         })
     }
 
-    /// Bytes are missing here: the link was lost, or the queue overflowed.
-    pub fn gap(&mut self) {
+    fn gap(&mut self) {
         self.decoder.gap();
         if let Some(other) = &mut self.other {
             other.gap();
         }
     }
 
-    /// What was decoded, rejected and lost so far.
-    #[must_use]
-    pub fn stats(&self) -> &DecoderStats {
+    fn stats(&self) -> &DecoderStats {
         self.decoder.stats()
     }
 
-    /// Times that the device started again, or that its clock and this machine's jumped against each other.
-    #[must_use]
-    pub fn clock_jumps(&self) -> u64 {
+    fn clock_jumps(&self) -> u64 {
         // A device that starts again mostly does both.
         self.clock.resets().max(self.stats().restarts)
     }
 
-    /// Where stamps come from.
-    #[must_use]
-    pub fn clock(&self) -> ClockState {
+    fn clock(&self) -> ClockState {
         self.clock.state()
     }
 }
@@ -167,13 +160,43 @@ impl FrameReader {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::skin_with;
     use dermis_transport::framing::{NativeEncoder, NativeFormat};
+
+    /// A 2×2 pad of barometers: 20 Pa of noise, 50 to 110 kPa, 100 Hz. Lines of `extra` replace or add top-level keys.
+    fn skin_with(extra: &str) -> SkinDescription {
+        SkinDescription::from_toml(&skin_text(extra), "pad.toml").unwrap()
+    }
+
+    /// The file of [`skin_with`].
+    fn skin_text(extra: &str) -> String {
+        let mut keys: Vec<String> = [
+            "schema = \"dermis-skin/1\"",
+            "name = \"pad\"",
+            "sensor = \"pad\"",
+            "frame_id = \"pad_link\"",
+            "unit = \"Pa\"",
+            "rate = 100.0",
+            "noise = 20.0",
+            "range = [50000.0, 110000.0]",
+            "surface = { type = \"rectangle\", size = [0.02, 0.02], spacing = 0.005 }",
+            "taxels = [\
+             { name = \"t0\", position = [-0.005, -0.005, -0.005] }, { name = \"t1\", position = [0.005, -0.005, -0.005] }, \
+             { name = \"t2\", position = [-0.005, 0.005, -0.005] }, { name = \"t3\", position = [0.005, 0.005, -0.005] }]",
+        ]
+        .map(String::from)
+        .to_vec();
+        for line in extra.lines().map(str::trim).filter(|l| !l.is_empty()) {
+            let key = line.split('=').next().unwrap_or_default().trim();
+            keys.retain(|k| k.split('=').next().unwrap_or_default().trim() != key);
+            keys.push(line.to_owned());
+        }
+        keys.join("\n")
+    }
 
     #[test]
     fn raw_counts_become_units_and_keep_the_device_time() {
         let skin = skin_with("wire = { scale = 0.25, offset = 100000.0 }");
-        let mut reader = FrameReader::new(&skin);
+        let mut reader = FrameReader::new(&skin).unwrap();
         let mut encoder = NativeEncoder::new(NativeFormat::U16);
         let mut frames = Vec::new();
         for k in 0..3_u32 {
@@ -190,7 +213,7 @@ mod tests {
     #[test]
     fn device_time_keeps_the_recorded_pace() {
         let skin = skin_with("");
-        let mut reader = FrameReader::new(&skin).with_device_time();
+        let mut reader = FrameReader::new(&skin).unwrap().with_device_time();
         let mut encoder = NativeEncoder::new(NativeFormat::F32);
         let mut frames = Vec::new();
         for k in 0..3_u32 {
@@ -207,7 +230,7 @@ mod tests {
         let skin = skin_with(
             "wire = { protocol = \"ascii\", scale = 2e-6, offset = -0.004096, counts = [0, 4095] }\nrange = [-0.004096, 0.004094]",
         );
-        let mut reader = FrameReader::new(&skin);
+        let mut reader = FrameReader::new(&skin).unwrap();
         let mut frames = Vec::new();
         reader.push(b"\n2048,2049,0,4095\n2048,2049,0,4096\n2048,-1,0,1\n", 5, &mut frames);
         let [frame] = frames.as_slice() else { panic!("{frames:?}") };
@@ -222,7 +245,7 @@ mod tests {
     #[test]
     fn a_device_on_the_other_wire_is_told_the_key() {
         let mut frames = Vec::new();
-        let mut binary = FrameReader::new(&skin_with(""));
+        let mut binary = FrameReader::new(&skin_with("")).unwrap();
         binary.push(b"325,7\n1,2,3,4\n5,6,7,8\n", 1, &mut frames);
         assert_eq!(binary.other_wire(), None, "two lines may be an accident");
         binary.push(b"9,10,11,12\n", 1, &mut frames);
@@ -230,7 +253,7 @@ mod tests {
         binary.push(b"1,2\n1,2\n1,2\n", 1, &mut frames);
         assert!(binary.other_wire().unwrap().ends_with("2 numbers each where the skin has 4 channels"));
 
-        let mut lines = FrameReader::new(&skin_with("wire = { protocol = \"ascii\" }"));
+        let mut lines = FrameReader::new(&skin_with("wire = { protocol = \"ascii\" }")).unwrap();
         let mut encoder = NativeEncoder::new(NativeFormat::F32);
         for k in 0..4 {
             lines.push(encoder.encode(k, 1, &[0.5; 4]).unwrap(), 1, &mut frames);
@@ -242,7 +265,7 @@ mod tests {
         assert!(frames.len() == 1 && lines.other_wire().is_none());
 
         // Noise has a line that is a number now and then.
-        let mut noisy = FrameReader::new(&skin_with(""));
+        let mut noisy = FrameReader::new(&skin_with("")).unwrap();
         noisy.push(b"\xf8\n1\n\xc7\x3f\n\xfe\n1\n\xf0\n\xf1\n1\n", 1, &mut frames);
         assert_eq!(noisy.other_wire(), None);
     }
@@ -250,7 +273,7 @@ mod tests {
     #[test]
     fn lines_of_text_are_read_where_the_skin_says_so() {
         let skin = skin_with("wire = { protocol = \"ascii\" }");
-        let mut reader = FrameReader::new(&skin);
+        let mut reader = FrameReader::new(&skin).unwrap();
         let mut frames = Vec::new();
         reader.push(b"# hello\n1,2,3,nan\n1,2,3\n4,5,6,7\n", 5, &mut frames);
         assert_eq!(frames.last().map(|f| f.values.clone()), Some(vec![4.0, 5.0, 6.0, 7.0]));

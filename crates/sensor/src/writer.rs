@@ -1,0 +1,71 @@
+//! From frames to bytes: the wires that every family speaks, from the device's side.
+
+use dermis_skin::{Frame, SkinDescription, WireProtocol};
+use dermis_transport::framing::{NativeEncoder, NativeFormat};
+
+use crate::Encoder;
+
+/// Writes frames as a device of the skin does: raw counts, in native frames or as lines of text.
+#[derive(Debug)]
+pub struct FrameWriter {
+    native: Option<NativeEncoder>,
+    scale: f64,
+    offset: f64,
+    counts: Option<[u32; 2]>,
+    raw: Vec<f32>,
+    text: Vec<u8>,
+}
+
+impl FrameWriter {
+    /// A writer of the wire that the skin description names; `None` where that is one of its family's own.
+    #[must_use]
+    pub fn new(skin: &SkinDescription) -> Option<Self> {
+        let native = match skin.wire.protocol {
+            WireProtocol::Native => Some(NativeEncoder::new(NativeFormat::F32)),
+            WireProtocol::Ascii => None,
+            WireProtocol::Family(_) => return None,
+        };
+        Some(Self {
+            native,
+            scale: skin.wire.scale,
+            offset: skin.wire.offset,
+            counts: skin.wire.counts,
+            raw: Vec::new(),
+            text: Vec::new(),
+        })
+    }
+}
+
+impl Encoder for FrameWriter {
+    fn encode(&mut self, frame: &Frame, device_time_us: u64) -> Result<&[u8], String> {
+        self.raw.clear();
+        self.raw.extend(frame.values.iter().map(|v| {
+            if let Some([low, high]) = self.counts {
+                // A converter gives whole numbers, and no others than it has.
+                let count = (f64::from(*v) - self.offset) / self.scale;
+                return (count.round().clamp(f64::from(low), f64::from(high)) + 0.0) as f32;
+            }
+            // Untouched where the device already speaks the skin's unit: a round trip keeps every bit.
+            if self.scale == 1.0 && self.offset == 0.0 {
+                *v
+            } else {
+                ((f64::from(*v) - self.offset) / self.scale) as f32
+            }
+        }));
+        match &mut self.native {
+            // The wire's sequence number wraps at 32 bits.
+            Some(native) => native
+                .encode(frame.sequence as u32, device_time_us, &self.raw)
+                .map_err(|error| error.to_string()),
+            None => {
+                self.text.clear();
+                for (i, value) in self.raw.iter().enumerate() {
+                    let comma = if i == 0 { "" } else { "," };
+                    self.text.extend_from_slice(format!("{comma}{value}").as_bytes());
+                }
+                self.text.push(b'\n');
+                Ok(&self.text)
+            }
+        }
+    }
+}
