@@ -58,10 +58,8 @@ struct Cli {
 enum Command {
     /// A simulated skin behind a pseudo-terminal, the node that reads it, and a table of what it feels.
     Demo(demo::Options),
-    /// Run the node of a skin of taxels in an elastic medium: raw bytes in, contacts out.
-    Barodome(Box<nodes::Skin>),
-    /// Run the node of a shell with strain gauges: raw bytes in, contacts out.
-    Hapdef(Box<nodes::Skin>),
+    #[command(flatten)]
+    Node(nodes::Node),
     /// Start what a launch file names, keep it running, and gather what it says.
     Launch(launch::Options),
     #[command(name = launch::GUARD, hide = true)]
@@ -127,7 +125,7 @@ fn main() -> ExitCode {
     registry::SENSORS.install();
     let cli = Cli::parse();
     let level = match cli.command {
-        Command::Barodome(_) | Command::Hapdef(_) | Command::Bridge(_) | Command::Device(_) => "info",
+        Command::Node(_) | Command::Bridge(_) | Command::Device(_) => "info",
         _ => "warn",
     };
     let format = match log::Format::choose(cli.log_format) {
@@ -140,8 +138,7 @@ fn main() -> ExitCode {
     let limit = log::start(format, level);
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
-        Command::Barodome(options) => block_on(nodes::run(dermis_barodome::FAMILY, *options)),
-        Command::Hapdef(options) => block_on(nodes::run(dermis_hapdef::FAMILY, *options)),
+        Command::Node(node) => block_on(nodes::run(node)),
         Command::Watch(options) => block_on(watch::run(options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),
@@ -211,5 +208,19 @@ mod tests {
     #[test]
     fn arguments_are_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_node_is_run_by_its_skin_or_by_its_family() {
+        let node = |arguments: &[&str]| match Cli::try_parse_from(arguments).map(|cli| cli.command) {
+            Ok(Command::Node(_)) => Ok(()),
+            Ok(_) => Err("another command".to_owned()),
+            Err(error) => Err(error.to_string()),
+        };
+        node(&["dermis", "run", "pad.toml", "--source", "udp://0.0.0.0:7400"]).unwrap();
+        node(&["dermis", "run", "--config", "pad.yaml"]).unwrap();
+        node(&["dermis", "barodome", "--skin", "pad.toml", "--source", "udp://0.0.0.0:7400"]).unwrap();
+        assert!(node(&["dermis", "run", "--source", "udp://0.0.0.0:7400"]).unwrap_err().contains("SKIN"));
+        assert!(node(&["dermis", "barodom"]).unwrap_err().contains("barodome"));
     }
 }

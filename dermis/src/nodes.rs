@@ -1,7 +1,7 @@
-//! The nodes, one command each.
+//! The nodes: `dermis run` for a skin of any family, and one command for each family by its name.
 
 use anyhow::{Result, anyhow};
-use clap::Args;
+use clap::{ArgMatches, Args, Command, FromArgMatches, Subcommand};
 use dermis_launch::{NodeRequest, Refusal};
 use dermis_node::NodeError;
 use dermis_perception::{Config, ConfigError, RunError};
@@ -10,6 +10,7 @@ use dermis_skin::{InstanceError, SkinDescription};
 use serde_json::Value;
 
 use crate::backend::Choice;
+use crate::registry::SENSORS;
 
 /// The node of one skin.
 #[derive(Args)]
@@ -21,9 +22,55 @@ pub struct Skin {
     backend: Choice,
 }
 
+/// Command of the node of any skin.
+const RUN: &str = "run";
+
+/// The node of one skin, and the family that it was asked for by name.
+pub struct Node {
+    sensor: Option<&'static dyn Sensor>,
+    options: Box<Skin>,
+}
+
+impl FromArgMatches for Node {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let Some((name, matches)) = matches.subcommand() else {
+            return Err(clap::Error::new(clap::error::ErrorKind::MissingSubcommand));
+        };
+        Ok(Self { sensor: SENSORS.get(name), options: Box::new(Skin::from_arg_matches(matches)?) })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl Subcommand for Node {
+    fn augment_subcommands(command: Command) -> Command {
+        let run = Skin::augment_args(Command::new(RUN))
+            .mut_arg("skin", |skin| skin.long(None).index(1))
+            .about("Run the node of a skin, of whatever family its file names: raw bytes in, contacts out");
+        SENSORS.iter().fold(command.subcommand(run), |command, sensor| {
+            command.subcommand(Skin::augment_args(Command::new(sensor.name())).about(sensor.about()))
+        })
+    }
+
+    fn augment_subcommands_for_update(command: Command) -> Command {
+        Self::augment_subcommands(command)
+    }
+
+    fn has_subcommand(name: &str) -> bool {
+        name == RUN || SENSORS.get(name).is_some()
+    }
+}
+
 /// Runs until Ctrl-C, or until it is shut down through its lifecycle.
-pub async fn run(sensor: &'static dyn Sensor, options: Skin) -> Result<()> {
+pub async fn run(Node { sensor, options }: Node) -> Result<()> {
     let config = options.arguments.into_config()?;
+    let sensor = match sensor {
+        Some(sensor) => sensor,
+        None => crate::registry::family(&SkinDescription::load(&config.skin)?)?,
+    };
     dermis_perception::run(sensor, &config, options.backend.open()?.as_ref()).await.map_err(|error| {
         match reader(&error) {
             Some(command) => anyhow!("{error}; `dermis {command}` reads it"),
@@ -35,7 +82,7 @@ pub async fn run(sensor: &'static dyn Sensor, options: Skin) -> Result<()> {
 /// The command that reads a skin which another family's node was given.
 fn reader(error: &RunError) -> Option<&'static str> {
     let RunError::Sensor { found, .. } = error else { return None };
-    crate::registry::SENSORS.get(found).map(|family| family.name())
+    SENSORS.get(found).map(|family| family.name())
 }
 
 /// What the process itself says in a launch file, and its table `config` must not say again.

@@ -90,8 +90,7 @@ fn online_equals_offline(
         split.apply(&data).unwrap().test.into_iter().collect();
     let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
     let mut offline =
-        dermis_perception::estimator(dermis_barodome::FAMILY, skin, &[model.to_owned()], &[], runtime)
-            .unwrap();
+        dermis_estimate::estimator(dermis_barodome::FAMILY, skin, &[model.to_owned()], &[], runtime).unwrap();
     offline.reset();
 
     let mut pty = Pty::open().unwrap();

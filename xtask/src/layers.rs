@@ -18,9 +18,9 @@ fn room(folder: &str, name: &str) -> Option<Room> {
     let (first, _) = folder.split_once('/').unwrap_or((folder, ""));
     let room = |rank, alone| Some(Room { rank, alone });
     match (first, name) {
-        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(11, true),
-        ("dermis", _) => room(10, true),
-        ("nodes" | "bridges", _) => room(9, true),
+        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(12, true),
+        ("dermis", _) => room(11, true),
+        ("nodes" | "bridges", _) => room(10, true),
         ("msgs", _) | ("crates", "dermis-io") => room(0, true),
         // Drawing knows nothing of skins.
         ("crates", "dermis-skin" | "dermis-figures") => room(1, true),
@@ -29,9 +29,10 @@ fn room(folder: &str, name: &str) -> Option<Room> {
         ("crates", "dermis-inversion") => room(3, true),
         ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(4, true),
         ("crates", "dermis-sensor") => room(5, true),
-        ("crates", "dermis-studies") => room(7, true),
-        ("crates", "dermis-report") => room(8, true),
-        ("crates", _) => room(6, false),
+        ("crates", "dermis-estimate") => room(6, true),
+        ("crates", "dermis-studies") => room(8, true),
+        ("crates", "dermis-report") => room(9, true),
+        ("crates", _) => room(7, false),
         _ => None,
     }
 }

@@ -1,55 +1,24 @@
 //! From a device's bytes to contacts on ROS topics, for every skin whose channels are read together.
 //!
-//! A frame goes one way: bytes → [`Decoder`](dermis_sensor::Decoder) (wire, unit, time of acquisition) → [`Conditioner`] (channel health,
-//! zero, touch) → [`SkinEstimator`] (learned models, forward model, contacts, identities) → [`messages`] → bus. The
+//! A frame goes one way: bytes → [`Decoder`](dermis_sensor::Decoder) (wire, unit, time of acquisition) → [`SkinEstimator`](dermis_estimate::SkinEstimator) (channel health,
+//! zero, touch, learned models, forward model, contacts, identities) → [`messages`] → bus. The
 //! estimator is the same struct in the node and in offline evaluation.
 //!
 //! What differs between sensor families is in a [`Sensor`]: its decoder, its forward model, its effects.
 
 pub mod cli;
 mod commands;
-mod condition;
 mod config;
-mod contacts;
-mod estimator;
 mod folders;
 pub mod messages;
 mod node;
-#[cfg(test)]
-mod testing;
 
-use std::path::PathBuf;
-
-use dermis_inference::{Bundle, Runtime};
 use dermis_node::Backend;
 use dermis_sensor::Sensor;
-use dermis_skin::{Estimator, SkinDescription};
 
 pub use crate::config::{CacheConfig, Config, ConfigError};
 pub use commands::{Command, Commands, UnknownCommand};
-pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
-pub use contacts::{TaxelShares, Tracker};
-pub use estimator::{Maps, Models, Quality, SetupError, SkinEstimator, Verdict};
 pub use node::{RunError, SkinNode};
-
-/// Frame → contacts, without maps, with these model bundles; `masked` names channels to leave out.
-///
-/// # Errors
-///
-/// [`SetupError`] names the bundle, output or channel that does not fit.
-pub fn estimator(
-    sensor: &dyn Sensor,
-    skin: &SkinDescription,
-    bundles: &[PathBuf],
-    masked: &[String],
-    runtime: &Runtime,
-) -> Result<Box<dyn Estimator>, SetupError> {
-    let bundles = bundles.iter().map(|folder| Bundle::load(folder, skin)).collect::<Result<Vec<_>, _>>()?;
-    let mut estimator = SkinEstimator::new(skin, masked)?;
-    estimator.set_models(Models::load(sensor, skin, &bundles, runtime)?);
-    estimator.want_maps(Maps::NONE);
-    Ok(Box::new(estimator))
-}
 
 /// Whether a node would start with this configuration, as far as can be told without starting it: skin, source,
 /// masked channels and parameters. Models are looked for, not loaded; the device is not opened. What is wrong is as the node

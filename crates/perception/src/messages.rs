@@ -12,7 +12,7 @@ use dermis_msgs::visualization_msgs::msg::{Marker, MarkerArray};
 use dermis_skin::{Contact, Estimate, ForceComponents, Frame, SkinDescription, Stamp, contact_array};
 use nalgebra::{Point3, Vector3};
 
-use crate::estimator::{Quality, SkinEstimator};
+use dermis_estimate::{Quality, SkinEstimator};
 
 /// \[m\] of an arrow per newton.
 const ARROW_PER_NEWTON: f64 = 0.01;
@@ -205,7 +205,7 @@ pub fn no_markers_message(skin: &SkinDescription, stamp: Stamp) -> MarkerArray {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{TestBundle, skin_with, tared_estimator};
+    use dermis_estimate::testing::{TestBundle, skin_with, tared_estimator};
     use dermis_skin::Estimator;
 
     const STAMP: Stamp = 1_700_000_000_123_456_789;

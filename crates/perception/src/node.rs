@@ -29,12 +29,12 @@ use dermis_transport::{Event, Source, SourceOptions, SourceStats, SourceUrl, Tra
 
 use crate::commands::{Command, Commands};
 use crate::config::Config;
-use crate::estimator::{Maps, Models, Quality, SetupError, SkinEstimator};
 use crate::folders;
 use crate::messages::{
     blind_message, contacts_message, markers_message, no_markers_message, points_message, transform_message,
     wrench_message,
 };
+use dermis_estimate::{Maps, Models, Quality, SetupError, SkinEstimator};
 use dermis_sensor::{Decoder, DecoderOptions, Sensor};
 use kept_zero::KeptZero;
 use loader::Loader;
@@ -781,6 +781,11 @@ impl Shared {
             let source = source.get_or_insert_with(|| {
                 early.take().unwrap_or_else(|| Source::open(self.url.clone(), SourceOptions::default()))
             });
+            let request = self.lock().reader.as_mut().and_then(|reader| reader.request(now_ns()));
+            if let Some(request) = request {
+                // Where the link is down it is made again.
+                source.send(&request);
+            }
             let mut event = match (waiting.is_empty(), live) {
                 (true, _) => source.next_timeout(TICK),
                 (false, true) => source.next_timeout(Duration::ZERO),

@@ -37,8 +37,8 @@ pub trait Decoder: Send {
     /// `out`: values in the unit of the skin, stamped on the host clock with the time of acquisition.
     fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<Frame>);
 
-    /// What to write to the device now, for one that answers requests. Asked when the link is up, after every frame, and every
-    /// few milliseconds in between; `now_ns` \[ns since the Unix epoch\] says when an answer is overdue.
+    /// What to write to the device now, for one that answers requests. Asked after every frame, and at least every 50 ms whether
+    /// the link is up or not; `now_ns` \[ns since the Unix epoch\] says when an answer is overdue and the request is made again.
     fn request(&mut self, now_ns: i64) -> Option<Vec<u8>> {
         let _ = now_ns;
         None

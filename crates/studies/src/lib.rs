@@ -73,7 +73,7 @@ impl Families {
     /// Where a bundle does not fit, or cannot be read.
     pub fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>> {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
-        Ok(dermis_perception::estimator(self.of(skin)?, skin, bundles, &[], runtime)?)
+        Ok(dermis_estimate::estimator(self.of(skin)?, skin, bundles, &[], runtime)?)
     }
 }
 

@@ -385,12 +385,16 @@ impl VirtualDevice {
             move || {
                 let mut frame = Frame::new(0, 0, Vec::new());
                 let mut index = 0u64;
+                let lost =
+                    |source| TestbedError::Device { skin: name.clone(), what: "lost its line", source };
                 // Frames that the host asked for and has not got.
                 let mut asked = 0;
                 loop {
                     let t = index as f64 / rate;
                     loop {
                         asked += encoder.asked(&line.heard());
+                        // A picture is longer than what a line takes at once.
+                        line.flush().map_err(lost)?;
                         let due = begin + Duration::from_secs_f64(t);
                         if !encoder.on_request() || stop.load(Ordering::Relaxed) || Instant::now() >= due {
                             sleep_until(due, &stop);
@@ -428,11 +432,7 @@ impl VirtualDevice {
                     let bytes = encoder
                         .encode(&frame, 1 + (t * 1e6).round() as u64)
                         .map_err(|reason| TestbedError::Wire { skin: name.clone(), reason })?;
-                    let taken = line.send(bytes).map_err(|source| TestbedError::Device {
-                        skin: name.clone(),
-                        what: "lost its line",
-                        source,
-                    })?;
+                    let taken = line.send(bytes).map_err(lost)?;
                     counters.frames.fetch_add(1, Ordering::Relaxed);
                     counters.dropped.fetch_add(u64::from(!taken), Ordering::Relaxed);
                     index += 1;

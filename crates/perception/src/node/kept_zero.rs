@@ -88,7 +88,7 @@ impl KeptZero {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::skin_with;
+    use dermis_estimate::testing::skin_with;
 
     const NOW: i64 = 1_800_000_000_000_000_000;
 

@@ -15,7 +15,7 @@ use dermis_skin::cache::{self, Stage, Work};
 
 use super::{RunError, Shared};
 use crate::config::Config;
-use crate::estimator::{Models, SetupError, SkinEstimator};
+use dermis_estimate::{Models, SetupError, SkinEstimator};
 use dermis_sensor::Sensor;
 
 /// Work that takes less is not worth a line.

@@ -24,7 +24,7 @@ use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
 
 use super::*;
-use crate::testing::{Noise, Out, PAD, TestBundle, skin_text};
+use dermis_estimate::testing::{Noise, Out, PAD, TestBundle, skin_text};
 use dermis_model::ForwardModel;
 use dermis_skin::Family;
 
@@ -350,7 +350,7 @@ impl Sensor for Slow {
         while !COMPUTED.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(5));
         }
-        Ok(Arc::new(crate::testing::Membrane::new(skin)))
+        Ok(Arc::new(dermis_estimate::testing::Membrane::new(skin)))
     }
 }
 

@@ -1,4 +1,6 @@
-//! What the tests of this crate share.
+//! Small skins, models and bundles for tests.
+
+#![allow(clippy::unwrap_used, clippy::missing_panics_doc, missing_docs, reason = "for tests only")]
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,11 +15,11 @@ use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_skin::{Estimator, Family, Frame, ModelError, SkinDescription, Surface};
 use nalgebra::Point3;
 
-use crate::estimator::{Models, SetupError, SkinEstimator};
+use crate::{Models, SetupError, SkinEstimator};
 use dermis_sensor::Sensor;
 
 /// A family without a forward model.
-pub(crate) const PAD: &dyn Sensor = &Pad;
+pub const PAD: &dyn Sensor = &Pad;
 
 struct Pad;
 
@@ -42,7 +44,7 @@ impl Sensor for Pad {
 }
 
 /// A family whose forward model is a [`Membrane`].
-pub(crate) const STRETCHED: &dyn Sensor = &Stretched;
+pub const STRETCHED: &dyn Sensor = &Stretched;
 
 struct Stretched;
 
@@ -63,7 +65,7 @@ impl Sensor for Stretched {
 }
 
 /// A soft skin: presses are felt, and push its surface in, as bells about them.
-pub(crate) struct Membrane {
+pub struct Membrane {
     surface: Surface,
     elements: Vec<Point3<f64>>,
     noise: Vec<f64>,
@@ -73,11 +75,11 @@ impl Membrane {
     /// \[m\] standard deviation of a bell.
     const WIDTH: f64 = 0.006;
     /// \[Pa/N\] right above an element.
-    pub(crate) const GAIN: f64 = 2000.0;
+    pub const GAIN: f64 = 2000.0;
     /// \[m/N\] right under a press.
-    pub(crate) const GIVES: f64 = 1e-3;
+    pub const GIVES: f64 = 1e-3;
 
-    pub(crate) fn new(skin: &SkinDescription) -> Self {
+    pub fn new(skin: &SkinDescription) -> Self {
         Self {
             surface: skin.surface(),
             elements: skin.taxels.iter().map(|t| Point3::new(t.position[0], t.position[1], 0.0)).collect(),
@@ -122,7 +124,7 @@ impl ForwardModel for Membrane {
 }
 
 /// A pad of 3×3 elements, 8 mm apart.
-pub(crate) fn nine() -> SkinDescription {
+pub fn nine() -> SkinDescription {
     let at = |i: usize| [i % 3, i / 3].map(|k| (k as f64 - 1.0) * 0.008);
     let taxels: Vec<String> = (0..9)
         .map(|i| format!("{{ name = \"t{i}\", position = [{:.3}, {:.3}, -0.005] }}", at(i)[0], at(i)[1]))
@@ -134,12 +136,12 @@ pub(crate) fn nine() -> SkinDescription {
 }
 
 /// A 2×2 pad of barometers: 20 Pa of noise, 50 to 110 kPa, 100 Hz. Lines of `extra` replace or add top-level keys.
-pub(crate) fn skin_with(extra: &str) -> SkinDescription {
+pub fn skin_with(extra: &str) -> SkinDescription {
     SkinDescription::from_toml(&skin_text(extra), "pad.toml").unwrap()
 }
 
 /// The file of [`skin_with`].
-pub(crate) fn skin_text(extra: &str) -> String {
+pub fn skin_text(extra: &str) -> String {
     let mut keys: Vec<String> = [
         "schema = \"dermis-skin/1\"",
         "name = \"pad\"",
@@ -165,10 +167,10 @@ pub(crate) fn skin_text(extra: &str) -> String {
 }
 
 /// Standard normal numbers, the same in every run (xorshift and Box–Muller).
-pub(crate) struct Noise(u64);
+pub struct Noise(u64);
 
 impl Noise {
-    pub(crate) fn new(seed: u64) -> Self {
+    pub fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
     }
 
@@ -179,7 +181,7 @@ impl Noise {
         ((self.0 >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
     }
 
-    pub(crate) fn normal(&mut self) -> f64 {
+    pub fn normal(&mut self) -> f64 {
         let (u, v) = (self.uniform(), self.uniform());
         (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
     }
@@ -187,27 +189,27 @@ impl Noise {
 
 /// One output of a linear model: `scale · Σ weight · (signal / 1 kPa) + bias` over the channels of the newest frame.
 #[derive(Clone)]
-pub(crate) struct Out {
-    pub(crate) name: String,
+pub struct Out {
+    pub name: String,
     unit: &'static str,
     scale: f64,
     bias: f64,
     weights: [f32; 4],
-    pub(crate) count: usize,
+    pub count: usize,
     link: Link,
 }
 
 impl Out {
-    pub(crate) fn new(name: &str, unit: &'static str, scale: f64, weights: [f32; 4]) -> Self {
+    pub fn new(name: &str, unit: &'static str, scale: f64, weights: [f32; 4]) -> Self {
         Self { name: name.into(), unit, scale, bias: 0.0, weights, count: 1, link: Link::Linear }
     }
 
-    pub(crate) fn biased(mut self, bias: f64) -> Self {
+    pub fn biased(mut self, bias: f64) -> Self {
         self.bias = bias;
         self
     }
 
-    pub(crate) fn logistic(mut self) -> Self {
+    pub fn logistic(mut self) -> Self {
         self.link = Link::Logistic;
         self
     }
@@ -215,11 +217,11 @@ impl Out {
 
 /// A bundle that takes the pad's signal apart linearly: 1 kPa on one taxel is a press of 1 N, 5 mm out per axis.
 #[derive(Clone)]
-pub(crate) struct TestBundle {
-    pub(crate) outputs: Vec<Out>,
-    pub(crate) taps: Vec<u32>,
-    pub(crate) baseline: Baseline,
-    pub(crate) inversion: Option<Settings>,
+pub struct TestBundle {
+    pub outputs: Vec<Out>,
+    pub taps: Vec<u32>,
+    pub baseline: Baseline,
+    pub inversion: Option<Settings>,
 }
 
 impl Default for TestBundle {
@@ -239,7 +241,7 @@ impl Default for TestBundle {
 }
 
 impl TestBundle {
-    pub(crate) fn write(&self, skin: &SkinDescription, folder: &Path) {
+    pub fn write(&self, skin: &SkinDescription, folder: &Path) {
         let channels = skin.channels().len();
         let mut input = FeatureConfig::newest(vec![0.0; channels], vec![1000.0; channels]);
         input.taps = Taps::Frames(self.taps.clone());
@@ -285,12 +287,12 @@ impl TestBundle {
 }
 
 /// An estimator with these bundles.
-pub(crate) fn load(skin: &SkinDescription, folders: &[&Path]) -> Result<SkinEstimator, SetupError> {
+pub fn load(skin: &SkinDescription, folders: &[&Path]) -> Result<SkinEstimator, SetupError> {
     load_for(PAD, skin, folders, &[])
 }
 
 /// An estimator of a family with these bundles and without these channels.
-pub(crate) fn load_for(
+pub fn load_for(
     sensor: &dyn Sensor,
     skin: &SkinDescription,
     folders: &[&Path],
@@ -304,7 +306,7 @@ pub(crate) fn load_for(
 }
 
 /// An estimator for [`skin_with`]`("")` that has seen 0.8 s of quiet frames at 101 325 Pa.
-pub(crate) fn tared_estimator(bundle: &TestBundle) -> (SkinEstimator, tempfile::TempDir) {
+pub fn tared_estimator(bundle: &TestBundle) -> (SkinEstimator, tempfile::TempDir) {
     let skin = skin_with("");
     let folder = tempfile::tempdir().unwrap();
     bundle.write(&skin, folder.path());

@@ -1,0 +1,297 @@
+//! From model outputs to contacts.
+
+use dermis_inference::{Baseline, MAP_DISPLACEMENT, Missing};
+use dermis_inversion::{Found, Inverter, InverterError, Reading, Solution};
+use dermis_model::Indentation;
+use dermis_skin::{Contact, ForceComponents, SurfaceSpec};
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::SkinEstimator;
+use crate::models::Pipeline;
+
+/// Presence by probability begins above the first and ends below the second.
+const PRESENT: (f64, f64) = (0.5, 0.4);
+
+impl SkinEstimator {
+    pub(super) fn get(&self, output: &str) -> Option<f64> {
+        self.pipelines.iter().filter(|p| p.fresh).find_map(|p| p.outputs.get(output))
+    }
+
+    pub(super) fn sigma(&self, output: &str, force: f64) -> f64 {
+        let found = self.pipelines.iter().find_map(|p| p.outputs.sigma(output, force));
+        found.unwrap_or(f64::NAN)
+    }
+
+    /// Hands the latest frame to the features of the models.
+    pub(super) fn push(&mut self) -> Result<(), String> {
+        let cleaned = &self.cleaned;
+        for pipeline in &mut self.pipelines {
+            pipeline.fresh = false;
+            let values = match pipeline.baseline {
+                Baseline::Raw => &cleaned.reading.values,
+                Baseline::Tared => &cleaned.signal.values,
+            };
+            let stamp = cleaned.reading.stamp;
+            // A model that was told which channels are missing knows better what to make of it.
+            let pushed = if self.guessed.is_empty() || pipeline.features.config().missing == Missing::Mask {
+                pipeline.features.push(stamp, values)
+            } else {
+                let zero = self.conditioner.zero().filter(|_| pipeline.baseline == Baseline::Raw);
+                let whole: Vec<f32> = values
+                    .iter()
+                    .zip(&self.guessed)
+                    .enumerate()
+                    .map(|(i, (value, guessed))| match value.is_nan() {
+                        true => (guessed + zero.map_or(0.0, |zero| zero[i])) as f32,
+                        false => *value,
+                    })
+                    .collect();
+                pipeline.features.push(stamp, &whole)
+            };
+            pushed.map_err(|e| e.to_string())?;
+        }
+        Ok(())
+    }
+
+    /// Runs what is needed of the models. Returns whether a contact is there and whether every model could answer.
+    pub(super) fn infer(&mut self) -> Result<(bool, bool), String> {
+        self.push()?;
+        // A model that says whether there is a contact is asked on every frame, the others only during contacts.
+        let mut probability = None;
+        for pipeline in &mut self.pipelines {
+            if pipeline.names().any(|n| n == "contact") && pipeline.infer()? {
+                probability = pipeline.outputs.contact();
+            }
+        }
+        self.verdict.probability = probability;
+        if let Some(p) = probability {
+            self.probable = p > if self.probable { PRESENT.1 } else { PRESENT.0 };
+        }
+        let present =
+            if probability.is_some() { self.probable } else { self.cleaned.touched || self.explains() };
+        let mut complete = true;
+        for pipeline in &mut self.pipelines {
+            if present && !pipeline.fresh {
+                complete &= pipeline.infer()?;
+            }
+        }
+        Ok((present, complete))
+    }
+
+    /// Whether a forward model explains the signal by a contact, light ones included that the level does not show.
+    pub(super) fn explains(&mut self) -> bool {
+        let Some(inverter) = self.pipelines.iter().find_map(|p| p.inverter.as_ref()) else { return false };
+        self.explained = inverter.settings().shows(inverter.evidence(&self.readings), self.explained);
+        self.explained
+    }
+
+    /// Takes the signal of the latest frame for an inverter.
+    pub(super) fn read(&mut self) {
+        if self.pipelines.iter().all(|p| p.inverter.is_none()) {
+            return;
+        }
+        let signal = &self.cleaned.signal;
+        self.readings.clear();
+        let channels = signal.values.iter().zip(&signal.flags);
+        self.readings.extend(channels.map(|(value, flags)| Reading::of(*value, *flags)));
+    }
+
+    /// Guesses what channels without a reading would read, from the contacts that a forward model finds in the others.
+    pub(super) fn guess(&mut self) -> Result<(), InverterError> {
+        self.guessed.clear();
+        let Some(inverter) = self.pipelines.iter().find_map(|p| p.inverter.as_ref()) else { return Ok(()) };
+        if !self.readings.contains(&Reading::Missing) || !self.conditioner.is_tared() {
+            return Ok(());
+        }
+        self.guessed.resize(self.readings.len(), 0.0);
+        // Whatever it leaves: channels that drift are not those that are missing.
+        let shows = self.cleaned.touched
+            || inverter.settings().shows((inverter.evidence(&self.readings).0, 0.0), true);
+        if shows {
+            let solution = if inverter.settings().in_pairs() {
+                locate(inverter, &self.readings, &self.before)?
+            } else {
+                inverter.solve(&self.readings, None)?
+            };
+            let found = indentations(&solution.contacts, inverter.settings().diameter);
+            inverter.signal(&found, &mut self.guessed)?;
+            // Asked once a frame: what it costs is the frame's time.
+            self.solution = (inverter.settings().in_pairs()).then_some(solution);
+        }
+        Ok(())
+    }
+
+    /// Contacts as the learned models give them: the peaks of a map or, without any, one from position and force.
+    pub(super) fn learned(&mut self) -> Result<Vec<Contact>, String> {
+        let refined = self.pipelines.iter().any(|p| p.inverter.is_some());
+        let Some(pipeline) = self.pipelines.iter_mut().find(|p| p.fresh && p.peaks.is_some() && !refined)
+        else {
+            return Ok(vec![self.contact()]);
+        };
+        let Pipeline { peaks, outputs, path, .. } = pipeline;
+        let map = outputs.values(MAP_DISPLACEMENT).unwrap_or_default();
+        let mut contacts = match peaks {
+            Some(peaks) => peaks.contacts(map).map_err(|e| format!("model {}: {e}", path.display()))?,
+            None => Vec::new(),
+        };
+        let single = contacts.len() == 1;
+        for contact in &mut contacts {
+            contact.confidence = self.confidence(contact.normal_force()) as f32;
+            contact.taxels = if single { self.carrying() } else { self.shares.near(&contact.position) };
+            if self.channels_missing() {
+                contact.position_covariance.fill(f64::NAN);
+                contact.force_covariance.fill(f64::NAN);
+            }
+        }
+        Ok(contacts)
+    }
+
+    /// Taxels that carry the signal.
+    pub(super) fn carrying(&mut self) -> Vec<u32> {
+        self.shares.of(&self.cleaned.signal, self.conditioner.condition().contact_threshold)
+    }
+
+    /// What the learned models say, refined on the forward model where a bundle asks for it, and which bundle did.
+    pub(super) fn contacts(&mut self) -> Result<(Vec<Contact>, Option<usize>), String> {
+        let learned = self.learned()?;
+        let Some((index, inverter)) =
+            self.pipelines.iter().enumerate().find_map(|(i, p)| Some((i, p.inverter.as_ref()?)))
+        else {
+            return Ok((learned, None));
+        };
+        let settings = inverter.settings();
+        let solution = if settings.in_pairs() {
+            match self.solution.take() {
+                Some(solution) => Ok(solution),
+                None => locate(inverter, &self.readings, &self.before),
+            }
+        } else {
+            let known = |c: &&Contact| {
+                c.position.iter().chain(&c.force).all(|v| v.is_finite()) && c.normal_force() > 0.0
+            };
+            let hint = learned.first().filter(known).map(|c| Indentation {
+                position: c.position,
+                force: c.force,
+                diameter: settings.diameter,
+            });
+            inverter.solve(&self.readings, hint.as_ref())
+        };
+        let solution =
+            solution.map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
+        self.before.clone_from(&solution.contacts);
+        if solution.contacts.is_empty() {
+            return Ok((learned, None));
+        }
+        let components = settings.unknowns.force_components();
+        let single = solution.contacts.len() == 1;
+        let carrying = self.carrying();
+        let contacts = solution
+            .contacts
+            .into_iter()
+            .map(|found| {
+                let Found { position, normal, force, position_covariance, force_covariance } = found;
+                let mut contact = Contact::at(position, normal);
+                contact.force = force;
+                contact.force_components = components;
+                contact.position_covariance = position_covariance;
+                contact.force_covariance = force_covariance;
+                contact.confidence = self.confidence(contact.normal_force()) as f32;
+                contact.taxels = if single { carrying.clone() } else { self.shares.near(&position) };
+                contact
+            })
+            .collect();
+        Ok((contacts, Some(index)))
+    }
+
+    pub(super) fn contact(&mut self) -> Contact {
+        let flat = matches!(self.skin.surface, SurfaceSpec::Rectangle { .. });
+        let (position, normal) =
+            match (self.get("position.x"), self.get("position.y"), self.get("position.z")) {
+                (Some(x), Some(y), Some(z)) => self.surface.project(&Point3::new(x, y, z)),
+                (Some(x), Some(y), None) if flat => self.surface.project(&Point3::new(x, y, 0.0)),
+                // On a flat skin the normal is known without the position.
+                _ if flat => (Point3::from(Vector3::repeat(f64::NAN)), Vector3::z()),
+                _ => (Point3::from(Vector3::repeat(f64::NAN)), Vector3::repeat(f64::NAN)),
+            };
+        let mut contact = Contact::at(position, normal);
+
+        let full = match (self.get("force.x"), self.get("force.y"), self.get("force.z")) {
+            (Some(x), Some(y), Some(z)) => Some(Vector3::new(x, y, z)),
+            _ => None,
+        };
+        let pressing = self.get("force.normal").or_else(|| self.get("force.z").filter(|_| flat).map(|z| -z));
+        let magnitude = if let Some(force) = full {
+            contact.force = force;
+            contact.force_components = ForceComponents::Full;
+            let along = -force.dot(&normal);
+            let along = if along.is_nan() { force.norm() } else { along };
+            contact.force_covariance = Matrix3::from_diagonal(&Vector3::new(
+                self.sigma("force.x", along).powi(2),
+                self.sigma("force.y", along).powi(2),
+                self.sigma("force.z", along).powi(2),
+            ));
+            along
+        } else if let Some(pressing) = pressing.filter(|_| !normal.x.is_nan()) {
+            contact.force = -normal * pressing;
+            contact.force_components = ForceComponents::Normal;
+            let by_normal = self.sigma("force.normal", pressing);
+            let sigma = if by_normal.is_nan() { self.sigma("force.z", pressing) } else { by_normal };
+            contact.force_covariance = normal * normal.transpose() * sigma.powi(2);
+            pressing
+        } else {
+            f64::NAN
+        };
+
+        if !position.x.is_nan() {
+            let at = if magnitude.is_nan() { 0.0 } else { magnitude };
+            let z = self.sigma("position.z", at);
+            contact.position_covariance = Matrix3::from_diagonal(&Vector3::new(
+                self.sigma("position.x", at).powi(2),
+                self.sigma("position.y", at).powi(2),
+                // A flat skin knows its own height.
+                if flat { 0.0 } else { z.powi(2) },
+            ));
+        }
+        if self.channels_missing() {
+            // The errors of a model were measured with every channel there.
+            contact.position_covariance.fill(f64::NAN);
+            contact.force_covariance.fill(f64::NAN);
+        }
+        contact.taxels = self.carrying();
+        contact.confidence = self.confidence(magnitude) as f32;
+        contact
+    }
+
+    pub(super) fn channels_missing(&self) -> bool {
+        self.cleaned.reading.values.iter().any(|v| v.is_nan())
+    }
+
+    /// 0 to 1: how surely this is a contact, less for channels that are missing and for a force that the model has
+    /// never seen.
+    pub(super) fn confidence(&self, pressing: f64) -> f64 {
+        let present = self.verdict.probability.unwrap_or_else(|| {
+            // One half at the threshold, and towards one as the signal rises above it.
+            let ratio = self.cleaned.level / self.conditioner.condition().contact_threshold;
+            1.0 - 0.5 * (1.0 - ratio).exp()
+        });
+        let reading = &self.cleaned.reading;
+        let healthy = reading.healthy_channels() as f64 / reading.values.len().max(1) as f64;
+        let familiar = match self.force_range() {
+            Some([_, most]) if pressing > most && most > 0.0 => most / pressing,
+            _ => 1.0,
+        };
+        (present * healthy * familiar).clamp(0.0, 1.0)
+    }
+}
+
+/// Several contacts: those of the frame before for as long as they last, otherwise whatever explains the readings best.
+fn locate(inverter: &Inverter, readings: &[Reading], before: &[Found]) -> Result<Solution, InverterError> {
+    match inverter.follow(readings, before)? {
+        Some(solution) => Ok(solution),
+        None => inverter.search(readings),
+    }
+}
+
+fn indentations(found: &[Found], diameter: f64) -> Vec<Indentation> {
+    found.iter().map(|f| Indentation { position: f.position, force: f.force, diameter }).collect()
+}

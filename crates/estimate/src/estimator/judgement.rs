@@ -1,0 +1,69 @@
+//! Whether an estimate can be relied on, in one sentence.
+
+use dermis_skin::{ChannelFlags, TareState};
+
+use super::{Quality, SkinEstimator};
+use crate::condition::listed;
+
+impl SkinEstimator {
+    /// Impaired channels: their names with what is wrong, and of those that nobody asked to leave out, how many of how
+    /// many are unusable.
+    pub(super) fn faults(&self) -> (Vec<String>, usize, usize) {
+        let reading = &self.cleaned.reading;
+        let mut names = Vec::new();
+        let (mut invalid, mut asked) = (0, 0);
+        for (channel, flags) in self.skin.channels().iter().zip(&reading.flags) {
+            if !flags.contains(ChannelFlags::MASKED) {
+                asked += 1;
+                invalid += usize::from(flags.is_invalid());
+            }
+            if !flags.is_ok() {
+                names.push(format!("{} ({flags})", channel.name));
+            }
+        }
+        (names, invalid, asked)
+    }
+
+    pub(super) fn judge(&self) -> (Quality, String) {
+        let (faults, invalid, asked) = self.faults();
+        if 2 * invalid > asked || asked == 0 {
+            return (
+                Quality::Fault,
+                format!(
+                    "{invalid} of {asked} channels are unusable: {}; check the sensor and its wiring",
+                    listed(&faults, 8)
+                ),
+            );
+        }
+        if self.pipelines.is_empty() {
+            return (Quality::Uncalibrated, self.no_model.clone());
+        }
+        if self.needs_zero() && !self.conditioner.is_tared() {
+            return (Quality::Uncalibrated, self.untared());
+        }
+        if faults.is_empty() {
+            return (Quality::Ok, String::new());
+        }
+        let channels = self.cleaned.reading.values.len();
+        let mut text =
+            format!("{} of {channels} channels are impaired: {}", faults.len(), listed(&faults, 8));
+        if self.channels_missing() && self.pipelines.iter().all(|p| p.inverter.is_none()) {
+            text += "; no forward model stands in for them, so that the error of the contacts is unknown";
+        }
+        (Quality::Degraded, text)
+    }
+
+    pub(super) fn untared(&self) -> String {
+        match self.conditioner.tare_state() {
+            TareState::Averaging { disturbed: Some(spread), .. } => format!(
+                "not tared: the readings move by {spread:.1} times their noise; leave the skin untouched, or correct \
+                 `noise` in the skin file"
+            ),
+            TareState::Averaging { elapsed, .. } => format!(
+                "not tared yet: {elapsed:.1} of {:.1} s of untouched readings",
+                self.conditioner.condition().tare_duration
+            ),
+            TareState::Done => "not tared".into(),
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! Frame → contacts, for every skin whose channels are read together.
+//!
+//! A frame goes through [`Conditioner`] (channel health, zero, touch), the features and the sessions of the loaded [`Models`],
+//! the forward model where a bundle asks for it, and [`Tracker`] (identities that last). [`SkinEstimator`] is all of that in one
+//! struct: the same in a node, in evaluation and in comparisons, so that an offline figure is the online figure.
+
+mod condition;
+mod contacts;
+mod estimator;
+mod models;
+#[cfg(any(test, feature = "test-suite"))]
+pub mod testing;
+
+use std::path::PathBuf;
+
+use dermis_inference::{Bundle, Runtime};
+use dermis_sensor::Sensor;
+use dermis_skin::{Estimator, SkinDescription};
+
+pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
+pub use contacts::{TaxelShares, Tracker};
+pub use estimator::{Maps, Quality, SkinEstimator, Verdict};
+pub use models::{Models, SetupError};
+
+/// Frame → contacts, without maps, with these model bundles; `masked` names channels to leave out.
+///
+/// # Errors
+///
+/// [`SetupError`] names the bundle, output or channel that does not fit.
+pub fn estimator(
+    sensor: &dyn Sensor,
+    skin: &SkinDescription,
+    bundles: &[PathBuf],
+    masked: &[String],
+    runtime: &Runtime,
+) -> Result<Box<dyn Estimator>, SetupError> {
+    let bundles = bundles.iter().map(|folder| Bundle::load(folder, skin)).collect::<Result<Vec<_>, _>>()?;
+    let mut estimator = SkinEstimator::new(skin, masked)?;
+    estimator.set_models(Models::load(sensor, skin, &bundles, runtime)?);
+    estimator.want_maps(Maps::NONE);
+    Ok(Box::new(estimator))
+}

@@ -1,0 +1,252 @@
+//! Loaded model bundles: each gives some of the outputs, from the same conditioned frames.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use dermis_inference::{
+    Baseline, Bundle, BundleError, Features, MAP_DISPLACEMENT, MapContacts, Model, Outputs, Runtime,
+};
+use dermis_inversion::{Corrected, Inverter, InverterError};
+use dermis_model::Stimulus;
+use dermis_sensor::Sensor;
+use dermis_skin::{ModelError, SkinDescription};
+
+use crate::condition::ConditionError;
+use crate::estimator::Maps;
+
+/// Output that gives the pressing force at every point of the surface \[N\].
+pub(crate) const MAP_NORMAL: &str = "map.normal";
+/// Output that gives x, y and z of the force at every point of the surface \[N\].
+pub(crate) const MAP_FORCE: &str = "map.force";
+/// Share of the largest force that a light press has.
+const LIGHT: f64 = 0.1;
+
+/// Why an estimator could not be made, or a model not be taken over.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SetupError {
+    /// A bundle is missing, damaged or for another skin.
+    #[error(transparent)]
+    Bundle(#[from] BundleError),
+    /// The configuration does not fit the skin.
+    #[error(transparent)]
+    Condition(#[from] ConditionError),
+    /// Two bundles answer the same question.
+    #[error("model bundles {first} and {second} both give `{output}`; load only one of them")]
+    SameOutput {
+        /// Name of the output.
+        output: String,
+        /// Bundle that came first.
+        first: PathBuf,
+        /// Bundle that came second.
+        second: PathBuf,
+    },
+    /// A bundle that wants its answers refined on a forward model, which the skin has not.
+    #[error("model bundle {path}: field `inversion`: {source}")]
+    NoForwardModel {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// Why there is none.
+        source: ModelError,
+    },
+    /// A bundle whose correction is not one of this skin's forward model.
+    #[error("model bundle {path}: field `correction`: {source}")]
+    Correction {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: InverterError,
+    },
+    /// A bundle whose answers cannot be refined as it says.
+    #[error("model bundle {path}: field `inversion`: {source}")]
+    Inversion {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// What cannot be.
+        source: InverterError,
+    },
+    /// A bundle whose outputs cannot be placed on this skin.
+    #[error("model bundle {path}: output `{output}`: {reason}")]
+    Output {
+        /// Folder of the bundle.
+        path: PathBuf,
+        /// Name of the output.
+        output: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// One loaded bundle.
+pub(crate) struct Pipeline {
+    pub(crate) path: PathBuf,
+    pub(crate) name: String,
+    pub(crate) baseline: Baseline,
+    pub(crate) force_range: Option<[f64; 2]>,
+    pub(crate) features: Features,
+    pub(crate) model: Model,
+    pub(crate) raw: Vec<f32>,
+    pub(crate) outputs: Outputs,
+    pub(crate) fresh: bool,
+    /// Reads contacts off the displacement map that it gives.
+    pub(crate) peaks: Option<MapContacts>,
+    /// Refines what it says on the skin's forward model.
+    pub(crate) inverter: Option<Inverter>,
+    /// \[N\] and the share of the surface where so light a press is not felt, by that model.
+    pub(crate) unfelt: Option<(f64, f64)>,
+    /// That model knows how far the surface gives way.
+    pub(crate) displaces: bool,
+    /// It has been asked before, which may take seconds the first time: whether it has answered.
+    pub(crate) answered: Option<Arc<AtomicBool>>,
+}
+
+impl Pipeline {
+    fn new(
+        sensor: &dyn Sensor,
+        skin: &SkinDescription,
+        bundle: &Bundle,
+        runtime: &Runtime,
+    ) -> Result<Self, SetupError> {
+        let path = || bundle.path().to_owned();
+        let inverter = match &bundle.manifest().inversion {
+            None => None,
+            Some(settings) => {
+                let mut model = sensor
+                    .model(skin)
+                    .map_err(|source| SetupError::NoForwardModel { path: path(), source })?;
+                if let Some(correction) = bundle.correction() {
+                    let corrected = Corrected::new(model, correction.clone())
+                        .map_err(|source| SetupError::Correction { path: path(), source })?;
+                    model = Arc::new(corrected);
+                }
+                let inverter = Inverter::new(model, settings.clone())
+                    .map_err(|source| SetupError::Inversion { path: path(), source })?;
+                Some(inverter)
+            }
+        };
+        let displaces = inverter.as_ref().is_some_and(|inverter| {
+            let model = inverter.model();
+            let mut points = vec![0.0; model.surface().points.len()];
+            matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true))
+        });
+        let unfelt = inverter.as_ref().map(|inverter| {
+            let force = LIGHT * inverter.settings().force_max;
+            (force, inverter.unfelt(force, inverter.settings().presence))
+        });
+        Ok(Self {
+            peaks: MapContacts::of(bundle, &skin.surface(), runtime)?,
+            inverter,
+            unfelt,
+            displaces,
+            answered: None,
+            path: bundle.path().to_owned(),
+            name: bundle.manifest().name.clone(),
+            baseline: bundle.manifest().baseline,
+            force_range: bundle.manifest().force_range,
+            features: bundle.features(),
+            model: bundle.session(runtime)?,
+            raw: Vec::new(),
+            outputs: bundle.outputs(),
+            fresh: false,
+        })
+    }
+
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.outputs.config().values.iter().map(|v| v.name.as_str())
+    }
+
+    /// Evaluates the model on the newest frame; `false` while its history is not filled.
+    pub(crate) fn infer(&mut self) -> Result<bool, String> {
+        let Some(input) = self.features.input() else { return Ok(false) };
+        self.model
+            .run(input, &mut self.raw)
+            .map_err(|e| e.to_string())
+            .and_then(|()| self.outputs.decode(&self.raw).map_err(|e| e.to_string()))
+            .map_err(|reason| format!("model {}: {reason}", self.path.display()))?;
+        self.fresh = true;
+        Ok(true)
+    }
+}
+
+/// Loaded bundles that share the work: each gives some of the outputs.
+pub struct Models(pub(crate) Vec<Pipeline>);
+
+impl Models {
+    /// Loads bundles into a runtime; takes a moment, and seconds where a bundle wants its answers refined on a forward
+    /// model that is computed by finite elements.
+    ///
+    /// # Errors
+    ///
+    /// [`SetupError`] where a graph is refused, two bundles give the same output, or a force map does not fit the
+    /// surface.
+    pub fn load(
+        sensor: &dyn Sensor,
+        skin: &SkinDescription,
+        bundles: &[Bundle],
+        runtime: &Runtime,
+    ) -> Result<Self, SetupError> {
+        let mut models = Self(Vec::new());
+        let surface = skin.surface();
+        for bundle in bundles {
+            let pipeline = Pipeline::new(sensor, skin, bundle, runtime)?;
+            for other in &models.0 {
+                if let Some(output) = pipeline.names().find(|n| other.names().any(|o| o == *n)) {
+                    return Err(SetupError::SameOutput {
+                        output: output.to_owned(),
+                        first: other.path.clone(),
+                        second: pipeline.path.clone(),
+                    });
+                }
+            }
+            let points = surface.points.len();
+            for (output, expected) in
+                [(MAP_NORMAL, points), (MAP_FORCE, 3 * points), (MAP_DISPLACEMENT, points)]
+            {
+                if let Some(values) = pipeline.outputs.values(output)
+                    && values.len() != expected
+                {
+                    return Err(SetupError::Output {
+                        path: pipeline.path,
+                        output: output.into(),
+                        reason: format!(
+                            "has {} numbers where the surface needs {expected}; was `surface.spacing` changed?",
+                            values.len()
+                        ),
+                    });
+                }
+            }
+            let weights = bundle.manifest().peaks.as_ref().map_or(0, |peaks| peaks.weights.len());
+            if weights != 0 && weights != points {
+                return Err(SetupError::Output {
+                    path: pipeline.path,
+                    output: MAP_DISPLACEMENT.into(),
+                    reason: format!(
+                        "`peaks.weights` has {weights} numbers where the surface needs {points}; was `surface.spacing` changed?"
+                    ),
+                });
+            }
+            models.0.push(pipeline);
+        }
+        Ok(models)
+    }
+
+    /// Maps that can be had with them.
+    #[must_use]
+    pub fn maps(&self) -> Maps {
+        maps(&self.0)
+    }
+}
+
+pub(crate) fn gives(pipelines: &[Pipeline], outputs: &[&str]) -> bool {
+    pipelines.iter().flat_map(Pipeline::names).any(|n| outputs.contains(&n))
+}
+
+/// What a model gives as it is comes before what a forward model makes of contacts.
+pub(crate) fn maps(pipelines: &[Pipeline]) -> Maps {
+    Maps {
+        force: gives(pipelines, &[MAP_NORMAL, MAP_FORCE])
+            || pipelines.iter().any(|p| p.inverter.is_some() || p.peaks.is_some()),
+        displacement: gives(pipelines, &[MAP_DISPLACEMENT]) || pipelines.iter().any(|p| p.displaces),
+    }
+}
