@@ -14,24 +14,24 @@
 
 mod backend;
 mod bags;
+mod bounds;
 mod bridge;
 mod bundle;
 mod collect;
 mod compare;
 mod demo;
-mod design;
 mod device;
 mod doctor;
 mod effects;
 mod evaluate;
 mod export;
-mod figures;
 mod foreign;
 mod gap;
 mod launch;
 mod log;
 mod nodes;
-mod place;
+mod output;
+mod placement;
 mod play;
 mod quantity;
 mod real2sim;
@@ -41,11 +41,10 @@ mod registry;
 mod skins;
 mod stats;
 mod steps;
+mod sweep;
 mod table;
-mod theory;
 mod train;
-mod variation;
-mod verify;
+mod validate;
 mod watch;
 
 use std::process::ExitCode;
@@ -112,18 +111,18 @@ enum Command {
     #[command(subcommand)]
     Bag(bags::Bag),
     /// How well a skin can know a contact at best, from its forward model or a recording.
-    Theory(theory::Options),
+    Theory(bounds::Options),
     /// Check the physics of a sensor family against closed forms and other programs; exits with 1 where a case fails.
-    Verify(verify::Options),
+    Verify(validate::Options),
     /// What makes a device differ from its design: the effects that a sensor family knows.
     Effects(effects::Options),
     /// Where to put sensing elements, of thousands of places where they could be.
-    Place(place::Options),
+    Place(Box<placement::Options>),
     /// Where a simulated skin and a real one differ, which effect makes them, and how far it closes the gap.
     #[command(subcommand)]
     Gap(gap::Gap),
     /// What a skin would gain from being built otherwise: depth, thickness, pitch, material, noise.
-    Design(design::Options),
+    Design(sweep::Options),
     /// Check a skin description and say what it describes.
     Skin(skins::Options),
     /// What this machine offers: inference runtimes, serial devices, ROS 2.
@@ -177,12 +176,12 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Command::Record(options) => block_on(record::run(*options)),
         Command::Play(options) => block_on(play::run(*options)),
         Command::Bag(bag) => bags::run(&bag),
-        Command::Theory(options) => theory::run(&options),
-        Command::Verify(options) => verify::run(&options),
+        Command::Theory(options) => bounds::run(&options),
+        Command::Verify(options) => validate::run(&options),
         Command::Effects(options) => effects::run(&options),
-        Command::Place(options) => place::run(&options),
+        Command::Place(options) => placement::run(&options),
         Command::Gap(gap) => gap::run(&gap),
-        Command::Design(options) => design::run(&options),
+        Command::Design(options) => sweep::run(&options),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
     };

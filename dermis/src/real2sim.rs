@@ -1,92 +1,84 @@
-//! `dermis real2sim`: several contacts from few readings by way of a simulation, and who else could find them.
+//! Several contacts from few readings by way of a simulation, and who else could find them.
 
-mod compare;
-pub mod estimators;
-mod table;
-pub mod train;
+use anyhow::Result;
+use clap::{Args, Subcommand};
+use dermis_report::real2sim as report;
+use dermis_studies::real2sim::{compare, table, train};
 
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-use anyhow::{Context, Result};
-use clap::Subcommand;
-use dermis_learn::real2sim::VirtualSensors;
-use dermis_model::ForwardModel;
-use dermis_skin::SkinDescription;
-use indicatif::{ProgressBar, ProgressStyle};
+use crate::output::{self, Output};
+use crate::registry::families;
+use crate::steps::Steps;
 
 /// What to do.
 #[derive(Subcommand)]
 pub enum Real2Sim {
     /// Who extrapolates to more contacts than were learned from: a line, neighbours and a network from virtual sensors to
     /// displacement maps (thesis, Table 3.1).
-    Table(table::Options),
+    Table(Table),
     /// Learn a bundle whose contacts are peaks of a displacement map, from recorded single contacts.
-    Train(train::Options),
+    Train(Train),
     /// Compare ways to one and two contacts on recordings that nothing was learned from.
-    Compare(compare::Options),
+    Compare(Compare),
+}
+
+/// Which skin, and where the table goes.
+#[derive(Args)]
+pub struct Table {
+    #[command(flatten)]
+    request: table::Request,
+    #[command(flatten)]
+    output: Output,
+}
+
+/// What to learn from.
+#[derive(Args)]
+pub struct Train {
+    /// One JSON object.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    request: train::Request,
+}
+
+/// What to compare on what.
+#[derive(Args)]
+pub struct Compare {
+    #[command(flatten)]
+    output: Output,
+    #[command(flatten)]
+    request: compare::Request,
 }
 
 /// Runs one of the commands.
 pub fn run(command: &Real2Sim) -> Result<()> {
+    let steps = Steps::new("{msg:40} {wide_bar} {percent} %, {elapsed} gone")?;
     match command {
-        Real2Sim::Table(options) => table::run(options),
-        Real2Sim::Train(options) => train::run(options),
-        Real2Sim::Compare(options) => compare::run(options),
+        Real2Sim::Table(options) => {
+            let findings = table::make(&options.request, &families(), &steps)?;
+            steps.finish();
+            let text = report::table(&findings);
+            if let Some(folder) = &options.output.out {
+                let json = serde_json::to_string(&findings)? + "\n";
+                let page = report::table_page(&findings, &text)?;
+                output::save(folder, &[("table.json", json), ("table.html", page)])?;
+            }
+            output::print(options.output.json, &findings, &text)
+        }
+        Real2Sim::Train(options) => {
+            let findings = train::learn(&options.request, &families(), &steps)?;
+            steps.finish();
+            output::print(options.json, &findings, &report::trained(&findings))
+        }
+        Real2Sim::Compare(options) => {
+            let findings = compare::compare(&options.request, &families(), &steps)?;
+            steps.finish();
+            let text = report::comparison(&findings);
+            if let Some(folder) = &options.output.out {
+                let json = serde_json::to_string(&findings)? + "\n";
+                let page = report::comparison_page(&findings, &text)?;
+                output::save(folder, &[("comparison.json", json), ("comparison.html", page)])?;
+            }
+            output::print(options.output.json, &findings, &text)
+        }
     }
-}
-
-/// A skin as it was designed, and its forward model: a simulation knows nothing of what makes a device differ.
-fn nominal(path: &Path) -> Result<(SkinDescription, Arc<dyn ForwardModel>)> {
-    let mut skin = SkinDescription::load(path)?;
-    if !skin.effects.is_empty() {
-        let names: Vec<&str> = skin.effects.iter().map(|e| e.name.as_str()).collect();
-        eprintln!(
-            "note: the simulation is of the skin as it was designed; it leaves out the effects of {}: {}",
-            path.display(),
-            names.join(", ")
-        );
-        skin.effects.clear();
-    }
-    let model = crate::registry::forward(path, &skin)?;
-    Ok((skin, model))
-}
-
-/// The virtual sensors that settings ask for.
-fn sensors(model: &Arc<dyn ForwardModel>, skin: &SkinDescription, each: usize) -> Result<VirtualSensors> {
-    Ok(match each {
-        0 => VirtualSensors::channels(Arc::clone(model))?,
-        each => VirtualSensors::displacements(model.as_ref(), skin, each),
-    })
-}
-
-/// A bar for work that tells its share.
-fn progress() -> Result<ProgressBar> {
-    Ok(ProgressBar::new(1000)
-        .with_style(ProgressStyle::with_template("{msg:40} {wide_bar} {percent} %, {elapsed} gone")?))
-}
-
-/// Moves a bar.
-fn tell(bar: &ProgressBar) -> impl Fn(&str, f64) + Sync + '_ {
-    |what, share| {
-        bar.set_message(what.to_owned());
-        bar.set_position((1000.0 * share) as u64);
-    }
-}
-
-/// Writes a file of a folder that is made where it is missing.
-fn save(folder: &Path, file: &str, content: &str) -> Result<PathBuf> {
-    std::fs::create_dir_all(folder).with_context(|| format!("folder {} cannot be made", folder.display()))?;
-    let path = folder.join(file);
-    std::fs::write(&path, content).with_context(|| format!("{} cannot be written", path.display()))?;
-    Ok(path)
-}
-
-/// Points of a surface laid flat \[mm\]: x, and the way around it from the middle.
-fn flat(surface: &dermis_skin::Surface, skin: &SkinDescription) -> Vec<(f64, f64)> {
-    let around = |p: &nalgebra::Point3<f64>| match skin.surface {
-        dermis_skin::SurfaceSpec::Panel { radius, .. } => radius * p.y.atan2(p.z),
-        _ => p.y,
-    };
-    surface.points.iter().map(|p| (p.x * 1e3, around(p) * 1e3)).collect()
 }

@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use serde::{Deserialize, Serialize};
 
 use crate::{DatasetOptions, LabelMap, LearnError};
 
 /// How bags are read.
-#[derive(Debug, Clone, Default, Args)]
+#[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Labels {
     /// Take the ground truth from a robot's pose and a force sensor's wrench, as this file maps them; see
     /// `launch/labels/`.

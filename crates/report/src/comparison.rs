@@ -1,0 +1,66 @@
+//! Estimators side by side.
+
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use dermis_figures::{escape, page};
+use dermis_studies::comparison::Findings;
+use serde_json::Value;
+
+/// One table for places and one for forces.
+///
+/// # Errors
+///
+/// Never, as findings are made of numbers and names.
+pub fn text(findings: &Findings) -> Result<String> {
+    let record = serde_json::to_value(findings)?;
+    let skin = &findings.skin;
+    let mut out = format!(
+        "{}: {} readings at {} places that nothing was trained on\n",
+        skin.name, record["readings"], record["places"]
+    );
+    let bins: Vec<f64> =
+        record["bins_n"].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
+    for (quantity, bound, unit, factor) in
+        [("position", "position", "mm", 1e3), ("force.normal", "normal_force", "N", 1.0)]
+    {
+        let _ = write!(out, "\n{quantity} RMSE [{unit}] by force [N]\n{:<38}", "");
+        for (i, from) in bins.iter().enumerate() {
+            let head = bins.get(i + 1).map_or_else(|| format!("{from}+"), |to| format!("{from}-{to}"));
+            let _ = write!(out, "{head:>10}");
+        }
+        let _ = writeln!(out, "{:>10}{:>10}", "all", "missed");
+        let cells = |found: &Value| -> String {
+            bins.iter().fold(String::new(), |mut line, from| {
+                let bin = found.as_array().into_iter().flatten().find(|b| b["from"].as_f64() == Some(*from));
+                let rms = bin.and_then(|b| b["rms"].as_f64());
+                let _ = match rms {
+                    Some(rms) => write!(line, "{:>10.4}", rms * factor),
+                    None => write!(line, "{:>10}", "-"),
+                };
+                line
+            })
+        };
+        for method in record["methods"].as_array().into_iter().flatten() {
+            let evaluation = &method["evaluation"];
+            let name = method["name"].as_str().unwrap_or_default();
+            let all = evaluation["quantities"][quantity]["rms"].as_f64().unwrap_or(f64::NAN) * factor;
+            let missed = evaluation["missed"].as_f64().unwrap_or(0.0) * 100.0;
+            let _ = writeln!(
+                out,
+                "{name:<38}{}{all:>10.4}{missed:>8.1} %",
+                cells(&evaluation["by_force"][quantity])
+            );
+        }
+        if !record["bound"].is_null() {
+            let _ = writeln!(out, "{:<38}{}", "Cramér–Rao bound", cells(&record["bound"][bound]));
+        }
+    }
+    Ok(out)
+}
+
+/// The whole page.
+#[must_use]
+pub fn html(findings: &Findings, text: &str) -> String {
+    page(&format!("{}: estimators compared", findings.skin.name), &format!("<pre>{}</pre>", escape(text)))
+}

@@ -1,0 +1,114 @@
+//! What bundles err by.
+
+use std::fmt::Write as _;
+
+use dermis_learn::{Bin, Bounds, Evaluation};
+use dermis_studies::evaluation::{Beside, Findings};
+
+/// For people.
+#[must_use]
+pub fn text(findings: &Findings) -> String {
+    let Findings { evaluation, bound, others, verdicts } = findings;
+    let mut out = evaluation.to_string();
+    if let Some(bound) = bound {
+        let _ = write!(out, "{bound}");
+    }
+    if !others.is_empty() {
+        let _ = writeln!(out, "{}", table(evaluation, others, bound.as_ref()));
+    }
+    let _ = write!(out, "{verdicts}");
+    out
+}
+
+/// Mean and standard deviation of the magnitudes of errors.
+fn spread(bin: &Bin, factor: f64) -> String {
+    let deviation = (bin.rms * bin.rms - bin.mean * bin.mean).max(0.0).sqrt();
+    format!("{:.2} ±{:.2}", bin.mean * factor, deviation * factor)
+}
+
+/// Errors by force, side by side: means and standard deviations, and below them the bound, which is of the root mean square.
+fn table(own: &Evaluation, others: &[Beside], bound: Option<&Bounds>) -> String {
+    let mut out = String::new();
+    for (quantity, title, factor) in
+        [("position", "position error [mm]", 1e3), ("force.normal", "force error [N]", 1.0)]
+    {
+        let Some(bins) = own.by_force.get(quantity) else { continue };
+        let _ = write!(out, "\n  {title:<22}");
+        for bin in bins {
+            let to = bin.to.map_or_else(String::new, |v| format!("{v}"));
+            let _ = write!(out, "{:>18}", format!("{}–{to} N", bin.from));
+        }
+        let _ = writeln!(out);
+        let rows = others.iter().map(|b| (b.method, &b.evaluation));
+        for (name, evaluation) in rows.chain([("the model", own)]) {
+            let _ = write!(out, "  {name:<22}");
+            for bin in bins {
+                let same =
+                    evaluation.by_force.get(quantity).into_iter().flatten().find(|b| b.from == bin.from);
+                let cell = same.map_or_else(|| "-".to_owned(), |b| spread(b, factor));
+                let _ = write!(out, "{cell:>18}");
+            }
+            let _ = writeln!(out);
+        }
+        let of = bound.map(|b| if quantity == "position" { &b.position } else { &b.normal_force });
+        let Some(of) = of.filter(|of| !of.is_empty()) else { continue };
+        let _ = write!(out, "  {:<22}", "bound, RMS");
+        for bin in bins {
+            let same = of.iter().find(|b| b.from == bin.from);
+            let cell = same.map_or_else(|| "-".to_owned(), |b| format!("{:.2}", b.rms * factor));
+            let _ = write!(out, "{cell:>18}");
+        }
+        let _ = writeln!(out);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_learn::{Evaluator, Truth, TruthContact};
+    use dermis_skin::{Contact, Estimate, ForceComponents};
+    use nalgebra::{Point3, Vector3};
+    use serde_json::Value;
+
+    use super::*;
+
+    /// One press of 2 N and one of 7 N, found so far off.
+    fn evaluation(metres: f64, newtons: f64) -> Evaluation {
+        let mut evaluator = Evaluator::new().by_force(&[0.5, 4.9, 9.8]);
+        for (location, force) in [(0, 2.0), (1, 7.0)] {
+            let at = Point3::new(0.0, 0.0, 0.0);
+            let truth = Truth {
+                location,
+                press: u64::from(location),
+                idle: false,
+                contacts: vec![TruthContact {
+                    position: at,
+                    normal: Vector3::z(),
+                    force: Vector3::new(0.0, 0.0, -force),
+                    components: ForceComponents::Full,
+                    diameter: 0.01,
+                }],
+            };
+            let mut contact = Contact::at(at + Vector3::x() * metres * force, Vector3::z());
+            contact.force = Vector3::new(0.0, 0.0, -force - newtons);
+            contact.force_components = ForceComponents::Normal;
+            evaluator.push(0, &truth, &Estimate { contacts: vec![contact], ..Estimate::default() });
+        }
+        evaluator.finish("made up")
+    }
+
+    #[test]
+    fn people_read_every_way_by_force() {
+        let others =
+            [Beside { method: "support vectors", settings: Value::Null, evaluation: evaluation(0.001, 0.5) }];
+        insta::assert_snapshot!(table(&evaluation(0.0002, 0.1), &others, None), @r#"
+position error [mm]            0.5–4.9 N         4.9–9.8 N
+support vectors               2.00 ±0.00        7.00 ±0.00
+the model                     0.40 ±0.00        1.40 ±0.00
+
+force error [N]                0.5–4.9 N         4.9–9.8 N
+support vectors               0.50 ±0.00        0.50 ±0.00
+the model                     0.10 ±0.00        0.10 ±0.00
+"#);
+    }
+}

@@ -1,0 +1,415 @@
+//! A report as one page that needs nothing beside it.
+
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use dermis_figures::{Axes, escape, figure, page, surface_within};
+use dermis_gap::{Axis, Bin, Gap, Map, Report, Tier};
+
+use super::text::{percent, short, value};
+
+/// The whole page.
+///
+/// # Errors
+///
+/// Where a figure cannot be drawn.
+pub fn html(report: &Report) -> Result<String> {
+    let mut body = format!("<p style=\"font-size:1.25rem\"><b>{}</b></p>\n", escape(&report.sentence));
+    let data = &report.data;
+    let _ = writeln!(
+        body,
+        "<p>{}: {} frames, {} presses of skin {}.</p>",
+        escape(&data.name),
+        data.frames,
+        data.presses,
+        escape(&data.skin)
+    );
+    for problem in &data.problems {
+        let kind = if problem.fatal { "Wrong" } else { "Note" };
+        let _ = writeln!(body, "<p><b>{kind}:</b> {}</p>", escape(&problem.what));
+    }
+    if let Some(gap) = &report.gap {
+        bar(&mut body, report, gap);
+    }
+    maps(&mut body, report)?;
+    axes(&mut body, &report.axes);
+    effects(&mut body, report);
+    confusions(&mut body, report);
+    experiments(&mut body, report);
+    tables(&mut body, report);
+    parity(&mut body, report);
+    provenance(&mut body, report);
+    Ok(page(&format!("{}: the gap between model and recording", data.skin), &body))
+}
+
+/// One horizontal bar: label, share of the width, text at its end.
+fn bars(rows: &[(String, f64, [f64; 2], String)]) -> String {
+    let (width, high) = (420.0, 24);
+    let largest = rows.iter().flat_map(|r| [r.1, r.2[1]]).filter(|v| v.is_finite()).fold(1e-12, f64::max);
+    let x = |v: f64| 260.0 + width * (v / largest).clamp(0.0, 1.0);
+    let mut svg = format!(
+        "<svg viewBox=\"0 0 860 {}\" width=\"860\" font-family=\"sans-serif\" font-size=\"13\">",
+        rows.len() * high + 8
+    );
+    for (i, (label, value, [low, top], text)) in rows.iter().enumerate() {
+        let y = i * high + 4;
+        let _ = write!(
+            svg,
+            "<text x=\"250\" y=\"{}\" text-anchor=\"end\">{}</text><rect x=\"260\" y=\"{y}\" width=\"{:.1}\" height=\"16\" \
+             fill=\"#0072b2\"/>",
+            y + 13,
+            escape(label),
+            (x(*value) - 260.0).max(0.5)
+        );
+        if low.is_finite() && top.is_finite() {
+            let _ = write!(
+                svg,
+                "<line x1=\"{:.1}\" x2=\"{:.1}\" y1=\"{m}\" y2=\"{m}\" stroke=\"#222\" stroke-width=\"2\"/>",
+                x(*low),
+                x(*top),
+                m = y + 8
+            );
+        }
+        let _ = write!(
+            svg,
+            "<text x=\"{:.1}\" y=\"{}\">{}</text>",
+            x(value.max(*top).max(0.0)) + 6.0,
+            y + 13,
+            escape(text)
+        );
+    }
+    svg + "</svg>"
+}
+
+fn bar(body: &mut String, report: &Report, gap: &Gap) {
+    let none = [f64::NAN; 2];
+    let mut rows = vec![(
+        "before".to_owned(),
+        gap.fvu_before,
+        [gap.interval[0] + gap.floor, gap.interval[1] + gap.floor],
+        percent(gap.fvu_before),
+    )];
+    if let (Some(held), Some(closure)) = (report.held_out, report.closure) {
+        let open = held[0] - held[2];
+        let left = |closed: f64| held[0] - closed * open;
+        rows.push((
+            "after, on contacts kept for the end".to_owned(),
+            held[1],
+            [left(closure.interval[1]), left(closure.interval[0])],
+            percent(held[1]),
+        ));
+    }
+    rows.push(("noise floor".to_owned(), gap.floor, none, percent(gap.floor)));
+    let _ = writeln!(body, "<h2>How large it is</h2>");
+    let again = gap.irreproducible.map_or(String::new(), |share| {
+        format!(
+            " Presses that were done alike ({} pairs) differ by {}, which no model removes.",
+            gap.repeats,
+            percent(share)
+        )
+    });
+    body.push_str(&figure(
+        &[bars(&rows)],
+        &format!(
+            "Unexplained share of the readings' variance, with intervals over places. Systematic is {} ({} to {}).{again}",
+            percent(gap.systematic),
+            percent(gap.interval[0]),
+            percent(gap.interval[1])
+        ),
+    ));
+    for missing in &report.data.missing {
+        let _ = writeln!(
+            body,
+            "<p>Missing: {}. Open without it: {}.</p>",
+            escape(&missing.what),
+            escape(&missing.blocks)
+        );
+    }
+}
+
+/// A map laid flat along its two widest axes.
+fn flat(map: &Map) -> Vec<(f64, f64)> {
+    let extent = |a: usize| {
+        let all = map.points.iter().map(|p| p[a]);
+        let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        high - low
+    };
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| extent(*b).total_cmp(&extent(*a)));
+    let (x, y) = (order[0].min(order[1]), order[0].max(order[1]));
+    map.points.iter().map(|p| (p[x] * 1e3, p[y] * 1e3)).collect()
+}
+
+fn maps(body: &mut String, report: &Report) -> Result<()> {
+    if report.maps.iter().all(|m| m.points.is_empty()) {
+        return Ok(());
+    }
+    let mut pictures = Vec::new();
+    // Before and after on one scale each; what lies below the noise is not drawn.
+    let most = |of: fn(&Map) -> &Vec<Option<f64>>| {
+        report.maps.iter().flat_map(of).flatten().map(|v| v.abs()).fold(0.0, f64::max)
+    };
+    let rms: fn(&Map) -> &Vec<Option<f64>> = |m| &m.rms;
+    let mean: fn(&Map) -> &Vec<Option<f64>> = |m| &m.mean;
+    for (of, what, low) in [(rms, "root mean square", 0.0), (mean, "mean", -1.0)] {
+        let top = most(of);
+        for (map, name) in report.maps.iter().zip(["before", "after"]) {
+            if map.points.is_empty() || top <= 0.0 {
+                continue;
+            }
+            let values: Vec<f64> = of(map).iter().map(|v| v.unwrap_or(f64::NAN)).collect();
+            let axes = Axes::new(format!("{name}: {what}"), "[mm]", "[mm]");
+            pictures.push(surface_within(&axes, &report.data.unit, &flat(map), &values, [low * top, top])?);
+        }
+    }
+    let _ = writeln!(body, "<h2>Where on the surface</h2>");
+    let peak = report.maps.first().and_then(|m| m.peak.map(|p| (p, m.prominence)));
+    let peak = peak.map_or(String::new(), |(p, prominence)| {
+        format!(
+            " It is largest at ({}, {}, {}) mm, {} times the median.",
+            short(p[0] * 1e3),
+            short(p[1] * 1e3),
+            short(p[2] * 1e3),
+            short(prominence)
+        )
+    });
+    body.push_str(&figure(
+        &pictures,
+        &format!(
+            "Readings minus model over where was pressed; nothing is drawn where it is below the noise.{peak}"
+        ),
+    ));
+    Ok(())
+}
+
+fn axes(body: &mut String, axes: &[Axis]) {
+    if axes.is_empty() {
+        return;
+    }
+    let rows: Vec<_> =
+        axes.iter().map(|a| (a.title(), a.share.max(0.0), a.interval, percent(a.share))).collect();
+    let _ = writeln!(body, "<h2>Along what it goes</h2>");
+    body.push_str(&figure(
+        &[bars(&rows)],
+        "Share of the gap on held-out contacts that a mean and a factor for each bin and channel explain, beyond chance, or that lies in \
+         other bins than readings do. Where effects are named, of what these make of it.",
+    ));
+}
+
+fn effects(body: &mut String, report: &Report) {
+    let _ = writeln!(body, "<h2>What makes it</h2>");
+    if report.effects.is_empty() {
+        let _ = writeln!(body, "<p>No effect is named.</p>");
+        for suspect in &report.suspects {
+            let _ = writeln!(
+                body,
+                "<p>{} alone would explain {} of the variance, {} beyond the simulator's tolerances.</p>",
+                escape(&suspect.name),
+                percent(suspect.gain),
+                percent(suspect.beyond_form)
+            );
+        }
+    }
+    for effect in &report.effects {
+        let class: Vec<String> = effect.class.iter().map(|a| escape(&a.name)).collect();
+        let or = if effect.tier == Tier::Loose { ", or the simulator's own error" } else { "" };
+        let _ = writeln!(
+            body,
+            "<h3>{}{or}</h3><p>{} Explains {} of the variance when it comes last, {} alone; {} of what all named effects explain; \
+             family-wise p = {:.3}.</p>",
+            class.join(" or "),
+            escape(&effect.what),
+            percent(effect.gain),
+            percent(effect.solo),
+            percent(effect.shapley),
+            effect.p_max_t
+        );
+        if !effect.covers.is_empty() {
+            let _ = writeln!(
+                body,
+                "<p>More general effects that contain it: {}.</p>",
+                escape(&effect.covers.join(", "))
+            );
+        }
+        for alias in &effect.covariate_alias {
+            let _ = writeln!(body, "<p>In this recording it could also be {}.</p>", escape(alias));
+        }
+        if !effect.theta.is_empty() {
+            let values: Vec<String> = effect.theta.iter().map(|v| escape(&value(v))).collect();
+            let _ = writeln!(body, "<pre>{}</pre>", values.join("\n"));
+        }
+        if !effect.written {
+            let _ =
+                writeln!(body, "<p>A skin description cannot say it: the corrected skin is without it.</p>");
+        }
+    }
+    if let Some(closure) = &report.closure {
+        let _ = writeln!(
+            body,
+            "<p><b>Closes {} of the gap</b> on contacts that were neither fitted nor selected on (90 % interval {} to {}); \
+             predicted was {}.</p>",
+            closure.achieved.map_or("an unknown part".to_owned(), percent),
+            percent(closure.interval[0]),
+            percent(closure.interval[1]),
+            percent(closure.predicted)
+        );
+    }
+    let unknown = &report.unknown;
+    let _ = writeln!(
+        body,
+        "<p>Of the systematic gap {} is explained by the named effects, {} more could be the simulator's own error within its \
+         tolerances; of what is left {} goes with what was recorded.</p>",
+        percent(unknown.library),
+        percent(unknown.form),
+        percent(unknown.explainable)
+    );
+    if !unknown.fingerprint.is_empty() {
+        let _ = writeln!(body, "<h3>Fingerprint of the rest</h3>");
+        let rows: Vec<_> = unknown
+            .fingerprint
+            .iter()
+            .map(|a| (a.axis.clone(), a.share.max(0.0), a.interval, percent(a.share)))
+            .collect();
+        body.push_str(&figure(&[bars(&rows)], "Along what the rest goes."));
+    }
+}
+
+fn confusions(body: &mut String, report: &Report) {
+    let open: Vec<_> = report.effects.iter().filter(|e| e.class.len() > 1).collect();
+    if open.is_empty() {
+        return;
+    }
+    let _ = writeln!(
+        body,
+        "<h2>What cannot be told apart</h2><table><tr><th>named</th><th>or</th><th>explains</th><th>confused with \
+         probability</th><th>angle [°]</th></tr>"
+    );
+    for effect in open {
+        for alike in effect.class.iter().skip(1) {
+            let angle = alike.angle.map_or("–".to_owned(), short);
+            let _ = writeln!(
+                body,
+                "<tr><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td><td>{angle}</td></tr>",
+                escape(&effect.label),
+                escape(&alike.name),
+                percent(alike.gain),
+                alike.p_confuse
+            );
+        }
+    }
+    body.push_str("</table>\n");
+}
+
+fn experiments(body: &mut String, report: &Report) {
+    if report.next_experiments.is_empty() {
+        return;
+    }
+    let _ = writeln!(
+        body,
+        "<h2>What to do next</h2><table><tr><th>experiment</th><th>minutes</th><th>hardest to tell apart</th><th>then confused \
+         with probability</th></tr>"
+    );
+    for e in &report.next_experiments {
+        let _ = writeln!(
+            body,
+            "<tr><td style=\"text-align:left\">{}</td><td>{}</td><td>{}</td><td>{:.3}</td></tr>",
+            escape(&e.what),
+            short(e.minutes),
+            escape(&e.separates.join(", ")),
+            e.p_confuse_after
+        );
+    }
+    body.push_str("</table>\n");
+}
+
+fn table(body: &mut String, name: &str, bins: &[Bin], unit: &str) {
+    if bins.is_empty() {
+        return;
+    }
+    let _ = writeln!(
+        body,
+        "<h3>By {}</h3><table><tr><th></th><th>frames</th><th>unexplained variance</th><th>RMSE [{}]</th></tr>",
+        escape(name),
+        escape(unit)
+    );
+    for bin in bins {
+        let _ = writeln!(
+            body,
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+            escape(&bin.label),
+            bin.rows,
+            percent(bin.fvu),
+            short(bin.rmse)
+        );
+    }
+    body.push_str("</table>\n");
+}
+
+fn tables(body: &mut String, report: &Report) {
+    let _ = writeln!(body, "<h2>In numbers</h2>");
+    let unit = &report.data.unit;
+    table(body, "channel", &report.channels, unit);
+    for name in ["force", "number of contacts", "phase"] {
+        if let Some(axis) = report.axes.iter().find(|a| a.axis == name) {
+            table(body, name, &axis.bins, unit);
+        }
+    }
+    for down in &report.downstream {
+        let _ = writeln!(body, "<p>{}.</p>", escape(&super::text::downstream(down)));
+    }
+}
+
+fn parity(body: &mut String, report: &Report) {
+    if report.parity.is_empty() {
+        return;
+    }
+    let _ = writeln!(
+        body,
+        "<h2>Checks without a model</h2><table><tr><th>check</th><th>what</th><th>compared</th><th>noise deviations</th>\
+         <th>share of the signal</th><th></th></tr>"
+    );
+    for check in &report.parity {
+        let or = |v: Option<f64>, text: fn(f64) -> String| v.map_or("–".to_owned(), text);
+        let _ = writeln!(
+            body,
+            "<tr><td>{}</td><td style=\"text-align:left\">{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+            escape(&check.check),
+            escape(&check.what),
+            check.compared,
+            or(check.violation, short),
+            or(check.share, percent),
+            if check.violated {
+                "violated"
+            } else if check.compared == 0 {
+                "not recorded"
+            } else {
+                "holds"
+            }
+        );
+    }
+    body.push_str("</table>\n");
+}
+
+fn provenance(body: &mut String, report: &Report) {
+    let p = &report.provenance;
+    let _ = writeln!(body, "<h2>Where this comes from</h2>");
+    for warning in &report.warnings {
+        let _ = writeln!(body, "<p>{}</p>", escape(warning));
+    }
+    let silent: Vec<String> = p.silent.iter().map(|[name, why]| format!("{name}: {why}")).collect();
+    let _ = writeln!(
+        body,
+        "<pre>{}\nseed {}\nrecording {}\nskin {}\nlibrary {}\ntried: {}\ncannot be seen here:\n  {}\nsimulator's own error: \
+         {}\n{:.1} s of simulation, {:.1} s of diagnosis</pre>",
+        escape(&p.tool),
+        p.seed,
+        escape(&report.data.hash),
+        escape(&report.data.skin_hash),
+        escape(&p.library_hash),
+        escape(&p.tried.join(", ")),
+        escape(&silent.join("\n  ")),
+        escape(&p.form.join(", ")),
+        p.seconds[0],
+        p.seconds[1]
+    );
+}

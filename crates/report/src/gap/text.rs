@@ -1,0 +1,179 @@
+//! A report for a terminal.
+
+use std::fmt::Write as _;
+
+use dermis_gap::{Downstream, Report, Tier, Value};
+
+/// The report as text.
+#[must_use]
+pub fn text(report: &Report) -> String {
+    let mut out = format!("{}\n", report.sentence);
+    let data = &report.data;
+    let _ = writeln!(
+        out,
+        "\n{}: {} frames, {} presses of skin {}; {} frames looked at, {} places fitted, {} kept for the end",
+        data.name, data.frames, data.presses, data.skin, data.rows, data.places[0], data.places[1]
+    );
+    for problem in &data.problems {
+        let _ = writeln!(out, "  {}: {}", if problem.fatal { "wrong" } else { "note" }, problem.what);
+    }
+    for missing in &data.missing {
+        let _ = writeln!(out, "  missing: {}; open: {}", missing.what, missing.blocks);
+    }
+    let Some(gap) = &report.gap else { return out };
+    let _ = writeln!(
+        out,
+        "\nunexplained variance {}, of which noise {}, systematic {} ({} to {})",
+        percent(gap.fvu_before),
+        percent(gap.floor),
+        percent(gap.systematic),
+        percent(gap.interval[0]),
+        percent(gap.interval[1])
+    );
+    if let Some(share) = gap.irreproducible {
+        let _ =
+            writeln!(out, "  of the noise, {} differs between presses that were done alike", percent(share));
+    }
+    let telling: Vec<_> = report.axes.iter().filter(|a| a.share > 0.01).take(5).collect();
+    if !telling.is_empty() {
+        let _ = writeln!(out, "\nwhere");
+        for axis in telling {
+            let [low, high] = axis.interval;
+            let _ = writeln!(
+                out,
+                "  {:44} {:>7} of the gap ({} to {})",
+                axis.title(),
+                percent(axis.share),
+                percent(low),
+                percent(high)
+            );
+        }
+    }
+    for check in report.parity.iter().filter(|c| c.violated) {
+        let share = check.share.map_or(String::new(), |s| format!(", {} of the signal", percent(s)));
+        let _ = writeln!(
+            out,
+            "  violated: {} ({}): {:.1} noise deviations{share}",
+            check.check,
+            check.what,
+            check.violation.unwrap_or(f64::NAN)
+        );
+    }
+    if !report.effects.is_empty() {
+        let _ = writeln!(out, "\neffects");
+    }
+    for effect in &report.effects {
+        let tier = match effect.tier {
+            Tier::Strict => "",
+            Tier::Loose => ", or the simulator's own error",
+        };
+        let _ = writeln!(
+            out,
+            "  {}{tier}: explains {} of the variance (p = {:.3})",
+            effect.label,
+            percent(effect.gain),
+            effect.p_max_t
+        );
+        for alike in effect.class.iter().skip(1) {
+            let _ = writeln!(
+                out,
+                "    not to be told from {} (explains {}, confused with probability {:.2})",
+                alike.name,
+                percent(alike.gain),
+                alike.p_confuse
+            );
+        }
+        if !effect.covers.is_empty() {
+            let _ = writeln!(out, "    more general: {}", effect.covers.join(", "));
+        }
+        for alias in &effect.covariate_alias {
+            let _ = writeln!(out, "    in this recording also {alias}");
+        }
+        let shown = 12;
+        for theta in effect.theta.iter().take(shown) {
+            let _ = writeln!(out, "    {}", value(theta));
+        }
+        if effect.theta.len() > shown {
+            let _ = writeln!(out, "    and {} values more", effect.theta.len() - shown);
+        }
+        if !effect.written {
+            let _ = writeln!(out, "    a skin description cannot say it: the corrected skin is without it");
+        }
+    }
+    if report.effects.is_empty() && !report.suspects.is_empty() {
+        let _ = writeln!(out, "\nno effect is named; alone would explain of the variance");
+        for suspect in &report.suspects {
+            let _ = writeln!(
+                out,
+                "  {:32} {} ({} beyond the simulator's tolerances)",
+                suspect.name,
+                percent(suspect.gain),
+                percent(suspect.beyond_form)
+            );
+        }
+    }
+    if let Some(closure) = &report.closure {
+        let _ = writeln!(
+            out,
+            "\ncloses {} of the gap on contacts kept for the end ({} to {}); predicted {}",
+            closure.achieved.map_or("an unknown part".to_owned(), percent),
+            percent(closure.interval[0]),
+            percent(closure.interval[1]),
+            percent(closure.predicted)
+        );
+    }
+    if !report.effects.is_empty() || report.unknown.share > 0.0 {
+        let _ = writeln!(
+            out,
+            "left: {} of the systematic gap ({} of it within the simulator's tolerances); {} of what is left could be explained",
+            percent(report.unknown.share),
+            percent(report.unknown.form),
+            percent(report.unknown.explainable)
+        );
+    }
+    for experiment in report.next_experiments.iter().take(3) {
+        let _ = writeln!(
+            out,
+            "next ({} min): {}; {} then confused with probability {:.2}",
+            experiment.minutes,
+            experiment.what,
+            experiment.separates.join(" and "),
+            experiment.p_confuse_after
+        );
+    }
+    for down in &report.downstream {
+        let _ = writeln!(out, "{}", downstream(down));
+    }
+    for warning in &report.warnings {
+        let _ = writeln!(out, "note: {warning}");
+    }
+    out
+}
+
+/// A fitted value with its interval.
+pub(super) fn value(v: &Value) -> String {
+    let unit = if v.unit == "1" { String::new() } else { format!(" {}", v.unit) };
+    let interval =
+        v.interval.map_or(String::new(), |[low, high]| format!(" ({} to {})", short(low), short(high)));
+    format!("{} = {}{unit}{interval}", v.name, short(v.value))
+}
+
+/// What an estimator does before and after; lengths in millimetres.
+pub(super) fn downstream(down: &Downstream) -> String {
+    let (metric, scale) = match down.metric.strip_suffix("[m]") {
+        Some(metric) => (format!("{metric}[mm]"), 1e3),
+        None => (down.metric.trim_end_matches(" [1]").to_owned(), 1.0),
+    };
+    format!("{metric}: {} before, {} after", short(scale * down.before), short(scale * down.after))
+}
+
+/// A share in percent.
+pub(super) fn percent(share: f64) -> String {
+    if share.is_finite() { format!("{} %", short(100.0 * share)) } else { "unknown".to_owned() }
+}
+
+/// Three digits.
+pub(super) fn short(value: f64) -> String {
+    let size = value.abs();
+    if size != 0.0 && size < 1e-3 { format!("{value:.2e}") } else { dermis_figures::short(value) }
+}

@@ -1,0 +1,13 @@
+//! What only a person reads: findings of studies as text, HTML pages and figures, each made once, here.
+//!
+//! Pages need nothing beside them. Figures are drawn by `dermis-figures`.
+
+pub mod bounds;
+pub mod comparison;
+pub mod evaluation;
+pub mod gap;
+pub mod placement;
+pub mod real2sim;
+pub mod refinement;
+pub mod sweep;
+pub mod validation;

@@ -1,0 +1,188 @@
+//! What a change of a design does.
+
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use dermis_figures::{Axes, Curve, Pen, curves, escape, figure, page, short};
+use dermis_studies::sweep::{Figures, Findings, Sweep, Variant};
+use dermis_studies::variation::Parameter;
+
+/// For people.
+#[must_use]
+pub fn text(findings: &Findings) -> String {
+    let Findings { request: options, skin, nominal, sweeps } = findings;
+    let nominal = *nominal;
+    let mut out = format!(
+        "{}: one contact of {} N, tip of {} mm: position {:.3} mm RMS ({:.3} median), force {:.4} N RMS, F_S {:.4} N \
+         median, Ω {:.0}\n\n",
+        skin.name,
+        options.force,
+        options.diameter * 1e3,
+        nominal.position.rms * 1e3,
+        nominal.position.median * 1e3,
+        nominal.force.rms,
+        nominal.minimum_force.median,
+        nominal.factor
+    );
+    let _ = writeln!(
+        out,
+        "{:<16}{:>12} | {:>10}{:>10}{:>10}{:>10}{:>10}   least RMS in its range",
+        "1 % more of", "from", "pos. RMS", "median", "F RMS", "F_S", "Ω"
+    );
+    let mut ranked: Vec<&Sweep> = sweeps.iter().collect();
+    ranked.sort_by(|a, b| b.elasticity.position.abs().total_cmp(&a.elasticity.position.abs()));
+    let percent = |v: f64| if v.is_finite() { format!("{v:+.2} %") } else { "-".to_owned() };
+    for sweep in &ranked {
+        let e = sweep.elasticity;
+        let now = sweep.variants.iter().find(|v| v.relative == 1.0).map_or(f64::NAN, |v| v.value);
+        let unit = match sweep.parameter {
+            Parameter::Noise => skin.unit.as_str(),
+            other => unit(other.label()),
+        };
+        let best = best(sweep).map_or_else(String::new, |best| {
+            format!(
+                "{:.3} mm at {}",
+                best.figures.position.rms * 1e3,
+                short(sweep.parameter.shown(best.value))
+            )
+        });
+        let _ = writeln!(
+            out,
+            "{:<16}{:>12} | {:>10}{:>10}{:>10}{:>10}{:>10}   {best}",
+            sweep.parameter.name(),
+            format!("{} {unit}", short(sweep.parameter.shown(now))).trim_end(),
+            percent(e.position),
+            percent(e.position_median),
+            percent(e.force),
+            percent(e.minimum_force),
+            percent(e.factor)
+        );
+    }
+    out.push('\n');
+    out.push_str(&advice(nominal, &ranked));
+    for refused in sweeps.iter().flat_map(|s| &s.refused) {
+        let _ = writeln!(out, "left out: {refused}");
+    }
+    out
+}
+
+/// `depth [mm]` → `mm`.
+fn unit(label: &str) -> &str {
+    label.split_once(" [").map_or("", |(_, unit)| unit.trim_end_matches(']'))
+}
+
+fn best(sweep: &Sweep) -> Option<&Variant> {
+    sweep.variants.iter().min_by(|a, b| a.figures.position.rms.total_cmp(&b.figures.position.rms))
+}
+
+/// What helps most, in a few sentences.
+fn advice(nominal: Figures, ranked: &[&Sweep]) -> String {
+    let mut out = String::new();
+    for sweep in ranked {
+        let Some(best) = best(sweep) else { continue };
+        let (name, e) = (sweep.parameter.name(), sweep.elasticity.position);
+        let gain = 1.0 - best.figures.position.rms / nominal.position.rms;
+        if !e.is_finite() || gain < 0.02 {
+            let _ = writeln!(out, "{name}: hardly matters for the position, or is best as it is.");
+            continue;
+        }
+        let direction = if best.relative < 1.0 { "less" } else { "more" };
+        let at = short(sweep.parameter.shown(best.value));
+        let cost = best.figures.minimum_force.median / nominal.minimum_force.median - 1.0;
+        let price = if cost.abs() < 0.02 {
+            "at the same sensitivity".to_owned()
+        } else if cost > 0.0 {
+            format!("but needs {:.0} % more force to be noticed by enough taxels", cost * 100.0)
+        } else {
+            format!("and needs {:.0} % less force to be noticed by enough taxels", -cost * 100.0)
+        };
+        let end = sweep.variants.first().is_some_and(|v| v.value == best.value)
+            || sweep.variants.last().is_some_and(|v| v.value == best.value);
+        let end = if end { ", the end of what was tried" } else { "" };
+        let _ = writeln!(
+            out,
+            "{name}: {direction} helps: at {at}{end}, the position error falls by {:.0} %, {price}.",
+            gain * 100.0
+        );
+    }
+    out
+}
+
+/// The whole page.
+///
+/// # Errors
+///
+/// Where a figure cannot be drawn.
+pub fn html(findings: &Findings, text: &str) -> Result<String> {
+    let Findings { skin, sweeps, .. } = findings;
+    let mut body = format!("<pre>{}</pre>\n", escape(text));
+    for sweep in sweeps {
+        let x = |v: &Variant| sweep.parameter.shown(v.value);
+        let line = |name: &str, n: usize, of: &dyn Fn(&Figures) -> f64| {
+            Curve::new(name, n, sweep.variants.iter().map(|v| (x(v), of(&v.figures))).collect())
+        };
+        let now = |curve: &Curve| {
+            let at = sweep.variants.iter().position(|v| v.relative == 1.0);
+            let point = at.and_then(|i| curve.points.get(i)).copied();
+            Curve {
+                points: point.into_iter().collect(),
+                name: String::new(),
+                colour: curve.colour,
+                pen: Pen::Mark,
+            }
+        };
+        let label = sweep.parameter.label();
+        let chart = |title: &str, y: &str, lines: Vec<Curve>| {
+            let axes = Axes { size: (400, 280), ..Axes::new(title, label, y) };
+            let marked: Vec<Curve> = lines.iter().flat_map(|l| [l.clone(), now(l)]).collect();
+            curves(&axes, &marked)
+        };
+        let pictures = [
+            chart(
+                "position",
+                "bound [mm]",
+                vec![
+                    line("RMS", 0, &|f| f.position.rms * 1e3),
+                    line("median", 1, &|f| f.position.median * 1e3),
+                ],
+            )?,
+            chart(
+                "force",
+                "bound [N]",
+                vec![line("RMS", 0, &|f| f.force.rms), line("median", 1, &|f| f.force.median)],
+            )?,
+            chart(
+                "minimum force",
+                "F_S [N]",
+                vec![
+                    line("median", 1, &|f| f.minimum_force.median),
+                    line("95 % of the surface", 2, &|f| f.minimum_force.p95),
+                ],
+            )?,
+            chart("super-resolution", "Ω", vec![line("by the bound", 0, &|f| f.factor)])?,
+        ];
+        let _ = writeln!(body, "<h2>{}</h2>", escape(label));
+        let refused = if sweep.refused.is_empty() {
+            String::new()
+        } else {
+            format!(" Left out: {}.", escape(&sweep.refused.join("; ")))
+        };
+        body.push_str(&figure(
+            &pictures,
+            &format!(
+                "Everything else as it is; dots mark the skin as it is. One per cent more changes the position error by \
+                 {:+.2} %, the force error by {:+.2} %, F<sub>S</sub> by {:+.2} %, Ω by {:+.2} %.{refused}",
+                sweep.elasticity.position,
+                sweep.elasticity.force,
+                sweep.elasticity.minimum_force,
+                sweep.elasticity.factor
+            ),
+        ));
+    }
+    body.push_str(
+        "<p>Errors are Cramér–Rao bounds of one contact from one frame, over the surface; F<sub>S</sub> is the force from which \
+         on three taxels (two along a row) read the node's threshold of a contact, which follows the noise. With the pitch \
+         the surface grows: the same number of taxels serves a larger skin.</p>\n",
+    );
+    Ok(page(&format!("{}: what a change of its design does", skin.name), &body))
+}

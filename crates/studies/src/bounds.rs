@@ -1,0 +1,385 @@
+//! How well a skin can know a contact at best, from its forward model or from a recording.
+//!
+//! Problem: which error of place and force must every estimator make on these channels? Method: Cramér–Rao bounds of one and
+//! of two contacts over the surface, and taxel value isolines with the deviations σ_P, σ_F and the super-resolution factor Ω
+//! of the thesis' chapter 5 (equations 5.1 to 5.24). Assumptions: independent Gaussian noise of the channels, one frame, an
+//! estimator without bias. Cost: one response of the model for each point, force and difference; seconds for some hundred points.
+
+mod sources;
+mod summary;
+mod trends;
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use dermis_learn::cli::Labels;
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
+use dermis_skin::{SkinDescription, Surface};
+use dermis_theory::resolution::{Testbed, on_surface};
+use dermis_theory::{
+    Isoline, Line, LineStudy, Responses, StudyOptions, Summary, SurfaceBound, TwoContacts, force_ladder,
+    longest_row, over_surface, strongest_bands, two_contacts,
+};
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::json;
+
+use crate::{Families, Progress};
+
+pub use sources::Source;
+pub use summary::{alphas, by_interval, median, summary};
+pub use trends::{Trend, TrendCurve, trends};
+
+/// \[mm\] distances of two contacts that are bounded.
+const DISTANCES: std::ops::RangeInclusive<u32> = 1..=40;
+/// \[N\] range of forces that isolines and factors are computed for, and their step (thesis 5.7.1).
+const FORCES: [f64; 2] = [0.02, 1.5];
+const FORCE_STEP: f64 = 0.01;
+/// Forces of the maps over place and force.
+const MAP_FORCES: u32 = 28;
+/// Isolines of a taxel.
+const VALUES: i32 = 12;
+/// \[N\] edges of the intervals in which σ_P is summarised: those of the thesis' Table 5.2.
+pub const INTERVALS: [f64; 8] = [0.02, 0.14, 0.2, 0.4, 0.6, 0.9, 1.2, 1.5];
+
+/// What to bound.
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Request {
+    /// Skin description.
+    pub skin: PathBuf,
+    /// Pressing force [N]; may be repeated.
+    #[arg(long, default_values_t = Request::default().force)]
+    pub force: Vec<f64>,
+    /// Diameter of the tip [m].
+    #[arg(long, default_value_t = Request::default().diameter)]
+    pub diameter: f64,
+    /// Shear is unknown, too; otherwise the contact is known to press along the normal.
+    #[arg(long, conflicts_with = "line")]
+    pub shear: bool,
+    /// Only x is unknown of the place: for taxels in a row.
+    #[arg(long)]
+    pub line: bool,
+    /// Labelled bag to take the isolines and the noise from, in place of the model; may be repeated.
+    #[arg(long)]
+    pub bag: Vec<PathBuf>,
+    /// How the bags are read.
+    #[command(flatten)]
+    pub labels: Labels,
+    /// Smallest reading that counts, in the unit of the skin; the node's threshold of a contact where absent.
+    #[arg(long)]
+    pub least: Option<f64>,
+    /// How isolines change with the design and the tip, too: some skins more to be simulated, which only a page shows.
+    #[arg(skip)]
+    pub trends: bool,
+}
+
+impl Default for Request {
+    fn default() -> Self {
+        Self {
+            skin: PathBuf::new(),
+            force: vec![0.05, 0.1, 0.2, 0.5, 1.0],
+            diameter: 0.004,
+            shear: false,
+            line: false,
+            bag: Vec::new(),
+            labels: Labels::default(),
+            least: None,
+            trends: false,
+        }
+    }
+}
+
+/// What isolines say of a whole surface.
+#[derive(Serialize)]
+pub struct SurfaceStudy {
+    /// F_S \[N\] at every point: from here on three taxels read S_min.
+    pub minimum_force: Vec<Option<f64>>,
+    /// The same over the surface.
+    pub minimum_force_summary: Summary,
+    /// The channel nearest to the middle.
+    pub channel: usize,
+    /// Isoline of a value of that channel.
+    pub isoline: Isoline,
+    /// By force.
+    pub factors: Vec<SurfaceFactor>,
+}
+
+/// Super-resolution under one force, over the part of the surface that lies between the outermost taxels.
+#[derive(Serialize)]
+pub struct SurfaceFactor {
+    /// \[N\].
+    pub force: f64,
+    /// \[m\] along both directions: root mean square of the bound.
+    pub bound: [f64; 2],
+    /// \[m\] median of the bound.
+    pub bound_median: [f64; 2],
+    /// \[m\] median of the box around the bands of the three taxels that read most: where they run parallel there is no box,
+    /// so that these have no mean.
+    pub bands_median: [f64; 2],
+    /// Ω (5.24) of `bound`.
+    pub factor: f64,
+    /// The same with the testbed's precision.
+    pub factor_with_testbed: f64,
+    /// Ω of `bound_median`.
+    pub bound_median_factor: f64,
+    /// Ω of `bands_median`.
+    pub bands_median_factor: f64,
+}
+
+/// Everything that was found.
+pub struct Findings {
+    /// What was asked for.
+    pub request: Request,
+    /// The skin.
+    pub skin: SkinDescription,
+    /// Its forward model; a recording can do without.
+    pub model: Option<std::sync::Arc<dyn ForwardModel>>,
+    /// Where readings came from.
+    pub source: Source,
+    /// Smallest reading that counts, in the unit of the skin.
+    pub least: f64,
+    /// What is unknown of a contact.
+    pub unknowns: Unknowns,
+    /// Bounds of one contact all over the skin, by force.
+    pub maps: Vec<SurfaceBound>,
+    /// Bounds of two contacts across the middle, by their distance.
+    pub pairs: Vec<TwoContacts>,
+    /// The row that most taxels lie on.
+    pub line: Option<LineStudy>,
+    /// Shares of pairs on the line that the isolines tell apart, at each of the distances of `pairs`.
+    pub told_apart: Vec<f64>,
+    /// Isolines over the surface.
+    pub surface: Option<SurfaceStudy>,
+    /// How isolines change with the design and the tip.
+    pub trends: Vec<Trend>,
+    /// What could not be studied, and why.
+    pub notes: Vec<String>,
+}
+
+/// The whole record; [`summary`] leaves out what belongs to single places.
+impl Serialize for Findings {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        json!({
+            "summary": summary(self),
+            "points": self.skin.surface().points,
+            "maps": self.maps,
+            "line": self.line,
+            "surface": self.surface,
+            "trends": self.trends,
+        })
+        .serialize(serializer)
+    }
+}
+
+/// Bounds one contact all over the skin and two contacts across its middle, and studies its isolines.
+///
+/// # Errors
+///
+/// Where the skin, its model or a bag cannot be read, or a number of the request cannot be.
+pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
+    let skin = SkinDescription::load(&options.skin)?;
+    let model = families.model_of_file(&options.skin, &skin);
+    let (model, mut notes) = match (model, options.bag.is_empty()) {
+        (Ok(model), _) => (Some(model), Vec::new()),
+        (Err(error), true) => return Err(error),
+        (Err(error), false) => {
+            (None, vec![format!("there is no forward model, hence no bound of the surface: {error}")])
+        }
+    };
+    let Some(&middle) = options.force.get(options.force.len() / 2) else { bail!("no force is given") };
+    let source = Source::new(options, &skin, model.as_ref(), progress)?;
+    let noise = source.noise().iter().copied().fold(0.0, f64::max);
+    let least = options.least.unwrap_or(skin.condition.contact_threshold * noise);
+    if !(least.is_finite() && least > 0.0) {
+        bail!("option `--least` is {least} {} and must be positive", skin.unit);
+    }
+    let unknowns = match (options.line, options.shear) {
+        (true, _) => Unknowns::Line,
+        (false, true) => Unknowns::Full,
+        (false, false) => Unknowns::Normal,
+    };
+    progress.begin(&skin.name);
+    let surface = skin.surface();
+    let (mut maps, mut pairs) = (Vec::new(), Vec::new());
+    if let Some(model) = &model {
+        for (i, &force) in options.force.iter().enumerate() {
+            maps.push(over_surface(model.as_ref(), force, options.diameter, unknowns)?);
+            progress.at(0.3 * (i + 1) as f64 / options.force.len() as f64);
+        }
+        pairs = pairs_of(model.as_ref(), middle, options.diameter, unknowns)?;
+    }
+    let feet = feet(&skin, &surface);
+    let mut told_apart = Vec::new();
+    let line = match line(&source, &surface, &feet, options.diameter) {
+        Ok(line) => {
+            let study = line.study(&study_options(&line, least), |share| {
+                progress.at(0.3 + 0.4 * share);
+            });
+            let distances: Vec<f64> = pairs.iter().map(|p| p.distance).collect();
+            told_apart = line.told_apart_by_distance(middle, least, &distances);
+            Some(study)
+        }
+        Err(error) => {
+            notes.push(format!("there is no line of taxels to study: {error}"));
+            None
+        }
+    };
+    let on_surface = if options.line {
+        None
+    } else {
+        Some(surface_study(&source, model.as_deref(), &surface, &feet, least, options, &maps)?)
+    };
+    progress.at(0.8);
+    // A recording is of the skin as it is, and only the page shows how others would be.
+    let trends = match &model {
+        Some(model) if options.bag.is_empty() && options.trends => {
+            trends(&skin, model, &feet, options.diameter, families)?
+        }
+        _ => Vec::new(),
+    };
+    Ok(Findings {
+        request: options.clone(),
+        skin,
+        model,
+        source,
+        least,
+        unknowns,
+        maps,
+        pairs,
+        line,
+        told_apart,
+        surface: on_surface,
+        trends,
+        notes,
+    })
+}
+
+/// Points of the surface above each channel's taxel.
+#[must_use]
+pub fn feet(skin: &SkinDescription, surface: &Surface) -> Vec<Point3<f64>> {
+    skin.channel_taxels().into_iter().map(|t| surface.project(&skin.taxels[t].point()).0).collect()
+}
+
+/// The row that most taxels lie on.
+fn line(source: &Source, surface: &Surface, feet: &[Point3<f64>], diameter: f64) -> Result<Line> {
+    let (_, tolerance) = longest_row(surface, feet, 1e-3)?;
+    let (path, tolerance) = longest_row(surface, feet, tolerance * source.fineness())?;
+    let forces = force_ladder(source.force_max(), 40);
+    let responses = source.responses(surface, &path.points, &forces, diameter, tolerance)?;
+    Ok(Line::new(responses, &path, surface, feet, tolerance)?)
+}
+
+/// What the thesis looks at, as far as the skin reaches.
+fn study_options(line: &Line, least: f64) -> StudyOptions {
+    let most = line.responses().forces().last().map_or(FORCES[1], |f| f.min(FORCES[1]));
+    let steps = ((most - FORCES[0]) / FORCE_STEP).round().max(1.0) as u32;
+    let forces = (0..=steps).map(|i| FORCES[0] + f64::from(i) * FORCE_STEP).collect();
+    let ratio = (most / FORCES[0]).ln() / f64::from(MAP_FORCES - 1);
+    let map_forces = (0..MAP_FORCES).map(|i| FORCES[0] * (f64::from(i) * ratio).exp()).collect();
+    // From the smallest reading to what the weakest taxel reads under the largest force straight above it.
+    let above =
+        line.taxels().iter().map(|t| line.responses().reading(line.place(t.foot), t.channel, most * 0.999));
+    let largest = above.filter(|v| v.is_finite()).fold(f64::INFINITY, f64::min).max(2.0 * least);
+    let largest = if largest.is_finite() { largest } else { 10.0 * least };
+    let values =
+        (0..VALUES).map(|i| least * (largest / least).powf(f64::from(i) / f64::from(VALUES - 1))).collect();
+    let pitch = line.span() / (line.taxels().len() - 1).max(1) as f64;
+    StudyOptions { least, values, forces, map_forces, step: pitch / 13.0, testbed: Testbed::THESIS }
+}
+
+fn surface_study(
+    source: &Source,
+    model: Option<&dyn ForwardModel>,
+    surface: &Surface,
+    feet: &[Point3<f64>],
+    least: f64,
+    options: &Request,
+    maps: &[SurfaceBound],
+) -> Result<SurfaceStudy> {
+    let forces = force_ladder(source.force_max(), 30);
+    let spacing = (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt();
+    let responses: Responses =
+        source.responses(surface, &surface.points, &forces, options.diameter, 1.5 * spacing)?;
+    let minimum_force: Vec<Option<f64>> =
+        (0..surface.points.len()).map(|p| responses.minimum_force(p, least, 3)).collect();
+    let known = minimum_force.iter().map(|f| f.unwrap_or(f64::INFINITY));
+    let middle = middle_of(surface);
+    let near = |c: &usize| (feet[*c] - middle).norm();
+    let channel = (0..feet.len()).min_by(|a, b| near(a).total_cmp(&near(b))).unwrap_or_default();
+    let distances: Vec<f64> = surface.points.iter().map(|p| surface.geodesic(p, &feet[channel])).collect();
+    let value = responses.reading(responses.peak(channel), channel, 0.1);
+    let value = if value.is_finite() { value } else { least };
+    let isoline = Isoline::of(&responses, &distances, channel, value);
+    let inside = between(surface, feet);
+    let areas: Vec<f64> = inside.iter().map(|i| surface.areas[*i]).collect();
+    let area: f64 = areas.iter().sum();
+    let mut factors = Vec::new();
+    for map in maps {
+        let Some(model) = model else { break };
+        let boxes = inside
+            .iter()
+            .map(|i| {
+                let force = -surface.normals[*i] * map.force;
+                let contact = Indentation { position: surface.points[*i], force, diameter: map.diameter };
+                let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+                Ok(strongest_bands(model, &stimulus, Unknowns::Normal)?.along)
+            })
+            .collect::<Result<Vec<[f64; 2]>>>()?;
+        let bound = [0, 1].map(|k| Summary::of(inside.iter().map(|i| map.bounds[*i].along[k]), &areas));
+        let bands_median = [0, 1].map(|k| Summary::of(boxes.iter().map(|b| b[k]), &areas).median);
+        let factor = |sigma| on_surface(area, feet.len(), sigma);
+        let (rms, bound_median) = (bound.map(|b| b.rms), bound.map(|b| b.median));
+        factors.push(SurfaceFactor {
+            force: map.force,
+            bound: rms,
+            bound_median,
+            bands_median,
+            factor: factor(rms),
+            factor_with_testbed: factor(rms.map(|s| Testbed::THESIS.position(s))),
+            bound_median_factor: factor(bound_median),
+            bands_median_factor: factor(bands_median),
+        });
+    }
+    Ok(SurfaceStudy {
+        minimum_force_summary: Summary::of(known, &surface.areas),
+        minimum_force,
+        channel,
+        isoline,
+        factors,
+    })
+}
+
+/// Points of a flat surface within the rectangle around its taxels; all points of another one.
+fn between(surface: &Surface, feet: &[Point3<f64>]) -> Vec<usize> {
+    let level = surface.normals.iter().all(|n| n.z > 0.999);
+    let span = |of: fn(&Point3<f64>) -> f64| {
+        let ends =
+            feet.iter().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        move |p: &Point3<f64>| (ends.0 - 1e-9..=ends.1 + 1e-9).contains(&of(p))
+    };
+    let (x, y) = (span(|p| p.x), span(|p| p.y));
+    let inside: Vec<usize> = (0..surface.points.len())
+        .filter(|i| level && x(&surface.points[*i]) && y(&surface.points[*i]))
+        .collect();
+    if inside.is_empty() { (0..surface.points.len()).collect() } else { inside }
+}
+
+fn middle_of(surface: &Surface) -> Point3<f64> {
+    let count = surface.points.len().max(1) as f64;
+    Point3::from(surface.points.iter().map(|p| p.coords).sum::<nalgebra::Vector3<f64>>() / count)
+}
+
+/// Two contacts of one force, as far apart as the surface allows.
+fn pairs_of(
+    model: &dyn ForwardModel,
+    force: f64,
+    diameter: f64,
+    unknowns: Unknowns,
+) -> Result<Vec<TwoContacts>> {
+    let middle = middle_of(model.surface());
+    let width = model.surface().points.iter().map(|p| (p.x - middle.x).abs()).fold(0.0, f64::max) * 2.0;
+    let distances: Vec<f64> = DISTANCES.map(|mm| f64::from(mm) * 1e-3).filter(|d| *d < width).collect();
+    Ok(two_contacts(model, &middle, &distances, force, diameter, unknowns)?)
+}

@@ -1,0 +1,7 @@
+//! Where a simulated skin and a real one differ: diagnosis of a recording, closing the gap, and the benchmark of both.
+
+mod baselines;
+pub mod benchmark;
+pub mod closing;
+pub mod diagnosis;
+mod scorecard;

@@ -1,0 +1,472 @@
+//! The check of the diagnosis: reports first, sealed by their hash; then the secrets are opened and scored.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use dermis_gap::{RowOptions, Rows, Simulator};
+use dermis_gap_worlds::pack::{self, Case, Manifest, Secret};
+use dermis_gap_worlds::score::{Answer, Card, Mapping, Named};
+use dermis_skin::{Effect, SkinDescription};
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::Value;
+
+use super::scorecard;
+use crate::{Families, Progress};
+
+/// Which packs to check on.
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Request {
+    /// Folder of a pack; several of one skin are scored together.
+    #[arg(long, required = true, value_name = "DIR")]
+    pub pack: Vec<PathBuf>,
+    /// Folder of the secrets of each pack, in the same order. Without them the reports are written and sealed, and nothing is
+    /// opened.
+    #[arg(long, value_name = "DIR")]
+    pub secret: Vec<PathBuf>,
+    /// Folder for reports, their hashes, scores.json (every case) and summary.json, .md and .svg; reports that are there already
+    /// are not made again.
+    #[arg(short, long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Diagnoses at once.
+    #[arg(long, default_value_t = Request::default().jobs)]
+    pub jobs: usize,
+    /// Leave the baselines out.
+    #[arg(long)]
+    pub no_baselines: bool,
+    /// Do not try what reports switch on in another recording of the same world.
+    #[arg(long)]
+    pub no_elsewhere: bool,
+    /// Passed on to every diagnosis, e.g. --resamples 0.
+    #[arg(last = true)]
+    pub diagnose: Vec<String>,
+}
+
+impl Default for Request {
+    fn default() -> Self {
+        Self {
+            pack: Vec::new(),
+            secret: Vec::new(),
+            out: PathBuf::new(),
+            jobs: 1,
+            no_baselines: false,
+            no_elsewhere: false,
+            diagnose: Vec::new(),
+        }
+    }
+}
+
+/// Skin file, bag and further options of one diagnosis → its report as JSON.
+pub type Diagnose<'a> = &'a (dyn Fn(&Path, &Path, &[String]) -> Result<Vec<u8>> + Sync);
+
+/// What became of the packs.
+pub enum Findings {
+    /// Nothing was opened: the folder of the reports of each pack, and the hash of their list.
+    Sealed(Vec<(PathBuf, String)>),
+    /// The scores.
+    Scored(Box<Scored>),
+}
+
+/// Scores of opened packs.
+pub struct Scored {
+    /// Which tool, command and packs.
+    pub head: Value,
+    /// Name of the skin.
+    pub skin: String,
+    /// Of the diagnosis.
+    pub card: Card,
+    /// Of simpler ways.
+    pub baselines: Vec<(String, Card)>,
+    /// Every case with its answer.
+    pub cases: Value,
+}
+
+impl Scored {
+    /// Without the single cases.
+    #[must_use]
+    pub fn summary(&self) -> Value {
+        scorecard::json(&self.head, &self.card, &self.baselines)
+    }
+}
+
+impl Serialize for Scored {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut whole = self.summary();
+        whole["cases"] = self.cases.clone();
+        whole.serialize(serializer)
+    }
+}
+
+/// Diagnoses, seals, opens, scores.
+///
+/// # Errors
+///
+/// Where a pack or its secrets cannot be read, a diagnosis fails, or reports were changed after they were sealed.
+pub fn run(
+    options: &Request,
+    families: &Families,
+    diagnosis: Diagnose<'_>,
+    progress: &dyn Progress,
+) -> Result<Findings> {
+    if !options.secret.is_empty() && options.secret.len() != options.pack.len() {
+        bail!(
+            "{} packs and {} folders of secrets: name one for each pack, or none to seal the reports only",
+            options.pack.len(),
+            options.secret.len()
+        );
+    }
+    let packs: Vec<Manifest> =
+        options.pack.iter().map(|dir| Manifest::load(dir)).collect::<Result<_, _>>()?;
+    let mut seals = Vec::new();
+    for (dir, manifest) in options.pack.iter().zip(&packs) {
+        let out = options.out.join(Manifest::hash(dir)?.get(..12).unwrap_or_default());
+        std::fs::create_dir_all(&out).with_context(|| format!("{} cannot be made", out.display()))?;
+        diagnose(dir, manifest, &out, options, diagnosis, progress)?;
+        let seal = seal(manifest, &out)?;
+        seals.push((out, seal));
+    }
+    if options.secret.is_empty() {
+        return Ok(Findings::Sealed(seals));
+    }
+    // From here on the reports must not change: their hashes lie on the disk.
+    let mapping = Mapping::from_toml(Mapping::TEXT).map_err(anyhow::Error::msg)?;
+    let mut cases: Vec<Opened> = Vec::new();
+    for (((manifest, secrets), (out, _)), pack) in
+        packs.iter().zip(&options.secret).zip(&seals).zip(&options.pack)
+    {
+        for case in &manifest.cases {
+            let path = report(out, case);
+            let text = dermis_io::read(&path, dermis_io::REPORT)
+                .with_context(|| format!("{} cannot be read", path.display()))?;
+            let read: Value =
+                serde_json::from_slice(&text).with_context(|| format!("{} is no report", path.display()))?;
+            let (secret, answer) = (pack::unseal(secrets, case)?, answer(&read));
+            cases.push(Opened {
+                secret,
+                answer,
+                report: read,
+                bag: pack.join(&case.bag),
+                presses: case.presses,
+            });
+        }
+    }
+    let library = library(&cases);
+    let skin = SkinDescription::load(options.pack[0].join("skin.toml"))?;
+    if !options.no_elsewhere {
+        elsewhere(&skin, &mut cases, options, families, progress)?;
+    }
+    let card = Card::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
+    let baselines = if options.no_baselines {
+        Vec::new()
+    } else {
+        baselines(&skin, &cases, &mapping, &library, families, progress)?
+    };
+    let head = serde_json::json!({
+        "schema": "gap-check/1",
+        "tool": format!("dermis {}", env!("CARGO_PKG_VERSION")),
+        "command": command(options),
+        "skin": skin.name,
+        "mapping_sha256": pack::sha256(Mapping::TEXT.as_bytes()),
+        "packs": packs.iter().zip(&options.pack).zip(&seals).map(|((manifest, dir), (_, seal))| {
+            Ok(serde_json::json!({ "kind": manifest.kind, "cases": manifest.cases.len(), "generator": manifest.generator,
+                "sha256": Manifest::hash(dir)?, "reports_sha256": seal }))
+        }).collect::<Result<Vec<_>>>()?,
+        "library": library,
+    });
+    let cases = cases
+        .iter()
+        .map(|c| {
+            let s = &c.secret;
+            serde_json::json!({ "case": s.case, "kind": s.kind, "gap": s.gap, "noise": s.noise,
+                "unexplained": s.unexplained, "causes": s.causes, "answer": c.answer })
+        })
+        .collect();
+    Ok(Findings::Scored(Box::new(Scored { head, skin: skin.name, card, baselines, cases })))
+}
+
+/// A case whose secret is open.
+struct Opened {
+    secret: Secret,
+    answer: Answer,
+    report: Value,
+    bag: PathBuf,
+    presses: usize,
+}
+
+/// How this check was called.
+fn command(options: &Request) -> String {
+    let path = |p: &Path| p.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let mut text = "dermis gap check".to_owned();
+    for (flag, folders) in [("--pack", &options.pack), ("--secret", &options.secret)] {
+        folders.iter().for_each(|folder| text.push_str(&format!(" {flag} {}", path(folder))));
+    }
+    text.push_str(&format!(" --out {}", path(&options.out)));
+    if !options.diagnose.is_empty() {
+        text.push_str(&format!(" -- {}", options.diagnose.join(" ")));
+    }
+    text
+}
+
+/// The effects that the reports say were tried, or could not be seen.
+fn library(cases: &[Opened]) -> BTreeSet<String> {
+    let mut library = BTreeSet::new();
+    for case in cases {
+        let of = &case.report["provenance"];
+        let tried = of["tried"].as_array().into_iter().flatten();
+        let silent = of["silent"].as_array().into_iter().flatten().filter_map(|pair| pair.get(0));
+        library.extend(tried.chain(silent).filter_map(Value::as_str).map(str::to_owned));
+    }
+    library
+}
+
+/// Tries what each report switches on in another recording of the same world, which no report has seen.
+fn elsewhere(
+    skin: &SkinDescription,
+    cases: &mut [Opened],
+    options: &Request,
+    families: &Families,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
+    let simulator = Simulator { skin, effects: families.of(skin)?.effects(), make: &make };
+    let sigma = skin.channel_noise();
+    let open: Vec<&mut Opened> = cases.iter_mut().filter(|c| c.answer.closure.is_some()).collect();
+    progress.begin("recording again");
+    let (count, done) = (open.len().max(1), AtomicUsize::new(0));
+    let one = |case: &Opened| -> Result<Option<f64>> {
+        let mut effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
+            .with_context(|| format!("{}: field `corrected` of its report", case.secret.case))?;
+        // A hum has another phase in every recording, and counts as noise where it is named.
+        let mut secret = case.secret.clone();
+        if effects.iter().any(|e| e.name == "interference") {
+            effects.retain(|e| e.name != "interference");
+            secret.causes.retain(|told| told.cause.id != "mains-hum");
+        }
+        if effects.is_empty() {
+            return Ok(None);
+        }
+        let folder = tempfile::tempdir().context("no folder for another recording can be made")?;
+        let bag = folder.path().join("again");
+        pack::record_again(skin, &secret, &bag)?;
+        let recording = dermis_gap::read(&[&bag], skin, None, None)?;
+        let usable = vec![true; sigma.len()];
+        let rows = Rows::draw(&recording, &usable, &RowOptions::default());
+        let frames = rows.frames();
+        let nominal = simulator.readings(skin, &recording, &frames)?;
+        let mut readings: Vec<f32> = frames.iter().flat_map(|f| recording.frame(*f)).copied().collect();
+        // What a report's closure leaves out is left out here as well.
+        dermis_gap::cut(&mut readings, &nominal, skin, &sigma);
+        let left = |model: &[f32]| -> f64 {
+            let apart = readings.iter().zip(model).zip(sigma.iter().cycle());
+            let squares = apart.map(|((y, s), sigma)| (f64::from(y - s) / sigma).powi(2));
+            squares.filter(|square| square.is_finite()).sum()
+        };
+        let corrected = simulator.readings(&simulator.with(&effects), &recording, &frames)?;
+        let (before, after) = (left(&nominal), left(&corrected));
+        Ok((before > 0.0).then(|| 1.0 - after / before))
+    };
+    let next = Mutex::new(open.into_iter());
+    let worker = || -> Result<()> {
+        loop {
+            let Some(case) = next.lock().map_err(|_| anyhow::anyhow!("a worker was cut off"))?.next() else {
+                return Ok(());
+            };
+            case.answer.elsewhere = one(case)?;
+            progress.at((1 + done.fetch_add(1, Ordering::Relaxed)) as f64 / count as f64);
+        }
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..options.jobs.max(1)).map(|_| scope.spawn(worker)).collect();
+        workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| bail!("a recording was cut off")))
+    })?;
+    Ok(())
+}
+
+/// Cards of the baselines on the same cases.
+fn baselines(
+    skin: &SkinDescription,
+    cases: &[Opened],
+    mapping: &Mapping,
+    library: &BTreeSet<String>,
+    families: &Families,
+    progress: &dyn Progress,
+) -> Result<Vec<(String, Card)>> {
+    progress.begin("baselines");
+    let mut answers: Vec<Vec<Answer>> = Vec::new();
+    let mut columns = super::baselines::Columns::default();
+    for (n, case) in cases.iter().enumerate() {
+        // Cases of the same pack and presses have the same signatures.
+        let key = (case.bag.parent().map(Path::to_owned).unwrap_or_default(), case.presses);
+        answers.push(super::baselines::answers(skin, families, &case.bag, &key, &mut columns)?);
+        progress.at((n + 1) as f64 / cases.len() as f64);
+    }
+    let mut cards: Vec<(String, Card)> = super::baselines::NAMES
+        .iter()
+        .enumerate()
+        .map(|(i, name)| {
+            let of = cases.iter().zip(&answers).map(|(case, all)| (&case.secret, &all[i]));
+            ((*name).to_owned(), Card::new(of, mapping, library))
+        })
+        .collect();
+    // Blind choice has no cases of its own: its share of hits is that of accepted names among all.
+    let mut random = Card::default();
+    let within = mapping.within(library);
+    for case in cases.iter().filter(|c| c.secret.kind == pack::Kind::Singles && c.secret.gap >= 3.0) {
+        let told = case.secret.causes.first();
+        let accepted = told.and_then(|t| within.causes.get(&t.cause.id)).map_or(0, |a| a.names.len());
+        if accepted > 0 {
+            let hit = accepted as f64 / library.len() as f64;
+            random.headline.top1 = random.headline.top1.and(hit.min(1.0));
+            random.headline.top3 = random.headline.top3.and((3.0 * hit).min(1.0));
+        }
+    }
+    cards.push(("random".to_owned(), random));
+    Ok(cards)
+}
+
+fn report(out: &Path, case: &Case) -> PathBuf {
+    out.join(format!("{}.json", case.id))
+}
+
+/// Has every case diagnosed that has no report yet, `jobs` at once.
+fn diagnose(
+    pack: &Path,
+    manifest: &Manifest,
+    out: &Path,
+    options: &Request,
+    diagnosis: Diagnose<'_>,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let mut open: Vec<&Case> = manifest.cases.iter().filter(|case| !report(out, case).exists()).collect();
+    // One case of all presses first: the others find its signatures, which two that run at once would both simulate.
+    let mut seen = BTreeSet::new();
+    open.sort_by_cached_key(|case| !seen.insert(case.presses));
+    progress.begin("diagnosing");
+    let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let one = |case: &Case| -> Result<()> {
+        let said = diagnosis(&pack.join("skin.toml"), &pack.join(&case.bag), &options.diagnose)
+            .with_context(|| case.id.clone())?;
+        let path = report(out, case);
+        let part = path.with_extension("part");
+        std::fs::write(&part, &said).with_context(|| format!("{} cannot be written", part.display()))?;
+        std::fs::rename(&part, &path).with_context(|| format!("{} cannot be made", path.display()))?;
+        Ok(())
+    };
+    let worker = || -> Result<()> {
+        while let Some(case) = open.get(next.fetch_add(1, Ordering::Relaxed)) {
+            if !progress.at(done.load(Ordering::Relaxed) as f64 / open.len() as f64) {
+                bail!("interrupted; call it again to go on");
+            }
+            one(case)?;
+            done.fetch_add(1, Ordering::Relaxed);
+        }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..options.jobs.max(1)).map(|_| scope.spawn(worker)).collect();
+        workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| bail!("a diagnosis was cut off")))
+    })?;
+    Ok(())
+}
+
+/// Writes the hash of every report, and gives the hash of that list. A list that lies there already must be the same.
+fn seal(manifest: &Manifest, out: &Path) -> Result<String> {
+    let mut list = String::new();
+    for case in &manifest.cases {
+        let path = report(out, case);
+        let text = dermis_io::read(&path, dermis_io::REPORT)
+            .with_context(|| format!("{} cannot be read", path.display()))?;
+        list.push_str(&format!("{}  {}.json\n", pack::sha256(&text), case.id));
+    }
+    let path = out.join("reports.sha256");
+    match dermis_io::read_text(&path, dermis_io::REPORT) {
+        Ok(before) if before != list => bail!(
+            "{}: names other hashes than the reports beside it have: they were changed after they were sealed; take another folder",
+            path.display()
+        ),
+        Ok(_) => {}
+        Err(_) => {
+            std::fs::write(&path, &list).with_context(|| format!("{} cannot be written", path.display()))?;
+        }
+    }
+    Ok(pack::sha256(list.as_bytes()))
+}
+
+/// What a report says, as scores need it.
+fn answer(report: &Value) -> Answer {
+    let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
+    let pair = |v: &Value| -> Option<[f64; 2]> { Some([v.get(0)?.as_f64()?, v.get(1)?.as_f64()?]) };
+    let verdict = text(&report["verdict"]);
+    let mut answer = Answer {
+        gap: matches!(verdict.as_str(), "named" | "named-and-unknown" | "unknown-systematic" | "unmeasured"),
+        unknown: matches!(verdict.as_str(), "unknown-systematic" | "unmeasured" | "named-and-unknown"),
+        closure: report["closure"]["predicted"]
+            .as_f64()
+            .zip(report["closure"]["achieved"].as_f64())
+            .map(<[f64; 2]>::from),
+        interval: pair(&report["closure"]["interval"]),
+        verdict: verdict.clone(),
+        ..Answer::default()
+    };
+    answer.unexplained = if answer.gap { report["unknown"]["share"].as_f64() } else { None };
+    let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
+    answer.axes = list(&report["where"]).iter().map(|axis| text(&axis["axis"])).collect();
+    let fvu = |bin: &Value| bin["fvu"].as_f64().unwrap_or(0.0);
+    let channels = list(&report["channels"]);
+    let worst = channels.iter().max_by(|a, b| fvu(a).total_cmp(&fvu(b)));
+    answer.channel = worst.map(|bin| text(&bin["label"]));
+    let peak = &report["maps"][0]["peak"];
+    answer.peak = peak[0].as_f64().zip(peak[1].as_f64()).zip(peak[2].as_f64()).map(|((x, y), z)| [x, y, z]);
+    for effect in report["effects"].as_array().into_iter().flatten() {
+        let mut named = Named { firm: effect["tier"] == "strict", ..Named::default() };
+        for member in effect["class"].as_array().into_iter().flatten() {
+            named.class.push(member.as_str().map_or_else(|| text(&member["name"]), str::to_owned));
+        }
+        let label = text(&effect["label"]);
+        if named.class.is_empty() {
+            named.class.push(label.clone());
+        }
+        let first = named.class[0].clone();
+        let mut parameters = BTreeMap::new();
+        for theta in effect["theta"].as_array().into_iter().flatten() {
+            if let Some(value) = theta["value"].as_f64() {
+                let name = text(&theta["name"]);
+                let interval = pair(&theta["interval"]).or_else(|| pair(&theta["ci"]));
+                parameters.insert(format!("{first}.{name}"), (value, interval));
+            }
+        }
+        named.parameters = parameters;
+        answer.ranking.extend(named.class.iter().cloned());
+        answer.named.push(named);
+    }
+    answer
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_report_becomes_an_answer() {
+        let report = serde_json::json!({
+            "verdict": "named",
+            "effects": [
+                { "label": "thickness", "tier": "strict", "class": [{ "name": "thickness" }, { "name": "base-bonding" }],
+                  "theta": [{ "name": "change", "value": -0.001, "interval": [-0.002, 0.0] }] },
+                { "label": "friction", "tier": "loose", "class": [{ "name": "friction" }] },
+            ],
+            "closure": { "predicted": 0.9, "achieved": 0.8, "interval": [0.7, 0.95] },
+        });
+        let answer = answer(&report);
+        assert!(answer.gap && !answer.unknown);
+        assert_eq!(answer.ranking, ["thickness", "base-bonding", "friction"]);
+        assert!(answer.named[0].firm && !answer.named[1].firm);
+        assert_eq!(answer.named[0].parameters["thickness.change"], (-0.001, Some([-0.002, 0.0])));
+        assert_eq!((answer.closure, answer.interval), (Some([0.9, 0.8]), Some([0.7, 0.95])));
+        assert!(!super::answer(&serde_json::json!({ "verdict": "no-gap-beyond-noise" })).gap);
+    }
+}

@@ -1,0 +1,67 @@
+//! Scores of the benchmark for programs.
+
+use std::collections::BTreeMap;
+
+use dermis_gap_worlds::score::{Aim, Card, Scores};
+use serde_json::{Value, json};
+
+/// Rates with their intervals and middle values of one set of cases.
+fn scores(scores: &Scores) -> Value {
+    let mut values = serde_json::Map::new();
+    for (name, share, aim) in scores.rates().into_iter().filter(|(_, share, _)| share.of > 0) {
+        let mut value = json!({ "value": share.value(), "wilson_95": share.interval(), "of": share.of });
+        note(&mut value, aim, share.value());
+        values.insert(name.to_owned(), value);
+    }
+    for (name, middle, count, aim) in scores.middles().into_iter().filter(|(_, _, count, _)| *count > 0) {
+        let mut value = json!({ "value": middle, "of": count });
+        note(&mut value, aim, middle);
+        values.insert(name.to_owned(), value);
+    }
+    json!({ "cases": scores.cases, "scores": values })
+}
+
+fn note(value: &mut Value, aim: Option<Aim>, found: f64) {
+    if let Some(aim) = aim {
+        value["aim"] = json!(aim.text());
+        value["reached"] = json!(aim.reached(found));
+    }
+}
+
+fn group(cards: &BTreeMap<String, Scores>) -> Value {
+    cards.iter().map(|(name, of)| (name.clone(), scores(of))).collect::<serde_json::Map<_, _>>().into()
+}
+
+/// The summary without the single cases. `head` says which tool, command and packs.
+pub(super) fn json(head: &Value, card: &Card, baselines: &[(String, Card)]) -> Value {
+    let mut summary = head.clone();
+    summary["headline"] = scores(&card.headline);
+    summary["all"] = scores(&card.all);
+    summary["by_gap"] = group(&card.by_gap);
+    summary["by_noise"] = group(&card.by_noise);
+    summary["confusion"] = json!(card.headline.confusion);
+    summary["not_in_library"] = json!(card.not_in_library);
+    summary["baselines"] = baselines
+        .iter()
+        .map(|(name, card)| json!({ "name": name, "headline": scores(&card.headline) }))
+        .collect();
+    summary
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_gap_worlds::score::Share;
+
+    use super::*;
+
+    #[test]
+    fn a_check_is_summed_up_for_programs() {
+        let mut card = Card::default();
+        card.headline.cases = 3;
+        card.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
+        let head = json!({ "skin": "s", "command": "c", "tool": "t", "packs": [] });
+        let summary = json(&head, &card, &[]);
+        let top1 = &summary["headline"]["scores"]["top-1, class-weighted"];
+        assert_eq!((top1["of"].as_u64(), top1["reached"].as_bool()), (Some(3), Some(false)));
+    }
+}

@@ -1,0 +1,115 @@
+//! Experiments on skins as a library: a request goes in, findings come out, and both go through serde.
+//!
+//! A request says what a command line says, with the same names, units and defaults; clap reads it there, serde reads it
+//! from a file. Findings serialise to the record that `--json` prints. What only a person reads (text, HTML, figures) is made
+//! of them in `dermis-report`.
+//!
+//! No study names a sensor family: models, estimators and candidates come from [`Families`].
+
+pub mod bounds;
+pub mod comparison;
+pub mod evaluation;
+pub mod flat;
+pub mod gap;
+pub mod placement;
+pub mod real2sim;
+pub mod refinement;
+pub mod sweep;
+pub mod variation;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Result, anyhow};
+use dermis_inference::{Runtime, RuntimeConfig};
+use dermis_model::ForwardModel;
+use dermis_sensor::{Registry, Sensor};
+use dermis_skin::{Estimator, ModelError, SkinDescription};
+
+/// The sensor families that studies ask for models, estimators and candidates.
+#[derive(Debug, Clone, Copy)]
+pub struct Families {
+    sensors: &'static Registry,
+}
+
+impl Families {
+    /// Those that a program knows.
+    #[must_use]
+    pub const fn new(sensors: &'static Registry) -> Self {
+        Self { sensors }
+    }
+
+    /// The family that reads a skin.
+    ///
+    /// # Errors
+    ///
+    /// Where none does.
+    pub fn of(&self, skin: &SkinDescription) -> Result<&'static dyn Sensor> {
+        Ok(self.sensors.of(skin)?)
+    }
+
+    /// The forward model of a skin, with the effects that its description switches on.
+    ///
+    /// # Errors
+    ///
+    /// Where the family has no such model, or the skin cannot be.
+    pub fn model(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
+        Ok(self.of(skin)?.model(skin)?)
+    }
+
+    /// The forward model of a skin that was read from `path`; refusals name that file.
+    ///
+    /// # Errors
+    ///
+    /// As [`model`](Self::model).
+    pub fn model_of_file(&self, path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
+        self.of(skin)?.model(skin).map_err(|error| of_file(path, error))
+    }
+
+    /// The estimator that the family's node runs with these model bundles.
+    ///
+    /// # Errors
+    ///
+    /// Where a bundle does not fit, or cannot be read.
+    pub fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>> {
+        let runtime = Runtime::load(&RuntimeConfig::default())?;
+        Ok(dermis_estimate::estimator(self.of(skin)?, skin, bundles, &[], runtime)?)
+    }
+}
+
+/// What a family says of a skin, with the name of the file.
+#[must_use]
+pub fn of_file(path: &Path, error: ModelError) -> anyhow::Error {
+    match error {
+        ModelError::Description { field, reason, .. } => {
+            anyhow!("skin file {}: field `{field}`: {reason}", path.display())
+        }
+        other => other.into(),
+    }
+}
+
+/// Who watches a study.
+pub trait Progress: Sync {
+    /// A step begins.
+    fn begin(&self, step: &str);
+
+    /// This share of the step is done, from 0 to 1; `false` ends the study early, where it can end early.
+    fn at(&self, share: f64) -> bool;
+
+    /// Something that a person should know of the input.
+    fn note(&self, sentence: &str);
+}
+
+/// Nobody watches; notes are lost.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Unwatched;
+
+impl Progress for Unwatched {
+    fn begin(&self, _: &str) {}
+
+    fn at(&self, _: f64) -> bool {
+        true
+    }
+
+    fn note(&self, _: &str) {}
+}

@@ -1,0 +1,504 @@
+//! Has a bundle's answers refined on the skin's forward model, where recordings show that this helps; with `correct` on that
+//! model as recorded presses correct it.
+//!
+//! Gains, correction and evidence are learned from the training part of the recordings. Half of the held-out places choose
+//! whether refinement is on, the other half is reported, so that the choice does not flatter the report.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, anyhow, bail};
+use clap::{Args, ValueEnum};
+use dermis_inference::{Bundle, CorrectionSection, Manifest};
+use dermis_inversion::{Corrected, Correction, ForcePrior, Search, Settings};
+use dermis_learn::cli::Labels;
+use dermis_learn::refine::Learned;
+use dermis_learn::{Dataset, Evaluation, Recorded, SampleId, evaluate_parts, refine, superpose};
+use dermis_model::{ForwardModel, Unknowns};
+use dermis_skin::SkinDescription;
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::json;
+
+use crate::evaluation::split_of;
+use crate::{Families, Progress};
+
+/// What to refine, and on what it is measured.
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Request {
+    /// Skin description.
+    #[arg(long)]
+    pub skin: PathBuf,
+    /// Model bundle; its manifest is amended.
+    #[arg(long)]
+    pub model: PathBuf,
+    /// Contacts at once, at most.
+    #[arg(long, default_value_t = Request::default().contacts)]
+    pub contacts: usize,
+    /// What is looked for in each contact.
+    #[arg(long, value_enum, default_value_t = Request::default().unknowns)]
+    pub unknowns: Looked,
+    /// How likely forces are before a reading; `log` for skins with places where nothing gives way.
+    #[arg(long, value_enum, default_value_t = Request::default().force_prior)]
+    pub force_prior: Prior,
+    /// Distance [m] that contacts are apart at least, where there are several.
+    #[arg(long, default_value_t = Request::default().distance)]
+    pub distance: f64,
+    /// How several contacts are looked for: one after the other, or the first two among all pairs of places, for skins whose elements
+    /// are few and feel half of the surface each.
+    #[arg(long, value_enum, default_value_t = Request::default().search)]
+    pub search: How,
+    /// Learn, from the recorded single contacts, how the device differs from its forward model as a function of place and force,
+    /// and refine on the corrected model. Writes `correction.json` into the bundle.
+    #[arg(long)]
+    pub correct: bool,
+    /// Refine whatever the recordings say, and switch it on even where the model alone is better.
+    #[arg(long)]
+    pub always: bool,
+    /// How the bags are read.
+    #[command(flatten)]
+    pub labels: Labels,
+    /// The labelled bags that the model was trained on.
+    #[arg(required = true)]
+    pub bags: Vec<PathBuf>,
+}
+
+impl Default for Request {
+    fn default() -> Self {
+        Self {
+            skin: PathBuf::new(),
+            model: PathBuf::new(),
+            contacts: 1,
+            unknowns: Looked::Normal,
+            force_prior: Prior::Uniform,
+            distance: 0.002,
+            search: How::Greedy,
+            correct: false,
+            always: false,
+            labels: Labels::default(),
+            bags: Vec::new(),
+        }
+    }
+}
+
+/// [`Unknowns`], as the command line says it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Looked {
+    /// Place along x, pressing force.
+    Line,
+    /// Place on the surface, pressing force.
+    Normal,
+    /// Place on the surface, all of the force.
+    Full,
+}
+
+/// [`ForcePrior`], as the command line says it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Prior {
+    /// Every force is as likely as any other.
+    Uniform,
+    /// Every ratio is as likely as any other.
+    Log,
+}
+
+/// [`Search`], as the command line says it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum How {
+    /// One after the other.
+    Greedy,
+    /// The first two among all pairs of places.
+    Pairs,
+}
+
+impl From<How> for Search {
+    fn from(how: How) -> Self {
+        match how {
+            How::Greedy => Self::Greedy,
+            How::Pairs => Self::Pairs,
+        }
+    }
+}
+
+impl From<Prior> for ForcePrior {
+    fn from(prior: Prior) -> Self {
+        match prior {
+            Prior::Uniform => Self::Uniform,
+            Prior::Log => Self::Log,
+        }
+    }
+}
+
+impl From<Looked> for Unknowns {
+    fn from(looked: Looked) -> Self {
+        match looked {
+            Looked::Line => Self::Line,
+            Looked::Normal => Self::Normal,
+            Looked::Full => Self::Full,
+        }
+    }
+}
+
+/// Measures gains on the training part, compares with and without on half of the places that were held out, and reports on
+/// the other half.
+///
+/// # Errors
+///
+/// Where skin, bundle or bags cannot be read or the bundle cannot be written, too little was held out, or it was interrupted.
+pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress) -> Result<Findings> {
+    let skin = SkinDescription::load(&options.skin)?;
+    let model = families.model_of_file(&options.skin, &skin)?;
+    let mut bundle = Bundle::load(&options.model, &skin)?;
+    bar.begin("reading what was recorded");
+    let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
+    let split = split_of(&options.model)?.apply(&data)?;
+    let (choosing, reporting) = halves(&data, &split.test);
+    if choosing.is_empty() || reporting.is_empty() {
+        bail!("fewer than two places are held out: record more, or hold out a larger share");
+    }
+    let mut done = Done::of(&options.model, key(options, &bundle, &data));
+    if done.refinement.is_none() {
+        done.refinement = prepare(options, model, &data, &split.train, bar)?;
+        done.keep()?;
+    }
+    let Some(refinement) = done.refinement.clone() else { return Err(interrupted(&done)) };
+
+    let trial = tempfile::tempdir().context("a folder for the trial cannot be made")?;
+    let with = copy(&bundle, &skin, trial.path().join("with"), Some(&refinement))?;
+    let without = copy(&bundle, &skin, trial.path().join("without"), None)?;
+    let measure = |folder: &Path, what: &str| -> Result<Option<[Evaluation; 2]>> {
+        bar.begin(what);
+        let mut estimator = families.estimator(&skin, &[folder.to_owned()])?;
+        let parts = [("held out", choosing.as_slice()), ("held out", reporting.as_slice())];
+        let found = evaluate_parts(estimator.as_mut(), &data, &parts, &|share| bar.at(share))?;
+        Ok(found.and_then(|all| all.try_into().ok()))
+    };
+    if done.without.is_none() {
+        done.without = measure(&without, "the model alone")?;
+        done.keep()?;
+    }
+    if done.with.is_none() {
+        done.with = measure(&with, "with the forward model")?;
+        done.keep()?;
+    }
+    let (Some([chosen_without, before]), Some([chosen_with, after])) = (&done.without, &done.with) else {
+        return Err(interrupted(&done));
+    };
+    let ratio = ratio(chosen_with, chosen_without);
+    let helps = ratio.is_none_or(|r| r < 1.0);
+    let on = helps || options.always;
+
+    let mut manifest = bundle.manifest().clone();
+    let chosen_refinement = on.then_some(&refinement);
+    refined(&mut manifest, chosen_refinement);
+    let chosen = if on { after } else { before };
+    dermis_learn::card::measured(&mut manifest, chosen);
+    bundle.amend(manifest, chosen_refinement.and_then(Refinement::correction))?;
+    let findings =
+        Findings { refinement: refinement.clone(), ratio, on, before: before.clone(), after: after.clone() };
+    amend_card(&options.model, &serde_json::to_value(&findings)?)?;
+    done.forget()?;
+    Ok(findings)
+}
+
+/// What refinement does to a bundle's errors.
+pub struct Findings {
+    /// Settings, and the correction where there is one.
+    pub refinement: Refinement,
+    /// Error with the forward model over that of the model alone, on the half that is chosen by.
+    pub ratio: Option<f64>,
+    /// Whether it is switched on.
+    pub on: bool,
+    /// Of the reported half, by the model alone.
+    pub before: Evaluation,
+    /// Of the same half, with the forward model.
+    pub after: Evaluation,
+}
+
+impl Serialize for Findings {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        json!({
+            "on": self.on, "ratio_on_chosen_half": self.ratio, "settings": self.refinement.settings,
+            "before": self.before, "after": self.after,
+            "correction": self.refinement.correction.as_ref().map(|(learned, _)| json!({
+                "length_m": learned.settings.length, "ridge": learned.settings.ridge,
+                "powers": learned.settings.powers, "presses": learned.presses,
+                "left_without_in_noise": learned.left[0], "left_with_in_noise": learned.left[1],
+            })),
+        })
+        .serialize(serializer)
+    }
+}
+
+/// Where what is done is kept in the bundle until all is.
+const DONE: &str = "refinement.partial.json";
+
+/// What is done of a refinement, so that an interruption costs one step at most.
+#[derive(Serialize, Deserialize)]
+struct Done {
+    /// Of what: another command does not go on with it.
+    key: serde_json::Value,
+    #[serde(skip)]
+    path: PathBuf,
+    refinement: Option<Refinement>,
+    /// Of the half that is chosen by, and of that which is reported.
+    without: Option<[Evaluation; 2]>,
+    with: Option<[Evaluation; 2]>,
+}
+
+impl Done {
+    /// What was kept of the same; nothing where it was of another kind, or cannot be read.
+    fn of(bundle: &Path, key: serde_json::Value) -> Self {
+        let path = bundle.join(DONE);
+        let kept = dermis_io::read_text(&path, dermis_io::REPORT).ok();
+        let kept: Option<Self> = kept.and_then(|text| serde_json::from_str(&text).ok());
+        match kept {
+            Some(kept) if kept.key == key => Self { path, ..kept },
+            _ => Self { key, path, refinement: None, without: None, with: None },
+        }
+    }
+
+    fn keep(&self) -> Result<()> {
+        let written = || format!("{} cannot be written", self.path.display());
+        let folder = self.path.parent().unwrap_or(Path::new("."));
+        let scratch = tempfile::NamedTempFile::new_in(folder).with_context(written)?;
+        std::fs::write(scratch.path(), serde_json::to_string(self)?).with_context(written)?;
+        scratch.persist(&self.path).with_context(written)?;
+        Ok(())
+    }
+
+    fn forget(&self) -> Result<()> {
+        std::fs::remove_file(&self.path).with_context(|| format!("{} cannot be removed", self.path.display()))
+    }
+}
+
+fn interrupted(done: &Done) -> anyhow::Error {
+    anyhow!(
+        "interrupted; what was done is kept in {}: the same command goes on from there",
+        done.path.display()
+    )
+}
+
+/// What a refinement depends on.
+fn key(options: &Request, bundle: &Bundle, data: &Dataset) -> serde_json::Value {
+    let manifest = bundle.manifest();
+    json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "skin": manifest.skin.hash,
+        "model": manifest.model.hash,
+        "data": data.hash(),
+        "labels": format!("{:?}", options.labels),
+        "contacts": options.contacts,
+        "unknowns": format!("{:?}", options.unknowns),
+        "force_prior": format!("{:?}", options.force_prior),
+        "search": format!("{:?}", options.search),
+        "distance": options.distance,
+        "correct": options.correct,
+    })
+}
+
+/// What recordings tell of the forward model.
+#[derive(Clone, Serialize, Deserialize)]
+pub struct Refinement {
+    /// Of the inverter.
+    pub settings: Settings,
+    /// How the device differs from its model, and the hash of the recordings that told it.
+    pub correction: Option<(Learned, String)>,
+}
+
+impl Refinement {
+    fn correction(&self) -> Option<Correction> {
+        self.correction.as_ref().map(|(learned, _)| learned.correction.clone())
+    }
+}
+
+/// Has a manifest speak of a refinement, or of none.
+fn refined(manifest: &mut Manifest, refinement: Option<&Refinement>) {
+    manifest.inversion = refinement.map(|r| r.settings.clone());
+    manifest.correction =
+        refinement.and_then(|r| r.correction.as_ref()).map(|(learned, data_hash)| CorrectionSection {
+            data_hash: data_hash.clone(),
+            presses: learned.presses as u64,
+            left: learned.left,
+            ..CorrectionSection::default()
+        });
+}
+
+/// \[m\] from which on recorded contacts are far enough apart for their sum to be that of two.
+const FAR: f64 = 0.030;
+/// Recorded presses that a correction is learned from at most.
+const PRESSES: usize = 12_000;
+/// Sums of recorded contacts, of each number, on which the evidence for one contact more is chosen.
+const SUMS: usize = 60;
+
+/// Gains, correction and evidence, from the training part alone: four of five of its places to learn from, the fifth to choose
+/// by. `None` where it was interrupted.
+fn prepare(
+    options: &Request,
+    model: Arc<dyn ForwardModel>,
+    data: &Dataset,
+    train: &[SampleId],
+    bar: &dyn Progress,
+) -> Result<Option<Refinement>> {
+    bar.begin("gains of the channels");
+    let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
+    let places: BTreeSet<u32> = train.iter().filter_map(place).collect();
+    let kept: BTreeSet<u32> = places.into_iter().step_by(5).collect();
+    let (choose, learn): (Vec<SampleId>, Vec<SampleId>) =
+        train.iter().copied().partition(|id| place(id).is_some_and(|p| kept.contains(&p)));
+    let unknowns = options.unknowns.into();
+    let set = |settings: &mut Settings| {
+        settings.distance = options.distance;
+        settings.search = options.search.into();
+        settings.force_prior = options.force_prior.into();
+    };
+    let mut settings = refine::settings(
+        model.as_ref(),
+        data,
+        if options.correct { &learn } else { train },
+        unknowns,
+        options.contacts,
+    )?;
+    set(&mut settings);
+    let chosen = Recorded::of(data, &choose, 0.0, PRESSES / 4);
+    let mut model = model;
+    let mut correction = None;
+    if options.correct {
+        let recorded = Recorded::of(data, &learn, 0.0, PRESSES);
+        if recorded.is_empty() || chosen.is_empty() {
+            bail!(
+                "the bags hold no single contacts of known place, force and tip at five places or more to learn from"
+            );
+        }
+        bar.begin("what the forward model does not know");
+        let watch = |share: f64| bar.at(share);
+        let Some(learned) = refine::correction(model.as_ref(), &recorded, &chosen, &settings.gains, &watch)?
+        else {
+            return Ok(None);
+        };
+        model = Arc::new(Corrected::new(model, learned.correction.clone())?);
+        settings = refine::settings(model.as_ref(), data, &choose, unknowns, options.contacts)?;
+        set(&mut settings);
+        // They are in the correction; measured once more on a few places they would only add noise.
+        settings.gains.clear();
+        correction = Some((learned, data.hash()));
+    }
+    if settings.in_pairs() {
+        let sums: Vec<_> = (1..=options.contacts.min(3))
+            .flat_map(|n| superpose(&chosen, n, SUMS, FAR.min(reach(&chosen) / 3.0), 77))
+            .collect();
+        bar.begin("how much evidence a contact needs");
+        if !sums.is_empty() && !refine::tune_evidence(&model, &mut settings, &sums, &|share| bar.at(share))? {
+            return Ok(None);
+        }
+    }
+    bar.begin("how much of it a light one needs");
+    if !refine::tune_presence(&model, &mut settings, data, train, &|share| bar.at(share))? {
+        return Ok(None);
+    }
+    Ok(Some(Refinement { settings, correction }))
+}
+
+/// \[m\] farthest that recorded contacts are from the first.
+fn reach(recorded: &[Recorded]) -> f64 {
+    let first = recorded.first().map(|r| r.contact.position);
+    let away = |r: &Recorded| first.map_or(0.0, |p| (r.contact.position - p).norm());
+    recorded.iter().map(away).fold(0.0, f64::max)
+}
+
+/// Held-out samples by place: every other place to each half.
+fn halves(data: &Dataset, held_out: &[SampleId]) -> (Vec<SampleId>, Vec<SampleId>) {
+    let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
+    let places: BTreeSet<u32> = held_out.iter().filter_map(place).collect();
+    let chosen: BTreeSet<u32> = places.into_iter().step_by(2).collect();
+    held_out.iter().copied().partition(|id| place(id).is_some_and(|p| chosen.contains(&p)))
+}
+
+/// The bundle in another folder, refined like this.
+fn copy(
+    bundle: &Bundle,
+    skin: &SkinDescription,
+    to: PathBuf,
+    refinement: Option<&Refinement>,
+) -> Result<PathBuf> {
+    std::fs::create_dir(&to).with_context(|| format!("{} cannot be made", to.display()))?;
+    for entry in std::fs::read_dir(bundle.path()).with_context(|| format!("{}", bundle.path().display()))? {
+        let entry = entry?;
+        if entry.file_name() == DONE {
+            continue;
+        }
+        std::fs::copy(entry.path(), to.join(entry.file_name()))
+            .with_context(|| format!("{} cannot be copied", entry.path().display()))?;
+    }
+    let mut copied = Bundle::load(&to, skin)?;
+    let mut manifest = copied.manifest().clone();
+    refined(&mut manifest, refinement);
+    copied.amend(manifest, refinement.and_then(Refinement::correction))?;
+    Ok(to)
+}
+
+/// Geometric mean over the bins of force from 0.1 N on of the ratio of the errors of place, or of force where the bundle
+/// gives no place; `None` where they have no bin in common.
+fn ratio(with: &Evaluation, without: &Evaluation) -> Option<f64> {
+    let name = if with.by_force.contains_key("position") { "position" } else { "force.normal" };
+    let (a, b) = (with.by_force.get(name)?, without.by_force.get(name)?);
+    let logs: Vec<f64> = a
+        .iter()
+        .filter(|bin| bin.from >= 0.1)
+        .filter_map(|bin| {
+            let other = b.iter().find(|o| o.from.to_bits() == bin.from.to_bits())?;
+            let ratio = bin.rms / other.rms;
+            (ratio.is_finite() && ratio > 0.0).then(|| ratio.ln())
+        })
+        .collect();
+    (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
+}
+
+/// Puts what was measured into the card.
+fn amend_card(bundle: &Path, record: &serde_json::Value) -> Result<()> {
+    let path = bundle.join("card.json");
+    let text = dermis_io::read_text(&path, dermis_io::REPORT)
+        .with_context(|| format!("{} cannot be read", path.display()))?;
+    let mut card: serde_json::Value =
+        serde_json::from_str(&text).with_context(|| format!("{} is not JSON", path.display()))?;
+    let object = card.as_object_mut().with_context(|| format!("{} is no object", path.display()))?;
+    object.insert("inversion".into(), record.clone());
+    let written = || format!("{} cannot be written", path.display());
+    let scratch = tempfile::NamedTempFile::new_in(bundle).with_context(written)?;
+    std::fs::write(scratch.path(), serde_json::to_string_pretty(&card)? + "\n").with_context(written)?;
+    let readable = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    std::fs::set_permissions(scratch.path(), readable).with_context(written)?;
+    scratch.persist(&path).with_context(written)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_done_is_gone_on_with_by_the_same_command_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let bundle = folder.path();
+        let mut done = Done::of(bundle, json!({ "data": "one" }));
+        let settings = Settings::new(0.004, 2.0);
+        done.refinement = Some(Refinement { settings: settings.clone(), correction: None });
+        done.keep().unwrap();
+        let again = Done::of(bundle, json!({ "data": "one" }));
+        assert_eq!(again.refinement.map(|r| r.settings), Some(settings));
+        assert!(again.without.is_none() && again.path == bundle.join(DONE));
+        assert!(Done::of(bundle, json!({ "data": "another" })).refinement.is_none());
+        // What was cut off half way says nothing.
+        std::fs::write(bundle.join(DONE), "{").unwrap();
+        let fresh = Done::of(bundle, json!({ "data": "one" }));
+        assert!(fresh.refinement.is_none());
+        let told = interrupted(&fresh).to_string();
+        assert!(told.starts_with("interrupted") && told.ends_with("goes on from there"), "{told}");
+        fresh.keep().unwrap();
+        fresh.forget().unwrap();
+        assert!(!bundle.join(DONE).exists());
+    }
+}

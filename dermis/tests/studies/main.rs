@@ -1,0 +1,21 @@
+//! Studies on the sensor families of this program: what they find, and what is said of it.
+
+mod bounds;
+mod sweep;
+mod trends;
+
+use dermis_sensor::Registry;
+use dermis_skin::SkinDescription;
+use dermis_studies::Families;
+
+const SENSORS: Registry = Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY]);
+const FAMILIES: Families = Families::new(&SENSORS);
+
+fn path(skin: &str) -> std::path::PathBuf {
+    SENSORS.install();
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch/skins").join(skin)
+}
+
+fn load(skin: &str) -> SkinDescription {
+    SkinDescription::load(path(skin)).expect("a skin that ships")
+}
