@@ -145,7 +145,7 @@ fn diagnose(options: &Diagnose) -> Result<Diagnosis> {
     how.select.floor *= options.margin / how.select.margin;
     how.select.margin = options.margin;
     how.select.seed = options.seed;
-    how.rows.seed = options.seed;
+    how.samples.seed = options.seed;
     let found = dermis_gap::diagnose(&simulator, &recording, &how, &Memory::default())?;
     progress.finish_and_clear();
     Ok(found)
