@@ -378,7 +378,7 @@ pub fn run(options: &Options) -> Result<Value> {
         "contacts": options.contacts,
         "channels": recording.channels,
         "frames": recording.moments.len(),
-        "rows": report.data.rows,
+        "rows": report.data.samples,
         "first_s": first,
         "signatures_s": seconds_of_signatures(first, seconds),
         "seconds": seconds,

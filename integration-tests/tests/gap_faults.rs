@@ -89,7 +89,7 @@ fn named(skin: &str, bag: &Path, code: &str, fatal: bool) -> Value {
     assert_eq!(found["fatal"], fatal, "{found}");
     if fatal {
         assert_eq!(report["verdict"], "unusable-recording", "{}", report["sentence"]);
-        assert!(report["effects"].as_array().unwrap().is_empty() && report["closure"].is_null());
+        assert!(report["effects"].as_array().unwrap().is_empty() && report["residual_reduction"].is_null());
         let sentence = report["sentence"].as_str().unwrap();
         assert!(sentence.starts_with("This recording cannot be diagnosed: "), "{sentence}");
     }

@@ -1,4 +1,4 @@
-//! What can make a world differ from its design.
+//! What can make a reference device differ from its design.
 
 use std::collections::BTreeMap;
 
@@ -7,12 +7,12 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::WorldError;
+use crate::BenchmarkError;
 
 /// A cause of a gap, and how it is described where nobody knows the names of any tool.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CauseInfo {
-    /// Name in secrets.
+    /// Name in ground truths.
     pub id: &'static str,
     /// Physical description.
     pub what: &'static str,
@@ -46,7 +46,7 @@ impl CauseInfo {
     }
 }
 
-/// A cause at work in one world.
+/// A cause at work in one reference device.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cause {
     /// Which.
@@ -77,7 +77,7 @@ impl Cause {
     }
 }
 
-/// The causes of one world.
+/// The causes of one reference device.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Causes {
     known: &'static [CauseInfo],
@@ -85,11 +85,11 @@ pub(crate) struct Causes {
 }
 
 impl Causes {
-    pub fn new(known: &'static [CauseInfo], causes: &[Cause]) -> Result<Self, WorldError> {
+    pub fn new(known: &'static [CauseInfo], causes: &[Cause]) -> Result<Self, BenchmarkError> {
         for cause in causes {
             if !known.iter().any(|k| k.id == cause.id) {
                 let known: Vec<&str> = known.iter().map(|k| k.id).collect();
-                return Err(WorldError::Cause { id: cause.id.clone(), known: known.join(", ") });
+                return Err(BenchmarkError::Cause { id: cause.id.clone(), known: known.join(", ") });
             }
         }
         Ok(Self { known, causes: causes.to_vec() })

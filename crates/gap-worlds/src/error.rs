@@ -1,4 +1,4 @@
-//! What can go wrong with worlds and packs.
+//! What can go wrong with reference devices and benchmark sets.
 
 use std::path::PathBuf;
 
@@ -6,10 +6,10 @@ use dermis_bag::BagError;
 use dermis_skin::{ModelError, SkinDescription, SkinError};
 use dermis_testbed::TestbedError;
 
-/// A world or a pack that cannot be, and why.
+/// A reference device or a benchmark set that cannot be, and why.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum WorldError {
+pub enum BenchmarkError {
     /// No world is like this skin.
     #[error("skin `{skin}`: field `{field}`: {reason}")]
     Skin {
@@ -20,7 +20,7 @@ pub enum WorldError {
         /// What is wrong with it, and what would be right.
         reason: String,
     },
-    /// A cause is asked for that no world knows.
+    /// A cause is asked for that no reference device knows.
     #[error("`{id}` is no cause of such a world; it has {known}")]
     Cause {
         /// As it was asked for.
@@ -46,12 +46,12 @@ pub enum WorldError {
         /// What is wrong with it.
         reason: String,
     },
-    /// A secret is not the one whose hash was published.
+    /// A ground truth is not the one whose hash was published.
     #[error(
-        "{path}: has SHA-256 {found} where the pack published {published}: it was changed after it was sealed"
+        "{path}: has SHA-256 {found} where the manifest published {published}: it was changed after it was sealed"
     )]
     Seal {
-        /// The secret.
+        /// The ground truth.
         path: PathBuf,
         /// Of what lies there.
         found: String,
@@ -72,8 +72,8 @@ pub enum WorldError {
     Bag(#[from] BagError),
 }
 
-impl WorldError {
-    /// A skin that no world is like, by the field that says so.
+impl BenchmarkError {
+    /// A skin that no reference device is like, by the field that says so.
     pub(crate) fn skin(skin: &SkinDescription, field: &str, reason: &str) -> Self {
         Self::Skin { skin: skin.name.clone(), field: field.to_owned(), reason: reason.to_owned() }
     }

@@ -18,7 +18,7 @@ use rand::Rng;
 
 use crate::cause::{Cause, CauseInfo, Causes};
 use crate::script::{Rig, Script};
-use crate::{Form, Region, World, WorldError, memory};
+use crate::{BenchmarkError, Numerics, ReferenceDevice, Region, memory};
 use depth::Layer;
 use field::{Field, Grain, Profile};
 use tip::Tip;
@@ -44,7 +44,7 @@ struct Skin {
     surface: Surface,
     noise: Vec<f64>,
     range: Vec<Option<[f64; 2]>>,
-    /// \[m\] as they lie in this world.
+    /// \[m\] as they lie in this reference device.
     elements: Vec<Point3<f64>>,
     tip: Tip,
     nearer: f64,
@@ -61,15 +61,15 @@ struct Skin {
     cavity: Option<(Vector2<f64>, f64)>,
 }
 
-/// The world.
+/// The reference device.
 #[derive(Debug)]
-pub(crate) struct LayerWorld {
+pub(crate) struct LayerDevice {
     skin: Arc<Skin>,
     causes: Causes,
 }
 
-impl LayerWorld {
-    /// Whether such a world is like this skin.
+impl LayerDevice {
+    /// Whether such a reference device is like this skin.
     pub fn is_like(skin: &SkinDescription) -> bool {
         matches!(skin.surface, SurfaceSpec::Rectangle { .. }) && skin.unit == "Pa"
     }
@@ -102,8 +102,12 @@ impl LayerWorld {
         causes::CAUSES
     }
 
-    pub fn new(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Self, WorldError> {
-        let wrong = |field: &str, reason: &str| WorldError::skin(skin, field, reason);
+    pub fn new(
+        skin: &SkinDescription,
+        numerics: &Numerics,
+        causes: &[Cause],
+    ) -> Result<Self, BenchmarkError> {
+        let wrong = |field: &str, reason: &str| BenchmarkError::skin(skin, field, reason);
         let causes = Causes::new(causes::CAUSES, causes)?;
         let SurfaceSpec::Rectangle { size, .. } = skin.surface else {
             return Err(wrong("surface", "is not flat"));
@@ -137,18 +141,18 @@ impl LayerWorld {
             poisson,
             grade: causes.size("uneven-cure"),
             slip: slip + (1.0 - slip) * causes.size("loose-base"),
-            elements: form.elements,
+            elements: numerics.elements,
         };
         let tip = Tip {
             radius: causes.size("other-tip"),
             young: crate::number(skin, "young_modulus")? * (1.0 + causes.size("other-modulus")),
             poisson,
             thickness,
-            sphere: form.sphere,
+            sphere: numerics.sphere,
         };
-        let grain = Grain { period: form.period, shortest: 2500.0, elements: form.elements };
+        let grain = Grain { period: numerics.period, shortest: 2500.0, elements: numerics.elements };
         let range = ([mean - AROUND - 0.0005, mean + AROUND], 0.004, REACH);
-        let profile = if form.flattening { Profile::Flattening(0.002) } else { Profile::Ellipsoid };
+        let profile = if numerics.flattening { Profile::Flattening(0.002) } else { Profile::Ellipsoid };
         let lid = causes.size("wide-port");
         let field = |thickness: f64| {
             let layer = Layer { thickness, ..layer.clone() };
@@ -184,7 +188,7 @@ impl LayerWorld {
             range: skin.channels().iter().map(|c| c.range).collect(),
             elements,
             tip,
-            nearer: form.nearer,
+            nearer: numerics.nearer,
             fields,
             wedge,
             shift,
@@ -197,7 +201,7 @@ impl LayerWorld {
 }
 
 impl Skin {
-    /// The tip of an indenter of this diameter \[m\], as it is in this world.
+    /// The tip of an indenter of this diameter \[m\], as it is in this reference device.
     fn tip(&self, diameter: f64) -> Tip {
         Tip { radius: (diameter / 2.0 + self.tip.radius).max(1e-4), ..self.tip }
     }
@@ -276,12 +280,12 @@ impl ForwardModel for Skin {
     }
 }
 
-impl World for LayerWorld {
+impl ReferenceDevice for LayerDevice {
     fn model(&self) -> Arc<dyn ForwardModel> {
         Arc::clone(&self.skin) as Arc<dyn ForwardModel>
     }
 
-    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, WorldError> {
+    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, BenchmarkError> {
         let channels = self.skin.elements.len();
         let mut readings = self.pressed(script)?;
         self.remember(script, &mut readings);
@@ -300,9 +304,9 @@ impl World for LayerWorld {
     }
 }
 
-impl LayerWorld {
+impl LayerDevice {
     /// What the field alone does \[Pa\], frame by frame.
-    fn pressed(&self, script: &Script) -> Result<Vec<f64>, WorldError> {
+    fn pressed(&self, script: &Script) -> Result<Vec<f64>, BenchmarkError> {
         let channels = self.skin.elements.len();
         let friction = self.causes.size("dragging-tip");
         let mut readings = vec![0.0; channels * script.instants.len()];
@@ -366,13 +370,13 @@ mod tests {
         SkinDescription::from_toml(text, "line").unwrap()
     }
 
-    fn world(causes: &[Cause]) -> LayerWorld {
-        LayerWorld::new(&line(), &Form::default(), causes).unwrap()
+    fn device(causes: &[Cause]) -> LayerDevice {
+        LayerDevice::new(&line(), &Numerics::default(), causes).unwrap()
     }
 
     #[test]
     fn readings_add_up_and_fade_with_the_distance() {
-        let world = world(&[]);
+        let device = device(&[]);
         let at = |x: f64, force: f64| {
             let contact = Indentation {
                 position: Point3::new(x, 0.0, 0.0),
@@ -380,7 +384,7 @@ mod tests {
                 diameter: 0.004,
             };
             let mut out = vec![0.0; 6];
-            world
+            device
                 .skin
                 .response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)
                 .unwrap();
@@ -396,19 +400,19 @@ mod tests {
 
     #[test]
     fn every_cause_moves_the_readings_and_unknown_ones_are_named() {
-        let nominal = world(&[]);
-        let rig = Rig { size: 0.2, ..LayerWorld::rig(&line(), 0.2) };
+        let nominal = device(&[]);
+        let rig = Rig { size: 0.2, ..LayerDevice::rig(&line(), 0.2) };
         let script = Script::draw(&nominal.model(), &rig, crate::Climate::Varied, 3).unwrap();
         let clean = nominal.readings(&script, None).unwrap();
-        for info in LayerWorld::causes() {
+        for info in LayerDevice::causes() {
             let cause = Cause { id: info.id.to_owned(), strength: 1.0, seed: 5 };
-            let other = world(&[cause]).readings(&script, None).unwrap();
+            let other = device(&[cause]).readings(&script, None).unwrap();
             let moved = crate::unexplained(&clean, &other, &script, 6);
             assert!(other.iter().all(|v| v.is_finite()), "{}", info.id);
             assert!(moved > 1e-4, "{} moves {moved} of the variance", info.id);
         }
         let made_up = Cause { id: "gremlins".to_owned(), strength: 1.0, seed: 5 };
-        let refused = LayerWorld::new(&line(), &Form::default(), &[made_up]).unwrap_err().to_string();
+        let refused = LayerDevice::new(&line(), &Numerics::default(), &[made_up]).unwrap_err().to_string();
         assert!(refused.contains("gremlins") && refused.contains("creeping"), "{refused}");
     }
 }

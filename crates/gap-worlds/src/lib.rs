@@ -1,9 +1,9 @@
 //! The "real" side of the check of the tool that diagnoses gaps between simulated and real skins.
 //!
-//! A [`World`] is a skin that is pressed as a rig would press it ([`Script`]), computed by other means than the models that
+//! A [`ReferenceDevice`] is a skin that is pressed as a rig would press it ([`Script`]), computed by other means than the models that
 //! the tool works with: another discretisation, other laws of contact, material and electronics, taken from the literature and
 //! not from any model of this workspace. What makes it differ from its design, its [`Cause`]s, is withheld: a [`pack`] of
-//! recordings is published with the hash of each secret, and [`score`]d after the tool has written its reports.
+//! recordings is published with the hash of each ground truth, and [`score`]d after the tool has written its reports.
 //!
 //! No crate but the program and tests of the check may import this one, and the tool never (`cargo xtask layers`).
 
@@ -12,10 +12,10 @@ mod common;
 mod error;
 mod layer;
 mod memory;
-pub mod pack;
 mod record;
 pub mod score;
 mod script;
+pub mod set;
 mod shell;
 
 use std::sync::Arc;
@@ -26,15 +26,15 @@ use rand::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 pub use cause::{Cause, CauseInfo, parameters};
-pub use error::WorldError;
+pub use error::BenchmarkError;
 pub use record::record;
 pub use script::{Climate, Instant, Rig, Script};
 
 use memory::add_noise;
 
-/// How a world is computed: what differs between simulators and is no cause of a gap that a device has.
+/// How a reference device is computed: what differs between simulators and is no cause of a gap that a device has.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Form {
+pub struct Numerics {
     /// \[m\] after which a layer repeats.
     pub period: f64,
     /// Finite elements across a layer, or along the longer side of a shell.
@@ -47,13 +47,13 @@ pub struct Form {
     pub nearer: f64,
 }
 
-impl Default for Form {
+impl Default for Numerics {
     fn default() -> Self {
         Self { period: 0.12, elements: 24, sphere: true, flattening: true, nearer: 0.06 }
     }
 }
 
-impl Form {
+impl Numerics {
     /// Another mesh and other laws, drawn by `seed`.
     #[must_use]
     pub fn varied(seed: u64) -> Self {
@@ -69,7 +69,7 @@ impl Form {
 }
 
 /// A skin as it would be in reality.
-pub trait World: Send + Sync {
+pub trait ReferenceDevice: Send + Sync {
     /// What of it does not change with time, and how deep tips sink in: what a [`Script`] needs.
     fn model(&self) -> Arc<dyn ForwardModel>;
 
@@ -78,20 +78,24 @@ pub trait World: Send + Sync {
     ///
     /// # Errors
     ///
-    /// [`WorldError::Model`] where the script holds a contact that cannot be.
-    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, WorldError>;
+    /// [`BenchmarkError::Model`] where the script holds a contact that cannot be.
+    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, BenchmarkError>;
 }
 
-/// The world that is like a skin.
+/// The reference device that is like a skin.
 ///
 /// # Errors
 ///
-/// [`WorldError`] where no world is like it, or a cause is unknown.
-pub fn world(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Box<dyn World>, WorldError> {
-    if layer::LayerWorld::is_like(skin) {
-        Ok(Box::new(layer::LayerWorld::new(skin, form, causes)?))
+/// [`BenchmarkError`] where no reference device is like it, or a cause is unknown.
+pub fn reference_device(
+    skin: &SkinDescription,
+    numerics: &Numerics,
+    causes: &[Cause],
+) -> Result<Box<dyn ReferenceDevice>, BenchmarkError> {
+    if layer::LayerDevice::is_like(skin) {
+        Ok(Box::new(layer::LayerDevice::new(skin, numerics, causes)?))
     } else {
-        Ok(Box::new(shell::ShellWorld::new(skin, form, causes)?))
+        Ok(Box::new(shell::ShellDevice::new(skin, numerics, causes)?))
     }
 }
 
@@ -122,23 +126,23 @@ pub fn region(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
             names: which.into_iter().map(|c| channels[c].name.clone()).collect(),
         });
     }
-    if layer::LayerWorld::is_like(skin) {
-        layer::LayerWorld::place(skin, cause)
+    if layer::LayerDevice::is_like(skin) {
+        layer::LayerDevice::place(skin, cause)
     } else {
-        shell::ShellWorld::place(skin, cause)
+        shell::ShellDevice::place(skin, cause)
     }
 }
 
-/// The causes that a world of this skin can have.
+/// The causes that a reference device of this skin can have.
 ///
 /// # Errors
 ///
-/// [`WorldError`] where no world is like it.
-pub fn causes(skin: &SkinDescription) -> Result<&'static [CauseInfo], WorldError> {
-    if layer::LayerWorld::is_like(skin) {
-        Ok(layer::LayerWorld::causes())
-    } else if shell::ShellWorld::is_like(skin) {
-        Ok(shell::ShellWorld::causes())
+/// [`BenchmarkError`] where no reference device is like it.
+pub fn causes(skin: &SkinDescription) -> Result<&'static [CauseInfo], BenchmarkError> {
+    if layer::LayerDevice::is_like(skin) {
+        Ok(layer::LayerDevice::causes())
+    } else if shell::ShellDevice::is_like(skin) {
+        Ok(shell::ShellDevice::causes())
     } else {
         Err(unlike(skin))
     }
@@ -148,24 +152,24 @@ pub fn causes(skin: &SkinDescription) -> Result<&'static [CauseInfo], WorldError
 ///
 /// # Errors
 ///
-/// [`WorldError`] where no world is like it.
-pub fn rig(skin: &SkinDescription, size: f64) -> Result<Rig, WorldError> {
+/// [`BenchmarkError`] where no reference device is like it.
+pub fn rig(skin: &SkinDescription, size: f64) -> Result<Rig, BenchmarkError> {
     causes(skin)?;
-    Ok(if layer::LayerWorld::is_like(skin) {
-        layer::LayerWorld::rig(skin, size)
+    Ok(if layer::LayerDevice::is_like(skin) {
+        layer::LayerDevice::rig(skin, size)
     } else {
-        shell::ShellWorld::rig(skin, size)
+        shell::ShellDevice::rig(skin, size)
     })
 }
 
 /// A number of the medium.
-pub(crate) fn number(skin: &SkinDescription, key: &str) -> Result<f64, WorldError> {
+pub(crate) fn number(skin: &SkinDescription, key: &str) -> Result<f64, BenchmarkError> {
     let value = skin.medium.get(key).and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)));
-    value.ok_or_else(|| WorldError::skin(skin, &format!("medium.{key}"), "is missing, or no number"))
+    value.ok_or_else(|| BenchmarkError::skin(skin, &format!("medium.{key}"), "is missing, or no number"))
 }
 
-fn unlike(skin: &SkinDescription) -> WorldError {
-    WorldError::skin(
+fn unlike(skin: &SkinDescription) -> BenchmarkError {
+    BenchmarkError::skin(
         skin,
         "surface",
         "no world is like it: there are flat layers that read in Pa, and clamped panels that read strain",

@@ -12,7 +12,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::{Script, WorldError};
+use crate::{BenchmarkError, Script};
 
 /// Stamp of the first frame of every recording \[ns\].
 const START: Stamp = 1_790_000_000_000_000_000;
@@ -25,7 +25,7 @@ const STAGE_NOISE: f64 = 7.5e-6;
 ///
 /// # Errors
 ///
-/// [`WorldError::Bag`] where it cannot be written.
+/// [`BenchmarkError::Bag`] where it cannot be written.
 pub fn record(
     skin: &SkinDescription,
     model: &dyn ForwardModel,
@@ -33,7 +33,7 @@ pub fn record(
     readings: &[f64],
     dir: &Path,
     seed: Option<u64>,
-) -> Result<(), WorldError> {
+) -> Result<(), BenchmarkError> {
     let surface = model.surface();
     let mut rng = ChaCha8Rng::seed_from_u64(seed.unwrap_or_default());
     let [force_noise, stage_noise] = if seed.is_some() { [FORCE_NOISE, STAGE_NOISE] } else { [0.0; 2] };

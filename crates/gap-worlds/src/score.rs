@@ -1,4 +1,4 @@
-//! What a tool answered on a pack, compared to what was withheld: counts with Wilson's intervals.
+//! What a tool answered on a benchmark set, compared to what was withheld: counts with Wilson's intervals.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -6,7 +6,7 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use crate::Region;
-use crate::pack::{Kind, Secret};
+use crate::set::{GroundTruth, Kind};
 
 /// Which of a tool's names are right for a cause.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -29,12 +29,12 @@ pub struct Accepted {
 /// From causes to the names of the tool, by cause.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Mapping {
-    /// By the cause's name in secrets.
+    /// By the cause's name in ground truths.
     pub causes: BTreeMap<String, Accepted>,
 }
 
 impl Mapping {
-    /// The mapping that belongs to the packs of this version.
+    /// The mapping that belongs to the benchmark sets of this version.
     pub const TEXT: &str = include_str!("../mapping.toml");
 
     /// Reads one.
@@ -59,8 +59,8 @@ impl Mapping {
     }
 
     /// Whether the library has an effect for every cause.
-    fn holds(&self, secret: &Secret) -> bool {
-        secret.causes.iter().all(|told| !self.of(&told.cause.id).is_empty())
+    fn holds(&self, truth: &GroundTruth) -> bool {
+        truth.causes.iter().all(|withheld| !self.of(&withheld.cause.id).is_empty())
     }
 }
 
@@ -69,7 +69,7 @@ impl Mapping {
 pub struct Named {
     /// All names that would explain it as well, the label first.
     pub class: Vec<String>,
-    /// Whether the tool stands by it, or says that it may be the form of its own simulator as well.
+    /// Whether the tool stands by it, or says that it may be the model discrepancy of its own simulator as well.
     pub firm: bool,
     /// Value and 90 % interval of each parameter, by `effect.parameter`.
     pub parameters: BTreeMap<String, (f64, Option<[f64; 2]>)>,
@@ -92,7 +92,7 @@ pub struct Answer {
     pub closure: Option<[f64; 2]>,
     /// 90 % interval of the share that it says it closes.
     pub interval: Option<[f64; 2]>,
-    /// Share of the gap that what it names closes in another recording of the same world, where that was tried.
+    /// Share of the gap that what it names closes in another recording of the same reference device, where that was tried.
     pub elsewhere: Option<f64>,
     /// Share of the gap that it leaves unexplained; 0 where it sees none.
     pub unexplained: Option<f64>,
@@ -220,7 +220,7 @@ pub struct Scores {
     pub closure_errors: Vec<f64>,
     /// Intervals of the closure that hold what was achieved.
     pub closure_covered: Share,
-    /// Differences between predicted closure and that in another recording of the same world.
+    /// Differences between predicted closure and that in another recording of the same reference device.
     pub elsewhere_errors: Vec<f64>,
     /// Intervals of the closure that hold that in another recording.
     pub elsewhere_covered: Share,
@@ -251,9 +251,15 @@ fn yes(so: bool) -> f64 {
 
 impl Scores {
     /// Adds one case.
-    pub fn add(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping, library: &BTreeSet<String>) {
+    pub fn add(
+        &mut self,
+        truth: &GroundTruth,
+        answer: &Answer,
+        mapping: &Mapping,
+        library: &BTreeSet<String>,
+    ) {
         self.cases += 1;
-        let right = |name: &String| secret.causes.iter().any(|t| mapping.of(&t.cause.id).contains(name));
+        let right = |name: &String| truth.causes.iter().any(|t| mapping.of(&t.cause.id).contains(name));
         let hit = |class: &[String]| class.iter().any(right);
         for named in answer.named.iter().filter(|n| n.firm && n.class.len() == 1) {
             // A control may hold a cause that is too weak to matter: naming it right is no mistake.
@@ -262,7 +268,7 @@ impl Scores {
         let first = answer.named.first();
         let firm = |n: &&Named| n.firm;
         let wrong = |n: &Named| !hit(&n.class);
-        match secret.kind {
+        match truth.kind {
             Kind::Controls => {
                 self.false_alarms.add(yes(answer.named.iter().filter(firm).any(wrong)));
                 let unknown = answer.gap && answer.unknown;
@@ -271,8 +277,8 @@ impl Scores {
                 return;
             }
             Kind::Pairs | Kind::Triples => {
-                if mapping.holds(secret) {
-                    let found = secret.causes.iter().map(|t| {
+                if mapping.holds(truth) {
+                    let found = truth.causes.iter().map(|t| {
                         let names = mapping.of(&t.cause.id);
                         answer.named.iter().any(|n| n.class.iter().any(|name| names.contains(name)))
                     });
@@ -286,12 +292,12 @@ impl Scores {
                     self.extra.add(yes(answer.named.iter().any(wrong)));
                 }
             }
-            Kind::Confounded if mapping.holds(secret) => {
+            Kind::Confounded if mapping.holds(truth) => {
                 self.confounded.add(yes(first.is_some_and(|n| hit(&n.class))));
                 let sure = first.filter(|n| n.firm && n.class.len() == 1);
                 self.confounded_wrong.add(yes(sure.is_some_and(wrong)));
             }
-            Kind::Singles | Kind::OutOfLibrary if mapping.holds(secret) => {
+            Kind::Singles | Kind::OutOfLibrary if mapping.holds(truth) => {
                 let found = first.is_some_and(|n| hit(&n.class));
                 self.class.add(yes(found));
                 self.class_sizes.extend(first.map(|n| n.class.len() as f64));
@@ -301,20 +307,20 @@ impl Scores {
                 self.top3.add(yes(answer.ranking.iter().take(3).any(right)));
                 self.false_unknown.add(yes(answer.unknown));
                 self.unexplained[0].push(answer.unexplained.unwrap_or(0.0));
-                self.single(secret, answer, mapping, library);
+                self.single(truth, answer, mapping, library);
             }
             Kind::Singles | Kind::Confounded | Kind::OutOfLibrary => {
                 self.unknown_found.add(yes(answer.unknown));
                 self.unknown_named.add(yes(answer.named.iter().any(|n| n.firm)));
                 self.unexplained[1].push(answer.unexplained.unwrap_or(0.0));
-                self.single(secret, answer, mapping, library);
+                self.single(truth, answer, mapping, library);
             }
         }
-        if secret.causes.len() == 1 {
-            self.located(secret, answer, mapping);
+        if truth.causes.len() == 1 {
+            self.located(truth, answer, mapping);
         }
         self.closure(answer);
-        self.parameters(secret, answer, mapping);
+        self.parameters(truth, answer, mapping);
     }
 
     /// What was answered first.
@@ -324,10 +330,16 @@ impl Scores {
         *self.confusion.entry(cause.to_owned()).or_default().entry(said).or_default() += 1;
     }
 
-    fn single(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping, library: &BTreeSet<String>) {
-        if let Some(told) = secret.causes.first() {
-            self.confused(&told.cause.id, answer);
-            self.log_scores.push(answer.probability(mapping.of(&told.cause.id), library).ln());
+    fn single(
+        &mut self,
+        truth: &GroundTruth,
+        answer: &Answer,
+        mapping: &Mapping,
+        library: &BTreeSet<String>,
+    ) {
+        if let Some(withheld) = truth.causes.first() {
+            self.confused(&withheld.cause.id, answer);
+            self.log_scores.push(answer.probability(mapping.of(&withheld.cause.id), library).ln());
         }
         let [inside, outside] = &self.unexplained;
         let mut shares = inside.clone();
@@ -338,15 +350,16 @@ impl Scores {
         self.unknown_at_2 = Share { hits: over as f64, of: outside.len() };
     }
 
-    fn located(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping) {
-        let Some(told) = secret.causes.first() else { return };
-        let Some(axes) = mapping.causes.get(&told.cause.id).map(|a| &a.axes).filter(|a| !a.is_empty()) else {
+    fn located(&mut self, truth: &GroundTruth, answer: &Answer, mapping: &Mapping) {
+        let Some(withheld) = truth.causes.first() else { return };
+        let Some(axes) = mapping.causes.get(&withheld.cause.id).map(|a| &a.axes).filter(|a| !a.is_empty())
+        else {
             return;
         };
         let among = |first: usize| answer.axes.iter().take(first).any(|a| axes.contains(a));
         self.axis.add(yes(among(1)));
         self.axis_of_two.add(yes(among(2)));
-        let region = told.region.as_ref().map(|region| match region {
+        let region = withheld.region.as_ref().map(|region| match region {
             Region::Channels { names } => answer.channel.as_ref().is_some_and(|c| names.contains(c)),
             Region::Place { at, within } => answer.peak.is_some_and(|peak| {
                 let off = peak.iter().zip(at).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
@@ -374,11 +387,11 @@ impl Scores {
         }
     }
 
-    fn parameters(&mut self, secret: &Secret, answer: &Answer, mapping: &Mapping) {
-        for told in &secret.causes {
-            let Some(accepted) = mapping.causes.get(&told.cause.id) else { continue };
+    fn parameters(&mut self, truth: &GroundTruth, answer: &Answer, mapping: &Mapping) {
+        for withheld in &truth.causes {
+            let Some(accepted) = mapping.causes.get(&withheld.cause.id) else { continue };
             let Some(parameter) = &accepted.parameter else { continue };
-            let Some(size) = told.parameters.values().next().copied().filter(|v| *v != 0.0) else {
+            let Some(size) = withheld.parameters.values().next().copied().filter(|v| *v != 0.0) else {
                 continue;
             };
             let [neutral, factor] = accepted.scale.unwrap_or([0.0, 1.0]);
@@ -485,9 +498,9 @@ impl Aim {
     }
 }
 
-/// Scores of a whole pack: all cases, those with a gap of at least three times the floor, and those of each gap and noise.
+/// Scores of a whole benchmark set: all cases, those with a gap of at least three times the floor, and those of each gap and noise.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
-pub struct Card {
+pub struct Scorecard {
     /// All cases.
     pub all: Scores,
     /// Gap at least three times the floor; controls and causes outside of the library included.
@@ -500,29 +513,29 @@ pub struct Card {
     pub not_in_library: Vec<String>,
 }
 
-impl Card {
-    /// Scores of answers, one a secret, of a tool that has the effects of `library`.
+impl Scorecard {
+    /// Scores of answers, one a ground truth, of a tool that has the effects of `library`.
     #[must_use]
     pub fn new<'a>(
-        cases: impl IntoIterator<Item = (&'a Secret, &'a Answer)>,
+        cases: impl IntoIterator<Item = (&'a GroundTruth, &'a Answer)>,
         mapping: &Mapping,
         library: &BTreeSet<String>,
     ) -> Self {
         let names: BTreeSet<&String> = mapping.causes.values().flat_map(|a| &a.names).collect();
         let not_in_library = names.into_iter().filter(|n| !library.contains(*n)).cloned().collect();
-        let mut card = Self { not_in_library, ..Self::default() };
+        let mut scorecard = Self { not_in_library, ..Self::default() };
         let mapping = mapping.within(library);
-        for (secret, answer) in cases {
-            card.all.add(secret, answer, &mapping, library);
-            let gap = card.by_gap.entry(format!("{}", secret.gap)).or_default();
-            gap.add(secret, answer, &mapping, library);
-            if secret.gap == 0.0 || secret.gap >= 3.0 {
-                card.headline.add(secret, answer, &mapping, library);
-                let noise = card.by_noise.entry(format!("{}", secret.noise)).or_default();
-                noise.add(secret, answer, &mapping, library);
+        for (truth, answer) in cases {
+            scorecard.all.add(truth, answer, &mapping, library);
+            let gap = scorecard.by_gap.entry(format!("{}", truth.gap)).or_default();
+            gap.add(truth, answer, &mapping, library);
+            if truth.gap == 0.0 || truth.gap >= 3.0 {
+                scorecard.headline.add(truth, answer, &mapping, library);
+                let noise = scorecard.by_noise.entry(format!("{}", truth.noise)).or_default();
+                noise.add(truth, answer, &mapping, library);
             }
         }
-        card
+        scorecard
     }
 
     /// As Markdown: the headline with what is aimed at, the main rates by gap and noise, and what was answered for each cause.
@@ -593,8 +606,8 @@ mod tests {
         assert!((low - 0.596).abs() < 1e-3 && (high - 0.982).abs() < 1e-3, "{low} {high}");
     }
 
-    /// A secret of one cause, as JSON says it.
-    fn secret(kind: &str, cause: &str, region: &serde_json::Value) -> Secret {
+    /// A ground truth of one cause, as JSON says it.
+    fn truth(kind: &str, cause: &str, region: &serde_json::Value) -> GroundTruth {
         let causes = match cause {
             "" => serde_json::json!([]),
             _ => {
@@ -605,7 +618,7 @@ mod tests {
         serde_json::from_value(serde_json::json!({
             "schema": "gap-secret/1", "generator": "", "case": "case-0001", "kind": kind, "salt": "", "seed": 1,
             "causes": causes, "gap": if cause.is_empty() { 0.0 } else { 3.0 }, "noise": 1.0, "floor": 0.01,
-            "unexplained": 0.03, "alone": [0.03], "form": crate::Form::default(), "only_warmer": false, "size": 1.0,
+            "unexplained": 0.03, "alone": [0.03], "form": crate::Numerics::default(), "only_warmer": false, "size": 1.0,
         }))
         .unwrap()
     }
@@ -634,9 +647,9 @@ mod tests {
         let library: BTreeSet<String> = ["dead", "gain", "friction"].map(str::to_owned).into();
         let channels = serde_json::json!({ "kind": "channels", "names": ["g3"] });
         let place = serde_json::json!({ "kind": "place", "at": [0.0, 0.0, 0.0], "within": 0.01 });
-        let leads = secret("singles", "leads", &channels);
-        let hole = secret("out-of-library", "hole", &place);
-        let none = secret("controls", "", &serde_json::Value::Null);
+        let leads = truth("singles", "leads", &channels);
+        let hole = truth("out-of-library", "hole", &place);
+        let none = truth("controls", "", &serde_json::Value::Null);
 
         let mut right = says(&[&["dead", "friction"]]);
         right.axes = vec!["force".to_owned(), "channel".to_owned()];
@@ -648,8 +661,8 @@ mod tests {
         unknown.peak = Some([0.02, 0.0, 0.0]);
         let alarm = says(&[&["friction"]]);
         let cases = [(&leads, &right), (&hole, &unknown), (&none, &alarm), (&none, &Answer::default())];
-        let card = Card::new(cases, &mapping, &library);
-        let s = &card.headline;
+        let scorecard = Scorecard::new(cases, &mapping, &library);
+        let s = &scorecard.headline;
         let of = |share: Share| (share.hits, share.of);
         assert_eq!((of(s.top1), of(s.class), of(s.top3)), ((0.5, 1), (1.0, 1), (1.0, 1)));
         assert_eq!((of(s.unknown_found), of(s.unknown_at_2)), ((1.0, 1), (1.0, 1)));
@@ -658,11 +671,11 @@ mod tests {
         assert_eq!((of(s.region), of(s.located)), ((1.0, 2), (1.0, 2)));
         assert_eq!((of(s.closure_covered), of(s.elsewhere_covered)), ((1.0, 1), (0.0, 1)));
         assert!((median(&s.parameter_errors) - 0.2).abs() < 1e-9 && of(s.covered) == (1.0, 1));
-        assert_eq!(card.not_in_library, ["void"]);
+        assert_eq!(scorecard.not_in_library, ["void"]);
         // Nine tenths to two names, one tenth to four answers.
         let probability = right.probability(mapping.of("leads"), &library);
         assert!((probability - (0.45 + 0.05)).abs() < 1e-9, "{probability}");
-        assert!(card.table().contains("| friction |") || card.table().contains("1× friction"));
+        assert!(scorecard.table().contains("| friction |") || scorecard.table().contains("1× friction"));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use dermis_model::{ForwardModel, Stimulus};
 use dermis_testbed::{Moment, Phase, Plan, Timeline};
 
-use crate::WorldError;
+use crate::BenchmarkError;
 
 /// How the skin's temperature runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -78,13 +78,13 @@ impl Script {
     ///
     /// # Errors
     ///
-    /// [`WorldError::Testbed`] where the skin has no room for it.
+    /// [`BenchmarkError::Testbed`] where the skin has no room for it.
     pub fn draw(
         model: &Arc<dyn ForwardModel>,
         rig: &Rig,
         climate: Climate,
         seed: u64,
-    ) -> Result<Self, WorldError> {
+    ) -> Result<Self, BenchmarkError> {
         let count = |usual: f64| (usual * rig.size).round().max(2.0) as u32;
         let [low, high] = rig.force;
         let presses = |count: u32, extra: &str| {

@@ -16,11 +16,11 @@ use rand::Rng;
 
 use crate::cause::{Cause, CauseInfo, Causes};
 use crate::script::{Rig, Script};
-use crate::{Form, Region, World, WorldError, memory};
+use crate::{BenchmarkError, Numerics, ReferenceDevice, Region, memory};
 use panel::{Build, Gauge, Influence, Shape};
 use plate::Material;
 
-/// What of the world does not change with time.
+/// What of the reference device does not change with time.
 #[derive(Debug)]
 struct Panel {
     surface: Surface,
@@ -44,15 +44,15 @@ fn thin_at(shape: &Shape, cause: &Cause) -> [f64; 2] {
     [0.35 * shape.size[0], 0.35 * shape.size[1]].map(|half| rng.random_range(-half..half))
 }
 
-/// The world.
+/// The reference device.
 #[derive(Debug)]
-pub(crate) struct ShellWorld {
+pub(crate) struct ShellDevice {
     panel: Arc<Panel>,
     causes: Causes,
 }
 
-impl ShellWorld {
-    /// Whether such a world is like this skin.
+impl ShellDevice {
+    /// Whether such a reference device is like this skin.
     pub fn is_like(skin: &SkinDescription) -> bool {
         Shape::of(&skin.surface).is_some() && skin.unit == "1"
     }
@@ -81,8 +81,12 @@ impl ShellWorld {
         causes::CAUSES
     }
 
-    pub fn new(skin: &SkinDescription, form: &Form, causes: &[Cause]) -> Result<Self, WorldError> {
-        let wrong = |field: &str, reason: &str| WorldError::skin(skin, field, reason);
+    pub fn new(
+        skin: &SkinDescription,
+        numerics: &Numerics,
+        causes: &[Cause],
+    ) -> Result<Self, BenchmarkError> {
+        let wrong = |field: &str, reason: &str| BenchmarkError::skin(skin, field, reason);
         let causes = Causes::new(causes::CAUSES, causes)?;
         let shape = Shape::of(&skin.surface).ok_or_else(|| crate::unlike(skin))?;
         let wall = crate::number(skin, "thickness")?;
@@ -154,7 +158,7 @@ impl ShellWorld {
                 thickness: &thickness,
                 wall,
                 clamp,
-                spacing: shape.size[0] * 0.4 / form.elements as f64,
+                spacing: shape.size[0] * 0.4 / numerics.elements as f64,
             },
             &gauges,
         )
@@ -169,7 +173,8 @@ impl ShellWorld {
             range: skin.channels().iter().map(|c| c.range).collect(),
             influence,
             radius: shape.radius,
-            patch: crate::number(skin, "patch").unwrap_or(0.005) * if form.flattening { 1.1 } else { 1.25 },
+            patch: crate::number(skin, "patch").unwrap_or(0.005)
+                * if numerics.flattening { 1.1 } else { 1.25 },
             stretching: causes.size("stretching"),
             askew,
         };
@@ -217,12 +222,12 @@ impl ForwardModel for Panel {
     }
 }
 
-impl World for ShellWorld {
+impl ReferenceDevice for ShellDevice {
     fn model(&self) -> Arc<dyn ForwardModel> {
         Arc::clone(&self.panel) as Arc<dyn ForwardModel>
     }
 
-    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, WorldError> {
+    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, BenchmarkError> {
         let channels = self.panel.noise.len();
         let friction = self.causes.size("dragging-tip");
         let mut readings = vec![0.0; channels * script.instants.len()];
@@ -283,27 +288,27 @@ impl World for ShellWorld {
 mod tests {
     use super::*;
 
-    /// The skin that ships of which such a world is like.
+    /// The skin that ships of which such a reference device is like.
     fn shin() -> SkinDescription {
         let skins = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../../launch/skins")).unwrap();
         let skins = skins.filter_map(|entry| SkinDescription::load(entry.unwrap().path()).ok());
-        skins.into_iter().find(ShellWorld::is_like).unwrap()
+        skins.into_iter().find(ShellDevice::is_like).unwrap()
     }
 
     #[test]
     fn every_cause_moves_the_readings() {
         let skin = shin();
-        let form = Form { elements: 20, ..Form::default() };
-        let world = |causes: &[Cause]| ShellWorld::new(&skin, &form, causes).unwrap();
-        let nominal = world(&[]);
-        let rig = ShellWorld::rig(&skin, 0.1);
+        let numerics = Numerics { elements: 20, ..Numerics::default() };
+        let device = |causes: &[Cause]| ShellDevice::new(&skin, &numerics, causes).unwrap();
+        let nominal = device(&[]);
+        let rig = ShellDevice::rig(&skin, 0.1);
         let script = Script::draw(&nominal.model(), &rig, crate::Climate::Varied, 3).unwrap();
         let clean = nominal.readings(&script, None).unwrap();
         let largest = clean.iter().fold(0.0f64, |m, v| m.max(v.abs()));
         assert!((1e-4..1e-2).contains(&largest), "strains up to {largest}");
-        for info in ShellWorld::causes() {
+        for info in ShellDevice::causes() {
             let cause = Cause { id: info.id.to_owned(), strength: 1.0, seed: 5 };
-            let other = world(&[cause]).readings(&script, None).unwrap();
+            let other = device(&[cause]).readings(&script, None).unwrap();
             let moved = crate::unexplained(&clean, &other, &script, skin.channels().len());
             assert!(moved.is_finite() && moved > 1e-4, "{} moves {moved} of the variance", info.id);
         }

@@ -121,6 +121,18 @@ pub fn dot(a: &[f32], b: &[f32]) -> f64 {
         .sum()
 }
 
+/// Distribution function of the normal distribution (Abramowitz and Stegun 7.1.26, within 2e-7).
+#[must_use]
+pub fn normal(z: f64) -> f64 {
+    let x = z.abs() / std::f64::consts::SQRT_2;
+    let t = 1.0 / (1.0 + 0.327_591_1 * x);
+    let poly = t
+        * (0.254_829_592
+            + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    let tail = 0.5 * poly * (-x * x).exp();
+    if z > 0.0 { 1.0 - tail } else { tail }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -146,5 +158,12 @@ mod tests {
         assert!(held > 0.9999);
         // The first is the strongest direction, as long as the root mean square of the vectors along it.
         approx::assert_relative_eq!(dot(&found[0], &found[0]), 5.0 * 5.25 / 3.0, max_relative = 0.01);
+    }
+
+    #[test]
+    fn the_normal_distribution_is_that_of_the_tables() {
+        for (z, p) in [(0.0, 0.5), (-1.959_964, 0.025), (2.326_348, 0.99), (-5.0, 2.8665e-7)] {
+            approx::assert_abs_diff_eq!(normal(z), p, epsilon = 2e-7);
+        }
     }
 }

@@ -9,34 +9,24 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::rows::{Row, Rows};
+use crate::constants::location::{
+    BINS, CELLS, COMMON, DRAWS, INTERVAL, LEAST, ONE, PERMUTATIONS, POINTS, STILL, UNLUCKY,
+};
+use crate::samples::{Sample, Samples};
+use crate::wording::short;
 
-/// Permutations whose mean is what an axis explains by chance.
-const PERMUTATIONS: usize = 8;
-/// Share of the gap that chance loses at most.
-const UNLUCKY: f64 = 0.1;
-/// Bins of a continuous axis.
-const BINS: usize = 8;
-/// Rows that a bin must hold to be fitted.
-const LEAST: usize = 8;
-/// \[1/s\] a force that changes by less of itself is held.
-const STILL: f64 = 0.02;
-/// Share of the frames of a place or of a press that lie in one bin where the axis is one of places or presses.
-const COMMON: f64 = 0.95;
-/// Correlation of bins from which on two axes are one in a recording.
-const ONE: f64 = 0.97;
 /// Name of the axis that has no bins: each channel is one.
 const CHANNEL: &str = "channel";
-/// Points of a map, at most.
-const POINTS: usize = 400;
+/// Name of the axis of interference.
+pub(crate) const FREQUENCY: &str = "frequency";
 
 /// One bin of an axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bin {
     /// For people.
     pub label: String,
-    /// Rows in it.
-    pub rows: usize,
+    /// Samples in it.
+    pub samples: usize,
     /// Unexplained variance in it, in shares of the readings' variance over all bins.
     pub fvu: f64,
     /// Root mean square of readings minus model, in the unit of the skin.
@@ -89,7 +79,7 @@ pub struct Map {
 /// What residual and model were in each row.
 pub struct View<'a> {
     /// Frames.
-    pub rows: &'a Rows,
+    pub samples: &'a Samples,
     /// Channels.
     pub channels: usize,
     /// Readings minus model, in deviations of the noise.
@@ -125,11 +115,11 @@ struct Binned {
 
 impl Binned {
     /// The same bins in another order, as chance would have it. What all frames of a place or of a press have in common stays in common:
-    /// frames that were done together are no proof of each other. Rows that the axis says nothing of stay where they are.
-    fn drawn(&self, rows: &[Row], rng: &mut ChaCha8Rng) -> Vec<Option<usize>> {
-        let one = |unit: fn(&Row) -> usize| -> Option<BTreeMap<usize, usize>> {
+    /// frames that were done together are no proof of each other. Samples that the axis says nothing of stay where they are.
+    fn drawn(&self, samples: &[Sample], rng: &mut ChaCha8Rng) -> Vec<Option<usize>> {
+        let one = |unit: fn(&Sample) -> usize| -> Option<BTreeMap<usize, usize>> {
             let mut of: BTreeMap<usize, BTreeMap<usize, usize>> = BTreeMap::new();
-            for (row, bin) in rows.iter().zip(&self.of) {
+            for (row, bin) in samples.iter().zip(&self.of) {
                 if let Some(bin) = bin {
                     *of.entry(unit(row)).or_default().entry(*bin).or_default() += 1;
                 }
@@ -142,13 +132,13 @@ impl Binned {
             (held as f64 > COMMON * all as f64)
                 .then(|| of.iter().map(|(u, bins)| (*u, most(bins).0)).collect())
         };
-        let units: [fn(&Row) -> usize; 2] = [|row| row.group, |row| row.press];
+        let units: [fn(&Sample) -> usize; 2] = [|row| row.group, |row| row.press];
         for unit in units {
             let Some(of) = one(unit) else { continue };
             let mut bins: Vec<usize> = of.values().copied().collect();
             bins.shuffle(rng);
             let drawn: BTreeMap<usize, usize> = of.keys().copied().zip(bins).collect();
-            return rows
+            return samples
                 .iter()
                 .zip(&self.of)
                 .map(|(row, bin)| bin.and_then(|_| drawn.get(&unit(row)).copied()))
@@ -160,7 +150,7 @@ impl Binned {
         self.of.iter().map(|bin| bin.and_then(|_| known.next())).collect()
     }
 
-    /// Whether rows fall into its bins as they do into those of another axis.
+    /// Whether samples fall into its bins as they do into those of another axis.
     fn is_one_with(&self, other: &Self) -> bool {
         if !self.ordered || !other.ordered {
             return false;
@@ -179,14 +169,14 @@ impl Binned {
     }
 }
 
-/// Bins with as many rows each.
+/// Bins with as many samples each.
 fn quantiles(
     name: &'static str,
-    rows: &[Row],
-    value: impl Fn(&Row) -> f64,
+    samples: &[Sample],
+    value: impl Fn(&Sample) -> f64,
     unit: (&str, f64),
 ) -> Option<Binned> {
-    let mut sorted: Vec<f64> = rows.iter().map(&value).filter(|v| v.is_finite()).collect();
+    let mut sorted: Vec<f64> = samples.iter().map(&value).filter(|v| v.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
     let (low, high) = (*sorted.first()?, *sorted.last()?);
     if high - low <= 1e-9 * high.abs().max(1e-12) || sorted.len() < 4 * LEAST {
@@ -207,47 +197,33 @@ fn quantiles(
         let to = edges.get(b).copied().unwrap_or(high);
         labels.push(format!("{} to {} {suffix}", text(from), text(to)).trim_end().to_owned());
     }
-    let of = rows
+    let of = samples
         .iter()
         .map(|r| Some(value(r)).filter(|v| v.is_finite()).map(|v| edges.partition_point(|e| *e <= v)))
         .collect();
     Some(Binned { name, of, labels, ordered: true })
 }
 
-/// Three digits.
-pub(crate) fn short(value: f64) -> String {
-    let size = value.abs();
-    if size == 0.0 {
-        "0".to_owned()
-    } else if !(1e-2..1e5).contains(&size) {
-        format!("{value:.2e}")
-    } else {
-        let digits = (2 - size.log10().floor() as i32).max(0) as usize;
-        let text = format!("{value:.digits$}");
-        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-    }
-}
-
 fn listed<K: Ord + Clone>(
     name: &'static str,
-    rows: &[Row],
-    key: impl Fn(&Row) -> Option<K>,
+    samples: &[Sample],
+    key: impl Fn(&Sample) -> Option<K>,
     label: impl Fn(&K) -> String,
 ) -> Option<Binned> {
-    let mut keys: Vec<K> = rows.iter().filter_map(&key).collect();
+    let mut keys: Vec<K> = samples.iter().filter_map(&key).collect();
     keys.sort();
     keys.dedup();
     if keys.len() < 2 {
         return None;
     }
     let labels = keys.iter().map(label).collect();
-    let of = rows.iter().map(|r| key(r).and_then(|k| keys.binary_search(&k).ok())).collect();
+    let of = samples.iter().map(|r| key(r).and_then(|k| keys.binary_search(&k).ok())).collect();
     Some(Binned { name, of, labels, ordered: false })
 }
 
 /// Cells of the surface, about as many as `most`.
-fn cells(rows: &[Row], most: usize) -> Option<Binned> {
-    let places: Vec<[f64; 3]> = rows.iter().filter(|r| r.contacts == 1).map(|r| r.position).collect();
+fn cells(samples: &[Sample], most: usize) -> Option<Binned> {
+    let places: Vec<[f64; 3]> = samples.iter().filter(|r| r.contacts == 1).map(|r| r.position).collect();
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for p in &places {
         for a in 0..3 {
@@ -273,12 +249,12 @@ fn cells(rows: &[Row], most: usize) -> Option<Binned> {
         }
         text.join(", ")
     };
-    listed("surface location", rows, |r| (r.contacts == 1).then(|| cell(&r.position)), middle)
+    listed("surface location", samples, |r| (r.contacts == 1).then(|| cell(&r.position)), middle)
 }
 
 fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
-    let rows = &view.rows.rows;
-    let touched = |r: &Row| r.phase.touched();
+    let samples = &view.samples.list;
+    let touched = |r: &Sample| r.phase.touched();
     let phase_name = |p: &Phase| {
         let name = match p {
             Phase::Idle => "idle",
@@ -290,43 +266,43 @@ fn axes(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
         };
         name.to_owned()
     };
-    let when = |r: &Row| if touched(r) { r.since } else { f64::NAN };
-    let after = |r: &Row| if touched(r) { f64::NAN } else { r.since };
-    let count = |r: &Row| if r.press == usize::MAX { f64::NAN } else { r.press as f64 };
-    let speed = |r: &Row| {
+    let when = |r: &Sample| if touched(r) { r.since } else { f64::NAN };
+    let after = |r: &Sample| if touched(r) { f64::NAN } else { r.since };
+    let count = |r: &Sample| if r.press == usize::MAX { f64::NAN } else { r.press as f64 };
+    let speed = |r: &Sample| {
         let speed = r.speed / r.force.max(0.01);
         if touched(r) && speed.abs() > STILL { speed } else { f64::NAN }
     };
-    let history = |r: &Row| if touched(r) { r.before / r.force.max(0.01) } else { f64::NAN };
+    let history = |r: &Sample| if touched(r) { r.before / r.force.max(0.01) } else { f64::NAN };
     let found = [
-        cells(rows, 24),
-        quantiles("force", rows, |r| if touched(r) { r.force } else { f64::NAN }, ("N", 1.0)),
-        listed("phase", rows, |r| Some(r.phase), phase_name),
-        quantiles("time since contact", rows, when, ("s", 1.0)),
-        quantiles("time since release", rows, after, ("s", 1.0)),
-        quantiles("session time", rows, |r| r.time, ("s", 1.0)),
-        quantiles("temperature", rows, |r| r.temperature - 273.15, ("°C", 1.0)),
+        cells(samples, CELLS),
+        quantiles("force", samples, |r| if touched(r) { r.force } else { f64::NAN }, ("N", 1.0)),
+        listed("phase", samples, |r| Some(r.phase), phase_name),
+        quantiles("time since contact", samples, when, ("s", 1.0)),
+        quantiles("time since release", samples, after, ("s", 1.0)),
+        quantiles("session time", samples, |r| r.time, ("s", 1.0)),
+        quantiles("temperature", samples, |r| r.temperature - 273.15, ("°C", 1.0)),
         // What lags behind is wrong by a share of the reading: the force's speed over the force.
-        quantiles("speed of the force", rows, speed, ("of it a second", 1.0)),
-        quantiles("presses so far", rows, count, ("", 1.0)),
-        quantiles("history: largest force so far per force", rows, history, ("", 1.0)),
-        listed("number of contacts", rows, |r| Some(r.contacts), |n| format!("{n} at once")),
+        quantiles("speed of the force", samples, speed, ("of it a second", 1.0)),
+        quantiles("presses so far", samples, count, ("", 1.0)),
+        quantiles("history: largest force so far per force", samples, history, ("", 1.0)),
+        listed("number of contacts", samples, |r| Some(r.contacts), |n| format!("{n} at once")),
         listed(
             "tip",
-            rows,
+            samples,
             |r| touched(r).then(|| (r.diameter * 1e6).round() as i64),
             |d| format!("{} mm", short(*d as f64 * 1e-3)),
         ),
         listed(
             "session",
-            rows,
+            samples,
             |r| Some(r.session),
             |run| recorded.get(*run as usize).cloned().unwrap_or_else(|| format!("run {run}")),
         ),
     ];
     let mut found: Vec<Binned> = found.into_iter().flatten().collect();
     let labels = vec!["all".to_owned()];
-    found.push(Binned { name: CHANNEL, of: vec![Some(0); rows.len()], labels, ordered: false });
+    found.push(Binned { name: CHANNEL, of: vec![Some(0); samples.len()], labels, ordered: false });
     found
 }
 
@@ -370,7 +346,7 @@ enum Pool {
     Bins,
 }
 
-/// What a residual leaves, rows × channels, after a mean and a factor for each bin, fitted on the other one of two folds.
+/// What a residual leaves, samples × channels, after a mean and a factor for each bin, fitted on the other one of two folds.
 fn held_out(
     view: &View<'_>,
     residual: &[f32],
@@ -385,7 +361,7 @@ fn held_out(
         let bin = of[i].unwrap_or(bins);
         if pool == Pool::Bins { bin } else { bin * width + k }
     };
-    for (i, row) in view.rows.rows.iter().enumerate() {
+    for (i, row) in view.samples.list.iter().enumerate() {
         for &k in &usable {
             let (x, y) = (view.model[i * width + k], residual[i * width + k]);
             lines[at(i, k)][fold[row.group]].add(f64::from(x), f64::from(y));
@@ -393,7 +369,7 @@ fn held_out(
     }
     let fits: Vec<[(f64, f64); 2]> = lines.iter().map(|l| [l[1].fit(), l[0].fit()]).collect();
     let mut left = vec![0.0; residual.len()];
-    for (i, row) in view.rows.rows.iter().enumerate() {
+    for (i, row) in view.samples.list.iter().enumerate() {
         for &k in &usable {
             let (a, c) = fits[at(i, k)][fold[row.group]];
             let (x, y) = (view.model[i * width + k], residual[i * width + k]);
@@ -403,7 +379,7 @@ fn held_out(
     left
 }
 
-/// What each bin of an axis holds of each group: energy of a residual beyond noise, energy of the model, and rows.
+/// What each bin of an axis holds of each group: energy of a residual beyond noise, energy of the model, and samples.
 struct Held {
     bins: usize,
     of: Vec<[f64; 3]>,
@@ -412,8 +388,8 @@ struct Held {
 impl Held {
     fn of(view: &View<'_>, residual: &[f32], axis: &Binned) -> Self {
         let (usable, bins) = (view.usable(), axis.labels.len());
-        let mut of = vec![[0.0; 3]; view.rows.groups * bins];
-        for (i, (row, bin)) in view.rows.rows.iter().zip(&axis.of).enumerate() {
+        let mut of = vec![[0.0; 3]; view.samples.groups * bins];
+        for (i, (row, bin)) in view.samples.list.iter().zip(&axis.of).enumerate() {
             let Some(bin) = bin else { continue };
             let held = &mut of[row.group * bins + bin];
             for &k in &usable {
@@ -437,7 +413,7 @@ impl Held {
         sums
     }
 
-    /// Energy that lies in other bins than it would, were it spread as what the model reads or as rows are: bins where it is too much on
+    /// Energy that lies in other bins than it would, were it spread as what the model reads or as samples are: bins where it is too much on
     /// groups `learnt`, and how much more it is there on groups `asked`.
     fn moved(&self, learnt: impl Iterator<Item = usize>, asked: impl Iterator<Item = usize>) -> f64 {
         let [learnt, asked] = [self.sums(learnt), self.sums(asked)];
@@ -464,8 +440,8 @@ impl Held {
 
 /// Energy of each group.
 fn energies(view: &View<'_>, residual: &[f32]) -> Vec<f64> {
-    let mut energy = vec![0.0; view.rows.groups];
-    for (row, values) in view.rows.rows.iter().zip(residual.chunks_exact(view.channels)) {
+    let mut energy = vec![0.0; view.samples.groups];
+    for (row, values) in view.samples.list.iter().zip(residual.chunks_exact(view.channels)) {
         energy[row.group] += values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
     }
     energy
@@ -480,13 +456,13 @@ fn energies(view: &View<'_>, residual: &[f32]) -> Vec<f64> {
 #[must_use]
 pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xa7e5);
-    let groups = view.rows.groups;
+    let groups = view.samples.groups;
     let mut order: Vec<usize> = (0..groups).collect();
     order.shuffle(&mut rng);
     let mut fold = vec![0; groups];
     order.iter().enumerate().for_each(|(i, g)| fold[*g] = i % 2);
     let before = energies(view, view.residual);
-    let all = vec![Some(0); view.rows.rows.len()];
+    let all = vec![Some(0); view.samples.list.len()];
     let common = energies(view, &held_out(view, view.residual, (&all, 1), &fold, Pool::Bins));
     let alone = held_out(view, view.residual, (&all, 1), &fold, Pool::Channels);
     let own = energies(view, &alone);
@@ -512,7 +488,7 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
                 };
                 let mut by_chance = 0.0;
                 for _ in 0..PERMUTATIONS {
-                    let of = axis.drawn(&view.rows.rows, &mut rng);
+                    let of = axis.drawn(&view.samples.list, &mut rng);
                     by_chance += share(&own, &left(&of), &mut (0..groups)) / PERMUTATIONS as f64;
                 }
                 // Where few frames hold most of the energy, chance loses more than any axis gains.
@@ -534,7 +510,7 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
         let of = |draw: &[usize], place: bool| if place { concentrated(draw) } else { explained(draw) };
         let place = concentrated(&all) > explained(&all);
         let value = of(&all, place);
-        let mut drawn: Vec<f64> = (0..200)
+        let mut drawn: Vec<f64> = (0..DRAWS)
             .map(|_| {
                 let draw: Vec<usize> =
                     all.iter().map(|_| rand::Rng::random_range(&mut rng, 0..groups)).collect();
@@ -544,7 +520,7 @@ pub fn shares(view: &View<'_>, sessions: &[String], seed: u64) -> Vec<Axis> {
         drawn.sort_by(f64::total_cmp);
         let bins = if axis.name == CHANNEL { Vec::new() } else { bins(view, axis) };
         let alike = Vec::new();
-        let interval = [drawn[5], drawn[194]];
+        let interval = INTERVAL.map(|i| drawn[i]);
         found.push(Axis { axis: axis.name.to_owned(), share: value, interval, bins, alike });
     }
     found.sort_by(|a, b| b.share.total_cmp(&a.share));
@@ -579,11 +555,11 @@ fn bins(view: &View<'_>, axis: &Binned) -> Vec<Bin> {
         .iter()
         .zip(sums)
         .filter(|(_, s)| s.0 > 0)
-        .map(|(label, (rows, energy, square))| Bin {
+        .map(|(label, (samples, energy, square))| Bin {
             label: label.clone(),
-            rows,
-            fvu: energy / (rows as f64 * n) / view.variance,
-            rmse: (square / (rows as f64 * n)).sqrt(),
+            samples,
+            fvu: energy / (samples as f64 * n) / view.variance,
+            rmse: (square / (samples as f64 * n)).sqrt(),
         })
         .collect()
 }
@@ -591,7 +567,7 @@ fn bins(view: &View<'_>, axis: &Binned) -> Vec<Bin> {
 /// Unexplained variance and error of each channel.
 #[must_use]
 pub fn channels(view: &View<'_>, readings: &[f32], skin: &SkinDescription) -> Vec<Bin> {
-    let n = view.rows.rows.len().max(1) as f64;
+    let n = view.samples.list.len().max(1) as f64;
     let width = view.channels;
     view.usable()
         .into_iter()
@@ -604,7 +580,7 @@ pub fn channels(view: &View<'_>, readings: &[f32], skin: &SkinDescription) -> Ve
             let (_, residual) = of(view.residual);
             Bin {
                 label: skin.channels()[k].name.clone(),
-                rows: view.rows.rows.len(),
+                samples: view.samples.list.len(),
                 fvu: residual / (square - sum * sum / n).max(1e-300),
                 rmse: (residual / n).sqrt() * view.sigma[k],
             }
@@ -616,8 +592,8 @@ pub fn channels(view: &View<'_>, readings: &[f32], skin: &SkinDescription) -> Ve
 #[must_use]
 pub fn map(view: &View<'_>, surface: &Surface) -> Map {
     let usable = view.usable();
-    let single: Vec<usize> = (0..view.rows.rows.len())
-        .filter(|i| view.rows.rows[*i].contacts == 1 && view.rows.rows[*i].phase.touched())
+    let single: Vec<usize> = (0..view.samples.list.len())
+        .filter(|i| view.samples.list[*i].contacts == 1 && view.samples.list[*i].phase.touched())
         .collect();
     if single.len() < 20 {
         return Map::default();
@@ -625,7 +601,7 @@ pub fn map(view: &View<'_>, surface: &Surface) -> Map {
     let area: f64 = surface.areas.iter().sum();
     // As wide as some eight contacts lie apart.
     let mut places: Vec<[i64; 3]> =
-        single.iter().map(|i| view.rows.rows[*i].position.map(|v| (v * 1e5).round() as i64)).collect();
+        single.iter().map(|i| view.samples.list[*i].position.map(|v| (v * 1e5).round() as i64)).collect();
     places.sort_unstable();
     places.dedup();
     let width = (area / places.len() as f64 * 4.0).sqrt().max(extent(surface) / 40.0);
@@ -636,7 +612,7 @@ pub fn map(view: &View<'_>, surface: &Surface) -> Map {
     for point in surface.points.iter().step_by(each) {
         let (mut weight, mut mean, mut square, mut contacts, mut raw) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for &i in &single {
-            let away = (Point3::from(view.rows.rows[i].position) - point).norm() / width;
+            let away = (Point3::from(view.samples.list[i].position) - point).norm() / width;
             if away > 3.0 {
                 continue;
             }
@@ -694,11 +670,11 @@ mod tests {
     use super::*;
 
     /// Forty places, each pressed once with eight frames, on two channels.
-    fn rows() -> Rows {
-        let mut rows = Rows { groups: 40, test: vec![false; 40], presses: 40, ..Rows::default() };
+    fn samples() -> Samples {
+        let mut samples = Samples { groups: 40, test: vec![false; 40], presses: 40, ..Samples::default() };
         for i in 0..320 {
             let (group, step) = (i / 8, i % 8);
-            rows.rows.push(Row {
+            samples.list.push(Sample {
                 frame: i,
                 group,
                 press: group,
@@ -717,16 +693,16 @@ mod tests {
                 paired: false,
             });
         }
-        rows
+        samples
     }
 
-    fn found(gap: impl Fn(&Row) -> f64) -> Vec<Axis> {
-        let rows = rows();
-        let model: Vec<f32> = rows.rows.iter().flat_map(|r| [100.0 * r.force as f32; 2]).collect();
-        let residual: Vec<f32> = rows.rows.iter().flat_map(|r| [gap(r) as f32; 2]).collect();
+    fn found(gap: impl Fn(&Sample) -> f64) -> Vec<Axis> {
+        let samples = samples();
+        let model: Vec<f32> = samples.list.iter().flat_map(|r| [100.0 * r.force as f32; 2]).collect();
+        let residual: Vec<f32> = samples.list.iter().flat_map(|r| [gap(r) as f32; 2]).collect();
         let sigma = [1.0, 1.0];
         let view = View {
-            rows: &rows,
+            samples: &samples,
             channels: 2,
             residual: &residual,
             model: &model,

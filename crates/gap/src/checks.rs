@@ -4,17 +4,14 @@ use dermis_skin::{Phase, SkinDescription};
 use serde::{Deserialize, Serialize};
 
 use crate::GapError;
-use crate::axes::short;
-use crate::data::{Problem, Recording};
-use crate::rows::Rows;
+use crate::constants::check::{
+    AGREES, COMPARED, EXCHANGED, FACTOR, FEWEST_PRESSES, FEWEST_SAMPLES, FRAME_GAIN, IN_PLACE, KELVIN,
+    SAME_SHAPE, UNRELATED,
+};
+use crate::recording::{Problem, Recording};
+use crate::samples::Samples;
 use crate::simulate::Simulator;
-
-/// Presses below which no cause is named.
-pub const FEWEST: usize = 30;
-/// Rows that channels are compared on, at most.
-const COMPARED: usize = 400;
-/// Agreement of readings and model below which something else than an effect is likely.
-const AGREES: f64 = 0.8;
+use crate::wording::short;
 
 /// Something that a recording lacks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -27,7 +24,7 @@ pub struct Missing {
 
 /// What a recording lacks, and the questions that this blocks.
 #[must_use]
-pub fn missing(recording: &Recording, rows: &Rows, repeats: usize) -> Vec<Missing> {
+pub fn missing(recording: &Recording, samples: &Samples, repeats: usize) -> Vec<Missing> {
     let mut found = Vec::new();
     let mut lacks = |what: &str, blocks: &str| {
         found.push(Missing { what: what.to_owned(), blocks: blocks.to_owned() });
@@ -50,7 +47,7 @@ pub fn missing(recording: &Recording, rows: &Rows, repeats: usize) -> Vec<Missin
         kelvin.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(*t), h.max(*t)));
     if kelvin.len() * 2 < recording.moments.len() {
         lacks("the temperature", "whether zero or gain follow it");
-    } else if high - low < 0.2 {
+    } else if high - low < KELVIN {
         lacks("a temperature that changes", "whether zero or gain follow it");
     }
     let idle = recording.moments.iter().filter(|m| m.phase == Phase::Idle).count();
@@ -60,15 +57,15 @@ pub fn missing(recording: &Recording, rows: &Rows, repeats: usize) -> Vec<Missin
             "offsets, drift and noise apart from contacts",
         );
     }
-    let held = rows.rows.iter().filter(|r| r.phase == Phase::Hold).map(|r| r.since).fold(0.0, f64::max);
+    let held = samples.list.iter().filter(|r| r.phase == Phase::Hold).map(|r| r.since).fold(0.0, f64::max);
     if held < 1.0 {
         lacks("presses that are held for a second or more", "creep and relaxation beyond that time");
     }
-    if !rows.rows.iter().any(|r| r.contacts > 1) {
+    if !samples.list.iter().any(|r| r.contacts > 1) {
         lacks("several contacts at once", "superposition");
     }
     let mut tips: Vec<i64> =
-        rows.rows.iter().filter(|r| r.contacts > 0).map(|r| (r.diameter * 1e6) as i64).collect();
+        samples.list.iter().filter(|r| r.contacts > 0).map(|r| (r.diameter * 1e6) as i64).collect();
     tips.sort_unstable();
     tips.dedup();
     if tips.len() < 2 {
@@ -78,14 +75,16 @@ pub fn missing(recording: &Recording, rows: &Rows, repeats: usize) -> Vec<Missin
 }
 
 /// Says what is wrong with readings whatever was done.
-pub fn readings(recording: &Recording, skin: &SkinDescription, rows: &Rows) -> Vec<Problem> {
+pub fn readings(recording: &Recording, skin: &SkinDescription, samples: &Samples) -> Vec<Problem> {
     let mut found = Vec::new();
     let n = recording.moments.len();
     let contacts = recording.contacts();
-    if contacts < FEWEST {
+    if contacts < FEWEST_PRESSES {
         found.push(Problem::fatal(
             "few-contacts",
-            format!("{contacts} presses only: causes are not named below {FEWEST}; press at more places"),
+            format!(
+                "{contacts} presses only: causes are not named below {FEWEST_PRESSES}; press at more places"
+            ),
         ));
     }
     for (k, channel) in skin.channels().iter().enumerate().take(recording.channels) {
@@ -122,16 +121,19 @@ pub fn readings(recording: &Recording, skin: &SkinDescription, rows: &Rows) -> V
             found.push(Problem::note("dead-channel", format!("channel {name} never changes")));
         }
     }
-    if rows.rows.len() < 100 && contacts >= FEWEST {
+    if samples.list.len() < FEWEST_SAMPLES && contacts >= FEWEST_PRESSES {
         found.push(Problem::fatal(
-            "no-rows",
-            format!("{} frames remain in which all channels and the ground truth are known", rows.rows.len()),
+            "no-samples",
+            format!(
+                "{} frames remain in which all channels and the ground truth are known",
+                samples.list.len()
+            ),
         ));
     }
     found
 }
 
-/// Readings of rows minus those of the untouched ones, and the same of the model, in deviations of the noise.
+/// Readings of samples minus those of the untouched ones, and the same of the model, in deviations of the noise.
 struct Tared {
     real: Vec<f32>,
     model: Vec<f32>,
@@ -176,19 +178,21 @@ impl Tared {
     }
 }
 
-/// Rows in which something is held, every so many.
-fn held(rows: &Rows) -> Vec<usize> {
-    let found: Vec<usize> = (0..rows.rows.len())
-        .filter(|i| matches!(rows.rows[*i].phase, Phase::Hold | Phase::Slide) && rows.rows[*i].contacts > 0)
+/// Samples in which something is held, every so many.
+fn held(samples: &Samples) -> Vec<usize> {
+    let found: Vec<usize> = (0..samples.list.len())
+        .filter(|i| {
+            matches!(samples.list[*i].phase, Phase::Hold | Phase::Slide) && samples.list[*i].contacts > 0
+        })
         .collect();
     let step = found.len().div_ceil(COMPARED).max(1);
     found.into_iter().step_by(step).collect()
 }
 
-fn tared(readings: &[f32], model: &[f32], rows: &Rows, sigma: &[f64]) -> Tared {
+fn tared(readings: &[f32], model: &[f32], samples: &Samples, sigma: &[f64]) -> Tared {
     let channels = sigma.len();
     let usable: Vec<usize> = (0..channels).filter(|k| sigma[*k].is_finite()).collect();
-    let rest: Vec<usize> = (0..rows.rows.len()).filter(|i| !rows.rows[*i].phase.touched()).collect();
+    let rest: Vec<usize> = (0..samples.list.len()).filter(|i| !samples.list[*i].phase.touched()).collect();
     let zero: Vec<f32> = (0..channels)
         .map(|k| {
             let mut values: Vec<f32> = rest.iter().map(|i| readings[i * channels + k]).collect();
@@ -197,7 +201,7 @@ fn tared(readings: &[f32], model: &[f32], rows: &Rows, sigma: &[f64]) -> Tared {
         })
         .collect();
     let (mut real, mut said) = (Vec::new(), Vec::new());
-    for i in held(rows) {
+    for i in held(samples) {
         for k in 0..channels {
             let finite = sigma[k].is_finite();
             let s = sigma[k] as f32;
@@ -216,7 +220,7 @@ pub struct Agreement {
     pub order: Option<Vec<usize>>,
 }
 
-/// Compares the readings of rows (unit of the skin) with the nominal model's: units, sign, order of channels, frame of the ground
+/// Compares the readings of samples (unit of the skin) with the nominal model's: units, sign, order of channels, frame of the ground
 /// truth.
 ///
 /// # Errors
@@ -225,19 +229,19 @@ pub struct Agreement {
 pub fn agreement(
     simulator: &Simulator<'_>,
     recording: &Recording,
-    rows: &Rows,
+    samples: &Samples,
     readings: &[f32],
     model: &[f32],
     sigma: &[f64],
 ) -> Result<Agreement, GapError> {
     let mut found = Agreement { problems: Vec::new(), order: None };
-    let now = tared(readings, model, rows, sigma);
+    let now = tared(readings, model, samples, sigma);
     if now.real.is_empty() {
         return Ok(found);
     }
     let (agrees, gain) = (now.agreement(), now.gain());
     let unit = &simulator.skin.unit;
-    if agrees.abs() > 0.5 && !(0.02..=50.0).contains(&gain.abs()) {
+    if agrees.abs() > SAME_SHAPE && !(FACTOR[0]..=FACTOR[1]).contains(&gain.abs()) {
         found.problems.push(Problem::fatal(
             "units",
             format!(
@@ -249,7 +253,7 @@ pub fn agreement(
         ));
         return Ok(found);
     }
-    if agrees < -0.5 {
+    if agrees < -SAME_SHAPE {
         found.problems.push(Problem::fatal(
             "sign",
             "readings fall where the model says that they rise: the sign of the readings is turned"
@@ -269,7 +273,7 @@ pub fn agreement(
         ("x and y are turned by 180°", [-1.0, -1.0], false),
         ("x and y are exchanged", [1.0, 1.0], true),
     ];
-    let frames: Vec<usize> = rows.frames();
+    let frames: Vec<usize> = samples.frames();
     let surface = simulator.skin.surface();
     for (name, signs, exchange) in turns {
         // What was read is of no concern, and may be large.
@@ -292,12 +296,12 @@ pub fn agreement(
             }
         }
         let Ok(read) = simulator.readings(simulator.skin, &other, &frames) else { continue };
-        let agrees = tared(readings, &read, rows, sigma).agreement();
+        let agrees = tared(readings, &read, samples, sigma).agreement();
         if best.is_none_or(|b| agrees > b.0) {
             best = Some((agrees, name));
         }
     }
-    let turned = best.filter(|(a, _)| *a > agrees + 0.1 && *a > AGREES);
+    let turned = best.filter(|(a, _)| *a > agrees + FRAME_GAIN && *a > AGREES);
     match (order, turned) {
         (_, Some((agreement, name))) => {
             let also =
@@ -311,7 +315,7 @@ pub fn agreement(
             ));
         }
         (Some(order), None) => found.order = Some(order),
-        (None, None) if agrees < 0.3 => found.problems.push(Problem::fatal(
+        (None, None) if agrees < UNRELATED => found.problems.push(Problem::fatal(
             "unrelated",
             format!(
                 "readings and model have next to nothing in common (agreement {agrees:.2} of 1): the ground truth belongs to \
@@ -330,14 +334,14 @@ fn order(tared: &Tared) -> Option<Vec<usize>> {
     let mut moved = Vec::new();
     for &j in &tared.usable {
         let own = tared.correlation(j, j);
-        if own > 0.9 {
+        if own > IN_PLACE {
             continue;
         }
         let others = tared.usable.iter().map(|&k| (k, tared.correlation(j, k)));
         if let Some((k, best)) = others.max_by(|a, b| a.1.total_cmp(&b.1))
             && k != j
-            && best > own + 0.15
-            && best > 0.7
+            && best > own + EXCHANGED[1]
+            && best > EXCHANGED[0]
         {
             order[j] = k;
             moved.push(j);
@@ -356,8 +360,8 @@ mod tests {
     use nalgebra::{Point3, Vector3};
 
     use super::*;
-    use crate::data::Moment;
-    use crate::rows::RowOptions;
+    use crate::recording::Moment;
+    use crate::samples::SampleOptions;
 
     /// Twelve presses in two sessions, of two tips, with everything that a recording can have.
     fn whole() -> Recording {
@@ -396,8 +400,8 @@ mod tests {
     fn lacks(repeats: usize, change: impl FnOnce(&mut Recording)) -> Vec<String> {
         let mut recording = whole();
         change(&mut recording);
-        let rows = Rows::draw(&recording, &[true], &RowOptions::default());
-        missing(&recording, &rows, repeats).into_iter().map(|m| m.what).collect()
+        let samples = Samples::draw(&recording, &[true], &SampleOptions::default());
+        missing(&recording, &samples, repeats).into_iter().map(|m| m.what).collect()
     }
 
     #[test]

@@ -8,13 +8,12 @@ use indicatif::ProgressBar;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::data::{Moment, Recording};
-use crate::rows::{Row, Rows};
-use crate::select::normal;
-use crate::simulate::Simulator;
+use crate::algebra::normal;
+use crate::constants::experiments::{LISTED, SETTLED, TRUST};
+use crate::recording::{Moment, Recording};
+use crate::samples::{Sample, Samples};
 
-/// Share of a reading that a simulator is wrong by in ways that nobody knows: differences below it separate nothing.
-const TRUST: f64 = 0.02;
+use crate::simulate::Simulator;
 
 /// An experiment, and what it would settle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,10 +56,11 @@ struct Menu {
 pub fn rank(
     simulator: &Simulator<'_>,
     members: &[(String, Vec<Effect>)],
-    rows: &Rows,
+    samples: &Samples,
     stop: &AtomicBool,
 ) -> Vec<Experiment> {
-    let held: Vec<&Row> = rows.rows.iter().filter(|r| r.phase == Phase::Hold && r.contacts == 1).collect();
+    let held: Vec<&Sample> =
+        samples.list.iter().filter(|r| r.phase == Phase::Hold && r.contacts == 1).collect();
     if held.is_empty() || members.len() < 2 {
         return Vec::new();
     }
@@ -70,10 +70,10 @@ pub fn rank(
     let middle = held[held.len() / 2];
     let mut found = Vec::new();
     for menu in menu(simulator, middle, force) {
-        let Some((recording, rows)) = carried_out(simulator, &menu) else { continue };
+        let Some((recording, samples)) = carried_out(simulator, &menu) else { continue };
         let skins: Vec<_> = members.iter().map(|(_, effects)| simulator.with(effects)).collect();
         let hidden = ProgressBar::hidden();
-        let Ok(read) = simulator.many(&skins, &recording, (&rows, true), stop, &hidden) else { continue };
+        let Ok(read) = simulator.many(&skins, &recording, (&samples, true), stop, &hidden) else { continue };
         let noise = simulator.skin.channel_noise();
         let mut worst: Option<(f64, usize, usize)> = None;
         for a in 0..members.len() {
@@ -111,16 +111,16 @@ pub fn rank(
         }
     }
     // Those that settle it first, the shortest of them first; then by what a minute gives.
-    let settles = |e: &(f64, Experiment)| e.1.p_confuse_after < 0.01;
+    let settles = |e: &(f64, Experiment)| e.1.p_confuse_after < SETTLED;
     found.sort_by(|a, b| {
         settles(b)
             .cmp(&settles(a))
             .then_with(|| if settles(a) { a.1.minutes.total_cmp(&b.1.minutes) } else { b.0.total_cmp(&a.0) })
     });
-    found.into_iter().map(|(_, e)| e).take(5).collect()
+    found.into_iter().map(|(_, e)| e).take(LISTED).collect()
 }
 
-fn menu(simulator: &Simulator<'_>, row: &Row, force: f64) -> Vec<Menu> {
+fn menu(simulator: &Simulator<'_>, row: &Sample, force: f64) -> Vec<Menu> {
     let at = Point3::from(row.position);
     let surface = simulator.skin.surface();
     let near = |dx: f64, dy: f64| surface.project(&Point3::new(at.x + dx, at.y + dy, at.z)).0;
@@ -198,8 +198,8 @@ fn menu(simulator: &Simulator<'_>, row: &Row, force: f64) -> Vec<Menu> {
     ]
 }
 
-/// The experiment as a recording without readings, and all of its frames as rows.
-fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Rows)> {
+/// The experiment as a recording without readings, and all of its frames as samples.
+fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Samples)> {
     let surface = simulator.skin.surface();
     let mut recording = Recording::new(menu.id, simulator.skin.channels().len());
     let nothing = vec![f32::NAN; recording.channels];
@@ -248,7 +248,7 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Row
             time += if t > 2.0 + press.load { 10.0 * step } else { step };
         }
     }
-    let rows = recording.moments.iter().enumerate().map(|(frame, m)| Row {
+    let samples = recording.moments.iter().enumerate().map(|(frame, m)| Sample {
         frame,
         group: 0,
         press: 0,
@@ -266,7 +266,13 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Row
         contacts: 0,
         paired: false,
     });
-    let rows =
-        Rows { rows: rows.collect(), groups: 1, test: vec![false], presses: 1, glances: 0, missing: 0 };
-    Some((recording, rows))
+    let samples = Samples {
+        list: samples.collect(),
+        groups: 1,
+        test: vec![false],
+        presses: 1,
+        single_frame_samples: 0,
+        missing: 0,
+    };
+    Some((recording, samples))
 }

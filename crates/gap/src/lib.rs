@@ -1,53 +1,59 @@
-//! Where a simulated skin and a real one differ, which effect makes them differ, and how far that closes the gap.
+//! Where a simulated skin and a real one differ, which effect makes them differ, and how far that reduces the gap.
 //!
 //! | word | type | what it is |
 //! |---|---|---|
 //! | recording | [`Recording`] | what was done to a skin and what it read; [`read`] takes it from bags |
 //! | simulator | [`Simulator`] | the skin by design, its family's effects, and how its model is made |
+//! | samples | [`Samples`] | the frames of a recording that are compared |
 //! | common effects | [`COMMON`], [`device`] | effects that every skin can have, around its family's model |
-//! | diagnosis | [`diagnose`], [`Report`] | verdict, size, place, causes with their classes, closure |
+//! | diagnosis | [`diagnose`], [`Report`] | verdict, size, place, causes with their classes, residual reduction |
 //!
 //! A gap is readings minus nominal model. Effects are compared by their signatures: what switching them on changes in our own
 //! simulator, over the presses of the recording. Whatever is measured of an effect is measured on places that it was not fitted
-//! to. Energies are in deviations of the noise squared; shares are of the readings' variance unless they say otherwise.
+//! to. Energies are in deviations of the noise squared; shares are of the readings' variance (FVU) unless they say otherwise.
 //!
-//! Nothing here knows a sensor by name.
+//! Nothing here knows a sensor by name, and no stage of [`diagnose`] an effect.
 
 mod algebra;
 mod axes;
 mod checks;
-mod data;
+mod consistency_checks;
+mod constants;
 mod diagnose;
+mod effects;
 mod error;
 mod experiments;
-mod hum;
-mod library;
+mod explainability;
+mod mains_interference;
 mod noise;
-mod parity;
-mod polish;
+mod nonlinear_refinement;
+mod quantization;
 mod read;
+mod recording;
 mod report;
-mod rows;
+mod samples;
 mod select;
+mod signatures;
 mod simulate;
 mod statistics;
-mod steps;
 mod store;
-mod unknown;
+mod whitening;
+mod wording;
 
 pub use axes::{Axis, Bin, Map};
 pub use checks::Missing;
-pub use data::{Moment, Problem, Recording, Zero};
+pub use consistency_checks::ConsistencyCheck;
 pub use dermis_model::{COMMON, CommonEffect, CommonParameters, common_effect, device};
 pub use dermis_skin::Phase;
-pub use diagnose::{Diagnosis, Memory, Options, cut, diagnose};
+pub use diagnose::{Diagnosis, Memory, Options, diagnose};
 pub use error::GapError;
 pub use experiments::Experiment;
 pub use noise::Gap;
-pub use parity::Parity;
 pub use read::read;
+pub use recording::{Moment, Problem, Recording, Zero};
 pub use report::*;
-pub use rows::{Row, RowOptions, Rows};
+pub use samples::{Sample, SampleOptions, Samples};
 pub use select::{SelectOptions, Tier};
 pub use simulate::{Make, Simulator};
 pub use store::skin_text;
+pub use whitening::mask_saturated;

@@ -6,15 +6,11 @@ use dermis_skin::{Phase, SkinDescription};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::data::Recording;
-use crate::rows::Rows;
-
-/// Frames that a channel's noise is measured on, at most.
-const FRAMES: usize = 20_000;
-/// Forces of a press that is done again agree to this.
-const SAME_FORCE: f64 = 0.05;
-/// \[m\] and its place to this.
-const SAME_PLACE: f64 = 1e-4;
+use crate::constants::noise::{
+    BELIEVED, DRAWS, FEWEST_STEPS, FRAMES, MEDIAN_STEP, REPEATS, SAME_FORCE, SAME_PLACE,
+};
+use crate::recording::Recording;
+use crate::samples::Samples;
 
 /// Standard deviation of each channel's noise in the unit of the skin, from one untouched frame to the next; that of the
 /// description where there are too few of these. Infinite for a channel that gives no numbers.
@@ -38,13 +34,13 @@ pub fn deviations(recording: &Recording, skin: &SkinDescription) -> Vec<f64> {
                 return f64::INFINITY;
             }
             let floor = declared.get(k).copied().unwrap_or(skin.noise);
-            if steps.len() < 50 {
+            if steps.len() < FEWEST_STEPS {
                 return floor;
             }
             steps.sort_by(f64::total_cmp);
             // Median of |a − b| of two normal numbers is 0.9539 of their deviation.
-            let measured = steps[steps.len() / 2] / 0.9539;
-            if measured > 0.1 * floor { measured } else { floor }
+            let measured = steps[steps.len() / 2] / MEDIAN_STEP;
+            if measured > BELIEVED * floor { measured } else { floor }
         })
         .collect()
 }
@@ -82,33 +78,33 @@ impl Gap {
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
     energy: f64,
-    rows: f64,
+    samples: f64,
     twins: f64,
     pairs: f64,
 }
 
-/// Measures the gap of a residual (rows × channels, in deviations of the noise) by cross products: noise of different frames is
+/// Measures the gap of a residual (samples × channels, in deviations of the noise) by cross products: noise of different frames is
 /// independent, the systematic part is the same. `readings` are the readings in the same scale.
 #[must_use]
 pub fn measure(
     residual: &[f32],
     readings: &[f32],
-    rows: &Rows,
+    samples: &Samples,
     usable: usize,
     channels: usize,
     seed: u64,
 ) -> Gap {
-    let n = rows.rows.len();
+    let n = samples.list.len();
     let row = |i: usize| &residual[i * channels..(i + 1) * channels];
     let energy = |v: &[f32]| v.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
     let apart = |i: usize, j: usize| {
         row(i).iter().zip(row(j)).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / 2.0
     };
-    let mut sums = vec![Sums::default(); rows.groups];
-    for (i, r) in rows.rows.iter().enumerate() {
+    let mut sums = vec![Sums::default(); samples.groups];
+    for (i, r) in samples.list.iter().enumerate() {
         let s = &mut sums[r.group];
         s.energy += energy(row(i));
-        s.rows += 1.0;
+        s.samples += 1.0;
         if r.paired && i + 1 < n {
             s.twins += apart(i, i + 1);
             s.pairs += 1.0;
@@ -116,7 +112,7 @@ pub fn measure(
     }
     // Presses that were done alike: same place, same force, same tip, same phase.
     let mut places: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
-    for (i, r) in rows.rows.iter().enumerate() {
+    for (i, r) in samples.list.iter().enumerate() {
         if r.phase == Phase::Hold && r.contacts == 1 {
             places.entry(r.location).or_default().push(i);
         }
@@ -125,7 +121,7 @@ pub fn measure(
     for frames in places.values() {
         for (a, &i) in frames.iter().enumerate() {
             for &j in &frames[a + 1..] {
-                let (p, q) = (&rows.rows[i], &rows.rows[j]);
+                let (p, q) = (&samples.list[i], &samples.list[j]);
                 let near = p.position.iter().zip(q.position).all(|(a, b)| (a - b).abs() < SAME_PLACE);
                 let alike = (p.force - q.force).abs() < SAME_FORCE * p.force.max(0.05);
                 let moment = (p.since - q.since).abs() < 0.2 * p.since.abs().max(0.05);
@@ -156,19 +152,19 @@ pub fn measure(
         let mut t = Sums::default();
         for s in sums {
             t.energy += s.energy;
-            t.rows += s.rows;
+            t.samples += s.samples;
             t.twins += s.twins;
             t.pairs += s.pairs;
         }
         // Without twins the noise is what it was measured to be between frames: 1.
         let noise = if t.pairs >= 5.0 { t.twins / t.pairs / scale } else { 1.0 };
-        (t.energy / t.rows.max(1.0) / scale, noise)
+        (t.energy / t.samples.max(1.0) / scale, noise)
     };
     let (before, twins) = total(&mut sums.iter().copied());
-    let again = (repeats >= 10).then(|| (again / repeats as f64 / scale - twins).max(0.0));
+    let again = (repeats >= REPEATS).then(|| (again / repeats as f64 / scale - twins).max(0.0));
     let floor = twins + again.unwrap_or(0.0);
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x9a9);
-    let mut drawn: Vec<f64> = (0..400)
+    let mut drawn: Vec<f64> = (0..DRAWS)
         .map(|_| {
             let mut picks = (0..sums.len()).map(|_| sums[rng.random_range(0..sums.len())]);
             let (before, twins) = total(&mut picks);

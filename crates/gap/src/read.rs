@@ -11,12 +11,8 @@ use dermis_skin::{Frame, Phase, SkinDescription, Stamp, Surface};
 use nalgebra::{Point3, Vector3};
 
 use crate::GapError;
-use crate::data::{Moment, Problem, Recording};
-
-/// \[m\] off the surface that a true contact may lie before its frame is doubted: what a stage and a mould are off by.
-const OFF_SURFACE: f64 = 2e-3;
-/// Share of a press's force by which it changes from frame to frame while it is held.
-const HELD: f64 = 0.03;
+use crate::constants::reading::{HELD, OFF_SURFACE};
+use crate::recording::{Moment, Problem, Recording};
 
 /// One frame as a bag gives it.
 struct Raw {

@@ -1,20 +1,21 @@
-//! What a diagnosis says: `gap-report/1`.
+//! What a diagnosis says: `gap-report/2`. Files of `gap-report/1` are read as well: each key that was renamed has its old name as an
+//! alias.
 
 use dermis_skin::Effect;
 use serde::{Deserialize, Serialize};
 
 use crate::axes::{Axis, Bin, Map};
 use crate::checks::Missing;
-use crate::data::Problem;
+use crate::consistency_checks::ConsistencyCheck;
 use crate::experiments::Experiment;
 use crate::noise::Gap;
-use crate::parity::Parity;
+use crate::recording::Problem;
 use crate::select::Tier;
 
 /// Name of the format.
-pub const SCHEMA: &str = "gap-report/1";
+pub const SCHEMA: &str = "gap-report/2";
 /// JSON schema of the format.
-pub const SCHEMA_JSON: &str = include_str!("../gap-report-1.schema.json");
+pub const SCHEMA_JSON: &str = include_str!("../gap-report-2.schema.json");
 
 /// What a diagnosis comes to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,7 +28,8 @@ pub enum Verdict {
     /// It may be too small to matter, and may not: the interval of its size holds what does not matter.
     Undecided,
     /// What the simulator's declared tolerances allow explains it, and no effect beyond.
-    SimulatorForm,
+    #[serde(alias = "simulator-form")]
+    ModelDiscrepancy,
     /// Effects of the library explain it.
     Named,
     /// They explain some of it.
@@ -57,8 +59,9 @@ pub struct DataSummary {
     pub frames: usize,
     /// Presses of the recording.
     pub presses: usize,
-    /// Frames that were looked at.
-    pub rows: usize,
+    /// Frames that were sampled.
+    #[serde(alias = "rows")]
+    pub samples: usize,
     /// Places that were fitted and selected on, and places kept for the end.
     pub places: [usize; 2],
     /// Pairs of presses that were done alike.
@@ -100,16 +103,16 @@ pub struct Alike {
     pub rig: bool,
 }
 
-/// How far a gap closes.
+/// How far named effects reduce the residual: shares of the gap beyond the noise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Closure {
+pub struct ResidualReduction {
     /// By contacts that were fitted.
     pub predicted: f64,
     /// On contacts that were neither fitted nor selected on, with the full simulator; `None` where the effects cannot be
     /// switched on in it.
     pub achieved: Option<f64>,
     /// 90 % interval of what is achieved in another recording of the same device, from running selection and fit again on other draws of
-    /// places, and from what depends on the past or goes its own way through time.
+    /// places, and from what depends on the past or drifts randomly.
     pub interval: [f64; 2],
 }
 
@@ -124,7 +127,7 @@ pub struct NamedEffect {
     pub class: Vec<Alike>,
     /// More general effects that contain it.
     pub covers: Vec<String>,
-    /// How it stands against the simulator's own error; `loose` means: this effect, or that error.
+    /// How it stands against the model discrepancy; `loose` means: this effect, or that discrepancy.
     pub tier: Tier,
     /// Fitted values.
     pub theta: Vec<Value>,
@@ -151,8 +154,9 @@ pub struct Suspect {
     pub name: String,
     /// Reduction of the held-out error, in shares of the readings' variance.
     pub gain: f64,
-    /// The same beside the simulator's own error within its tolerances.
-    pub beyond_form: f64,
+    /// The same beside the model discrepancy.
+    #[serde(alias = "beyond_form")]
+    pub beyond_discrepancy: f64,
 }
 
 /// What the library does not explain.
@@ -162,8 +166,9 @@ pub struct Unknown {
     pub share: f64,
     /// Share of the systematic gap that named effects explain.
     pub library: f64,
-    /// Share that the simulator's own error within its tolerances explains beside them.
-    pub form: f64,
+    /// Share that the model discrepancy (the simulator's error within its tolerances) explains beside them.
+    #[serde(alias = "form")]
+    pub model_discrepancy: f64,
     /// Share of what is left that a smoother over all recorded circumstances foresees.
     pub explainable: f64,
     /// Axes along which what is left goes, the strongest first.
@@ -194,8 +199,9 @@ pub struct Provenance {
     pub tried: Vec<String>,
     /// Effects that cannot be seen in this recording, and why.
     pub silent: Vec<[String; 2]>,
-    /// What the simulator's own error was made of.
-    pub form: Vec<String>,
+    /// What the model discrepancy was made of.
+    #[serde(alias = "form")]
+    pub model_discrepancy: Vec<String>,
     /// Seconds for signatures (0 where they were kept), and for the rest.
     pub seconds: [f64; 2],
 }
@@ -203,7 +209,7 @@ pub struct Provenance {
 /// A diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// `gap-report/1`.
+    /// `gap-report/2`.
     pub schema: String,
     /// One sentence that a person can act on.
     pub sentence: String,
@@ -221,14 +227,16 @@ pub struct Report {
     /// Over the surface: before, and after the named effects.
     pub maps: Vec<Map>,
     /// Checks without a model.
-    pub parity: Vec<Parity>,
+    #[serde(alias = "parity")]
+    pub consistency_checks: Vec<ConsistencyCheck>,
     /// Named effects, the strongest first.
     pub effects: Vec<NamedEffect>,
     /// Effects that explain most when they come alone, whether they are named or not, the strongest first: where to look where no
     /// effect is named.
     pub suspects: Vec<Suspect>,
-    /// How far all of them close it.
-    pub closure: Option<Closure>,
+    /// How far all of them reduce it.
+    #[serde(alias = "closure")]
+    pub residual_reduction: Option<ResidualReduction>,
     /// Unexplained variance on the contacts kept for the end: before, after, floor.
     pub held_out: Option<[f64; 3]>,
     /// What is left.

@@ -9,8 +9,8 @@ use dermis_skin::{Effect, EffectInfo, SkinDescription};
 use indicatif::ProgressBar;
 
 use crate::GapError;
-use crate::data::Recording;
-use crate::rows::Rows;
+use crate::recording::Recording;
+use crate::samples::Samples;
 
 /// What a device would have read along a recording.
 type Simulated = Result<Vec<f32>, GapError>;
@@ -67,7 +67,7 @@ impl Simulator<'_> {
         })
     }
 
-    /// Noise-free readings of `skin` in the rows of a recording, a channel after another for each row, in the unit of the skin.
+    /// Noise-free readings of `skin` in the samples of a recording, a channel after another for each row, in the unit of the skin.
     ///
     /// # Errors
     ///
@@ -156,11 +156,11 @@ impl Simulator<'_> {
         &self,
         skins: &[SkinDescription],
         recording: &Recording,
-        (rows, limited): (&Rows, bool),
+        (samples, limited): (&Samples, bool),
         stop: &AtomicBool,
         progress: &ProgressBar,
     ) -> Result<Vec<Result<Vec<f32>, GapError>>, GapError> {
-        let frames = rows.frames();
+        let frames = samples.frames();
         let next = AtomicUsize::new(0);
         let done: Vec<Mutex<Option<Simulated>>> = skins.iter().map(|_| Mutex::new(None)).collect();
         std::thread::scope(|scope| {

@@ -7,20 +7,20 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::GapError;
-use crate::data::{Recording, hex};
-use crate::library::{Candidate, Signatures};
-use crate::rows::Rows;
+use crate::recording::{Recording, hex};
+use crate::samples::Samples;
+use crate::signatures::{Candidate, Signatures};
 use crate::simulate::Simulator;
 use crate::statistics::Column;
 
 /// Its digit goes up whenever signatures are made otherwise.
-const MAGIC: &[u8; 8] = b"dgapsiga";
+const MAGIC: &[u8; 8] = b"dgapsigb";
 
 #[derive(Serialize, Deserialize)]
 struct Head {
     candidates: Vec<Candidate>,
-    form: Vec<usize>,
-    form_names: Vec<String>,
+    discrepancy: Vec<usize>,
+    discrepancy_names: Vec<String>,
     silent: Vec<(String, String)>,
     nominal: usize,
     columns: Vec<(Option<usize>, usize)>,
@@ -28,7 +28,7 @@ struct Head {
 
 /// What signatures depend on: the skin with its effects, the family's effects, the presses, the frames that are looked at, and
 /// this program.
-pub(crate) fn key(simulator: &Simulator<'_>, recording: &Recording, rows: &Rows) -> String {
+pub(crate) fn key(simulator: &Simulator<'_>, recording: &Recording, samples: &Samples) -> String {
     let mut hasher = Sha256::new();
     hasher.update(MAGIC);
     hasher.update(env!("CARGO_PKG_VERSION"));
@@ -38,7 +38,7 @@ pub(crate) fn key(simulator: &Simulator<'_>, recording: &Recording, rows: &Rows)
         hasher.update(value.unwrap_or_default());
     }
     hasher.update(recording.stimulus_hash());
-    for row in &rows.rows {
+    for row in &samples.list {
         hasher.update((row.frame as u64).to_le_bytes());
     }
     hex(&hasher.finalize())[7..].to_owned()
@@ -75,8 +75,8 @@ pub(crate) fn load(folder: &Path, key: &str) -> Option<Signatures> {
         nominal,
         columns,
         candidates: head.candidates,
-        form: head.form,
-        form_names: head.form_names,
+        discrepancy: head.discrepancy,
+        discrepancy_names: head.discrepancy_names,
         silent: head.silent,
     })
 }
@@ -90,8 +90,8 @@ pub(crate) fn save(folder: &Path, key: &str, signatures: &Signatures) -> Result<
     std::fs::create_dir_all(folder).map_err(fail(folder))?;
     let head = Head {
         candidates: signatures.candidates.clone(),
-        form: signatures.form.clone(),
-        form_names: signatures.form_names.clone(),
+        discrepancy: signatures.discrepancy.clone(),
+        discrepancy_names: signatures.discrepancy_names.clone(),
         silent: signatures.silent.clone(),
         nominal: signatures.nominal.len(),
         columns: signatures.columns.iter().map(|c| (c.channel, c.values.len())).collect(),

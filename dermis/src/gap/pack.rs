@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use dermis_gap_worlds::pack::{self, Manifest, Order};
+use dermis_gap_worlds::set::{self, Manifest, SetSpec};
 use dermis_skin::SkinDescription;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -26,7 +26,7 @@ enum Kind {
     Confounded,
 }
 
-impl From<Kind> for pack::Kind {
+impl From<Kind> for set::Kind {
     fn from(kind: Kind) -> Self {
         match kind {
             Kind::Singles => Self::Singles,
@@ -95,8 +95,8 @@ pub fn run(options: &Options) -> Result<()> {
     let text = dermis_io::read_text(&options.skin, dermis_io::TEXT)
         .with_context(|| format!("skin file {} cannot be read", options.skin.display()))?;
     SkinDescription::from_toml(&text, &options.skin.display().to_string())?;
-    let mut order = Order::mixed(options.share, options.seed, options.size);
-    if let Some(kind) = options.kind.map(pack::Kind::from) {
+    let mut order = SetSpec::mixed(options.share, options.seed, options.size);
+    if let Some(kind) = options.kind.map(set::Kind::from) {
         order.cases.retain(|(of, _)| *of == kind);
         if let (Some(count), [(_, cases)]) = (options.count, &mut order.cases[..]) {
             *cases = count;
@@ -106,7 +106,7 @@ pub fn run(options: &Options) -> Result<()> {
         .with_style(ProgressStyle::with_template("cases {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.tick();
     let stop = crate::collect::stop_on_interrupt()?;
-    let manifest = pack::make_pack(&text, &order, &options.out, &options.secret, |done| {
+    let manifest = set::generate(&text, &order, &options.out, &options.secret, |done| {
         progress.set_position(done as u64);
         !stop.load(Ordering::Acquire)
     })?;
@@ -122,7 +122,7 @@ pub fn run(options: &Options) -> Result<()> {
             "{}: {} cases of {} on {}, sha256 {hash}; secrets in {}",
             options.out.display(),
             manifest.cases.len(),
-            manifest.kind.map_or("all kinds", pack::Kind::name),
+            manifest.kind.map_or("all kinds", set::Kind::name),
             manifest.skin,
             options.secret.display()
         );

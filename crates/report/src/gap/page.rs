@@ -89,7 +89,7 @@ fn bar(body: &mut String, report: &Report, gap: &Gap) {
         [gap.interval[0] + gap.floor, gap.interval[1] + gap.floor],
         percent(gap.fvu_before),
     )];
-    if let (Some(held), Some(closure)) = (report.held_out, report.closure) {
+    if let (Some(held), Some(closure)) = (report.held_out, report.residual_reduction) {
         let open = held[0] - held[2];
         let left = |closed: f64| held[0] - closed * open;
         rows.push((
@@ -206,13 +206,13 @@ fn effects(body: &mut String, report: &Report) {
                 "<p>{} alone would explain {} of the variance, {} beyond the simulator's tolerances.</p>",
                 escape(&suspect.name),
                 percent(suspect.gain),
-                percent(suspect.beyond_form)
+                percent(suspect.beyond_discrepancy)
             );
         }
     }
     for effect in &report.effects {
         let class: Vec<String> = effect.class.iter().map(|a| escape(&a.name)).collect();
-        let or = if effect.tier == Tier::Loose { ", or the simulator's own error" } else { "" };
+        let or = if effect.tier == Tier::Loose { ", or the model discrepancy" } else { "" };
         let _ = writeln!(
             body,
             "<h3>{}{or}</h3><p>{} Explains {} of the variance when it comes last, {} alone; {} of what all named effects explain; \
@@ -243,7 +243,7 @@ fn effects(body: &mut String, report: &Report) {
                 writeln!(body, "<p>A skin description cannot say it: the corrected skin is without it.</p>");
         }
     }
-    if let Some(closure) = &report.closure {
+    if let Some(closure) = &report.residual_reduction {
         let _ = writeln!(
             body,
             "<p><b>Closes {} of the gap</b> on contacts that were neither fitted nor selected on (90 % interval {} to {}); \
@@ -257,10 +257,10 @@ fn effects(body: &mut String, report: &Report) {
     let unknown = &report.unknown;
     let _ = writeln!(
         body,
-        "<p>Of the systematic gap {} is explained by the named effects, {} more could be the simulator's own error within its \
+        "<p>Of the systematic gap {} is explained by the named effects, {} more could be the model discrepancy, which is the simulator's error within its \
          tolerances; of what is left {} goes with what was recorded.</p>",
         percent(unknown.library),
-        percent(unknown.form),
+        percent(unknown.model_discrepancy),
         percent(unknown.explainable)
     );
     if !unknown.fingerprint.is_empty() {
@@ -337,7 +337,7 @@ fn table(body: &mut String, name: &str, bins: &[Bin], unit: &str) {
             body,
             "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
             escape(&bin.label),
-            bin.rows,
+            bin.samples,
             percent(bin.fvu),
             short(bin.rmse)
         );
@@ -360,7 +360,7 @@ fn tables(body: &mut String, report: &Report) {
 }
 
 fn parity(body: &mut String, report: &Report) {
-    if report.parity.is_empty() {
+    if report.consistency_checks.is_empty() {
         return;
     }
     let _ = writeln!(
@@ -368,7 +368,7 @@ fn parity(body: &mut String, report: &Report) {
         "<h2>Checks without a model</h2><table><tr><th>check</th><th>what</th><th>compared</th><th>noise deviations</th>\
          <th>share of the signal</th><th></th></tr>"
     );
-    for check in &report.parity {
+    for check in &report.consistency_checks {
         let or = |v: Option<f64>, text: fn(f64) -> String| v.map_or("–".to_owned(), text);
         let _ = writeln!(
             body,
@@ -399,7 +399,7 @@ fn provenance(body: &mut String, report: &Report) {
     let silent: Vec<String> = p.silent.iter().map(|[name, why]| format!("{name}: {why}")).collect();
     let _ = writeln!(
         body,
-        "<pre>{}\nseed {}\nrecording {}\nskin {}\nlibrary {}\ntried: {}\ncannot be seen here:\n  {}\nsimulator's own error: \
+        "<pre>{}\nseed {}\nrecording {}\nskin {}\nlibrary {}\ntried: {}\ncannot be seen here:\n  {}\nmodel discrepancy: \
          {}\n{:.1} s of simulation, {:.1} s of diagnosis</pre>",
         escape(&p.tool),
         p.seed,
@@ -408,7 +408,7 @@ fn provenance(body: &mut String, report: &Report) {
         escape(&p.library_hash),
         escape(&p.tried.join(", ")),
         escape(&silent.join("\n  ")),
-        escape(&p.form.join(", ")),
+        escape(&p.model_discrepancy.join(", ")),
         p.seconds[0],
         p.seconds[1]
     );

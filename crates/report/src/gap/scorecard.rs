@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 use dermis_figures::escape as escaped;
-use dermis_gap_worlds::score::{Aim, Card, Share};
+use dermis_gap_worlds::score::{Aim, Scorecard, Share};
 use serde_json::Value;
 
 /// \[px\] of the picture.
@@ -25,7 +25,7 @@ fn shown(share: Share) -> String {
 
 /// The summary for people.
 #[must_use]
-pub fn markdown(head: &Value, card: &Card, baselines: &[(String, Card)]) -> String {
+pub fn markdown(head: &Value, card: &Scorecard, baselines: &[(String, Scorecard)]) -> String {
     let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
     let mut out = format!(
         "# Check of the diagnosis: {}\n\n`{}` with {}.\n\n",
@@ -107,7 +107,7 @@ fn bar(out: &mut String, y: f64, (name, share, aim): (&str, Share, Option<Aim>),
 
 /// The picture: every rate with its interval and aim, top-1 of the baselines, and what was answered for each cause.
 #[must_use]
-pub fn svg(skin: &str, card: &Card, baselines: &[(String, Card)]) -> String {
+pub fn svg(skin: &str, card: &Scorecard, baselines: &[(String, Scorecard)]) -> String {
     let mut body = String::new();
     let mut y = 1.5 * LINE;
     let title = |body: &mut String, y: f64, text: &str| {
@@ -198,7 +198,7 @@ mod tests {
 
     #[test]
     fn a_check_is_summed_up_for_people_and_eyes() {
-        let mut card = Card::default();
+        let mut card = Scorecard::default();
         card.headline.cases = 3;
         card.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
         card.headline.confusion.insert("cavity".to_owned(), [("a or b".to_owned(), 2)].into());

@@ -11,8 +11,8 @@ pub fn text(report: &Report) -> String {
     let data = &report.data;
     let _ = writeln!(
         out,
-        "\n{}: {} frames, {} presses of skin {}; {} frames looked at, {} places fitted, {} kept for the end",
-        data.name, data.frames, data.presses, data.skin, data.rows, data.places[0], data.places[1]
+        "\n{}: {} frames, {} presses of skin {}; {} frames sampled, {} places fitted, {} kept for the end",
+        data.name, data.frames, data.presses, data.skin, data.samples, data.places[0], data.places[1]
     );
     for problem in &data.problems {
         let _ = writeln!(out, "  {}: {}", if problem.fatal { "wrong" } else { "note" }, problem.what);
@@ -49,7 +49,7 @@ pub fn text(report: &Report) -> String {
             );
         }
     }
-    for check in report.parity.iter().filter(|c| c.violated) {
+    for check in report.consistency_checks.iter().filter(|c| c.violated) {
         let share = check.share.map_or(String::new(), |s| format!(", {} of the signal", percent(s)));
         let _ = writeln!(
             out,
@@ -65,7 +65,7 @@ pub fn text(report: &Report) -> String {
     for effect in &report.effects {
         let tier = match effect.tier {
             Tier::Strict => "",
-            Tier::Loose => ", or the simulator's own error",
+            Tier::Loose => ", or the model discrepancy",
         };
         let _ = writeln!(
             out,
@@ -108,14 +108,14 @@ pub fn text(report: &Report) -> String {
                 "  {:32} {} ({} beyond the simulator's tolerances)",
                 suspect.name,
                 percent(suspect.gain),
-                percent(suspect.beyond_form)
+                percent(suspect.beyond_discrepancy)
             );
         }
     }
-    if let Some(closure) = &report.closure {
+    if let Some(closure) = &report.residual_reduction {
         let _ = writeln!(
             out,
-            "\ncloses {} of the gap on contacts kept for the end ({} to {}); predicted {}",
+            "\nremoves {} of the gap on contacts kept for the end ({} to {}); predicted {}",
             closure.achieved.map_or("an unknown part".to_owned(), percent),
             percent(closure.interval[0]),
             percent(closure.interval[1]),
@@ -127,7 +127,7 @@ pub fn text(report: &Report) -> String {
             out,
             "left: {} of the systematic gap ({} of it within the simulator's tolerances); {} of what is left could be explained",
             percent(report.unknown.share),
-            percent(report.unknown.form),
+            percent(report.unknown.model_discrepancy),
             percent(report.unknown.explainable)
         );
     }

@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_gap::{RowOptions, Rows, Simulator};
-use dermis_gap_worlds::pack::{self, Case, Manifest, Secret};
-use dermis_gap_worlds::score::{Answer, Card, Mapping, Named};
+use dermis_gap::{SampleOptions, Samples, Simulator};
+use dermis_gap_worlds::score::{Answer, Mapping, Named, Scorecard};
+use dermis_gap_worlds::set::{self, Case, GroundTruth, Manifest};
 use dermis_skin::{Effect, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
@@ -78,9 +78,9 @@ pub struct Scored {
     /// Name of the skin.
     pub skin: String,
     /// Of the diagnosis.
-    pub card: Card,
+    pub card: Scorecard,
     /// Of simpler ways.
-    pub baselines: Vec<(String, Card)>,
+    pub baselines: Vec<(String, Scorecard)>,
     /// Every case with its answer.
     pub cases: Value,
 }
@@ -144,7 +144,7 @@ pub fn run(
                 .with_context(|| format!("{} cannot be read", path.display()))?;
             let read: Value =
                 serde_json::from_slice(&text).with_context(|| format!("{} is no report", path.display()))?;
-            let (secret, answer) = (pack::unseal(secrets, case)?, answer(&read));
+            let (secret, answer) = (set::open_ground_truth(secrets, case)?, answer(&read));
             cases.push(Opened {
                 secret,
                 answer,
@@ -159,7 +159,7 @@ pub fn run(
     if !options.no_elsewhere {
         elsewhere(&skin, &mut cases, options, families, progress)?;
     }
-    let card = Card::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
+    let card = Scorecard::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
     let baselines = if options.no_baselines {
         Vec::new()
     } else {
@@ -170,7 +170,7 @@ pub fn run(
         "tool": format!("dermis {}", env!("CARGO_PKG_VERSION")),
         "command": command(options),
         "skin": skin.name,
-        "mapping_sha256": pack::sha256(Mapping::TEXT.as_bytes()),
+        "mapping_sha256": set::sha256(Mapping::TEXT.as_bytes()),
         "packs": packs.iter().zip(&options.pack).zip(&seals).map(|((manifest, dir), (_, seal))| {
             Ok(serde_json::json!({ "kind": manifest.kind, "cases": manifest.cases.len(), "generator": manifest.generator,
                 "sha256": Manifest::hash(dir)?, "reports_sha256": seal }))
@@ -190,7 +190,7 @@ pub fn run(
 
 /// A case whose secret is open.
 struct Opened {
-    secret: Secret,
+    secret: GroundTruth,
     answer: Answer,
     report: Value,
     bag: PathBuf,
@@ -251,15 +251,15 @@ fn elsewhere(
         }
         let folder = tempfile::tempdir().context("no folder for another recording can be made")?;
         let bag = folder.path().join("again");
-        pack::record_again(skin, &secret, &bag)?;
+        set::record_again(skin, &secret, &bag)?;
         let recording = dermis_gap::read(&[&bag], skin, None, None)?;
         let usable = vec![true; sigma.len()];
-        let rows = Rows::draw(&recording, &usable, &RowOptions::default());
-        let frames = rows.frames();
+        let samples = Samples::draw(&recording, &usable, &SampleOptions::default());
+        let frames = samples.frames();
         let nominal = simulator.readings(skin, &recording, &frames)?;
         let mut readings: Vec<f32> = frames.iter().flat_map(|f| recording.frame(*f)).copied().collect();
         // What a report's closure leaves out is left out here as well.
-        dermis_gap::cut(&mut readings, &nominal, skin, &sigma);
+        dermis_gap::mask_saturated(&mut readings, &nominal, skin, &sigma);
         let left = |model: &[f32]| -> f64 {
             let apart = readings.iter().zip(model).zip(sigma.iter().cycle());
             let squares = apart.map(|((y, s), sigma)| (f64::from(y - s) / sigma).powi(2));
@@ -294,7 +294,7 @@ fn baselines(
     library: &BTreeSet<String>,
     families: &Families,
     progress: &dyn Progress,
-) -> Result<Vec<(String, Card)>> {
+) -> Result<Vec<(String, Scorecard)>> {
     progress.begin("baselines");
     let mut answers: Vec<Vec<Answer>> = Vec::new();
     let mut columns = super::baselines::Columns::default();
@@ -304,18 +304,18 @@ fn baselines(
         answers.push(super::baselines::answers(skin, families, &case.bag, &key, &mut columns)?);
         progress.at((n + 1) as f64 / cases.len() as f64);
     }
-    let mut cards: Vec<(String, Card)> = super::baselines::NAMES
+    let mut cards: Vec<(String, Scorecard)> = super::baselines::NAMES
         .iter()
         .enumerate()
         .map(|(i, name)| {
             let of = cases.iter().zip(&answers).map(|(case, all)| (&case.secret, &all[i]));
-            ((*name).to_owned(), Card::new(of, mapping, library))
+            ((*name).to_owned(), Scorecard::new(of, mapping, library))
         })
         .collect();
     // Blind choice has no cases of its own: its share of hits is that of accepted names among all.
-    let mut random = Card::default();
+    let mut random = Scorecard::default();
     let within = mapping.within(library);
-    for case in cases.iter().filter(|c| c.secret.kind == pack::Kind::Singles && c.secret.gap >= 3.0) {
+    for case in cases.iter().filter(|c| c.secret.kind == set::Kind::Singles && c.secret.gap >= 3.0) {
         let told = case.secret.causes.first();
         let accepted = told.and_then(|t| within.causes.get(&t.cause.id)).map_or(0, |a| a.names.len());
         if accepted > 0 {
@@ -380,7 +380,7 @@ fn seal(manifest: &Manifest, out: &Path) -> Result<String> {
         let path = report(out, case);
         let text = dermis_io::read(&path, dermis_io::REPORT)
             .with_context(|| format!("{} cannot be read", path.display()))?;
-        list.push_str(&format!("{}  {}.json\n", pack::sha256(&text), case.id));
+        list.push_str(&format!("{}  {}.json\n", set::sha256(&text), case.id));
     }
     let path = out.join("reports.sha256");
     match dermis_io::read_text(&path, dermis_io::REPORT) {
@@ -393,7 +393,7 @@ fn seal(manifest: &Manifest, out: &Path) -> Result<String> {
             std::fs::write(&path, &list).with_context(|| format!("{} cannot be written", path.display()))?;
         }
     }
-    Ok(pack::sha256(list.as_bytes()))
+    Ok(set::sha256(list.as_bytes()))
 }
 
 /// What a report says, as scores need it.
@@ -401,14 +401,13 @@ fn answer(report: &Value) -> Answer {
     let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
     let pair = |v: &Value| -> Option<[f64; 2]> { Some([v.get(0)?.as_f64()?, v.get(1)?.as_f64()?]) };
     let verdict = text(&report["verdict"]);
+    // `closure` in reports of `gap-report/1`.
+    let reduction = report.get("residual_reduction").unwrap_or(&report["closure"]);
     let mut answer = Answer {
         gap: matches!(verdict.as_str(), "named" | "named-and-unknown" | "unknown-systematic" | "unmeasured"),
         unknown: matches!(verdict.as_str(), "unknown-systematic" | "unmeasured" | "named-and-unknown"),
-        closure: report["closure"]["predicted"]
-            .as_f64()
-            .zip(report["closure"]["achieved"].as_f64())
-            .map(<[f64; 2]>::from),
-        interval: pair(&report["closure"]["interval"]),
+        closure: reduction["predicted"].as_f64().zip(reduction["achieved"].as_f64()).map(<[f64; 2]>::from),
+        interval: pair(&reduction["interval"]),
         verdict: verdict.clone(),
         ..Answer::default()
     };

@@ -115,7 +115,7 @@ pub fn diagnose(
     how.select.floor *= options.margin / how.select.margin;
     how.select.margin = options.margin;
     how.select.seed = options.seed;
-    how.rows.seed = options.seed;
+    how.samples.seed = options.seed;
     Ok(dermis_gap::diagnose(&simulator, &recording, &how, &Memory::default())?)
 }
 

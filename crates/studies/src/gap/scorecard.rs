@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use dermis_gap_worlds::score::{Aim, Card, Scores};
+use dermis_gap_worlds::score::{Aim, Scorecard, Scores};
 use serde_json::{Value, json};
 
 /// Rates with their intervals and middle values of one set of cases.
@@ -33,7 +33,7 @@ fn group(cards: &BTreeMap<String, Scores>) -> Value {
 }
 
 /// The summary without the single cases. `head` says which tool, command and packs.
-pub(super) fn json(head: &Value, card: &Card, baselines: &[(String, Card)]) -> Value {
+pub(super) fn json(head: &Value, card: &Scorecard, baselines: &[(String, Scorecard)]) -> Value {
     let mut summary = head.clone();
     summary["headline"] = scores(&card.headline);
     summary["all"] = scores(&card.all);
@@ -56,7 +56,7 @@ mod tests {
 
     #[test]
     fn a_check_is_summed_up_for_programs() {
-        let mut card = Card::default();
+        let mut card = Scorecard::default();
         card.headline.cases = 3;
         card.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
         let head = json!({ "skin": "s", "command": "c", "tool": "t", "packs": [] });

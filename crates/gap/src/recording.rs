@@ -4,6 +4,8 @@ use dermis_model::Stimulus;
 use dermis_skin::Phase;
 use sha2::{Digest, Sha256};
 
+use crate::constants::reading::{ZERO_AT_START, ZERO_BEFORE_PRESS};
+
 /// One instant of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
@@ -30,10 +32,6 @@ impl Moment {
         self.stimulus.as_ref().map_or(0.0, |s| s.contacts.iter().map(|c| c.force.norm()).sum())
     }
 }
-
-/// \[s\] from the first untouched frame on that [`Zero::Start`] takes, and before a press that [`Zero::Press`] does.
-const START: f64 = 1.0;
-const BEFORE: f64 = 0.5;
 
 /// What readings are counted from.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -174,13 +172,14 @@ impl Recording {
                 Zero::AsRead => return,
                 Zero::Start => {
                     let first = (begin..end).find(|i| free(*i)).map_or(f64::NAN, |i| self.moments[i].time);
-                    let early = (begin..end).filter(|i| free(*i) && self.moments[*i].time - first <= START);
+                    let early =
+                        (begin..end).filter(|i| free(*i) && self.moments[*i].time - first <= ZERO_AT_START);
                     blocks.push((begin, early.collect()));
                 }
                 Zero::Press => {
                     for i in begin + 1..end {
                         if !free(i) && free(i - 1) {
-                            let since = self.moments[i].time - BEFORE;
+                            let since = self.moments[i].time - ZERO_BEFORE_PRESS;
                             let rest = (begin..i).rev().take_while(|j| free(*j));
                             let rest = rest.take_while(|j| self.moments[*j].time >= since).collect();
                             // What comes before the first press has no zero but its.

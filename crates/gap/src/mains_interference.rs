@@ -1,19 +1,14 @@
-//! Whether the noise of untouched frames is noise: hum of one frequency is in no mean of residuals, and looks like noise in repeats.
+//! Whether the noise of untouched frames is noise: interference of one frequency is in no mean of residuals, and looks like noise in repeats.
 
 use std::f64::consts::TAU;
 
-use crate::data::Recording;
-
-/// Frames of a stretch whose spectrum is taken.
-const STRETCH: usize = 64;
-/// Stretches that say anything.
-const FEWEST: usize = 4;
-/// How far a line stands above the median of the spectrum: averages of a few stretches stay well below.
-const ABOVE: f64 = 8.0;
+use crate::constants::Z95;
+use crate::constants::interference::{ABOVE, FEWEST, MAINS, SLOW, STRETCH};
+use crate::recording::Recording;
 
 /// A line in the spectrum of untouched frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hum {
+pub struct Interference {
     /// \[Hz\] as the frames show it; what is above half of their rate comes back below it.
     pub frequency: f64,
     /// Share of the energy of untouched frames, about their mean and trend, that is in the line.
@@ -26,7 +21,7 @@ pub struct Hum {
 
 /// Finds the strongest line in the spectrum of untouched frames that follow each other.
 #[must_use]
-pub fn find(recording: &Recording, rate: f64) -> Option<Hum> {
+pub fn find(recording: &Recording, rate: f64) -> Option<Interference> {
     let mut stretches: Vec<usize> = Vec::new();
     let mut since = 0;
     for (i, moment) in recording.moments.iter().enumerate() {
@@ -82,12 +77,11 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Hum> {
     if taken < FEWEST {
         return None;
     }
-    // What is slow is drift, not hum.
-    let slow = 4;
-    let mut sorted = power[slow..].to_vec();
+    // What is slow is drift, not interference.
+    let mut sorted = power[SLOW..].to_vec();
     sorted.sort_by(f64::total_cmp);
     let median = sorted[sorted.len() / 2].max(1e-300);
-    let peak = (slow..=half).max_by(|a, b| power[*a].total_cmp(&power[*b]))?;
+    let peak = (SLOW..=half).max_by(|a, b| power[*a].total_cmp(&power[*b]))?;
     if power[peak] < ABOVE * median {
         return None;
     }
@@ -97,14 +91,19 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Hum> {
         above / power.iter().sum::<f64>().max(1e-300)
     };
     let share = of(&power, median);
-    // Channels of a stretch hum together.
+    // Channels of a stretch interference together.
     let each: Vec<f64> = spectra.iter().map(|own| of(own, median / taken as f64)).collect();
     let mean = each.iter().sum::<f64>() / each.len() as f64;
     let variance_of = each.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / each.len() as f64;
-    let spread = 1.96 * (variance_of / many as f64).sqrt();
+    let spread = Z95 * (variance_of / many as f64).sqrt();
     let amplitude = (2.0 * share * variance / taken as f64).sqrt();
     let between = if peak < half { between([power[peak - 1], power[peak], power[peak + 1]]) } else { 0.0 };
-    Some(Hum { frequency: (peak as f64 + between) * rate / STRETCH as f64, share, half: spread, amplitude })
+    Some(Interference {
+        frequency: (peak as f64 + between) * rate / STRETCH as f64,
+        share,
+        half: spread,
+        amplitude,
+    })
 }
 
 /// How far beside the middle of three powers in a row, of a window that is half a cosine squared, their line lies.
@@ -121,7 +120,7 @@ fn between([below, peak, above]: [f64; 3]) -> f64 {
 #[must_use]
 pub fn mains(seen: f64, rate: f64) -> Option<f64> {
     let folded = |f: f64| (f - rate * (f / rate).round()).abs();
-    [50.0, 60.0].into_iter().find(|f| (folded(*f) - seen).abs() < 0.5 * rate / STRETCH as f64)
+    MAINS.into_iter().find(|f| (folded(*f) - seen).abs() < 0.5 * rate / STRETCH as f64)
 }
 
 /// Takes mean and straight line out.
@@ -151,7 +150,7 @@ mod tests {
     #[test]
     fn a_hum_has_a_frequency_and_an_amplitude() {
         for (frequency, shows, of) in [(7.3, 7.3, None), (50.0, 30.0, Some(50.0)), (60.0, 20.0, Some(60.0))] {
-            let mut recording = Recording::new("hum", 1);
+            let mut recording = Recording::new("interference", 1);
             let mut noise = 1u32;
             for i in 0..2000_u32 {
                 let t = f64::from(i) / 80.0;
@@ -168,10 +167,10 @@ mod tests {
                 let jitter = f64::from(noise >> 8) / f64::from(1u32 << 24) - 0.5;
                 recording.push(moment, &[(4.0 * (TAU * frequency * t).sin() + jitter) as f32]);
             }
-            let hum = find(&recording, 80.0).unwrap();
-            approx::assert_abs_diff_eq!(hum.frequency, shows, epsilon = 0.1);
-            approx::assert_relative_eq!(hum.amplitude, 4.0, max_relative = 0.05);
-            assert_eq!(mains(hum.frequency, 80.0), of);
+            let interference = find(&recording, 80.0).unwrap();
+            approx::assert_abs_diff_eq!(interference.frequency, shows, epsilon = 0.1);
+            approx::assert_relative_eq!(interference.amplitude, 4.0, max_relative = 0.05);
+            assert_eq!(mains(interference.frequency, 80.0), of);
         }
     }
 }

@@ -1,14 +1,6 @@
 //! Whether readings come in steps: what no mean of residuals shows.
 
-/// Readings that are looked at, at most; fewest that say anything.
-const READINGS: usize = 20_000;
-const FEWEST: usize = 200;
-/// Share of readings that is another one each, where none come in steps, at least.
-const DISTINCT: f64 = 0.2;
-/// Of a step, how far readings may lie beside one.
-const BESIDE: f64 = 0.02;
-/// Share of readings that must lie on one.
-const ON: f64 = 0.98;
+use crate::constants::quantization::{BESIDE, DISTINCT, FEWEST, ON, READINGS};
 
 /// The step that readings come in, in their unit; `None` where they come in none. Readings that are not finite do not count.
 #[must_use]

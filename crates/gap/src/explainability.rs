@@ -4,23 +4,18 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::rows::{Row, Rows};
-
-/// Rows that are smoothed, and rows that are smoothed over, at most.
-const ASKED: usize = 800;
-const KNOWN: usize = 4000;
-/// Neighbours.
-const NEAREST: usize = 6;
+use crate::constants::explainability::{KNOWN, NEAREST, PREDICTED, WEIGHTS};
+use crate::samples::{Sample, Samples};
 
 /// What a residual goes with, in first order: the force where something touches.
-fn size(row: &Row) -> f64 {
+fn size(row: &Sample) -> f64 {
     if row.phase.touched() { row.force.max(0.02) } else { 1.0 }
 }
 
-/// Share of the energy of `residual` (rows × channels) that the nearest rows of other groups foresee.
+/// Share of the energy of `residual` (samples × channels) that the nearest samples of other groups foresee.
 #[must_use]
-pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) -> f64 {
-    let coordinates: Vec<[f64; 9]> = rows.rows.iter().map(coordinates).collect();
+pub fn explainable(residual: &[f32], samples: &Samples, channels: usize, seed: u64) -> f64 {
+    let coordinates: Vec<[f64; 9]> = samples.list.iter().map(coordinates).collect();
     let mut spread = [0.0f64; 9];
     let mut mean = [0.0f64; 9];
     let n = coordinates.len().max(1) as f64;
@@ -35,13 +30,12 @@ pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) ->
         }
     }
     // Where a contact is decides; the rest shades it.
-    let weight = [3.0, 3.0, 3.0, 1.0, 1.0, 1.0, 1.0, 0.5, 1.0];
     let scaled: Vec<[f64; 9]> = coordinates
         .iter()
         .map(|c| {
             let mut s = [0.0; 9];
             for a in 0..9 {
-                s[a] = if spread[a] > 1e-18 { weight[a] * (c[a] - mean[a]) / spread[a].sqrt() } else { 0.0 };
+                s[a] = if spread[a] > 1e-18 { WEIGHTS[a] * (c[a] - mean[a]) / spread[a].sqrt() } else { 0.0 };
             }
             s
         })
@@ -52,10 +46,10 @@ pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) ->
     let (mut left, mut all) = (0.0, 0.0);
     let mut near: Vec<(f64, usize)> = Vec::new();
     let mut guess = vec![0.0f64; channels];
-    for &i in order.iter().take(ASKED) {
+    for &i in order.iter().take(PREDICTED) {
         near.clear();
         for &j in &known {
-            if rows.rows[j].group == rows.rows[i].group {
+            if samples.list[j].group == samples.list[i].group {
                 continue;
             }
             let away: f64 = scaled[i].iter().zip(&scaled[j]).map(|(a, b)| (a - b).powi(2)).sum();
@@ -70,8 +64,8 @@ pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) ->
         for (away, j) in &near {
             let w = 1.0 / (away + 1e-3);
             weights += w;
-            let ratio = if rows.rows[i].phase.touched() == rows.rows[*j].phase.touched() {
-                size(&rows.rows[i]) / size(&rows.rows[*j])
+            let ratio = if samples.list[i].phase.touched() == samples.list[*j].phase.touched() {
+                size(&samples.list[i]) / size(&samples.list[*j])
             } else {
                 0.0
             };
@@ -88,7 +82,7 @@ pub fn explainable(residual: &[f32], rows: &Rows, channels: usize, seed: u64) ->
     if all > 0.0 { 1.0 - left / all } else { 0.0 }
 }
 
-fn coordinates(row: &Row) -> [f64; 9] {
+fn coordinates(row: &Sample) -> [f64; 9] {
     let or = |v: f64, other: f64| if v.is_finite() { v } else { other };
     let phase = match row.phase {
         dermis_skin::Phase::Load => -1.0,

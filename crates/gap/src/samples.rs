@@ -7,14 +7,12 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::data::Recording;
-
-/// \[s\] after a contact has ended for which frames still belong to it.
-const AFTER: f64 = 2.0;
+use crate::constants::sampling::{AFTER, GROUPS, READINGS, TEST};
+use crate::recording::Recording;
 
 /// One frame that is looked at.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct Sample {
     /// Index in [`Recording::moments`].
     pub frame: usize,
     /// Frames of one group are never parted: those of one place.
@@ -51,9 +49,9 @@ pub struct Row {
 
 /// The frames that are looked at.
 #[derive(Debug, Clone, Default)]
-pub struct Rows {
+pub struct Samples {
     /// In the order of acquisition.
-    pub rows: Vec<Row>,
+    pub list: Vec<Sample>,
     /// Number of groups.
     pub groups: usize,
     /// Which groups are kept for the end: neither fitted nor selected on.
@@ -61,15 +59,15 @@ pub struct Rows {
     /// Presses of which every phase is looked at.
     pub presses: usize,
     /// Presses of which one held frame is, where there are too many.
-    pub glances: usize,
-    /// Rows that were left out because a reading is missing.
+    pub single_frame_samples: usize,
+    /// Samples that were left out because a reading is missing.
     pub missing: usize,
 }
 
-/// How rows are drawn.
+/// How samples are drawn.
 #[derive(Debug, Clone, PartialEq)]
-pub struct RowOptions {
-    /// Readings (rows × channels) that are looked at, at most, where every phase of a press is; where there are more presses
+pub struct SampleOptions {
+    /// Readings (samples × channels) that are looked at, at most, where every phase of a press is; where there are more presses
     /// than these hold, as many again of one held frame a press.
     pub readings: usize,
     /// Groups, at most.
@@ -80,16 +78,16 @@ pub struct RowOptions {
     pub seed: u64,
 }
 
-impl Default for RowOptions {
+impl Default for SampleOptions {
     fn default() -> Self {
-        Self { readings: 1_500_000, groups: 240, test: 0.25, seed: 1 }
+        Self { readings: READINGS, groups: GROUPS, test: TEST, seed: 1 }
     }
 }
 
-impl Rows {
-    /// Draws rows evenly over presses and phases. `usable` says which channels count.
+impl Samples {
+    /// Draws samples evenly over presses and phases. `usable` says which channels count.
     #[must_use]
-    pub fn draw(recording: &Recording, usable: &[bool], options: &RowOptions) -> Self {
+    pub fn draw(recording: &Recording, usable: &[bool], options: &SampleOptions) -> Self {
         let facts = facts(recording);
         // Frames by press, in the order of phases within it.
         let mut presses: Vec<Vec<usize>> = Vec::new();
@@ -129,7 +127,7 @@ impl Rows {
         }
         // Of the others one frame each, so that every channel is touched as often as can be.
         let others = presses.iter().enumerate().filter(|(number, _)| number % keep != 0);
-        let mut glances = 0;
+        let mut single_frame_samples = 0;
         for (number, press) in
             others.step_by((presses.len() - presses.len().div_ceil(keep)).div_ceil(budget).max(1))
         {
@@ -137,7 +135,7 @@ impl Rows {
                 press.iter().copied().filter(|i| recording.moments[*i].phase == Phase::Hold).collect();
             if let Some(&frame) = held.get(held.len() / 2).filter(|frame| whole(**frame)) {
                 chosen.push((frame, number, false));
-                glances += 1;
+                single_frame_samples += 1;
             }
         }
         let most = (chosen.len() / 10).clamp(20, 400);
@@ -167,14 +165,14 @@ impl Rows {
         let mut order: Vec<usize> = (0..places.len()).collect();
         order.shuffle(&mut rng);
         let stretches = (options.groups - most).clamp(1, 12);
-        let idle_rows = chosen.iter().filter(|c| c.1 == usize::MAX).count();
-        let groups = touched + if idle_rows > 0 { stretches } else { 0 };
+        let idle_samples = chosen.iter().filter(|c| c.1 == usize::MAX).count();
+        let groups = touched + if idle_samples > 0 { stretches } else { 0 };
         let mut idle_seen = 0;
-        let mut rows: Vec<Row> = Vec::with_capacity(chosen.len());
+        let mut samples: Vec<Sample> = Vec::with_capacity(chosen.len());
         for (frame, number, paired) in chosen {
             let moment = &recording.moments[frame];
             let group = if number == usize::MAX {
-                let stretch = idle_seen * stretches / idle_rows.max(1);
+                let stretch = idle_seen * stretches / idle_samples.max(1);
                 idle_seen += 1;
                 touched + stretch
             } else {
@@ -182,7 +180,7 @@ impl Rows {
                 order[index] % touched.max(1)
             };
             let first = moment.stimulus.as_ref().and_then(|s| s.contacts.first());
-            rows.push(Row {
+            samples.push(Sample {
                 frame,
                 group,
                 press: number,
@@ -202,11 +200,11 @@ impl Rows {
             });
         }
         // A pair may have lost its second row.
-        for i in 0..rows.len() {
-            let next = rows.get(i + 1).is_some_and(|n| {
-                n.frame == rows[i].frame + 1 && n.press == rows[i].press && n.phase == rows[i].phase
+        for i in 0..samples.len() {
+            let next = samples.get(i + 1).is_some_and(|n| {
+                n.frame == samples[i].frame + 1 && n.press == samples[i].press && n.phase == samples[i].phase
             });
-            rows[i].paired &= next;
+            samples[i].paired &= next;
         }
         let mut numbers: Vec<usize> = (0..touched).collect();
         numbers.shuffle(&mut rng);
@@ -214,13 +212,13 @@ impl Rows {
         for group in numbers.iter().take((touched as f64 * options.test).round() as usize) {
             test[*group] = true;
         }
-        Self { rows, groups, test, presses: taken, glances, missing }
+        Self { list: samples, groups, test, presses: taken, single_frame_samples, missing }
     }
 
     /// Indices of the frames, in order.
     #[must_use]
     pub fn frames(&self) -> Vec<usize> {
-        self.rows.iter().map(|r| r.frame).collect()
+        self.list.iter().map(|r| r.frame).collect()
     }
 
     /// One number a group: 1 for those that are fitted and selected on.

@@ -7,17 +7,12 @@ use indicatif::ProgressBar;
 
 use crate::GapError;
 use crate::algebra::cholesky_solve;
-use crate::data::Recording;
-use crate::rows::Rows;
+use crate::constants::Z90;
+use crate::constants::refine::{ENOUGH, LAW, ROUNDS};
+use crate::recording::Recording;
+use crate::samples::Samples;
 use crate::simulate::Simulator;
 use crate::statistics::Column;
-
-/// Rounds of Levenberg and Marquardt.
-const ROUNDS: usize = 6;
-/// Relative deviation of a number from what another law of the same effect would have: laws are known that well.
-const LAW: f64 = 0.08;
-/// Relative gain below which a round was the last.
-const ENOUGH: f64 = 1e-3;
 
 /// A number that is fitted.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,45 +47,20 @@ pub fn free(info: &EffectInfo) -> Vec<Free> {
         .collect()
 }
 
-/// Numbers of a common effect that can be fitted; none where it has one for each channel. `period` is the time between frames.
-#[must_use]
-pub fn free_common(effect: &Effect, period: f64) -> Vec<Free> {
-    effect
-        .parameters
-        .keys()
-        .filter_map(|parameter| {
-            let (limits, scale, typical) = match (effect.name.as_str(), parameter.as_str()) {
-                ("delay" | "low-pass", _) => ([0.0, 100.0 * period], 4.0 * period, 0.0),
-                ("warm-up", "time") => ([1.0, 1e5], 300.0, 300.0),
-                ("warm-up", "span") => ([-0.9, 9.0], 0.1, 0.0),
-                ("ageing", _) => ([-0.1, 0.1], 1e-4, 0.0),
-                ("crosstalk", _) => ([-0.49, 0.49], 0.1, 0.0),
-                ("truth-shift", "turn") => ([-0.5, 0.5], 0.05, 0.0),
-                ("truth-shift", _) => ([-0.02, 0.02], 1e-3, 0.0),
-                ("force-scale" | "tip-scale", _) => ([0.1, 10.0], 0.2, 1.0),
-                ("force-zero", _) => ([-2.0, 2.0], 0.05, 0.0),
-                _ => return None,
-            };
-            let (effect, parameter) = (effect.name.clone(), parameter.clone());
-            Some(Free { effect, parameter, limits, scale, typical, neutral: typical })
-        })
-        .collect()
-}
-
 /// What is fitted to: readings without what is not fitted, in the unit of the skin.
 pub struct Target<'a> {
     /// Recording.
     pub recording: &'a Recording,
-    /// Rows.
-    pub rows: &'a Rows,
-    /// Readings of rows.
+    /// Samples.
+    pub samples: &'a Samples,
+    /// Readings of samples.
     pub readings: &'a [f32],
     /// Deviation of each channel's noise, infinite for channels that do not count.
     pub sigma: &'a [f64],
     /// Weight of each group.
     pub weights: &'a [f64],
     /// What the simulator's own error may make of a residual.
-    pub form: &'a Form,
+    pub discrepancy: &'a ModelDiscrepancy,
     /// Set it to end early.
     pub stop: &'a AtomicBool,
     /// Counts simulations.
@@ -99,8 +69,8 @@ pub struct Target<'a> {
 
 /// The simulator's own error, which makes the best of every residual under its prior.
 #[derive(Debug, Clone, Default)]
-pub struct Form {
-    /// Columns, rows × channels, times the root of the weight of each row's group.
+pub struct ModelDiscrepancy {
+    /// Columns, samples × channels, times the root of the weight of each row's group.
     columns: Vec<Vec<f32>>,
     /// Products of columns, with the prior.
     normal: Vec<f64>,
@@ -108,15 +78,15 @@ pub struct Form {
     root: f64,
 }
 
-impl Form {
+impl ModelDiscrepancy {
     /// From columns, the weights of groups and the inverse variance of coefficients.
     #[must_use]
-    pub fn new(columns: &[&Column], rows: &Rows, channels: usize, weights: &[f64], prior: f64) -> Self {
+    pub fn new(columns: &[&Column], samples: &Samples, channels: usize, weights: &[f64], prior: f64) -> Self {
         let columns: Vec<Vec<f32>> = columns
             .iter()
             .map(|column| {
-                let mut values = vec![0.0f32; rows.rows.len() * channels];
-                for (i, row) in rows.rows.iter().enumerate() {
+                let mut values = vec![0.0f32; samples.list.len() * channels];
+                for (i, row) in samples.list.iter().enumerate() {
                     let w = weights[row.group].sqrt() as f32;
                     for (k, v) in values[i * channels..(i + 1) * channels].iter_mut().enumerate() {
                         *v = w * match column.channel {
@@ -157,10 +127,10 @@ impl Form {
 
 /// What a fit on the full simulator gave.
 #[derive(Debug, Clone)]
-pub struct Polished {
+pub struct Refinement {
     /// Effects with fitted values.
     pub effects: Vec<Effect>,
-    /// Simulated readings of all rows.
+    /// Simulated readings of all samples.
     pub readings: Vec<f32>,
     /// Half of the 90 % interval of each free number, over places.
     pub halves: Vec<f64>,
@@ -171,7 +141,7 @@ impl Target<'_> {
     pub(crate) fn residual(&self, simulated: &[f32]) -> (Vec<f32>, f64) {
         let channels = self.sigma.len();
         let mut out = Vec::with_capacity(simulated.len());
-        for (i, row) in self.rows.rows.iter().enumerate() {
+        for (i, row) in self.samples.list.iter().enumerate() {
             let w = self.weights[row.group].sqrt();
             for k in 0..channels {
                 let at = i * channels + k;
@@ -180,7 +150,7 @@ impl Target<'_> {
                 out.push(if r.is_finite() { r as f32 } else { 0.0 });
             }
         }
-        self.form.take(&mut out);
+        self.discrepancy.take(&mut out);
         let energy = crate::algebra::dot(&out, &out);
         (out, energy)
     }
@@ -202,16 +172,16 @@ fn put(effects: &mut [Effect], free: &Free, value: f64) {
 /// # Errors
 ///
 /// What the model says where no start can be simulated.
-pub fn polish(
+pub fn fit(
     simulator: &Simulator<'_>,
     target: &Target<'_>,
     starts: &[Vec<Effect>],
     free: &[Free],
-) -> Result<Polished, GapError> {
+) -> Result<Refinement, GapError> {
     let many = |all: &[Vec<Effect>]| {
         let skins: Vec<_> = all.iter().map(|effects| simulator.with(effects)).collect();
         target.progress.inc_length(skins.len() as u64);
-        simulator.many(&skins, target.recording, (target.rows, true), target.stop, target.progress)
+        simulator.many(&skins, target.recording, (target.samples, true), target.stop, target.progress)
     };
     let mut best: Option<(Vec<Effect>, Vec<f32>, f64)> = None;
     let mut refused = None;
@@ -311,17 +281,17 @@ pub fn polish(
         }
     }
     for (half, free) in halves.iter_mut().zip(free) {
-        *half = half.hypot(1.645 * LAW * (value(&effects, free) - free.neutral).abs());
+        *half = half.hypot(Z90 * LAW * (value(&effects, free) - free.neutral).abs());
     }
-    Ok(Polished { effects, readings: read, halves })
+    Ok(Refinement { effects, readings: read, halves })
 }
 
 /// Half of each number's 90 % interval: contacts of one place are not independent, so that scores of groups are counted.
 fn intervals(a: &[f64], slopes: &[&[f32]], residual: &[f32], target: &Target<'_>, free: &[Free]) -> Vec<f64> {
     let n = slopes.len();
     let channels = target.sigma.len();
-    let mut scores = vec![vec![0.0f64; n]; target.rows.groups];
-    for (i, row) in target.rows.rows.iter().enumerate() {
+    let mut scores = vec![vec![0.0f64; n]; target.samples.groups];
+    for (i, row) in target.samples.list.iter().enumerate() {
         let span = i * channels..(i + 1) * channels;
         for (p, slope) in slopes.iter().enumerate() {
             scores[row.group][p] += crate::algebra::dot(&slope[span.clone()], &residual[span.clone()]);
@@ -343,7 +313,7 @@ fn intervals(a: &[f64], slopes: &[&[f32]], residual: &[f32], target: &Target<'_>
                 .iter()
                 .map(|s| row.iter().zip(s).zip(&mean).map(|((r, s), m)| r * (s - m)).sum::<f64>().powi(2))
                 .sum();
-            1.645 * variance.sqrt() * free[p].scale
+            Z90 * variance.sqrt() * free[p].scale
         })
         .collect()
 }

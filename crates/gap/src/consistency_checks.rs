@@ -7,7 +7,7 @@ use crate::axes::View;
 
 /// One check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Parity {
+pub struct ConsistencyCheck {
     /// Name.
     pub check: String,
     /// What it compares, for people.
@@ -24,7 +24,7 @@ pub struct Parity {
 
 /// All checks that hold for any skin.
 #[must_use]
-pub fn checks(view: &View<'_>, readings: &[f32]) -> Vec<Parity> {
+pub fn checks(view: &View<'_>, readings: &[f32]) -> Vec<ConsistencyCheck> {
     vec![
         return_to_zero(view, readings),
         common_mode(view, readings),
@@ -37,9 +37,9 @@ fn row<'a>(values: &'a [f32], view: &View<'_>, i: usize) -> &'a [f32] {
     &values[i * view.channels..(i + 1) * view.channels]
 }
 
-fn parity(check: &str, what: &str, square: f64, signal: f64, n: usize, noise: f64) -> Parity {
+fn check(check: &str, what: &str, square: f64, signal: f64, n: usize, noise: f64) -> ConsistencyCheck {
     let violation = (n > 0).then(|| square.sqrt());
-    Parity {
+    ConsistencyCheck {
         check: check.to_owned(),
         what: what.to_owned(),
         violation,
@@ -50,15 +50,15 @@ fn parity(check: &str, what: &str, square: f64, signal: f64, n: usize, noise: f6
 }
 
 /// Untouched after a press against untouched before it.
-fn return_to_zero(view: &View<'_>, readings: &[f32]) -> Parity {
-    let rows = &view.rows.rows;
+fn return_to_zero(view: &View<'_>, readings: &[f32]) -> ConsistencyCheck {
+    let samples = &view.samples.list;
     let (mut square, mut signal, mut n) = (0.0, 0.0, 0usize);
     let mut rest: Option<usize> = None;
     let mut strong: Option<usize> = None;
     let mut last = usize::MAX;
     let channels = view.sigma.iter().filter(|s| s.is_finite()).count().max(1) as f64;
-    for (i, r) in rows.iter().enumerate() {
-        // Rows without a press lie between presses.
+    for (i, r) in samples.iter().enumerate() {
+        // Samples without a press lie between presses.
         if r.press != last && r.phase.touched() {
             (last, strong) = (r.press, None);
         }
@@ -78,7 +78,7 @@ fn return_to_zero(view: &View<'_>, readings: &[f32]) -> Parity {
         }
     }
     let mean = n.max(1) as f64;
-    parity(
+    check(
         "return to zero",
         "untouched readings after a press against those before it",
         square / mean,
@@ -89,13 +89,13 @@ fn return_to_zero(view: &View<'_>, readings: &[f32]) -> Parity {
 }
 
 /// All channels together where nothing touches.
-fn common_mode(view: &View<'_>, readings: &[f32]) -> Parity {
+fn common_mode(view: &View<'_>, readings: &[f32]) -> ConsistencyCheck {
     let usable: Vec<usize> = (0..view.channels).filter(|k| view.sigma[*k].is_finite()).collect();
     let untouched: Vec<usize> =
-        (0..view.rows.rows.len()).filter(|i| !view.rows.rows[*i].phase.touched()).collect();
+        (0..view.samples.list.len()).filter(|i| !view.samples.list[*i].phase.touched()).collect();
     let m = untouched.len();
     if m < 10 || usable.len() < 2 {
-        return parity("common mode", COMMON, 0.0, 0.0, 0, 1.0);
+        return check("common mode", COMMON, 0.0, 0.0, 0, 1.0);
     }
     let mean: Vec<f64> = usable
         .iter()
@@ -112,7 +112,7 @@ fn common_mode(view: &View<'_>, readings: &[f32]) -> Parity {
         all += values.iter().map(|v| v * v).sum::<f64>() / n;
     }
     let (together, all) = (together / m as f64, all / m as f64);
-    let mut found = parity("common mode", COMMON, together, all, m, view.noise / n);
+    let mut found = check("common mode", COMMON, together, all, m, view.noise / n);
     found.violated = m >= 10 && together > 4.0 * view.noise / n;
     found
 }
@@ -120,14 +120,15 @@ fn common_mode(view: &View<'_>, readings: &[f32]) -> Parity {
 const COMMON: &str = "what all channels have in common where nothing touches";
 
 /// Residuals per force at one place: the same for all forces where the gap is linear.
-fn homogeneity(view: &View<'_>, readings: &[f32]) -> Parity {
-    let rows = &view.rows.rows;
-    let held: Vec<usize> =
-        (0..rows.len()).filter(|i| rows[*i].phase == Phase::Hold && rows[*i].contacts == 1).collect();
+fn homogeneity(view: &View<'_>, readings: &[f32]) -> ConsistencyCheck {
+    let samples = &view.samples.list;
+    let held: Vec<usize> = (0..samples.len())
+        .filter(|i| samples[*i].phase == Phase::Hold && samples[*i].contacts == 1)
+        .collect();
     let channels = view.sigma.iter().filter(|s| s.is_finite()).count().max(1) as f64;
     let (mut square, mut signal, mut n) = (0.0, 0.0, 0usize);
     for pair in held.windows(2) {
-        let (a, b) = (&rows[pair[0]], &rows[pair[1]]);
+        let (a, b) = (&samples[pair[0]], &samples[pair[1]]);
         let near = a.position.iter().zip(b.position).all(|(x, y)| (x - y).abs() < 1e-4);
         let ratio = a.force / b.force.max(1e-9);
         if a.location != b.location || !near || (0.77..=1.3).contains(&ratio) || b.force <= 0.0 {
@@ -143,7 +144,7 @@ fn homogeneity(view: &View<'_>, readings: &[f32]) -> Parity {
         n += 1;
     }
     let mean = n.max(1) as f64;
-    parity(
+    check(
         "homogeneity",
         "the gap at one place under two forces, scaled to one",
         square / mean,
@@ -154,12 +155,14 @@ fn homogeneity(view: &View<'_>, readings: &[f32]) -> Parity {
 }
 
 /// The gap of several contacts at once against that of single ones.
-fn superposition(view: &View<'_>) -> Parity {
-    let rows = &view.rows.rows;
+fn superposition(view: &View<'_>) -> ConsistencyCheck {
+    let samples = &view.samples.list;
     let channels = view.sigma.iter().filter(|s| s.is_finite()).count().max(1) as f64;
     let energy = |several: bool| {
         let (mut square, mut model, mut n) = (0.0, 0.0, 0usize);
-        for (i, r) in rows.iter().enumerate().filter(|(_, r)| r.contacts > 0 && (r.contacts > 1) == several) {
+        for (i, r) in
+            samples.iter().enumerate().filter(|(_, r)| r.contacts > 0 && (r.contacts > 1) == several)
+        {
             let _ = r;
             square +=
                 row(view.residual, view, i).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / channels;
@@ -171,12 +174,12 @@ fn superposition(view: &View<'_>) -> Parity {
     let ((one, of_one, singles), (more, of_more, n)) = (energy(false), energy(true));
     let what = "the gap of several contacts at once beyond that of single ones, per signal";
     if n < 10 || singles < 10 {
-        return parity("superposition", what, 0.0, 0.0, 0, 1.0);
+        return check("superposition", what, 0.0, 0.0, 0, 1.0);
     }
     // What is in both is no violation.
     let expected = one / of_one.max(1e-300) * of_more;
     let beyond = ((more - expected) / n as f64).max(0.0);
-    let mut found = parity("superposition", what, beyond, of_more / n as f64, n, view.noise);
+    let mut found = check("superposition", what, beyond, of_more / n as f64, n, view.noise);
     found.violated = more > 1.5 * expected && beyond > view.noise;
     found
 }

@@ -1,7 +1,7 @@
-//! Packs: recordings whose causes are withheld, sealed by the hash of what is withheld.
+//! Benchmark sets: recordings whose causes are withheld, sealed by the hash of what is withheld.
 //!
-//! A pack's folder is public: `manifest.json`, `skin.toml` and one bag a case under `bags/`. Its secrets lie in another folder, one
-//! file a case. A secret holds a salt, so that nobody guesses it from its hash; the seed that would rebuild it is in the secrets
+//! A benchmark set's folder is public: `manifest.json`, `skin.toml` and one bag a case under `bags/`. Its ground truths lie in another folder, one
+//! file a case. A ground truth holds a salt, so that nobody guesses it from its hash; the seed that would rebuild it is in the ground truths
 //! only.
 
 use std::collections::BTreeMap;
@@ -14,15 +14,20 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{Cause, CauseInfo, Climate, Form, Region, Script, World, WorldError, parameters, unexplained};
+use crate::{
+    BenchmarkError, Cause, CauseInfo, Climate, Numerics, ReferenceDevice, Region, Script, parameters,
+    unexplained,
+};
 
 /// Schema of a manifest.
-pub const PACK_SCHEMA: &str = "gap-pack/1";
-/// Schema of a secret.
-pub const SECRET_SCHEMA: &str = "gap-secret/1";
+pub const SET_SCHEMA: &str = "gap-benchmark-set/1";
+/// Schema that manifests had before; they are read as well.
+const OLD_SCHEMA: &str = "gap-pack/1";
+/// Schema of a ground truth.
+pub const GROUND_TRUTH_SCHEMA: &str = "gap-ground-truth/1";
 /// Fraction of variance that counts as practically explained: part of every floor, beside the noise.
 pub const MARGIN: f64 = 0.005;
-/// Cases of a full pack, by what is withheld.
+/// Cases of a full benchmark set, by what is withheld.
 pub const FULL: [(Kind, usize); 6] = [
     (Kind::Singles, 180),
     (Kind::Controls, 100),
@@ -36,7 +41,7 @@ const GAPS: [f64; 3] = [3.0, 10.0, 1.0];
 /// Noise, in multiples of the skin's.
 const NOISES: [f64; 5] = [1.0, 3.0, 1.5, 5.0, 2.0];
 
-/// What is withheld in the cases of a pack.
+/// What is withheld in the cases of a benchmark set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -69,9 +74,9 @@ impl Kind {
     }
 }
 
-/// A cause, told to whoever opens the secret.
+/// A cause, told to whoever opens the ground truth.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Told {
+pub struct WithheldCause {
     /// The cause itself.
     #[serde(flatten)]
     pub cause: Cause,
@@ -86,7 +91,7 @@ pub struct Told {
 
 /// What is withheld of one case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Secret {
+pub struct GroundTruth {
     schema: String,
     /// Program and version that made it.
     pub generator: String,
@@ -96,10 +101,10 @@ pub struct Secret {
     pub kind: Kind,
     /// Random, so that the hash tells nothing.
     pub salt: String,
-    /// Seed of the whole pack.
+    /// Seed of the whole set.
     pub seed: u64,
     /// Causes at work.
-    pub causes: Vec<Told>,
+    pub causes: Vec<WithheldCause>,
     /// Gap that was asked for, in multiples of `floor`; 0 for controls.
     pub gap: f64,
     /// Noise, in multiples of the skin's.
@@ -110,8 +115,9 @@ pub struct Secret {
     pub unexplained: f64,
     /// The same of each cause alone, in their order.
     pub alone: Vec<f64>,
-    /// How the world is computed.
-    pub form: Form,
+    /// How the reference device is computed.
+    #[serde(alias = "form")]
+    pub numerics: Numerics,
     /// How the temperature runs.
     pub only_warmer: bool,
     /// How many presses, compared to the usual 150.
@@ -123,17 +129,18 @@ pub struct Secret {
 pub struct Case {
     /// Name.
     pub id: String,
-    /// Folder of the bag, below that of the pack.
+    /// Folder of the bag, below that of the benchmark set.
     pub bag: PathBuf,
-    /// SHA-256 of the secret's file.
-    pub secret_sha256: String,
+    /// SHA-256 of the ground truth's file.
+    #[serde(alias = "secret_sha256")]
+    pub ground_truth_sha256: String,
     /// SHA-256 of the bag's files, one after another in the order of their names.
     pub bag_sha256: String,
     /// Which presses it has: cases of one number have the same ground truth.
     pub presses: usize,
 }
 
-/// What everybody may see of a pack.
+/// What everybody may see of a benchmark set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     schema: String,
@@ -151,9 +158,9 @@ pub struct Manifest {
     pub cases: Vec<Case>,
 }
 
-/// What a pack is made of.
+/// What a benchmark set is made of.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Order {
+pub struct SetSpec {
     /// How many cases of each kind, in the order of kinds where there is one only, else mixed.
     pub cases: Vec<(Kind, usize)>,
     /// Of everything.
@@ -162,8 +169,8 @@ pub struct Order {
     pub size: f64,
 }
 
-impl Order {
-    /// The proportions of a full pack, at `share` of its cases, at least one of each kind.
+impl SetSpec {
+    /// The proportions of a full benchmark set, at `share` of its cases, at least one of each kind.
     #[must_use]
     pub fn mixed(share: f64, seed: u64, size: f64) -> Self {
         let scaled = |count: usize| (count as f64 * share).round().max(1.0) as usize;
@@ -201,34 +208,34 @@ fn generator() -> String {
     format!("{} {}", env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"))
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, WorldError> {
-    dermis_io::read(path, dermis_io::TABLE).map_err(WorldError::io(path, "read"))
+fn read(path: &Path) -> Result<Vec<u8>, BenchmarkError> {
+    dermis_io::read(path, dermis_io::TABLE).map_err(BenchmarkError::io(path, "read"))
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<(), WorldError> {
-    std::fs::write(path, bytes).map_err(WorldError::io(path, "written"))
+fn write(path: &Path, bytes: &[u8]) -> Result<(), BenchmarkError> {
+    std::fs::write(path, bytes).map_err(BenchmarkError::io(path, "written"))
 }
 
-fn folder(path: &Path) -> Result<(), WorldError> {
-    std::fs::create_dir_all(path).map_err(WorldError::io(path, "made"))
+fn folder(path: &Path) -> Result<(), BenchmarkError> {
+    std::fs::create_dir_all(path).map_err(BenchmarkError::io(path, "made"))
 }
 
-fn parse<T: serde::de::DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T, WorldError> {
+fn parse<T: serde::de::DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T, BenchmarkError> {
     serde_json::from_slice(bytes)
-        .map_err(|e| WorldError::File { path: path.to_owned(), reason: e.to_string() })
+        .map_err(|e| BenchmarkError::File { path: path.to_owned(), reason: e.to_string() })
 }
 
-fn json<T: Serialize>(path: &Path, value: &T) -> Result<Vec<u8>, WorldError> {
+fn json<T: Serialize>(path: &Path, value: &T) -> Result<Vec<u8>, BenchmarkError> {
     let mut bytes = serde_json::to_vec_pretty(value)
-        .map_err(|e| WorldError::File { path: path.to_owned(), reason: e.to_string() })?;
+        .map_err(|e| BenchmarkError::File { path: path.to_owned(), reason: e.to_string() })?;
     bytes.push(b'\n');
     Ok(bytes)
 }
 
 /// SHA-256 of the files of a bag, in the order of their names.
-fn bag_hash(dir: &Path) -> Result<String, WorldError> {
+fn bag_hash(dir: &Path) -> Result<String, BenchmarkError> {
     let mut files: Vec<PathBuf> = std::fs::read_dir(dir)
-        .map_err(WorldError::io(dir, "read"))?
+        .map_err(BenchmarkError::io(dir, "read"))?
         .filter_map(|entry| entry.ok().map(|e| e.path()))
         .filter(|path| path.is_file())
         .collect();
@@ -241,42 +248,42 @@ fn bag_hash(dir: &Path) -> Result<String, WorldError> {
 }
 
 impl Manifest {
-    /// Reads that of the pack `dir`.
+    /// Reads that of the benchmark set `dir`.
     ///
     /// # Errors
     ///
-    /// [`WorldError::File`] where it is none of ours.
-    pub fn load(dir: &Path) -> Result<Self, WorldError> {
+    /// [`BenchmarkError::File`] where it is none of ours.
+    pub fn load(dir: &Path) -> Result<Self, BenchmarkError> {
         let path = dir.join("manifest.json");
         let manifest: Self = parse(&path, &read(&path)?)?;
-        if manifest.schema != PACK_SCHEMA {
-            let reason = format!("field `schema` is \"{}\" where \"{PACK_SCHEMA}\" is read", manifest.schema);
-            return Err(WorldError::File { path, reason });
+        if ![SET_SCHEMA, OLD_SCHEMA].contains(&manifest.schema.as_str()) {
+            let reason = format!("field `schema` is \"{}\" where \"{SET_SCHEMA}\" is read", manifest.schema);
+            return Err(BenchmarkError::File { path, reason });
         }
         Ok(manifest)
     }
 
-    /// SHA-256 of the manifest's file: with it everything of the pack is said.
+    /// SHA-256 of the manifest's file: with it everything of the benchmark set is said.
     ///
     /// # Errors
     ///
-    /// [`WorldError::Io`] where it cannot be read.
-    pub fn hash(dir: &Path) -> Result<String, WorldError> {
+    /// [`BenchmarkError::Io`] where it cannot be read.
+    pub fn hash(dir: &Path) -> Result<String, BenchmarkError> {
         Ok(sha256(&read(&dir.join("manifest.json"))?))
     }
 }
 
-/// Opens the secret of `case` in the folder `secrets`.
+/// Opens the ground truth of `case` in the folder `ground truths`.
 ///
 /// # Errors
 ///
-/// [`WorldError::Seal`] where it is not the one whose hash was published.
-pub fn unseal(secrets: &Path, case: &Case) -> Result<Secret, WorldError> {
-    let path = secrets.join(format!("{}.json", case.id));
+/// [`BenchmarkError::Seal`] where it is not the one whose hash was published.
+pub fn open_ground_truth(ground_truths: &Path, case: &Case) -> Result<GroundTruth, BenchmarkError> {
+    let path = ground_truths.join(format!("{}.json", case.id));
     let bytes = read(&path)?;
     let found = sha256(&bytes);
-    if found != case.secret_sha256 {
-        return Err(WorldError::Seal { path, found, published: case.secret_sha256.clone() });
+    if found != case.ground_truth_sha256 {
+        return Err(BenchmarkError::Seal { path, found, published: case.ground_truth_sha256.clone() });
     }
     parse(&path, &bytes)
 }
@@ -307,7 +314,7 @@ struct Wanted {
 }
 
 /// The cases of an order: every cause as often as any other, over all gaps and noise levels.
-fn wanted(order: &Order, known: &'static [CauseInfo]) -> Vec<Wanted> {
+fn wanted(order: &SetSpec, known: &'static [CauseInfo]) -> Vec<Wanted> {
     let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
     let mut all = Vec::new();
     for &(kind, count) in &order.cases {
@@ -360,11 +367,11 @@ fn wanted(order: &Order, known: &'static [CauseInfo]) -> Vec<Wanted> {
 
 /// One case, not yet written.
 struct Made {
-    secret: Secret,
+    truth: GroundTruth,
     presses: usize,
     script: Script,
     readings: Vec<f64>,
-    world: Box<dyn World>,
+    device: Box<dyn ReferenceDevice>,
     seed: u64,
 }
 
@@ -379,11 +386,17 @@ fn noise_share(clean: &[f64], skin: &SkinDescription, script: &Script, factor: f
     unexplained(clean, &off, script, sigma.len())
 }
 
-fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) -> Result<Made, WorldError> {
+fn make(
+    skin: &SkinDescription,
+    order: &SetSpec,
+    index: usize,
+    wanted: &Wanted,
+) -> Result<Made, BenchmarkError> {
     let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
     rng.set_stream(1 + index as u64);
     let case = format!("case-{:04}", index + 1);
-    let form = if wanted.kind == Kind::Controls { Form::varied(rng.random()) } else { Form::default() };
+    let numerics =
+        if wanted.kind == Kind::Controls { Numerics::varied(rng.random()) } else { Numerics::default() };
     let rig = crate::rig(skin, order.size)?;
     let channels = skin.channels().len();
     let noise_seed: u64 = rng.random();
@@ -398,13 +411,13 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
         rng.set_stream(presses as u64);
         rng.random()
     };
-    let nominal = crate::world(skin, &form, &[])?;
+    let nominal = crate::reference_device(skin, &numerics, &[])?;
     let script = Script::draw(&nominal.model(), &rig, climate, script_seed)?;
     let clean = nominal.readings(&script, None)?;
     let floor = noise_share(&clean, skin, &script, wanted.noise) + MARGIN;
 
-    let moved = |causes: &[Cause]| -> Result<f64, WorldError> {
-        let other = crate::world(skin, &form, causes)?.readings(&script, None)?;
+    let moved = |causes: &[Cause]| -> Result<f64, BenchmarkError> {
+        let other = crate::reference_device(skin, &numerics, causes)?.readings(&script, None)?;
         Ok(unexplained(&clean, &other, &script, channels))
     };
     let mut causes = Vec::new();
@@ -464,13 +477,13 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
         1 => Kind::Singles,
         _ => Kind::Pairs,
     };
-    let world = crate::world(skin, &form, &causes)?;
-    // How deep a tip sinks in is what the rig sees of this world.
-    let script = Script::draw(&world.model(), &rig, climate, script_seed)?;
-    let readings = world.readings(&script, Some((noise_seed, wanted.noise)))?;
+    let device = crate::reference_device(skin, &numerics, &causes)?;
+    // How deep a tip sinks in is what the rig sees of this reference device.
+    let script = Script::draw(&device.model(), &rig, climate, script_seed)?;
+    let readings = device.readings(&script, Some((noise_seed, wanted.noise)))?;
     let known = crate::causes(skin)?;
-    let secret = Secret {
-        schema: SECRET_SCHEMA.to_owned(),
+    let truth = GroundTruth {
+        schema: GROUND_TRUTH_SCHEMA.to_owned(),
         generator: generator(),
         salt: sha256(format!("salt/{}/{case}/{}", order.seed, rng.random::<u128>()).as_bytes()),
         case,
@@ -479,7 +492,7 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
         unexplained: if causes.is_empty() { 0.0 } else { moved(&causes)? },
         causes: causes
             .into_iter()
-            .map(|cause| Told {
+            .map(|cause| WithheldCause {
                 what: known.iter().find(|k| k.id == cause.id).map_or("", |k| k.what).to_owned(),
                 parameters: parameters(known, &cause),
                 region: crate::region(skin, &cause),
@@ -490,57 +503,57 @@ fn make(skin: &SkinDescription, order: &Order, index: usize, wanted: &Wanted) ->
         noise: wanted.noise,
         floor,
         alone,
-        form,
+        numerics,
         only_warmer: climate == Climate::OnlyWarmer,
         size: order.size,
     };
-    Ok(Made { secret, presses, script, readings, world, seed: script_seed ^ 0x7a51 })
+    Ok(Made { truth, presses, script, readings, device, seed: script_seed ^ 0x7a51 })
 }
 
-/// Records the world of a secret once more in the bag `dir`: with other presses, without noise, and with the exact ground truth, so
-/// that what a tool claims of this world is measured on what it never saw.
+/// Records the reference device of a ground truth once more in the bag `dir`: with other presses, without noise, and with the exact ground truth, so
+/// that what a tool claims of this reference device is measured on what it never saw.
 ///
 /// # Errors
 ///
-/// [`WorldError`] where the secret is of another skin, or the bag cannot be written.
-pub fn record_again(skin: &SkinDescription, secret: &Secret, dir: &Path) -> Result<(), WorldError> {
-    let causes: Vec<Cause> = secret.causes.iter().map(|told| told.cause.clone()).collect();
-    let world = crate::world(skin, &secret.form, &causes)?;
-    let climate = if secret.only_warmer { Climate::OnlyWarmer } else { Climate::Varied };
-    let rig = crate::rig(skin, secret.size)?;
-    let seed = secret.salt.bytes().fold(0xa9a1u64, |seed, b| seed.rotate_left(7) ^ u64::from(b));
-    let script = Script::draw(&world.model(), &rig, climate, seed)?;
-    let readings = world.readings(&script, None)?;
-    crate::record(skin, &*world.model(), &script, &readings, dir, None)
+/// [`BenchmarkError`] where the ground truth is of another skin, or the bag cannot be written.
+pub fn record_again(skin: &SkinDescription, truth: &GroundTruth, dir: &Path) -> Result<(), BenchmarkError> {
+    let causes: Vec<Cause> = truth.causes.iter().map(|withheld| withheld.cause.clone()).collect();
+    let device = crate::reference_device(skin, &truth.numerics, &causes)?;
+    let climate = if truth.only_warmer { Climate::OnlyWarmer } else { Climate::Varied };
+    let rig = crate::rig(skin, truth.size)?;
+    let seed = truth.salt.bytes().fold(0xa9a1u64, |seed, b| seed.rotate_left(7) ^ u64::from(b));
+    let script = Script::draw(&device.model(), &rig, climate, seed)?;
+    let readings = device.readings(&script, None)?;
+    crate::record(skin, &*device.model(), &script, &readings, dir, None)
 }
 
-/// Makes a pack in the folder `dir` and its secrets in `secrets`, neither of which may hold one yet. `skin_text` is the skin file,
-/// which goes into the pack. `done` is told of every case that is finished, and ends the work where it returns `false`; what is
-/// there by then is a valid, smaller pack.
+/// Makes a benchmark set in the folder `dir` and its ground truths in `ground truths`, neither of which may hold one yet. `skin_text` is the skin file,
+/// which goes into the benchmark set. `done` is told of every case that is finished, and ends the work where it returns `false`; what is
+/// there by then is a valid, smaller set.
 ///
 /// # Errors
 ///
-/// [`WorldError`] where no world is like the skin, or a file cannot be written.
-pub fn make_pack(
+/// [`BenchmarkError`] where no reference device is like the skin, or a file cannot be written.
+pub fn generate(
     skin_text: &str,
-    order: &Order,
+    order: &SetSpec,
     dir: &Path,
-    secrets: &Path,
+    ground_truths: &Path,
     mut done: impl FnMut(usize) -> bool,
-) -> Result<Manifest, WorldError> {
+) -> Result<Manifest, BenchmarkError> {
     let skin = SkinDescription::from_toml(skin_text, "skin")?;
-    for path in [dir, secrets] {
+    for path in [dir, ground_truths] {
         let taken = std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
         if taken {
-            let reason = "is not empty: a pack is made in a new folder".to_owned();
-            return Err(WorldError::File { path: path.to_owned(), reason });
+            let reason = "is not empty: a benchmark set is made in a new folder".to_owned();
+            return Err(BenchmarkError::File { path: path.to_owned(), reason });
         }
         folder(path)?;
     }
     folder(&dir.join("bags"))?;
     write(&dir.join("skin.toml"), skin_text.as_bytes())?;
     let mut manifest = Manifest {
-        schema: PACK_SCHEMA.to_owned(),
+        schema: SET_SCHEMA.to_owned(),
         generator: generator(),
         kind: order.kind(),
         skin: skin.name.clone(),
@@ -550,24 +563,24 @@ pub fn make_pack(
     };
     for (index, wanted) in wanted(order, crate::causes(&skin)?).iter().enumerate() {
         let made = make(&skin, order, index, wanted)?;
-        let id = made.secret.case.clone();
+        let id = made.truth.case.clone();
         let bag = Path::new("bags").join(&id);
         crate::record(
             &skin,
-            &*made.world.model(),
+            &*made.device.model(),
             &made.script,
             &made.readings,
             &dir.join(&bag),
             Some(made.seed),
         )?;
-        let path = secrets.join(format!("{id}.json"));
-        let bytes = json(&path, &made.secret)?;
+        let path = ground_truths.join(format!("{id}.json"));
+        let bytes = json(&path, &made.truth)?;
         write(&path, &bytes)?;
         let bag_sha256 = bag_hash(&dir.join(&bag))?;
         manifest.cases.push(Case {
             id,
             bag,
-            secret_sha256: sha256(&bytes),
+            ground_truth_sha256: sha256(&bytes),
             bag_sha256,
             presses: made.presses,
         });
@@ -586,43 +599,43 @@ mod tests {
 
     const LINE: &str = include_str!("../../../launch/skins/baro-line.toml");
 
-    fn order(kind: Kind, count: usize) -> Order {
-        Order { cases: vec![(kind, count)], seed: 11, size: 0.12 }
+    fn order(kind: Kind, count: usize) -> SetSpec {
+        SetSpec { cases: vec![(kind, count)], seed: 11, size: 0.12 }
     }
 
     #[test]
-    fn a_pack_is_sealed_and_the_same_every_time() {
+    fn a_set_is_sealed_and_the_same_every_time() {
         let dir = tempfile::tempdir().unwrap();
-        let (pack, secrets) = (dir.path().join("pack"), dir.path().join("secrets"));
-        let made = make_pack(LINE, &order(Kind::Singles, 3), &pack, &secrets, |_| true).unwrap();
-        assert_eq!(Manifest::load(&pack).unwrap(), made);
+        let (set, ground_truths) = (dir.path().join("pack"), dir.path().join("secrets"));
+        let made = generate(LINE, &order(Kind::Singles, 3), &set, &ground_truths, |_| true).unwrap();
+        assert_eq!(Manifest::load(&set).unwrap(), made);
         for case in &made.cases {
-            let secret = unseal(&secrets, case).unwrap();
-            if secret.kind == Kind::Singles {
-                let [told] = &secret.causes[..] else { panic!("{secret:?}") };
-                assert!(!told.what.is_empty() && !told.parameters.is_empty());
-                let reached = secret.unexplained / (secret.gap * secret.floor);
-                assert!((0.7..1.5).contains(&reached), "{reached}: {secret:?}");
+            let truth = open_ground_truth(&ground_truths, case).unwrap();
+            if truth.kind == Kind::Singles {
+                let [withheld] = &truth.causes[..] else { panic!("{truth:?}") };
+                assert!(!withheld.what.is_empty() && !withheld.parameters.is_empty());
+                let reached = truth.unexplained / (truth.gap * truth.floor);
+                assert!((0.7..1.5).contains(&reached), "{reached}: {truth:?}");
             }
             // Nothing public names what is withheld.
-            let public = std::fs::read_to_string(pack.join("manifest.json")).unwrap();
-            for told in &secret.causes {
-                assert!(!public.contains(&told.cause.id));
+            let public = std::fs::read_to_string(set.join("manifest.json")).unwrap();
+            for withheld in &truth.causes {
+                assert!(!public.contains(&withheld.cause.id));
             }
         }
-        let (pack2, secrets2) = (dir.path().join("pack2"), dir.path().join("secrets2"));
-        let again = make_pack(LINE, &order(Kind::Singles, 3), &pack2, &secrets2, |_| true).unwrap();
-        let seals = |m: &Manifest| m.cases.iter().map(|c| c.secret_sha256.clone()).collect::<Vec<_>>();
+        let (set2, ground_truths2) = (dir.path().join("pack2"), dir.path().join("secrets2"));
+        let again = generate(LINE, &order(Kind::Singles, 3), &set2, &ground_truths2, |_| true).unwrap();
+        let seals = |m: &Manifest| m.cases.iter().map(|c| c.ground_truth_sha256.clone()).collect::<Vec<_>>();
         assert_eq!(seals(&again), seals(&made));
 
         let case = &made.cases[0];
-        let path = secrets.join(format!("{}.json", case.id));
+        let path = ground_truths.join(format!("{}.json", case.id));
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, text.replace("\"seed\": 11", "\"seed\": 12")).unwrap();
-        let refused = unseal(&secrets, case).unwrap_err().to_string();
+        let refused = open_ground_truth(&ground_truths, case).unwrap_err().to_string();
         assert!(refused.contains("was changed after it was sealed"), "{refused}");
         let taken =
-            make_pack(LINE, &order(Kind::Singles, 3), &pack, &secrets, |_| true).unwrap_err().to_string();
+            generate(LINE, &order(Kind::Singles, 3), &set, &ground_truths, |_| true).unwrap_err().to_string();
         assert!(taken.contains("is not empty"), "{taken}");
     }
 

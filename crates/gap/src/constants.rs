@@ -1,0 +1,320 @@
+//! Every number that decides something in a diagnosis: meaning, unit, and where it comes from.
+//!
+//! | source | what it means |
+//! |---|---|
+//! | *paper* | the reference stands beside the number |
+//! | *calibrated* | set on benchmark sets of `dermis gap make-pack` (one barometer row, one pad, one limb; single causes, pairs, controls, causes outside of the library) until false alarms, precision and coverage were balanced; those sets are spent, and no run was kept for a single number. What the numbers come to on sets that they were not set on is measured by `cargo xtask measure gap` and kept in `benches/results/gap-check-*.json` |
+//! | *design note* | the note that this crate was planned by; its numbers come from a pilot, or from the papers that it cites |
+//! | *chosen* | an engineering judgement that was not varied: sizes of tables, limits of work, tolerances of instruments |
+//!
+//! Shares are fractions of 1. "Systematic gap" is the part of readings minus model that comes again, as a share of the readings'
+//! variance (FVU). What a user may set stands in [`SelectOptions`](crate::SelectOptions) and
+//! [`SampleOptions`](crate::SampleOptions); its defaults are here.
+
+/// Reading bags.
+pub(crate) mod reading {
+    /// \[m\] off the surface that a true contact may lie before its frame is doubted: errors of a stage and a mould. Chosen.
+    pub const OFF_SURFACE: f64 = 2e-3;
+    /// Share of a press's force by which it changes from frame to frame while it is held. Chosen.
+    pub const HELD: f64 = 0.03;
+    /// \[s\] from the first untouched frame on that the zero of a run is taken from. Chosen.
+    pub const ZERO_AT_START: f64 = 1.0;
+    /// \[s\] before a press that its zero is taken from. Chosen.
+    pub const ZERO_BEFORE_PRESS: f64 = 0.5;
+}
+
+/// Drawing samples.
+pub(crate) mod sampling {
+    /// \[s\] after a contact has ended for which frames still belong to it. Chosen.
+    pub const AFTER: f64 = 2.0;
+    /// Readings (samples × channels), at most. Chosen.
+    pub const READINGS: usize = 1_500_000;
+    /// Groups, at most. Chosen.
+    pub const GROUPS: usize = 240;
+    /// Share of groups that is neither fitted nor selected on. Chosen.
+    pub const TEST: f64 = 0.25;
+}
+
+/// Measuring noise and gap.
+pub(crate) mod noise {
+    /// Frames that a channel's noise is measured on, at most. Chosen.
+    pub const FRAMES: usize = 20_000;
+    /// Steps between frames below which the declared noise is taken. Chosen.
+    pub const FEWEST_STEPS: usize = 50;
+    /// Median of |a − b| of two standard normal numbers: √2 times the upper quartile, 0.6745. Exact to four digits.
+    pub const MEDIAN_STEP: f64 = 0.9539;
+    /// Share of the declared noise below which a measured one is not believed: quantized readings repeat. Chosen.
+    pub const BELIEVED: f64 = 0.1;
+    /// Relative difference of the forces of a press that is done again. Chosen.
+    pub const SAME_FORCE: f64 = 0.05;
+    /// \[m\] between the places of a press that is done again. Chosen.
+    pub const SAME_PLACE: f64 = 1e-4;
+    /// Pairs of repeats from which on the irreproducible share is measured. Chosen.
+    pub const REPEATS: usize = 10;
+    /// Bootstrap draws of groups for the interval of the gap. Chosen; Efron and Tibshirani 1993 ask for 200 and more.
+    pub const DRAWS: usize = 400;
+}
+
+/// Stage `check`.
+pub(crate) mod check {
+    /// Presses below which no cause is named. Chosen.
+    pub const FEWEST_PRESSES: usize = 30;
+    /// Samples below which nothing is compared. Chosen.
+    pub const FEWEST_SAMPLES: usize = 100;
+    /// Samples that channels are compared on, at most. Chosen.
+    pub const COMPARED: usize = 400;
+    /// Correlation of readings and model below which something else than an effect is likely. Chosen.
+    pub const AGREES: f64 = 0.8;
+    /// Correlation above which a wrong factor is a wrong unit, and below whose negative the sign is turned. Chosen.
+    pub const SAME_SHAPE: f64 = 0.5;
+    /// Least and largest factor between readings and model that an effect may make. Chosen: units differ by 1000.
+    pub const FACTOR: [f64; 2] = [0.02, 50.0];
+    /// Correlation below which readings and model are unrelated. Chosen.
+    pub const UNRELATED: f64 = 0.3;
+    /// Correlation that another frame of the ground truth must gain. Chosen.
+    pub const FRAME_GAIN: f64 = 0.1;
+    /// Correlation with its own model above which a channel is in its place. Chosen.
+    pub const IN_PLACE: f64 = 0.9;
+    /// Correlation with the model of another channel that an exchanged one has at least, and its advantage. Chosen.
+    pub const EXCHANGED: [f64; 2] = [0.7, 0.15];
+    /// \[K\] range of temperature below which it tells nothing. Chosen.
+    pub const KELVIN: f64 = 0.2;
+    /// Relative difference of two quantization steps that are one. Chosen.
+    pub const SAME_STEP: f64 = 0.02;
+}
+
+/// Quantized readings.
+pub(crate) mod quantization {
+    /// Readings that are looked at, at most. Chosen.
+    pub const READINGS: usize = 20_000;
+    /// Readings that say anything, at least. Chosen.
+    pub const FEWEST: usize = 200;
+    /// Distinct values per reading above which readings are not quantized. Chosen.
+    pub const DISTINCT: f64 = 0.2;
+    /// Share of a step that a reading may lie beside a multiple of it. Chosen.
+    pub const BESIDE: f64 = 0.02;
+    /// Share of readings that must lie on a multiple. Chosen.
+    pub const ON: f64 = 0.98;
+}
+
+/// Mains interference.
+pub(crate) mod interference {
+    /// Frames of a stretch whose spectrum is taken. Chosen: a resolution of 1/64 of the frame rate.
+    pub const STRETCH: usize = 64;
+    /// Stretches that say anything, at least. Chosen.
+    pub const FEWEST: usize = 4;
+    /// Ratio of a line to the median of the spectrum. Chosen: averages of a few
+    /// stretches of noise stay well below.
+    pub const ABOVE: f64 = 8.0;
+    /// First line that is no drift, in multiples of the resolution. Chosen.
+    pub const SLOW: usize = 4;
+    /// \[Hz\] of mains. IEC 60038.
+    pub const MAINS: [f64; 2] = [50.0, 60.0];
+}
+
+/// Where a gap lies.
+pub(crate) mod location {
+    /// Permutations whose mean is what an axis explains by chance. Chosen.
+    pub const PERMUTATIONS: usize = 8;
+    /// Share of the gap that chance loses at most. Calibrated.
+    pub const UNLUCKY: f64 = 0.1;
+    /// Bins of a continuous axis. Chosen.
+    pub const BINS: usize = 8;
+    /// Samples that a bin must hold to be fitted. Chosen.
+    pub const LEAST: usize = 8;
+    /// \[1/s\] a force that changes by less of itself is held. Chosen.
+    pub const STILL: f64 = 0.02;
+    /// Share of the frames of a place or press in one bin from which on the axis is one of places or presses. Chosen.
+    pub const COMMON: f64 = 0.95;
+    /// Correlation of bins from which on two axes are one in a recording. Chosen.
+    pub const ONE: f64 = 0.97;
+    /// Points of a map, at most. Chosen.
+    pub const POINTS: usize = 400;
+    /// Cells of the surface, about. Chosen.
+    pub const CELLS: usize = 24;
+    /// Bootstrap draws for the interval of a share, and the indices of its 95 % interval. Chosen.
+    pub const DRAWS: usize = 200;
+    /// See [`DRAWS`].
+    pub const INTERVAL: [usize; 2] = [5, 194];
+}
+
+/// Stage `signatures`.
+pub(crate) mod signatures {
+    /// Devices that a random effect is drawn for. Chosen.
+    pub const DEVICES: u64 = 8;
+    /// Share of the energy of realisations that columns hold. Chosen.
+    pub const HELD: f64 = 0.998;
+    /// Columns of an effect for all channels together, at most. Chosen.
+    pub const TOGETHER: usize = 5;
+    /// Columns of an effect for each channel, at most. Chosen.
+    pub const EACH: usize = 3;
+    /// Share that components of the other devices must predict of a device for an effect to act alike on all channels. Chosen.
+    pub const PREDICTED: f64 = 0.9;
+    /// With so many components. Chosen.
+    pub const FEW: usize = 3;
+    /// Root mean square change, in deviations of the noise, below which an effect does not move the output. Chosen.
+    pub const MOVED: f64 = 1e-3;
+    /// Share of the energy of a change that must not be proportional to its amount to be a column of its own. Chosen.
+    pub const NONLINEAR: f64 = 0.01;
+    /// Share that two effects must explain of each other to be two names of one thing. Chosen.
+    pub const SAME: f64 = 0.97;
+    /// Relative tolerance of every number of a data sheet. Chosen.
+    pub const TOLERANCE: f64 = 0.05;
+    /// Relative tolerance of a contact law: exponent of the force, width of a footprint. Chosen.
+    pub const LAW: f64 = 0.05;
+    /// Columns of the model discrepancy, at most. Chosen.
+    pub const DISCREPANCIES: usize = 12;
+    /// Simulations whose readings are held at once, about. Chosen: bounds memory.
+    pub const AT_ONCE: usize = 16;
+    /// \[m\] by which things are moved for central differences. Chosen: small against a footprint of millimetres.
+    pub const SHIFT: f64 = 2e-4;
+    /// \[rad\] by which they are turned. Chosen.
+    pub const TURN: f64 = 0.02;
+    /// \[s\] time constants of zeros that decay from power-on, half an order of magnitude apart. Chosen.
+    pub const DECAYS: [f64; 5] = [30.0, 95.0, 300.0, 950.0, 3000.0];
+    /// Components of these decays. Chosen.
+    pub const DECAY_COLUMNS: usize = 2;
+    /// Knots of a piecewise linear course through time, in each run. Chosen.
+    pub const KNOTS: usize = 12;
+    /// \[s\] without samples after which a course through time starts anew. Chosen.
+    pub const PAUSE: f64 = 120.0;
+    /// Share that the knots must hold of a device's course for it to be one. Chosen.
+    pub const SMOOTH: f64 = 0.9;
+    /// Share that one pattern over channels must hold for a course to be common to all. Chosen.
+    pub const ONE_COURSE: f64 = 0.97;
+    /// Columns of random drifts, at most. Chosen.
+    pub const DRIFTS: usize = 160;
+}
+
+/// Stage `select`; the defaults of [`SelectOptions`](crate::SelectOptions) are among them.
+pub(crate) mod select {
+    /// Systematic gap [FVU] below which there is none that matters. Design note, §2.
+    pub const MARGIN: f64 = 0.005;
+    /// Least gain of an effect [FVU]. Design note, §6: set on its pilot.
+    pub const FLOOR: f64 = 0.002;
+    /// Least gain of a first effect, as a share of the systematic gap. Calibrated.
+    pub const SHARE: f64 = 0.05;
+    /// The same of an effect beside others. Calibrated.
+    pub const BESIDE: f64 = 0.01;
+    /// The same beside others that are nonlinear or drift: what their columns leave may look like one. Calibrated.
+    pub const BESIDE_NONLINEAR: f64 = 0.12;
+    /// Probability of a false alarm over the whole library. Design note, §6.
+    pub const LEVEL: f64 = 0.01;
+    /// Effects at most. Design note, §6.
+    pub const MOST: usize = 5;
+    /// Folds of cross-validation. Design note, §6.
+    pub const FOLDS: usize = 6;
+    /// Sign permutations of the max-T test. Westfall and Young 1993; 299 make the least p 1/300.
+    pub const PERMUTATIONS: usize = 299;
+    /// Posterior odds from which on a candidate can be told from the one that is named. Kass and Raftery 1995: 20 to 1 is strong.
+    pub const DECISIVE_ODDS: f64 = 20.0;
+    /// Effective samples that a place of contact gives: errors of laws go on from press to press. Calibrated.
+    pub const EFFECTIVE_SAMPLES: f64 = 0.5;
+    /// Inverse variance of coefficients of effects: a weak prior. Chosen.
+    pub const PRIOR: f64 = 0.05;
+    /// Share of the energy of an effect that its law leaves at least: a fifth of the amplitude. Calibrated.
+    pub const LAW: f64 = 0.04;
+    /// Share of the Bayesian information criterion's price of a column that is asked (Schwarz 1978): cross-validation has paid some
+    /// of it. Calibrated.
+    pub const OCCAM: f64 = 0.5;
+    /// Margins that a gap must exceed with certainty for any firm name. Calibrated.
+    pub const CLEARLY: f64 = 1.0;
+    /// The same for a name that may as well be the model discrepancy. Calibrated.
+    pub const SURELY: f64 = 1.4;
+    /// Share of a gap near the margin that an effect must explain beyond the model discrepancy. Calibrated.
+    pub const BEYOND: f64 = 0.5;
+    /// Columns of one effect that are paid for, at most. Chosen.
+    pub const MANY: usize = 6;
+    /// The same of one that drifts randomly, which can follow the temperature as well. Calibrated.
+    pub const MANY_DRIFTING: usize = 12;
+    /// Multiple of the firm threshold beyond which the permutation test is not asked. Chosen.
+    pub const BEYOND_TEST: f64 = 3.0;
+    /// Multiple of the level at which permutations end early: enough is known. Chosen.
+    pub const ENOUGH: f64 = 4.0;
+    /// Share of an effect's signature that a more general one of twice the columns must hold to cover it. Chosen.
+    pub const COVERED: f64 = 0.95;
+}
+
+/// Stage `refine`.
+pub(crate) mod refine {
+    /// Rounds of Levenberg and Marquardt. Chosen.
+    pub const ROUNDS: usize = 6;
+    /// Relative deviation of a value from what another law of the same effect would have. Calibrated.
+    pub const LAW: f64 = 0.08;
+    /// Relative gain below which a round was the last. Chosen.
+    pub const ENOUGH: f64 = 1e-3;
+    /// Candidates that are fitted on the full simulator for each accepted effect. Chosen.
+    pub const CANDIDATES: usize = 8;
+    /// Starting points of a candidate. Design note, §5.
+    pub const STARTS: usize = 8;
+    /// Share of a random effect's energy that offsets, gains and places must hold to stand for it. Chosen.
+    pub const HELD: f64 = 0.8;
+}
+
+/// Stage `predict`.
+pub(crate) mod predict {
+    /// Share of the gap that effects remove on other contacts at least, if their signature is to be believed beyond that.
+    /// Calibrated.
+    pub const HELPS: f64 = 0.15;
+    /// Share of the systematic gap that signatures may explain beyond what effects remove once they are simulated. Calibrated.
+    pub const APART: f64 = 0.15;
+    /// What the reduction in another recording of the same device differs by, beyond resampling. Calibrated.
+    pub const ELSEWHERE: f64 = 0.03;
+    /// The same, of effects that depend on the past. Calibrated.
+    pub const HISTORY: f64 = 0.1;
+    /// Relative error of the noise floor. Calibrated.
+    pub const FLOOR_ERROR: f64 = 0.1;
+    /// Resamples of selection and fit for the interval. Chosen.
+    pub const RESAMPLES: usize = 16;
+}
+
+/// Stage `report`, and what decides whether there is something to explain.
+pub(crate) mod report {
+    /// Share of the gap below which it is not systematic enough to be explained. Chosen.
+    pub const UNSYSTEMATIC: f64 = 0.2;
+    /// Share of the systematic gap that effects must explain on other contacts to be named. Design note, §8.
+    pub const NAMED: f64 = 0.3;
+    /// Share of the systematic gap that named effects may leave: laws are not known better. Calibrated.
+    pub const REMAINDER: f64 = 0.26;
+    /// Share of what single presses leave that must differ between repeats to be a gap of its own. Calibrated.
+    pub const IRREPRODUCIBLE: f64 = 0.5;
+    /// Share of what is left that a smoother must predict for it to be systematic. Design note, §8.
+    pub const EXPLAINABLE: f64 = 0.3;
+    /// Share of the systematic gap that makes the model discrepancy the verdict. Chosen.
+    pub const DISCREPANCY: f64 = 0.5;
+    /// Share of the gap below which the fingerprint of what is left is reported. Design note, §8.
+    pub const FINGERPRINT: f64 = 0.8;
+    /// Share of the gap from which on axes are those of what the named effects make. Chosen.
+    pub const EFFECTS_ALONG_AXES: f64 = 0.5;
+    /// Correlation of covariates from which on one may be taken for the other. Design note, §8.
+    pub const ALIAS: f64 = 0.8;
+    /// Effects that are listed as suspects. Chosen.
+    pub const SUSPECTS: usize = 5;
+}
+
+/// What could be explained at all.
+pub(crate) mod explainability {
+    /// Samples that are predicted, at most. Chosen.
+    pub const PREDICTED: usize = 800;
+    /// Samples that predict, at most. Chosen.
+    pub const KNOWN: usize = 4000;
+    /// Neighbours. Chosen.
+    pub const NEAREST: usize = 6;
+    /// Weights of place (three), force, phase, time since contact, temperature, session time, history. Chosen.
+    pub const WEIGHTS: [f64; 9] = [3.0, 3.0, 3.0, 1.0, 1.0, 1.0, 1.0, 0.5, 1.0];
+}
+
+/// Next experiments.
+pub(crate) mod experiments {
+    /// Share of a reading that a simulator is wrong by in ways that nobody knows. Chosen.
+    pub const TRUST: f64 = 0.02;
+    /// Probability of confusion below which an experiment settles a question. Design note, §7.
+    pub const SETTLED: f64 = 0.01;
+    /// Experiments that are listed. Chosen.
+    pub const LISTED: usize = 5;
+}
+
+/// 95 % and 90 % of a normal distribution, half widths in standard deviations.
+pub(crate) const Z95: f64 = 1.96;
+/// See [`Z95`].
+pub(crate) const Z90: f64 = 1.645;

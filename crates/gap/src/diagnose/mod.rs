@@ -1,0 +1,181 @@
+//! The whole diagnosis, in stages.
+//!
+//! ```text
+//! check ─→ signatures ─→ check against the model ─→ measure ─→ select ─→ refine ─→ predict ─→ report
+//! ```
+//!
+//! | stage | from | to |
+//! |---|---|---|
+//! | [`check`] | recording | noise, samples, problems; then readings in the right order and their quantization |
+//! | [`signatures`] | model, samples | what each effect would change |
+//! | [`measure`] | readings, nominal model | size of the gap, interference |
+//! | [`select`] | signatures, residual | effects that make the gap, to first order |
+//! | [`refine`] | these effects | their values on the full simulator |
+//! | [`predict`] | these values | how far they reduce the residual on other contacts |
+//! | [`report`] | all of it | verdict, axes, sentence |
+//!
+//! Each stage is a function of plain inputs. None knows an effect by its name: properties of effects are in
+//! [`effects`](crate::effects), numbers that decide in [`constants`](crate::constants).
+
+mod check;
+mod data;
+mod measure;
+mod predict;
+mod refine;
+mod report;
+mod select;
+mod signatures;
+mod write;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use dermis_skin::SkinDescription;
+use indicatif::ProgressBar;
+
+use crate::GapError;
+use crate::constants;
+use crate::recording::Recording;
+use crate::report::Report;
+use crate::samples::SampleOptions;
+use crate::select::SelectOptions;
+use crate::simulate::Simulator;
+
+pub use signatures::Memory;
+
+use data::Data;
+
+/// How a recording is diagnosed.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// How frames are drawn.
+    pub samples: SampleOptions,
+    /// How causes are selected.
+    pub select: SelectOptions,
+    /// Times that selection and fit are run again for the interval of the residual reduction.
+    pub resamples: usize,
+    /// Candidates that are fitted on the full simulator for each named effect, at most; 0 leaves all at their linear values.
+    pub nonlinear_refinement: usize,
+    /// Folder that keeps signatures between runs.
+    pub cache: Option<PathBuf>,
+    /// Set it from anywhere to end early.
+    pub stop: Arc<AtomicBool>,
+    /// Shows simulations done and to do; hidden by default.
+    pub progress: ProgressBar,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            samples: SampleOptions::default(),
+            select: SelectOptions::default(),
+            resamples: constants::predict::RESAMPLES,
+            nonlinear_refinement: constants::refine::CANDIDATES,
+            cache: None,
+            stop: Arc::default(),
+            progress: ProgressBar::hidden(),
+        }
+    }
+}
+
+/// One diagnosis, and what else it found out.
+#[derive(Debug, Clone)]
+pub struct Diagnosis {
+    /// What it says.
+    pub report: Report,
+    /// The skin by design with the named effects switched on.
+    pub corrected: SkinDescription,
+}
+
+/// Diagnoses a recording.
+///
+/// # Errors
+///
+/// [`GapError`] where the nominal model cannot read the stimuli of the recording; what is wrong with the recording is a verdict.
+pub fn diagnose(
+    simulator: &Simulator<'_>,
+    recording: &Recording,
+    options: &Options,
+    memory: &Memory,
+) -> Result<Diagnosis, GapError> {
+    let begun = Instant::now();
+    let checked = check::recording(recording, simulator.skin, &options.samples);
+    let samples = &checked.samples;
+    let mut report = report::begin(simulator, recording, samples, options);
+    report.data.problems.extend(checked.problems);
+    if report::fatal(&report) {
+        return Ok(report::unusable(report, simulator));
+    }
+    let (signatures, simulated) = signatures::obtain(simulator, recording, samples, options, memory)?;
+    report::library(&mut report, &signatures, simulated, samples);
+    let aligned = check::align(simulator, recording, samples, checked.sigma, &signatures.nominal)?;
+    report.data.problems.extend(aligned.problems.iter().cloned());
+    if report::fatal(&report) {
+        return Ok(report::unusable(report, simulator));
+    }
+    let seed = options.select.seed;
+    let prepared = check::quantization(simulator, recording, samples, aligned, seed)?;
+    report.data.problems.extend(prepared.problems.iter().cloned());
+    let mut measured = measure::gap(prepared, simulator.skin, samples, seed);
+    report::locate(&mut report, &measured, simulator.skin, recording, samples, seed);
+    let irreproducible = measure::irreproducible(&measured.gap, &options.select);
+    let interference = measure::interference(recording, simulator.skin, &mut measured.gap, &options.select);
+    if let Some(found) = &interference {
+        report::interference(&mut report, found, &measured.gap, simulator.skin);
+    }
+    report.gap = Some(measured.gap.clone());
+    let scope = measure::scope(&measured.gap, &options.select, irreproducible);
+    let seconds = || begun.elapsed().as_secs_f64() - simulated;
+    if scope.negligible && measured.fixed.is_empty() {
+        report = report::negligible(report, interference.and_then(|i| i.effect), &options.select);
+        report.provenance.seconds[1] = seconds();
+        let corrected = simulator.with(&report.corrected);
+        return Ok(Diagnosis { report, corrected });
+    }
+    let data = Data {
+        simulator,
+        recording,
+        samples,
+        readings: &measured.readings,
+        sigma: &measured.sigma,
+        signatures: &signatures,
+        gap: &measured.gap,
+        options,
+    };
+    let explained = if scope.negligible || !scope.established {
+        predict::Explained::default()
+    } else {
+        explain(&data, &measured)?
+    };
+    let interference = interference.and_then(|i| i.effect);
+    let members = report::finish(&mut report, &data, &measured, explained, scope, interference);
+    report.next_experiments = crate::experiments::rank(simulator, &members, samples, &options.stop);
+    report.sentence = report::sentence(&report);
+    report.provenance.seconds[1] = seconds();
+    let corrected = simulator.with(&report.corrected);
+    Ok(Diagnosis { report, corrected })
+}
+
+/// The stages that name causes: select, refine, predict.
+fn explain(data: &Data<'_>, measured: &measure::Measured) -> Result<predict::Explained, GapError> {
+    let selected = select::select(data, &measured.whitened)?;
+    // What differs between presses that were done alike, and goes away with the effects, is a part of the gap that these make.
+    let gap = select::with_irreproducible(data, &selected, &measured.whitened);
+    let data = Data { gap: gap.as_ref().unwrap_or(data.gap), ..*data };
+    if selected.selection.picks.is_empty() {
+        return Ok(predict::Explained::none(selected.selection));
+    }
+    let refined = refine::refine(&data, &selected, &measured.beside)?;
+    let mut explained = predict::predict(&data, &selected, refined, &measured.beside, &measured.whitened)?;
+    explained.gap = gap;
+    Ok(explained)
+}
+
+/// Says what is being done, in so many steps.
+fn announce(progress: &ProgressBar, what: &'static str, steps: usize) {
+    progress.set_message(what);
+    progress.set_length(steps as u64);
+    progress.set_position(0);
+}

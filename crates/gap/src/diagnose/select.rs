@@ -1,0 +1,68 @@
+//! Stage `select`: the effects that make the gap, to first order.
+
+use std::sync::atomic::Ordering;
+
+use super::announce;
+use super::data::Data;
+use crate::noise::Gap;
+use crate::select::{Selection, Tier};
+use crate::statistics::{Column, Gram, Statistics};
+use crate::{GapError, whitening};
+
+/// Effects that were selected, and the algebra that they were selected by.
+pub(super) struct Selected {
+    /// Columns of signatures in deviations of the measured noise.
+    pub columns: Vec<Column>,
+    pub statistics: Statistics,
+    pub gram: Gram,
+    pub selection: Selection,
+}
+
+impl Selected {
+    /// The accepted candidates, the strongest first.
+    pub fn set(&self) -> Vec<usize> {
+        self.selection.picks.iter().map(|p| p.candidate).collect()
+    }
+}
+
+/// Selects the effects that make a whitened residual.
+pub(super) fn select(data: &Data<'_>, whitened: &[f32]) -> Result<Selected, GapError> {
+    let declared = data.simulator.skin.channel_noise();
+    let columns: Vec<Column> = data
+        .signatures
+        .columns
+        .iter()
+        .map(|c| whitening::rescale(c, &declared, data.sigma, data.readings))
+        .collect();
+    let statistics = Statistics::new(&columns, whitened, data.samples, data.channels());
+    let gram = Gram::of(&statistics);
+    let weights = data.samples.training();
+    let progress = &data.options.progress;
+    announce(progress, "comparing effects", 0);
+    let training = data.selector(&statistics, &gram, &weights).watched(&data.options.stop, progress);
+    let selection = training.select();
+    if data.options.stop.load(Ordering::Relaxed) {
+        return Err(GapError::Interrupted);
+    }
+    Ok(Selected { columns, statistics, gram, selection })
+}
+
+/// The gap with the irreproducible part that goes away with the selected effects: they follow time or temperature. `None` where
+/// there is none.
+pub(super) fn with_irreproducible(data: &Data<'_>, selected: &Selected, whitened: &[f32]) -> Option<Gap> {
+    let part = data.gap.irreproducible.filter(|_| !selected.selection.picks.is_empty())?;
+    let weights = data.samples.training();
+    let training = data.selector(&selected.statistics, &selected.gram, &weights);
+    let fit = training.fit_all(&selected.set(), Tier::Loose);
+    let left = data.without(whitened, &selected.columns, fit.terms());
+    let scaled = whitening::whiten(data.readings, data.sigma);
+    let seed = data.options.select.seed;
+    let still = whitening::measure(&left, &scaled, data.samples, data.sigma, seed).irreproducible;
+    let part = part - still.unwrap_or(part);
+    (part > 0.0).then(|| {
+        let mut gap = data.gap.clone();
+        gap.counts_as_noise(-part);
+        gap.irreproducible = still;
+        gap
+    })
+}

@@ -1,0 +1,89 @@
+//! What depends on the time since power-on: exponential decays, and presses so far.
+
+use std::collections::BTreeMap;
+
+use crate::algebra::{components, dot};
+use crate::constants::signatures::{DECAY_COLUMNS, DECAYS};
+use crate::samples::Samples;
+
+/// What all decays from power-on have in common: a few courses, one value a sample each.
+pub(crate) fn decays(samples: &Samples) -> Vec<Vec<f32>> {
+    let courses: Vec<Vec<f32>> = DECAYS.iter().map(|tau| decay(samples, *tau)).collect();
+    components(&courses, 0.9999, DECAY_COLUMNS).0
+}
+
+/// What is left of a value at power-on, one value a sample; `time` is the time constant in seconds.
+fn decay(samples: &Samples, time: f64) -> Vec<f32> {
+    samples.list.iter().map(|s| (-s.time / time).exp() as f32).collect()
+}
+
+/// Presses that have begun so far in the run of each sample.
+pub(crate) fn presses(samples: &Samples) -> Vec<f64> {
+    let mut first: BTreeMap<u32, usize> = BTreeMap::new();
+    let mut last = 0.0;
+    samples
+        .list
+        .iter()
+        .map(|s| {
+            // What comes between two presses has the count of the one before.
+            if s.press != usize::MAX {
+                last = (s.press - *first.entry(s.location.0).or_insert(s.press) + 1) as f64;
+            } else if !first.contains_key(&s.location.0) {
+                last = 0.0;
+            }
+            last
+        })
+        .collect()
+}
+
+/// The values at power-on, and the common time constant in seconds, whose exponential decays come nearest to `courses` (one value a
+/// sample) in least squares.
+pub(crate) fn fit_decay(samples: &Samples, courses: &[Vec<f32>]) -> (Vec<f64>, f64) {
+    // Half an order of magnitude in twelve steps.
+    let times = (0..=48).map(|i| DECAYS[0] * 10f64.powf(f64::from(i) / 24.0));
+    let mut best = (f64::INFINITY, vec![0.0; courses.len()], DECAYS[2]);
+    for time in times {
+        let decay = decay(samples, time);
+        let energy = dot(&decay, &decay).max(1e-300);
+        let along: Vec<f64> = courses.iter().map(|values| dot(&decay, values)).collect();
+        let left: f64 = courses.iter().zip(&along).map(|(v, a)| dot(v, v) - a * a / energy).sum();
+        if left < best.0 {
+            best = (left, along.iter().map(|a| a / energy).collect(), time);
+        }
+    }
+    (best.1, best.2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::statistics::tests::samples;
+
+    fn timed() -> Samples {
+        let mut samples = samples(&[0; 40]);
+        samples.list.iter_mut().enumerate().for_each(|(i, s)| s.time = 20.0 * i as f64);
+        samples
+    }
+
+    #[test]
+    fn a_decay_has_its_values_and_its_time() {
+        let samples = timed();
+        let courses: Vec<Vec<f32>> =
+            [3.0, -1.5].map(|v| decay(&samples, 300.0).iter().map(|d| v * d).collect()).into();
+        let (values, time) = fit_decay(&samples, &courses);
+        assert!((time / 300.0 - 1.0).abs() < 1e-9, "{time}");
+        assert!((values[0] - 3.0).abs() < 1e-5 && (values[1] + 1.5).abs() < 1e-5, "{values:?}");
+    }
+
+    #[test]
+    fn presses_are_counted_in_each_run() {
+        let mut samples = timed();
+        for (i, s) in samples.list.iter_mut().enumerate() {
+            s.press = if i % 4 == 0 { usize::MAX } else { 7 + i / 8 };
+            s.location.0 = u32::from(i >= 16);
+        }
+        let counts = presses(&samples);
+        assert_eq!((counts[0], counts[1], counts[9], counts[12]), (0.0, 1.0, 2.0, 2.0));
+        assert_eq!((counts[16], counts[17]), (0.0, 1.0));
+    }
+}
