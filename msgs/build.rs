@@ -14,19 +14,25 @@ use std::{env, fs};
 use generate::{Interfaces, OWN_PACKAGE};
 
 fn main() -> Result<(), Box<dyn Error>> {
-    for path in ["build.rs", "codegen", "msg", "srv", "std"] {
+    for path in ["build.rs", "codegen", "msg", "srv", "std", "v0"] {
         println!("cargo::rerun-if-changed={path}");
     }
+    let out = PathBuf::from(env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?);
+    fs::write(out.join("interfaces.rs"), interfaces(Path::new("."))?.rust()?)?;
+    fs::write(out.join("v0.rs"), interfaces(Path::new("v0"))?.rust_of_own_messages()?)?;
+    Ok(())
+}
+
+/// Our package as it stands in `own`, and the standard ones.
+fn interfaces(own: &Path) -> Result<Interfaces, Box<dyn Error>> {
     let mut interfaces = Interfaces::default();
-    read_package(&mut interfaces, OWN_PACKAGE, Path::new("."))?;
+    read_package(&mut interfaces, OWN_PACKAGE, own)?;
     for folder in entries(Path::new("std"))? {
         let package =
             folder.file_name().and_then(|name| name.to_str()).ok_or("a package name is not UTF-8")?;
         read_package(&mut interfaces, package, &folder)?;
     }
-    let out = PathBuf::from(env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?);
-    fs::write(out.join("interfaces.rs"), interfaces.rust()?)?;
-    Ok(())
+    Ok(interfaces)
 }
 
 fn read_package(interfaces: &mut Interfaces, package: &str, folder: &Path) -> Result<(), Box<dyn Error>> {

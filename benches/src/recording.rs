@@ -227,11 +227,9 @@ fn frame(index: u64) -> TaxelFrame {
         skin: "palm".into(),
         sequence: index,
         device_time_us: index * 1000,
-        channels: (0..25).map(|i| format!("p{i}")).collect(),
-        unit: "Pa".into(),
+        layout_id: 1,
         values: (0..25).map(value).collect(),
         flags: vec![0; 25],
         temperature: 296.5,
-        ..TaxelFrame::default()
     }
 }

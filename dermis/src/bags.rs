@@ -52,6 +52,23 @@ pub enum Bag {
     Check(Check),
     /// Copy a part of a bag into a new one.
     Slice(Slice),
+    /// Write a bag anew with the message definitions of today. Bags of before are read as they are; who needs this are programs
+    /// that do not know the old definitions, as those of ROS 2.
+    Convert {
+        /// Folder of a rosbag2 bag, or an .mcap file.
+        bag: PathBuf,
+        /// Folder of the new bag; must not exist yet.
+        out: PathBuf,
+        /// Compression of the chunks.
+        #[arg(long, value_enum, default_value = "default")]
+        compression: Level,
+        /// Take what is whole of a bag whose recording was interrupted.
+        #[arg(long)]
+        recover: bool,
+        /// One JSON object.
+        #[arg(long)]
+        json: bool,
+    },
     /// Write labelled bags as tables (Parquet, NPZ), one row a frame, for people who train elsewhere.
     Export(Box<crate::export::Options>),
 }
@@ -120,6 +137,10 @@ pub fn run(command: &Bag) -> Result<()> {
         Bag::Check(options) => check(options),
         Bag::Export(options) => crate::export::run(options),
         Bag::Slice(options) => slice(options),
+        Bag::Convert { bag, out, compression, recover, json } => {
+            let layout = BagOptions::default().compression((*compression).into());
+            print(&dermis_bag::convert(&open(bag, *recover)?, out, &layout)?, *json)
+        }
     }
 }
 

@@ -86,7 +86,7 @@ impl Seeds {
         let frame = TaxelFrame {
             header,
             skin: "pad".into(),
-            channels: vec!["t0".into(), "t1".into()],
+            layout_id: 1,
             values: vec![101_325.0, f32::NAN],
             flags: vec![0, 2],
             ..Default::default()
@@ -94,6 +94,7 @@ impl Seeds {
         let geometry = SkinGeometry {
             points: vec![Point::default(); 2],
             triangles: vec![0, 1, 1],
+            channels: vec!["t0".into(), "t1".into()],
             ..Default::default()
         };
         self.message(TypeSupport::of::<ContactArray>(), "-full", &array.to_cdr())?;

@@ -59,8 +59,6 @@ fn frame(sequence: u64) -> TaxelFrame {
         header: Header { frame_id: "pad".into(), ..Header::default() },
         skin: "pad".into(),
         sequence,
-        channels: (0..25).map(|i| format!("p{i}")).collect(),
-        unit: "Pa".into(),
         values: (0..25).map(|i| i as f32 + sequence as f32).collect(),
         flags: vec![0; 25],
         temperature: f32::NAN,
@@ -401,4 +399,50 @@ fn a_sliced_bag_holds_what_was_asked_for() {
     assert_eq!((reader.info().messages, reader.info().files, reader.topics().len()), (200, 4, 1));
     assert_eq!(reader.span().unwrap().0, START + 500_000_000);
     succeed(dermis().args(["bag", "check"]).arg(path("b")));
+}
+
+/// What the program of before said of its bag, this one says too: of the bag itself, and of the same one in today's definitions.
+#[test]
+fn a_bag_of_before_is_evaluated_played_and_converted() {
+    let dir = tempfile::tempdir().unwrap();
+    let old = root().join("crates/bag/tests/v0/before");
+    let new = dir.path().join("new");
+    let told = succeed(dermis().args(["bag", "convert", "--json"]).arg(&old).arg(&new));
+    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+    assert_eq!((&told["messages"], &told["complete"]), (&259.into(), &true.into()), "{told}");
+    succeed(dermis().args(["bag", "check"]).arg(&old));
+    succeed(dermis().args(["bag", "check"]).arg(&new));
+
+    let expected = std::fs::read_to_string(root().join("crates/bag/tests/v0/evaluate.json")).unwrap();
+    let expected: serde_json::Value = serde_json::from_str(&expected).unwrap();
+    for bag in [&old, &new] {
+        let evaluate =
+            ["evaluate", "--json", "--skin", "launch/skins/baro-line.toml", "--model", "models/baro-line"];
+        let said = succeed(dermis().args(evaluate).arg(bag).current_dir(root()));
+        let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+        for key in ["frames", "missed", "false_contacts", "tares"] {
+            assert_eq!(said[key], expected[key], "{key} of {}", bag.display());
+        }
+        let figures = expected["figures"].as_object().unwrap();
+        assert!(figures.len() > 20);
+        for (key, value) in figures {
+            let (said, value) = (said["figures"][key].as_f64().unwrap(), value.as_f64().unwrap());
+            assert!((said - value).abs() <= 1e-3 * value.abs() + 1e-9, "{key}: {said} and {value}");
+        }
+    }
+
+    // Who plays it sends what is understood today.
+    let node = Node::open(NodeOptions::new("listener").domain_id(domain()).localhost_only(true), &backend())
+        .unwrap();
+    let (sender, frames) = channel();
+    let _frames = node
+        .subscribe::<TaxelFrame>("/taxels", Qos::reliable(100), move |frame, _| {
+            let _ = sender.send(frame);
+        })
+        .unwrap();
+    let _player = Peer::start(dermis().args(["play", "--loop"]).arg(&old));
+    let frame = frames.recv_timeout(SOON).unwrap();
+    assert_eq!((frame.skin.as_str(), frame.values.len()), ("baro-line", 6));
+    let skin = dermis_skin::SkinDescription::load(root().join("launch/skins/baro-line.toml")).unwrap();
+    assert_eq!(frame.layout_id, skin.layout_id());
 }

@@ -63,6 +63,15 @@ impl Interfaces {
         Ok(out)
     }
 
+    /// The messages of [`OWN_PACKAGE`] alone, for a module that keeps definitions of before beside those of today.
+    pub fn rust_of_own_messages(&self) -> Result<String, String> {
+        let mut body = String::new();
+        for structure in self.structures.values().filter(|s| split(&s.name).0 == OWN_PACKAGE) {
+            body.push_str(&self.structure(structure)?);
+        }
+        Ok(format!("/// The messages as they were.\n{QUALIFIED}pub mod msg {{\n{body}}}\n"))
+    }
+
     fn structure(&self, structure: &Structure) -> Result<String, String> {
         let name = rust_name(&structure.name);
         let mut fields = String::new();
@@ -275,6 +284,10 @@ fn rust_base(base: &Base) -> String {
         Base::Float64 => "f64",
         // std_msgs has a message of that name.
         Base::String(_) => "::std::string::String",
+        // Beside the type that refers to it, in whichever module both are.
+        Base::Nested(name) if split(name).0 == OWN_PACKAGE => {
+            return format!("super::{}::{}", split(name).1, rust_name(name));
+        }
         Base::Nested(name) => return rust_path(name),
     }
     .to_owned()

@@ -64,12 +64,16 @@
 
 pub mod cdr;
 mod json;
+mod layout;
 pub mod sequence;
 mod skin;
 mod support;
 mod time;
+mod truth;
+pub mod v0;
 
 pub use cdr::{CdrError, CdrErrorKind};
+pub use layout::ChannelLayout;
 pub use skin::{OF_A_SKIN, SkinNames};
 pub use support::{
     Message, Service, ServiceSupport, TypeSupport, service_support, service_supports, type_support,

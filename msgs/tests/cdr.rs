@@ -1,7 +1,11 @@
 //! The encoding: layout, both byte orders, every value there and back, and bytes of any kind.
 
-use dermis_msgs::geometry_msgs::msg::{Point, Pose, Quaternion, Vector3};
-use dermis_msgs::msg::{Contact, ContactArray, SkinGeometry, TaxelFrame};
+use dermis_msgs::builtin_interfaces::msg::{Duration, Time};
+use dermis_msgs::geometry_msgs::msg::{Point, Pose, Quaternion, Vector3, Wrench};
+use dermis_msgs::msg::{
+    BodyContact, BodyContacts, Contact, ContactArray, Indentation, IndentationContact, LinkWrench,
+    SkinGeometry, SkinHealth, TaxelFrame,
+};
 use dermis_msgs::rcl_interfaces::msg::{FloatingPointRange, ParameterDescriptor, ParameterValue};
 use dermis_msgs::rcl_interfaces::srv::DescribeParametersResponse;
 use dermis_msgs::std_msgs::msg::{self as std_msg, Header};
@@ -58,11 +62,61 @@ prop_compose! {
         header in headers(), skin in ".{0,9}", geometry_id in ".{0,9}", points in vec(points(), 0..5),
         normals in vec(vectors(), 0..5), areas in vec(any::<f32>(), 0..5), triangles in vec(any::<u32>(), 0..7),
         taxels in vec(".{0,9}", 0..5), taxel_poses in vec(poses(), 0..4), channels in vec(".{0,9}", 0..5),
-        channel_taxels in vec(any::<u32>(), 0..5),
+        channel_taxels in vec(any::<u32>(), 0..5), layout_id in any::<u32>(), unit in ".{0,3}", electrodes in any::<u16>(),
     ) -> SkinGeometry {
         SkinGeometry {
             header, skin, geometry_id, skin_hash: "sha256:0".to_owned(), points, normals, areas, triangles, taxels,
-            taxel_poses, channels, channel_taxels,
+            taxel_poses, layout_id, unit, channels, channel_taxels, electrodes,
+        }
+    }
+}
+prop_compose! {
+    fn truths()(
+        header in headers(), session in ".{0,9}", press in any::<u64>(), phase in any::<u8>(), gravity in vectors(),
+        contacts in vec((points(), vectors(), vec(f64s(), 0..4), poses(), ".{0,9}", any::<f32>()), 0..3),
+    ) -> Indentation {
+        let contacts = contacts.into_iter().map(|(position, normal, tip_parameters, tip_pose, tip_name, temperature)| {
+            IndentationContact {
+                position, normal, tip: IndentationContact::TIP_BOX, tip_parameters, tip_name, tip_pose, temperature,
+                ..IndentationContact::default()
+            }
+        });
+        Indentation { header, session, press, phase, gravity, contacts: contacts.collect(), ..Indentation::default() }
+    }
+}
+prop_compose! {
+    fn body_contacts()(
+        contact in contacts(), link in ".{0,9}", other_links in vec(".{0,9}", 0..3), skins in vec(".{0,9}", 0..3),
+        skin_tracks in vec(any::<u32>(), 0..3), body_from_contact in poses(), velocity in vectors(),
+        velocity_covariance in proptest::array::uniform9(f64s()), nanos in any::<i64>(), slip in any::<u8>(),
+        slip_confidence in any::<f32>(), cause in any::<u8>(),
+    ) -> BodyContact {
+        BodyContact {
+            contact, link, other_links, skins, skin_tracks, body_from_contact, velocity, velocity_covariance,
+            stamp: Time::from_nanos(nanos), age: Duration::from_nanos(nanos / 3), slip, slip_confidence, cause,
+        }
+    }
+}
+prop_compose! {
+    fn bodies()(
+        header in headers(), status in any::<u8>(), status_text in ".{0,30}", contacts in vec(body_contacts(), 0..3),
+        skins in vec((".{0,9}", any::<f32>(), any::<u64>()), 0..3), wrench in (vectors(), vectors()),
+        links in vec(".{0,9}", 0..3), joints in vec((".{0,9}", f64s(), f64s()), 0..3),
+    ) -> BodyContacts {
+        let (force, torque) = wrench;
+        let net_wrench = Wrench { force, torque };
+        BodyContacts {
+            header, sequence: 9, status, status_text,
+            skins: skins.into_iter().map(|(skin, rate, lost)| SkinHealth { skin, rate, lost, ..SkinHealth::default() }).collect(),
+            contacts,
+            wrenches: links.into_iter()
+                .map(|link| LinkWrench { link, body_wrench: net_wrench.clone(), ..LinkWrench::default() })
+                .collect(),
+            joints: joints.iter().map(|joint| joint.0.clone()).collect(),
+            joint_torques: joints.iter().map(|joint| joint.1).collect(),
+            unexplained_torques: joints.iter().map(|joint| joint.2).collect(),
+            unexplained_variances: Vec::new(),
+            net_wrench,
         }
     }
 }
@@ -107,6 +161,16 @@ proptest! {
 
     #[test]
     fn geometries_round_trip(message in geometries()) {
+        round_trips(&message);
+    }
+
+    #[test]
+    fn ground_truth_round_trips(message in truths()) {
+        round_trips(&message);
+    }
+
+    #[test]
+    fn bodies_round_trip(message in bodies()) {
         round_trips(&message);
     }
 
@@ -168,11 +232,9 @@ fn layout_of_both_byte_orders() {
         skin: String::new(),
         sequence: 2,
         device_time_us: 3,
-        channels: vec!["c".to_owned()],
-        unit: "Pa".to_owned(),
+        layout_id: 0x0403_0201,
         values: vec![1.0, -2.0],
-        flags: vec![4, 0],
-        electrodes: 5,
+        flags: vec![4],
         temperature: 0.5,
     };
     #[rustfmt::skip]
@@ -185,11 +247,10 @@ fn layout_of_both_byte_orders() {
         0, 0, 0, // up to 24 for a uint64
         2, 0, 0, 0, 0, 0, 0, 0,
         3, 0, 0, 0, 0, 0, 0, 0,
-        1, 0, 0, 0, 2, 0, 0, 0, b'c', 0, // channels
-        0, 0, 3, 0, 0, 0, b'P', b'a', 0, // unit
-        0, 2, 0, 0, 0, 0, 0, 0x80, 0x3f, 0, 0, 0, 0xc0, // values
-        2, 0, 0, 0, 4, 0, // flags
-        5, 0, // electrodes
+        1, 2, 3, 4, // layout_id
+        2, 0, 0, 0, 0, 0, 0x80, 0x3f, 0, 0, 0, 0xc0, // values
+        1, 0, 0, 0, 4, // flags
+        0, 0, 0, // up to 4 for a float32
         0, 0, 0, 0x3f, // temperature
     ];
     #[rustfmt::skip]
@@ -202,16 +263,28 @@ fn layout_of_both_byte_orders() {
         0, 0, 0,
         0, 0, 0, 0, 0, 0, 0, 2,
         0, 0, 0, 0, 0, 0, 0, 3,
-        0, 0, 0, 1, 0, 0, 0, 2, b'c', 0,
-        0, 0, 0, 0, 0, 3, b'P', b'a', 0,
-        0, 0, 0, 0, 2, 0x3f, 0x80, 0, 0, 0xc0, 0, 0, 0,
-        0, 0, 0, 2, 4, 0,
-        0, 5,
+        4, 3, 2, 1,
+        0, 0, 0, 2, 0x3f, 0x80, 0, 0, 0xc0, 0, 0, 0,
+        0, 0, 0, 1, 4,
+        0, 0, 0,
         0x3f, 0, 0, 0,
     ];
     assert_eq!(frame.to_cdr(), little);
     assert_eq!(TaxelFrame::from_cdr(little).unwrap(), frame);
     assert_eq!(TaxelFrame::from_cdr(big).unwrap(), frame);
+}
+
+#[test]
+fn a_frame_costs_its_values() {
+    let channels = 784;
+    let frame = TaxelFrame {
+        header: Header::new(1, "torso_link"),
+        skin: "torso".to_owned(),
+        values: vec![1.0; channels],
+        flags: vec![0; channels],
+        ..TaxelFrame::default()
+    };
+    assert!(frame.to_cdr().len() < channels * (4 + 1) + 100);
 }
 
 #[test]

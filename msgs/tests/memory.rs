@@ -11,7 +11,7 @@ use dermis_msgs::rcl_interfaces::msg::{ParameterEvent, ParameterValue};
 use dermis_msgs::rcl_interfaces::srv::{DescribeParametersResponse, SetParametersRequest};
 use dermis_msgs::sensor_msgs::msg::PointCloud2;
 use dermis_msgs::visualization_msgs::msg::MarkerArray;
-use dermis_msgs::{Message, std_msgs};
+use dermis_msgs::{Message, std_msgs, v0};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
@@ -66,6 +66,9 @@ fn decode_as_everything(bytes: &[u8]) {
     decode::<TaxelFrame>(bytes);
     decode::<WrenchStamped>(bytes);
     decode::<std_msgs::msg::String>(bytes);
+    decode::<v0::msg::Indentation>(bytes);
+    decode::<v0::msg::SkinGeometry>(bytes);
+    decode::<v0::msg::TaxelFrame>(bytes);
 }
 
 /// Lengths as an attacker would choose them: small ones lead deep into a message, large ones ask for memory.

@@ -3,7 +3,8 @@
 //! | key | value |
 //! |---|---|
 //! | `dermis/<robot>/<skin>/contacts` | `dermis_msgs/msg/ContactArray` as JSON, at every frame |
-//! | `dermis/<robot>/<skin>/taxels`, `force_map`, `displacement_map`, `skin_geometry`, … | the other topics of the skin, under the last part of their name |
+//! | `dermis/<robot>/<skin>/taxels` | `dermis_msgs/msg/TaxelFrame` with two more fields, `unit` and `channels`, once the skin's geometry has told them |
+//! | `dermis/<robot>/<skin>/force_map`, `displacement_map`, `skin_geometry`, … | the other topics of the skin, under the last part of their name |
 //! | `dermis/<robot>/schemas/<pkg>/msg/<Type>` | text of the message definition |
 //! | `dermis/<robot>/<skin>/tare`, `set_enabled`, `load_model` | commands: queries that the skin's node answers, as `{"success": …, "message": …}` |
 //!
@@ -43,8 +44,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use dermis_msgs::msg::ContactArray;
-use dermis_msgs::{Message, OF_A_SKIN, TypeSupport, type_support};
+use dermis_msgs::msg::{ContactArray, SkinGeometry, TaxelFrame};
+use dermis_msgs::{ChannelLayout, Message, OF_A_SKIN, TypeSupport, type_support};
 use dermis_node::network::SessionOptions;
 use dermis_node::{Network, NetworkChoice, Node, Qos, Subscription};
 use tokio::task::JoinHandle;
@@ -147,6 +148,7 @@ impl Bridge {
             runtime: tokio::runtime::Handle::current(),
             skins: Mutex::default(),
             latest: Arc::default(),
+            layouts: Mutex::default(),
         });
         serve_latest(&shared).map_err(|e| BridgeError::Session { reason: e.to_string() })?;
         let node = node.clone();
@@ -199,6 +201,33 @@ struct Shared {
     runtime: tokio::runtime::Handle,
     skins: Mutex<BTreeMap<String, Presence>>,
     latest: Arc<Mutex<BTreeMap<String, String>>>,
+    /// Unit and channels by the number that frames carry.
+    layouts: Mutex<Layouts>,
+}
+
+/// `unit` and `channels` of frames as JSON, by [`ChannelLayout::id`]. Frames carry the number only; clients of the bridge shall not
+/// have to look names up.
+type Layouts = BTreeMap<u32, (serde_json::Value, serde_json::Value)>;
+
+/// Keeps what a geometry says of channels.
+fn learn_layout(layouts: &mut Layouts, geometry: &serde_json::Value) {
+    let names = geometry["channels"].as_array().into_iter().flatten();
+    let names = names.filter_map(serde_json::Value::as_str);
+    let unit = geometry["unit"].as_str().unwrap_or_default();
+    let id = ChannelLayout::id_of(unit, names);
+    // Another number would give names to frames of others.
+    if geometry["layout_id"].as_u64() == Some(u64::from(id)) {
+        layouts.entry(id).or_insert_with(|| (geometry["unit"].clone(), geometry["channels"].clone()));
+    }
+}
+
+/// Adds unit and channel names to a frame, where they are known.
+fn name_channels(layouts: &Layouts, frame: &mut serde_json::Value) {
+    let id = frame["layout_id"].as_u64().and_then(|id| u32::try_from(id).ok());
+    if let Some((unit, channels)) = id.and_then(|id| layouts.get(&id)) {
+        frame["unit"] = unit.clone();
+        frame["channels"] = channels.clone();
+    }
 }
 
 /// A skin that is there, and the topics it is known by.
@@ -311,7 +340,7 @@ fn look_around(node: &Node, shared: &Arc<Shared>, bridged: &mut BTreeMap<(String
         }
         let Some(support) = type_support(&kind) else { continue };
         // Geometry is latched; everything else is a stream, where the newest counts.
-        let qos = if kind.ends_with("/SkinGeometry") { Qos::latched() } else { Qos::sensor_data() };
+        let qos = if kind == SkinGeometry::TYPE_NAME { Qos::latched() } else { Qos::sensor_data() };
         let (callback_shared, callback_topic) = (Arc::clone(shared), topic.clone());
         let subscribed = node.subscribe_raw(&topic, support, qos, move |bytes, _| {
             forward(&callback_shared, &callback_topic, support, bytes, None);
@@ -327,7 +356,7 @@ fn look_around(node: &Node, shared: &Arc<Shared>, bridged: &mut BTreeMap<(String
 }
 
 fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8], publisher: Publisher) {
-    let value = match (support.cdr_to_json)(bytes) {
+    let mut value = match (support.cdr_to_json)(bytes) {
         Ok(value) => value,
         Err(e) => {
             warn!("bridge: a message on {topic} is dropped: {e}");
@@ -340,6 +369,11 @@ fn forward(shared: &Shared, topic: &str, support: &TypeSupport, bytes: &[u8], pu
         );
         return;
     };
+    match support.name {
+        SkinGeometry::TYPE_NAME => learn_layout(&mut lock(&shared.layouts), &value),
+        TaxelFrame::TYPE_NAME => name_channels(&lock(&shared.layouts), &mut value),
+        _ => {}
+    }
     let text = value.to_string();
     // Held to the end, so that nothing goes out under a name whose keys have moved in between.
     let mut claims = lock(&shared.claims);
@@ -497,6 +531,35 @@ mod tests {
         let asked = BridgeConfig { listen, ..BridgeConfig::default() };
         let config = session_config(&asked, &Network::default()).unwrap();
         assert_eq!(config.get_json("listen/endpoints").unwrap(), "[\"tcp/0.0.0.0:7448\"]");
+    }
+
+    #[test]
+    fn frames_get_the_names_of_their_layout_only() {
+        let geometry = |unit: &str, layout_id: u32| {
+            let message = SkinGeometry {
+                unit: unit.into(),
+                channels: vec!["p0".into(), "p1".into()],
+                layout_id,
+                ..SkinGeometry::default()
+            };
+            serde_json::to_value(&message).unwrap()
+        };
+        let id = ChannelLayout::id_of("Pa", ["p0", "p1"]);
+        let mut layouts = Layouts::new();
+        learn_layout(&mut layouts, &geometry("Pa", id));
+        // Not the number of what it names.
+        learn_layout(&mut layouts, &geometry("V", 7));
+        let frame = |layout_id: u32| {
+            let message = TaxelFrame { layout_id, values: vec![1.5, 2.0], ..TaxelFrame::default() };
+            let mut value = serde_json::to_value(&message).unwrap();
+            name_channels(&layouts, &mut value);
+            value
+        };
+        let named = frame(id);
+        assert_eq!((&named["channels"][1], &named["unit"]), (&"p1".into(), &"Pa".into()));
+        for unknown in [0, 7, id ^ 1] {
+            assert!(frame(unknown).get("channels").is_none(), "{unknown}");
+        }
     }
 
     #[test]

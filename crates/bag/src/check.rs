@@ -10,9 +10,10 @@ use std::{
 
 use dermis_msgs::{
     Message as _,
-    msg::TaxelFrame,
+    msg::{SkinGeometry, TaxelFrame},
     sequence::{Arrival, SequenceTracker},
     type_support,
+    v0::Upgrade,
 };
 use mcap::{
     McapError,
@@ -27,6 +28,7 @@ use crate::{
     losses,
     metadata::Metadata,
     reader::{mcap_files, nanos, read_summary, record_limit},
+    versions::upgrade_of,
 };
 
 /// Findings of one kind are listed up to this many; the rest is counted.
@@ -192,6 +194,10 @@ struct Across {
     types: BTreeSet<String>,
     /// What the last note of the recorder says is missing.
     noted: Option<BTreeMap<String, String>>,
+    /// Channel layouts that geometries name, by skin.
+    layouts: BTreeSet<(String, u32)>,
+    /// Those that frames refer to, with their topic.
+    used: BTreeMap<(String, u32), String>,
 }
 
 /// What the messages of a file are.
@@ -261,6 +267,15 @@ pub fn check(path: impl AsRef<Path>) -> Result<BagReport, BagError> {
     }
     if let Some(metadata) = &metadata {
         compare(path, metadata, &all, &mut findings);
+    }
+    for ((skin, layout), topic) in &across.used {
+        if !across.layouts.contains(&(skin.clone(), *layout)) {
+            let problem = format!(
+                "nothing here names the channels of the frames of skin `{skin}` on {topic} (layout {layout:08x}): keep its \
+                 skin description beside the bag, or record skin_geometry with it"
+            );
+            findings.add(Severity::Note, path.display().to_string(), "layouts", problem);
+        }
     }
     let said = metadata.as_ref().map(|metadata| &metadata.custom).or(across.noted.as_ref());
     let missing = across.frames.iter().map(|(topic, frames)| (topic.clone(), frames.missing()));
@@ -370,6 +385,7 @@ fn compare(path: &Path, metadata: &Metadata, seen: &Seen, findings: &mut Finding
 struct Channel {
     topic: String,
     type_name: String,
+    upgrade: Option<&'static Upgrade>,
 }
 
 struct FileCheck<'a> {
@@ -444,8 +460,9 @@ impl FileCheck<'_> {
                     self.error("schemas", format!("topic {} has no schema", channel.topic));
                 }
                 let hash = channel.metadata.get("topic_type_hash").map_or("", String::as_str);
+                let upgrade = upgrade_of(&type_name, Some(hash).filter(|hash| !hash.is_empty()), &definition);
                 self.type_of(&channel.topic, &type_name, hash, &definition);
-                channels.insert(channel.id, Channel { topic: channel.topic.clone(), type_name });
+                channels.insert(channel.id, Channel { topic: channel.topic.clone(), type_name, upgrade });
             }
             Record::Message { header, data } => {
                 let Some(channel) = channels.get(&header.channel_id) else {
@@ -500,11 +517,30 @@ impl FileCheck<'_> {
                 format!("message on {topic} at {time} ns has no CDR encapsulation header"),
             );
         }
+        // The unit that an old geometry lacks is of no interest here.
+        let converted = channel.upgrade.map(|upgrade| upgrade.apply(data, &|_| None)).transpose();
+        let converted = match converted {
+            Ok(converted) => converted,
+            Err(error) => return self.error("content", format!("message on {topic} at {time} ns: {error}")),
+        };
+        let data = converted.as_deref().unwrap_or(data);
+        let known = channel.upgrade.is_some();
+        if channel.type_name == SkinGeometry::TYPE_NAME {
+            if let Ok(geometry) = SkinGeometry::from_cdr(data) {
+                self.across.layouts.insert((geometry.skin, geometry.layout_id));
+            }
+            return;
+        }
         if channel.type_name != TaxelFrame::TYPE_NAME {
             return;
         }
         match TaxelFrame::from_cdr(data) {
             Ok(frame) => {
+                // What is of before names its channels itself.
+                if !known && frame.layout_id != 0 {
+                    let layout = (frame.skin.clone(), frame.layout_id);
+                    self.across.used.entry(layout).or_insert_with(|| topic.clone());
+                }
                 let frames = self.across.frames.entry(topic.clone()).or_default();
                 let stamp = Some(frame.header.stamp.as_nanos()).filter(|stamp| *stamp != 0);
                 let sequence = frame.sequence;
@@ -534,6 +570,13 @@ impl FileCheck<'_> {
         let Some(support) = type_support(type_name) else { return };
         if hash == support.hash {
             return;
+        }
+        if upgrade_of(type_name, Some(hash).filter(|hash| !hash.is_empty()), definition).is_some() {
+            let problem = format!(
+                "{topic} was recorded with {type_name} as it was defined before: it is converted as it is read, \
+                 `dermis bag convert` writes it anew"
+            );
+            return self.findings.add(Severity::Note, self.file.display().to_string(), "types", problem);
         }
         let difference = if definition.is_empty() {
             None

@@ -1,7 +1,7 @@
 //! The numbers of taxel frames, read without decoding the frame.
 //!
-//! A recorder looks at every frame, and a frame of hundreds of channels has hundreds of names. The number stands behind the
-//! header and the skin's name, so that three fields are enough.
+//! A recorder looks at every frame, and a frame may have hundreds of channels. The number stands behind the header and the skin's
+//! name, so that three fields are enough; it did so before frames lost their channel names, too.
 
 use dermis_msgs::{Message as _, TypeSupport, msg::TaxelFrame, sequence::LossCounter};
 
@@ -70,7 +70,7 @@ impl FrameCounter {
     pub(crate) fn of(topic: &Topic) -> Option<Self> {
         let hash = TypeSupport::of::<TaxelFrame>().hash;
         let same = topic.type_name == TaxelFrame::TYPE_NAME && topic.type_hash.as_deref() == Some(hash);
-        same.then(Self::default)
+        (same || topic.upgrade().is_some_and(|upgrade| upgrade.new.hash == hash)).then(Self::default)
     }
 
     pub(crate) fn observe(&mut self, cdr: &[u8]) {
@@ -101,13 +101,22 @@ mod tests {
                 header: Header::new(stamp % 2_000_000_000_000_000_000, frame_id.as_str()),
                 skin: skin.clone(),
                 sequence,
-                channels: vec!["p0".into(); channels],
+                values: vec![1.0; channels],
                 ..TaxelFrame::default()
             };
             let bytes = frame.to_cdr();
             let stamp = frame.header.stamp.as_nanos();
             let expected = Head { skin: &skin, sequence, stamp: (stamp != 0).then_some(stamp) };
             prop_assert_eq!(head(&bytes), Some(expected));
+            let before = dermis_msgs::v0::msg::TaxelFrame {
+                header: frame.header,
+                skin: skin.clone(),
+                sequence,
+                channels: vec!["p0".into(); channels],
+                ..Default::default()
+            };
+            let before = before.to_cdr();
+            prop_assert_eq!(head(&before), Some(expected));
             // Cut anywhere, it is no frame and no panic.
             for end in 0..bytes.len() {
                 let _ = head(&bytes[..end]);

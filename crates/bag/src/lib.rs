@@ -8,7 +8,8 @@
 //! interrupted, and [`BagReader::open`] says so; [`BagReader::recover`] reads what is whole of it.
 //! [`BagReader`] streams chunk by chunk, so its memory does not grow with the file; it checks the checksum of
 //! every chunk before it hands out a message of it, and a typed read checks the type's name and its RIHS01 hash
-//! (or, where the bag has none, the definition) before it decodes.
+//! (or, where the bag has none, the definition) before it decodes. Messages of before are handed out as they are defined today;
+//! [`convert`] writes a bag in which they are.
 //!
 //! ```no_run
 //! use dermis_bag::{BagReader, BagWriter};
@@ -45,6 +46,7 @@ mod repair;
 mod resume;
 mod salvage;
 mod skins;
+mod versions;
 mod writer;
 
 pub use ament::definition_of;
@@ -59,4 +61,5 @@ pub use recorder::{Recorded, Recorder, RecorderOptions, RecorderState, TopicSink
 pub use repair::{Repaired, copy, repair};
 pub use resume::next_free;
 pub use skins::{BagSkin, SkinChoice, SkinChoiceError};
+pub use versions::convert;
 pub use writer::{BagOptions, BagWriter, Compression, TopicId};

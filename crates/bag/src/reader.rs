@@ -9,7 +9,7 @@ use std::{
     sync::Arc,
 };
 
-use dermis_msgs::{Message, TypeSupport};
+use dermis_msgs::{CdrError, Message, TypeSupport, v0::Upgrade};
 use mcap::{
     McapError, Summary,
     sans_io::{LinearReaderOptions, SummaryReadEvent, SummaryReader, summary_reader::SummaryReaderOptions},
@@ -24,6 +24,7 @@ use crate::{
     metadata::Metadata,
     order::MessagesByTime,
     salvage::Salvage,
+    versions::{Units, upgrade_of},
 };
 
 /// Largest record or decompressed chunk that is held in memory; recorders make chunks of about 1 MB.
@@ -81,12 +82,43 @@ pub struct BagMessage {
     pub log_time: i64,
     /// When it was published, nanoseconds since the epoch.
     pub publish_time: i64,
-    /// CDR bytes with their 4-byte encapsulation header.
+    /// CDR bytes with their 4-byte encapsulation header, as the type is defined today where that is known.
     pub data: Vec<u8>,
+    /// The bytes that were recorded, where those are of a definition of before.
+    before: Option<Vec<u8>>,
+    /// Why they could not be converted; `data` is empty then.
+    refused: Option<Box<CdrError>>,
     file: Arc<Path>,
 }
 
 impl BagMessage {
+    /// The bytes as they are in the bag.
+    #[must_use]
+    pub fn recorded(&self) -> &[u8] {
+        self.before.as_deref().unwrap_or(&self.data)
+    }
+
+    /// Whether it was recorded as its type was defined before.
+    #[must_use]
+    pub fn is_converted(&self) -> bool {
+        self.before.is_some()
+    }
+
+    /// Says why it could not be converted, where that is so.
+    pub(crate) fn readable(&self) -> Result<(), BagError> {
+        self.refused.as_ref().map_or(Ok(()), |source| Err(self.undecodable(source.clone())))
+    }
+
+    fn undecodable(&self, source: Box<CdrError>) -> BagError {
+        BagError::Decode {
+            path: self.file.to_path_buf(),
+            topic: self.topic.to_string(),
+            type_name: self.type_name.to_string(),
+            log_time: self.log_time,
+            source,
+        }
+    }
+
     /// Decodes the bytes as `T`, after a look at the type's name. That the bag's version of the type is ours is
     /// checked by [`BagReader::read`], or for all messages of a topic by [`BagReader::check_type`].
     ///
@@ -101,13 +133,8 @@ impl BagMessage {
                 expected: T::TYPE_NAME.to_owned(),
             });
         }
-        T::from_cdr(&self.data).map_err(|source| BagError::Decode {
-            path: self.file.to_path_buf(),
-            topic: self.topic.to_string(),
-            type_name: self.type_name.to_string(),
-            log_time: self.log_time,
-            source: Box::new(source),
-        })
+        self.readable()?;
+        T::from_cdr(&self.data).map_err(|source| self.undecodable(Box::new(source)))
     }
 }
 
@@ -179,6 +206,7 @@ pub struct BagReader {
     custom: BTreeMap<String, String>,
     complete: bool,
     recover: bool,
+    units: Arc<Units>,
 }
 
 /// One file at a glance.
@@ -359,11 +387,14 @@ impl BagReader {
         } else if let Some(note) = contents.note.take() {
             custom = note;
         }
+        let files: Vec<Arc<Path>> = files.into_iter().map(Arc::from).collect();
+        let topics: Vec<Topic> = contents.topics.into_values().collect();
         Ok(Self {
             path: path.into(),
-            files: files.into_iter().map(Arc::from).collect(),
+            units: Arc::new(Units::new(files.clone(), recover, &topics)),
+            files,
             parts,
-            topics: contents.topics.into_values().collect(),
+            topics,
             bytes,
             span: contents.span,
             messages: contents.messages,
@@ -492,8 +523,8 @@ impl BagReader {
         }
     }
 
-    /// Checks that a topic carries the type, in the version that is built in here: by the RIHS01 hash where the bag
-    /// has it, else field by field.
+    /// Checks that a topic carries the type, in the version that is built in here or in one that is converted to it: by the
+    /// RIHS01 hash where the bag has it, else field by field.
     ///
     /// # Errors
     /// Where the name, the hash or a field differs.
@@ -506,7 +537,9 @@ impl BagReader {
                 expected: support.name.to_owned(),
             });
         }
-        if topic.type_hash.as_deref() == Some(support.hash) {
+        if topic.type_hash.as_deref() == Some(support.hash)
+            || topic.upgrade().is_some_and(|upgrade| upgrade.new.hash == support.hash)
+        {
             return Ok(());
         }
         let difference = if topic.definition.is_empty() {
@@ -537,14 +570,19 @@ impl BagReader {
     /// The messages that a filter takes, in the order in which they were stored.
     #[must_use]
     pub fn messages_where(&self, filter: Filter) -> Messages {
-        Messages::of(self.files.clone(), filter, self.recover)
+        Messages::of(self.files.clone(), filter, self.recover, &self.units)
+    }
+
+    /// As [`messages_where`](Self::messages_where), with the bytes that are in the bag, whatever version they are of.
+    pub(crate) fn recorded_where(&self, filter: Filter) -> Messages {
+        Messages::recorded(self.files.clone(), filter, self.recover)
     }
 
     /// The messages that a filter takes, in the order of their log times over all files.
     #[must_use]
     pub fn messages_by_time(&self, filter: &Filter) -> MessagesByTime {
         let files = self.files.iter().zip(&self.parts).map(|(file, part)| {
-            let messages = Messages::of(vec![Arc::clone(file)], filter.clone(), self.recover);
+            let messages = Messages::of(vec![Arc::clone(file)], filter.clone(), self.recover, &self.units);
             (messages, *part)
         });
         MessagesByTime::new(files)
@@ -749,11 +787,36 @@ impl Iterator for FileMessages {
 pub struct Messages {
     waiting: std::vec::IntoIter<Arc<Path>>,
     current: Option<FileMessages>,
-    /// Topic and type of each channel, shared by its messages.
-    names: BTreeMap<u16, (Arc<str>, Arc<str>)>,
+    /// What is known of each channel.
+    channels: BTreeMap<u16, Channel>,
     filter: Filter,
     recover: bool,
+    /// Where messages of before are converted.
+    units: Option<Arc<Units>>,
     failed: bool,
+}
+
+/// Topic and type of a channel, shared by its messages.
+struct Channel {
+    topic: Arc<str>,
+    type_name: Arc<str>,
+    upgrade: Option<&'static Upgrade>,
+}
+
+impl Channel {
+    fn of(channel: &mcap::Channel<'_>) -> Self {
+        let schema = channel.schema.as_ref();
+        let type_name = schema.map_or("", |schema| schema.name.as_str());
+        let hash =
+            channel.metadata.get("topic_type_hash").map(String::as_str).filter(|hash| !hash.is_empty());
+        let text = schema.filter(|schema| schema.encoding == "ros2msg");
+        let text = text.map(|schema| String::from_utf8_lossy(&schema.data)).unwrap_or_default();
+        Self {
+            topic: Arc::from(channel.topic.as_str()),
+            type_name: Arc::from(type_name),
+            upgrade: upgrade_of(type_name, hash, &text),
+        }
+    }
 }
 
 impl std::fmt::Debug for Messages {
@@ -763,13 +826,19 @@ impl std::fmt::Debug for Messages {
 }
 
 impl Messages {
-    fn of(files: Vec<Arc<Path>>, filter: Filter, recover: bool) -> Self {
+    fn of(files: Vec<Arc<Path>>, filter: Filter, recover: bool, units: &Arc<Units>) -> Self {
+        Self { units: Some(Arc::clone(units)), ..Self::recorded(files, filter, recover) }
+    }
+
+    /// Without a conversion.
+    pub(crate) fn recorded(files: Vec<Arc<Path>>, filter: Filter, recover: bool) -> Self {
         Self {
             waiting: files.into_iter(),
             current: None,
-            names: BTreeMap::new(),
+            channels: BTreeMap::new(),
             filter,
             recover,
+            units: None,
             failed: false,
         }
     }
@@ -778,7 +847,7 @@ impl Messages {
         loop {
             let Some(current) = &mut self.current else {
                 let file = self.waiting.next()?;
-                self.names.clear();
+                self.channels.clear();
                 match FileMessages::open(&file, self.recover) {
                     Ok(messages) => self.current = Some(messages),
                     Err(error) => return Some(Err(error)),
@@ -793,20 +862,31 @@ impl Messages {
                 Ok(message) => message,
                 Err(error) => return Some(Err(error)),
             };
-            let (topic, type_name) = self.names.entry(message.channel.id).or_insert_with(|| {
-                let type_name = message.channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
-                (Arc::from(message.channel.topic.as_str()), Arc::from(type_name))
-            });
-            if self.filter.takes(topic, type_name, nanos(message.log_time)) {
-                return Some(Ok(BagMessage {
-                    topic: Arc::clone(topic),
-                    type_name: Arc::clone(type_name),
-                    log_time: nanos(message.log_time),
-                    publish_time: nanos(message.publish_time),
-                    data: message.data.into_owned(),
-                    file: Arc::clone(&current.file),
-                }));
+            let channel =
+                self.channels.entry(message.channel.id).or_insert_with(|| Channel::of(&message.channel));
+            if !self.filter.takes(&channel.topic, &channel.type_name, nanos(message.log_time)) {
+                continue;
             }
+            let mut taken = BagMessage {
+                topic: Arc::clone(&channel.topic),
+                type_name: Arc::clone(&channel.type_name),
+                log_time: nanos(message.log_time),
+                publish_time: nanos(message.publish_time),
+                data: message.data.into_owned(),
+                before: None,
+                refused: None,
+                file: Arc::clone(&current.file),
+            };
+            if let (Some(units), Some(upgrade)) = (&self.units, channel.upgrade) {
+                match upgrade.apply(&taken.data, &|skin| units.of(skin)) {
+                    Ok(data) => taken.before = Some(std::mem::replace(&mut taken.data, data)),
+                    Err(error) => {
+                        taken.before = Some(std::mem::take(&mut taken.data));
+                        taken.refused = Some(Box::new(error));
+                    }
+                }
+            }
+            return Some(Ok(taken));
         }
     }
 }

@@ -12,7 +12,7 @@ use std::{
 
 use crate::{BagError, BagInfo, BagOptions, BagReader, BagWriter, Filter, TopicId};
 
-/// Copies what `filter` takes of a bag into a new one, file by file and message by message as it is: topics with their
+/// Copies what `filter` takes of a bag into a new one, file by file and message by message as it was recorded: topics with their
 /// schemas, qualities of service, times and bytes. Topics that nothing is taken of are left out; `custom` is added to the
 /// custom data. The original is only read; where it was opened with [`BagReader::recover`], what is whole is copied.
 ///
@@ -26,10 +26,16 @@ pub fn copy(
     custom: impl IntoIterator<Item = (String, String)>,
 ) -> Result<BagInfo, BagError> {
     let out = out.as_ref();
+    written(out, || copy_into(reader, BagWriter::create_with(out, options)?, filter, custom))
+}
+
+/// Writes a new bag; where that fails, nothing is left of it.
+pub(crate) fn written(
+    out: &Path,
+    write: impl FnOnce() -> Result<BagInfo, BagError>,
+) -> Result<BagInfo, BagError> {
     let before = Before::of(out);
-    let made =
-        BagWriter::create_with(out, options).and_then(|writer| copy_into(reader, writer, filter, custom));
-    made.map_err(|error| before.restore(out, error))
+    write().map_err(|error| before.restore(out, error))
 }
 
 /// What stood where a copy is written.
@@ -79,7 +85,7 @@ fn copy_into(
     for topic in reader.topics().iter().filter(|topic| filter.takes_topic(&topic.name, &topic.type_name)) {
         ids.insert(topic.name.clone(), writer.declare(topic)?);
     }
-    for message in reader.messages_where(filter) {
+    for message in reader.recorded_where(filter) {
         let message = message?;
         let Some(&id) = ids.get(&*message.topic) else { continue };
         writer.write_bytes(id, &message.data, message.log_time, message.publish_time)?;

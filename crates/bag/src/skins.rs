@@ -2,7 +2,7 @@
 //!
 //! A robot may carry several devices of one skin type. A recording tells them apart by the name in their messages, not by topics
 //! alone: a topic can carry several skins (a remapped `contacts`), and a skin is on several topics. A type is told by the hash
-//! that the latched geometry carries.
+//! that the latched geometry carries, and what the channels of its frames are.
 //!
 //! What names a skin begins each message, so that nothing is decoded; of each topic the first messages are looked at, so that a
 //! long bag is not read whole.
@@ -11,12 +11,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use dermis_msgs::msg::{SkinGeometry, TaxelFrame};
-use dermis_msgs::{Message, OF_A_SKIN, SkinNames};
+use dermis_msgs::{ChannelLayout, Message, OF_A_SKIN, SkinNames, v0};
 
-use crate::{BagError, BagReader, Filter};
-
-/// Messages of a topic that are looked at: skins that share a topic take turns on it.
-const LOOKED_AT: u64 = 200;
+use crate::versions::LOOKED_AT;
+use crate::{BagError, BagMessage, BagReader, Filter};
 
 /// A skin that a bag speaks of.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
@@ -29,9 +27,33 @@ pub struct BagSkin {
     pub hash: Option<String>,
     /// Topics that carry messages of it, with their types.
     pub topics: BTreeMap<String, String>,
+    /// Channels of its frames by the number that those carry; one, unless the skin was changed meanwhile.
+    pub layouts: BTreeMap<u32, ChannelLayout>,
 }
 
 impl BagSkin {
+    /// What a message says of it beyond its name.
+    fn take(&mut self, message: &BagMessage) {
+        if *message.type_name == *SkinGeometry::TYPE_NAME
+            && let Ok(geometry) = message.decode::<SkinGeometry>()
+        {
+            if geometry.layout_id != 0 {
+                self.layouts.entry(geometry.layout_id).or_insert_with(|| ChannelLayout::of(&geometry));
+            }
+            if !geometry.skin_hash.is_empty() {
+                self.hash = Some(geometry.skin_hash);
+            }
+        }
+        // Frames of before name their channels themselves.
+        if *message.type_name == *TaxelFrame::TYPE_NAME
+            && message.is_converted()
+            && let Ok(frame) = v0::msg::TaxelFrame::from_cdr(message.recorded())
+            && let Some(layout) = frame.layout()
+        {
+            self.layouts.entry(layout.id()).or_insert(layout);
+        }
+    }
+
     /// Its topics of a type.
     pub fn topics_of<M: Message>(&self) -> impl Iterator<Item = &str> {
         self.topics.iter().filter(|(_, kind)| *kind == M::TYPE_NAME).map(|(topic, _)| topic.as_str())
@@ -168,12 +190,7 @@ impl BagReader {
                 skin.name = names.skin;
                 skin.frame_ids.insert(names.frame_id);
                 skin.topics.entry(message.topic.to_string()).or_insert_with(|| message.type_name.to_string());
-                if *message.type_name == *SkinGeometry::TYPE_NAME
-                    && let Ok(geometry) = message.decode::<SkinGeometry>()
-                    && !geometry.skin_hash.is_empty()
-                {
-                    skin.hash = Some(geometry.skin_hash);
-                }
+                skin.take(&message);
             }
             if left.values().all(|count| *count == 0) {
                 break;
@@ -193,6 +210,7 @@ mod tests {
             frame_ids: BTreeSet::from([format!("{name}_link")]),
             hash: hash.map(Into::into),
             topics: BTreeMap::from([(topic.into(), TaxelFrame::TYPE_NAME.into())]),
+            layouts: BTreeMap::new(),
         }
     }
 

@@ -61,11 +61,9 @@ fn frame(index: u64) -> TaxelFrame {
         skin: "pad".into(),
         sequence: index,
         device_time_us: u64::MAX - index,
-        channels: vec!["m0.x".into(), "m0.y µ".into(), String::new()],
-        unit: "T".into(),
+        layout_id: u32::MAX,
         values: vec![index as f32 * 1.1e-3, f32::NAN, -0.5],
         flags: vec![0, TaxelFrame::FLAG_NOT_FINITE, 16],
-        electrodes: 7,
         temperature: 293.15,
     }
 }
@@ -86,7 +84,13 @@ fn truth(index: u64) -> Indentation {
             force_components: 1,
             depth: f64::NAN,
             diameter: 0.004,
+            tip: IndentationContact::TIP_BOX,
+            tip_parameters: vec![0.003, 0.002, f64::NAN],
+            tip_name: "edge µ".into(),
+            tip_pose: Pose { position: Point::UNKNOWN, ..Pose::default() },
+            temperature: 300.5,
         }],
+        gravity: Vector3::UNKNOWN,
         ..Indentation::default()
     }
 }
@@ -116,7 +120,11 @@ fn geometry() -> SkinGeometry {
         triangles: vec![0, 0, 0],
         taxels: vec!["m0".into()],
         taxel_poses: vec![Pose::default()],
+        layout_id: 9,
+        unit: "T".into(),
+        channels: vec!["m0.x".into(), "m0.y µ".into(), String::new()],
         channel_taxels: vec![0, 0, 0],
+        electrodes: 7,
         ..SkinGeometry::default()
     }
 }

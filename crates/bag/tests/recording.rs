@@ -18,7 +18,6 @@ fn frame(index: u64) -> TaxelFrame {
     TaxelFrame {
         skin: "pad".into(),
         sequence: index,
-        channels: vec!["p0".into()],
         values: vec![index as f32],
         flags: vec![0],
         ..TaxelFrame::default()

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dermis_bag::{BagReader, Filter, SkinChoice};
+use dermis_bag::{BagReader, BagSkin, Filter, SkinChoice};
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
 use dermis_model::{Indentation as Touch, Stimulus};
 use dermis_msgs::msg::{Indentation, TaxelFrame};
@@ -82,7 +82,7 @@ fn own(
         )));
     }
     let alone = skins.iter().filter(|s| s.topics_of::<TaxelFrame>().next().is_some()).count() == 1;
-    let (mut frames, mut truths) = (Vec::new(), Vec::new());
+    let (mut frames, mut truths, mut layout) = (Vec::new(), Vec::new(), None);
     let expected: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
     for message in bag.messages_where(Filter::default().types(wanted.iter().map(|s| s.name))) {
         let message = message?;
@@ -99,9 +99,18 @@ fn own(
                     expected.len()
                 )));
             }
-            if frames.is_empty() {
-                named_otherwise(&frame, skin, &place, recording)?;
+            match layout {
+                None => named_otherwise(&frame, chosen, skin, &place, recording)?,
+                Some(first) if first != frame.layout_id => {
+                    return Err(wrong(format!(
+                        "frame {} has the channel layout {:08x} where those before have {first:08x}: the skin was changed in the \
+                         middle; cut the bag there with `dermis bag slice`",
+                        frame.sequence, frame.layout_id
+                    )));
+                }
+                Some(_) => {}
             }
+            layout = Some(frame.layout_id);
             let stamp = frame.header.stamp.as_nanos();
             let frame = Frame::from(&frame);
             let values = frame.values.iter().zip(&frame.flags);
@@ -186,29 +195,40 @@ fn own(
 /// Says where a bag names its channels otherwise than the skin does, and refuses another unit.
 fn named_otherwise(
     frame: &TaxelFrame,
+    sender: &BagSkin,
     skin: &SkinDescription,
     place: &str,
     recording: &mut Recording,
 ) -> Result<(), GapError> {
+    let Some(reason) = skin.unlike(frame, &sender.layouts) else { return Ok(()) };
+    let Some(layout) = sender.layouts.get(&frame.layout_id) else {
+        recording.problems.push(Problem::fatal(
+            "channel-names",
+            format!(
+                "{place}: {reason}: readings would be taken for those of others; pass the description that it was recorded with"
+            ),
+        ));
+        return Ok(());
+    };
     let expected: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
-    if !frame.channels.is_empty() && frame.channels.iter().map(String::as_str).ne(expected.iter().copied()) {
+    if layout.channels.iter().map(String::as_str).ne(expected.iter().copied()) {
         recording.problems.push(Problem::fatal(
             "channel-names",
             format!(
                 "{place}: its channels are named {} where skin `{}` has {}: readings would be taken for those of others; \
                  pass the description that it was recorded with",
-                frame.channels.iter().take(4).cloned().collect::<Vec<_>>().join(", "),
+                layout.channels.iter().take(4).cloned().collect::<Vec<_>>().join(", "),
                 skin.name,
                 expected.iter().take(4).copied().collect::<Vec<_>>().join(", ")
             ),
         ));
     }
-    if !frame.unit.is_empty() && frame.unit != skin.unit {
+    if !layout.unit.is_empty() && layout.unit != skin.unit {
         return Err(GapError::Recording {
             place: place.to_owned(),
             reason: format!(
                 "its readings are in \"{}\" where skin `{}` is in \"{}\"",
-                frame.unit, skin.name, skin.unit
+                layout.unit, skin.name, skin.unit
             ),
         });
     }

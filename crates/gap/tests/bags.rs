@@ -41,14 +41,14 @@ fn bag(path: &Path, skin: &SkinDescription, scale: f64, sign: f64) {
             .unwrap();
         let within = index % 10;
         let touched = (2..8).contains(&within);
-        let contact = IndentationContact {
-            position: Point { x: scale * 0.003, y: 0.0, z: 0.0 },
-            normal: Vector3 { x: 0.0, y: 0.0, z: 1.0 },
-            force: Vector3 { x: 0.0, y: 0.0, z: -sign },
-            force_components: dermis_msgs::msg::Contact::FORCE_FULL,
-            depth: f64::NAN,
-            diameter: 0.004,
-        };
+        let contact = IndentationContact::sphere(
+            Point { x: scale * 0.003, y: 0.0, z: 0.0 },
+            Vector3 { x: 0.0, y: 0.0, z: 1.0 },
+            Vector3 { x: 0.0, y: 0.0, z: -sign },
+            dermis_msgs::msg::Contact::FORCE_FULL,
+            f64::NAN,
+            0.004,
+        );
         let truth = Indentation {
             header: skin.header(stamp),
             skin: skin.name.clone(),
@@ -58,6 +58,7 @@ fn bag(path: &Path, skin: &SkinDescription, scale: f64, sign: f64) {
             repeat: 0,
             phase: if touched { Indentation::PHASE_HOLD } else { Indentation::PHASE_IDLE },
             temperature: f32::NAN,
+            gravity: Vector3::UNKNOWN,
             contacts: if touched { vec![contact] } else { Vec::new() },
         };
         writer.write_cdr("truth", TypeSupport::of::<Indentation>(), &truth.to_cdr(), stamp).unwrap();

@@ -474,9 +474,11 @@ impl Contents {
             topic: named.map(String::as_str),
             type_name: skin.type_name(),
         };
+        let mut layouts = BTreeMap::new();
         let truths = match choice.of(&skins, |hash, name| skin.is_type(hash, name)) {
             Ok(chosen) => {
                 found.instance.clone_from(&chosen.name);
+                layouts.clone_from(&chosen.layouts);
                 Truths::of(chosen, &skins, named.map(String::as_str), skin)
             }
             Err(error) => {
@@ -491,10 +493,10 @@ impl Contents {
                 if frame.skin != found.instance {
                     found.others.insert(frame.skin);
                 } else if named.is_none_or(|topic| **topic == *message.topic) {
-                    hasher.update(&message.data);
+                    hasher.update(message.recorded());
                     *found.topics.entry(message.topic.to_string()).or_insert(0) += 1;
                     if found.unlike.is_none() {
-                        found.unlike = unlike(skin, &frame);
+                        found.unlike = skin.unlike(&frame, &layouts);
                     }
                     if frame.header.stamp.as_nanos() == 0 {
                         found.unstamped[0] += 1;
@@ -505,7 +507,7 @@ impl Contents {
             } else if *message.type_name == *Indentation::TYPE_NAME {
                 let truth: Indentation = message.decode()?;
                 if truths.take(&message.topic, &truth.skin) {
-                    hasher.update(&message.data);
+                    hasher.update(message.recorded());
                     found.sessions.insert(truth.session.clone());
                     if truth.header.stamp.as_nanos() == 0 {
                         found.unstamped[1] += 1;
@@ -521,7 +523,7 @@ impl Contents {
                 }
             } else if let Some(map) = &options.map {
                 if *message.topic == *map.robot.topic || *message.topic == *map.force.topic {
-                    hasher.update(&message.data);
+                    hasher.update(message.recorded());
                 }
                 found.rig.take(map, &message)?;
             }
@@ -790,29 +792,6 @@ fn read_run(
     findings.extend(own);
     let session = found.sessions.into_iter().collect::<Vec<_>>().join("+");
     Ok(Some(Run { path: path.into(), session, hash: hex(&hasher.finalize()), samples, lost, bias }))
-}
-
-/// How a frame differs from what the skin's description says.
-fn unlike(skin: &SkinDescription, frame: &TaxelFrame) -> Option<String> {
-    let channels = skin.channels();
-    let sequence = frame.sequence;
-    if frame.values.len() != channels.len() {
-        return Some(format!(
-            "frame {sequence} has {} values where the skin has {} channels",
-            frame.values.len(),
-            channels.len()
-        ));
-    }
-    if let Some((i, (got, _))) =
-        frame.channels.iter().zip(channels).enumerate().find(|(_, (got, expected))| **got != expected.name)
-    {
-        return Some(format!(
-            "frame {sequence}: channel {i} is `{got}` where the skin has `{}`",
-            channels[i].name
-        ));
-    }
-    (frame.unit != skin.unit)
-        .then(|| format!("frame {sequence} is in \"{}\" where the skin is in \"{}\"", frame.unit, skin.unit))
 }
 
 fn truth_of(message: &Indentation) -> Truth {

@@ -78,8 +78,11 @@ fn geometry() -> SkinGeometry {
         triangles: (0..30).collect(),
         taxels: vec!["t0".to_owned(), "t1".to_owned()],
         taxel_poses: Vec::default(),
+        layout_id: 4_000_000_000,
+        unit: "Pa".to_owned(),
         channels: vec!["c0".to_owned(), "c1".to_owned()],
         channel_taxels: vec![0, 1],
+        electrodes: 16,
     }
 }
 
@@ -161,8 +164,7 @@ fn messages_of_rclpy_reach_us() {
     let frame = json!({
         "header": {"stamp": {"sec": -1, "nanosec": 5}, "frame_id": "tip"},
         "skin": "tip", "sequence": 12_345_678_901_u64, "device_time_us": 99,
-        "channels": ["a", "b"], "unit": "Pa", "values": [1.5, null], "flags": [0, 8],
-        "electrodes": 16, "temperature": 300.25,
+        "layout_id": 4_294_967_295_u32, "values": [1.5, null], "flags": [0, 8], "temperature": 300.25,
     });
     rclpy.tell(&json!({"do": "publish", "topic": "/taxels", "type": TaxelFrame::TYPE_NAME, "value": frame, "period": 0.05}));
     let cloud = json!({

@@ -1,5 +1,8 @@
 //! From the vocabulary to messages and back.
 
+use std::collections::BTreeMap;
+
+use dermis_msgs::ChannelLayout;
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::geometry_msgs::msg::{Point, Pose, Quaternion, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, ContactArray, SkinGeometry, TaxelFrame};
@@ -56,8 +59,11 @@ impl SkinDescription {
                     }
                 })
                 .collect(),
+            layout_id: self.layout_id(),
+            unit: self.unit.clone(),
             channels: self.channels().iter().map(|c| c.name.clone()).collect(),
             channel_taxels: self.channel_taxels().iter().map(|i| *i as u32).collect(),
+            electrodes: 0,
         }
     }
 
@@ -69,13 +75,45 @@ impl SkinDescription {
             skin: self.name.clone(),
             sequence: frame.sequence,
             device_time_us: frame.device_time_us,
-            channels: self.channels().iter().map(|c| c.name.clone()).collect(),
-            unit: self.unit.clone(),
+            layout_id: self.layout_id(),
             values: frame.values.clone(),
             flags: frame.flags.iter().map(|f| f.bits()).collect(),
-            electrodes: 0,
             temperature: frame.temperature,
         }
+    }
+}
+
+impl SkinDescription {
+    /// Why the values of a frame are not those of this skin's channels; `None` where they are, or where a foreign sender did
+    /// not say which channels they are of. `known` are the layouts that were recorded or heard, by their
+    /// [`id`](ChannelLayout::id): they name what differs.
+    #[must_use]
+    pub fn unlike(&self, frame: &TaxelFrame, known: &BTreeMap<u32, ChannelLayout>) -> Option<String> {
+        let (sequence, channels) = (frame.sequence, self.channels());
+        if frame.values.len() != channels.len() {
+            return Some(format!(
+                "frame {sequence} has {} values where the skin has {} channels",
+                frame.values.len(),
+                channels.len()
+            ));
+        }
+        if frame.layout_id == 0 || frame.layout_id == self.layout_id() {
+            return None;
+        }
+        let Some(layout) = known.get(&frame.layout_id) else {
+            return Some(format!(
+                "frame {sequence} has the channel layout {:08x} where the skin has {:08x}, and no geometry says which \
+                 channels those are",
+                frame.layout_id,
+                self.layout_id()
+            ));
+        };
+        let mut pairs = layout.channels.iter().zip(channels).enumerate();
+        if let Some((i, (got, expected))) = pairs.find(|(_, (got, expected))| **got != expected.name) {
+            let expected = &expected.name;
+            return Some(format!("frame {sequence}: channel {i} is `{got}` where the skin has `{expected}`"));
+        }
+        Some(format!("frame {sequence} is in \"{}\" where the skin is in \"{}\"", layout.unit, self.unit))
     }
 }
 
@@ -170,5 +208,50 @@ impl DisplacementMap {
             indices: self.indices.clone().unwrap_or_default(),
             displacements: self.displacements.clone(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PAD: &str = r#"
+        schema = "dermis-skin/1"
+        name = "pad"
+        sensor = "barodome"
+        frame_id = "pad_link"
+        unit = "Pa"
+        rate = 100.0
+        noise = 20.0
+        surface = { type = "rectangle", size = [0.02, 0.01], spacing = 0.005 }
+        taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", position = [0.01, 0.0, -0.005] }]
+    "#;
+
+    #[test]
+    fn a_frame_of_other_channels_is_told_apart() {
+        let skin = SkinDescription::from_toml(PAD, "pad.toml").unwrap();
+        let of =
+            |from: &str, to: &str| SkinDescription::from_toml(&PAD.replace(from, to), "pad.toml").unwrap();
+        let frame = |skin: &SkinDescription| skin.frame_message(&Frame::new(1, 7, vec![1.0, 2.0]));
+        let layout = |skin: &SkinDescription| ChannelLayout::of(&skin.geometry_message(&skin.surface(), 1));
+        let none = BTreeMap::new();
+        assert_eq!(skin.unlike(&frame(&skin), &none), None);
+        assert_eq!(skin.unlike(&TaxelFrame { layout_id: 0, ..frame(&skin) }, &none), None);
+        assert_eq!(skin.unlike(&frame(&of("pad_link", "other_link")), &none), None);
+        assert_eq!(layout(&skin).id(), skin.layout_id());
+
+        let (renamed, scaled) = (of("\"t1\"", "\"t2\""), of("\"Pa\"", "\"hPa\""));
+        let known = [&renamed, &scaled].map(|skin| (skin.layout_id(), layout(skin))).into();
+        insta::assert_snapshot!(skin.unlike(&frame(&renamed), &known).unwrap(), @"frame 7: channel 1 is `t2` where the skin has `t1`");
+        insta::assert_snapshot!(skin.unlike(&frame(&renamed), &none).unwrap(), @"frame 7 has the channel layout 2c18c065 where the skin has 073593a6, and no geometry says which channels those are");
+        insta::assert_snapshot!(skin.unlike(&frame(&scaled), &known).unwrap(), @r#"frame 7 is in "hPa" where the skin is in "Pa""#);
+        let short = TaxelFrame { values: vec![1.0], ..frame(&skin) };
+        insta::assert_snapshot!(skin.unlike(&short, &known).unwrap(), @"frame 7 has 1 values where the skin has 2 channels");
+
+        // The number follows a unit that is written later.
+        let mut written = skin.clone();
+        assert_eq!(written.layout_id(), skin.layout_id());
+        written.unit = "hPa".into();
+        assert_eq!(written.layout_id(), scaled.layout_id());
     }
 }

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::OnceLock;
 
+use dermis_msgs::ChannelLayout;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -261,6 +263,16 @@ impl Default for Condition {
     }
 }
 
+/// A number that follows from the rest of a description: two that differ in it only are equal.
+#[derive(Debug, Clone, Default)]
+struct Layout(OnceLock<(String, u32)>);
+
+impl PartialEq for Layout {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
 /// What a skin is, as its file says it.
 ///
 /// A file is TOML; see `launch/skins/` for examples to copy. Unknown keys are errors.
@@ -273,6 +285,9 @@ pub struct SkinDescription {
     /// Name of the file's, where `name` is that of an instance.
     #[serde(skip)]
     pub(crate) type_name: Option<String>,
+    /// What its frames carry, for the unit that it was computed for.
+    #[serde(skip)]
+    layout: Layout,
     /// Which sensor family reads it: a name in the program's registry.
     pub sensor: String,
     /// Free text.
@@ -572,7 +587,7 @@ impl SkinDescription {
     ///
     /// [`SkinError::Impossible`] where an element cannot be, as in a file.
     pub fn with_taxels(&self, taxels: Vec<Taxel>) -> Result<Self, SkinError> {
-        let mut skin = Self { taxels, channels: Vec::new(), ..self.clone() };
+        let mut skin = Self { taxels, channels: Vec::new(), layout: Layout::default(), ..self.clone() };
         skin.finish(&format!("{}, with other taxels", self.name))?;
         Ok(skin)
     }
@@ -618,6 +633,7 @@ impl SkinDescription {
     /// Gives the skin these numbers of a frame, for a sensor family that [completes](crate::Family::complete) it.
     pub fn set_channels(&mut self, channels: Vec<Channel>) {
         self.channels = channels;
+        self.layout = Layout::default();
     }
 
     /// Gives the shape that only the sensor family knows its mesh; nothing happens to a skin of another shape.
@@ -625,6 +641,19 @@ impl SkinDescription {
         if let SurfaceSpec::Family(shape) = &mut self.surface {
             shape.mesh = mesh;
         }
+    }
+
+    /// What says of a frame that its values are those of [`channels`](Self::channels) in [`unit`](Self::unit); see
+    /// [`ChannelLayout`]. Computed once: frames come often.
+    #[must_use]
+    pub fn layout_id(&self) -> u32 {
+        let names = self.channels.iter().map(|channel| channel.name.as_str());
+        let (unit, id) = self
+            .layout
+            .0
+            .get_or_init(|| (self.unit.clone(), ChannelLayout::id_of(&self.unit, names.clone())));
+        // The unit can be written from outside.
+        if *unit == self.unit { *id } else { ChannelLayout::id_of(&self.unit, names) }
     }
 
     /// Standard deviation of each channel's noise, in `unit`.

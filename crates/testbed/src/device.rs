@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
-use dermis_bag::{BagError, BagReader, SkinChoice, SkinChoiceError, Typed};
+use dermis_bag::{BagError, BagReader, BagSkin, SkinChoice, SkinChoiceError, Typed};
 use dermis_model::ForwardModel;
 use dermis_msgs::msg::{Indentation, TaxelFrame};
 use dermis_sensor::{Encoder, FrameWriter};
@@ -531,12 +531,12 @@ impl From<BagError> for Unclear {
     }
 }
 
-/// Topic and name of the skin whose frames are sent: never those of two.
+/// Topic of the skin whose frames are sent, and the skin: never those of two.
 fn choose(
     reader: &BagReader,
     skin: &SkinDescription,
     options: &ReplayOptions,
-) -> Result<(String, String), Unclear> {
+) -> Result<(String, BagSkin), Unclear> {
     let named = options.topic.as_deref().map(|topic| reader.topic(topic)).transpose()?;
     let named = named.map(|topic| topic.name.as_str());
     let skins = reader.skins()?;
@@ -556,7 +556,7 @@ fn choose(
     let topics: Vec<&str> =
         chosen.topics_of::<TaxelFrame>().filter(|topic| named.is_none_or(|named| named == *topic)).collect();
     match topics.as_slice() {
-        [only] => Ok(((*only).to_owned(), chosen.name.clone())),
+        [only] => Ok(((*only).to_owned(), chosen.clone())),
         [] => Err(Unclear::Skin(format!(
             "has no frames of skin `{}` on {}",
             chosen.name,
@@ -615,13 +615,13 @@ impl ReplayDevice {
             return Err(wrong(format!("replay speed is {} and must be positive", options.speed)));
         }
         let reader = BagReader::open(&path)?;
-        let (topic, instance) = choose(&reader, skin, options).map_err(|reason| match reason {
+        let (topic, sender) = choose(&reader, skin, options).map_err(|reason| match reason {
             Unclear::Bag(error) => error.into(),
             Unclear::Skin(reason) => wrong(reason),
         })?;
         // A topic may carry several skins.
         let frames = || {
-            let name = instance.clone();
+            let name = sender.name.clone();
             let of_skin = move |message: &Result<Typed<TaxelFrame>, BagError>| {
                 message.as_ref().is_ok_and(|typed| typed.message.skin == name) || message.is_err()
             };
@@ -630,14 +630,10 @@ impl ReplayDevice {
         let Some(first) = frames()?.next().transpose()?.map(|m| m.message) else {
             return Err(wrong("holds no frames".into()));
         };
-        let names: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
-        if first.channels != names {
+        if let Some(reason) = skin.unlike(&first, &sender.layouts) {
             return Err(wrong(format!(
-                "its frames are of skin `{}` with channels {}, and not of `{}` with channels {}",
-                first.skin,
-                summary(&first.channels),
-                skin.name,
-                summary(&names),
+                "its frames are of skin `{}`, and not as `{}` sends them: {reason}",
+                first.skin, skin.name
             )));
         }
         let messages = frames()?;
@@ -648,11 +644,21 @@ impl ReplayDevice {
         let body = {
             let (counters, stop, finished) =
                 (Arc::clone(&counters), Arc::clone(&stop), Arc::clone(&finished));
-            let (name, speed, channels) = (skin.name.clone(), options.speed, names.len());
-            let (begin, zero) = (Instant::now(), first.header.stamp.as_nanos());
+            let (name, speed, channels) = (skin.name.clone(), options.speed, first.values.len());
+            let (begin, zero, layout) = (Instant::now(), first.header.stamp.as_nanos(), first.layout_id);
             move || {
                 for message in messages {
                     let frame = message?.message;
+                    if frame.layout_id != layout {
+                        return Err(TestbedError::Recording {
+                            path,
+                            reason: format!(
+                                "frame {} has the channel layout {:08x} where those before have {layout:08x}: the skin was \
+                                 changed in the middle; cut the bag there",
+                                frame.sequence, frame.layout_id
+                            ),
+                        });
+                    }
                     if frame.values.len() != channels {
                         return Err(TestbedError::Recording {
                             path,
@@ -729,16 +735,6 @@ impl ReplayDevice {
         self.worker.stop()?;
         Ok(self.stats())
     }
-}
-
-/// The first few of many names.
-fn summary<S: AsRef<str>>(names: &[S]) -> String {
-    let mut text: Vec<&str> = names.iter().take(3).map(AsRef::as_ref).collect();
-    let more = format!("… ({} in all)", names.len());
-    if names.len() > 3 {
-        text.push(&more);
-    }
-    text.join(", ")
 }
 
 #[cfg(test)]
@@ -1013,7 +1009,7 @@ mod tests {
             let error = ReplayDevice::start(&bag, skin, options).unwrap_err().to_string();
             error.replace(&bag.display().to_string(), "BAG")
         };
-        insta::assert_snapshot!(refused(&other, &ReplayOptions::default()), @"bag BAG: its frames are of skin `pad` with channels left, middle, right, and not of `other` with channels only");
+        insta::assert_snapshot!(refused(&other, &ReplayOptions::default()), @"bag BAG: its frames are of skin `pad`, and not as `other` sends them: frame 0 has 3 values where the skin has 1 channels");
         let still = ReplayOptions { speed: 0.0, ..ReplayOptions::default() };
         insta::assert_snapshot!(refused(&skin, &still), @"bag BAG: replay speed is 0 and must be positive");
     }

@@ -14,7 +14,7 @@ use std::{
 
 use dermis_bag::{BagError, BagInfo, BagQos, BagWriter};
 use dermis_msgs::{
-    Message, TypeSupport,
+    ChannelLayout, Message, TypeSupport,
     builtin_interfaces::msg::Time,
     geometry_msgs::msg::{Point, Vector3},
     msg::{Contact, Indentation, IndentationContact, SkinGeometry, TaxelFrame},
@@ -205,6 +205,7 @@ struct Target {
     sequence: u64,
     untouched: u64,
     readings: u64,
+    layout_id: u32,
 }
 
 /// What of a skin its messages repeat.
@@ -227,6 +228,21 @@ impl Skin {
             channels: description.channels().iter().map(|channel| channel.name.clone()).collect(),
             description: Some(description),
         })
+    }
+
+    /// Without a description it names the channels only.
+    fn geometry(&self, start: i64) -> SkinGeometry {
+        match &self.description {
+            Some(description) => description.geometry_message(&description.surface(), start),
+            None => SkinGeometry {
+                header: Header { stamp: Time::from_nanos(start), frame_id: self.frame_id.clone() },
+                skin: self.name.clone(),
+                layout_id: ChannelLayout::id_of(&self.unit, self.channels.iter().map(String::as_str)),
+                unit: self.unit.clone(),
+                channels: self.channels.clone(),
+                ..SkinGeometry::default()
+            },
+        }
     }
 }
 
@@ -252,12 +268,19 @@ impl Target {
         writer.set_custom("dermis.import.source", recording.display().to_string());
         writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data())?;
         writer.add_topic("ground_truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data())?;
-        if let Some(description) = &skin.description {
-            writer.add_topic("skin_geometry", TypeSupport::of::<SkinGeometry>(), BagQos::latched())?;
-            let geometry = description.geometry_message(&description.surface(), start);
-            writer.write("skin_geometry", &geometry, start)?;
-        }
-        Ok(Self { writer, skin, session: session.to_owned(), sequence: 0, untouched: 0, readings: 0 })
+        writer.add_topic("skin_geometry", TypeSupport::of::<SkinGeometry>(), BagQos::latched())?;
+        let geometry = skin.geometry(start);
+        writer.write("skin_geometry", &geometry, start)?;
+        let layout_id = geometry.layout_id;
+        Ok(Self {
+            writer,
+            skin,
+            session: session.to_owned(),
+            sequence: 0,
+            untouched: 0,
+            readings: 0,
+            layout_id,
+        })
     }
 
     fn header(&self, stamp: i64) -> Header {
@@ -275,15 +298,14 @@ impl Target {
             header: self.header(stamp),
             skin: self.skin.name.clone(),
             sequence: self.sequence,
-            channels: self.skin.channels.clone(),
-            unit: self.skin.unit.clone(),
+            layout_id: self.layout_id,
             flags: values
                 .iter()
                 .map(|value| if value.is_finite() { 0 } else { TaxelFrame::FLAG_NOT_FINITE })
                 .collect(),
             values,
             temperature: f32::NAN,
-            ..TaxelFrame::default()
+            device_time_us: 0,
         };
         self.sequence += 1;
         self.writer.write("taxels", &frame, stamp)?;
@@ -296,6 +318,7 @@ impl Target {
             repeat: label.repeat,
             phase: label.phase,
             temperature: f32::NAN,
+            gravity: Vector3::UNKNOWN,
             contacts: label.contact.into_iter().collect(),
         };
         self.writer.write("ground_truth", &truth, stamp)?;
@@ -340,24 +363,20 @@ struct Facts {
 }
 
 fn unknown_point() -> Point {
-    Point { x: f64::NAN, y: f64::NAN, z: f64::NAN }
+    Point::UNKNOWN
 }
 
 /// A contact that pushes straight in with `force` \[N\], NaN where it was not measured.
 fn pressed(position: Point, force: f64, depth: f64) -> IndentationContact {
     let known = force.is_finite();
-    IndentationContact {
+    IndentationContact::sphere(
         position,
-        normal: Vector3 { x: 0.0, y: 0.0, z: 1.0 },
-        force: if known {
-            Vector3 { x: 0.0, y: 0.0, z: -force }
-        } else {
-            Vector3 { x: f64::NAN, y: f64::NAN, z: f64::NAN }
-        },
-        force_components: if known { Contact::FORCE_NORMAL } else { Contact::FORCE_NONE },
+        Vector3 { x: 0.0, y: 0.0, z: 1.0 },
+        if known { Vector3 { x: 0.0, y: 0.0, z: -force } } else { Vector3::UNKNOWN },
+        if known { Contact::FORCE_NORMAL } else { Contact::FORCE_NONE },
         depth,
-        diameter: f64::NAN,
-    }
+        f64::NAN,
+    )
 }
 
 /// Nanoseconds of a time in seconds since the epoch; `None` outside of what stamps can hold.

@@ -63,14 +63,14 @@ impl Moment {
         let depths = self.depths.iter().copied().chain(std::iter::repeat(None));
         let contacts = self.stimulus.contacts.iter().zip(depths).map(|(c, depth)| {
             let (_, normal) = surface.project(&c.position);
-            IndentationContact {
-                position: Point { x: c.position.x, y: c.position.y, z: c.position.z },
-                normal: vector(&normal),
-                force: vector(&c.force),
-                force_components: msg::Contact::FORCE_FULL,
-                depth: depth.unwrap_or(f64::NAN),
-                diameter: c.diameter,
-            }
+            IndentationContact::sphere(
+                Point { x: c.position.x, y: c.position.y, z: c.position.z },
+                vector(&normal),
+                vector(&c.force),
+                msg::Contact::FORCE_FULL,
+                depth.unwrap_or(f64::NAN),
+                c.diameter,
+            )
         });
         msg::Indentation {
             header: skin.header(stamp),
@@ -81,6 +81,7 @@ impl Moment {
             repeat: self.repeat,
             phase: self.phase.code(),
             temperature: self.stimulus.temperature as f32,
+            gravity: VectorMsg::UNKNOWN,
             contacts: contacts.collect(),
         }
     }

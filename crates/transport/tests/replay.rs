@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use dermis_msgs::msg::{Contact, TaxelFrame};
 use dermis_msgs::std_msgs::msg::Header;
-use dermis_msgs::{Message, TypeSupport};
+use dermis_msgs::{Message, TypeSupport, v0};
 use dermis_transport::framing::{DecodedFrame, FrameDecoder, NativeDecoder};
 use dermis_transport::{Event, Source, SourceOptions, SourceUrl};
 
@@ -65,6 +65,40 @@ fn record(path: &Path, topic: &str, numbers: impl IntoIterator<Item = u64>) {
 
 fn url(path: &Path, keys: &str) -> SourceUrl {
     SourceUrl::parse(&format!("replay://{}{keys}", path.display())).unwrap()
+}
+
+#[test]
+fn a_recording_of_before_is_played() {
+    let old = |i: u64| {
+        let TaxelFrame { header, sequence, values, .. } = frame(i);
+        let channels = vec!["a".into(), "b".into(), "c".into(), "d".into()];
+        v0::msg::TaxelFrame { header, sequence, values, channels, unit: "Pa".into(), ..Default::default() }
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.mcap");
+    let mut recording = Recording::create(&path);
+    for i in 0..5 {
+        recording.write("/skin/taxels", &old(i), START + i64::try_from(i).unwrap() * 1000);
+    }
+    recording.finish();
+    let played = play(url(&path, "?speed=0"), SourceOptions::default(), usize::MAX);
+    let sequences: Vec<u64> = played.frames.iter().map(|frame| frame.sequence).collect();
+    assert_eq!(sequences, [0, 1, 2, 3, 4]);
+    assert_eq!(played.frames[3].values[0], 3.0);
+}
+
+#[test]
+fn a_skin_that_changes_in_the_middle_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("changed.mcap");
+    let mut recording = Recording::create(&path);
+    for i in 0..5 {
+        let layout_id = if i < 3 { 0xa } else { 0xb };
+        let time = START + i64::try_from(i).unwrap() * 1000;
+        recording.write("/skin/taxels", &TaxelFrame { layout_id, ..frame(i) }, time);
+    }
+    recording.finish();
+    insta::assert_snapshot!(hide(&failure(url(&path, "?speed=0")), folder.path()), @"frame 3 on /skin/taxels of BAG/changed.mcap has the channel layout 0000000b where those before have 0000000a: the skin was changed in the middle");
 }
 
 struct Played {

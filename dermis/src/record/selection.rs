@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 
 use anyhow::{Context, Result};
 use dermis_bag::BagQos;
-use dermis_msgs::{TypeSupport, type_support};
+use dermis_msgs::msg::{SkinGeometry, TaxelFrame};
+use dermis_msgs::{Message as _, TypeSupport, type_support};
 use dermis_node::backend::EndpointInfo;
 use dermis_node::{Durability, History, Node, Qos, Reliability};
 use regex::Regex;
@@ -39,7 +40,26 @@ impl Selection {
         })
     }
 
-    /// Whether a topic of this name and type is to be recorded.
+    /// Which of these topics (name, type) are to be recorded: those that are wanted, and the geometry beside frames that are:
+    /// it names their channels, and the recording shall be read by who has nothing else.
+    pub fn chosen<'a>(&self, topics: &[(&'a str, &'a str)]) -> Vec<&'a str> {
+        let namespace = |topic: &'a str| topic.rsplit_once('/').map_or("", |(namespace, _)| namespace);
+        let wanted = |(name, kind): &&(&str, &str)| self.wants(name, kind);
+        let framed: BTreeSet<&str> = topics
+            .iter()
+            .filter(wanted)
+            .filter(|(_, kind)| *kind == TaxelFrame::TYPE_NAME)
+            .map(|(name, _)| namespace(name))
+            .collect();
+        let describes = |(name, kind): &(&'a str, &str)| {
+            *kind == SkinGeometry::TYPE_NAME
+                && framed.contains(namespace(name))
+                && !self.exclude.iter().any(|regex| regex.is_match(name))
+        };
+        topics.iter().filter(|topic| wanted(topic) || describes(topic)).map(|(name, _)| *name).collect()
+    }
+
+    /// Whether a topic of this name and type was asked for.
     pub fn wants(&self, topic: &str, type_name: &str) -> bool {
         if self.topics.contains(topic) {
             return true;
@@ -125,6 +145,23 @@ mod tests {
         let some = selection(&["/_a"], &["^/left/"], &[frame], &["truth$"], false);
         assert!(some.wants("/_a", "x/msg/Y") && some.wants("/left/b", "x/msg/Y") && some.wants("/c", frame));
         assert!(!some.wants("/c", "x/msg/Y") && !some.wants("/left/ground_truth", frame));
+    }
+
+    #[test]
+    fn the_geometry_comes_with_its_frames() {
+        let geometry = SkinGeometry::TYPE_NAME;
+        let there = vec![
+            ("/left/contacts", "dermis_msgs/msg/ContactArray"),
+            ("/left/skin_geometry", geometry),
+            ("/left/taxels", TaxelFrame::TYPE_NAME),
+            ("/right/skin_geometry", geometry),
+        ];
+        let chosen = |topics: &[&str], exclude: &[&str]| {
+            selection(topics, &[], &[], exclude, false).chosen(&there).join(" ")
+        };
+        assert_eq!(chosen(&["/left/taxels"], &[]), "/left/skin_geometry /left/taxels");
+        assert_eq!(chosen(&["/left/taxels"], &["geometry"]), "/left/taxels");
+        assert_eq!(chosen(&["/left/contacts"], &[]), "/left/contacts");
     }
 
     #[test]

@@ -124,8 +124,10 @@ impl Session {
         for (name, type_name) in topics {
             by_name.entry(name).or_default().push(type_name);
         }
+        let there: Vec<_> = by_name.iter().map(|(name, types)| (name.as_str(), types[0].as_str())).collect();
+        let wanted: BTreeSet<String> = self.selection.chosen(&there).into_iter().map(str::to_owned).collect();
         for (name, types) in by_name {
-            if !self.selection.wants(&name, &types[0]) {
+            if !wanted.contains(&name) {
                 continue;
             }
             if let Err(why) = self.take(&name, &types) {

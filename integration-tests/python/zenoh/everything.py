@@ -48,6 +48,11 @@ def latest(key):
 [(key, encoding, text)] = wait("geometry by get", lambda: latest("dermis/*/*/skin_geometry"))
 geometry = json.loads(text)
 assert encoding == "application/json" and len(geometry["taxels"]) == 25, key
+# Frames carry a number for their channels; the bridge adds the names that the geometry told.
+named = lambda: [f for _, _, t in latest("dermis/*/*/taxels") if "channels" in (f := json.loads(t))]
+[frame] = wait("names of channels", named)
+assert frame["channels"] == geometry["channels"] and frame["unit"] == "Pa", frame
+assert frame["layout_id"] == geometry["layout_id"] and len(frame["values"]) == 25, frame
 assert json.loads(latest("dermis/*/*/contacts")[0][2])["sequence"] >= sequences[0]
 schemas = wait("schemas", lambda: latest("dermis/*/schemas/**"))
 assert any(k.endswith("dermis_msgs/msg/ContactArray") and "Contact[] contacts" in t for k, _, t in schemas)

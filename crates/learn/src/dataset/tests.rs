@@ -8,27 +8,25 @@ use super::*;
 
 pub(crate) const STEP: i64 = 10_000_000;
 
+const SKIN: &str = r#"
+    schema = "dermis-skin/1"
+    name = "pad"
+    sensor = "taxels"
+    frame_id = "pad_link"
+    unit = "Pa"
+    rate = 100.0
+    noise = 1.0
+    surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
+    taxels = [
+        { name = "left", position = [-0.005, 0.0, -0.005] },
+        { name = "right", position = [0.005, 0.0, -0.005] },
+    ]
+    [condition]
+    tare_duration = 0.03
+"#;
+
 pub(crate) fn skin() -> SkinDescription {
-    SkinDescription::from_toml(
-        r#"
-        schema = "dermis-skin/1"
-        name = "pad"
-        sensor = "taxels"
-        frame_id = "pad_link"
-        unit = "Pa"
-        rate = 100.0
-        noise = 1.0
-        surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
-        taxels = [
-            { name = "left", position = [-0.005, 0.0, -0.005] },
-            { name = "right", position = [0.005, 0.0, -0.005] },
-        ]
-        [condition]
-        tare_duration = 0.03
-        "#,
-        "pad.toml",
-    )
-    .unwrap()
+    SkinDescription::from_toml(SKIN, "pad.toml").unwrap()
 }
 
 pub(crate) fn contact(x: f64, y: f64, newtons: f64) -> TruthContact {
@@ -186,12 +184,27 @@ fn what_a_bag_lacks_is_said() {
     other.skin = "arm".into();
     insta::assert_snapshot!(told(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm` (/pad/taxels): there is nothing to learn from; `--skin-instance` names a device of this type, `dermis bag info` lists them");
     insta::assert_snapshot!(told(std::slice::from_ref(&good), &[truth(STEP * 5, 0, &[])]), @"bag BAG: none of 1 frames has ground truth within 0.01 s of its stamp: frames reach from 0 to 0.00 s, the ground truth from 0.05 to 0.05 s after the first frame: check that both were stamped by the same clock");
-    let mut swapped = good.clone();
-    swapped.channels.swap(0, 1);
-    insta::assert_snapshot!(told(&[swapped], &[truth(0, 0, &[])]), @"bag BAG: frame 7: channel 0 is `right` where the skin has `left`: the readings cannot be told apart; check the skin description");
-    let mut unit = good.clone();
-    unit.unit = "V".into();
-    insta::assert_snapshot!(told(&[unit], &[truth(0, 0, &[])]), @r#"bag BAG: frame 7 is in "V" where the skin is in "Pa": the readings cannot be told apart; check the skin description"#);
+    // Skins of the same shape whose channels are not ours; the bag's geometry names them.
+    let like =
+        |from: &str, to: &str| SkinDescription::from_toml(&SKIN.replace(from, to), "pad.toml").unwrap();
+    let swapped = like("\"left\"", "\"x\"");
+    let told_of = |other: &SkinDescription| {
+        let path = dir.path().join("bag");
+        let mut writer = BagWriter::create(&path).unwrap();
+        writer.write("/pad/skin_geometry", &other.geometry_message(&other.surface(), BEGIN), BEGIN).unwrap();
+        let reading = other.frame_message(&Frame::new(BEGIN, 7, vec![1.0, 2.0]));
+        writer.write("/pad/taxels", &reading, BEGIN).unwrap();
+        writer.write("/pad/ground_truth", &truth(0, 0, &[]), BEGIN).unwrap();
+        writer.finish().unwrap();
+        let error =
+            Dataset::from_bags(&[&path], &skin(), &DatasetOptions::default()).unwrap_err().to_string();
+        std::fs::remove_dir_all(&path).unwrap();
+        error.replace(&path.display().to_string(), "BAG")
+    };
+    insta::assert_snapshot!(told_of(&swapped), @"bag BAG: frame 7: channel 0 is `x` where the skin has `left`: the readings cannot be told apart; check the skin description");
+    insta::assert_snapshot!(told_of(&like("\"Pa\"", "\"V\"")), @r#"bag BAG: frame 7 is in "V" where the skin is in "Pa": the readings cannot be told apart; check the skin description"#);
+    let nameless = swapped.frame_message(&Frame::new(BEGIN, 7, vec![1.0, 2.0]));
+    insta::assert_snapshot!(told(&[nameless], &[truth(0, 0, &[])]), @"");
     let short = frame(0, 7, vec![1.0]);
     insta::assert_snapshot!(told(&[short], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has 1 values where the skin has 2 channels: the readings cannot be told apart; check the skin description");
 }

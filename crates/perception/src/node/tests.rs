@@ -191,7 +191,7 @@ fn frames_become_contacts() {
     let (_taxels, taxels) = listen::<TaxelFrame>(&observer, "taxels", Qos::sensor_data());
     let frame = expect(&taxels, "a frame", |_| true);
     assert!((f64::from(frame.values[0]) - 103_325.0).abs() < 150.0, "readings before tare");
-    assert_eq!((frame.unit.as_str(), frame.channels.len()), ("Pa", 4));
+    let layout_id = frame.layout_id;
     assert!(frame.device_time_us > 0);
     let (_wrench, wrench) = listen::<WrenchStamped>(&observer, "wrench", Qos::sensor_data());
     assert!((expect(&wrench, "a wrench", |_| true).wrench.force.z + 2.0).abs() < 0.3);
@@ -200,6 +200,7 @@ fn frames_become_contacts() {
     let (_geometry, geometry) = listen::<SkinGeometry>(&observer, "skin_geometry", Qos::latched());
     let geometry = expect(&geometry, "the geometry, late", |_| true);
     assert_eq!((geometry.taxels.len(), geometry.points.len()), (4, 25));
+    assert_eq!((geometry.unit.as_str(), geometry.channels.len(), geometry.layout_id), ("Pa", 4, layout_id));
     let (_markers, markers) = listen::<MarkerArray>(&observer, "contact_markers", Qos::reliable(1));
     expect(&markers, "an arrow", |m| m.markers[0].action == Marker::ADD);
 

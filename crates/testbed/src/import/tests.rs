@@ -23,6 +23,7 @@ fn data(part: &str) -> Option<PathBuf> {
 struct Imported {
     report: ImportReport,
     frames: Vec<TaxelFrame>,
+    layout: ChannelLayout,
     truths: Vec<Indentation>,
     bag: BagReader,
     _out: tempfile::TempDir,
@@ -36,16 +37,20 @@ fn import(path: &Path) -> Imported {
         bag.read::<TaxelFrame>("taxels").unwrap().map(|read| read.unwrap().message).collect();
     let truths: Vec<_> =
         bag.read::<Indentation>("ground_truth").unwrap().map(|read| read.unwrap().message).collect();
+    // Whatever is known of the skin: the bag names its channels.
+    let geometry = bag.read_only_topic::<SkinGeometry>().unwrap().next().unwrap().unwrap().message;
+    let layout = ChannelLayout::of(&geometry);
     assert_eq!(frames.len(), truths.len());
     assert_eq!(frames.len() as u64, report.readings + report.untouched);
     for (index, (frame, truth)) in frames.iter().zip(&truths).enumerate() {
         assert_eq!(frame.header, truth.header, "labels carry the stamp of their reading");
         assert_eq!(frame.sequence, index as u64);
-        assert_eq!(frame.values.len(), frame.channels.len());
+        assert_eq!(frame.values.len(), layout.channels.len());
+        assert_eq!(frame.layout_id, layout.id());
         assert!(truth.phase != Indentation::PHASE_IDLE || truth.contacts.is_empty());
     }
     assert!(frames.is_sorted_by_key(|frame| frame.header.stamp.as_nanos()));
-    Imported { report, frames, truths, bag, _out: out }
+    Imported { report, frames, truths, layout, bag, _out: out }
 }
 
 /// Measured readings, without the repeated ones of the untouched skin.
@@ -85,7 +90,8 @@ fn eflesh_positions() {
         &first.values,
         &[662.400_024_414_062_5, -830.400_024_414_062_5, 7_647.200_195_312_5, 916.800_048_828_125],
     );
-    assert_eq!((first.unit.as_str(), first.channels[14].as_str()), ("T", "m4.z"));
+    let layout = &imported.layout;
+    assert_eq!((layout.unit.as_str(), layout.channels[14].as_str()), ("T", "m4.z"));
     let contact = &truth.contacts[0];
     assert!(close(contact.position.x, -0.015, 1e-9) && close(contact.position.y, -0.015, 1e-9));
     assert!(
@@ -174,7 +180,7 @@ fn tactile_fsi_line_presses() {
     let (frame, truth) = (&imported.frames[700], &imported.truths[700]);
     assert!(close(f64::from(frame.values[1]), 1_424.189_726, 1e-3));
     assert!(close(truth.contacts[0].position.x, 0.040, 1e-12) && truth.location == 40);
-    assert_eq!(frame.channels, ["pl", "pr"]);
+    assert_eq!(imported.layout.channels, ["pl", "pr"]);
 }
 
 #[test]
@@ -183,7 +189,7 @@ fn tactile_fsi_pad_presses() {
     let imported = import(&path);
     assert_eq!((imported.report.readings, imported.report.locations), (15_376, 961));
     let (frame, truth) = (&imported.frames[4], &imported.truths[4]);
-    assert_eq!(frame.channels, ["pl", "pr", "tl", "tr"]);
+    assert_eq!(imported.layout.channels, ["pl", "pr", "tl", "tr"]);
     assert!(
         close(f64::from(frame.values[0]), 345.390_349, 1e-3) && close(f64::from(frame.values[3]), 4.07, 1e-6)
     );

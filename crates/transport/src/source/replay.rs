@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use dermis_msgs::Message;
 use dermis_msgs::msg::TaxelFrame;
+use dermis_msgs::v0::Upgrade;
 use mcap::records::Record;
 use mcap::sans_io::{
     LinearReadEvent, LinearReader, LinearReaderOptions, SummaryReadEvent, SummaryReader, SummaryReaderOptions,
@@ -54,6 +55,7 @@ pub(super) fn run(plan: &Plan<'_>, queue: &Queue, stop: &Stop) -> Result<(), Str
         chosen: plan.skin.is_some(),
         from: None,
         others: BTreeSet::new(),
+        layout: None,
         queue,
         stop,
         output: Output::new(plan.speed),
@@ -233,6 +235,8 @@ struct Player<'a> {
     from: Option<String>,
     /// Skins whose frames are left out.
     others: BTreeSet<String>,
+    /// Channels of its frames: a device does not change them.
+    layout: Option<u32>,
     queue: &'a Queue,
     stop: &'a Stop,
     output: Output,
@@ -245,19 +249,29 @@ impl Player<'_> {
         let mut schemas = HashMap::new();
         read_records(path, |record| {
             match record {
-                Record::Schema { header, .. } => {
-                    schemas.insert(header.id, header.name);
+                Record::Schema { header, data } if header.name == TaxelFrame::TYPE_NAME => {
+                    schemas.insert(header.id, String::from_utf8_lossy(&data).into_owned());
                 }
                 Record::Channel(channel) => {
-                    let is_frame =
-                        schemas.get(&channel.schema_id).is_some_and(|n| n == TaxelFrame::TYPE_NAME);
-                    if is_frame && self.topics.contains(&channel.topic) {
-                        wanted.insert(channel.id, channel.topic);
+                    let definition = schemas.get(&channel.schema_id);
+                    if let Some(definition) = definition.filter(|_| self.topics.contains(&channel.topic)) {
+                        // A recording may be older than the definition of today.
+                        let upgrade = match channel.metadata.get("topic_type_hash") {
+                            Some(hash) => Upgrade::of_hash(TaxelFrame::TYPE_NAME, hash),
+                            None => Upgrade::of_definition(TaxelFrame::TYPE_NAME, definition),
+                        };
+                        wanted.insert(channel.id, (channel.topic, upgrade));
                     }
                 }
                 Record::Message { header, data } => {
-                    let Some(topic) = wanted.get(&header.channel_id) else { return Ok(Go::On) };
-                    let frame = TaxelFrame::from_cdr(&data).map_err(|e| {
+                    let Some((topic, upgrade)) = wanted.get(&header.channel_id) else { return Ok(Go::On) };
+                    let frame = match upgrade {
+                        Some(upgrade) => {
+                            upgrade.apply(&data, &|_| None).and_then(|data| TaxelFrame::from_cdr(&data))
+                        }
+                        None => TaxelFrame::from_cdr(&data),
+                    };
+                    let frame = frame.map_err(|e| {
                         format!("message {} on {topic} of {} is {e}", self.sent, path.display())
                     })?;
                     if self.is_meant(&frame.skin, topic, path)? {
@@ -297,6 +311,16 @@ impl Player<'_> {
     }
 
     fn send(&mut self, frame: &TaxelFrame, log_time: i64, topic: &str, path: &Path) -> Result<Go, String> {
+        let layout = *self.layout.get_or_insert(frame.layout_id);
+        if layout != frame.layout_id {
+            return Err(format!(
+                "frame {} on {topic} of {} has the channel layout {:08x} where those before have {layout:08x}: the skin was \
+                 changed in the middle",
+                frame.sequence,
+                path.display(),
+                frame.layout_id
+            ));
+        }
         let (wait, bytes) = self
             .output
             .frame(frame, log_time)
