@@ -1,4 +1,4 @@
-//! Data sets, splits, metrics and evaluation; with feature `train`, training and ONNX export.
+//! Data sets, splits, metrics, evaluation, training and ONNX export.
 //!
 //! | word | type | what it is |
 //! |---|---|---|
@@ -11,11 +11,12 @@
 //! | metrics | [`Scores`], [`Summary`] | errors per quantity and force, with intervals over locations |
 //! | evaluation | [`evaluate`], [`Evaluation`] | what an estimator makes of a data set |
 //! | bound | [`Requirement`] | a figure that an evaluation has to reach |
-//! | real2sim | `real2sim` (feature `train`) | readings of a device → a simulated map of displacements → several contacts |
+//! | real2sim | [`real2sim`] | readings of a device → a simulated map of displacements → several contacts |
 //!
 //! All quantities are in SI units and in the frame of the skin's link.
 //!
-//! Feature `train` adds training and the program `dermis-train`; everything else builds without it.
+//! Feature `train` adds convolutional networks, and with them a framework that takes minutes to build; dense networks train
+//! without it.
 
 pub mod adopt;
 mod bounds;
@@ -30,12 +31,10 @@ mod judge;
 mod map;
 mod metrics;
 pub mod plot;
-#[cfg(feature = "train")]
 pub mod real2sim;
 mod recordings;
 pub mod refine;
 mod split;
-#[cfg(feature = "train")]
 pub mod train;
 
 pub use bounds::{Bounds, bounds};

@@ -5,6 +5,7 @@
 //! [`ZeroTracker`](dermis_skin::ZeroTracker) and become inputs in [`Features`](dermis_inference::Features).
 
 mod checkpoint;
+pub mod command;
 mod config;
 mod network;
 mod prepare;
