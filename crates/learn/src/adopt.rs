@@ -224,6 +224,7 @@ pub fn adopt(request: &Adoption<'_>) -> Result<Adopted, LearnError> {
         input_shape: input.fixed().unwrap_or_default(),
         output: output.name.clone(),
         output_shape: output.fixed().unwrap_or_default(),
+        ..Interface::default()
     };
     let (model, runtimes) = trial(request, &graph, &interface, &signature, &place)?;
 
