@@ -138,17 +138,18 @@ struct Neighbours {
 }
 
 impl Neighbours {
-    fn new(count: usize, data: &Dataset, train: &[SampleId], components: ForceComponents) -> Self {
+    fn new(count: usize, data: &Dataset, train: &[SampleId], components: ForceComponents) -> Result<Self> {
         let noise: Vec<f32> = data.skin().channel_noise().iter().map(|n| *n as f32).collect();
         let (mut rows, mut contacts) = (Vec::new(), Vec::new());
-        for (sample, truth) in train.iter().filter_map(|id| data.sample(*id)).filter_map(labelled) {
+        let train = data.gather(train)?;
+        for (sample, truth) in train.iter().filter_map(|(_, sample)| labelled(sample)) {
             let Some(contact) = truth.single().filter(|c| c.force.iter().all(|v| v.is_finite())) else {
                 continue;
             };
             rows.extend(whitened(sample, &noise));
             contacts.push((contact.position, contact.force));
         }
-        Self { count, noise, rows, contacts, surface: data.skin().surface(), components }
+        Ok(Self { count, noise, rows, contacts, surface: data.skin().surface(), components })
     }
 }
 
@@ -233,6 +234,7 @@ pub fn run(options: &Options) -> Result<()> {
     if test.is_empty() {
         bail!("nothing of one contact of {least} N or more was held out of these bags");
     }
+    let asked = data.gather(&test)?;
     let mut methods = methods(options, &skin, &forward, &data, &split.train)?;
     let progress = ProgressBar::new((methods.len() * test.len()) as u64)
         .with_style(ProgressStyle::with_template("{msg} {wide_bar} {eta} left")?);
@@ -240,8 +242,8 @@ pub fn run(options: &Options) -> Result<()> {
     for (name, method) in &mut methods {
         progress.set_message(name.clone());
         let mut evaluator = Evaluator::new().by_force(&options.bins);
-        for id in &test {
-            let Some((sample, truth)) = data.sample(*id).and_then(labelled) else { continue };
+        for (id, sample) in &asked {
+            let Some((sample, truth)) = labelled(sample) else { continue };
             let contacts = method.answer(sample, *id)?.into_iter().collect();
             evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
             progress.inc(1);
@@ -255,7 +257,7 @@ pub fn run(options: &Options) -> Result<()> {
         .transpose()?
         .flatten();
     let places: BTreeSet<u32> =
-        test.iter().filter_map(|id| data.sample(*id)).filter_map(labelled).map(|(_, t)| t.location).collect();
+        asked.iter().filter_map(|(_, sample)| labelled(sample)).map(|(_, t)| t.location).collect();
     let record = json!({
         "skin": skin.name, "readings": test.len(), "places": places.len(), "bins_n": options.bins,
         "methods": rows.iter().map(|(name, e)| json!({ "name": name, "evaluation": e })).collect::<Vec<_>>(),
@@ -307,12 +309,12 @@ fn methods(
             methods.push((format!("{name}: with forward model"), Box::new(refined)));
         }
     }
-    let neighbours = Neighbours::new(options.neighbours, data, train, components);
+    let neighbours = Neighbours::new(options.neighbours, data, train, components)?;
     methods.push((format!("{} nearest neighbours", options.neighbours), Box::new(neighbours)));
-    let presses: Vec<Press> = train
+    let presses: Vec<Press> = data
+        .gather(train)?
         .iter()
-        .filter_map(|id| data.sample(*id))
-        .filter_map(labelled)
+        .filter_map(|(_, sample)| labelled(sample))
         .filter_map(|(sample, truth)| {
             let contact = truth.single()?;
             Some(Press {

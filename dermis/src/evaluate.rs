@@ -79,7 +79,7 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let mut test = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
     if options.in_range {
-        let whole = |id: &SampleId| data.sample(*id).is_some_and(|s| s.frame.flags.iter().all(|f| f.is_ok()));
+        let whole = |id: &SampleId| data.sample(*id).is_some_and(|s| s.flags.iter().all(|f| f.is_ok()));
         let all = || data.labelled().map(|(id, ..)| id).collect();
         let mut kept = test.unwrap_or_else(all);
         kept.retain(whole);

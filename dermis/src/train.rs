@@ -6,5 +6,8 @@ pub use dermis_learn::train::command::Options;
 
 /// Trains in this process.
 pub fn run(options: &Options) -> Result<()> {
-    dermis_learn::train::command::train(options).map_err(|error| anyhow!(error))
+    let find = |path: &std::path::Path, skin: &dermis_skin::SkinDescription| {
+        crate::registry::forward(path, skin).map_err(|error| format!("{error:#}"))
+    };
+    dermis_learn::train::command::train(options, Some(&find)).map_err(|error| anyhow!(error))
 }

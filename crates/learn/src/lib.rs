@@ -4,9 +4,10 @@
 //! |---|---|---|
 //! | data set | [`Dataset`] | frames of labelled bags, tared as a node tares them, joined with the ground truth |
 //! | map | [`LabelMap`] | how a robot's and a force sensor's topics become ground truth |
-//! | adopt | [`adopt`](adopt::adopt) | an ONNX graph that was trained elsewhere becomes a bundle |
+//! | import | [`import_onnx`](import_onnx::import_onnx) | an ONNX graph that was trained elsewhere becomes a bundle |
 //! | export | [`export`] | Parquet and NPZ, for people who train elsewhere |
 //! | finding | [`Findings`] | what data lack, and what that blocks |
+//! | target | [`Target`](target::Target) | what a model learns: scalars of a contact, or maps over the surface |
 //! | split | [`SplitConfig`], [`Split`] | which samples are held out; by default whole contact locations |
 //! | metrics | [`Scores`], [`Summary`] | errors per quantity and force, with intervals over locations |
 //! | evaluation | [`evaluate`], [`Evaluation`] | what an estimator makes of a data set |
@@ -18,16 +19,16 @@
 //! Feature `train` adds convolutional networks, and with them a framework that takes minutes to build; dense networks train
 //! without it.
 
-pub mod adopt;
 mod bounds;
 pub mod card;
 pub mod cli;
 mod dataset;
 mod error;
 mod evaluate;
+mod evaluator;
 pub mod export;
 mod findings;
-mod judge;
+pub mod import_onnx;
 mod map;
 mod metrics;
 pub mod plot;
@@ -35,10 +36,11 @@ pub mod real2sim;
 mod recordings;
 pub mod refine;
 mod split;
+pub mod target;
 pub mod train;
 
 pub use bounds::{Bounds, bounds};
-pub use dataset::{Dataset, DatasetOptions, Run, Sample, SampleId, Truth, TruthContact};
+pub use dataset::{Dataset, DatasetOptions, FrameInfo, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;
 pub use evaluate::{
     Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate, evaluate_by, evaluate_parts,

@@ -45,6 +45,7 @@ fn learn(
         others: &[("other".to_owned(), other.clone())],
         config,
         out,
+        model: None,
         resume: false,
         threads: 2,
         runtime: Runtime::load(&embedded).unwrap(),

@@ -141,7 +141,7 @@ pub fn run(options: &Options) -> Result<()> {
     let learned = Dataset::from_bags(&options.train, &skin, &labels)?;
     let data = Dataset::from_bags(&options.bags, &skin, &labels)?;
     let compliance = Compliance::of(model.as_ref(), 0.010)?;
-    let test = frames(&data, options, &compliance);
+    let test = frames(&data, options, &compliance)?;
     if test.values().all(Vec::is_empty) {
         bail!("these bags hold no frame of one or two contacts of {} N or more each", options.least);
     }
@@ -170,7 +170,7 @@ pub fn run(options: &Options) -> Result<()> {
     {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         let mut peaks = Peaks::new(&Bundle::load(path, &skin)?, model.surface(), runtime)?;
-        if let Some(sample) = data.sample(*id) {
+        if let Some((_, sample)) = data.gather(&[*id])?.first() {
             let map = peaks.map(sample)?.to_vec();
             shown = Some(Shown { map, id: *id });
         }
@@ -205,25 +205,33 @@ pub fn run(options: &Options) -> Result<()> {
 }
 
 /// Touched frames of one and two contacts, evenly thinned.
-fn frames(data: &Dataset, options: &Options, compliance: &Compliance) -> BTreeMap<Kind, Vec<SampleId>> {
+fn frames(
+    data: &Dataset,
+    options: &Options,
+    compliance: &Compliance,
+) -> Result<BTreeMap<Kind, Vec<SampleId>>> {
     let mut all: BTreeMap<Kind, Vec<SampleId>> = BTreeMap::new();
     let heavy = |c: &TruthContact| {
         c.normal_force().is_some_and(|f| f >= options.least)
             && (options.rigid || compliance.gives_way(&c.position))
     };
-    for (id, sample, truth) in data.labelled() {
-        if let Some(kind) = Kind::of(truth)
-            && truth.contacts.iter().all(heavy)
-            && sample.tared.iter().any(|v| v.is_finite())
-        {
-            all.entry(kind).or_default().push(id);
+    for run in 0..data.runs().len() {
+        for (sample, read) in data.stream(run)?.enumerate() {
+            let read = read?;
+            if let Some(truth) = &read.truth
+                && let Some(kind) = Kind::of(truth)
+                && truth.contacts.iter().all(heavy)
+                && read.tared.iter().any(|v| v.is_finite())
+            {
+                all.entry(kind).or_default().push(SampleId { run, sample });
+            }
         }
     }
     for ids in all.values_mut() {
         let step = ids.len().div_ceil(options.most.max(1)).max(1);
         *ids = ids.iter().copied().step_by(step).collect();
     }
-    all
+    Ok(all)
 }
 
 /// All methods, and what was found while they were made.
@@ -243,11 +251,11 @@ fn prepare(
 ) -> Result<Prepared> {
     let runtime = Runtime::load(&RuntimeConfig::default())?;
     let felt = |ids: &[SampleId], most: usize| {
-        let mut all = Recorded::of(learned, ids, options.least * 0.5, most);
+        let mut all = Recorded::of(learned, ids, options.least * 0.5, most)?;
         all.retain(|r| compliance.gives_way(&r.contact.position));
-        all
+        anyhow::Ok(all)
     };
-    let (recorded, chosen) = (felt(learn, options.learn), felt(choose, options.learn / 4));
+    let (recorded, chosen) = (felt(learn, options.learn)?, felt(choose, options.learn / 4)?);
     if recorded.is_empty() || chosen.is_empty() {
         bail!("the bags of `--train` hold no single contact of known place, force and tip");
     }
@@ -356,9 +364,9 @@ fn row(
     let mut evaluator = Evaluator::new().by_force(bins);
     let (mut distances, mut forces) = (Vec::new(), Vec::new());
     let (mut right, mut wanted) = (0usize, 0usize);
+    let read = data.gather(ids)?;
     let started = Instant::now();
-    for id in ids {
-        let Some(sample) = data.sample(*id) else { continue };
+    for (id, sample) in &read {
         let Some(truth) = sample.truth.as_ref() else { continue };
         let contacts = method.contacts(sample)?;
         bar.inc(1);

@@ -18,7 +18,7 @@ struct Program {
 
 fn main() -> ExitCode {
     dermis_io::pipe::end_quietly();
-    match command::train(&Program::parse().options) {
+    match command::train(&Program::parse().options, None) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error}");

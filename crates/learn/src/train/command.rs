@@ -6,12 +6,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use dermis_inference::{Runtime, RuntimeConfig};
+use dermis_model::ForwardModel;
 use dermis_skin::SkinDescription;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use serde_json::json;
 
+use super::run::check_framework;
 use super::{Outcome, Progress, Request, TrainConfig, run};
 use crate::cli::Labels;
+use crate::target::MapTarget;
 use crate::{Dataset, LearnError, Requirement, SplitKind, Verdicts};
 
 /// Learn contacts from labelled bags, and write a model bundle.
@@ -103,17 +106,25 @@ fn configuration(options: &Options) -> Result<TrainConfig, LearnError> {
     Ok(config)
 }
 
-/// Reads the bags, says what they lack, trains, and prints the figures.
+/// Finds the forward model of a skin, whose description lies at the path.
+pub type FindModel<'a> = &'a dyn Fn(&Path, &SkinDescription) -> Result<Arc<dyn ForwardModel>, String>;
+
+/// Reads the bags, says what they lack, trains, and prints the figures. `find` gives the forward model where a target needs
+/// it.
 ///
 /// # Errors
 ///
 /// [`LearnError`] says what is wrong with configuration, data or files, or that a requirement is missed.
-pub fn train(options: &Options) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+pub fn train(
+    options: &Options,
+    find: Option<FindModel<'_>>,
+) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
     let config = configuration(options)?;
+    check_framework(&config)?;
     let skin = SkinDescription::load(&options.skin)?;
     let how = options.labels.options()?;
     let data = Dataset::survey(&options.bags, &skin, &how)?;
-    let findings = data.check(&config.outputs(), config.baseline, &config.split);
+    let findings = data.check(&config.scalars(), config.baseline, &config.split);
     if findings.is_fatal() {
         return Err(LearnError::Unfit(findings).into());
     }
@@ -147,6 +158,7 @@ pub fn train(options: &Options) -> Result<(), Box<dyn std::error::Error + Send +
         data: &data,
         others: &others,
         config: &config,
+        model: forward_model(options, &config, &skin, find)?,
         out,
         resume: options.resume,
         threads,
@@ -163,6 +175,22 @@ pub fn train(options: &Options) -> Result<(), Box<dyn std::error::Error + Send +
         bar.finish_and_clear();
     }
     Ok(report(options, out, &outcome)?)
+}
+
+/// The forward model, where a map is learned.
+fn forward_model(
+    options: &Options,
+    config: &TrainConfig,
+    skin: &SkinDescription,
+    find: Option<FindModel<'_>>,
+) -> Result<Option<Arc<dyn ForwardModel>>, LearnError> {
+    let Some(find) = find.filter(|_| !config.maps().is_empty()) else { return Ok(None) };
+    match find(&options.skin, skin) {
+        Ok(model) => Ok(Some(model)),
+        // Forces are spread without a model, too.
+        Err(_) if !config.maps().contains(&MapTarget::Displacement) => Ok(None),
+        Err(reason) => Err(LearnError::Training { reason }),
+    }
 }
 
 /// A progress bar for each network; they hide themselves where no one watches.
