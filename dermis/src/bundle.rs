@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use dermis_inference::{Runtime, RuntimeConfig};
-use dermis_learn::adopt::{Adoption, Wiring, adopt};
 use dermis_learn::cli::Labels;
+use dermis_learn::import_onnx::{ImportRequest, Wiring, import_onnx};
 use dermis_learn::{Dataset, SplitConfig, SplitKind};
 use dermis_skin::SkinDescription;
 
@@ -63,7 +63,7 @@ pub fn run(command: &Bundle) -> Result<()> {
         eprintln!("note: {notice}");
     }
     let split = options.split.map(|kind| SplitConfig { kind, ..SplitConfig::default() });
-    let adopted = adopt(&Adoption {
+    let adopted = import_onnx(&ImportRequest {
         skin: &skin,
         onnx: &options.onnx,
         outputs: &options.outputs,

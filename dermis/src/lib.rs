@@ -88,9 +88,11 @@ enum Command {
     Import(bags::Import),
     /// Let the virtual testbed press a simulated skin, and record a labelled bag.
     Collect(collect::Options),
-    /// Learn contacts from labelled bags, and write a model bundle (program dermis-train).
-    #[command(disable_help_flag = true)]
-    Train(train::Options),
+    /// Learn contacts from labelled bags, and write a model bundle.
+    ///
+    /// The bundle is measured on what was held out of the bags, and on other bags given with `--test`. Ctrl-C saves the
+    /// state; the same command with `--resume` goes on. Flags override the configuration file.
+    Train(Box<train::Options>),
     /// Have a bundle's answers refined on the skin's forward model, where recordings show that this helps.
     Refine(refine::Options),
     /// Measure model bundles on labelled bags; exits with 1 where a requirement is missed.

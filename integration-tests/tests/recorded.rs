@@ -121,7 +121,7 @@ fn online_equals_offline(
     let mut encoder = NativeEncoder::new(NativeFormat::F32);
     let mut errors: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     let mut presses = 0;
-    let samples = &data.runs()[0].samples;
+    let samples: Vec<_> = data.stream(0).unwrap().collect::<Result<_, _>>().unwrap();
     for (k, sample) in samples.iter().enumerate() {
         if presses >= PRESSES {
             break;

@@ -74,7 +74,7 @@ fn a_recording_beside_a_rig_trains_as_well_as_one_beside_our_ground_truth() {
     let (known, measured) = (read(None), read(Some(LabelMap::load(root().join(MAP)).unwrap())));
     let (mut count, mut squares, mut worst) = (0.0, 0.0, 0.0_f64);
     for (ours, rig) in known.runs()[0].samples.iter().zip(&measured.runs()[0].samples) {
-        assert_eq!(ours.frame.stamp, rig.frame.stamp);
+        assert_eq!(ours.stamp, rig.stamp);
         let (Some(a), Some(b)) = (&ours.truth, &rig.truth) else { continue };
         let (Some(a), Some(b)) = (a.single(), b.single()) else { continue };
         let force = a.normal_force().unwrap();

@@ -361,10 +361,11 @@ fn mapped(
     let surface = skin.surface();
     for (run, read) in data.runs().iter().enumerate() {
         recording.sessions.push(read.session.clone());
-        let begin = read.samples.first().map_or(0, |s| s.frame.stamp);
+        let begin = read.samples.first().map_or(0, |s| s.stamp);
         let mut doubts = Doubts::default();
         let first = recording.moments.len();
-        for sample in &read.samples {
+        for sample in data.stream(run)? {
+            let sample = sample?;
             let mut moment = Moment {
                 time: (sample.frame.stamp - begin) as f64 * 1e-9,
                 run: run as u32,

@@ -1,5 +1,6 @@
-//! Model bundles: a folder with `bundle.toml`, `model.onnx`, `sensitivity.onnx` where contacts are read off a map,
-//! `correction.json` where a forward model was corrected by what was recorded, and, for people, `card.json`.
+//! Model bundles: a folder with `bundle.toml`, `model.onnx`, `normalisation.npy` where the channels are many,
+//! `sensitivity.onnx` where contacts are read off a map, `correction.json` where a forward model was corrected by what was
+//! recorded, and, for people, `card.json`.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -14,8 +15,9 @@ use crate::features::Features;
 use crate::file;
 use crate::interface::Interface;
 use crate::limits::Limits;
-use crate::manifest::{Manifest, ManifestError, ModelSection, SkinSection};
+use crate::manifest::{FileSection, Manifest, ManifestError, ModelSection, SkinSection};
 use crate::model::{Model, ModelError};
+use crate::normalisation;
 use crate::onnx;
 use crate::outputs::Outputs;
 use crate::peaks::PeakSection;
@@ -26,6 +28,7 @@ const MANIFEST: &str = "bundle.toml";
 const MODEL: &str = "model.onnx";
 const SENSITIVITY: &str = "sensitivity.onnx";
 const CORRECTION: &str = "correction.json";
+const NORMALISATION: &str = "normalisation.npy";
 const CARD: &str = "card.json";
 /// \[bytes\] longest file of a correction: a device has thousands of channels at most.
 const LONGEST_CORRECTION: u64 = 64 << 20;
@@ -230,7 +233,8 @@ impl Bundle {
             field: "(whole file)".into(),
             reason: "is not UTF-8 text".into(),
         })?;
-        let manifest = Manifest::from_toml(&text, &manifest_path.display().to_string())?;
+        let mut manifest = Manifest::from_toml(&text, &manifest_path.display().to_string())?;
+        read_normalisation(path, &mut manifest, limits)?;
         fits(path, &manifest.skin, skin)?;
         let graph = read_graph(path, (MODEL, "model"), &manifest.model, limits)?;
         let sensitivity = match &manifest.peaks {
@@ -307,6 +311,12 @@ impl Bundle {
         correction: Option<Correction>,
     ) -> Result<(), BundleError> {
         let path = self.path.join(MANIFEST);
+        if manifest.input.mean != self.manifest.input.mean
+            || manifest.input.scale != self.manifest.input.scale
+        {
+            // The file that is there holds others.
+            manifest.normalisation = None;
+        }
         match (&correction, &mut manifest.correction) {
             (Some(correction), section @ Some(_)) => {
                 let file = self.path.join(CORRECTION);
@@ -323,14 +333,17 @@ impl Bundle {
                     // Whatever comes in between, the manifest never speaks of another file than is there.
                     let mut bare = self.manifest.clone();
                     bare.correction = None;
-                    replace(&path, &toml::to_string(&bare).map_err(|e| self.encode(MANIFEST, &e))?)?;
+                    replace(
+                        &path,
+                        &toml::to_string(&*bare.written()).map_err(|e| self.encode(MANIFEST, &e))?,
+                    )?;
                 }
                 replace(&file, &text)?;
             }
             (_, section) => *section = None,
         }
         manifest.validate(&path.display().to_string())?;
-        replace(&path, &toml::to_string(&manifest).map_err(|e| self.encode(MANIFEST, &e))?)?;
+        replace(&path, &toml::to_string(&*manifest.written()).map_err(|e| self.encode(MANIFEST, &e))?)?;
         self.correction = correction.filter(|_| manifest.correction.is_some());
         if self.correction.is_none() {
             // Nothing speaks of it any more, so that it does no harm where it cannot be removed.
@@ -384,7 +397,21 @@ impl Bundle {
     }
 
     /// The files that a bundle may consist of.
-    pub const FILES: [&str; 5] = [MANIFEST, MODEL, SENSITIVITY, CORRECTION, CARD];
+    pub const FILES: [&str; 6] = [MANIFEST, MODEL, NORMALISATION, SENSITIVITY, CORRECTION, CARD];
+}
+
+/// Takes mean and scale from their file, where the manifest speaks of one.
+fn read_normalisation(folder: &Path, manifest: &mut Manifest, limits: &Limits) -> Result<(), BundleError> {
+    let Some(section) = &manifest.normalisation else { return Ok(()) };
+    let expected = (section.bytes, section.hash.as_str());
+    let bytes = read_whole(folder, (NORMALISATION, "normalisation"), expected, limits.manifest_bytes)?;
+    let path = folder.join(NORMALISATION);
+    let (mean, scale) = normalisation::decode(&bytes, manifest.skin.channels.len()).map_err(|reason| {
+        ManifestError::Impossible { file: path.display().to_string(), field: "(whole file)".into(), reason }
+    })?;
+    (manifest.input.mean, manifest.input.scale) = (mean, scale);
+    manifest.validate(&path.display().to_string())?;
+    Ok(())
 }
 
 /// Reads a graph and checks that it is the one that the manifest speaks of.
@@ -556,11 +583,16 @@ impl BundleWriter {
             onnx::check(sensitivity, &peaks.sensitivity.interface)
                 .map_err(|source| BundleError::Model { path: path.join(SENSITIVITY), source })?;
         }
+        let normalisation = (self.manifest.input.channels() >= normalisation::FROM)
+            .then(|| normalisation::encode(&self.manifest.input));
+        self.manifest.normalisation =
+            normalisation.as_ref().map(|bytes| FileSection { bytes: bytes.len() as u64, hash: hash(bytes) });
         self.manifest.validate(&path.join(MANIFEST).display().to_string())?;
         onnx::check(graph, &self.manifest.model.interface)
             .map_err(|source| BundleError::Model { path: path.join(MODEL), source })?;
         let encode = |file, reason: String| BundleError::Encode { path: path.to_owned(), file, reason };
-        let manifest = toml::to_string(&self.manifest).map_err(|e| encode(MANIFEST, e.to_string()))?;
+        let manifest =
+            toml::to_string(&*self.manifest.written()).map_err(|e| encode(MANIFEST, e.to_string()))?;
         let card = serde_json::to_string_pretty(&self.card).map_err(|e| encode(CARD, e.to_string()))? + "\n";
 
         let exists = path.exists();
@@ -579,7 +611,9 @@ impl BundleWriter {
         let scratch = scratch_folder(parent).map_err(written(parent))?;
         let sensitivity = self.sensitivity.as_deref().filter(|_| self.manifest.peaks.is_some());
         let files = [(MANIFEST, manifest.as_bytes()), (MODEL, graph), (CARD, card.as_bytes())];
-        for (file, content) in files.into_iter().chain(sensitivity.map(|graph| (SENSITIVITY, graph))) {
+        let optional = [(SENSITIVITY, sensitivity), (NORMALISATION, normalisation.as_deref())];
+        let optional = optional.into_iter().filter_map(|(file, content)| Some((file, content?)));
+        for (file, content) in files.into_iter().chain(optional) {
             let at = scratch.path().join(file);
             std::fs::File::create(&at)
                 .and_then(|mut f| f.write_all(content).and_then(|()| f.sync_all()))

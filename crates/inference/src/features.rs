@@ -55,8 +55,10 @@ pub enum Missing {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FeatureConfig {
     /// Subtracted from each channel, in the unit of the skin.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub mean: Vec<f32>,
     /// Each channel is divided by it after that, in the unit of the skin; positive.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scale: Vec<f32>,
     /// Frames that the model sees.
     #[serde(default)]

@@ -21,6 +21,7 @@ mod interface;
 mod limits;
 mod manifest;
 mod model;
+mod normalisation;
 pub mod onnx;
 mod outputs;
 mod peaks;
@@ -31,9 +32,11 @@ pub mod trial;
 pub use bundle::{Bundle, BundleError, BundleWriter, SkinMismatch};
 pub use correction::{CorrectionError, CorrectionSection};
 pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
-pub use interface::Interface;
+pub use interface::{Interface, TensorPort};
 pub use limits::Limits;
-pub use manifest::{Baseline, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection};
+pub use manifest::{
+    Baseline, FileSection, Manifest, ManifestError, ModelSection, SkinSection, TrainingSection,
+};
 pub use model::{Model, ModelError, rehearse_embedded};
 pub use outputs::{Link, OutputConfig, OutputError, OutputSpec, Outputs, SigmaBin};
 pub use peaks::{MAP_DISPLACEMENT, MapContacts, PeakSection};

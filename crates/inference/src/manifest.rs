@@ -1,5 +1,6 @@
 //! `bundle.toml`: what a bundle says about itself.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use dermis_inversion::Settings;
@@ -8,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::correction::CorrectionSection;
 use crate::features::{FeatureConfig, FeatureError};
-use crate::interface::Interface;
+use crate::interface::{Interface, elements};
 use crate::outputs::{OutputConfig, OutputError};
 use crate::peaks::{MAP_DISPLACEMENT, PeakSection};
 
@@ -62,6 +63,15 @@ pub struct ModelSection {
     pub interface: Interface,
 }
 
+/// A file beside the manifest.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct FileSection {
+    /// Its length in bytes.
+    pub bytes: u64,
+    /// `sha256:` and 64 hex digits over its content.
+    pub hash: String,
+}
+
 /// Where a model comes from.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TrainingSection {
@@ -96,6 +106,10 @@ pub struct Manifest {
     pub model: ModelSection,
     /// How frames become its input.
     pub input: FeatureConfig,
+    /// The file that holds mean and scale of the channels, where they are many; `input` holds them where absent. A bundle
+    /// that was read has them in `input`, too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub normalisation: Option<FileSection>,
     /// What its output means.
     pub output: OutputConfig,
     /// Where it comes from.
@@ -180,6 +194,7 @@ impl Manifest {
             skin: SkinSection::of(skin),
             model: ModelSection { interface, ..Default::default() },
             input,
+            normalisation: None,
             output,
             training,
             inversion: None,
@@ -224,6 +239,28 @@ impl Manifest {
         Ok(manifest)
     }
 
+    /// The input, with stand-ins for mean and scale while these are in a file that was not read yet.
+    fn whole_input(&self) -> Cow<'_, FeatureConfig> {
+        if self.normalisation.is_none() || !self.input.mean.is_empty() || !self.input.scale.is_empty() {
+            return Cow::Borrowed(&self.input);
+        }
+        let mut input = self.input.clone();
+        input.mean = vec![0.0; self.skin.channels.len()];
+        input.scale = vec![1.0; self.skin.channels.len()];
+        Cow::Owned(input)
+    }
+
+    /// As it is written: mean and scale are in their file, where there is one.
+    pub(crate) fn written(&self) -> Cow<'_, Self> {
+        if self.normalisation.is_none() {
+            return Cow::Borrowed(self);
+        }
+        let mut written = self.clone();
+        written.input.mean.clear();
+        written.input.scale.clear();
+        Cow::Owned(written)
+    }
+
     /// Says what is impossible; `file` is what errors call the manifest.
     ///
     /// # Errors
@@ -233,7 +270,8 @@ impl Manifest {
         let wrong = |field: &str, reason: String| {
             Err(ManifestError::Impossible { file: file.to_owned(), field: field.to_owned(), reason })
         };
-        if let Err(FeatureError::Impossible { field, reason }) = self.input.validate() {
+        let input = self.whole_input();
+        if let Err(FeatureError::Impossible { field, reason }) = input.validate() {
             return wrong(&format!("input.{field}"), reason);
         }
         if let Err(OutputError::Impossible { field, reason }) = self.output.validate() {
@@ -248,21 +286,48 @@ impl Manifest {
         if !is_hash(&self.model.hash) {
             return wrong("model.hash", "must be `sha256:` and 64 hex digits".into());
         }
-        if self.skin.channels.len() != self.input.channels() {
+        if let Some(section) = &self.normalisation
+            && !is_hash(&section.hash)
+        {
+            return wrong("normalisation.hash", "must be `sha256:` and 64 hex digits".into());
+        }
+        if self.skin.channels.len() != input.channels() {
             return wrong(
                 "input.mean",
                 format!(
                     "has {} entries where `skin.channels` names {}",
-                    self.input.channels(),
+                    input.channels(),
                     self.skin.channels.len()
                 ),
             );
         }
         let interface = &self.model.interface;
         let sides = [
-            ("input_shape", &interface.input_shape, interface.input_len(), "[input]", self.input.input_len()),
+            // Further inputs are tensors that the sensor's estimator fills: an image, say.
+            (
+                "input_shape",
+                &interface.input_shape,
+                elements(&interface.input_shape),
+                "[input]",
+                input.input_len(),
+            ),
             ("output_shape", &interface.output_shape, interface.output_len(), "[output]", self.output.len()),
         ];
+        for (field, ports) in
+            [("more_inputs", &interface.more_inputs), ("more_outputs", &interface.more_outputs)]
+        {
+            for (i, port) in ports.iter().enumerate() {
+                if port.shape.first() != Some(&1) || elements(&port.shape).is_none() {
+                    return wrong(
+                        &format!("model.interface.{field}[{i}].shape"),
+                        format!(
+                            "is {:?} and must have batch 1 and a sensible number of elements",
+                            port.shape
+                        ),
+                    );
+                }
+            }
+        }
         for (field, shape, len, table, expected) in sides {
             if shape.first() != Some(&1) || len != Some(expected) {
                 return wrong(

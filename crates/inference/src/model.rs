@@ -1,5 +1,6 @@
 //! One loaded graph.
 
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use ort::session::Session;
@@ -7,7 +8,7 @@ use ort::session::builder::GraphOptimizationLevel;
 use ort::value::Tensor;
 use tract_onnx::prelude::{Framework, InferenceModelExt, IntoRunnable, TractError, TypedSimpleState, tvec};
 
-use crate::interface::Interface;
+use crate::interface::{Interface, elements};
 use crate::onnx;
 use crate::runtime::Runtime;
 
@@ -126,10 +127,17 @@ pub struct Model {
 /// What evaluates it.
 #[derive(Debug)]
 enum Engine {
-    Native { session: Session, input: Tensor<f32>, output: String },
+    Native { session: Session, inputs: Vec<(String, Tensor<f32>)>, outputs: Vec<String> },
     // One state for all runs: a new one for each costs as much again as the arithmetic, and what operators keep for a
     // state that has gone is not all given back.
-    Embedded { state: TypedSimpleState, shape: Vec<usize>, output: usize },
+    Embedded { state: TypedSimpleState, inputs: Vec<Part>, outputs: Vec<usize> },
+}
+
+/// An input tensor in the order of the graph: which of the numbers that go in are its own.
+#[derive(Debug)]
+struct Part {
+    numbers: Range<usize>,
+    shape: Vec<usize>,
 }
 
 impl Model {
@@ -154,9 +162,14 @@ impl Model {
                         .commit_from_memory(bytes)
                 })()
                 .map_err(|e: ort::Error| refused(e.to_string()))?;
-                let input = Tensor::from_array((interface.input_shape.clone(), vec![0.0_f32; input_len]))
-                    .map_err(|e| refused(e.to_string()))?;
-                Engine::Native { session, input, output: interface.output.clone() }
+                let tensor = |(name, shape): (&str, &[usize])| {
+                    let zeros = vec![0.0_f32; elements(shape).unwrap_or_default()];
+                    Ok((name.to_owned(), Tensor::from_array((shape.to_vec(), zeros))?))
+                };
+                let inputs = interface.inputs().map(tensor).collect::<Result<_, ort::Error>>();
+                let inputs = inputs.map_err(|e| refused(e.to_string()))?;
+                let outputs = interface.outputs().map(|(name, _)| name.to_owned()).collect();
+                Engine::Native { session, inputs, outputs }
             }
             None => embedded(bytes, interface).map_err(refused)?,
         };
@@ -244,33 +257,55 @@ impl Model {
         if let Some(index) = input.iter().position(|x| !x.is_finite()) {
             return Err(ModelError::InputNotFinite { index });
         }
+        let before = output.len();
         match &mut self.engine {
-            Engine::Native { session, input: tensor, output: name } => {
-                tensor.extract_tensor_mut().1.copy_from_slice(input);
+            Engine::Native { session, inputs, outputs: names } => {
                 let run = |e: ort::Error| ModelError::Run { reason: e.to_string() };
-                let outputs = session.run(ort::inputs![&*tensor]).map_err(run)?;
-                let values = outputs
-                    .get(name.as_str())
-                    .ok_or_else(|| ModelError::Run { reason: format!("no output `{name}` came out") })?;
-                let (_, values) = values.try_extract_tensor::<f32>().map_err(run)?;
-                check_len(values.len(), self.output_len)?;
-                output.extend_from_slice(values);
+                let mut rest = input;
+                for (_, tensor) in inputs.iter_mut() {
+                    let slots = tensor.extract_tensor_mut().1;
+                    let (own, others) = rest.split_at(slots.len());
+                    slots.copy_from_slice(own);
+                    rest = others;
+                }
+                let outputs = match inputs.as_slice() {
+                    [(_, tensor)] => session.run(ort::inputs![tensor]),
+                    several => {
+                        let named: Vec<(&str, &Tensor<f32>)> =
+                            several.iter().map(|(name, tensor)| (name.as_str(), tensor)).collect();
+                        session.run(named)
+                    }
+                };
+                let outputs = outputs.map_err(run)?;
+                for name in names {
+                    let values = outputs
+                        .get(name.as_str())
+                        .ok_or_else(|| ModelError::Run { reason: format!("no output `{name}` came out") })?;
+                    let (_, values) = values.try_extract_tensor::<f32>().map_err(run)?;
+                    output.extend_from_slice(values);
+                }
             }
-            Engine::Embedded { state, shape, output: index } => {
+            Engine::Embedded { state, inputs, outputs: indices } => {
                 let run = |e: TractError| ModelError::Run { reason: format!("{e:#}") };
-                let tensor = tract_onnx::prelude::Tensor::from_shape(shape, input).map_err(run)?;
-                let outputs = caught(|| state.run(tvec!(tensor.into())))
+                let mut tensors = tvec!();
+                for part in inputs {
+                    let numbers = input.get(part.numbers.clone()).unwrap_or_default();
+                    let tensor =
+                        tract_onnx::prelude::Tensor::from_shape(&part.shape, numbers).map_err(run)?;
+                    tensors.push(tensor.into());
+                }
+                let outputs = caught(|| state.run(tensors))
                     .map_err(|reason| ModelError::Run { reason })?
                     .map_err(run)?;
-                let values = outputs
-                    .get(*index)
-                    .ok_or_else(|| ModelError::Run { reason: format!("no output {index} came out") })?;
-                let values = values.to_plain_array_view::<f32>().map_err(run)?;
-                check_len(values.len(), self.output_len)?;
-                output.extend(values.iter());
+                for index in indices {
+                    let values = outputs
+                        .get(*index)
+                        .ok_or_else(|| ModelError::Run { reason: format!("no output {index} came out") })?;
+                    output.extend(values.to_plain_array_view::<f32>().map_err(run)?.iter());
+                }
             }
         }
-        Ok(())
+        check_len(output.len() - before, self.output_len)
     }
 }
 
@@ -288,15 +323,28 @@ fn refusal(runtime: String, reason: &str) -> ModelError {
 /// A graph in the embedded runtime, ready to run.
 fn embedded(bytes: &[u8], interface: &Interface) -> Result<Engine, String> {
     let signature = onnx::Signature::read(bytes).map_err(|e| e.to_string())?;
-    let output = signature
-        .outputs
-        .iter()
-        .position(|tensor| tensor.name == interface.output)
-        .ok_or_else(|| format!("it has no output `{}`", interface.output))?;
+    let place = |name: &str| signature.outputs.iter().position(|tensor| tensor.name == name);
+    let outputs = interface
+        .outputs()
+        .map(|(name, _)| place(name).ok_or_else(|| format!("it has no output `{name}`")))
+        .collect::<Result<_, _>>()?;
+    let mut start = 0;
+    let mut parts = std::collections::BTreeMap::new();
+    for (name, shape) in interface.inputs() {
+        let end = start + elements(shape).unwrap_or_default();
+        parts.insert(name, Part { numbers: start..end, shape: shape.to_vec() });
+        start = end;
+    }
+    let take = |tensor: &onnx::GraphTensor| {
+        parts
+            .remove(tensor.name.as_str())
+            .ok_or_else(|| format!("it has an input `{}` too many", tensor.name))
+    };
+    let inputs = signature.inputs.iter().map(take).collect::<Result<_, _>>()?;
     let prepare =
         || tract_onnx::onnx().model_for_read(&mut &*bytes)?.into_optimized()?.into_runnable()?.spawn();
     let state = caught(prepare)?.map_err(|e: TractError| format!("{e:#}"))?;
-    Ok(Engine::Embedded { state, shape: interface.input_shape.clone(), output })
+    Ok(Engine::Embedded { state, inputs, outputs })
 }
 
 /// The embedded runtime may panic on a graph that parses but makes no sense; here that becomes a refusal.

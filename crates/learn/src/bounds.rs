@@ -64,16 +64,16 @@ pub fn bounds(
     let stimuli: Vec<(Stimulus, &[ChannelFlags])> = data
         .labelled()
         .filter(|(id, _, truth)| truth.touched() && only.as_ref().is_none_or(|ids| ids.contains(id)))
-        .filter_map(|(_, sample, truth)| Some((stimulus(truth)?, sample.frame.flags.as_slice())))
+        .filter_map(|(_, sample, truth)| Some((stimulus(truth)?, &*sample.flags)))
         .collect();
-    let mut heard = Heard { model, noise: model.noise().to_vec() };
+    let mut masked = MaskedModel { model, noise: model.noise().to_vec() };
     let mut found: Vec<(f64, ContactBound)> = Vec::new();
     for (stimulus, flags) in stimuli.iter().step_by(stimuli.len().div_ceil(MOST).max(1)) {
-        heard.noise.copy_from_slice(model.noise());
-        for (noise, _) in heard.noise.iter_mut().zip(*flags).filter(|(_, f)| !f.is_ok()) {
-            *noise = DEAF;
+        masked.noise.copy_from_slice(model.noise());
+        for (noise, _) in masked.noise.iter_mut().zip(*flags).filter(|(_, f)| !f.is_ok()) {
+            *noise = MASKED_NOISE;
         }
-        match cramer_rao(&heard, stimulus, unknowns) {
+        match cramer_rao(&masked, stimulus, unknowns) {
             Ok(all) => {
                 let surface = model.surface();
                 found.extend(stimulus.contacts.iter().zip(all).map(|(contact, bound)| {
@@ -97,15 +97,15 @@ pub fn bounds(
 }
 
 /// Noise of a channel that tells nothing, in any unit.
-const DEAF: f64 = 1e30;
+const MASKED_NOISE: f64 = 1e30;
 
 /// A model of which some channels tell nothing.
-struct Heard<'a> {
+struct MaskedModel<'a> {
     model: &'a dyn ForwardModel,
     noise: Vec<f64>,
 }
 
-impl ForwardModel for Heard<'_> {
+impl ForwardModel for MaskedModel<'_> {
     fn channels(&self) -> usize {
         self.model.channels()
     }

@@ -5,16 +5,22 @@ use std::collections::{BTreeMap, BTreeSet};
 use dermis_inference::{Manifest, SigmaBin};
 use serde_json::{Value, json};
 
-use crate::dataset::{Dataset, Run, SampleId, Truth};
+use crate::LearnError;
+use crate::dataset::{Dataset, SampleId, Truth};
 use crate::evaluate::Evaluation;
 use crate::metrics::{Bin, FORCE_BINS, bin_of};
 
 /// Everything that is true of the data, whatever is learned from it.
-pub fn of_data(data: &Dataset) -> BTreeMap<String, Value> {
+///
+/// # Errors
+///
+/// [`LearnError`] where a bag cannot be read once more.
+pub fn of_data(data: &Dataset) -> Result<BTreeMap<String, Value>, LearnError> {
     let skin = data.skin();
-    let bags = data.runs().iter().map(|run| {
-        let stamps = || run.samples.iter().map(|s| s.frame.stamp);
-        json!({
+    let mut bags = Vec::new();
+    for (index, run) in data.runs().iter().enumerate() {
+        let stamps = || run.samples.iter().map(|s| s.stamp);
+        bags.push(json!({
             "name": run.path.file_name().map(|n| n.to_string_lossy()),
             "session": run.session,
             "hash": run.hash,
@@ -23,16 +29,16 @@ pub fn of_data(data: &Dataset) -> BTreeMap<String, Value> {
             "lost": run.lost,
             "seconds": stamps().max().zip(stamps().min()).map(|(last, first)| (last - first) as f64 * 1e-9),
             "tares": run.samples.iter().filter(|s| s.tare).count(),
-            "noise": noise(run),
+            "noise": noise(data, index)?,
             "force_sensor": run.bias,
-        })
-    });
+        }));
+    }
     let presses: BTreeSet<(usize, u64)> =
         data.labelled().filter(|(_, _, t)| t.touched()).map(|(id, _, t)| (id.run, t.press)).collect();
     let sessions: BTreeSet<&str> = data.runs().iter().map(|r| r.session.as_str()).collect();
     let card = [
         ("skin", json!({ "name": skin.name, "hash": skin.hash(), "unit": skin.unit, "rate_hz": skin.rate })),
-        ("bags", bags.collect()),
+        ("bags", json!(bags)),
         ("data_hash", json!(data.hash())),
         ("sessions", json!(sessions)),
         ("locations", json!(data.locations())),
@@ -43,25 +49,36 @@ pub fn of_data(data: &Dataset) -> BTreeMap<String, Value> {
         ("notices", json!(data.notices())),
         ("program", json!(format!("dermis {}", env!("CARGO_PKG_VERSION")))),
     ];
-    card.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+    Ok(card.into_iter().map(|(key, value)| (key.to_owned(), value)).collect())
 }
 
 /// Standard deviation of an untouched reading minus its zero, in the unit of the skin: the median and the largest of
 /// the channels; `None` where nothing is known to be untouched.
-pub(crate) fn noise(run: &Run) -> Option<Value> {
-    let channels = run.samples.first()?.tared.len();
-    let mut all: Vec<f64> = (0..channels)
-        .filter_map(|i| {
-            let idle = run.samples.iter().filter(|s| s.truth.as_ref().is_some_and(|t| t.idle));
-            let values: Vec<f64> = idle.map(|s| f64::from(s.tared[i])).filter(|v| v.is_finite()).collect();
-            let count = values.len() as f64;
-            let mean = values.iter().sum::<f64>() / count;
-            let squares = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
-            (values.len() > 1).then(|| (squares / (count - 1.0)).sqrt())
-        })
-        .collect();
+pub(crate) fn noise(data: &Dataset, run: usize) -> Result<Option<Value>, LearnError> {
+    let channels = data.skin().channels().len();
+    let each = |take: &mut dyn FnMut(usize, f64)| -> Result<(), LearnError> {
+        for sample in data.stream(run)? {
+            let sample = sample?;
+            if sample.truth.as_ref().is_some_and(|t| t.idle) {
+                let known = sample.tared.iter().enumerate().filter(|(_, v)| v.is_finite());
+                known.for_each(|(i, v)| take(i, f64::from(*v)));
+            }
+        }
+        Ok(())
+    };
+    // Twice over the frames: the sum of squares of raw numbers loses the digits that matter.
+    let (mut counts, mut sums, mut squares) = (vec![0.0; channels], vec![0.0; channels], vec![0.0; channels]);
+    each(&mut |i, v| {
+        counts[i] += 1.0;
+        sums[i] += v;
+    })?;
+    each(&mut |i, v| squares[i] += (v - sums[i] / counts[i]).powi(2))?;
+    let known = counts.iter().zip(&squares).filter(|(n, _)| **n > 1.0);
+    let mut all: Vec<f64> =
+        known.map(|(count, squares): (&f64, &f64)| (squares / (count - 1.0)).sqrt()).collect();
     all.sort_by(f64::total_cmp);
-    Some(json!({ "median": all.get(all.len() / 2)?, "max": all.last()? }))
+    let middle = all.get(all.len() / 2).zip(all.last());
+    Ok(middle.map(|(median, max)| json!({ "median": median, "max": max })))
 }
 
 /// \[m\] least and largest coordinate that was pressed.

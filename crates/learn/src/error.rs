@@ -15,6 +15,12 @@ pub enum LearnError {
     /// A bag cannot be read.
     #[error(transparent)]
     Bag(#[from] BagError),
+    /// A bag that is not what it was when it was first read.
+    #[error("bag {bag} has changed since it was first read: leave it alone until this command ends")]
+    Changed {
+        /// The bag.
+        bag: PathBuf,
+    },
     /// The data cannot be used as asked; all reasons at once.
     #[error("{0}")]
     Unfit(Findings),

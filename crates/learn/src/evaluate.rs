@@ -289,7 +289,8 @@ pub fn evaluate_by(
     let mut evaluator = Evaluator::new().by_force(edges);
     for (run, r) in data.runs().iter().enumerate() {
         estimator.reset();
-        for (sample, s) in r.samples.iter().enumerate() {
+        for (sample, s) in data.stream(run)?.enumerate() {
+            let s = s?;
             if s.tare {
                 estimator.tare();
                 evaluator.tared();
@@ -333,7 +334,8 @@ pub fn evaluate_parts(
     let mut done = 0u32;
     for (run, r) in data.runs().iter().enumerate() {
         estimator.reset();
-        for (sample, s) in r.samples.iter().enumerate() {
+        for (sample, s) in data.stream(run)?.enumerate() {
+            let s = s?;
             if !watch(f64::from(done) / total) {
                 return Ok(None);
             }
@@ -522,8 +524,9 @@ mod tests {
         let data = presses(10, 2);
         let held_out = crate::SplitConfig::default().apply(&data).unwrap().test;
         let result = evaluate(&mut Known, &data, Some(&held_out), "held out").unwrap();
-        let has_zero = |id: &&SampleId| data.sample(**id).unwrap().tared[0].is_finite();
-        assert_eq!((result.frames, result.unanswered), (held_out.iter().filter(has_zero).count(), 0));
+        let read = data.gather(&held_out).unwrap();
+        let has_zero = read.iter().filter(|(_, sample)| sample.tared[0].is_finite()).count();
+        assert_eq!((result.frames, result.unanswered), (has_zero, 0));
         assert!(result.frames < data.labelled().count());
     }
 

@@ -97,7 +97,7 @@ pub fn export(
 ) -> Result<Vec<PathBuf>, LearnError> {
     let Some(recorded) = data.runs().get(run) else { return Ok(Vec::new()) };
     std::fs::create_dir_all(dir).map_err(LearnError::io(dir, "written"))?;
-    let table = Table::new(data, recorded, options);
+    let table = Table::new(data, run, recorded, options);
     let mut written = Vec::new();
     for format in &options.formats {
         let path = dir.join(format!("{stem}.{}", format.name()));
@@ -135,7 +135,9 @@ enum Values {
 }
 
 struct Table<'a> {
-    run: &'a Run,
+    data: &'a Dataset,
+    index: usize,
+    frames: usize,
     /// Whether each sample is held out; `None` without ground truth.
     held_out: Vec<Option<bool>>,
     columns: Vec<Column>,
@@ -147,7 +149,7 @@ fn number(truth: Option<&Truth>, name: &str) -> f64 {
 }
 
 impl<'a> Table<'a> {
-    fn new(data: &Dataset, run: &'a Run, options: &ExportOptions) -> Self {
+    fn new(data: &'a Dataset, index: usize, run: &Run, options: &ExportOptions) -> Self {
         let columns = columns(data.skin(), options.tared);
         let described: Vec<_> = columns
             .iter()
@@ -167,7 +169,14 @@ impl<'a> Table<'a> {
             "map": data.map(),
             "columns": described,
         });
-        Self { run, held_out: options.split.mark(run), columns, schema: schema.to_string() }
+        Self {
+            data,
+            index,
+            frames: run.samples.len(),
+            held_out: options.split.mark(run),
+            columns,
+            schema: schema.to_string(),
+        }
     }
 
     fn parquet(&self, path: &Path) -> Result<(), LearnError> {
@@ -203,13 +212,14 @@ impl<'a> Table<'a> {
         let file = File::create(path).map_err(LearnError::io(path, "written"))?;
         let mut writer =
             SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties)).map_err(failed)?;
-        for (group, samples) in self.run.samples.chunks(ROW_GROUP).enumerate() {
-            let held_out = &self.held_out[group * ROW_GROUP..][..samples.len()];
+        let mut frames = self.data.stream(self.index)?;
+        for held_out in self.held_out.chunks(ROW_GROUP) {
+            let samples: Vec<Sample> = frames.by_ref().take(held_out.len()).collect::<Result<_, _>>()?;
             let mut rows = writer.next_row_group().map_err(failed)?;
             for column in &self.columns {
                 for part in 0..column.parts.len().max(1) {
                     let Some(mut out) = rows.next_column().map_err(failed)? else { continue };
-                    column.fill(samples, held_out, part, out.untyped()).map_err(failed)?;
+                    column.fill(&samples, held_out, part, out.untyped()).map_err(failed)?;
                     out.close().map_err(failed)?;
                 }
             }
@@ -230,23 +240,27 @@ impl<'a> Table<'a> {
         archive.write_all(self.schema.as_bytes()).map_err(io)?;
         for column in &self.columns {
             archive.start_file(format!("{}.npy", column.name), entry).map_err(failed)?;
-            self.array(column, &mut archive).map_err(io)?;
+            self.array(column, &mut archive, path)?;
         }
         let file = archive.finish().map_err(failed)?.into_inner().map_err(|e| io(e.into_error()))?;
         file.sync_all().map_err(io)
     }
 
-    fn array(&self, column: &Column, out: &mut impl Write) -> std::io::Result<()> {
-        let rows = self.run.samples.len() as u64;
+    /// One pass over the frames for each array: NPZ holds them one behind the other.
+    fn array(&self, column: &Column, out: &mut impl Write, path: &Path) -> Result<(), LearnError> {
+        let io = |e: std::io::Error| LearnError::io(path, "written")(e);
+        let rows = self.frames as u64;
         let parts = column.parts.len();
         let shape = if parts == 0 { vec![rows] } else { vec![rows, parts as u64] };
-        let cells = || self.run.samples.iter().flat_map(|s| (0..parts.max(1)).map(move |part| (s, part)));
         macro_rules! write {
             ($kind:ty, $get:expr) => {{
                 let options = npyz::WriteOptions::<$kind>::new().default_dtype().shape(&shape);
-                let mut writer = options.writer(out).begin_nd()?;
-                writer.extend(cells().map(|(sample, part)| $get(sample, part)))?;
-                writer.finish()
+                let mut writer = options.writer(out).begin_nd().map_err(io)?;
+                for sample in self.data.stream(self.index)? {
+                    let sample = sample?;
+                    writer.extend((0..parts.max(1)).map(|part| $get(&sample, part))).map_err(io)?;
+                }
+                writer.finish().map_err(io)
             }};
         }
         match &column.values {
@@ -255,11 +269,12 @@ impl<'a> Table<'a> {
             Values::Single(get) => write!(f32, get),
             Values::Double(get) => write!(f64, get),
             Values::Text(name) => {
-                let wide = npyz::DType::Plain("|S8".parse().map_err(std::io::Error::other)?);
+                let wide = npyz::DType::Plain("|S8".parse().map_err(std::io::Error::other).map_err(io)?);
                 let options = npyz::WriteOptions::<[u8]>::new().dtype(wide).shape(&shape);
-                let mut writer = options.writer(out).begin_nd()?;
-                self.held_out.iter().try_for_each(|held_out| writer.push(name(*held_out).as_bytes()))?;
-                writer.finish()
+                let mut writer = options.writer(out).begin_nd().map_err(io)?;
+                let mut names = self.held_out.iter().map(|held_out| name(*held_out).as_bytes());
+                names.try_for_each(|name| writer.push(name)).map_err(io)?;
+                writer.finish().map_err(io)
             }
         }
     }

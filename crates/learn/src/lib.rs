@@ -1,45 +1,46 @@
-//! Data sets, splits, metrics and evaluation; with feature `train`, training and ONNX export.
+//! Data sets, splits, metrics, evaluation, training and ONNX export.
 //!
 //! | word | type | what it is |
 //! |---|---|---|
 //! | data set | [`Dataset`] | frames of labelled bags, tared as a node tares them, joined with the ground truth |
 //! | map | [`LabelMap`] | how a robot's and a force sensor's topics become ground truth |
-//! | adopt | [`adopt`](adopt::adopt) | an ONNX graph that was trained elsewhere becomes a bundle |
+//! | import | [`import_onnx`](import_onnx::import_onnx) | an ONNX graph that was trained elsewhere becomes a bundle |
 //! | export | [`export`] | Parquet and NPZ, for people who train elsewhere |
 //! | finding | [`Findings`] | what data lack, and what that blocks |
+//! | target | [`Target`](target::Target) | what a model learns: scalars of a contact, or maps over the surface |
 //! | split | [`SplitConfig`], [`Split`] | which samples are held out; by default whole contact locations |
 //! | metrics | [`Scores`], [`Summary`] | errors per quantity and force, with intervals over locations |
 //! | evaluation | [`evaluate`], [`Evaluation`] | what an estimator makes of a data set |
 //! | bound | [`Requirement`] | a figure that an evaluation has to reach |
-//! | real2sim | `real2sim` (feature `train`) | readings of a device → a simulated map of displacements → several contacts |
+//! | real2sim | [`real2sim`] | readings of a device → a simulated map of displacements → several contacts |
 //!
 //! All quantities are in SI units and in the frame of the skin's link.
 //!
-//! Feature `train` adds training and the program `dermis-train`; everything else builds without it.
+//! Feature `train` adds convolutional networks, and with them a framework that takes minutes to build; dense networks train
+//! without it.
 
-pub mod adopt;
 mod bounds;
 pub mod card;
 pub mod cli;
 mod dataset;
 mod error;
 mod evaluate;
+mod evaluator;
 pub mod export;
 mod findings;
-mod judge;
+pub mod import_onnx;
 mod map;
 mod metrics;
 pub mod plot;
-#[cfg(feature = "train")]
 pub mod real2sim;
 mod recordings;
 pub mod refine;
 mod split;
-#[cfg(feature = "train")]
+pub mod target;
 pub mod train;
 
 pub use bounds::{Bounds, bounds};
-pub use dataset::{Dataset, DatasetOptions, Run, Sample, SampleId, Truth, TruthContact};
+pub use dataset::{Dataset, DatasetOptions, FrameInfo, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;
 pub use evaluate::{
     Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate, evaluate_by, evaluate_parts,

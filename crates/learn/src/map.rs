@@ -15,7 +15,7 @@ use dermis_msgs::geometry_msgs::msg::{
 };
 use dermis_msgs::std_msgs::msg::Header;
 use dermis_msgs::tf2_msgs::msg::TFMessage;
-use dermis_skin::{ForceComponents, Frame, SkinDescription, Stamp, Surface};
+use dermis_skin::{ForceComponents, SkinDescription, Stamp, Surface};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::Serialize;
 
@@ -357,9 +357,9 @@ fn approach(map: &LabelMap, surface: &Surface, tool: &Isometry3<f64>) -> Approac
     Approach { point, normal, gap: distance - map.robot.tip_radius, beside }
 }
 
-/// Ground truth of every frame; `None` where the rig does not tell.
+/// Ground truth of every frame, given by its stamp; `None` where the rig does not tell.
 pub(crate) fn label(
-    frames: &[Frame],
+    frames: &[Stamp],
     readings: &mut Readings,
     map: &LabelMap,
     skin: &SkinDescription,
@@ -411,16 +411,16 @@ pub(crate) fn label(
     let (mut elsewhere, mut beside) = (0_usize, 0_usize);
     let to_link = map.skin.pose.isometry().rotation.inverse();
     let mut labels = Vec::with_capacity(frames.len());
-    for frame in frames {
+    for stamp in frames {
         let (Some(tool), Some(raw)) =
-            (at(&readings.poses, frame.stamp, max_gap), at(&readings.forces, frame.stamp, max_gap))
+            (at(&readings.poses, *stamp, max_gap), at(&readings.forces, *stamp, max_gap))
         else {
             touched = false;
             labels.push(None);
             continue;
         };
         let tip = approach(map, &surface, &tool);
-        let bias = if map.force.remove_bias { offsets.at(frame.stamp) } else { Vector3::zeros() };
+        let bias = if map.force.remove_bias { offsets.at(*stamp) } else { Vector3::zeros() };
         let force = to_link * (map.sensor_axes(&tool.rotation) * (raw - bias)) * map.sign();
         let pressing = -force.dot(&tip.normal);
         let was = touched;

@@ -68,7 +68,11 @@ impl Report {
     }
 
     /// Adds what the data are: a table of the recordings, where and how hard the skin was pressed, what was noticed.
-    pub fn data(&mut self, data: &Dataset, split: Option<&SplitConfig>) {
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError`](crate::LearnError) where a bag cannot be read once more.
+    pub fn data(&mut self, data: &Dataset, split: Option<&SplitConfig>) -> Result<(), crate::LearnError> {
         let skin = data.skin();
         let _ = write!(
             self.body,
@@ -84,8 +88,8 @@ impl Report {
             split.map_or_else(String::new, |s| format!(" Held out: {}.", escape(&s.describe()))),
             escape(&skin.unit)
         );
-        for run in data.runs() {
-            let noise = card::noise(run).and_then(|n| n["median"].as_f64());
+        for (index, run) in data.runs().iter().enumerate() {
+            let noise = card::noise(data, index)?.and_then(|n| n["median"].as_f64());
             let bias = run
                 .bias
                 .map(|b| format!("{:.3}, {:.3}, {:.3}; {:.4}", b.mean[0], b.mean[1], b.mean[2], b.noise));
@@ -118,6 +122,7 @@ impl Report {
                 escape(&map)
             );
         }
+        Ok(())
     }
 
     /// The file.
@@ -368,7 +373,7 @@ mod tests {
         assert_eq!(html.matches("<svg").count(), 2);
         assert_eq!(html.matches("<circle").count(), 5);
         let data = crate::dataset::tests::presses(20, 2);
-        report.data(&data, Some(&SplitConfig::default()));
+        report.data(&data, Some(&SplitConfig::default())).unwrap();
         let html = report.html();
         assert_eq!(html.matches("<svg").count(), 4);
         assert_eq!(html.matches("<circle").count(), 5 + 20, "one for each location");

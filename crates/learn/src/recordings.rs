@@ -5,6 +5,7 @@ use dermis_skin::ChannelFlags;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::LearnError;
 use crate::bounds::stimulus;
 use crate::dataset::{Dataset, SampleId};
 
@@ -25,20 +26,30 @@ pub struct Recorded {
 impl Recorded {
     /// Single contacts of these samples that press with `least` \[N\] or more and of which every channel is known; `most` at most,
     /// evenly over them.
-    #[must_use]
-    pub fn of(data: &Dataset, only: &[SampleId], least: f64, most: usize) -> Vec<Self> {
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError`] where a bag cannot be read once more.
+    pub fn of(data: &Dataset, only: &[SampleId], least: f64, most: usize) -> Result<Vec<Self>, LearnError> {
         let whole = |flags: &ChannelFlags| !flags.is_invalid() && !flags.contains(ChannelFlags::SATURATED);
-        let recorded = |id: &SampleId| {
-            let sample = data.sample(*id)?;
-            let truth = sample.truth.as_ref()?;
+        let pressed = |id: &SampleId| {
+            let info = data.sample(*id)?;
+            let truth = info.truth.as_ref()?;
             truth.single()?.normal_force().filter(|f| *f >= least)?;
             let [contact]: [Indentation; 1] = stimulus(truth)?.contacts.try_into().ok()?;
-            let known = sample.frame.flags.iter().all(whole) && sample.tared.iter().all(|v| v.is_finite());
-            known.then(|| Self { contact, signal: sample.tared.clone(), location: truth.location })
+            info.flags.iter().all(whole).then_some((contact, truth.location))
         };
-        let all: Vec<Self> = only.iter().filter_map(recorded).collect();
+        let (ids, contacts): (Vec<SampleId>, Vec<(Indentation, u32)>) =
+            only.iter().filter_map(|id| Some((*id, pressed(id)?))).unzip();
+        let all: Vec<Self> = data
+            .gather(&ids)?
+            .into_iter()
+            .zip(contacts)
+            .filter(|((_, sample), _)| sample.tared.iter().all(|v| v.is_finite()))
+            .map(|((_, sample), (contact, location))| Self { contact, signal: sample.tared, location })
+            .collect();
         let step = all.len().div_ceil(most.max(1)).max(1);
-        all.into_iter().step_by(step).collect()
+        Ok(all.into_iter().step_by(step).collect())
     }
 }
 

@@ -51,8 +51,8 @@ pub fn settings(
     let failed = |reason: String| LearnError::Refinement { skin: data.skin().name.clone(), reason };
     let step = only.len().div_ceil(MOST).max(1);
     let mut frames: Vec<(Stimulus, Vec<f32>)> = Vec::new();
-    for id in only.iter().step_by(step) {
-        let Some(sample) = data.sample(*id) else { continue };
+    let asked: Vec<SampleId> = only.iter().copied().step_by(step).collect();
+    for (_, sample) in data.gather(&asked)? {
         let Some(truth) = sample.truth.as_ref().filter(|t| t.touched()) else { continue };
         let Some(stimulus) = stimulus(truth) else { continue };
         // A force cell's noise pulls at the skin now and then, which no forward model knows.
@@ -196,31 +196,40 @@ fn simplest(rights: &[usize], of: usize) -> Option<usize> {
 ///
 /// # Errors
 ///
-/// [`InverterError`] where the settings cannot be.
+/// [`LearnError`] where the settings cannot be, or a bag cannot be read once more.
 pub fn tune_presence(
     model: &Arc<dyn ForwardModel>,
     settings: &mut Settings,
     data: &Dataset,
     only: &[SampleId],
     watch: Watch<'_>,
-) -> Result<bool, InverterError> {
-    let inverter = Inverter::new(Arc::clone(model), settings.clone())?;
+) -> Result<bool, LearnError> {
+    let failed =
+        |e: InverterError| LearnError::Refinement { skin: data.skin().name.clone(), reason: e.to_string() };
+    let inverter = Inverter::new(Arc::clone(model), settings.clone()).map_err(failed)?;
     let only: BTreeSet<SampleId> = only.iter().copied().collect();
     // `None`: touched.
     let mut seen: Vec<Option<(f64, f64)>> = Vec::new();
     let total = only.len().max(1) as f64;
-    for (n, id) in only.iter().enumerate() {
-        if !watch(n as f64 / total) {
-            return Ok(false);
-        }
-        let Some(sample) = data.sample(*id) else { continue };
-        let Some(truth) = &sample.truth else { continue };
-        if truth.touched() {
-            seen.push(None);
-        } else if !sample.tared.iter().all(|v| v.is_nan()) {
-            let readings: Vec<Reading> =
-                sample.tared.iter().zip(&sample.frame.flags).map(|(v, f)| Reading::of(*v, *f)).collect();
-            seen.push(Some(inverter.evidence(&readings)));
+    let mut asked = 0_u32;
+    for run in 0..data.runs().len() {
+        for (sample, read) in data.stream(run)?.enumerate() {
+            let read = read?;
+            if !only.contains(&SampleId { run, sample }) {
+                continue;
+            }
+            if !watch(f64::from(asked) / total) {
+                return Ok(false);
+            }
+            asked += 1;
+            let Some(truth) = &read.truth else { continue };
+            if truth.touched() {
+                seen.push(None);
+            } else if !read.tared.iter().all(|v| v.is_nan()) {
+                let readings: Vec<Reading> =
+                    read.tared.iter().zip(&read.frame.flags).map(|(v, f)| Reading::of(*v, *f)).collect();
+                seen.push(Some(inverter.evidence(&readings)));
+            }
         }
     }
     settings.presence = presence(settings, &seen);

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::LearnError;
-use crate::dataset::{Dataset, Run, Sample, SampleId, Truth};
+use crate::dataset::{Dataset, FrameInfo, Run, SampleId, Truth};
 
 /// What a split holds out whole.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -154,13 +154,13 @@ impl SplitConfig {
     #[must_use]
     pub fn mark(&self, run: &Run) -> Vec<Option<bool>> {
         let end = self.time_bound(run);
-        let mark = |s: &Sample| s.truth.as_ref().map(|t| self.holds_out(&run.session, end, s, t));
+        let mark = |s: &FrameInfo| s.truth.as_ref().map(|t| self.holds_out(&run.session, end, s, t));
         run.samples.iter().map(mark).collect()
     }
 
-    fn holds_out(&self, session: &str, end: i64, sample: &Sample, truth: &Truth) -> bool {
+    fn holds_out(&self, session: &str, end: i64, sample: &FrameInfo, truth: &Truth) -> bool {
         match self.kind {
-            SplitKind::Time => sample.frame.stamp >= end,
+            SplitKind::Time => sample.stamp >= end,
             SplitKind::Location if truth.touched() => self.draws("location", "", u64::from(truth.location)),
             SplitKind::Location | SplitKind::Press => self.draws("press", session, truth.press),
         }
@@ -168,7 +168,7 @@ impl SplitConfig {
 
     /// Stamp from which on a run is held out: the last share of the time in which it is labelled.
     fn time_bound(&self, run: &Run) -> i64 {
-        let mut labelled = run.samples.iter().filter(|s| s.truth.is_some()).map(|s| s.frame.stamp);
+        let mut labelled = run.samples.iter().filter(|s| s.truth.is_some()).map(|s| s.stamp);
         let first = labelled.next().unwrap_or(0);
         let last = labelled.next_back().unwrap_or(first);
         first + ((last - first) as f64 * (1.0 - self.fraction)) as i64

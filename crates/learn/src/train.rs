@@ -5,12 +5,19 @@
 //! [`ZeroTracker`](dermis_skin::ZeroTracker) and become inputs in [`Features`](dermis_inference::Features).
 
 mod checkpoint;
+pub mod command;
 mod config;
+#[cfg(feature = "train")]
+pub mod conv;
 mod network;
 mod prepare;
 mod run;
+#[cfg(feature = "train")]
+mod run_conv;
 
-pub use config::{Activation, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig};
+pub use config::{
+    Activation, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig,
+};
 pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};
 pub use prepare::Preparation;

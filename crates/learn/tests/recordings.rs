@@ -3,7 +3,6 @@
 //!
 //! The networks are small, so that this takes seconds in an unoptimised build; the figures that are asked for are
 //! measured with the configurations in `launch/train/` by `cargo xtask targets`.
-#![cfg(feature = "train")]
 #![expect(clippy::unwrap_used, reason = "a test whose preparation fails should fail")]
 
 use std::path::{Path, PathBuf};
@@ -46,6 +45,7 @@ fn learn(
         others: &[("other".to_owned(), other.clone())],
         config,
         out,
+        model: None,
         resume: false,
         threads: 2,
         runtime: Runtime::load(&embedded).unwrap(),

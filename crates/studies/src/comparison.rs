@@ -179,17 +179,18 @@ struct Neighbours {
 }
 
 impl Neighbours {
-    fn new(count: usize, data: &Dataset, train: &[SampleId], components: ForceComponents) -> Self {
+    fn new(count: usize, data: &Dataset, train: &[SampleId], components: ForceComponents) -> Result<Self> {
         let noise: Vec<f32> = data.skin().channel_noise().iter().map(|n| *n as f32).collect();
         let (mut rows, mut contacts) = (Vec::new(), Vec::new());
-        for (sample, truth) in train.iter().filter_map(|id| data.sample(*id)).filter_map(labelled) {
+        let train = data.gather(train)?;
+        for (sample, truth) in train.iter().filter_map(|(_, sample)| labelled(sample)) {
             let Some(contact) = truth.single().filter(|c| c.force.iter().all(|v| v.is_finite())) else {
                 continue;
             };
             rows.extend(whitened(sample, &noise));
             contacts.push((contact.position, contact.force));
         }
-        Self { count, noise, rows, contacts, surface: data.skin().surface(), components }
+        Ok(Self { count, noise, rows, contacts, surface: data.skin().surface(), components })
     }
 }
 
@@ -278,13 +279,14 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     if test.is_empty() {
         bail!("nothing of one contact of {least} N or more was held out of these bags");
     }
+    let asked = data.gather(&test)?;
     let mut methods = methods(options, &skin, &forward, &data, &split.train)?;
     let mut rows: Vec<(String, Evaluation)> = Vec::new();
     for (name, method) in &mut methods {
         progress.begin(name);
         let mut evaluator = Evaluator::new().by_force(&options.bins);
-        for (n, id) in test.iter().enumerate() {
-            let Some((sample, truth)) = data.sample(*id).and_then(labelled) else { continue };
+        for (n, (id, sample)) in asked.iter().enumerate() {
+            let Some((sample, truth)) = labelled(sample) else { continue };
             let contacts = method.answer(sample, *id)?.into_iter().collect();
             evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
             progress.at((n + 1) as f64 / test.len() as f64);
@@ -297,7 +299,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         .transpose()?
         .flatten();
     let places: BTreeSet<u32> =
-        test.iter().filter_map(|id| data.sample(*id)).filter_map(labelled).map(|(_, t)| t.location).collect();
+        asked.iter().filter_map(|(_, sample)| labelled(sample)).map(|(_, t)| t.location).collect();
     Ok(Findings {
         skin,
         readings: test.len(),
@@ -334,12 +336,12 @@ fn methods(
             methods.push((format!("{name}: with forward model"), Box::new(refined)));
         }
     }
-    let neighbours = Neighbours::new(options.neighbours, data, train, components);
+    let neighbours = Neighbours::new(options.neighbours, data, train, components)?;
     methods.push((format!("{} nearest neighbours", options.neighbours), Box::new(neighbours)));
-    let presses: Vec<Press> = train
+    let presses: Vec<Press> = data
+        .gather(train)?
         .iter()
-        .filter_map(|id| data.sample(*id))
-        .filter_map(labelled)
+        .filter_map(|(_, sample)| labelled(sample))
         .filter_map(|(sample, truth)| {
             let contact = truth.single()?;
             Some(Press {

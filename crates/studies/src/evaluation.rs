@@ -148,7 +148,7 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
     };
     let mut test = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
     if options.in_range {
-        let whole = |id: &SampleId| data.sample(*id).is_some_and(|s| s.frame.flags.iter().all(|f| f.is_ok()));
+        let whole = |id: &SampleId| data.sample(*id).is_some_and(|s| s.flags.iter().all(|f| f.is_ok()));
         let all = || data.labelled().map(|(id, ..)| id).collect();
         let mut kept = test.unwrap_or_else(all);
         kept.retain(whole);

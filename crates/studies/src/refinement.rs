@@ -363,11 +363,11 @@ fn prepare(
         options.contacts,
     )?;
     set(&mut settings);
-    let chosen = Recorded::of(data, &choose, 0.0, PRESSES / 4);
+    let chosen = Recorded::of(data, &choose, 0.0, PRESSES / 4)?;
     let mut model = model;
     let mut correction = None;
     if options.correct {
-        let recorded = Recorded::of(data, &learn, 0.0, PRESSES);
+        let recorded = Recorded::of(data, &learn, 0.0, PRESSES)?;
         if recorded.is_empty() || chosen.is_empty() {
             bail!(
                 "the bags hold no single contacts of known place, force and tip at five places or more to learn from"

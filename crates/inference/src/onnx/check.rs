@@ -16,20 +16,28 @@ const FLOAT: u64 = 1;
 pub(crate) fn check(bytes: &[u8], interface: &Interface) -> Result<(), ModelError> {
     let signature = Signature::read(bytes)?;
     let sides = [
-        ("input", &signature.inputs, &interface.input, &interface.input_shape),
-        ("output", &signature.outputs, &interface.output, &interface.output_shape),
+        ("input", &signature.inputs, interface.inputs().map(declared).collect::<Vec<_>>()),
+        ("output", &signature.outputs, interface.outputs().map(declared).collect()),
     ];
-    for (what, found, name, shape) in sides {
-        let expected = GraphTensor {
-            name: name.clone(),
-            element: FLOAT,
-            shape: shape.iter().map(|d| i64::try_from(*d).ok()).collect(),
+    for (what, found, expected) in sides {
+        // Graphs list their tensors in any order; two of one name are none.
+        let sorted = |ports: &[GraphTensor]| {
+            let mut ports = ports.to_vec();
+            ports.sort_by(|a, b| a.name.cmp(&b.name));
+            ports
         };
-        if found.as_slice() != [expected.clone()] {
-            return Err(ModelError::Interface { what, found: listed(found), expected: expected.to_string() });
+        let twice = sorted(&expected).windows(2).any(|pair| pair[0].name == pair[1].name);
+        if twice || sorted(found) != sorted(&expected) {
+            return Err(ModelError::Interface { what, found: listed(found), expected: listed(&expected) });
         }
     }
     Ok(())
+}
+
+/// A tensor that an interface declares.
+fn declared((name, shape): (&str, &[usize])) -> GraphTensor {
+    let shape = shape.iter().map(|d| i64::try_from(*d).ok()).collect();
+    GraphTensor { name: name.to_owned(), element: FLOAT, shape }
 }
 
 /// Tensors in words.

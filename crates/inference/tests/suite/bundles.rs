@@ -400,3 +400,93 @@ fn a_correction_that_cannot_be_is_refused() {
     disk.edit("[inversion]", "[unknown]");
     assert!(Bundle::load(&disk.path, &pad()).is_err());
 }
+
+#[test]
+fn mean_and_scale_of_many_channels_have_a_file_of_their_own() {
+    use dermis_inference::onnx::GraphBuilder;
+    let names: Vec<String> = (0..80).map(|i| format!("c{i}")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let wide = skin("wide", "Pa", &names);
+    let mean: Vec<f32> = (0..80).map(|i| 100.0 + i as f32 / 3.0).collect();
+    let scale: Vec<f32> = (0..80).map(|i| 1.0 + i as f32).collect();
+    let mut g = GraphBuilder::new("wide");
+    let x = g.input("input", &[1, 80]);
+    let y = g.reduce_sum(&x, 1);
+    g.output("output", &y, &[1, 1]);
+    let graph = g.finish().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("wide");
+    let output = OutputConfig { values: vec![OutputSpec::new("force.normal", "N", 0.0, 1.0)] };
+    let input = FeatureConfig::newest(mean.clone(), scale.clone());
+    let manifest = Manifest::new("wide", &wide, Baseline::Raw, input, output, TrainingSection::default());
+    BundleWriter::new(manifest).write(&path, &graph).unwrap();
+    let text = std::fs::read_to_string(path.join("bundle.toml")).unwrap();
+    assert!(!text.contains("mean = [") && text.contains("[normalisation]"), "{text}");
+    let mut bundle = Bundle::load(&path, &wide).unwrap();
+    assert_eq!((&bundle.manifest().input.mean, &bundle.manifest().input.scale), (&mean, &scale));
+
+    // What is amended keeps the file.
+    let mut manifest = bundle.manifest().clone();
+    manifest.description = "amended".into();
+    bundle.amend(manifest, None).unwrap();
+    let again = Bundle::load(&path, &wide).unwrap();
+    assert_eq!((again.manifest().description.as_str(), &again.manifest().input.mean), ("amended", &mean));
+
+    let file = path.join("normalisation.npy");
+    let mut bytes = std::fs::read(&file).unwrap();
+    let last = bytes.len() - 1;
+    bytes[last] ^= 1;
+    std::fs::write(&file, &bytes).unwrap();
+    let said = Bundle::load(&path, &wide).unwrap_err().to_string();
+    assert!(said.contains("normalisation.npy") && said.contains("damaged or replaced"), "{said}");
+    std::fs::remove_file(&file).unwrap();
+    let said = Bundle::load(&path, &wide).unwrap_err().to_string();
+    assert!(said.contains("holds no `normalisation.npy`"), "{said}");
+}
+
+#[test]
+fn a_bundle_of_several_tensors_takes_and_gives_them_by_name() {
+    use dermis_inference::onnx::GraphBuilder;
+    use dermis_inference::{Interface, TensorPort};
+    let port = |name: &str, shape: &[usize]| TensorPort { name: name.into(), shape: shape.to_vec() };
+    let mut g = GraphBuilder::new("two");
+    // In the graph they stand in another order than in the interface.
+    let image = g.input("image", &[1, 1, 2, 2]);
+    let channels = g.input("channels", &[1, 5]);
+    let flat = g.reshape(&image, &[1, 4]);
+    let map = g.add(&flat, &flat);
+    let sum = g.reduce_sum(&channels, 1);
+    g.output("map", &map, &[1, 4]);
+    g.output("force", &sum, &[1, 1]);
+    let graph = g.finish().unwrap();
+    let interface = Interface::of(
+        &[port("channels", &[1, 5]), port("image", &[1, 1, 2, 2])],
+        &[port("force", &[1, 1]), port("map", &[1, 4])],
+    );
+    let mut writer = writer().with_interface(interface.clone());
+    let mut map = OutputSpec::new("map.normal", "N", 0.0, 2.0);
+    map.count = 4;
+    writer.manifest.output.values = vec![OutputSpec::new("force.normal", "N", 0.0, 1.0), map];
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("two");
+    writer.write(&path, &graph).unwrap();
+    let bundle = Bundle::load(&path, &pad()).unwrap();
+    assert_eq!(bundle.manifest().model.interface, interface);
+    let mut model = bundle.session(embedded()).unwrap();
+    let mut raw = Vec::new();
+    model.run(&[1.0, 2.0, 3.0, 4.0, 5.0, 0.1, 0.2, 0.3, 0.4], &mut raw).unwrap();
+    assert_eq!(raw, [15.0, 0.2, 0.4, 0.6, 0.8]);
+    let mut outputs = bundle.outputs();
+    outputs.decode(&raw).unwrap();
+    assert_eq!(outputs.get("force.normal"), Some(15.0));
+    approx_eq(outputs.values("map.normal").unwrap(), &[0.4, 0.8, 1.2, 1.6]);
+
+    // A tensor too few, and one that is declared twice.
+    let one = Interface::of(&[port("channels", &[1, 5])], &[port("force", &[1, 1]), port("map", &[1, 4])]);
+    let said = dermis_inference::Model::load(embedded(), &graph, &one).unwrap_err().to_string();
+    assert!(said.contains("has input `image` [1, 1, 2, 2] and `channels` [1, 5]"), "{said}");
+}
+
+fn approx_eq(found: &[f64], expected: &[f64]) {
+    assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?}");
+}

@@ -1,9 +1,14 @@
 use dermis_bag::BagWriter;
+use dermis_msgs::msg::{Contact as ContactMsg, Indentation, TaxelFrame};
+use dermis_skin::{ForceComponents, Frame, Stamp};
+use nalgebra::{Point3, Vector3};
+
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg};
 use dermis_msgs::msg::IndentationContact;
 use dermis_msgs::std_msgs::msg::Header;
 
+use super::read::truth_at;
 use super::*;
 
 pub(crate) const STEP: i64 = 10_000_000;
@@ -64,16 +69,17 @@ pub(crate) fn presses(places: u32, repeats: u32) -> Dataset {
             }
         }
     }
-    let samples = join(&frames, labels(&frames, &truths), &skin, true);
-    let run = Run {
-        path: "made.bag".into(),
-        session: "made".into(),
-        hash: hex(&[0; 32]),
-        samples,
-        lost: 0,
-        bias: None,
-    };
-    Dataset::from_runs(&skin, vec![run])
+    let labels = labels(&frames, &truths);
+    Dataset::from_runs(&skin, vec![made(frames, labels, &skin, true)])
+}
+
+fn made(frames: Vec<Frame>, labels: Vec<Option<Truth>>, skin: &SkinDescription, anew: bool) -> Run {
+    Run::of_frames(("made.bag".into(), "made".into(), hex(&[0; 32])), frames, labels, skin, anew)
+}
+
+/// Every frame of the first run.
+pub(crate) fn samples(data: &Dataset) -> Vec<Sample> {
+    data.stream(0).unwrap().collect::<Result<_, _>>().unwrap()
 }
 
 fn labels(frames: &[Frame], truths: &[(Stamp, Truth)]) -> Vec<Option<Truth>> {
@@ -147,6 +153,7 @@ fn frames_meet_their_ground_truth() {
     let run = &data.runs()[0];
     assert_eq!((run.samples.len(), run.lost, run.session.as_str()), (12, 1, "s1"));
 
+    let read = samples(&data);
     let value = |k: usize, target: &str| run.samples[k].truth.as_ref().and_then(|t| t.value(target));
     assert_eq!(value(2, "contact"), Some(0.0));
     assert_eq!((value(2, "force.normal"), value(2, "position.x")), (Some(0.0), None));
@@ -157,8 +164,8 @@ fn frames_meet_their_ground_truth() {
     assert!(run.samples[7].truth.is_none(), "9 ms away from any ground truth");
 
     // The tare averages the first 30 ms of untouched frames: k = 0..=3.
-    assert!(run.samples[0].tared[0].is_nan());
-    assert!((run.samples[8].tared[1] - 30.0).abs() < 1e-4);
+    assert!(read[0].tared[0].is_nan());
+    assert!((read[8].tared[1] - 30.0).abs() < 1e-4);
     assert_eq!(data.targets()["position.x"], 2);
     let notices = data.notices().join("\n").replace(&path.display().to_string(), "BAG");
     insta::assert_snapshot!(notices, @r"
@@ -227,11 +234,15 @@ fn the_zero_is_taken_anew_in_every_idle_stretch() {
         let contacts = if idle { Vec::new() } else { vec![contact(0.0, 0.0, 1.0)] };
         truths.push((stamp, Truth { press: 0, location: 0, idle, contacts }));
     }
-    let anew = join(&frames, labels(&frames, &truths), &skin, true);
+    let read = |anew: bool| {
+        let run = made(frames.clone(), labels(&frames, &truths), &skin, anew);
+        samples(&Dataset::from_runs(&skin, vec![run]))
+    };
+    let anew = read(true);
     let marks: Vec<usize> = anew.iter().enumerate().filter(|(_, s)| s.tare).map(|(k, _)| k).collect();
     assert_eq!(marks, [0, 7]);
     assert_eq!((anew[6].tared[0], anew[13].tared[0]), (20.0, 20.0));
-    let once = join(&frames, labels(&frames, &truths), &skin, false);
+    let once = read(false);
     assert!(once[13].tared[0] > 24.9);
 }
 
@@ -243,7 +254,7 @@ fn inputs_are_those_of_a_node() {
     let (ids, rows) = data.inputs(&config, Baseline::Tared).unwrap();
     assert_eq!(rows.len(), ids.len() * 4);
     let mut features = Features::new(config).unwrap();
-    for sample in &data.runs()[0].samples {
+    for sample in samples(&data) {
         if sample.tare {
             features.reset();
         }
@@ -330,7 +341,7 @@ fn one_of_two_like_skins_is_learned_from_and_never_both() {
             insta::assert_snapshot!(read(Some("foot"), None).unwrap_err(), @"bag BAG: holds no frames of skin `foot`; it has those of `left_pad` (/left/taxels), `right_pad` (/right/taxels): there is nothing to learn from; `--skin-instance` names a device of this type, `dermis bag info` lists them");
         }
         for data in [read(Some("right_pad"), None).unwrap(), read(None, Some("/right/taxels")).unwrap()] {
-            let samples = &data.runs()[0].samples;
+            let samples = samples(&data);
             assert_eq!(samples.len(), 12);
             assert!(samples.iter().all(|s| s.frame.values[0] >= 100.0), "frames of the right one alone");
             let truths = data.labelled().filter(|(_, _, t)| t.touched()).count();

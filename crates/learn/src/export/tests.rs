@@ -4,7 +4,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::Field;
 
 use super::*;
-use crate::dataset::tests::presses;
+use crate::dataset::tests::{presses, samples};
 
 fn array<T: npyz::Deserialize>(path: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
     let mut archive = zip::ZipArchive::new(File::open(path).unwrap()).unwrap();
@@ -26,7 +26,7 @@ fn both_formats_hold_every_frame() {
     };
     let files = export(&data, 0, dir.path(), "made", &options).unwrap();
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 2);
-    let samples = &data.runs()[0].samples;
+    let samples = samples(&data);
     assert!(samples.len() > ROW_GROUP, "more than one row group");
 
     let table = SerializedFileReader::new(File::open(&files[0]).unwrap()).unwrap();

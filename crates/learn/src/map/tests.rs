@@ -4,6 +4,8 @@ use dermis_bag::BagWriter;
 use dermis_msgs::msg::TaxelFrame;
 use dermis_skin::ForceComponents;
 
+use dermis_skin::Frame;
+
 use super::*;
 use crate::dataset::tests::{STEP, skin};
 use crate::{Dataset, DatasetOptions};
@@ -105,7 +107,7 @@ fn a_rigs_readings_become_what_was_done() {
         let mut touched = 0;
         for sample in &run.samples {
             let Some(truth) = &sample.truth else { continue };
-            let t = (sample.frame.stamp - BEGIN) as f64 * 1e-9;
+            let t = (sample.stamp - BEGIN) as f64 * 1e-9;
             let (place, gap, force) = act(t);
             // Half a sample around the edges is a blend of both sides.
             if [1.0, 2.0, 2.5, 3.0, 4.0].iter().any(|edge| (t - edge).abs() < 0.015) {

@@ -6,6 +6,7 @@ use dermis_inference::{Baseline, FeatureConfig, Missing, Taps};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::Truth;
+use crate::target::{MapTarget, Target};
 use crate::{LearnError, SplitConfig};
 
 /// Everything that decides what comes out of training, besides the data. A file is TOML; unknown keys are errors.
@@ -29,7 +30,8 @@ pub struct TrainConfig {
     #[serde(default)]
     pub description: String,
     /// Quantities to learn: `position.x`, `position.y`, `position.z`, `force.x`, `force.y`, `force.z`,
-    /// `force.normal`, `contact`.
+    /// `force.normal`, `contact`, and the maps `map.normal`, `map.force`, `map.displacement`; see
+    /// [`target`](crate::target).
     pub targets: Vec<String>,
     /// Whether the model takes readings minus their zero, or as they are.
     #[serde(default = "tared")]
@@ -160,6 +162,38 @@ pub struct NetworkConfig {
     pub activation: Activation,
     /// Networks whose outputs are averaged; each starts and shuffles differently.
     pub members: u32,
+    /// Makes the network a convolutional one; `hidden` and `activation` do not count then. Only programs that were built
+    /// with feature `train` fit it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub conv: Option<ConvConfig>,
+}
+
+/// A convolutional network on channels that lie in a grid.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ConvConfig {
+    /// \[planes, rows, columns\] of the grid in which the inputs lie row by row; a plane for every block of inputs.
+    pub grid: [usize; 3],
+    /// Channels of every level of the encoder; each halves rows and columns.
+    pub encoder: Vec<usize>,
+    /// Width of the dense layer between encoder and outputs.
+    #[serde(default = "hidden")]
+    pub hidden: usize,
+    /// \[rows, columns\] of the points of the surface, where they lie in a grid row by row: maps are decoded by
+    /// convolutions then, and by a dense layer otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub surface: Option<[usize; 2]>,
+    /// Epochs without a lower error at other places of the training part after which training ends; 0: never.
+    #[serde(default = "patience")]
+    pub patience: u32,
+}
+
+fn hidden() -> usize {
+    128
+}
+
+fn patience() -> u32 {
+    20
 }
 
 impl Default for NetworkConfig {
@@ -169,6 +203,7 @@ impl Default for NetworkConfig {
             input: InputForm::default(),
             activation: Activation::default(),
             members: 1,
+            conv: None,
         }
     }
 }
@@ -232,10 +267,13 @@ impl TrainConfig {
             return wrong("targets", "is empty: a model has at least one output".into());
         }
         for (i, target) in self.targets.iter().enumerate() {
-            if !Truth::TARGETS.contains(&target.as_str()) {
+            if Target::of(target).is_none() {
                 return wrong(
                     &format!("targets[{i}]"),
-                    format!("is \"{target}\" and must be one of {}", Truth::TARGETS.join(", ")),
+                    format!(
+                        "is \"{target}\" and must be one of {}",
+                        Target::names().collect::<Vec<_>>().join(", ")
+                    ),
                 );
             }
             if self.targets[..i].contains(target) {
@@ -262,6 +300,19 @@ impl TrainConfig {
                 "`direction` needs the newest frame as the first of `features.taps`".into(),
             );
         }
+        if self.network.conv.is_some() {
+            for (field, used) in [
+                ("network.members", self.network.members > 1),
+                ("network.input", self.network.input != InputForm::Plain),
+                ("balance_force", self.balance_force),
+                ("training.noise", self.training.noise > 0.0),
+                ("training.weight_decay", self.training.weight_decay > 0.0),
+            ] {
+                if used {
+                    return wrong(field, "is for dense networks; leave it out, or `network.conv`".into());
+                }
+            }
+        }
         let t = &self.training;
         if t.epochs == 0 || t.batch == 0 {
             return wrong("training.epochs", "and `training.batch` must be at least 1".into());
@@ -285,10 +336,26 @@ impl TrainConfig {
         Ok(())
     }
 
-    /// Targets in the order of the model's outputs: `contact` last.
+    /// Targets in the order of the model's outputs: scalars, maps, and `contact` last.
     #[must_use]
     pub fn outputs(&self) -> Vec<&'static str> {
-        Truth::TARGETS.into_iter().filter(|t| self.targets.iter().any(|own| own == t)).collect()
+        let asked = |name: &&'static str| self.targets.iter().any(|own| own == name);
+        let (contact, scalars): (Vec<_>, Vec<_>) =
+            Truth::TARGETS.into_iter().filter(asked).partition(|name| *name == "contact");
+        let maps = self.maps().into_iter().map(MapTarget::name);
+        scalars.into_iter().chain(maps).chain(contact).collect()
+    }
+
+    /// Targets that are scalars of a contact, in the order of the outputs.
+    #[must_use]
+    pub fn scalars(&self) -> Vec<&'static str> {
+        self.outputs().into_iter().filter(|name| Truth::TARGETS.contains(name)).collect()
+    }
+
+    /// Targets that are maps, in the order of the outputs.
+    #[must_use]
+    pub fn maps(&self) -> Vec<MapTarget> {
+        MapTarget::ALL.into_iter().filter(|m| self.targets.iter().any(|own| own == m.name())).collect()
     }
 }
 
@@ -300,7 +367,7 @@ mod tests {
     fn refusals_name_the_field() {
         let told = |text: &str| TrainConfig::from_toml(text, "c.toml").unwrap_err().to_string();
         insta::assert_snapshot!(told("targets = [\"position.x\"]"), @"c.toml: field `targets`: position.x and position.y only make sense together");
-        insta::assert_snapshot!(told("targets = [\"torque\"]"), @r#"c.toml: field `targets[0]`: is "torque" and must be one of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact"#);
+        insta::assert_snapshot!(told("targets = [\"torque\"]"), @r#"c.toml: field `targets[0]`: is "torque" and must be one of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact, map.normal, map.force, map.displacement"#);
         insta::assert_snapshot!(told("targets = [\"contact\"]\n[training]\nepoch = 3"), @"c.toml: field `(line 3)`: unknown field `epoch`, expected one of `epochs`, `batch`, `learning_rate`, `weight_decay`, `noise`, `seed`");
         insta::assert_snapshot!(told("targets = [\"contact\"]\n[network]\nmembers = 0"), @"c.toml: field `network.members`: is 0 and must be 1 to 64");
     }
@@ -309,5 +376,9 @@ mod tests {
     fn contact_is_the_last_output() {
         let config = TrainConfig::from_toml("targets = [\"contact\", \"force.normal\"]", "c.toml").unwrap();
         assert_eq!(config.outputs(), ["force.normal", "contact"]);
+        let text = "targets = [\"map.displacement\", \"contact\", \"map.normal\", \"position.z\"]";
+        let config = TrainConfig::from_toml(text, "c.toml").unwrap();
+        assert_eq!(config.outputs(), ["position.z", "map.normal", "map.displacement", "contact"]);
+        assert_eq!(config.scalars(), ["position.z", "contact"]);
     }
 }

@@ -2,14 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use dermis_inference::{
     Baseline, BundleWriter, FeatureConfig, Interface, Link, Manifest, Model, OutputConfig, OutputSpec,
     Outputs, Runtime, TrainingSection,
 };
+use dermis_model::ForwardModel;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
@@ -19,11 +20,12 @@ use super::network::{Batch, Mlp, Progress, State, advance, seed_of};
 use super::prepare::Preparation;
 use crate::dataset::{Dataset, SampleId, Truth, hex};
 use crate::evaluate::Evaluation;
+use crate::evaluator::GraphEvaluator;
 use crate::findings::Findings;
-use crate::judge::Judge;
 use crate::metrics::{FORCE_BINS, bin_of};
 use crate::plot::Report;
 use crate::split::Split;
+use crate::target::{MapTarget, Maps, Target};
 use crate::{LearnError, card};
 
 /// How often the state is saved.
@@ -37,6 +39,8 @@ pub struct Request<'a> {
     pub others: &'a [(String, Dataset)],
     /// How.
     pub config: &'a TrainConfig,
+    /// Forward model of the skin, for targets that it computes.
+    pub model: Option<Arc<dyn ForwardModel>>,
     /// Folder of the bundle. Unfinished training lies beside it, in a folder of its name with `.partial` added.
     pub out: &'a Path,
     /// Goes on from an earlier, interrupted call.
@@ -61,7 +65,7 @@ pub struct Outcome {
 }
 
 /// Folder in which the state of an unfinished bundle lies.
-fn partial(out: &Path) -> PathBuf {
+pub(super) fn partial(out: &Path) -> PathBuf {
     let mut name = out.file_name().unwrap_or_default().to_os_string();
     name.push(".partial");
     out.with_file_name(name)
@@ -82,80 +86,51 @@ pub fn run(
     told: &(dyn Fn(Progress) + Sync),
 ) -> Result<Outcome, LearnError> {
     let (data, config) = (request.data, request.config);
+    check_framework(config)?;
     let outputs = config.outputs();
-    let findings = data.check(&outputs, config.baseline, &config.split);
+    let findings = data.check(&config.scalars(), config.baseline, &config.split);
     if findings.is_fatal() {
         return Err(LearnError::Unfit(findings));
     }
     let split = config.split.apply(data)?;
     let features = measure_features(data, config, &split)?;
-    let (ids, rows) = data.inputs(&features, config.baseline)?;
-    let width = features.input_len();
     let held_out: BTreeSet<SampleId> = split.test.iter().copied().collect();
-    let specs = measure_outputs(data, &outputs, &split)?;
+    let mut maps = Maps::new(data.skin(), request.model.clone(), &config.maps())?;
+    let specs = measure_outputs(data, &outputs, &split, &mut maps)?;
     let decoder = Outputs::new(specs.clone())?;
-
-    let mut batch =
-        Batch { outputs: outputs.len(), logit: outputs.last() == Some(&"contact"), ..Batch::default() };
-    let mut balance = Balance::default();
-    for (id, row) in ids.iter().zip(rows.chunks_exact(width)) {
-        if held_out.contains(id) {
-            continue;
-        }
-        let Some(truth) = data.sample(*id).and_then(|s| s.truth.as_ref()) else { continue };
-        let targets: Vec<f32> = outputs.iter().map(|name| target(truth, name, config, &decoder)).collect();
-        if targets.iter().any(|t| !t.is_nan()) {
-            batch.inputs.extend_from_slice(row);
-            batch.targets.extend(targets);
-            batch.weights.extend(outputs.iter().map(|name| weight(truth, name, config)));
-            balance.push(truth);
-        }
-    }
-    if config.balance_force {
-        balance.apply(&outputs, &mut batch.weights);
-    }
-    if batch.is_empty() {
-        return Err(no_rows());
-    }
-    let noise = data.skin().channel_noise();
-    let preparation = Preparation::measure(config.network.input, &features, &noise, &batch.inputs);
-    batch.inputs = preparation.apply(&batch.inputs);
-    batch.width = preparation.columns();
-
+    let job = Job { request, split: &split, features: &features, outputs: &outputs, decoder: &decoder };
     let started = Instant::now();
-    let signature = signature(data, config)?;
-    let networks = fit_all(request, &batch, &signature, stop, told)?;
+    let Trained { graph, interface, samples } = match &config.network.conv {
+        None => fit_dense(&job, &mut maps, stop, told)?,
+        Some(conv) => fit_conv(&job, conv, maps, stop, told)?,
+    };
     let seconds = started.elapsed().as_secs_f64();
-    let graph = Mlp::to_onnx(&networks, &preparation, "dermis")
-        .map_err(|e| LearnError::Training { reason: format!("the graph cannot be written: {e}") })?;
-
-    let interface = Interface::flat(width, outputs.len());
-    let mut judge = Judge {
+    let mut evaluator = GraphEvaluator {
         model: Model::load(request.runtime, &graph, &interface)?,
         outputs: decoder,
         features: &features,
         baseline: config.baseline,
     };
-    let (evaluation, points) = judge.evaluate(data, Some(&held_out), config.split.describe())?;
+    let (evaluation, points) = evaluator.evaluate(data, Some(&held_out), config.split.describe())?;
     let mut others = Vec::new();
     for (name, other) in request.others {
-        let (evaluation, points) = judge.evaluate(other, None, format!("other run: {name}"))?;
+        let (evaluation, points) = evaluator.evaluate(other, None, format!("other run: {name}"))?;
         others.push((name.clone(), evaluation, points));
     }
 
     let outcome = Outcome {
         held_out: evaluation,
         others: others.iter().map(|(name, e, _)| (name.clone(), e.clone())).collect(),
-        samples: batch.len(),
+        samples,
         seconds,
     };
     let mut report = Report::new(format!("Model for skin {}", data.skin().name));
-    report.data(data, Some(&config.split));
+    report.data(data, Some(&config.split))?;
     report.section(&format!("Held out: {}", config.split.describe()), &outcome.held_out, &points);
     for (name, evaluation, points) in &others {
         report.section(&format!("Other run: {name}"), evaluation, points);
     }
-    write_bundle(request, &split, features, specs, &graph, &outcome)?;
+    write_bundle(request, &split, features, specs, (&graph, interface), &outcome)?;
     let path = request.out.join("report.html");
     std::fs::write(&path, report.html()).map_err(LearnError::io(&path, "written"))?;
     // Best effort: what is left over does no harm, and the bundle is written.
@@ -163,7 +138,125 @@ pub fn run(
     Ok(outcome)
 }
 
-fn no_rows() -> LearnError {
+/// What is fitted to what.
+pub(super) struct Job<'a> {
+    pub(super) request: &'a Request<'a>,
+    pub(super) split: &'a Split,
+    pub(super) features: &'a FeatureConfig,
+    /// Names of the outputs, in order.
+    pub(super) outputs: &'a [&'static str],
+    pub(super) decoder: &'a Outputs,
+}
+
+/// A finished graph.
+pub(super) struct Trained {
+    pub(super) graph: Vec<u8>,
+    pub(super) interface: Interface,
+    /// Samples that it was fitted to.
+    pub(super) samples: usize,
+}
+
+impl Job<'_> {
+    /// A name for every number that comes out.
+    pub(super) fn columns(&self) -> Vec<&'static str> {
+        let specs = &self.decoder.config().values;
+        let names = self.outputs.iter().zip(specs);
+        names.flat_map(|(name, spec)| std::iter::repeat_n(*name, spec.count)).collect()
+    }
+
+    /// What should come out, in normalised units; NaN where it is not known.
+    pub(super) fn targets(&self, truth: &Truth, maps: &mut Maps) -> Result<Vec<f32>, LearnError> {
+        let mut targets = Vec::with_capacity(self.decoder.config().len());
+        for name in self.outputs {
+            match Target::of(name) {
+                Some(Target::Map(map)) => encoded_map(maps, map, truth, self.decoder, &mut targets)?,
+                _ => targets.push(target(truth, name, self.request.config, self.decoder)),
+            }
+        }
+        Ok(targets)
+    }
+
+    /// How much each of them counts.
+    pub(super) fn weights(&self, truth: &Truth, columns: &[&'static str]) -> Vec<f32> {
+        columns.iter().map(|name| weight(truth, name, self.request.config, self.decoder)).collect()
+    }
+}
+
+/// Fits the members of a dense network.
+fn fit_dense(
+    job: &Job<'_>,
+    maps: &mut Maps,
+    stop: &AtomicBool,
+    told: &(dyn Fn(Progress) + Sync),
+) -> Result<Trained, LearnError> {
+    let (data, config) = (job.request.data, job.request.config);
+    let held_out: BTreeSet<SampleId> = job.split.test.iter().copied().collect();
+    let columns = job.columns();
+    let width = job.features.input_len();
+    let mut batch =
+        Batch { outputs: columns.len(), logit: columns.last() == Some(&"contact"), ..Batch::default() };
+    let mut balance = Balance::default();
+    data.each_input(job.features, config.baseline, |id, row| {
+        let truth = data.sample(id).and_then(|s| s.truth.as_ref());
+        let Some(truth) = truth.filter(|_| !held_out.contains(&id)) else { return Ok(()) };
+        let targets = job.targets(truth, maps)?;
+        if targets.iter().any(|t| !t.is_nan()) {
+            batch.inputs.extend_from_slice(row);
+            batch.targets.extend(targets);
+            batch.weights.extend(job.weights(truth, &columns));
+            balance.push(truth);
+        }
+        Ok(())
+    })?;
+    if config.balance_force {
+        balance.apply(&columns, &mut batch.weights);
+    }
+    if batch.is_empty() {
+        return Err(no_rows());
+    }
+    let noise = data.skin().channel_noise();
+    let preparation = Preparation::measure(config.network.input, job.features, &noise, &batch.inputs);
+    batch.inputs = preparation.apply(&batch.inputs);
+    batch.width = preparation.columns();
+    let signature = signature(data, config)?;
+    let networks = fit_all(job.request, &batch, &signature, stop, told)?;
+    let graph = Mlp::to_onnx(&networks, &preparation, "dermis")
+        .map_err(|e| LearnError::Training { reason: format!("the graph cannot be written: {e}") })?;
+    Ok(Trained { graph, interface: Interface::flat(width, columns.len()), samples: batch.len() })
+}
+
+#[cfg(feature = "train")]
+use super::run_conv::fit_conv;
+
+/// Refuses: the framework is not in this program.
+#[cfg(not(feature = "train"))]
+fn fit_conv(
+    _: &Job<'_>,
+    _: &super::ConvConfig,
+    _: Maps,
+    _: &AtomicBool,
+    _: &(dyn Fn(Progress) + Sync),
+) -> Result<Trained, LearnError> {
+    Err(without_framework())
+}
+
+/// What a program without the framework says before it reads anything.
+pub(super) fn check_framework(config: &TrainConfig) -> Result<(), LearnError> {
+    if config.network.conv.is_some() && cfg!(not(feature = "train")) {
+        return Err(without_framework());
+    }
+    Ok(())
+}
+
+fn without_framework() -> LearnError {
+    LearnError::Training {
+        reason: "`network.conv` asks for a convolutional network, and this program was built without the framework that \
+                 fits them; build it with `cargo build --release -p dermis --features train`, or leave `network.conv` out"
+            .into(),
+    }
+}
+
+pub(super) fn no_rows() -> LearnError {
     LearnError::Training {
         reason: "no sample of the training part has a long enough history; shorten `features` or raise \
                  `features.max_gap`"
@@ -184,8 +277,25 @@ fn target(truth: &Truth, name: &str, config: &TrainConfig, outputs: &Outputs) ->
     outputs.encode(name, value).unwrap_or(f32::NAN)
 }
 
-/// How much a target counts.
-fn weight(truth: &Truth, name: &str, config: &TrainConfig) -> f32 {
+/// Appends a map in normalised units; NaN where it is not known.
+fn encoded_map(
+    maps: &mut Maps,
+    map: MapTarget,
+    truth: &Truth,
+    outputs: &Outputs,
+    targets: &mut Vec<f32>,
+) -> Result<(), LearnError> {
+    let mut values = Vec::with_capacity(maps.len(map));
+    maps.append(map, truth, &mut values)?;
+    targets.extend(values.into_iter().map(|v| outputs.encode(map.name(), v).unwrap_or(f32::NAN)));
+    Ok(())
+}
+
+/// How much a target counts. A map counts as much as a scalar, whatever its number of points.
+fn weight(truth: &Truth, name: &str, config: &TrainConfig, outputs: &Outputs) -> f32 {
+    if name.starts_with("map.") {
+        return 1.0 / outputs.values(name).map_or(1, <[f64]>::len).max(1) as f32;
+    }
     let full = config.position_full_force;
     match truth.value("force.normal").filter(|_| name.starts_with("position.") && full > 0.0) {
         Some(force) => (force / full).clamp(0.0, 1.0).powi(2) as f32,
@@ -261,17 +371,21 @@ fn measure_features(
 ) -> Result<FeatureConfig, LearnError> {
     let noise = data.skin().channel_noise();
     let mut moments = vec![Moments::default(); noise.len()];
-    for id in &split.train {
-        let Some(sample) = data.sample(*id) else { continue };
-        if !sample.truth.as_ref().is_some_and(Truth::touched) {
-            continue;
-        }
-        let values = match config.baseline {
-            Baseline::Tared => &sample.tared,
-            Baseline::Raw => &sample.frame.values,
-        };
-        for (m, v) in moments.iter_mut().zip(values).filter(|(_, v)| v.is_finite()) {
-            m.push(f64::from(*v));
+    let train: BTreeSet<SampleId> = split.train.iter().copied().collect();
+    for run in 0..data.runs().len() {
+        for (sample, read) in data.stream(run)?.enumerate() {
+            let read = read?;
+            if !read.truth.as_ref().is_some_and(Truth::touched) || !train.contains(&SampleId { run, sample })
+            {
+                continue;
+            }
+            let values = match config.baseline {
+                Baseline::Tared => &read.tared,
+                Baseline::Raw => &read.frame.values,
+            };
+            for (m, v) in moments.iter_mut().zip(values).filter(|(_, v)| v.is_finite()) {
+                m.push(f64::from(*v));
+            }
         }
     }
     if moments.iter().all(|m| m.count == 0.0) {
@@ -301,6 +415,7 @@ fn measure_outputs(
     data: &Dataset,
     outputs: &[&'static str],
     split: &Split,
+    maps: &mut Maps,
 ) -> Result<OutputConfig, LearnError> {
     // The positions share a scale, so that an error counts the same in every direction; so do the forces.
     let mut moments: BTreeMap<&str, Moments> = BTreeMap::new();
@@ -317,6 +432,10 @@ fn measure_outputs(
             let mut spec = OutputSpec::new(*name, "1", 0.0, 1.0);
             spec.link = Link::Logistic;
             specs.push(spec);
+            continue;
+        }
+        if let Some(Target::Map(map)) = Target::of(name) {
+            specs.push(measure_map(data, map, split, maps)?);
             continue;
         }
         let family = if name.starts_with("position.") { "position." } else { "force." };
@@ -343,8 +462,41 @@ fn measure_outputs(
     Ok(specs)
 }
 
+/// De-normalisation of a map: the root mean square of all its points over the touched samples of the training part. Its
+/// zero stays, so that a model which answers nothing answers an untouched skin.
+fn measure_map(
+    data: &Dataset,
+    map: MapTarget,
+    split: &Split,
+    maps: &mut Maps,
+) -> Result<OutputSpec, LearnError> {
+    let (mut squares, mut count, mut values) = (0.0, 0.0, Vec::new());
+    for truth in split.train.iter().filter_map(|id| data.sample(*id)?.truth.as_ref()).filter(|t| t.touched())
+    {
+        values.clear();
+        maps.append(map, truth, &mut values)?;
+        for value in values.iter().filter(|v| v.is_finite()) {
+            squares += value * value;
+            count += 1.0;
+        }
+    }
+    let scale = if count > 0.0 { f64::sqrt(squares / count) } else { 0.0 };
+    if scale <= 0.0 {
+        let mut findings = Findings::default();
+        findings.fatal(
+            "the training part",
+            format!("`{}` is not known of any touched sample, or nothing acts there", map.name()),
+            "it cannot be learned: record place, force and diameter of the tip of every contact",
+        );
+        return Err(LearnError::Unfit(findings));
+    }
+    let mut spec = OutputSpec::new(map.name(), map.unit(), 0.0, scale);
+    spec.count = maps.len(map);
+    Ok(spec)
+}
+
 /// Names everything that a checkpoint depends on.
-fn signature(data: &Dataset, config: &TrainConfig) -> Result<String, LearnError> {
+pub(super) fn signature(data: &Dataset, config: &TrainConfig) -> Result<String, LearnError> {
     let mut hasher = Sha256::new();
     hasher.update(data.skin().hash().as_bytes());
     hasher.update(data.hash().as_bytes());
@@ -432,7 +584,7 @@ fn write_bundle(
     split: &Split,
     features: FeatureConfig,
     outputs: OutputConfig,
-    graph: &[u8],
+    (graph, interface): (&[u8], Interface),
     outcome: &Outcome,
 ) -> Result<(), LearnError> {
     let (data, config) = (request.data, request.config);
@@ -451,8 +603,8 @@ fn write_bundle(
     let touched = |ids: &[SampleId]| {
         ids.iter().filter_map(|id| data.sample(*id)?.truth.as_ref()).filter(|t| t.touched()).count()
     };
-    let mut writer = BundleWriter::new(manifest);
-    writer.card = card::of_data(data);
+    let mut writer = BundleWriter::new(manifest).with_interface(interface);
+    writer.card = card::of_data(data)?;
     let card = [
         (
             "samples",

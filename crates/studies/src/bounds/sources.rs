@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
-use dermis_learn::{Dataset, Run};
+use dermis_learn::{Dataset, SampleId};
 use dermis_model::ForwardModel;
 use dermis_skin::{SkinDescription, Surface};
 use dermis_theory::{Press, Responses, noise_of_repeats};
@@ -53,9 +53,13 @@ impl Source {
             progress.note(&notice);
         }
         let mut diameter = f64::NAN;
+        let single: Vec<SampleId> =
+            data.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
         let presses: Vec<Press> = data
-            .labelled()
-            .filter_map(|(_, sample, truth)| {
+            .gather(&single)?
+            .iter()
+            .filter_map(|(_, sample)| {
+                let truth = sample.truth.as_ref()?;
                 let contact = truth.single()?;
                 let force = contact.normal_force().filter(|f| *f > 0.0)?;
                 let known = contact.position.iter().all(|v| v.is_finite());
@@ -76,7 +80,10 @@ impl Source {
             );
         }
         let most = presses.iter().map(|p| p.force).fold(0.0, f64::max);
-        let stretches: Vec<Vec<Vec<f64>>> = data.runs().iter().flat_map(untouched).collect();
+        let mut stretches: Vec<Vec<Vec<f64>>> = Vec::new();
+        for run in 0..data.runs().len() {
+            stretches.extend(untouched(&data, run)?);
+        }
         let noise = noise_of_repeats(stretches.iter().map(Vec::as_slice), skin.channels().len())
             .filter(|n| n.iter().all(|v| *v > 0.0));
         let measured = noise.is_some();
@@ -153,10 +160,11 @@ impl Source {
 }
 
 /// Stretches of a recording in which nothing touches.
-fn untouched(run: &Run) -> Vec<Vec<Vec<f64>>> {
+fn untouched(data: &Dataset, run: usize) -> Result<Vec<Vec<Vec<f64>>>> {
     let mut found = Vec::new();
     let mut stretch: Vec<Vec<f64>> = Vec::new();
-    for sample in &run.samples {
+    for sample in data.stream(run)? {
+        let sample = sample?;
         // The zero jumps where it is taken anew; what the device gave does not.
         let still = sample.truth.as_ref().is_some_and(|t| !t.touched());
         if still {
@@ -167,5 +175,5 @@ fn untouched(run: &Run) -> Vec<Vec<Vec<f64>>> {
         }
     }
     found.push(stretch);
-    found
+    Ok(found)
 }

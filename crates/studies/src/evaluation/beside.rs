@@ -47,7 +47,7 @@ pub(super) fn beside(
     let (learn, choose) = parts(&learned, &single);
     let least = bins.first().copied().unwrap_or_default();
     let of = |ids: &[SampleId], most| Recorded::of(&learned, ids, least, most);
-    let (learn, choose) = (of(&learn, LEARNED), of(&choose, LEARNED / 4));
+    let (learn, choose) = (of(&learn, LEARNED)?, of(&choose, LEARNED / 4)?);
     if learn.is_empty() || choose.is_empty() {
         bail!(
             "the bags of `--beside` hold no single contact of {least} N or more, of known place, force and tip"
@@ -62,17 +62,18 @@ pub(super) fn beside(
             let heavy = |t: &dermis_learn::Truth| {
                 t.single().and_then(dermis_learn::TruthContact::normal_force).is_some_and(|f| f >= least)
             };
-            s.tared.iter().any(|v| v.is_finite()) && s.truth.as_ref().is_some_and(heavy)
+            s.truth.as_ref().is_some_and(heavy)
         })
     };
     asked.retain(felt);
+    let mut asked = data.gather(&asked)?;
+    asked.retain(|(_, sample)| sample.tared.iter().any(|v| v.is_finite()));
     let every = asked.len().div_ceil(ASKED).max(1);
     let mut found = Vec::new();
     let mut measure = |method: &'static str, settings: Value, mut direct: Direct| -> Result<()> {
         progress.begin(&format!("{method}: answering"));
         let mut evaluator = Evaluator::new().by_force(bins);
-        for id in asked.iter().step_by(every) {
-            let Some(sample) = data.sample(*id) else { continue };
+        for (id, sample) in asked.iter().step_by(every) {
             let Some(truth) = sample.truth.as_ref() else { continue };
             let contacts = direct.contacts(sample)?;
             evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });

@@ -220,7 +220,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     let learned = Dataset::from_bags(&options.train, &skin, &labels)?;
     let data = Dataset::from_bags(&options.bags, &skin, &labels)?;
     let compliance = Compliance::of(model.as_ref(), 0.010)?;
-    let test = frames(&data, options, &compliance);
+    let test = frames(&data, options, &compliance)?;
     if test.values().all(Vec::is_empty) {
         bail!("these bags hold no frame of one or two contacts of {} N or more each", options.least);
     }
@@ -244,7 +244,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         let mut peaks = Peaks::new(&Bundle::load(path, &skin)?, model.surface(), runtime)?;
-        if let Some(sample) = data.sample(*id) {
+        if let Some((_, sample)) = data.gather(&[*id])?.first() {
             let map = peaks.map(sample)?.to_vec();
             let contacts = sample.truth.as_ref().map(|t| t.contacts.clone()).unwrap_or_default();
             shown = Some(Shown { map, contacts });
@@ -272,25 +272,33 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
 }
 
 /// Touched frames of one and two contacts, evenly thinned.
-fn frames(data: &Dataset, options: &Request, compliance: &Compliance) -> BTreeMap<Kind, Vec<SampleId>> {
+fn frames(
+    data: &Dataset,
+    options: &Request,
+    compliance: &Compliance,
+) -> Result<BTreeMap<Kind, Vec<SampleId>>> {
     let mut all: BTreeMap<Kind, Vec<SampleId>> = BTreeMap::new();
     let heavy = |c: &TruthContact| {
         c.normal_force().is_some_and(|f| f >= options.least)
             && (options.rigid || compliance.gives_way(&c.position))
     };
-    for (id, sample, truth) in data.labelled() {
-        if let Some(kind) = Kind::of(truth)
-            && truth.contacts.iter().all(heavy)
-            && sample.tared.iter().any(|v| v.is_finite())
-        {
-            all.entry(kind).or_default().push(id);
+    for run in 0..data.runs().len() {
+        for (sample, read) in data.stream(run)?.enumerate() {
+            let read = read?;
+            if let Some(truth) = &read.truth
+                && let Some(kind) = Kind::of(truth)
+                && truth.contacts.iter().all(heavy)
+                && read.tared.iter().any(|v| v.is_finite())
+            {
+                all.entry(kind).or_default().push(SampleId { run, sample });
+            }
         }
     }
     for ids in all.values_mut() {
         let step = ids.len().div_ceil(options.most.max(1)).max(1);
         *ids = ids.iter().copied().step_by(step).collect();
     }
-    all
+    Ok(all)
 }
 
 /// All methods, and what was found while they were made.
@@ -310,11 +318,11 @@ fn prepare(
 ) -> Result<Prepared> {
     let runtime = Runtime::load(&RuntimeConfig::default())?;
     let felt = |ids: &[SampleId], most: usize| {
-        let mut all = Recorded::of(learned, ids, options.least * 0.5, most);
+        let mut all = Recorded::of(learned, ids, options.least * 0.5, most)?;
         all.retain(|r| compliance.gives_way(&r.contact.position));
-        all
+        anyhow::Ok(all)
     };
-    let (recorded, chosen) = (felt(learn, options.learn), felt(choose, options.learn / 4));
+    let (recorded, chosen) = (felt(learn, options.learn)?, felt(choose, options.learn / 4)?);
     if recorded.is_empty() || chosen.is_empty() {
         bail!("the bags of `--train` hold no single contact of known place, force and tip");
     }
@@ -423,9 +431,9 @@ fn row(
     let mut evaluator = Evaluator::new().by_force(bins);
     let (mut distances, mut forces) = (Vec::new(), Vec::new());
     let (mut right, mut wanted) = (0usize, 0usize);
+    let read = data.gather(ids)?;
     let started = Instant::now();
-    for (n, id) in ids.iter().enumerate() {
-        let Some(sample) = data.sample(*id) else { continue };
+    for (n, (id, sample)) in read.iter().enumerate() {
         let Some(truth) = sample.truth.as_ref() else { continue };
         let contacts = method.contacts(sample)?;
         progress.at((n + 1) as f64 / ids.len() as f64);

@@ -71,12 +71,12 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
     let compliance = Compliance::of(model.as_ref(), settings.scenes.diameter)?;
     // What presses where nothing gives way shows in no reading.
     let felt = |ids: &[SampleId], most: usize| {
-        let mut all = Recorded::of(&data, ids, settings.least, most);
+        let mut all = Recorded::of(&data, ids, settings.least, most)?;
         all.retain(|r| compliance.gives_way(&r.contact.position));
-        all
+        anyhow::Ok(all)
     };
-    let recorded = felt(&learn, settings.most);
-    let choose = felt(&choose, settings.most / 4);
+    let recorded = felt(&learn, settings.most)?;
+    let choose = felt(&choose, settings.most / 4)?;
     let scenes = Scenes::new(model.as_ref(), &settings.scenes)?;
     let sensors = sensors(&model, &skin, settings.pipeline.each)?;
     let runtime = Runtime::load(&RuntimeConfig::default())?;
@@ -95,8 +95,7 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
     let evaluation = {
         let mut reader = pipeline.contacts(model.surface(), runtime)?;
         let mut evaluator = Evaluator::new();
-        for id in &split.test {
-            let Some(sample) = data.sample(*id) else { continue };
+        for (id, sample) in data.gather(&split.test)? {
             let Some(truth) = sample.truth.as_ref().filter(|t| t.touched()) else { continue };
             let heavy =
                 |c: &dermis_learn::TruthContact| c.normal_force().is_some_and(|f| f >= settings.least);
@@ -144,7 +143,7 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
         .collect();
     let mut writer = BundleWriter::new(manifest);
     writer.sensitivity = Some(pipeline.sensitivity_onnx()?);
-    writer.card = dermis_learn::card::of_data(&data);
+    writer.card = dermis_learn::card::of_data(&data)?;
     let card = [
         ("real2sim", json!(trained)),
         ("settings", json!(settings)),

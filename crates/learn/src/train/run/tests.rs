@@ -1,7 +1,7 @@
 use dermis_inference::{Bundle, RuntimeChoice, RuntimeConfig};
 
 use super::*;
-use crate::dataset::tests::{presses, skin};
+use crate::dataset::tests::{presses, samples, skin};
 use crate::{SplitConfig, SplitKind};
 
 fn config() -> TrainConfig {
@@ -28,7 +28,7 @@ fn runtime() -> &'static Runtime {
 }
 
 fn request<'a>(data: &'a Dataset, config: &'a TrainConfig, out: &'a Path) -> Request<'a> {
-    Request { data, others: &[], config, out, resume: false, threads: 1, runtime: runtime() }
+    Request { data, others: &[], config, model: None, out, resume: false, threads: 1, runtime: runtime() }
 }
 
 #[test]
@@ -62,7 +62,7 @@ fn a_trained_bundle_answers_as_it_was_measured() {
     let (mut features, mut outputs) = (bundle.features(), bundle.outputs());
     let mut model = bundle.session(runtime()).unwrap();
     let (mut squares, mut count, mut raw) = (0.0, 0.0, Vec::new());
-    for (i, sample) in data.runs()[0].samples.iter().enumerate() {
+    for (i, sample) in samples(&data).iter().enumerate() {
         features.push(sample.frame.stamp, &sample.tared).unwrap();
         let known = sample.truth.as_ref().and_then(|t| t.value("position.x"));
         if let Some(x) = known.filter(|_| held_out.contains(&SampleId { run: 0, sample: i })) {
@@ -124,8 +124,10 @@ fn what_cannot_be_learned_is_refused_before_training() {
     unknown = Dataset::from_runs(unknown.skin(), runs.clone());
     insta::assert_snapshot!(told(&unknown, &config()), @"bag made.bag: `force.normal` is never known while the skin is touched; known are contact (40 samples), position.x (40 samples), position.y (40 samples), position.z (40 samples): it cannot be learned; name other targets or record them");
 
+    // Without untouched frames there is no zero.
     for sample in runs.iter_mut().flat_map(|r| &mut r.samples) {
-        sample.tared.fill(f32::NAN);
+        sample.tare = false;
+        sample.truth = sample.truth.take().filter(Truth::touched);
     }
     let mut place = config();
     place.targets = vec!["position.x".into(), "position.y".into()];
@@ -156,4 +158,33 @@ fn rare_forces_count_as_much_as_plenty() {
     // Thirty times as rare as the untouched: as much as a weight may grow.
     approx::assert_relative_eq!(sums[2], sums[0] / 3.0, max_relative = 1e-4);
     approx::assert_relative_eq!(forces.iter().sum::<f32>(), 123.0, max_relative = 1e-4);
+}
+
+#[test]
+fn a_map_is_learned_and_its_bundle_gives_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("model");
+    let (data, mut config) = (presses(30, 2), config());
+    config.targets = vec!["map.normal".into(), "force.normal".into(), "contact".into()];
+    config.training.epochs = 60;
+    run(&request(&data, &config, &out), &AtomicBool::new(false), &|_| {}).unwrap();
+    let bundle = Bundle::load(&out, &skin()).unwrap();
+    let points = skin().surface().points.len();
+    assert_eq!(bundle.manifest().output.values[1].count, points);
+    let (mut model, mut outputs) = (bundle.session(runtime()).unwrap(), bundle.outputs());
+    let (mut features, mut raw, mut errors) = (bundle.features(), Vec::new(), Vec::new());
+    for sample in samples(&data).iter().skip(20) {
+        features.push(sample.frame.stamp, &sample.tared).unwrap();
+        let Some(force) = sample.truth.as_ref().and_then(|t| t.single()?.normal_force()) else { continue };
+        model.run(features.input().unwrap(), &mut raw).unwrap();
+        outputs.decode(&raw).unwrap();
+        let sum: f64 = outputs.values("map.normal").unwrap().iter().sum();
+        errors.push((sum - force).abs() / force);
+    }
+    errors.sort_by(f64::total_cmp);
+    assert!(
+        errors[errors.len() / 2] < 0.15,
+        "the points of a map sum to the force: {}",
+        errors[errors.len() / 2]
+    );
 }

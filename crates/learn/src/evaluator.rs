@@ -11,7 +11,7 @@ use crate::metrics::{Answer, Scores};
 use crate::plot::Point;
 
 /// Runs the finished graph.
-pub(crate) struct Judge<'a> {
+pub(crate) struct GraphEvaluator<'a> {
     /// The graph.
     pub(crate) model: Model,
     /// What its output means.
@@ -22,7 +22,7 @@ pub(crate) struct Judge<'a> {
     pub(crate) baseline: Baseline,
 }
 
-impl Judge<'_> {
+impl GraphEvaluator<'_> {
     /// Compares its answers with the truth, on `only` or on all labelled frames.
     pub(crate) fn evaluate(
         &mut self,
@@ -30,22 +30,23 @@ impl Judge<'_> {
         only: Option<&BTreeSet<SampleId>>,
         name: String,
     ) -> Result<(Evaluation, Vec<Point>), LearnError> {
-        let (ids, rows) = data.inputs(self.features, self.baseline)?;
         let wanted = |id: &SampleId| only.is_none_or(|only| only.contains(id));
         let mut scores = Scores::new();
         let (mut points, mut raw, mut frames) = (Vec::new(), Vec::new(), 0);
-        for (id, row) in ids.iter().zip(rows.chunks_exact(self.features.input_len())) {
-            let Some(truth) = data.sample(*id).and_then(|s| s.truth.as_ref()).filter(|_| wanted(id)) else {
-                continue;
+        let mut answered = BTreeSet::new();
+        data.each_input(self.features, self.baseline, |id, row| {
+            let Some(truth) = data.sample(id).and_then(|s| s.truth.as_ref()).filter(|_| wanted(&id)) else {
+                return Ok(());
             };
             self.model.run(row, &mut raw)?;
             self.outputs.decode(&raw)?;
             let answer = self.answer();
             scores.push(id.run, truth, &answer);
             points.push(Point::new(truth, &answer));
+            answered.insert(id);
             frames += 1;
-        }
-        let answered: BTreeSet<&SampleId> = ids.iter().collect();
+            Ok(())
+        })?;
         let unanswered =
             data.labelled().filter(|(id, _, t)| wanted(id) && t.touched() && !answered.contains(id)).count();
         let tares = data.runs().iter().flat_map(|r| &r.samples).filter(|s| s.tare).count();

@@ -14,8 +14,8 @@ use serde_json::json;
 
 use crate::dataset::{Dataset, SampleId, Truth};
 use crate::evaluate::Evaluation;
+use crate::evaluator::GraphEvaluator;
 use crate::findings::Findings;
-use crate::judge::Judge;
 use crate::plot::Report;
 use crate::{LearnError, SplitConfig, card};
 
@@ -129,7 +129,7 @@ impl Wiring {
 }
 
 /// What to make a bundle of.
-pub struct Adoption<'a> {
+pub struct ImportRequest<'a> {
     /// Skin that the model is for.
     pub skin: &'a SkinDescription,
     /// The `.onnx` file.
@@ -148,7 +148,7 @@ pub struct Adoption<'a> {
 
 /// What became of it.
 #[derive(Debug, Clone)]
-pub struct Adopted {
+pub struct Imported {
     /// Runtimes that ran the model.
     pub runtimes: Vec<String>,
     /// What it makes of the data, where there are some.
@@ -164,7 +164,7 @@ const ROUNDING: f32 = 1e-3;
 /// # Errors
 ///
 /// [`LearnError::Unfit`] says all that does not fit and what to do.
-pub fn adopt(request: &Adoption<'_>) -> Result<Adopted, LearnError> {
+pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> {
     let (skin, wiring) = (request.skin, request.wiring);
     let place = format!("model file {}", request.onnx.display());
     let raw =
@@ -224,11 +224,13 @@ pub fn adopt(request: &Adoption<'_>) -> Result<Adopted, LearnError> {
         input_shape: input.fixed().unwrap_or_default(),
         output: output.name.clone(),
         output_shape: output.fixed().unwrap_or_default(),
+        ..Interface::default()
     };
     let (model, runtimes) = trial(request, &graph, &interface, &signature, &place)?;
 
     let decoder = Outputs::new(outputs.clone())?;
-    let mut judge = Judge { model, outputs: decoder, features: &features, baseline: wiring.baseline };
+    let mut evaluator =
+        GraphEvaluator { model, outputs: decoder, features: &features, baseline: wiring.baseline };
     let mut measured = None;
     if let Some((data, split)) = request.data {
         let targets: Vec<&str> = request.outputs.iter().map(String::as_str).collect();
@@ -240,7 +242,7 @@ pub fn adopt(request: &Adoption<'_>) -> Result<Adopted, LearnError> {
         let held_out = split.map(|s| s.apply(data)).transpose()?.map(|s| s.test);
         let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
         let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
-        measured = Some((data, split, judge.evaluate(data, only.as_ref(), name)?));
+        measured = Some((data, split, evaluator.evaluate(data, only.as_ref(), name)?));
     }
 
     let training = TrainingSection {
@@ -257,12 +259,12 @@ pub fn adopt(request: &Adoption<'_>) -> Result<Adopted, LearnError> {
         card::measured(&mut manifest, evaluation);
         let ids: Vec<SampleId> = data.labelled().map(|(id, ..)| id).collect();
         manifest.force_range = card::force_range(data, &ids);
-        card = card::of_data(data);
+        card = card::of_data(data)?;
         card.insert("held_out".into(), evaluation.to_json());
         if let Some(split) = split {
             card.insert("split".into(), json!(split));
         }
-        report.data(data, split.as_ref());
+        report.data(data, split.as_ref())?;
         report.section(&format!("Measured on: {}", evaluation.data), evaluation, points);
     }
     card.insert("origin".into(), json!({
@@ -279,12 +281,12 @@ pub fn adopt(request: &Adoption<'_>) -> Result<Adopted, LearnError> {
         let path = request.out.join("report.html");
         std::fs::write(&path, report.html()).map_err(LearnError::io(&path, "written"))?;
     }
-    Ok(Adopted { runtimes, measured: measured.map(|(_, _, (evaluation, _))| evaluation) })
+    Ok(Imported { runtimes, measured: measured.map(|(_, _, (evaluation, _))| evaluation) })
 }
 
 /// Runs the graph once in the embedded runtime and once in the native one, where that is there.
 fn trial(
-    request: &Adoption<'_>,
+    request: &ImportRequest<'_>,
     graph: &[u8],
     interface: &Interface,
     signature: &Signature,

@@ -34,7 +34,7 @@ fn a_graph_of_someone_else_becomes_a_bundle_that_is_measured() {
     let dir = tempfile::tempdir().unwrap();
     let (onnx, out, skin, data) = (inverse(dir.path()), dir.path().join("bundle"), skin(), presses(40, 2));
     let outputs = names("position.x,position.y,force.normal");
-    let request = Adoption {
+    let request = ImportRequest {
         skin: &skin,
         onnx: &onnx,
         outputs: &outputs,
@@ -43,7 +43,7 @@ fn a_graph_of_someone_else_becomes_a_bundle_that_is_measured() {
         out: &out,
         runtime: runtime(),
     };
-    let adopted = adopt(&request).unwrap();
+    let adopted = import_onnx(&request).unwrap();
     assert_eq!(adopted.runtimes, ["embedded"]);
     let figures = adopted.measured.unwrap().figures();
     assert!(figures["position_rms"] < 1e-6 && figures["force_normal_rms"] < 0.01, "{figures:?}");
@@ -67,7 +67,7 @@ fn what_does_not_fit_is_said_at_once() {
     let (onnx, out, skin) = (inverse(dir.path()), dir.path().join("bundle"), skin());
     let told = |outputs: &str, wiring: &Wiring, onnx: &Path| {
         let outputs = names(outputs);
-        let request = Adoption {
+        let request = ImportRequest {
             skin: &skin,
             onnx,
             outputs: &outputs,
@@ -76,7 +76,7 @@ fn what_does_not_fit_is_said_at_once() {
             out: &out,
             runtime: runtime(),
         };
-        adopt(&request).unwrap_err().to_string().replace(&dir.path().display().to_string(), "DIR")
+        import_onnx(&request).unwrap_err().to_string().replace(&dir.path().display().to_string(), "DIR")
     };
     let two = Wiring { taps: Taps::Frames(vec![0, 1]), ..Wiring::default() };
     insta::assert_snapshot!(told("position.x,force.normal", &two, &onnx), @r"

@@ -1,0 +1,278 @@
+//! Frames of a run, one after the other.
+//!
+//! A data set does not hold the frames of its bags, unless they are few ([`DatasetOptions::memory`]): who needs readings
+//! reads the bag once more, in order of acquisition, and the zero is subtracted on the way as a node does it. Memory holds
+//! one frame and those that lie in the bag before it although they were acquired later; time is that of decoding the bag,
+//! once a pass.
+//!
+//! [`DatasetOptions::memory`]: super::DatasetOptions::memory
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::Arc;
+
+use dermis_bag::{BagReader, Filter, Messages};
+use dermis_msgs::Message;
+use dermis_msgs::msg::TaxelFrame;
+use dermis_skin::{ChannelFlags, Frame, SkinDescription, Stamp, ZeroTracker};
+
+use super::truth::Truth;
+use super::{Run, SampleId};
+use crate::LearnError;
+
+/// Frames that a tare takes at least.
+pub(super) const FEWEST_TARE_FRAMES: usize = 3;
+
+/// What stays in memory of every frame: when it was acquired and what was true, but no reading.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameInfo {
+    /// When it was acquired.
+    pub stamp: Stamp,
+    /// Whether the zero is taken anew from this frame on: the first of an idle stretch that is long enough.
+    pub tare: bool,
+    /// One entry a channel. Frames of like flags share them.
+    pub flags: Arc<[ChannelFlags]>,
+    /// `None` for a frame without ground truth; it still feeds history.
+    pub truth: Option<Truth>,
+}
+
+/// One frame and what was true when it was acquired.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sample {
+    /// As the device gave it, in the unit of the skin.
+    pub frame: Frame,
+    /// `value − zero` in the unit of the skin, one a channel; NaN where a channel is invalid or its zero unknown.
+    pub tared: Vec<f32>,
+    /// Whether the zero is taken anew from this frame on: the first of an idle stretch that is long enough.
+    pub tare: bool,
+    /// `None` for a frame without ground truth; it still feeds history.
+    pub truth: Option<Truth>,
+}
+
+/// Where the frames of a run are.
+#[derive(Debug, Clone)]
+pub(super) enum Source {
+    /// In memory, in order of acquisition.
+    Held(Arc<Vec<Frame>>),
+    /// In the bag.
+    Bag(BagFrames),
+}
+
+/// Which messages of a bag are the frames of a run.
+#[derive(Debug, Clone)]
+pub(super) struct BagFrames {
+    pub(super) instance: String,
+    pub(super) topic: Option<String>,
+    /// Place in time of every frame of the bag; `None` where they lie in order.
+    pub(super) ranks: Option<Arc<Vec<u32>>>,
+}
+
+/// The frames of a run, in order of acquisition, with their zero subtracted.
+pub struct Samples<'a> {
+    run: &'a Run,
+    frames: Frames<'a>,
+    zero: ZeroTracker,
+    next: usize,
+}
+
+enum Frames<'a> {
+    Held(std::slice::Iter<'a, Frame>),
+    Bag(Box<Reading<'a>>),
+}
+
+/// A bag that is being read.
+struct Reading<'a> {
+    path: &'a Path,
+    of: &'a BagFrames,
+    messages: Messages,
+    /// Frames of the bag that were read.
+    read: usize,
+    /// Frames that come later in time than others that lie behind them in the bag.
+    early: BTreeMap<usize, Frame>,
+}
+
+impl Reading<'_> {
+    /// The frame with this place in time.
+    fn frame(&mut self, place: usize) -> Result<Frame, LearnError> {
+        if let Some(frame) = self.early.remove(&place) {
+            return Ok(frame);
+        }
+        while let Some(message) = self.messages.next().transpose()? {
+            if self.of.topic.as_ref().is_some_and(|topic| **topic != *message.topic) {
+                continue;
+            }
+            let frame: TaxelFrame = message.decode()?;
+            if frame.skin != self.of.instance || frame.header.stamp.as_nanos() == 0 {
+                continue;
+            }
+            let rank = match &self.of.ranks {
+                None => Some(self.read),
+                Some(ranks) => ranks.get(self.read).map(|r| *r as usize),
+            };
+            self.read += 1;
+            match rank {
+                Some(rank) if rank == place => return Ok(Frame::from(&frame)),
+                Some(rank) => {
+                    self.early.insert(rank, Frame::from(&frame));
+                }
+                None => break,
+            }
+        }
+        Err(self.changed())
+    }
+
+    fn changed(&self) -> LearnError {
+        LearnError::Changed { bag: self.path.to_owned() }
+    }
+}
+
+impl<'a> Samples<'a> {
+    pub(super) fn new(run: &'a Run, skin: &SkinDescription) -> Result<Self, LearnError> {
+        let frames = match &run.source {
+            Source::Held(frames) => Frames::Held(frames.iter()),
+            Source::Bag(of) => {
+                let mut filter = Filter::default().types([TaxelFrame::TYPE_NAME]);
+                if let Some(topic) = &of.topic {
+                    filter = filter.topics([topic.clone()]);
+                }
+                let messages = BagReader::open(&run.path)?.messages_where(filter);
+                let path = run.path.as_path();
+                Frames::Bag(Box::new(Reading { path, of, messages, read: 0, early: BTreeMap::new() }))
+            }
+        };
+        Ok(Self { run, frames, zero: ZeroTracker::labelled(skin), next: 0 })
+    }
+
+    fn sample(&mut self, info: &FrameInfo) -> Result<Sample, LearnError> {
+        let frame = match &mut self.frames {
+            Frames::Held(frames) => frames.next().cloned().unwrap_or_default(),
+            Frames::Bag(reading) => {
+                let frame = reading.frame(self.next)?;
+                if frame.stamp != info.stamp {
+                    return Err(reading.changed());
+                }
+                frame
+            }
+        };
+        if info.tare {
+            self.zero.reset();
+        }
+        // What is not known to be untouched must not move the zero.
+        self.zero.push(&frame, info.truth.as_ref().is_none_or(Truth::touched));
+        let mut tared = frame.clone();
+        self.zero.subtract(&mut tared);
+        Ok(Sample { frame, tared: tared.values, tare: info.tare, truth: info.truth.clone() })
+    }
+}
+
+impl Iterator for Samples<'_> {
+    type Item = Result<Sample, LearnError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let run = self.run;
+        let sample = self.sample(run.samples.get(self.next)?);
+        // After an error there is nothing more to come.
+        self.next = if sample.is_ok() { self.next + 1 } else { run.samples.len() };
+        Some(sample)
+    }
+}
+
+impl Run {
+    /// A run of frames that were made elsewhere, in order of acquisition, with a label each.
+    #[must_use]
+    pub fn of_frames(
+        (path, session, hash): (std::path::PathBuf, String, String),
+        frames: Vec<Frame>,
+        labels: Vec<Option<Truth>>,
+        skin: &SkinDescription,
+        tare_when_idle: bool,
+    ) -> Self {
+        let mut flags = SharedFlags::default();
+        let marks = frames.iter().map(|f| (f.stamp, flags.share(&f.flags))).collect();
+        let samples = infos(marks, labels, skin, tare_when_idle);
+        let source = Source::Held(Arc::new(frames));
+        Self { path, session, hash, samples, lost: 0, bias: None, source }
+    }
+}
+
+impl super::Dataset {
+    /// The frames of one run, read anew; none where there is no such run.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Bag`] where the bag cannot be opened.
+    pub fn stream(
+        &self,
+        run: usize,
+    ) -> Result<impl Iterator<Item = Result<Sample, LearnError>> + '_, LearnError> {
+        let samples = self.runs.get(run).map(|run| Samples::new(run, &self.skin)).transpose()?;
+        Ok(samples.into_iter().flatten())
+    }
+
+    /// The samples of these identities with their readings, in the order of `ids`. They are held in memory: ask for a part.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError`] where a bag cannot be read once more, or has changed.
+    pub fn gather(&self, ids: &[SampleId]) -> Result<Vec<(SampleId, Sample)>, LearnError> {
+        let wanted: BTreeSet<SampleId> = ids.iter().copied().collect();
+        let mut found: BTreeMap<SampleId, Sample> = BTreeMap::new();
+        for run in 0..self.runs.len() {
+            let of_run = || wanted.range(SampleId { run, sample: 0 }..=SampleId { run, sample: usize::MAX });
+            let Some(last) = of_run().next_back() else { continue };
+            for (sample, read) in self.stream(run)?.enumerate().take(last.sample + 1) {
+                let (id, read) = (SampleId { run, sample }, read?);
+                if wanted.contains(&id) {
+                    found.insert(id, read);
+                }
+            }
+        }
+        if wanted.len() == ids.len() {
+            return Ok(ids.iter().filter_map(|id| Some((*id, found.remove(id)?))).collect());
+        }
+        Ok(ids.iter().filter_map(|id| Some((*id, found.get(id)?.clone()))).collect())
+    }
+}
+
+/// Flags of frames, each combination once.
+#[derive(Default)]
+pub(super) struct SharedFlags(std::collections::HashSet<Arc<[ChannelFlags]>>);
+
+impl SharedFlags {
+    pub(super) fn share(&mut self, flags: &[ChannelFlags]) -> Arc<[ChannelFlags]> {
+        if let Some(known) = self.0.get(flags) {
+            return Arc::clone(known);
+        }
+        let new: Arc<[ChannelFlags]> = flags.into();
+        self.0.insert(Arc::clone(&new));
+        new
+    }
+}
+
+/// Says where the zero is taken anew. Frames are in order of their stamps, with a label each.
+pub(super) fn infos(
+    frames: Vec<(Stamp, Arc<[ChannelFlags]>)>,
+    labels: Vec<Option<Truth>>,
+    skin: &SkinDescription,
+    tare_when_idle: bool,
+) -> Vec<FrameInfo> {
+    let mut infos: Vec<FrameInfo> = frames
+        .into_iter()
+        .zip(labels)
+        .map(|((stamp, flags), truth)| FrameInfo { stamp, tare: false, flags, truth })
+        .collect();
+    if !tare_when_idle {
+        return infos;
+    }
+    let idle = |info: &FrameInfo| info.truth.as_ref().is_some_and(|t| t.idle);
+    let mut k = 0;
+    while k < infos.len() {
+        let count = infos[k..].iter().take_while(|i| idle(i)).count();
+        if let Some(last) = count.checked_sub(1) {
+            let lasts = infos[k + last].stamp.saturating_sub(infos[k].stamp) as f64 * 1e-9;
+            infos[k].tare = count >= FEWEST_TARE_FRAMES && lasts >= skin.condition.tare_duration;
+        }
+        k += count.max(1);
+    }
+    infos
+}

@@ -1,0 +1,344 @@
+//! What a model learns to answer: scalars of one contact, and maps over the surface.
+//!
+//! | name | numbers | what it is |
+//! |---|---|---|
+//! | `position.x` …, `force.x` …, `force.normal`, `contact` | 1 | of the only contact; see [`Truth::value`] |
+//! | `map.normal` | one a surface point | \[N\] pressing force that acts on the point, positive when pushed in |
+//! | `map.force` | three a surface point | \[N\] force on the point, in the frame of the skin's link |
+//! | `map.displacement` | one a surface point | \[m\] how far the point gives way, inwards along its normal |
+//!
+//! Maps are computed from the ground truth of a frame when it is needed, for any number of contacts, and are not recorded.
+//! A force is spread over its contact patch: a point gets the share of its area, weighted by the pressure that Hertz (1882)
+//! gives for a sphere, √(1 − r²/a²), so that the points sum to the force. The radius a = √(R d) of the patch follows from the
+//! depth d to which the forward model lets the tip of radius R sink in; without a forward model the patch is taken to be
+//! half as wide as the tip. Where the patch is so small that no point lies in it, the nearest point gets the force.
+//! Displacements are those of the forward model.
+//!
+//! Cost: a force map visits every point of the surface once a contact; a displacement map is one call of the model.
+
+use std::sync::Arc;
+
+use dermis_inference::MAP_DISPLACEMENT;
+use dermis_model::{ForwardModel, Stimulus};
+use dermis_skin::{SkinDescription, Surface};
+use nalgebra::{Point3, Vector3};
+
+use crate::LearnError;
+use crate::bounds::stimulus;
+use crate::dataset::Truth;
+
+/// Pressing forces over the surface.
+pub const MAP_NORMAL: &str = "map.normal";
+/// Forces over the surface.
+pub const MAP_FORCE: &str = "map.force";
+
+/// What a training configuration can name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Target {
+    /// One of [`Truth::TARGETS`].
+    Scalar(&'static str),
+    /// One number, or one vector, a point of the surface.
+    Map(MapTarget),
+}
+
+/// A quantity that every point of the surface has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MapTarget {
+    /// [`MAP_NORMAL`].
+    Normal,
+    /// [`MAP_FORCE`].
+    Force,
+    /// [`MAP_DISPLACEMENT`].
+    Displacement,
+}
+
+impl MapTarget {
+    /// Every one.
+    pub const ALL: [Self; 3] = [Self::Normal, Self::Force, Self::Displacement];
+
+    /// What configurations and bundles call it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Normal => MAP_NORMAL,
+            Self::Force => MAP_FORCE,
+            Self::Displacement => MAP_DISPLACEMENT,
+        }
+    }
+
+    /// Numbers a point.
+    #[must_use]
+    pub fn per_point(self) -> usize {
+        if self == Self::Force { 3 } else { 1 }
+    }
+
+    /// Its unit.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        if self == Self::Displacement { "m" } else { "N" }
+    }
+}
+
+impl Target {
+    /// What is called so.
+    #[must_use]
+    pub fn of(name: &str) -> Option<Self> {
+        let scalar = Truth::TARGETS.into_iter().find(|t| *t == name).map(Self::Scalar);
+        scalar.or_else(|| MapTarget::ALL.into_iter().find(|m| m.name() == name).map(Self::Map))
+    }
+
+    /// What it is called.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Scalar(name) => name,
+            Self::Map(map) => map.name(),
+        }
+    }
+
+    /// Every name.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        Truth::TARGETS.into_iter().chain(MapTarget::ALL.into_iter().map(MapTarget::name))
+    }
+}
+
+/// Makes maps of what was true.
+pub struct Maps {
+    surface: Surface,
+    model: Option<Arc<dyn ForwardModel>>,
+    displacement: Vec<f64>,
+}
+
+impl Maps {
+    /// Maps over the surface of a skin. Without a forward model there are no displacements.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Training`] where one of `wanted` needs a forward model and there is none.
+    pub fn new(
+        skin: &SkinDescription,
+        model: Option<Arc<dyn ForwardModel>>,
+        wanted: &[MapTarget],
+    ) -> Result<Self, LearnError> {
+        if wanted.contains(&MapTarget::Displacement) && model.is_none() {
+            return Err(LearnError::Training {
+                reason: format!(
+                    "target `{MAP_DISPLACEMENT}` needs the forward model of skin `{}`: train with `dermis train`, which knows \
+                     the models of its sensors, or leave the target out",
+                    skin.name
+                ),
+            });
+        }
+        let surface = skin.surface();
+        Ok(Self { displacement: vec![0.0; surface.points.len()], surface, model })
+    }
+
+    /// Numbers of a map.
+    #[must_use]
+    pub fn len(&self, map: MapTarget) -> usize {
+        map.per_point() * self.surface.points.len()
+    }
+
+    /// Appends a map in SI units; NaN throughout where the ground truth does not tell it.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Training`] where the forward model knows no displacements.
+    pub fn append(&mut self, map: MapTarget, truth: &Truth, out: &mut Vec<f64>) -> Result<(), LearnError> {
+        let start = out.len();
+        out.resize(start + self.len(map), 0.0);
+        let Some(stimulus) = stimulus(truth) else {
+            out[start..].fill(f64::NAN);
+            return Ok(());
+        };
+        if stimulus.contacts.is_empty() {
+            return Ok(());
+        }
+        if map == MapTarget::Displacement {
+            self.displaced(&stimulus)?;
+            out[start..].copy_from_slice(&self.displacement);
+            return Ok(());
+        }
+        for (pressed, truth) in stimulus.contacts.iter().zip(&truth.contacts) {
+            let depth = self.model.as_ref().and_then(|model| {
+                model.depth_at(&pressed.position, pressed.diameter, -pressed.force.dot(&truth.normal))
+            });
+            let radius = patch(pressed.diameter, depth);
+            for (i, share) in shares(&self.surface, &pressed.position, radius) {
+                let force: Vector3<f64> = pressed.force * share;
+                match map {
+                    MapTarget::Normal => out[start + i] -= force.dot(&self.surface.normals[i]),
+                    MapTarget::Force | MapTarget::Displacement => {
+                        let at = start + 3 * i;
+                        out[at..at + 3].iter_mut().zip(&force).for_each(|(o, f)| *o += f);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Computes how far the surface gives way.
+    fn displaced(&mut self, stimulus: &Stimulus) -> Result<(), LearnError> {
+        let failed = |reason: String| LearnError::Training {
+            reason: format!("target `{MAP_DISPLACEMENT}`: {reason}"),
+        };
+        let model = self.model.as_ref().ok_or_else(|| failed("there is no forward model".into()))?;
+        match model.displacement(stimulus, &mut self.displacement) {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(failed(
+                "the forward model of this skin knows no displacements; leave the target out".into(),
+            )),
+            Err(error) => Err(failed(error.to_string())),
+        }
+    }
+}
+
+/// \[m\] radius of the patch on which a spherical tip of this diameter touches.
+fn patch(diameter: f64, depth: Option<f64>) -> f64 {
+    let tip = diameter / 2.0;
+    match depth.filter(|d| *d > 0.0) {
+        Some(depth) => (tip * depth).sqrt().min(tip),
+        None => tip / 2.0,
+    }
+}
+
+/// Points of a surface on which a contact at `at` acts, and what share of its force each of them gets; the shares sum to 1.
+fn shares(surface: &Surface, at: &Point3<f64>, radius: f64) -> Vec<(usize, f64)> {
+    let within = |(i, point): (usize, &Point3<f64>)| {
+        let distance = (point - at).norm();
+        (distance < radius).then(|| (i, (1.0 - (distance / radius).powi(2)).sqrt() * surface.areas[i]))
+    };
+    let mut found: Vec<(usize, f64)> = surface.points.iter().enumerate().filter_map(within).collect();
+    let total: f64 = found.iter().map(|(_, share)| share).sum();
+    if total > 0.0 {
+        found.iter_mut().for_each(|(_, share)| *share /= total);
+        return found;
+    }
+    let distance = |i: &usize| (surface.points[*i] - at).norm();
+    let nearest = (0..surface.points.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    nearest.map(|i| (i, 1.0)).into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::ModelError;
+
+    use super::*;
+    use crate::dataset::tests::{contact, skin};
+
+    fn truth(contacts: Vec<crate::TruthContact>) -> Truth {
+        Truth { press: 0, location: 0, idle: contacts.is_empty(), contacts }
+    }
+
+    fn fine() -> SkinDescription {
+        let mut skin = skin();
+        if let dermis_skin::SurfaceSpec::Rectangle { spacing, .. } = &mut skin.surface {
+            *spacing = 0.0005;
+        }
+        skin
+    }
+
+    /// Gives way in proportion to the force, at the nearest point only.
+    struct Soft(Surface);
+
+    impl ForwardModel for Soft {
+        fn channels(&self) -> usize {
+            2
+        }
+
+        fn surface(&self) -> &Surface {
+            &self.0
+        }
+
+        fn response(&self, _: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+            out.fill(0.0);
+            Ok(())
+        }
+
+        fn noise(&self) -> &[f64] {
+            &[1.0, 1.0]
+        }
+
+        fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+            out.fill(0.0);
+            for contact in &stimulus.contacts {
+                for (i, share) in shares(&self.0, &contact.position, 0.0) {
+                    out[i] -= 1e-3 * share * contact.force.z;
+                }
+            }
+            Ok(true)
+        }
+
+        fn depth_at(&self, _: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+            Some(force * 0.01 * diameter)
+        }
+    }
+
+    #[test]
+    fn a_force_is_spread_over_its_patch_and_none_is_lost() {
+        let skin = fine();
+        let mut maps = Maps::new(&skin, None, &[MapTarget::Normal]).unwrap();
+        let mut map = Vec::new();
+        let mut oblique = contact(0.003, -0.002, 2.0);
+        oblique.force.x = 0.5;
+        let both = truth(vec![oblique, contact(-0.004, 0.001, 1.0)]);
+        maps.append(MapTarget::Normal, &both, &mut map).unwrap();
+        approx::assert_relative_eq!(map.iter().sum::<f64>(), 3.0, max_relative = 1e-9);
+        // The centre of pressure is where the tips are, and nothing acts elsewhere.
+        let surface = skin.surface();
+        let (mut moment, mut outside) = (0.0, 0.0);
+        for (point, force) in surface.points.iter().zip(&map) {
+            moment += point.x * force;
+            let near = [(0.003, -0.002), (-0.004, 0.001)]
+                .iter()
+                .any(|(x, y)| (point.x - x).hypot(point.y - y) < 0.001);
+            outside += if near { 0.0 } else { force.abs() };
+        }
+        approx::assert_relative_eq!(moment, 2.0 * 0.003 - 0.004, epsilon = 2e-5);
+        assert_eq!(outside, 0.0);
+        assert!(map.iter().filter(|f| **f > 0.0).count() > 15);
+
+        let mut forces = Vec::new();
+        maps.append(MapTarget::Force, &both, &mut forces).unwrap();
+        let sum = |axis: usize| forces.iter().skip(axis).step_by(3).sum::<f64>();
+        approx::assert_relative_eq!(sum(0), 0.5, max_relative = 1e-9);
+        approx::assert_relative_eq!(sum(2), -3.0, max_relative = 1e-9);
+    }
+
+    #[test]
+    fn a_patch_grows_with_the_depth_and_the_nearest_point_stands_in_for_a_small_one() {
+        let skin = fine();
+        let model: Arc<dyn ForwardModel> = Arc::new(Soft(skin.surface()));
+        let mut maps = Maps::new(&skin, Some(model), &MapTarget::ALL).unwrap();
+        let mut touched = |newtons: f64| {
+            let mut map = Vec::new();
+            maps.append(MapTarget::Normal, &truth(vec![contact(0.001, 0.001, newtons)]), &mut map).unwrap();
+            approx::assert_relative_eq!(map.iter().sum::<f64>(), newtons, max_relative = 1e-9);
+            map.iter().filter(|f| **f > 0.0).count()
+        };
+        let counts = [touched(0.01), touched(5.0), touched(20.0)];
+        assert_eq!(counts[0], 1);
+        assert!(counts[1] > 1 && counts[2] > counts[1], "{counts:?}");
+    }
+
+    #[test]
+    fn displacements_are_those_of_the_model_and_unknown_forces_make_no_map() {
+        let skin = skin();
+        let model: Arc<dyn ForwardModel> = Arc::new(Soft(skin.surface()));
+        let mut maps = Maps::new(&skin, Some(model), &[MapTarget::Displacement]).unwrap();
+        let mut map = Vec::new();
+        maps.append(MapTarget::Displacement, &truth(vec![contact(0.0, 0.0, 3.0)]), &mut map).unwrap();
+        approx::assert_relative_eq!(map.iter().sum::<f64>(), 3e-3, max_relative = 1e-12);
+        map.clear();
+        maps.append(MapTarget::Displacement, &truth(Vec::new()), &mut map).unwrap();
+        assert!(map.len() == skin.surface().points.len() && map.iter().all(|v| *v == 0.0));
+        map.clear();
+        let mut unknown = contact(0.0, 0.0, 1.0);
+        unknown.components = dermis_skin::ForceComponents::None;
+        maps.append(MapTarget::Normal, &truth(vec![unknown]), &mut map).unwrap();
+        assert!(map.iter().all(|v| v.is_nan()));
+        let error = Maps::new(&skin, None, &[MapTarget::Displacement]).err().unwrap().to_string();
+        insta::assert_snapshot!(error, @"training: target `map.displacement` needs the forward model of skin `pad`: train with `dermis train`, which knows the models of its sensors, or leave the target out");
+    }
+}

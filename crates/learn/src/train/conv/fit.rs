@@ -1,0 +1,384 @@
+//! Fits a network to samples that are streamed.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use burn::tensor::{Device, Tensor, TensorData};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::network::{ConvNetwork, batch_of, numbers};
+use super::{ConvSpec, TensorReader, TensorSample, checkpoint};
+use crate::LearnError;
+
+/// Decay of Adam's two moments, and what keeps its quotient finite.
+const DECAY: [f32; 2] = [0.9, 0.999];
+const EPSILON: f32 = 1e-8;
+
+/// How a network is fitted.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ConvTraining {
+    /// Most passes over the samples.
+    pub epochs: u32,
+    /// Samples a step.
+    pub batch: usize,
+    /// Largest step size; it falls to 0 along a cosine over all epochs.
+    pub learning_rate: f64,
+    /// Epochs without a lower error on the validation samples after which training ends; 0: never.
+    pub patience: u32,
+    /// Samples among which the next one is drawn.
+    pub shuffle: usize,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// What the samples are, as a hash of them, say: the state of training on others is not continued.
+    pub data: String,
+}
+
+impl Default for ConvTraining {
+    fn default() -> Self {
+        Self {
+            epochs: 60,
+            batch: 32,
+            learning_rate: 1e-3,
+            patience: 10,
+            shuffle: 1024,
+            seed: 1,
+            data: String::new(),
+        }
+    }
+}
+
+/// How far fitting is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ConvProgress {
+    /// Epochs that are done.
+    pub epoch: u32,
+    /// Mean loss of the last one.
+    pub training: f64,
+    /// Mean loss of the validation samples after it.
+    pub validation: f64,
+    /// Whether that is the lowest so far.
+    pub best: bool,
+}
+
+/// A fitted network.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fitted {
+    /// The best one.
+    pub network: ConvNetwork,
+    /// Its mean loss on the validation samples.
+    pub validation: f64,
+    /// The epoch that it is from.
+    pub epoch: u32,
+    /// Epochs that were done.
+    pub epochs: u32,
+}
+
+/// Everything that changes while a network is fitted; what a checkpoint holds.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct State {
+    pub(super) network: ConvNetwork,
+    pub(super) first: Vec<Vec<f32>>,
+    pub(super) second: Vec<Vec<f32>>,
+    pub(super) best: ConvNetwork,
+    pub(super) best_loss: f64,
+    pub(super) best_epoch: u32,
+    pub(super) epoch: u32,
+    pub(super) steps: u64,
+}
+
+impl State {
+    pub(super) fn new(network: ConvNetwork) -> Self {
+        let zeros: Vec<Vec<f32>> = network.parameters.iter().map(|p| vec![0.0; p.values.len()]).collect();
+        Self {
+            best: network.clone(),
+            first: zeros.clone(),
+            second: zeros,
+            network,
+            best_loss: f64::INFINITY,
+            best_epoch: 0,
+            epoch: 0,
+            steps: 0,
+        }
+    }
+}
+
+/// Fits a network to `train`, and keeps the one that does best on `validation`. With `state`, the state is saved there after
+/// every epoch, and training goes on from what is there where `resume` is set. When `stop` is set, training ends after the
+/// step that it is at; an epoch that was begun is done again on resuming. `progress` is called after every epoch.
+///
+/// The result depends on the samples, their order, the specification and the seed only, also across a resumption.
+///
+/// # Errors
+///
+/// [`LearnError::Interrupted`] where `stop` was set, [`LearnError::Checkpoint`] where the state does not fit, and what the
+/// readers say.
+pub fn fit(
+    spec: &ConvSpec,
+    training: &ConvTraining,
+    (train, validation): (&dyn TensorReader, &dyn TensorReader),
+    state: Option<(&Path, bool)>,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(ConvProgress),
+) -> Result<Fitted, LearnError> {
+    if training.epochs == 0
+        || training.batch == 0
+        || !(training.learning_rate > 0.0 && training.learning_rate.is_finite())
+    {
+        return Err(LearnError::Training {
+            reason: "`training.epochs` and `training.batch` must be at least 1, and `training.learning_rate` positive".into(),
+        });
+    }
+    let fresh = State::new(ConvNetwork::new(spec, training.seed)?);
+    let mut now = match state {
+        Some((path, true)) if path.exists() => checkpoint::load(path, fresh, spec, training)?,
+        _ => fresh,
+    };
+    while now.epoch < training.epochs {
+        let patience = training.patience > 0 && now.epoch > 0;
+        if patience && now.epoch - now.best_epoch >= training.patience {
+            break;
+        }
+        let before = now.epoch;
+        let report = epoch(&mut now, training, (train, validation), stop).map_err(|error| match error {
+            LearnError::Interrupted { .. } => LearnError::Interrupted {
+                epoch: before,
+                epochs: training.epochs,
+                path: state.map(|(path, _)| path.to_owned()).unwrap_or_default(),
+            },
+            error => error,
+        })?;
+        if let Some((path, _)) = state {
+            checkpoint::save(path, &now, training)?;
+        }
+        progress(report);
+    }
+    Ok(Fitted { network: now.best, validation: now.best_loss, epoch: now.best_epoch, epochs: now.epoch })
+}
+
+/// One pass over the training samples, and one over the validation samples.
+fn epoch(
+    state: &mut State,
+    training: &ConvTraining,
+    (train, validation): (&dyn TensorReader, &dyn TensorReader),
+    stop: &AtomicBool,
+) -> Result<ConvProgress, LearnError> {
+    let device = Device::flex();
+    let mut live = Live::of(state, &device);
+    // A share of the way through all epochs: the number of samples need not be known before.
+    let done = f64::from(state.epoch) / f64::from(training.epochs);
+    let rate = training.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * done).cos());
+    let mut rng = ChaCha8Rng::seed_from_u64(training.seed);
+    rng.set_stream(u64::from(state.epoch) + 1);
+    let spec = state.network.spec.clone();
+    let (mut pool, mut batch): (Vec<TensorSample>, Vec<TensorSample>) = (Vec::new(), Vec::new());
+    let mut sum = Mean::default();
+    let mut draw = |pool: &mut Vec<TensorSample>, batch: &mut Vec<TensorSample>, last: bool| {
+        let index = rng.random_range(0..pool.len());
+        batch.push(pool.swap_remove(index));
+        if batch.len() < training.batch && !(last && pool.is_empty()) {
+            return Ok(());
+        }
+        if stop.load(Ordering::Relaxed) {
+            return Err(LearnError::Interrupted { epoch: 0, epochs: 0, path: std::path::PathBuf::new() });
+        }
+        let loss = live.step(&state.network, batch, rate, &device)?;
+        sum.push(loss, batch.len());
+        batch.clear();
+        Ok(())
+    };
+    train.each(&mut |sample| {
+        check(&spec, &sample)?;
+        pool.push(sample);
+        if pool.len() >= training.shuffle.max(1) { draw(&mut pool, &mut batch, false) } else { Ok(()) }
+    })?;
+    while !pool.is_empty() {
+        draw(&mut pool, &mut batch, true)?;
+    }
+    let loss = sum.value("train on")?;
+    live.store(state)?;
+    state.epoch += 1;
+    let checked = measure(&state.network, validation, training.batch)?;
+    if !(loss.is_finite() && checked.is_finite()) {
+        return Err(LearnError::Training {
+            reason: format!(
+                "the loss is no number any more after epoch {}; lower `training.learning_rate` (now {})",
+                state.epoch, training.learning_rate
+            ),
+        });
+    }
+    let best = checked < state.best_loss;
+    if best {
+        (state.best, state.best_loss, state.best_epoch) = (state.network.clone(), checked, state.epoch);
+    }
+    Ok(ConvProgress { epoch: state.epoch, training: loss, validation: checked, best })
+}
+
+/// Mean loss over samples, without learning from them.
+fn measure(network: &ConvNetwork, samples: &dyn TensorReader, size: usize) -> Result<f64, LearnError> {
+    let device = Device::flex();
+    let tensors = network.tensors(&device);
+    let (mut batch, mut sum) = (Vec::new(), Mean::default());
+    let mut take = |batch: &mut Vec<TensorSample>| {
+        let loss = numbers(loss(network, &tensors, batch, &device))?;
+        sum.push(f64::from(loss.first().copied().unwrap_or(f32::NAN)), batch.len());
+        batch.clear();
+        Ok(())
+    };
+    samples.each(&mut |sample| {
+        check(&network.spec, &sample)?;
+        batch.push(sample);
+        if batch.len() < size { Ok(()) } else { take(&mut batch) }
+    })?;
+    if !batch.is_empty() {
+        take(&mut batch)?;
+    }
+    sum.value("validate on")
+}
+
+#[derive(Default)]
+struct Mean {
+    sum: f64,
+    count: usize,
+}
+
+impl Mean {
+    fn push(&mut self, value: f64, count: usize) {
+        self.sum += value * count as f64;
+        self.count += count;
+    }
+
+    fn value(&self, what: &str) -> Result<f64, LearnError> {
+        if self.count == 0 {
+            return Err(LearnError::Training {
+                reason: format!("there is no sample to {what}; record more"),
+            });
+        }
+        Ok(self.sum / self.count as f64)
+    }
+}
+
+/// Refuses a sample of another shape.
+fn check(spec: &ConvSpec, sample: &TensorSample) -> Result<(), LearnError> {
+    let wrong = |what: String| {
+        Err(LearnError::Training { reason: format!("a sample does not fit the network: {what}") })
+    };
+    if sample.input.len() != spec.input_len() {
+        return wrong(format!(
+            "its input has {} numbers where {:?} are taken",
+            sample.input.len(),
+            spec.shape
+        ));
+    }
+    if let Some(i) = sample.input.iter().position(|v| !v.is_finite()) {
+        return wrong(format!("number {i} of its input is not finite"));
+    }
+    let like = |lists: &[Vec<f32>]| {
+        lists.len() == spec.heads.len()
+            && lists.iter().zip(&spec.heads).all(|(list, head)| list.len() == head.form.len())
+    };
+    if !like(&sample.targets) || !(sample.weights.is_empty() || like(&sample.weights)) {
+        let lengths: Vec<usize> = sample.targets.iter().map(Vec::len).collect();
+        return wrong(format!("its targets have the lengths {lengths:?}"));
+    }
+    Ok(())
+}
+
+/// Parameters and Adam's moments on the device.
+struct Live {
+    parameters: Vec<Tensor<1>>,
+    first: Vec<Tensor<1>>,
+    second: Vec<Tensor<1>>,
+    steps: u64,
+}
+
+impl Live {
+    fn of(state: &State, device: &Device) -> Self {
+        let tensors = |all: &[Vec<f32>]| {
+            all.iter().map(|v| Tensor::from_data(TensorData::new(v.clone(), [v.len()]), device)).collect()
+        };
+        Self {
+            parameters: state.network.tensors(device),
+            first: tensors(&state.first),
+            second: tensors(&state.second),
+            steps: state.steps,
+        }
+    }
+
+    fn store(self, state: &mut State) -> Result<(), LearnError> {
+        for (parameter, tensor) in state.network.parameters.iter_mut().zip(self.parameters) {
+            parameter.values = numbers(tensor)?;
+        }
+        state.first = self.first.into_iter().map(numbers).collect::<Result<_, _>>()?;
+        state.second = self.second.into_iter().map(numbers).collect::<Result<_, _>>()?;
+        state.steps = self.steps;
+        Ok(())
+    }
+
+    /// One step of Adam; the mean loss before it.
+    fn step(
+        &mut self,
+        network: &ConvNetwork,
+        batch: &[TensorSample],
+        rate: f64,
+        device: &Device,
+    ) -> Result<f64, LearnError> {
+        let tracked: Vec<Tensor<1>> =
+            self.parameters.iter().map(|p| p.clone().autodiff().require_grad()).collect();
+        let loss = loss(network, &tracked, batch, &device.clone().autodiff());
+        let mut gradients = loss.backward();
+        self.steps += 1;
+        let power = i32::try_from(self.steps).unwrap_or(i32::MAX);
+        let [fade, fade_square] = DECAY.map(|d| 1.0 - d.powi(power));
+        for (i, tracked) in tracked.iter().enumerate() {
+            let Some(gradient) = tracked.grad_remove(&mut gradients) else { continue };
+            let first = self.first[i].clone() * DECAY[0] + gradient.clone() * (1.0 - DECAY[0]);
+            let second = self.second[i].clone() * DECAY[1] + gradient.clone() * gradient * (1.0 - DECAY[1]);
+            let quotient = (first.clone() / fade) / ((second.clone() / fade_square).sqrt() + EPSILON);
+            self.parameters[i] = self.parameters[i].clone() - quotient * (rate as f32);
+            (self.first[i], self.second[i]) = (first, second);
+        }
+        let value = numbers(loss.inner())?;
+        Ok(f64::from(value.first().copied().unwrap_or(f32::NAN)))
+    }
+}
+
+/// Sum over the heads of the mean error of what is known.
+fn loss(network: &ConvNetwork, tensors: &[Tensor<1>], batch: &[TensorSample], device: &Device) -> Tensor<1> {
+    let spec = &network.spec;
+    let inputs = batch.iter().flat_map(|s| s.input.iter().copied()).collect();
+    let x = batch_of(inputs, batch.len(), spec.shape, device);
+    let outputs = network.forward(tensors, &x);
+    let mut total: Option<Tensor<1>> = None;
+    for (h, (head, output)) in spec.heads.iter().zip(outputs).enumerate() {
+        let count = head.form.len() * batch.len();
+        let (mut targets, mut weights) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        for sample in batch {
+            for (i, target) in sample.targets[h].iter().enumerate() {
+                let weight = sample.weights.get(h).map_or(1.0, |w| w[i]);
+                let known = target.is_finite() && weight.is_finite();
+                targets.push(if known { *target } else { 0.0 });
+                weights.push(if known { weight } else { 0.0 });
+            }
+        }
+        let known = weights.iter().filter(|w| **w != 0.0).count().max(1) as f32;
+        let flat = |values: Vec<f32>| Tensor::<1>::from_data(TensorData::new(values, [count]), device);
+        let (targets, weights) = (flat(targets), flat(weights));
+        let output = output.reshape([count]);
+        let errors = if head.logit {
+            // ln(1 + e^z) − t z, written so that no exponential overflows.
+            let soft = burn::tensor::activation::relu(output.clone()) + (-output.clone().abs()).exp().log1p();
+            soft - targets * output
+        } else {
+            let apart = output - targets;
+            apart.clone() * apart
+        };
+        let mean = (errors * weights).sum() / known;
+        total = Some(match total {
+            Some(total) => total + mean,
+            None => mean,
+        });
+    }
+    total.unwrap_or_else(|| Tensor::zeros([1], device))
+}

@@ -1,0 +1,165 @@
+//! From a data set to a convolutional network.
+//!
+//! Inputs and targets are computed anew in every epoch, while the bags are read: nothing of them is held but a mini-batch
+//! and what is shuffled. A tenth of the places of the training part serves to stop early, besides those that are held out.
+
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+use std::sync::atomic::AtomicBool;
+
+use dermis_inference::{Interface, TensorPort};
+
+use super::config::ConvConfig;
+use super::conv::{ConvSpec, ConvTraining, Form, Head, TensorReader, TensorSample, fit};
+use super::network::Progress;
+use super::run::{Job, Trained, no_rows, partial, signature};
+use crate::dataset::SampleId;
+use crate::target::{Maps, Target};
+use crate::{LearnError, SplitKind};
+
+/// Samples among which the next one is drawn.
+const SHUFFLE: usize = 1024;
+/// Places of the training part that serve to stop early.
+const VALIDATION: f64 = 0.1;
+
+/// Samples of a data set.
+struct Reader<'a> {
+    job: &'a Job<'a>,
+    ids: BTreeSet<SampleId>,
+    maps: &'a RefCell<Maps>,
+    heads: &'a [Head],
+    columns: &'a [&'static str],
+}
+
+impl TensorReader for Reader<'_> {
+    fn each(&self, take: &mut dyn FnMut(TensorSample) -> Result<(), LearnError>) -> Result<(), LearnError> {
+        let (data, baseline) = (self.job.request.data, self.job.request.config.baseline);
+        data.each_input(self.job.features, baseline, |id, row| {
+            let truth = data.sample(id).and_then(|s| s.truth.as_ref());
+            let Some(truth) = truth.filter(|_| self.ids.contains(&id)) else { return Ok(()) };
+            let targets = self.job.targets(truth, &mut self.maps.borrow_mut())?;
+            if targets.iter().all(|t| t.is_nan()) {
+                return Ok(());
+            }
+            let weights = self.job.weights(truth, self.columns);
+            let parts = |all: &[f32]| {
+                let mut rest = all;
+                let mut part = |head: &Head| {
+                    let (own, others) = rest.split_at(head.form.len());
+                    rest = others;
+                    own.to_vec()
+                };
+                self.heads.iter().map(&mut part).collect()
+            };
+            take(TensorSample { input: row.to_vec(), targets: parts(&targets), weights: parts(&weights) })
+        })
+    }
+}
+
+/// One tensor for the scalars, one for every map, one for the logit of a contact.
+fn heads(job: &Job<'_>, conv: &ConvConfig) -> Result<Vec<Head>, LearnError> {
+    let specs = &job.decoder.config().values;
+    let scalars =
+        job.outputs.iter().filter(|n| matches!(Target::of(n), Some(Target::Scalar(_))) && **n != "contact");
+    let mut heads = Vec::new();
+    let count = scalars.count();
+    if count > 0 {
+        heads.push(Head { name: "scalars".into(), form: Form::Vector(count), logit: false });
+    }
+    for (name, spec) in job.outputs.iter().zip(specs) {
+        let Some(Target::Map(map)) = Target::of(name) else { continue };
+        let form = match conv.surface {
+            Some([rows, columns]) if rows * columns * map.per_point() != spec.count => {
+                return Err(LearnError::Training {
+                    reason: format!(
+                        "`network.conv.surface` has {rows} × {columns} points where the surface of the skin has {}",
+                        spec.count / map.per_point()
+                    ),
+                });
+            }
+            // Vectors lie point by point, not plane by plane.
+            Some([rows, columns]) if map.per_point() == 1 => Form::Map([1, rows, columns]),
+            _ => Form::Vector(spec.count),
+        };
+        heads.push(Head { name: (*name).to_owned(), form, logit: false });
+    }
+    if job.outputs.contains(&"contact") {
+        heads.push(Head { name: "contact".into(), form: Form::Vector(1), logit: true });
+    }
+    Ok(heads)
+}
+
+/// Fits a convolutional network.
+pub(super) fn fit_conv(
+    job: &Job<'_>,
+    conv: &ConvConfig,
+    maps: Maps,
+    stop: &AtomicBool,
+    told: &(dyn Fn(Progress) + Sync),
+) -> Result<Trained, LearnError> {
+    let (request, config) = (job.request, job.request.config);
+    if conv.grid.iter().product::<usize>() != job.features.input_len() {
+        return Err(LearnError::Training {
+            reason: format!(
+                "`network.conv.grid` is {:?}, which are {} numbers, where {} channels give {}",
+                conv.grid,
+                conv.grid.iter().product::<usize>(),
+                job.features.channels(),
+                job.features.input_len()
+            ),
+        });
+    }
+    let heads = heads(job, conv)?;
+    let spec = ConvSpec {
+        input: "input".into(),
+        shape: conv.grid,
+        encoder: conv.encoder.clone(),
+        hidden: conv.hidden,
+        heads: heads.clone(),
+    };
+    let training = ConvTraining {
+        epochs: config.training.epochs,
+        batch: config.training.batch,
+        learning_rate: config.training.learning_rate,
+        patience: conv.patience,
+        shuffle: SHUFFLE,
+        seed: config.training.seed,
+        data: signature(request.data, config)?,
+    };
+    let mut other = config.split;
+    (other.seed, other.fraction, other.fold) = (config.split.seed.wrapping_add(1), VALIDATION, None);
+    if other.kind == SplitKind::Time {
+        // The end of what comes before the part that is held out.
+        other.fraction = config.split.fraction + VALIDATION * (1.0 - config.split.fraction);
+    }
+    let aside: BTreeSet<SampleId> = other.apply(request.data)?.test.into_iter().collect();
+    let (validation, train): (BTreeSet<_>, BTreeSet<_>) =
+        job.split.train.iter().partition(|id| aside.contains(*id));
+    if train.is_empty() || validation.is_empty() {
+        return Err(no_rows());
+    }
+    let (maps, columns) = (RefCell::new(maps), job.columns());
+    let reader = |ids: BTreeSet<SampleId>| Reader { job, ids, maps: &maps, heads: &heads, columns: &columns };
+    let samples = train.len();
+    let folder = partial(request.out);
+    std::fs::create_dir_all(&folder).map_err(LearnError::io(&folder, "written"))?;
+    let state = folder.join("conv.state");
+    let fitted = fit(
+        &spec,
+        &training,
+        (&reader(train), &reader(validation)),
+        Some((&state, request.resume)),
+        stop,
+        &mut |p| told(Progress { member: 0, epoch: p.epoch, epochs: training.epochs, loss: p.validation }),
+    )?;
+    let graph = fitted.network.to_onnx("dermis")?;
+    let port = |name: &str, shape: &[usize]| TensorPort { name: name.into(), shape: [&[1], shape].concat() };
+    let outputs: Vec<TensorPort> = heads
+        .iter()
+        .map(|head| match head.form {
+            Form::Vector(count) => port(&head.name, &[count]),
+            Form::Map(shape) => port(&head.name, &shape),
+        })
+        .collect();
+    Ok(Trained { graph, interface: Interface::of(&[port("input", &conv.grid)], &outputs), samples })
+}
