@@ -85,7 +85,7 @@ pub(crate) mod check {
 
 /// Quantized readings.
 pub(crate) mod quantization {
-    /// Readings that are looked at, at most. Chosen.
+    /// Readings that are compared, at most. Chosen.
     pub const READINGS: usize = 20_000;
     /// Readings that say anything, at least. Chosen.
     pub const FEWEST: usize = 200;
@@ -206,7 +206,7 @@ pub(crate) mod select {
     pub const FOLDS: usize = 6;
     /// Sign permutations of the max-T test. Westfall and Young 1993; 299 make the least p 1/300.
     pub const PERMUTATIONS: usize = 299;
-    /// Posterior odds from which on a candidate can be told from the one that is named. Kass and Raftery 1995: 20 to 1 is strong.
+    /// Posterior odds from which on a candidate is distinguished from the one that is named. Kass and Raftery 1995: 20 to 1 is strong.
     pub const DECISIVE_ODDS: f64 = 20.0;
     /// Effective samples that a place of contact gives: errors of laws go on from press to press. Calibrated.
     pub const EFFECTIVE_SAMPLES: f64 = 0.5;

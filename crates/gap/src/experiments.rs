@@ -221,7 +221,7 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Sam
     for (n, press) in menu.presses.iter().enumerate() {
         let total = press.load + press.hold + press.unload + press.rest;
         let begin = time;
-        // Long rests and holds are looked at less often.
+        // Long rests and holds are sampled less often.
         while time - begin < total {
             let t = time - begin;
             let (share, phase) = if t < press.load {

@@ -12,7 +12,7 @@ fn size(row: &Sample) -> f64 {
     if row.phase.touched() { row.force.max(0.02) } else { 1.0 }
 }
 
-/// Share of the energy of `residual` (samples × channels) that the nearest samples of other groups foresee.
+/// Share of the energy of `residual` (samples × channels) that the nearest samples of other groups predict.
 #[must_use]
 pub fn explainable(residual: &[f32], samples: &Samples, channels: usize, seed: u64) -> f64 {
     let coordinates: Vec<[f64; 9]> = samples.list.iter().map(coordinates).collect();

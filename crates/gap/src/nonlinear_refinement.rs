@@ -59,7 +59,7 @@ pub struct Target<'a> {
     pub sigma: &'a [f64],
     /// Weight of each group.
     pub weights: &'a [f64],
-    /// What the simulator's own error may make of a residual.
+    /// What the model discrepancy may make of a residual.
     pub discrepancy: &'a ModelDiscrepancy,
     /// Set it to end early.
     pub stop: &'a AtomicBool,
@@ -67,10 +67,10 @@ pub struct Target<'a> {
     pub progress: &'a ProgressBar,
 }
 
-/// The simulator's own error, which makes the best of every residual under its prior.
+/// The model discrepancy, which makes the best of every residual under its prior.
 #[derive(Debug, Clone, Default)]
 pub struct ModelDiscrepancy {
-    /// Columns, samples × channels, times the root of the weight of each row's group.
+    /// Columns, samples × channels, times the root of the weight of each sample's group.
     columns: Vec<Vec<f32>>,
     /// Products of columns, with the prior.
     normal: Vec<f64>,
@@ -110,7 +110,7 @@ impl ModelDiscrepancy {
         Self { columns, normal, root: prior.sqrt() }
     }
 
-    /// Takes the best of the simulator's own error out of a weighted residual, and appends what that costs: the energy of all is
+    /// Takes the best of the model discrepancy out of a weighted residual, and appends what that costs: the energy of all is
     /// what is minimised.
     fn take(&self, residual: &mut Vec<f32>) {
         let n = self.columns.len();
@@ -137,7 +137,7 @@ pub struct Refinement {
 }
 
 impl Target<'_> {
-    /// Weighted residual without what the simulator's own error makes of it, with what that costs at its end; and its energy.
+    /// Weighted residual without what the model discrepancy makes of it, with what that costs at its end; and its energy.
     pub(crate) fn residual(&self, simulated: &[f32]) -> (Vec<f32>, f64) {
         let channels = self.sigma.len();
         let mut out = Vec::with_capacity(simulated.len());

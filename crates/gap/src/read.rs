@@ -188,7 +188,7 @@ fn own(
         recording.push(moment, &frame.values);
         recording.session.push(session as u32);
     }
-    doubts.tell(&place, recording);
+    doubts.report(&place, recording);
     Ok(())
 }
 
@@ -249,7 +249,7 @@ pub(crate) struct Doubts {
 }
 
 impl Doubts {
-    pub(crate) fn tell(&self, place: &str, recording: &mut Recording) {
+    pub(crate) fn report(&self, place: &str, recording: &mut Recording) {
         let share = |n: usize| 100.0 * n as f64 / self.contacts.max(1) as f64;
         if share(self.off) > 5.0 {
             let far = self.farthest;
@@ -400,12 +400,12 @@ fn mapped(
             recording.push(moment, &values);
         }
         by_force(&mut recording.moments[first..]);
-        doubts.tell(&read.path.display().to_string(), recording);
+        doubts.report(&read.path.display().to_string(), recording);
     }
     Ok(())
 }
 
-/// Loading, holding and unloading told apart by how the force goes.
+/// Distinguishes loading, holding and unloading by the change of the force.
 fn by_force(moments: &mut [Moment]) {
     let force: Vec<f64> = moments.iter().map(Moment::force).collect();
     for i in 0..moments.len() {

@@ -88,7 +88,7 @@ pub struct Value {
     pub interval: Option<[f64; 2]>,
 }
 
-/// One that cannot be told from a named effect.
+/// A candidate that cannot be distinguished from a named effect.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alike {
     /// Name of the effect.
@@ -123,7 +123,7 @@ pub struct NamedEffect {
     pub label: String,
     /// One sentence.
     pub what: String,
-    /// All that cannot be told apart, the label first. The class is the answer.
+    /// All candidates that cannot be distinguished, the label first. The class is the answer.
     pub class: Vec<Alike>,
     /// More general effects that contain it.
     pub covers: Vec<String>,
@@ -169,7 +169,7 @@ pub struct Unknown {
     /// Share that the model discrepancy (the simulator's error within its tolerances) explains beside them.
     #[serde(alias = "form")]
     pub model_discrepancy: f64,
-    /// Share of what is left that a smoother over all recorded circumstances foresees.
+    /// Share of what is left that a smoother over all recorded circumstances predicts.
     pub explainable: f64,
     /// Axes along which what is left goes, the strongest first.
     pub fingerprint: Vec<Axis>,

@@ -1,4 +1,7 @@
-//! Which frames are looked at, and which of them belong together.
+//! Which frames are compared, and which of them belong together.
+//!
+//! A press is sampled in every phase (some eight frames); where a recording has too many presses, every so many are, and of the others
+//! one held frame each. Samples of one place are one group: groups are what is resampled, held out and permuted.
 
 use dermis_skin::Phase;
 use std::collections::BTreeMap;
@@ -10,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::constants::sampling::{AFTER, GROUPS, READINGS, TEST};
 use crate::recording::Recording;
 
-/// One frame that is looked at.
+/// One frame that is compared.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
     /// Index in [`Recording::moments`].
@@ -47,7 +50,7 @@ pub struct Sample {
     pub paired: bool,
 }
 
-/// The frames that are looked at.
+/// The frames that are compared.
 #[derive(Debug, Clone, Default)]
 pub struct Samples {
     /// In the order of acquisition.
@@ -56,7 +59,7 @@ pub struct Samples {
     pub groups: usize,
     /// Which groups are kept for the end: neither fitted nor selected on.
     pub test: Vec<bool>,
-    /// Presses of which every phase is looked at.
+    /// Presses that are sampled in every phase.
     pub presses: usize,
     /// Presses of which one held frame is, where there are too many.
     pub single_frame_samples: usize,
@@ -67,7 +70,7 @@ pub struct Samples {
 /// How samples are drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SampleOptions {
-    /// Readings (samples × channels) that are looked at, at most, where every phase of a press is; where there are more presses
+    /// Readings (samples × channels), at most, of presses that are sampled in every phase; where there are more presses
     /// than these hold, as many again of one held frame a press.
     pub readings: usize,
     /// Groups, at most.

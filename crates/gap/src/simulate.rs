@@ -67,7 +67,7 @@ impl Simulator<'_> {
         })
     }
 
-    /// Noise-free readings of `skin` in the samples of a recording, a channel after another for each row, in the unit of the skin.
+    /// Noise-free readings of `skin` in the samples of a recording, a channel after another for each sample, in the unit of the skin.
     ///
     /// # Errors
     ///

@@ -26,7 +26,7 @@ struct Head {
     columns: Vec<(Option<usize>, usize)>,
 }
 
-/// What signatures depend on: the skin with its effects, the family's effects, the presses, the frames that are looked at, and
+/// What signatures depend on: the skin with its effects, the family's effects, the presses, the frames that are compared, and
 /// this program.
 pub(crate) fn key(simulator: &Simulator<'_>, recording: &Recording, samples: &Samples) -> String {
     let mut hasher = Sha256::new();

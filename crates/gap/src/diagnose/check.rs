@@ -71,7 +71,7 @@ pub(super) struct Prepared {
     pub sigma: Vec<f64>,
     pub nominal: Vec<f32>,
     pub problems: Vec<Problem>,
-    /// Effects that are known before any residual is looked at.
+    /// Effects that are known before any residual is explained.
     pub known: Vec<Known>,
     /// Those of them that models are simulated with from here on: readings are in the right order by now, and their steps count as
     /// noise.

@@ -26,7 +26,7 @@ pub(super) struct Measured {
     /// Nominal model, whitened.
     pub modelled: Vec<f32>,
     pub gap: Gap,
-    /// Effects that are known before any residual is looked at, with the gap that each makes.
+    /// Effects that are known before any residual is explained, with the gap that each makes.
     pub known: Vec<NamedEffect>,
     /// All that is switched on for them.
     pub fixed: Vec<Effect>,

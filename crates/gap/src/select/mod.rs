@@ -87,7 +87,7 @@ pub enum Tier {
     Loose,
 }
 
-/// An effect that cannot be told from the one that is named.
+/// An effect that cannot be distinguished from the one that is named.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Member {
     /// Index of the candidate.
@@ -115,7 +115,7 @@ pub struct Pick {
     pub shapley: f64,
     /// Probability of such a statistic for the best of the library where signs are random.
     pub p: f64,
-    /// All that cannot be told apart, the named one first.
+    /// All that cannot be distinguished, the named one first.
     pub class: Vec<Member>,
     /// More general effects that contain the named one.
     pub covers: Vec<usize>,

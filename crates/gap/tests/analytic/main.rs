@@ -389,7 +389,8 @@ fn figures(report: &Report) -> String {
     let unknown = &report.unknown;
     let of = [unknown.share, unknown.library, unknown.model_discrepancy, unknown.explainable];
     lines.push(format!("unknown {}", all(&of)));
-    lines.extend(report.axes.iter().take(3).map(|a| format!("{} {}", a.axis, rounded(a.share))));
+    let axes = report.axes.iter().take(3).filter(|a| a.share > 0.01);
+    lines.extend(axes.map(|a| format!("{} {}", a.axis, rounded(a.share))));
     lines.join("\n")
 }
 

@@ -1,0 +1,327 @@
+//! Making a benchmark set: causes are dealt, their strengths searched, and the devices recorded.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use dermis_skin::SkinDescription;
+use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    Case, GROUND_TRUTH_SCHEMA, GroundTruth, Kind, MARGIN, Manifest, SET_SCHEMA, SetSpec, WithheldCause,
+    bag_hash, folder, generator, json, sha256, write,
+};
+use crate::{
+    BenchmarkError, Cause, CauseInfo, Climate, Numerics, ReferenceDevice, Script, parameters, unexplained,
+};
+
+/// Gaps that are asked for, in multiples of the floor.
+const GAPS: [f64; 3] = [3.0, 10.0, 1.0];
+/// Noise, in multiples of the skin's.
+const NOISES: [f64; 5] = [1.0, 3.0, 1.5, 5.0, 2.0];
+
+/// Causes that a recording cannot tell apart by construction.
+fn confusable(info: &CauseInfo) -> bool {
+    [
+        "common-gain",
+        "shifted-rig",
+        "air-pocket",
+        "weather",
+        "creeping",
+        "stiffer-wall",
+        "warm-zero",
+        "walking-zero",
+        "flowing-plastic",
+        "stretching",
+    ]
+    .contains(&info.id)
+}
+
+/// What one case is to hold.
+pub(super) struct Wanted {
+    kind: Kind,
+    pub(super) causes: Vec<&'static CauseInfo>,
+    pub(super) gap: f64,
+    pub(super) noise: f64,
+}
+
+/// The cases of an order: every cause as often as any other, over all gaps and noise levels.
+pub(super) fn wanted(order: &SetSpec, known: &'static [CauseInfo]) -> Vec<Wanted> {
+    let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
+    let mut all = Vec::new();
+    for &(kind, count) in &order.cases {
+        let of: Vec<&'static CauseInfo> = match kind {
+            Kind::Singles | Kind::Pairs | Kind::Triples => known.iter().filter(|k| k.listed).collect(),
+            Kind::OutOfLibrary => known.iter().filter(|k| !k.listed).collect(),
+            Kind::Confounded => known.iter().filter(|k| confusable(k)).collect(),
+            Kind::Controls => Vec::new(),
+        };
+        let at_once = match kind {
+            Kind::Controls => 0,
+            Kind::Pairs => 2,
+            Kind::Triples => 3,
+            _ => 1,
+        };
+        let mut deck: Vec<&CauseInfo> = Vec::new();
+        let mut dealt: BTreeMap<&str, usize> = BTreeMap::new();
+        for i in 0..count {
+            let mut causes: Vec<&'static CauseInfo> = Vec::new();
+            while causes.len() < at_once && of.len() >= at_once {
+                if deck.is_empty() {
+                    deck.clone_from(&of);
+                    deck.shuffle(&mut rng);
+                }
+                match deck.iter().position(|k| !causes.iter().any(|c| c.id == k.id)) {
+                    Some(place) => causes.push(deck.swap_remove(place)),
+                    None => deck.clear(),
+                }
+            }
+            // Each cause walks through all pairs of gap and noise for itself: their numbers have no common divisor.
+            let turn = causes.first().map_or(i, |first| {
+                let count =
+                    dealt.entry(first.id).or_insert_with(|| rng.random_range(0..GAPS.len() * NOISES.len()));
+                *count += 1;
+                *count
+            });
+            all.push(Wanted {
+                kind,
+                gap: if causes.is_empty() { 0.0 } else { GAPS[turn % GAPS.len()] },
+                noise: NOISES[turn % NOISES.len()],
+                causes,
+            });
+        }
+    }
+    if order.cases.len() > 1 {
+        all.shuffle(&mut rng);
+    }
+    all
+}
+
+/// One case, not yet written.
+struct Made {
+    truth: GroundTruth,
+    presses: usize,
+    script: Script,
+    readings: Vec<f64>,
+    device: Box<dyn ReferenceDevice>,
+    seed: u64,
+}
+
+/// Share of the variance that noise of the skin's channels makes up, `factor` times as strong.
+fn noise_share(clean: &[f64], skin: &SkinDescription, script: &Script, factor: f64) -> f64 {
+    let sigma = skin.channel_noise();
+    // Readings that are off by one deviation everywhere but at the start, whose mean is the zero.
+    let mut off = clean.to_vec();
+    for row in off.chunks_mut(sigma.len()).skip(script.quiet) {
+        row.iter_mut().zip(&sigma).for_each(|(v, s)| *v += factor * s);
+    }
+    unexplained(clean, &off, script, sigma.len())
+}
+
+fn make(
+    skin: &SkinDescription,
+    order: &SetSpec,
+    index: usize,
+    wanted: &Wanted,
+) -> Result<Made, BenchmarkError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
+    rng.set_stream(1 + index as u64);
+    let case = format!("case-{:04}", index + 1);
+    let numerics =
+        if wanted.kind == Kind::Controls { Numerics::varied(rng.random()) } else { Numerics::default() };
+    let rig = crate::rig(skin, order.size)?;
+    let channels = skin.channels().len();
+    let noise_seed: u64 = rng.random();
+    let scripts = order.scripts();
+    let (climate, presses) = if wanted.kind == Kind::Confounded {
+        (Climate::OnlyWarmer, scripts + index % 2)
+    } else {
+        (Climate::Varied, rng.random_range(0..scripts))
+    };
+    let script_seed = {
+        let mut rng = ChaCha8Rng::seed_from_u64(order.seed ^ 0x5c81);
+        rng.set_stream(presses as u64);
+        rng.random()
+    };
+    let nominal = crate::reference_device(skin, &numerics, &[])?;
+    let script = Script::draw(&nominal.model(), &rig, climate, script_seed)?;
+    let clean = nominal.readings(&script, None)?;
+    let floor = noise_share(&clean, skin, &script, wanted.noise) + MARGIN;
+
+    let moved = |causes: &[Cause]| -> Result<f64, BenchmarkError> {
+        let other = crate::reference_device(skin, &numerics, causes)?.readings(&script, None)?;
+        Ok(unexplained(&clean, &other, &script, channels))
+    };
+    let mut causes = Vec::new();
+    let mut alone = Vec::new();
+    let mut gap = wanted.gap;
+    let seeds: Vec<u64> = wanted.causes.iter().map(|_| rng.random()).collect();
+    // A cause that cannot be as strong is taken at the next smaller gap.
+    while gap > 0.0 {
+        causes.clear();
+        alone.clear();
+        for (info, seed) in wanted.causes.iter().zip(&seeds) {
+            let mut cause = Cause { id: info.id.to_owned(), strength: 0.25, seed: *seed };
+            let target = gap * floor;
+            let mut reached = moved(std::slice::from_ref(&cause))?;
+            // The variance that a cause moves grows with its strength, about as its square: once there is one on either side of
+            // the target, the search stays between them.
+            let (mut weak, mut strong) = (None::<(f64, f64)>, None::<(f64, f64)>);
+            for _ in 0..12 {
+                if (reached / target - 1.0).abs() < 0.08 || (cause.strength >= 1.0 && reached < target) {
+                    break;
+                }
+                let side = if reached < target { &mut weak } else { &mut strong };
+                *side = Some((cause.strength, reached));
+                let next = match (weak, strong) {
+                    (Some((a, below)), Some((b, above))) => {
+                        let part = (target / below.max(1e-12)).ln() / (above / below.max(1e-12)).ln();
+                        a * (b / a).powf(part.clamp(0.1, 0.9))
+                    }
+                    _ => cause.strength * (target / reached.max(1e-9)).sqrt().clamp(0.2, 4.0),
+                };
+                cause.strength = next.clamp(1e-5, 1.0);
+                reached = moved(std::slice::from_ref(&cause))?;
+            }
+            causes.push(cause);
+            alone.push(reached);
+        }
+        if alone.iter().all(|a| (0.7 * gap * floor..1.5 * gap * floor).contains(a)) {
+            break;
+        }
+        gap = match gap {
+            g if g > 3.0 => 3.0,
+            g if g > 1.0 => 1.0,
+            _ => 0.0,
+        };
+    }
+    if gap == 0.0 && !causes.is_empty() {
+        // One that cannot be as weak counts at the largest gap that it surely has; one that cannot reach the least is left out.
+        let all = causes.into_iter().zip(alone);
+        (causes, alone) = all.filter(|(_, reached)| *reached >= 0.7 * floor).unzip();
+        let least = alone.iter().copied().fold(f64::INFINITY, f64::min);
+        let surely = |g: &&f64| **g <= wanted.gap && least >= 0.7 * **g * floor;
+        gap = if causes.is_empty() { 0.0 } else { GAPS.iter().filter(surely).copied().fold(0.0, f64::max) };
+    }
+    let kind = match causes.len() {
+        0 => Kind::Controls,
+        n if n == wanted.causes.len() => wanted.kind,
+        1 => Kind::Singles,
+        _ => Kind::Pairs,
+    };
+    let device = crate::reference_device(skin, &numerics, &causes)?;
+    // How deep a tip sinks in is what the rig sees of this reference device.
+    let script = Script::draw(&device.model(), &rig, climate, script_seed)?;
+    let readings = device.readings(&script, Some((noise_seed, wanted.noise)))?;
+    let known = crate::causes(skin)?;
+    let truth = GroundTruth {
+        schema: GROUND_TRUTH_SCHEMA.to_owned(),
+        generator: generator(),
+        salt: sha256(format!("salt/{}/{case}/{}", order.seed, rng.random::<u128>()).as_bytes()),
+        case,
+        kind,
+        seed: order.seed,
+        unexplained: if causes.is_empty() { 0.0 } else { moved(&causes)? },
+        causes: causes
+            .into_iter()
+            .map(|cause| WithheldCause {
+                what: known.iter().find(|k| k.id == cause.id).map_or("", |k| k.what).to_owned(),
+                parameters: parameters(known, &cause),
+                region: crate::region(skin, &cause),
+                cause,
+            })
+            .collect(),
+        gap,
+        noise: wanted.noise,
+        floor,
+        alone,
+        numerics,
+        only_warmer: climate == Climate::OnlyWarmer,
+        size: order.size,
+    };
+    Ok(Made { truth, presses, script, readings, device, seed: script_seed ^ 0x7a51 })
+}
+
+/// Records the reference device of a ground truth once more in the bag `dir`: with other presses, without noise, and with the exact ground truth, so
+/// that what a tool claims of this reference device is measured on what it never saw.
+///
+/// # Errors
+///
+/// [`BenchmarkError`] where the ground truth is of another skin, or the bag cannot be written.
+pub fn record_again(skin: &SkinDescription, truth: &GroundTruth, dir: &Path) -> Result<(), BenchmarkError> {
+    let causes: Vec<Cause> = truth.causes.iter().map(|withheld| withheld.cause.clone()).collect();
+    let device = crate::reference_device(skin, &truth.numerics, &causes)?;
+    let climate = if truth.only_warmer { Climate::OnlyWarmer } else { Climate::Varied };
+    let rig = crate::rig(skin, truth.size)?;
+    let seed = truth.salt.bytes().fold(0xa9a1u64, |seed, b| seed.rotate_left(7) ^ u64::from(b));
+    let script = Script::draw(&device.model(), &rig, climate, seed)?;
+    let readings = device.readings(&script, None)?;
+    crate::record(skin, &*device.model(), &script, &readings, dir, None)
+}
+
+/// Makes a benchmark set in the folder `dir` and its ground truths in `ground truths`, neither of which may hold one yet. `skin_text` is the skin file,
+/// which goes into the benchmark set. `done` is told of every case that is finished, and ends the work where it returns `false`; what is
+/// there by then is a valid, smaller set.
+///
+/// # Errors
+///
+/// [`BenchmarkError`] where no reference device is like the skin, or a file cannot be written.
+pub fn generate(
+    skin_text: &str,
+    order: &SetSpec,
+    dir: &Path,
+    ground_truths: &Path,
+    mut done: impl FnMut(usize) -> bool,
+) -> Result<Manifest, BenchmarkError> {
+    let skin = SkinDescription::from_toml(skin_text, "skin")?;
+    for path in [dir, ground_truths] {
+        let taken = std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
+        if taken {
+            let reason = "is not empty: a benchmark set is made in a new folder".to_owned();
+            return Err(BenchmarkError::File { path: path.to_owned(), reason });
+        }
+        folder(path)?;
+    }
+    folder(&dir.join("bags"))?;
+    write(&dir.join("skin.toml"), skin_text.as_bytes())?;
+    let mut manifest = Manifest {
+        schema: SET_SCHEMA.to_owned(),
+        generator: generator(),
+        kind: order.kind(),
+        skin: skin.name.clone(),
+        skin_hash: skin.hash(),
+        size: order.size,
+        cases: Vec::new(),
+    };
+    for (index, wanted) in wanted(order, crate::causes(&skin)?).iter().enumerate() {
+        let made = make(&skin, order, index, wanted)?;
+        let id = made.truth.case.clone();
+        let bag = Path::new("bags").join(&id);
+        crate::record(
+            &skin,
+            &*made.device.model(),
+            &made.script,
+            &made.readings,
+            &dir.join(&bag),
+            Some(made.seed),
+        )?;
+        let path = ground_truths.join(format!("{id}.json"));
+        let bytes = json(&path, &made.truth)?;
+        write(&path, &bytes)?;
+        let bag_sha256 = bag_hash(&dir.join(&bag))?;
+        manifest.cases.push(Case {
+            id,
+            bag,
+            ground_truth_sha256: sha256(&bytes),
+            bag_sha256,
+            presses: made.presses,
+        });
+        if !done(index + 1) {
+            break;
+        }
+    }
+    let path = dir.join("manifest.json");
+    write(&path, &json(&path, &manifest)?)?;
+    Ok(manifest)
+}
