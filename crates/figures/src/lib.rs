@@ -438,4 +438,39 @@ mod tests {
         assert!(!text.unwrap().contains("NaN"));
         assert!(surface(&axes, "z", &[], &[], &[]).is_ok());
     }
+
+    /// Attribute of every element of a name, as a number.
+    fn numbers(svg: &str, element: &str, attribute: &str) -> Vec<f64> {
+        let of = |text: &str| -> Option<f64> {
+            let tag = format!(" {}", text.split('>').next()?);
+            tag.split_once(&format!(" {attribute}=\""))?.1.split('"').next()?.parse().ok()
+        };
+        svg.split(&format!("<{element} ")).skip(1).filter_map(of).collect()
+    }
+
+    #[test]
+    fn legends_stand_beside_the_curves() {
+        let line = |name: &str, n| Curve::new(name, n, vec![(0.0, 0.0), (1.0, 1.0)]);
+        let axes = Axes::new("t", "x", "y");
+        let plain = curves(&axes, &[line("", 0)]).unwrap();
+        assert_eq!(numbers(&plain, "svg", "width"), [520.0]);
+        let named = curves(&axes, &[line("first", 0), line("a much longer name", 1)]).unwrap();
+        let width = numbers(&named, "svg", "width")[0];
+        let beside: Vec<f64> = numbers(&named, "text", "x").into_iter().filter(|x| *x > 520.0).collect();
+        assert_eq!(beside, [552.0, 552.0]);
+        assert!(width >= 552.0 + 6.6 * 18.0, "{width}");
+    }
+
+    #[test]
+    fn colour_bars_leave_their_labels_free() {
+        let points: Vec<(f64, f64)> = (0..16).map(|i| (f64::from(i % 4), f64::from(i / 4))).collect();
+        let values: Vec<f64> = (0..16).map(|i| 1e-4 * f64::from(i + 1)).collect();
+        let drawn =
+            surface(&Axes::new("t", "x", "y"), "bound of the position [mm]", &points, &values, &[]).unwrap();
+        let (left, width) = (numbers(&drawn, "rect", "x"), numbers(&drawn, "rect", "width"));
+        let ends = left.iter().zip(&width).filter(|(x, _)| **x > 430.0).map(|(x, w)| x + w);
+        let bar = ends.fold(0.0, f64::max);
+        let labels: Vec<f64> = numbers(&drawn, "text", "x").into_iter().filter(|x| *x > 430.0).collect();
+        assert!(bar > 440.0 && labels.len() > 3 && labels.iter().all(|x| *x > bar + 4.0), "{bar} {labels:?}");
+    }
 }

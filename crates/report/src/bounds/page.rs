@@ -417,7 +417,7 @@ fn trends(body: &mut String, findings: &Findings) -> Result<()> {
         &format!(
             "<b>What shapes the isolines</b>: that of {} {} of the taxel nearest to the middle, while one number of the skin or \
              of the tip varies. A lower line is a more sensitive taxel, a steeper one locates better. The questions of the \
-             thesis' Fig. 5.7, for what these taxels read. <code>dermis design</code> says what they are worth.",
+             thesis' Fig. 5.7, for what these taxels read. <code>dermis sweep</code> says what they are worth.",
             short(value),
             findings.skin.unit
         ),
