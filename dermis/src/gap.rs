@@ -24,12 +24,26 @@ pub enum Gap {
     Diagnose(Box<Diagnose>),
     /// Diagnose, switch on in the skin's description what was found, and train on the corrected simulation.
     Close(Box<Close>),
-    /// Make recordings of skins with withheld effects, sealed, for the check of the diagnosis.
+    /// Check the diagnosis on recordings whose causes are withheld.
+    #[command(subcommand)]
+    Benchmark(Benchmark),
+    /// The old name of `benchmark generate`.
+    #[command(hide = true)]
     MakePack(pack::Options),
-    /// Diagnose a pack, seal the reports, then open its secrets and score.
+    /// The old name of `benchmark run`.
+    #[command(hide = true)]
     Check(Check),
     /// Print the JSON schema of reports.
     Schema,
+}
+
+/// What to do with a benchmark.
+#[derive(Subcommand)]
+pub enum Benchmark {
+    /// Make recordings of skins with withheld effects, and keep the effects apart.
+    Generate(pack::Options),
+    /// Diagnose every recording, seal the reports, then open what was withheld and score.
+    Run(Check),
 }
 
 /// Which recording, and where the report goes.
@@ -82,8 +96,8 @@ pub fn run(gap: &Gap) -> Result<()> {
             print(&found.report, options.output.json)
         }
         Gap::Close(options) => close(options),
-        Gap::MakePack(options) => pack::run(options),
-        Gap::Check(options) => check(options),
+        Gap::Benchmark(Benchmark::Generate(options)) | Gap::MakePack(options) => pack::run(options),
+        Gap::Benchmark(Benchmark::Run(options)) | Gap::Check(options) => check(options),
         Gap::Schema => {
             print!("{}", dermis_gap::SCHEMA_JSON);
             Ok(())

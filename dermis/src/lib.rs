@@ -113,18 +113,22 @@ enum Command {
     #[command(subcommand)]
     Bag(bags::Bag),
     /// How well a skin can know a contact at best, from its forward model or a recording.
-    Theory(bounds::Options),
+    #[command(alias = "theory")]
+    Bounds(bounds::Options),
     /// Check the physics of a sensor family against closed forms and other programs; exits with 1 where a case fails.
-    Verify(validate::Options),
+    #[command(alias = "verify")]
+    Validate(validate::Options),
     /// What makes a device differ from its design: the effects that a sensor family knows.
     Effects(effects::Options),
     /// Where to put sensing elements, of thousands of places where they could be.
-    Place(Box<placement::Options>),
+    #[command(alias = "place")]
+    OptimizePlacement(Box<placement::Options>),
     /// Where a simulated skin and a real one differ, which effect makes them, and how far it closes the gap.
     #[command(subcommand)]
     Gap(gap::Gap),
     /// What a skin would gain from being built otherwise: depth, thickness, pitch, material, noise.
-    Design(sweep::Options),
+    #[command(alias = "design")]
+    Sweep(sweep::Options),
     /// Check a skin description and say what it describes.
     Skin(skins::Options),
     /// What this machine offers: inference runtimes, serial devices, ROS 2.
@@ -178,12 +182,12 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Command::Record(options) => block_on(record::run(*options)),
         Command::Play(options) => block_on(play::run(*options)),
         Command::Bag(bag) => bags::run(&bag),
-        Command::Theory(options) => bounds::run(&options),
-        Command::Verify(options) => validate::run(&options),
+        Command::Bounds(options) => bounds::run(&options),
+        Command::Validate(options) => validate::run(&options),
         Command::Effects(options) => effects::run(&options),
-        Command::Place(options) => placement::run(&options),
+        Command::OptimizePlacement(options) => placement::run(&options),
         Command::Gap(gap) => gap::run(&gap),
-        Command::Design(options) => sweep::run(&options),
+        Command::Sweep(options) => sweep::run(&options),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
     };
@@ -242,5 +246,89 @@ mod tests {
         node(&["dermis", "barodome", "--skin", "pad.toml", "--source", "udp://0.0.0.0:7400"]).unwrap();
         assert!(node(&["dermis", "run", "--source", "udp://0.0.0.0:7400"]).unwrap_err().contains("SKIN"));
         assert!(node(&["dermis", "barodom"]).unwrap_err().contains("barodome"));
+    }
+
+    #[test]
+    fn commands_go_by_their_old_names_too() {
+        let of = |words: &[&str]| -> Vec<String> {
+            let matches = Cli::command().try_get_matches_from(words).unwrap();
+            let mut names = Vec::new();
+            let mut at = Some(&matches);
+            while let Some((name, below)) = at.and_then(clap::ArgMatches::subcommand) {
+                names.push(name.to_owned());
+                at = Some(below);
+            }
+            names
+        };
+        assert_eq!(of(&["dermis", "theory", "a.toml", "--line"]), ["bounds"]);
+        assert_eq!(of(&["dermis", "design", "a.toml", "--vary", "depth"]), ["sweep"]);
+        assert_eq!(of(&["dermis", "place", "a.toml", "--method", "crlb"]), ["optimize-placement"]);
+        assert_eq!(of(&["dermis", "verify", "baro"]), ["validate"]);
+        let run = ["--pack", "p", "--secret", "s", "--out", "o"];
+        let generate = ["--skin", "a.toml", "--seed", "1", "--secret", "s", "--out", "o"];
+        let with = |words: &[&'static str], more: &[&'static str]| of(&[words, more].concat());
+        assert_eq!(with(&["dermis", "gap", "benchmark", "run"], &run), ["gap", "benchmark", "run"]);
+        assert_eq!(with(&["dermis", "gap", "check"], &run), ["gap", "check"]);
+        assert_eq!(
+            with(&["dermis", "gap", "benchmark", "generate"], &generate),
+            ["gap", "benchmark", "generate"]
+        );
+        assert_eq!(with(&["dermis", "gap", "make-pack"], &generate), ["gap", "make-pack"]);
+    }
+
+    #[test]
+    fn help_speaks_of_the_new_names_only() {
+        let mut all = Cli::command();
+        let help = all.render_long_help().to_string();
+        for (old, new) in [
+            ("theory", "bounds"),
+            ("design", "sweep"),
+            ("place", "optimize-placement"),
+            ("verify", "validate"),
+        ] {
+            let listed = |name: &str| help.lines().any(|l| l.trim_start().split(' ').next() == Some(name));
+            assert!(listed(new) && !listed(old), "{help}");
+        }
+    }
+
+    /// A request that a file names and one that a command line names have the same defaults.
+    #[test]
+    fn requests_read_alike_from_files_and_command_lines() {
+        use dermis_studies::{bounds, comparison, evaluation, gap, placement, real2sim, refinement, sweep};
+        use serde::{Serialize, de::DeserializeOwned};
+
+        #[derive(clap::Parser)]
+        struct Line<R: clap::Args> {
+            #[command(flatten)]
+            request: R,
+        }
+
+        fn same<R: clap::Args + Serialize + DeserializeOwned>(words: &[&str], file: &serde_json::Value) {
+            let words = std::iter::once(&"dermis").chain(words);
+            let line = Line::<R>::try_parse_from(words).map_err(|e| e.to_string()).unwrap().request;
+            let file: R = serde_json::from_value(file.clone()).unwrap();
+            assert_eq!(serde_json::to_value(line).unwrap(), serde_json::to_value(file).unwrap());
+        }
+
+        let skin = serde_json::json!({ "skin": "a" });
+        same::<bounds::Request>(&["a"], &skin);
+        same::<sweep::Request>(&["a"], &skin);
+        same::<placement::Request>(&["a"], &skin);
+        same::<real2sim::table::Request>(&["a"], &skin);
+        let models = serde_json::json!({ "skin": "a", "model": ["m"], "bags": ["b"] });
+        let words = ["--skin", "a", "--model", "m", "b"];
+        same::<comparison::Request>(&words, &models);
+        same::<evaluation::Request>(&words, &models);
+        same::<refinement::Request>(&words, &serde_json::json!({ "skin": "a", "model": "m", "bags": ["b"] }));
+        let gap = serde_json::json!({ "skin": "a", "real": ["b"] });
+        same::<gap::diagnosis::Request>(&["--skin", "a", "--real", "b"], &gap);
+        same::<gap::closing::Request>(
+            &["--skin", "a", "--real", "b"],
+            &serde_json::json!({ "diagnose": gap }),
+        );
+        let packs = serde_json::json!({ "pack": ["p"], "out": "o" });
+        same::<gap::benchmark::Request>(&["--pack", "p", "--out", "o"], &packs);
+        let compared = serde_json::json!({ "skin": "a", "train": ["t"], "bags": ["b"] });
+        same::<real2sim::compare::Request>(&["--skin", "a", "--train", "t", "b"], &compared);
     }
 }

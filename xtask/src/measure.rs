@@ -293,11 +293,11 @@ fn gap(root: &Path) -> Result<Value> {
         let folder = |what: &str| dir.join(format!("{name}{what}"));
         let kinds: [&[&str]; 2] = [&["--share", GAP_SHARE], &["--kind", "controls", "--count", GAP_CONTROLS]];
         let mut check = Command::new(&dermis);
-        check.args(["gap", "check", "--jobs", "2", "--out"]).arg(folder("-out"));
+        check.args(["gap", "benchmark", "run", "--jobs", "2", "--out"]).arg(folder("-out"));
         for ((kind, seed), of) in kinds.into_iter().zip(seeds).zip(["", "-controls"]) {
             let (pack, secret) = (folder(of), folder(&format!("{of}-secret")));
             let mut make = Command::new(&dermis);
-            make.args(["gap", "make-pack", "--skin", skin, "--seed", seed]).args(kind);
+            make.args(["gap", "benchmark", "generate", "--skin", skin, "--seed", seed]).args(kind);
             execute(make.arg("--secret").arg(&secret).arg("-o").arg(&pack).current_dir(root))?;
             check.arg("--pack").arg(pack).arg("--secret").arg(secret);
         }

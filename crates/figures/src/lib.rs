@@ -1,10 +1,19 @@
-//! Figures as SVG text: curves, maps over two axes, maps of a surface.
+//! Figures as SVG text: curves, maps over two axes, maps of a surface; and the pages that hold them.
+//!
+//! The one place of this workspace where figures for people are drawn.
+
+mod scale;
+mod surface;
 
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint};
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 pub use plotters::style::RGBColor;
+
+use scale::{BAR, Scale};
+pub use surface::{surface, surface_within};
 
 /// Colours that differ also for eyes that see red and green alike.
 pub const COLOURS: [RGBColor; 7] = [
@@ -57,20 +66,6 @@ impl Curve {
     }
 }
 
-/// Corner of a legend.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Legend {
-    /// In the axes.
-    #[default]
-    UpperRight,
-    /// In the axes.
-    UpperLeft,
-    /// In the axes.
-    LowerRight,
-    /// In the axes, in the middle of the top.
-    Above,
-}
-
 /// Axes of a figure.
 #[derive(Debug, Clone, Default)]
 pub struct Axes {
@@ -88,9 +83,7 @@ pub struct Axes {
     pub x_range: Option<(f64, f64)>,
     /// As `x_range`.
     pub y_range: Option<(f64, f64)>,
-    /// Where the legend stands.
-    pub legend: Legend,
-    /// \[pixels\]; 520 × 340 where 0.
+    /// \[pixels\] without the legend; 520 × 340 where 0.
     pub size: (u32, u32),
 }
 
@@ -240,9 +233,51 @@ fn range(values: impl Iterator<Item = f64>, given: Option<(f64, f64)>, log: bool
     (low, high + room)
 }
 
-/// Curves in one pair of axes.
+/// Curves in one pair of axes; the legend stands beside them.
+///
+/// # Errors
+///
+/// Where the figure cannot be drawn.
 pub fn curves(axes: &Axes, curves: &[Curve]) -> Result<String> {
-    svg(axes.size(), |root| draw_curves(root, axes, curves))
+    let (width, height) = axes.size();
+    let longest = curves.iter().map(|c| c.name.chars().count()).max().unwrap_or(0);
+    // A letter of 12 pixels is some 6.6 wide.
+    let beside = if longest == 0 { 0 } else { 44 + (6.6 * longest as f64) as u32 };
+    svg((width + beside, height), |root| {
+        let (left, right) = root.split_horizontally(width);
+        draw_curves(&left, axes, curves)?;
+        if beside > 0 { draw_legend(&right, curves) } else { Ok(()) }
+    })
+}
+
+/// One line for each curve that has a name.
+fn draw_legend(area: &Area<'_>, curves: &[Curve]) -> Result<(), Failure> {
+    let mut y = 40;
+    for curve in curves.iter().filter(|c| !c.name.is_empty()) {
+        let pieces: &[(i32, i32)] = match curve.pen {
+            Pen::Line => &[(4, 24)],
+            Pen::Dashed => &[(4, 12), (16, 24)],
+            Pen::Dots | Pen::Mark => &[],
+        };
+        for (from, to) in pieces {
+            area.draw(&PathElement::new(vec![(*from, y), (*to, y)], curve.colour.stroke_width(3)))?;
+        }
+        if pieces.is_empty() {
+            area.draw(&Circle::new(
+                (14, y),
+                if curve.pen == Pen::Mark { 4 } else { 2 },
+                curve.colour.filled(),
+            ))?;
+        }
+        area.draw(&Text::new(curve.name.clone(), (32, y), label(Pos::new(HPos::Left, VPos::Center))))?;
+        y += 17;
+    }
+    Ok(())
+}
+
+/// Letters beside axes, at this anchor.
+fn label(at: Pos) -> TextStyle<'static> {
+    TextStyle::from(("sans-serif", 12)).pos(at)
 }
 
 fn draw_curves(root: &Area<'_>, axes: &Axes, curves: &[Curve]) -> Result<(), Failure> {
@@ -269,11 +304,10 @@ fn draw_curves(root: &Area<'_>, axes: &Axes, curves: &[Curve]) -> Result<(), Fai
         let shown: Vec<(f64, f64)> =
             curve.points.iter().map(|p| (place(p.0, axes.log_x), place(p.1, axes.log_y))).collect();
         let inside = |p: &(f64, f64)| p.0.is_finite() && p.1.is_finite() && p.1 <= y1 && p.1 >= y0;
-        let mut first = true;
         // One piece between points that cannot be shown.
         for piece in shown.split(|p| !inside(p)).filter(|p| !p.is_empty()) {
             let points = piece.iter().copied();
-            let drawn = match curve.pen {
+            match curve.pen {
                 Pen::Line => chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?,
                 Pen::Dashed => {
                     chart.draw_series(DashedLineSeries::new(points, 6, 4, colour.stroke_width(2)))?
@@ -281,90 +315,16 @@ fn draw_curves(root: &Area<'_>, axes: &Axes, curves: &[Curve]) -> Result<(), Fai
                 Pen::Dots => chart.draw_series(points.map(|p| Circle::new(p, 2, colour.filled())))?,
                 Pen::Mark => chart.draw_series(points.map(|p| Circle::new(p, 4, colour.filled())))?,
             };
-            if std::mem::take(&mut first) && !curve.name.is_empty() {
-                let pen = curve.pen;
-                drawn.label(&curve.name).legend(move |(x, y)| {
-                    let (from, to) = if pen == Pen::Line { (x, x + 18) } else { (x + 5, x + 13) };
-                    PathElement::new(vec![(from, y), (to, y)], colour.stroke_width(3))
-                });
-            }
         }
-    }
-    if curves.iter().any(|c| !c.name.is_empty()) {
-        chart
-            .configure_series_labels()
-            .position(match axes.legend {
-                Legend::UpperRight => SeriesLabelPosition::UpperRight,
-                Legend::UpperLeft => SeriesLabelPosition::UpperLeft,
-                Legend::LowerRight => SeriesLabelPosition::LowerRight,
-                Legend::Above => SeriesLabelPosition::UpperMiddle,
-            })
-            .background_style(WHITE.mix(0.85))
-            .border_style(RGBColor(200, 200, 200))
-            .label_font(("sans-serif", 12))
-            .draw()?;
     }
     Ok(())
 }
 
-/// Blue over green and yellow to red.
-fn heat_colour(share: f64) -> HSLColor {
-    HSLColor(0.66 * (1.0 - share.clamp(0.0, 1.0)), 0.72, 0.53)
-}
-
-/// Values as colours, on a logarithmic scale unless they are not all positive.
-struct Scale {
-    low: f64,
-    high: f64,
-    log: bool,
-}
-
-impl Scale {
-    fn of(values: impl Iterator<Item = f64> + Clone) -> Self {
-        let known = values.filter(|v| v.is_finite());
-        let low = known.clone().fold(f64::INFINITY, f64::min);
-        let high = known.fold(f64::NEG_INFINITY, f64::max);
-        if !(low.is_finite() && high.is_finite()) {
-            return Self { low: 0.0, high: 1.0, log: false };
-        }
-        let log = low > 0.0 && high > 3.0 * low;
-        let (low, high) = (place(low, log), place(high, log));
-        Self { low, high: if high > low { high } else { low + low.abs().max(1e-9) * 1e-3 }, log }
-    }
-
-    fn colour(&self, value: f64) -> HSLColor {
-        heat_colour((place(value, self.log) - self.low) / (self.high - self.low))
-    }
-
-    fn bar(&self, root: &Area<'_>, name: &str) -> Result<(), Failure> {
-        let mut chart = ChartBuilder::on(root)
-            .margin(10)
-            .margin_top(34)
-            .margin_bottom(48)
-            .y_label_area_size(58)
-            .build_cartesian_2d(0.0..1.0, Scaled::new(self.low, self.high, self.log))?;
-        chart
-            .configure_mesh()
-            .disable_mesh()
-            .y_desc(name)
-            .label_style(("sans-serif", 12))
-            .axis_desc_style(("sans-serif", 12))
-            .y_label_formatter(&|v| tick(*v, self.log))
-            .draw()?;
-        let steps = 64;
-        let height = (self.high - self.low) / f64::from(steps);
-        chart.draw_series((0..steps).map(|i| {
-            let y = self.low + f64::from(i) * height;
-            let colour = heat_colour((f64::from(i) + 0.5) / f64::from(steps));
-            Rectangle::new([(0.0, y), (1.0, y + height)], colour.filled())
-        }))?;
-        Ok(())
-    }
-}
-
-const BAR: u32 = 104;
-
 /// Values over two axes: `values[j][i]` at `x[i]`, `y[j]`, with curves over them. What is not known stays white.
+///
+/// # Errors
+///
+/// Where the figure cannot be drawn.
 pub fn heat(
     axes: &Axes,
     name: &str,
@@ -422,64 +382,6 @@ pub fn heat(
     })
 }
 
-/// Values at points of a surface, laid flat, and crosses where taxels are.
-pub fn surface(
-    axes: &Axes,
-    name: &str,
-    points: &[(f64, f64)],
-    values: &[f64],
-    taxels: &[(f64, f64)],
-) -> Result<String> {
-    dots(axes, name, points, values, taxels, &Scale::of(values.iter().copied()))
-}
-
-/// As [`surface`], with colours from the first to the second value of `range`, whatever the values are.
-pub fn surface_within(
-    axes: &Axes,
-    name: &str,
-    points: &[(f64, f64)],
-    values: &[f64],
-    range: [f64; 2],
-) -> Result<String> {
-    dots(axes, name, points, values, &[], &Scale { low: range[0], high: range[1], log: false })
-}
-
-fn dots(
-    axes: &Axes,
-    name: &str,
-    points: &[(f64, f64)],
-    values: &[f64],
-    taxels: &[(f64, f64)],
-    scale: &Scale,
-) -> Result<String> {
-    let (width, height) = (430, 430);
-    let span = points.iter().flat_map(|p| [p.0.abs(), p.1.abs()]).fold(1e-4, f64::max) * 1.06;
-    // Dots as large as the points are apart.
-    let apart = 2.0 * span / (points.len() as f64).sqrt();
-    let radius = ((f64::from(width) - 74.0) / (2.0 * span) * apart * 0.72).clamp(2.0, 12.0) as i32;
-    svg((width + BAR, height), |root| {
-        let (left, right) = root.split_horizontally(width);
-        let mut chart = ChartBuilder::on(&left)
-            .caption(&axes.title, ("sans-serif", 15))
-            .margin(10)
-            .x_label_area_size(38)
-            .y_label_area_size(54)
-            .build_cartesian_2d(Scaled::new(-span, span, false), Scaled::new(-span, span, false))?;
-        chart
-            .configure_mesh()
-            .disable_mesh()
-            .x_desc(&axes.x)
-            .y_desc(&axes.y)
-            .x_label_formatter(&|v| tick(*v, false))
-            .y_label_formatter(&|v| tick(*v, false))
-            .draw()?;
-        let shown = points.iter().zip(values).filter(|(_, v)| v.is_finite());
-        chart.draw_series(shown.map(|(p, v)| Circle::new(*p, radius, scale.colour(*v).filled())))?;
-        chart.draw_series(taxels.iter().map(|p| Cross::new(*p, 4, BLACK.stroke_width(1))))?;
-        scale.bar(&right, name)
-    })
-}
-
 /// A whole page of sections.
 #[must_use]
 pub fn page(title: &str, body: &str) -> String {
@@ -487,7 +389,7 @@ pub fn page(title: &str, body: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\n\
          <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222;\
-         background:#fff}}pre{{background:#f4f4f2;padding:1rem;overflow-x:auto;white-space:pre-wrap;font-size:12px}}svg{{max-width:100%;\
+         background:#fff}}pre{{background:#f4f4f2;padding:1rem;overflow-x:auto;font-size:12px}}svg{{max-width:100%;\
          height:auto}}figure{{margin:1.2rem 0}}figure>div{{display:flex;flex-wrap:wrap;gap:.5rem}}figcaption{{\
          max-width:60rem;color:#444;font-size:14px}}table{{border-collapse:collapse;font-size:13px}}td,th{{border:1px \
          solid #ccc;padding:.2rem .5rem;text-align:right}}</style></head>\n<body><h1>{title}</h1>\n{body}</body></html>\n"
@@ -535,5 +437,40 @@ mod tests {
         );
         assert!(!text.unwrap().contains("NaN"));
         assert!(surface(&axes, "z", &[], &[], &[]).is_ok());
+    }
+
+    /// Attribute of every element of a name, as a number.
+    fn numbers(svg: &str, element: &str, attribute: &str) -> Vec<f64> {
+        let of = |text: &str| -> Option<f64> {
+            let tag = format!(" {}", text.split('>').next()?);
+            tag.split_once(&format!(" {attribute}=\""))?.1.split('"').next()?.parse().ok()
+        };
+        svg.split(&format!("<{element} ")).skip(1).filter_map(of).collect()
+    }
+
+    #[test]
+    fn legends_stand_beside_the_curves() {
+        let line = |name: &str, n| Curve::new(name, n, vec![(0.0, 0.0), (1.0, 1.0)]);
+        let axes = Axes::new("t", "x", "y");
+        let plain = curves(&axes, &[line("", 0)]).unwrap();
+        assert_eq!(numbers(&plain, "svg", "width"), [520.0]);
+        let named = curves(&axes, &[line("first", 0), line("a much longer name", 1)]).unwrap();
+        let width = numbers(&named, "svg", "width")[0];
+        let beside: Vec<f64> = numbers(&named, "text", "x").into_iter().filter(|x| *x > 520.0).collect();
+        assert_eq!(beside, [552.0, 552.0]);
+        assert!(width >= 552.0 + 6.6 * 18.0, "{width}");
+    }
+
+    #[test]
+    fn colour_bars_leave_their_labels_free() {
+        let points: Vec<(f64, f64)> = (0..16).map(|i| (f64::from(i % 4), f64::from(i / 4))).collect();
+        let values: Vec<f64> = (0..16).map(|i| 1e-4 * f64::from(i + 1)).collect();
+        let drawn =
+            surface(&Axes::new("t", "x", "y"), "bound of the position [mm]", &points, &values, &[]).unwrap();
+        let (left, width) = (numbers(&drawn, "rect", "x"), numbers(&drawn, "rect", "width"));
+        let ends = left.iter().zip(&width).filter(|(x, _)| **x > 430.0).map(|(x, w)| x + w);
+        let bar = ends.fold(0.0, f64::max);
+        let labels: Vec<f64> = numbers(&drawn, "text", "x").into_iter().filter(|x| *x > 430.0).collect();
+        assert!(bar > 440.0 && labels.len() > 3 && labels.iter().all(|x| *x > bar + 4.0), "{bar} {labels:?}");
     }
 }

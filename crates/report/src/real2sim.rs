@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use dermis_figures::{Axes, COLOURS, Curve, Legend, Pen, curves, escape, figure, page, surface};
+use dermis_figures::{Axes, COLOURS, Curve, Pen, curves, escape, figure, page, surface};
 use dermis_learn::TruthContact;
 use dermis_learn::real2sim::Table;
 use dermis_skin::{SkinDescription, Surface, SurfaceSpec};
@@ -203,11 +203,7 @@ pub fn comparison(findings: &compare::Findings) -> String {
 pub fn comparison_page(findings: &compare::Findings, text: &str) -> Result<String> {
     let compare::Findings { skin, rows, shown, .. } = findings;
     let mut body = format!("<pre>{}</pre>\n", escape(text));
-    let axes = Axes {
-        legend: Legend::Above,
-        log_y: true,
-        ..Axes::new("one contact", "force [N]", "place, RMSE [mm]")
-    };
+    let axes = Axes { log_y: true, ..Axes::new("one contact", "force [N]", "place, RMSE [mm]") };
     let all: Vec<Curve> = rows
         .iter()
         .filter_map(|r| Some((r, r.evaluation.as_ref()?.by_force.get("position")?)))

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use dermis_figures::{Axes, COLOURS, Curve, Legend, Pen, curves, escape, figure, heat, page, short, surface};
+use dermis_figures::{Axes, COLOURS, Curve, Pen, curves, escape, figure, heat, page, short, surface};
 use dermis_studies::bounds::{Findings, SurfaceStudy, feet};
 use dermis_studies::flat::flat;
 use dermis_theory::normalised::TwoTaxels;
@@ -171,7 +171,7 @@ fn coefficients(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
     body.push_str(&figure(
         &[
             curves(
-                &Axes { legend: Legend::UpperLeft, ..Axes::new("force straight above", &value, "g(S) [N]") },
+                &Axes::new("force straight above", &value, "g(S) [N]"),
                 &above,
             )?,
             curves(&c, &by_distance)?,
@@ -232,7 +232,7 @@ fn factors(body: &mut String, line: &LineStudy) -> Result<()> {
         &[
             curves(&axes("σ_P, mean over the row", "σ_P [mm]"), &position)?,
             curves(&axes("σ_F, mean over the row", "σ_F [N]"), &force)?,
-            curves(&Axes { legend: Legend::LowerRight, size: (620, 380), ..axes("super-resolution factor", "Ω") }, &factor)?,
+            curves(&Axes { size: (620, 380), ..axes("super-resolution factor", "Ω") }, &factor)?,
         ],
         &format!(
             "<b>Deviations and super-resolution factor over force.</b> Ω = length / (n · 2⟨σ_P⟩) (5.20), dashed with a stage \
@@ -366,11 +366,8 @@ fn two_contacts(body: &mut String, findings: &Findings) -> Result<()> {
         Curve::new("bound of each", 0, bound.collect()),
         Curve::new("half of their distance", 6, half.collect()).pen(Pen::Dashed),
     ];
-    let axes = Axes {
-        log_y: true,
-        legend: Legend::Above,
-        ..Axes::new("two contacts across the middle", "distance [mm]", "position [mm]")
-    };
+    let axes =
+        Axes { log_y: true, ..Axes::new("two contacts across the middle", "distance [mm]", "position [mm]") };
     let mut pictures = vec![curves(&axes, &limits)?];
     if findings.told_apart.len() == pairs.len() {
         let share = pairs.iter().zip(&findings.told_apart).map(|(p, s)| (p.distance * 1e3, *s));
@@ -399,7 +396,6 @@ fn trends(body: &mut String, findings: &Findings) -> Result<()> {
     for trend in &findings.trends {
         let axes = Axes {
             y_range: Some((0.0, 1.0)),
-            legend: Legend::Above,
             ..Axes::new(trend.label, "distance d from its foot [mm]", "force [N]")
         };
         let drawn: Vec<Curve> = trend
@@ -421,7 +417,7 @@ fn trends(body: &mut String, findings: &Findings) -> Result<()> {
         &format!(
             "<b>What shapes the isolines</b>: that of {} {} of the taxel nearest to the middle, while one number of the skin or \
              of the tip varies. A lower line is a more sensitive taxel, a steeper one locates better. The questions of the \
-             thesis' Fig. 5.7, for what these taxels read. <code>dermis design</code> says what they are worth.",
+             thesis' Fig. 5.7, for what these taxels read. <code>dermis sweep</code> says what they are worth.",
             short(value),
             findings.skin.unit
         ),
@@ -448,7 +444,6 @@ fn shapes(body: &mut String) -> Result<()> {
     let axes = |title: &str, y: &str, top: f64| Axes {
         y_range: Some((0.0, top)),
         size: (480, 320),
-        legend: Legend::Above,
         ..Axes::new(title, "place (taxels at 0 and 1)", y)
     };
     body.push_str("<h2>What the shape of isolines does</h2>\n");

@@ -140,11 +140,28 @@ fn flat(map: &Map) -> Vec<(f64, f64)> {
     map.points.iter().map(|p| (p[x] * 1e3, p[y] * 1e3)).collect()
 }
 
+/// Share of the readings' variance that, left unexplained everywhere, has the full colour of a map.
+const FULL: f64 = 0.05;
+
+/// The residual, in the unit of the skin, that leaves [`FULL`] of the readings' variance unexplained: the colours of a map go at
+/// least so far. The readings' variance is that of the residual over the share that it leaves.
+fn full_colour(report: &Report) -> f64 {
+    let known: Vec<f64> =
+        report.maps.first().map(|m| m.rms.iter().flatten().copied().collect()).unwrap_or_default();
+    let before = report.gap.as_ref().map_or(0.0, |gap| gap.fvu_before);
+    if known.is_empty() || !(before > 0.0) {
+        return 0.0;
+    }
+    let squares = known.iter().map(|v| v * v).sum::<f64>() / known.len() as f64;
+    (squares * FULL / before).sqrt()
+}
+
 fn maps(body: &mut String, report: &Report) -> Result<()> {
     if report.maps.iter().all(|m| m.points.is_empty()) {
         return Ok(());
     }
     let mut pictures = Vec::new();
+    let full = full_colour(report);
     // Before and after on one scale each; what lies below the noise is not drawn.
     let most = |of: fn(&Map) -> &Vec<Option<f64>>| {
         report.maps.iter().flat_map(of).flatten().map(|v| v.abs()).fold(0.0, f64::max)
@@ -153,13 +170,15 @@ fn maps(body: &mut String, report: &Report) -> Result<()> {
     let mean: fn(&Map) -> &Vec<Option<f64>> = |m| &m.mean;
     for (of, what, low) in [(rms, "root mean square", 0.0), (mean, "mean", -1.0)] {
         let top = most(of);
+        // A page that says "no gap" must not look like one with a large gap.
+        let end = top.max(full);
         for (map, name) in report.maps.iter().zip(["before", "after"]) {
             if map.points.is_empty() || top <= 0.0 {
                 continue;
             }
             let values: Vec<f64> = of(map).iter().map(|v| v.unwrap_or(f64::NAN)).collect();
             let axes = Axes::new(format!("{name}: {what}"), "[mm]", "[mm]");
-            pictures.push(surface_within(&axes, &report.data.unit, &flat(map), &values, [low * top, top])?);
+            pictures.push(surface_within(&axes, &report.data.unit, &flat(map), &values, [low * end, end])?);
         }
     }
     let _ = writeln!(body, "<h2>Where on the surface</h2>");

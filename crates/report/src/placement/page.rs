@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use dermis_figures::{Axes, COLOURS, Curve, Legend, Pen, curves, escape, figure, page};
+use dermis_figures::{Axes, COLOURS, Curve, Pen, curves, escape, figure, page};
 use dermis_studies::flat::laid_flat;
 use dermis_studies::placement::{Choice, Findings, faster};
 use dermis_theory::placement::{Method, Verdict};
@@ -131,16 +131,13 @@ fn errors(body: &mut String, findings: &Findings) -> Result<()> {
         let by = judged.by_failures.iter().map(|f| (f.failed as f64, f.untaught * 1e3)).collect();
         untaught.push(Curve::new(choice.method.name(), n, by));
     }
-    let axes = |title: &str, x: &str, log_y: bool, legend| Axes {
-        log_y,
-        legend,
-        ..Axes::new(title, x, "position error [mm]")
-    };
+    let axes =
+        |title: &str, x: &str, log_y: bool| Axes { log_y, ..Axes::new(title, x, "position error [mm]") };
     body.push_str("<h2>What they are worth</h2>\n");
     body.push_str(&figure(
         &[
-            curves(&axes("support vector regression", "elements", true, Legend::UpperRight), &count)?,
-            curves(&axes("Cramér–Rao bound", "elements", true, Legend::UpperRight), &bound)?,
+            curves(&axes("support vector regression", "elements", true), &count)?,
+            curves(&axes("Cramér–Rao bound", "elements", true), &bound)?,
         ],
         "<b>Error against the number of elements</b> at places that neither the search nor the estimator saw, mean and 95 % \
          interval over noises and divisions; and what the noise alone would leave. Thesis Fig. 2.5 b.",
@@ -148,8 +145,8 @@ fn errors(body: &mut String, findings: &Findings) -> Result<()> {
     if failures.iter().any(|c| c.points.len() > 1) {
         body.push_str(&figure(
             &[
-                curves(&axes("taught anew", "failed elements", false, Legend::UpperLeft), &failures)?,
-                curves(&axes("not taught anew", "failed elements", false, Legend::UpperLeft), &untaught)?,
+                curves(&axes("taught anew", "failed elements", false), &failures)?,
+                curves(&axes("not taught anew", "failed elements", false), &untaught)?,
             ],
             "<b>Error once elements fail</b>, drawn at random, the same positions of every method. Left: an estimator that learns \
              anew from those that are left, as on the device of the thesis, whose tenth gauge was dead. Right: the estimator of \

@@ -125,7 +125,7 @@ fn line(taxel: &Taxel) -> String {
 #[must_use]
 pub fn taxels(choice: &Choice, skin: &str) -> String {
     let mut out = format!(
-        "# Placed by `dermis place` for {skin}, method {}: in place of the `taxels` of a skin file, without `channels`.\ntaxels = [\n",
+        "# Placed by `dermis optimize-placement` for {skin}, method {}: in place of the `taxels` of a skin file, without `channels`.\ntaxels = [\n",
         choice.method.name()
     );
     for taxel in &choice.elements {
@@ -227,7 +227,7 @@ interrupted: what was not through is left out
         let findings = findings();
         let table = taxels(&findings.choices[1], "baro-grid");
         insta::assert_snapshot!(table, @r#"
-# Placed by `dermis place` for baro-grid, method crlb: in place of the `taxels` of a skin file, without `channels`.
+# Placed by `dermis optimize-placement` for baro-grid, method crlb: in place of the `taxels` of a skin file, without `channels`.
 taxels = [
     { name = "b12", position = [0.0, 0.0, -0.005], normal = [0.0, 0.0, 1.0] },
     { name = "b20", position = [-0.013, 0.013, -0.005], normal = [0.0, 0.0, 1.0], axis = [1.0, 0.0, 0.0] },

@@ -200,7 +200,7 @@ struct Opened {
 /// How this check was called.
 fn command(options: &Request) -> String {
     let path = |p: &Path| p.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let mut text = "dermis gap check".to_owned();
+    let mut text = "dermis gap benchmark run".to_owned();
     for (flag, folders) in [("--pack", &options.pack), ("--secret", &options.secret)] {
         folders.iter().for_each(|folder| text.push_str(&format!(" {flag} {}", path(folder))));
     }
