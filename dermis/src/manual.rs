@@ -145,7 +145,7 @@ fn meaning(arg: &Arg) -> String {
     if arg.is_required_set() && !arg.is_positional() {
         text.push_str(" Required.");
     }
-    text
+    text.trim_start().to_owned()
 }
 
 /// A text with a full stop.
@@ -197,14 +197,21 @@ mod tests {
         let program = Command::new("dermis").subcommand(
             Command::new("press")
                 .about("Press <here> | there")
-                .arg(Arg::new("force").long("force").short('f').required(true).help("In `<N>`"))
+                .arg(
+                    Arg::new("force")
+                        .long("force")
+                        .short('f')
+                        .value_name("N")
+                        .required(true)
+                        .help("In `<N>`"),
+                )
                 .arg(Arg::new("at").value_name("AT").num_args(1..).default_value("top"))
                 .subcommand(Command::new("secret").hide(true)),
         );
         let text = markdown(program);
         assert!(text.contains("| [`press`](#dermis-press) | Press &lt;here&gt; \\| there. |"), "{text}");
-        assert!(text.contains("| `-f, --force <force>` | In `<N>`. Required. |"), "{text}");
-        assert!(text.contains("| `AT...` |  Default: `top`. |"), "{text}");
+        assert!(text.contains("| `-f, --force <N>` | In `<N>`. Required. |"), "{text}");
+        assert!(text.contains("| `AT...` | Default: `top`. |"), "{text}");
         assert!(!text.contains("secret"), "{text}");
     }
 
