@@ -29,6 +29,7 @@ mod foreign;
 mod gap;
 mod launch;
 mod log;
+mod manual;
 mod nodes;
 mod output;
 mod placement;
@@ -38,6 +39,7 @@ mod real2sim;
 mod record;
 mod refine;
 mod registry;
+mod schema;
 mod skins;
 mod stats;
 mod steps;
@@ -49,7 +51,7 @@ mod watch;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use dermis_io::pipe::ReaderGone;
 use dermis_sensor::Registry;
 
@@ -133,6 +135,15 @@ enum Command {
     Skin(skins::Options),
     /// What this machine offers: inference runtimes, serial devices, ROS 2.
     Doctor(doctor::Options),
+    /// Print the completion script of a shell.
+    Completions(manual::Completions),
+    /// Write man pages of every command into a folder.
+    Man(manual::Man),
+    /// Print the JSON schema of a kind of file, for editors that complete and check it.
+    Schema(schema::Options),
+    /// Print every command as Markdown, for the book.
+    #[command(hide = true)]
+    Reference,
 }
 
 /// The families that ship.
@@ -190,6 +201,16 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Command::Sweep(options) => sweep::run(&options),
         Command::Skin(options) => skins::run(&options),
         Command::Doctor(options) => doctor::run(&options),
+        Command::Completions(options) => {
+            manual::completions(Cli::command(), &options);
+            Ok(())
+        }
+        Command::Man(options) => manual::man(Cli::command(), &options),
+        Command::Schema(options) => schema::run(&options),
+        Command::Reference => {
+            manual::reference(Cli::command());
+            Ok(())
+        }
     };
     let code = match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -227,7 +248,6 @@ fn block_on<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn arguments_are_consistent() {

@@ -65,6 +65,19 @@ fn the_lines_of_the_readme_print_contacts() {
 }
 
 #[test]
+fn the_planner_of_the_examples_stops_and_goes_on() {
+    let Some(python) = ros_python() else { return };
+    let _demo = demo();
+    let planner = root().join("examples/planner-rclpy/planner.py");
+    let mut planner =
+        Peer::start(Command::new(python).arg(planner).args(["--ros-args", "-p", "limit:=0.05"]));
+    planner.expect("GO ", SOON);
+    let line = planner.expect("STOP baro-grid ", SOON);
+    assert!(line.contains(" N at ") && line.ends_with("in baro_grid_link"), "{line}");
+    planner.expect("GO ", SOON);
+}
+
+#[test]
 fn rclpy_gets_every_topic_of_the_demo() {
     let Some(mut rclpy) = Rclpy::start("planner") else { return };
     let _demo = demo();

@@ -75,6 +75,27 @@ pub fn subcommand(root: &Path, name: &str, version: &str) -> Result<()> {
         .arg(home(root).join("tools")))
 }
 
+/// A program that is not a subcommand of cargo, where [`program`] put it, or from the path.
+pub fn tool(root: &Path, name: &str) -> Command {
+    let ours = home(root).join("tools/bin").join(name);
+    let mut command = if ours.is_file() { Command::new(ours) } else { Command::new(name) };
+    command.current_dir(root);
+    command
+}
+
+/// Makes sure that a program is there: the one on the path, or one that is built here once, under `.dermis/tools`.
+pub fn program(root: &Path, name: &str, version: &str, features: &[&str]) -> Result<()> {
+    if tool(root, name).arg("--version").output().is_ok_and(|o| o.status.success()) {
+        return Ok(());
+    }
+    println!("{name} {version} is not on the path: it is built once, into .dermis/tools");
+    run(cargo(root)
+        .args(["install", "--quiet", "--debug", "--locked", &format!("{name}@{version}")])
+        .args(features)
+        .arg("--root")
+        .arg(home(root).join("tools")))
+}
+
 /// A virtual environment that holds just what `requirements` pins.
 fn venv(dir: &Path, requirements: &Path) -> Result<PathBuf> {
     let python = dir.join("bin/python");

@@ -2,6 +2,7 @@
 
 mod advisories;
 mod bench;
+mod docs;
 mod environment;
 mod fuzz;
 mod layers;
@@ -46,6 +47,8 @@ enum Command {
     Measure(measure::Measurement),
     /// Try any bytes on what reads frames, messages, bags and configuration; see `fuzz/`.
     Fuzz(fuzz::Options),
+    /// Build the book under docs/, check its tables and links, or write what is generated of it.
+    Docs(docs::Options),
     /// Check that imports between crates run one way.
     Layers,
     /// Check the crates that we depend on against the advisories that are known of them.
@@ -80,6 +83,7 @@ fn main() -> Result<()> {
         Command::Bench(options) => bench::run(&root, &options),
         Command::Measure(measurement) => measure::run(&root, &measurement),
         Command::Fuzz(options) => fuzz::run(&root, &options),
+        Command::Docs(options) => docs::run(&root, &options),
         Command::Layers => layers::check(&root),
         Command::Advisories => {
             advisories::tool(&root)?;

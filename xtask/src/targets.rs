@@ -50,7 +50,7 @@ struct Target {
 }
 
 /// Whether `value` keeps `bound`.
-fn keeps(bound: &str, value: f64) -> Result<bool> {
+pub fn keeps(bound: &str, value: f64) -> Result<bool> {
     let wrong = || format!("bound `{bound}` is neither `<= NUMBER` nor `>= NUMBER`");
     let (sign, number) = bound.split_once(' ').with_context(wrong)?;
     let number: f64 = number.trim().parse().with_context(wrong)?;
