@@ -9,7 +9,7 @@ use dermis_model::{COMMON, CommonParameters};
 use dermis_skin::ParameterInfo;
 use serde_json::{Map, Value, json};
 
-use crate::registry::FAMILIES;
+use crate::registry::sensors;
 
 /// Of which files.
 #[derive(Args)]
@@ -50,9 +50,9 @@ fn text(kind: Kind) -> Result<String> {
 /// The schema of effects: one entry for each effect of each family, and for each that every skin can have.
 fn effects() -> Value {
     let mut entries = Vec::new();
-    for family in FAMILIES {
-        for info in family.effects {
-            let title = format!("{} ({})", info.name, family.name);
+    for family in sensors().iter() {
+        for info in family.effects() {
+            let title = format!("{} ({})", info.name, family.name());
             entries.push(effect(&title, info.name, info.what, info.parameters, &json!(false)));
         }
     }
