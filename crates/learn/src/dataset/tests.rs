@@ -191,7 +191,10 @@ fn what_a_bag_lacks_is_said() {
     let told_of = |other: &SkinDescription| {
         let path = dir.path().join("bag");
         let mut writer = BagWriter::create(&path).unwrap();
-        writer.write("/pad/skin_geometry", &other.geometry_message(&other.surface(), BEGIN), BEGIN).unwrap();
+        let geometry = other.geometry_message(&other.surface(), BEGIN);
+        // That the descriptions differ would be said beside it.
+        let geometry = SkinGeometry { skin_hash: String::new(), ..geometry };
+        writer.write("/pad/skin_geometry", &geometry, BEGIN).unwrap();
         let reading = other.frame_message(&Frame::new(BEGIN, 7, vec![1.0, 2.0]));
         writer.write("/pad/taxels", &reading, BEGIN).unwrap();
         writer.write("/pad/ground_truth", &truth(0, 0, &[]), BEGIN).unwrap();
