@@ -202,13 +202,12 @@ fn named_otherwise(
 ) -> Result<(), GapError> {
     let Some(reason) = skin.unlike(frame, &sender.layouts) else { return Ok(()) };
     let Some(layout) = sender.layouts.get(&frame.layout_id) else {
-        recording.problems.push(Problem::fatal(
-            "channel-names",
-            format!(
-                "{place}: {reason}: readings would be taken for those of others; pass the description that it was recorded with"
+        return Err(GapError::Recording {
+            place: place.to_owned(),
+            reason: format!(
+                "{reason}: readings would be taken for those of others; pass the description that it was recorded with"
             ),
-        ));
-        return Ok(());
+        });
     };
     let expected: Vec<&str> = skin.channels().iter().map(|c| c.name.as_str()).collect();
     if layout.channels.iter().map(String::as_str).ne(expected.iter().copied()) {

@@ -7,7 +7,7 @@ use std::path::Path;
 use dermis_bag::{BagQos, BagWriter};
 use dermis_gap::{GapError, Phase, Recording};
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3};
-use dermis_msgs::msg::{Indentation, IndentationContact, TaxelFrame};
+use dermis_msgs::msg::{Indentation, IndentationContact, SkinGeometry, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
 use dermis_skin::{Frame, SkinDescription};
 
@@ -32,6 +32,9 @@ fn bag(path: &Path, skin: &SkinDescription, scale: f64, sign: f64) {
     let mut writer = BagWriter::create(path).unwrap();
     writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data()).unwrap();
     writer.add_topic("truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data()).unwrap();
+    // It names the channels; that the type's hash is not known keeps the name of the skin in play.
+    let geometry = SkinGeometry { skin_hash: String::new(), ..skin.geometry_message(&skin.surface(), 1) };
+    writer.write("skin_geometry", &geometry, 1_700_000_000_000_000_000).unwrap();
     for index in 0..200_u64 {
         let stamp = 1_700_000_000_000_000_000 + index as i64 * 10_000_000;
         let mut frame = Frame::new(stamp, index, vec![index as f32, -(index as f32)]);
@@ -112,4 +115,24 @@ fn bags_of_other_skins_are_refused() {
     insta::assert_snapshot!(refused("\"pad\"", "\"palm\""), @"BAG: holds no frames of skin `palm`; it has those of `pad` (/taxels); `--skin-instance` names one, `dermis bag info` lists them");
     insta::assert_snapshot!(refused("\"Pa\"", "\"kPa\""), @r#"BAG: its readings are in "Pa" where skin `pad` is in "kPa""#);
     insta::assert_snapshot!(refused(", { name = \"b\", position = [0.005, 0.0, -0.005] }", ""), @"BAG: its frames have 2 channels where skin `pad` has 1: pass the description that it was recorded with");
+}
+
+#[test]
+fn frames_of_other_channels_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let other = SkinDescription::from_toml(&SKIN.replace("\"b\"", "\"c\""), "other.toml").unwrap();
+    let refused = |name: &str, skins: [&SkinDescription; 2]| {
+        let path = dir.path().join(name);
+        let mut writer = BagWriter::create(&path).unwrap();
+        for (index, skin) in (0_i64..).zip(skins) {
+            let stamp = 1_700_000_000_000_000_000 + index * 10_000_000;
+            let frame = skin.frame_message(&Frame::new(stamp, 7 + index as u64, vec![1.0, 2.0]));
+            writer.write("taxels", &frame, stamp).unwrap();
+        }
+        writer.finish().unwrap();
+        let error = dermis_gap::read(&[&path], &skin(), None, None).unwrap_err();
+        error.to_string().replace(&path.display().to_string(), "BAG")
+    };
+    insta::assert_snapshot!(refused("all", [&other, &other]), @"BAG: frame 7 has the channel layout 17a9365d where the skin has 0eb2071c, and no geometry says which channels those are: readings would be taken for those of others; pass the description that it was recorded with");
+    insta::assert_snapshot!(refused("later", [&skin(), &other]), @"BAG: frame 8 has the channel layout 17a9365d where those before have 0eb2071c: the skin was changed in the middle; cut the bag there with `dermis bag slice`");
 }
