@@ -5,6 +5,7 @@
 //! up to [`DatasetOptions::memory`] are held, which saves the second reading.
 
 mod read;
+mod recording;
 mod stream;
 mod truth;
 

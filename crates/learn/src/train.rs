@@ -9,6 +9,7 @@ pub mod command;
 mod config;
 #[cfg(feature = "train")]
 pub mod conv;
+mod measure;
 mod network;
 mod prepare;
 mod run;

@@ -116,5 +116,5 @@ fn memory_does_not_grow_with_the_length_of_a_recording() {
     println!("{streamed:?} bytes streamed, {held} held, {readings} of readings more");
     // Stamps, flags that are shared and the place for a label remain of a frame; 256 bytes are room for growing vectors.
     assert!(streamed[1] < streamed[0] + more * 256, "{streamed:?}");
-    assert!(streamed[1] * 3 < held, "{streamed:?} streamed, {held} held");
+    assert!(streamed[1] + readings < held, "{streamed:?} streamed, {held} held");
 }

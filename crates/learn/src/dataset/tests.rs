@@ -394,3 +394,52 @@ fn what_blocks_training_is_said_beside_what_bags_lack() {
       note: bag BAG: 1 of 2 channels never change: right: a model will not know them; check the wiring before it is trained
     "#);
 }
+
+#[test]
+fn what_is_streamed_is_what_is_held() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bag");
+    let mut writer = BagWriter::create(&path).unwrap();
+    // Frames lie in the bag in another order than they were acquired in, and those of another skin between them.
+    let order = [0, 1, 2, 3, 5, 4, 9, 6, 7, 8, 11, 10];
+    for (at, k) in order.into_iter().enumerate() {
+        let log = BEGIN + at as i64 * STEP;
+        let mut message = frame(k * STEP, k as u64, vec![100.0 + k as f32, 50.0]);
+        writer.write("/pad/taxels", &message, log).unwrap();
+        message.skin = "other".into();
+        writer.write("/other/taxels", &message, log).unwrap();
+        let pressed = [(0.001, 1.0)];
+        writer
+            .write("/pad/ground_truth", &truth(k * STEP, 1, if k > 5 { &pressed } else { &[] }), log)
+            .unwrap();
+    }
+    writer.finish().unwrap();
+    let read = |memory: usize| {
+        let options = DatasetOptions { memory, ..DatasetOptions::default() };
+        Dataset::from_bags(&[&path], &skin(), &options).unwrap()
+    };
+    let (held, streamed) = (read(usize::MAX), read(0));
+    assert!(matches!(streamed.runs()[0].source, Source::Bag(_)));
+    assert!(matches!(held.runs()[0].source, Source::Held(_)));
+    let (a, b) = (samples(&held), samples(&streamed));
+    assert_eq!(a.iter().map(|s| s.frame.sequence).collect::<Vec<_>>(), (0..12).collect::<Vec<_>>());
+    assert!(a.iter().filter(|s| s.tared[0].is_finite()).count() >= 8);
+    // NaN is not equal to itself.
+    assert_eq!(format!("{a:?}"), format!("{b:?}"));
+    assert_eq!(held.hash(), streamed.hash());
+
+    let id = |sample: usize| SampleId { run: 0, sample };
+    let some = streamed.gather(&[id(7), id(2), id(7), id(99)]).unwrap();
+    assert_eq!(
+        some.iter().map(|(id, s)| (id.sample, s.frame.sequence)).collect::<Vec<_>>(),
+        [(7, 7), (2, 2), (7, 7)]
+    );
+
+    // A bag that is another one by now is not mixed with what was read before.
+    std::fs::remove_dir_all(&path).unwrap();
+    let mut writer = BagWriter::create(&path).unwrap();
+    writer.write("/pad/taxels", &frame(0, 0, vec![1.0, 2.0]), BEGIN).unwrap();
+    writer.finish().unwrap();
+    let said = streamed.gather(&[id(7)]).unwrap_err().to_string().replace(&path.display().to_string(), "BAG");
+    insta::assert_snapshot!(said, @"bag BAG has changed since it was first read: leave it alone until this command ends");
+}
