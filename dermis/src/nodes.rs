@@ -82,7 +82,7 @@ pub async fn run(Node { sensor, options }: Node) -> Result<()> {
 /// The command that reads a skin which another family's node was given.
 fn reader(error: &RunError) -> Option<&'static str> {
     let RunError::Sensor { found, .. } = error else { return None };
-    sensors().get(found).map(|family| family.name())
+    sensors().get(found).map(dermis_skin::Family::name)
 }
 
 /// What the process itself says in a launch file, and its table `config` must not say again.

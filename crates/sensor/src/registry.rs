@@ -61,6 +61,6 @@ impl Registry {
     /// Their names, as skin descriptions call them.
     #[must_use]
     pub fn names(&self) -> Vec<&'static str> {
-        self.iter().map(|sensor| sensor.name()).collect()
+        self.iter().map(dermis_skin::Family::name).collect()
     }
 }

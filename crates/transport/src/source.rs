@@ -199,7 +199,7 @@ impl Source {
             let outbox = Arc::new(outbox);
             let (queue, busy, out) = (queue.clone(), source.busy.clone(), Arc::clone(&outbox));
             let thread = std::thread::Builder::new().name("dermis-source".into()).spawn(move || {
-                Reader { url, options, queue, outbox: out, wake, stop: Stop(stopped), busy }.run()
+                Reader { url, options, queue, outbox: out, wake, stop: Stop(stopped), busy }.run();
             })?;
             Ok((stop, outbox, thread))
         });

@@ -315,7 +315,7 @@ fn a_skins_keys_are_those_that_its_reader_knows() {
         let skin = SkinDescription::from_toml(text, "skin.toml");
         match skin {
             Err(error) => error.to_string(),
-            Ok(skin) => (crate::registry::family(&skin).unwrap().medium)(&skin).unwrap_err().to_string(),
+            Ok(skin) => crate::registry::family(&skin).unwrap().check_medium(&skin).unwrap_err().to_string(),
         }
     };
     let [grid, dome, shin, eflesh] =

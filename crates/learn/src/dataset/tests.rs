@@ -1,5 +1,5 @@
 use dermis_bag::BagWriter;
-use dermis_msgs::msg::{Contact as ContactMsg, Indentation, TaxelFrame};
+use dermis_msgs::msg::{Contact as ContactMsg, Indentation, SkinGeometry, TaxelFrame};
 use dermis_skin::{ForceComponents, Frame, Stamp};
 use nalgebra::{Point3, Vector3};
 

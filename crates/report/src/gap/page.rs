@@ -149,7 +149,7 @@ fn full_colour(report: &Report) -> f64 {
     let known: Vec<f64> =
         report.maps.first().map(|m| m.rms.iter().flatten().copied().collect()).unwrap_or_default();
     let before = report.gap.as_ref().map_or(0.0, |gap| gap.fvu_before);
-    if known.is_empty() || !(before > 0.0) {
+    if known.is_empty() || before.is_nan() || before <= 0.0 {
         return 0.0;
     }
     let squares = known.iter().map(|v| v * v).sum::<f64>() / known.len() as f64;

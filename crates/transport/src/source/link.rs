@@ -162,10 +162,11 @@ impl Link {
                 let line = fds.first().and_then(PollFd::revents).unwrap_or(PollFlags::POLLERR);
                 (line.intersects(!PollFlags::POLLOUT), line.contains(PollFlags::POLLOUT), any(3))
             };
-            if writable && let Err(e) = reader.outbox.send(|bytes| self.wire.write(bytes)) {
-                if !matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) {
-                    return ReadOutcome::Down(format!("cannot write to {}: {e}", self.name));
-                }
+            if writable
+                && let Err(e) = reader.outbox.send(|bytes| self.wire.write(bytes))
+                && !matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted)
+            {
+                return ReadOutcome::Down(format!("cannot write to {}: {e}", self.name));
             }
             if caller {
                 opener.accept_now(Some(&self.name), &reader.queue);
