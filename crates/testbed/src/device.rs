@@ -308,7 +308,8 @@ impl Script {
 ///
 /// ```no_run
 /// use dermis_testbed::{Outlet, Plan, TestbedError, VirtualDevice};
-/// # use dermis_skin::{ForwardModel, SkinDescription};
+/// # use dermis_model::ForwardModel;
+/// # use dermis_skin::SkinDescription;
 ///
 /// # fn plug_in(model: std::sync::Arc<dyn ForwardModel>, skin: &SkinDescription) -> Result<(), TestbedError> {
 /// let plan = Plan::random_touches(0.004, [0.1, 1.0]);
