@@ -125,6 +125,7 @@ fn all() -> Vec<Kind> {
         kind::<dermis_msgs::sensor_msgs::msg::JointState>(),
         kind::<dermis_msgs::sensor_msgs::msg::PointCloud2>(),
         kind::<dermis_msgs::sensor_msgs::msg::PointField>(),
+        kind::<dermis_msgs::sensor_msgs::msg::RegionOfInterest>(),
         kind::<dermis_msgs::service_msgs::msg::ServiceEventInfo>(),
         kind::<dermis_msgs::std_msgs::msg::Bool>(),
         kind::<dermis_msgs::std_msgs::msg::ColorRGBA>(),

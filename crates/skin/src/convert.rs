@@ -218,7 +218,7 @@ mod tests {
     const PAD: &str = r#"
         schema = "dermis-skin/1"
         name = "pad"
-        sensor = "barodome"
+        sensor = "taxels"
         frame_id = "pad_link"
         unit = "Pa"
         rate = 100.0

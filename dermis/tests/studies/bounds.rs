@@ -68,8 +68,8 @@ fn the_row_is_told_in_one_screen() {
 baro-line: least error of one contact from one frame (Cramér–Rao), tip of 4 mm, over the surface
 
 force [N] |  pos. RMS   median     95 %    worst |     F RMS   median     95 %    worst
-  0.2 |     0.101    0.092    0.138    0.198 |    0.0032   0.0033   0.0034   0.0034
-    1 |     0.021    0.019    0.028    0.040 |    0.0033   0.0034   0.0034   0.0034
+      0.2 |     0.101    0.092    0.138    0.198 |    0.0032   0.0033   0.0034   0.0034
+        1 |     0.021    0.019    0.028    0.040 |    0.0033   0.0034   0.0034   0.0034
 
 positions in mm, forces in N; `-`: the channels do not tell it
 two contacts of 1 N across the middle can be told apart from 3 mm on (to 0.272 mm each)

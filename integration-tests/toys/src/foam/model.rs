@@ -1,4 +1,4 @@
-//! Stimulus → voltages.
+//! Stimulus → voltages, as changes against the untouched skin: what a model answers is 0 where nothing touches.
 
 use dermis_model::{ForwardModel, Stimulus, Trajectory};
 use dermis_skin::{ModelError, SkinDescription, Surface};
@@ -56,8 +56,6 @@ pub struct FoamModel {
     surface: Surface,
     electrodes: Vec<Point3<f64>>,
     medium: Medium,
-    /// \[V\] of every channel where nothing touches.
-    untouched: Vec<f64>,
     noise: Vec<f64>,
 }
 
@@ -73,21 +71,13 @@ impl FoamModel {
                 reason: format!("must be {} for {} electrodes", electrodes.len().pow(2), electrodes.len()),
             });
         }
-        let between = |a: &Point3<f64>, b: &Point3<f64>| 0.4 + 1.8 * (-(a - b).norm() / 0.1).exp();
-        let untouched = electrodes.iter().flat_map(|a| electrodes.iter().map(move |b| between(a, b)));
-        Ok(Self {
-            surface: skin.surface(),
-            medium,
-            untouched: untouched.collect(),
-            noise: skin.channel_noise(),
-            electrodes,
-        })
+        Ok(Self { surface: skin.surface(), medium, noise: skin.channel_noise(), electrodes })
     }
 }
 
 impl ForwardModel for FoamModel {
     fn channels(&self) -> usize {
-        self.untouched.len()
+        self.noise.len()
     }
 
     fn surface(&self) -> &Surface {
@@ -95,7 +85,7 @@ impl ForwardModel for FoamModel {
     }
 
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        out.copy_from_slice(&self.untouched);
+        out.fill(0.0);
         let mut presses = Vec::with_capacity(stimulus.contacts.len());
         let mut load = 0.0;
         for (index, contact) in stimulus.contacts.iter().enumerate() {
@@ -125,8 +115,7 @@ impl ForwardModel for FoamModel {
 
     fn trajectory(&self) -> Box<dyn Trajectory> {
         Box::new(Creep {
-            untouched: self.untouched.clone(),
-            slow: vec![0.0; self.untouched.len()],
+            slow: vec![0.0; self.noise.len()],
             fade: self.medium.fade,
             time: self.medium.time,
             last: None,
@@ -136,7 +125,6 @@ impl ForwardModel for FoamModel {
 
 /// The share of every reading that follows slowly.
 struct Creep {
-    untouched: Vec<f64>,
     slow: Vec<f64>,
     fade: f64,
     time: f64,
@@ -147,10 +135,9 @@ impl Trajectory for Creep {
     fn transduce(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
         let step =
             self.last.replace(time).map_or(0.0, |last| 1.0 - (-(time - last).max(0.0) / self.time).exp());
-        for ((reading, slow), untouched) in readings.iter_mut().zip(&mut self.slow).zip(&self.untouched) {
-            let at_once = *reading - untouched;
-            *slow += step * (at_once - *slow);
-            *reading = untouched + (1.0 - self.fade) * at_once + self.fade * *slow;
+        for (reading, slow) in readings.iter_mut().zip(&mut self.slow) {
+            *slow += step * (*reading - *slow);
+            *reading = (1.0 - self.fade) * *reading + self.fade * *slow;
         }
     }
 }

@@ -1,0 +1,145 @@
+//! A fifth sensor is a folder: a family that nothing under `crates/` knows goes all the way through the program.
+//!
+//! The foam has 784 channels that follow from 28 electrodes, a shape of its own, memory, and contacts that do not add up.
+
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::mpsc::channel;
+use std::time::{Duration, Instant};
+
+use dermis_integration_tests::{Peer, backend, domain, finish, isolate, json, program, refused, root};
+use dermis_msgs::msg::{ContactArray, TaxelFrame};
+use dermis_node::{Node, NodeOptions, Qos};
+
+const FOAM: &str = "integration-tests/toys/skins/toy-foam.toml";
+/// Longest wait for anything, on a machine at full load.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// `dermis` with the families of the test.
+fn toys(arguments: &[&str]) -> Command {
+    let mut command = Command::new(program("dermis-toys"));
+    isolate(command.current_dir(root()).stdin(Stdio::null()).args(arguments));
+    command
+}
+
+fn plan(folder: &Path, name: &str, presses: u32, seed: u32) -> PathBuf {
+    let path = folder.join(format!("{name}.toml"));
+    let text = format!(
+        "schema = 'dermis-plan/1'\nname = '{name}'\nseed = {seed}\ndiameter = 0.02\nmargin = 0.01\n\
+         [timing]\napproach = [0.1, 0.2]\nload = [0.1, 0.2]\nhold = [0.6, 0.8]\nunload = [0.1, 0.2]\ngap = [0.5, 0.8]\n\
+         [[steps]]\nkind = 'idle'\nduration = 2.0\n\
+         [[steps]]\nkind = 'presses'\ncount = {presses}\nforce = [3.0, 30.0]\n"
+    );
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn collect(folder: &Path, name: &str, presses: u32, seed: u32, effects: &[&str]) -> PathBuf {
+    let bag = folder.join(name);
+    let mut command = toys(&["collect", FOAM, "--plan"]);
+    command.arg(plan(folder, name, presses, seed)).arg("--out").arg(&bag);
+    effects.iter().for_each(|effect| {
+        command.args(["--effect", effect]);
+    });
+    finish(&mut command);
+    bag
+}
+
+/// A model of the foam from a minute of presses.
+fn model(folder: &Path) -> PathBuf {
+    let bag = collect(folder, "train", 80, 1, &[]);
+    let config = folder.join("train.cfg.toml");
+    let text = "targets = [\"position.x\", \"position.y\", \"position.z\", \"force.normal\"]\nbaseline = \"tared\"\n\
+                [network]\nhidden = [64, 32]\n[training]\nepochs = 40\nbatch = 64\nlearning_rate = 3e-3\n\
+                [split]\nkind = \"location\"\nfraction = 0.2\n";
+    std::fs::write(&config, text).unwrap();
+    let out = folder.join("model");
+    let mut train = toys(&["train", "--skin", FOAM, "--config"]);
+    finish(train.arg(config).arg("--out").arg(&out).arg(bag));
+    out
+}
+
+#[test]
+fn a_file_of_a_few_numbers_becomes_a_skin_of_784_channels() {
+    let skin = json(&finish(&mut toys(&["skin", FOAM, "--json"])));
+    assert_eq!((skin["taxels"].as_u64(), skin["channels"].as_u64()), (Some(28), Some(784)));
+    assert_eq!(skin["forward_model"], "yes");
+    let effects = json(&finish(&mut toys(&["effects", "toy-foam", "--json"])));
+    assert_eq!(effects["families"][0]["effects"][0]["name"], "stiff-foam");
+    // The program that ships knows neither family nor shape, and says so.
+    let mut other = Command::new(program("dermis"));
+    let said = refused(other.current_dir(root()).args(["skin", FOAM]));
+    assert!(said.contains("\"saddle\"") && said.contains("toy-foam"), "{said}");
+}
+
+#[test]
+fn it_is_learned_measured_and_bounded() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = model(folder.path());
+    let bag = collect(folder.path(), "test", 40, 2, &[]);
+    let mut evaluate = toys(&["evaluate", "--json", "--skin", FOAM, "--model"]);
+    let found = json(&finish(evaluate.arg(&model).arg(&bag)));
+    let median = found["figures"]["position_median"].as_f64().unwrap();
+    println!("position: median error {:.1} mm on a skin of 200 mm", median * 1e3);
+    // Chance is about 80 mm.
+    assert!(median < 0.025, "{}", found["figures"]);
+    // At fewer places: isolines of 784 channels take their time.
+    let coarse = folder.path().join("coarse.toml");
+    let text = std::fs::read_to_string(root().join(FOAM)).unwrap();
+    std::fs::write(&coarse, text.replace("spacing = 0.0125", "spacing = 0.05")).unwrap();
+    let coarse = coarse.display().to_string();
+    let mut bounds = toys(&["bounds", &coarse, "--json", "--force", "10", "--diameter", "0.02"]);
+    let bound = json(&finish(&mut bounds));
+    assert_eq!((bound["channels"].as_u64(), bound["diameter_m"].as_f64()), (Some(784), Some(0.02)));
+}
+
+#[test]
+fn its_gap_has_a_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = collect(folder.path(), "stiff", 60, 3, &["stiff-foam=1"]);
+    let mut diagnose = toys(&["gap", "diagnose", "--json", "--resamples", "4", "--skin", FOAM, "--real"]);
+    let cache = folder.path().join("kept");
+    let report = json(&finish(
+        diagnose.arg(&bag).arg("--cache").arg(cache).arg("--out").arg(folder.path().join("out")),
+    ));
+    println!("{}", report["sentence"]);
+    assert_eq!(report["verdict"], "named", "{}", report["sentence"]);
+    assert_eq!(report["effects"][0]["label"], "stiff-foam", "{}", report["sentence"]);
+}
+
+#[test]
+fn its_node_finds_contacts_on_the_wire() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = model(folder.path());
+    let link = folder.path().join("foam");
+    let mut simulate = toys(&["device", "simulate", FOAM, "--link"]);
+    let _device = Peer::start(simulate.arg(&link).arg("--plan").arg(plan(folder.path(), "pressed", 500, 4)));
+    let options = NodeOptions::new("listener").domain_id(domain()).localhost_only(true);
+    let node = Node::open(options, &backend()).unwrap();
+    let (found, contacts) = channel();
+    let _contacts = node
+        .subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {
+            let _ = found.send(array);
+        })
+        .unwrap();
+    let (read, frames) = channel();
+    let _frames = node
+        .subscribe::<TaxelFrame>("taxels", Qos::sensor_data(), move |frame, _| {
+            let _ = read.send(frame.values.len());
+        })
+        .unwrap();
+    let mut run = toys(&["run", FOAM, "--source"]);
+    let _node = Peer::start(run.arg(format!("pty://{}", link.display())).arg("--model").arg(&model));
+    assert_eq!(frames.recv_timeout(PATIENCE).unwrap(), 784);
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        let array = contacts.recv_timeout(PATIENCE).unwrap();
+        let pressed = |c: &dermis_msgs::msg::Contact| -c.force.z > 2.0 && c.position.x.abs() <= 0.1;
+        if array.status == ContactArray::STATUS_OK && array.contacts.iter().any(pressed) {
+            break;
+        }
+        assert!(Instant::now() < deadline, "no contact was found; it last said {:?}", array.status_text);
+    }
+}
