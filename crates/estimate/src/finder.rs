@@ -1,7 +1,7 @@
 //! From one conditioned frame to contacts: every way that there is, behind one trait.
 //!
 //! The node's [`SkinEstimator`](crate::SkinEstimator) makes its contacts with the functions here ([`regressed`], [`inverted`],
-//! [`readings`]); comparisons and studies use the finders. So a table of a comparison is one of the node's own estimator.
+//! [`readings`]), and so do comparisons. The finders put the same parts together for one frame by itself.
 //!
 //! | finder | from | to |
 //! |---|---|---|

@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use dermis_estimate::finder;
 use dermis_inference::{Bundle, Model, Outputs, Runtime, RuntimeConfig};
 use dermis_inversion::{Inverter, Reading};
 use dermis_learn::cli::Labels;
@@ -145,7 +146,7 @@ impl Learned {
 
 /// Readings of a sample, as an inverter takes them.
 fn readings(sample: &Sample) -> Vec<Reading> {
-    sample.tared.iter().zip(&sample.frame.flags).map(|(value, flags)| Reading::of(*value, *flags)).collect()
+    finder::readings(&sample.tared, &sample.frame.flags).collect()
 }
 
 impl Method for Learned {

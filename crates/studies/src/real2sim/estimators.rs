@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
+use dermis_estimate::finder;
 use dermis_inference::{Bundle, Features, MAP_DISPLACEMENT, MapContacts, Model, Outputs, Runtime};
 use dermis_inversion::{Found, Inverter, Reading, SparseSettings};
 use dermis_learn::Sample;
@@ -26,16 +27,11 @@ pub trait Method {
 
 /// Readings of a sample, as an inverter takes them.
 fn readings(sample: &Sample) -> Vec<Reading> {
-    sample.tared.iter().zip(&sample.frame.flags).map(|(value, flags)| Reading::of(*value, *flags)).collect()
+    finder::readings(&sample.tared, &sample.frame.flags).collect()
 }
 
 fn contact(found: &Found) -> Contact {
-    let mut contact = Contact::at(found.position, found.normal);
-    contact.force = found.force;
-    contact.force_components = ForceComponents::Normal;
-    contact.position_covariance = found.position_covariance;
-    contact.force_covariance = found.force_covariance;
-    contact
+    finder::inverted(found, ForceComponents::Normal)
 }
 
 /// Peaks of the map of a bundle.
