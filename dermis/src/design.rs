@@ -6,12 +6,11 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum as _};
-use dermis_model::{ForwardModel, Stimulus, Trajectory, Unknowns};
-use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
+use dermis_model::{ForwardModel, Unknowns, WithNoise};
+use dermis_skin::{SkinDescription, SurfaceSpec};
 use dermis_theory::resolution::{along_line, on_surface};
 use dermis_theory::{Responses, Summary, force_ladder, over_surface};
 use indicatif::{ProgressBar, ProgressStyle};
-use nalgebra::Point3;
 use serde::Serialize;
 use serde_json::json;
 
@@ -158,46 +157,6 @@ fn factors(parameter: Parameter) -> &'static [f64] {
     if parameter == Parameter::Poisson { &POISSON } else { &FACTORS }
 }
 
-/// A model that reads with other noise.
-struct WithNoise {
-    model: Arc<dyn ForwardModel>,
-    noise: Vec<f64>,
-}
-
-impl ForwardModel for WithNoise {
-    fn channels(&self) -> usize {
-        self.model.channels()
-    }
-
-    fn surface(&self) -> &Surface {
-        self.model.surface()
-    }
-
-    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        self.model.response(stimulus, out)
-    }
-
-    fn noise(&self) -> &[f64] {
-        &self.noise
-    }
-
-    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
-        self.model.displacement(stimulus, out)
-    }
-
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        self.model.trajectory()
-    }
-
-    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
-        self.model.force_at(at, diameter, depth)
-    }
-
-    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-        self.model.depth_at(at, diameter, force)
-    }
-}
-
 /// What the skin can do with one number scaled.
 fn varied(
     parameter: Parameter,
@@ -208,11 +167,11 @@ fn varied(
 ) -> Result<Figures> {
     let scaled = parameter.scaled(skin, relative)?;
     // A model can take seconds to make, and noise is no part of it.
-    let model = if parameter == Parameter::Noise {
-        Arc::new(WithNoise { model: Arc::clone(nominal), noise: scaled.channel_noise() })
-    } else {
-        (crate::registry::family(skin)?.model)(&scaled)?
-    };
+    if parameter == Parameter::Noise {
+        let noisy = WithNoise::new(nominal.as_ref(), scaled.channel_noise());
+        return figures(&scaled, &noisy, options);
+    }
+    let model = (crate::registry::family(skin)?.model)(&scaled)?;
     figures(&scaled, model.as_ref(), options)
 }
 

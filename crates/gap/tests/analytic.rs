@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use dermis_gap::{Memory, Moment, Options, Phase, Recording, Report, Simulator, Tier, Verdict, diagnose};
-use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_model::{DeviceState, ForwardModel, Indentation, Stepped, Stimulus};
 use dermis_skin::{Effect, EffectInfo, ModelError, ParameterInfo, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
@@ -171,13 +171,13 @@ impl ForwardModel for Toy {
     fn noise(&self) -> &[f64] {
         &self.noise
     }
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        Box::new(self.way.clone())
+    fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(Stepped::new(self, self.way.clone()))
     }
 }
 
-impl Trajectory for Way {
-    fn transduce(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
+impl dermis_model::Memory for Way {
+    fn apply_transducer(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
         let dt = time - self.last.unwrap_or(time);
         self.last = Some(time);
         if let Some((share, tau)) = self.creep {
@@ -325,7 +325,7 @@ fn recorded(world: &World, presses: usize, repeats: usize, seed: u64) -> Recordi
             })
             .collect();
         let contacts = if force > 0.0 {
-            vec![Indentation { position: at, force: Vector3::new(0.0, 0.0, -force), diameter: 0.004 }]
+            vec![Indentation::sphere(at, Vector3::new(0.0, 0.0, -force), 0.004)]
         } else {
             Vec::new()
         };
@@ -631,11 +631,7 @@ fn the_corrected_skin_reads_what_the_diagnosis_says() {
         })
     });
     let (model, nominal) = (model.unwrap(), Toy::make(&skin).unwrap());
-    let press = Indentation {
-        position: Point3::new(-0.009, -0.005, 0.0),
-        force: Vector3::new(0.0, 0.0, -1.0),
-        diameter: 0.004,
-    };
+    let press = Indentation::sphere(Point3::new(-0.009, -0.005, 0.0), Vector3::new(0.0, 0.0, -1.0), 0.004);
     let stimulus = Stimulus { contacts: vec![press], ..Stimulus::default() };
     let (mut corrected, mut plain) = ([0.0; 6], [0.0; 6]);
     model.response(&stimulus, &mut corrected).unwrap();

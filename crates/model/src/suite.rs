@@ -4,16 +4,16 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::{COMMON, CommonEffect, CommonParameters, ForwardModel, Stimulus, Trajectory};
-use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
+use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription, Surface, SurfaceSpec};
+use nalgebra::{Point3, Vector3};
 
-/// A device as its effects made it.
-pub struct Device {
-    /// What it reads.
-    pub model: Arc<dyn ForwardModel>,
-    /// Switches it on.
-    pub begin: Box<dyn Fn() -> Box<dyn Trajectory>>,
-}
+use crate::{
+    COMMON, CommonEffect, CommonParameters, DeviceState, Differences, ForwardModel, Indentation, Stimulus,
+    Unknowns,
+};
+
+/// Makes the device that a skin describes.
+pub type Makes<'a> = dyn Fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> + 'a;
 
 /// The effects of a family, and how devices with them are made.
 pub struct Effects<'a> {
@@ -22,7 +22,7 @@ pub struct Effects<'a> {
     /// A skin with these effects.
     pub skin: &'a dyn Fn(Vec<Effect>) -> SkinDescription,
     /// The device that a skin describes.
-    pub device: &'a dyn Fn(&SkinDescription) -> Result<Device, ModelError>,
+    pub device: &'a Makes<'a>,
     /// \[s\] between frames.
     pub frame: f64,
 }
@@ -36,22 +36,11 @@ fn same(a: &[f64], b: &[f64]) -> bool {
 }
 
 impl Effects<'_> {
-    fn read(&self, device: &Device, stimuli: &[Stimulus]) -> Vec<f64> {
-        let mut walk = (device.begin)();
-        let mut readings = vec![0.0; device.model.channels()];
-        let mut all = Vec::new();
-        for (i, stimulus) in stimuli.iter().enumerate() {
-            let (t, mut stimulus) = (i as f64 * self.frame, stimulus.clone());
-            walk.touch(t, &mut stimulus);
-            device.model.response(&stimulus, &mut readings).expect("the stimuli of a test can be");
-            walk.transduce(t, &stimulus, &mut readings);
-            walk.convert(&mut readings);
-            all.extend_from_slice(&readings);
-        }
-        all
+    fn read(&self, device: &dyn ForwardModel, stimuli: &[Stimulus]) -> Vec<f64> {
+        steps(device, stimuli, self.frame)
     }
 
-    fn device(&self, effects: Vec<Effect>) -> Device {
+    fn device(&self, effects: Vec<Effect>) -> Arc<dyn ForwardModel> {
         (self.device)(&(self.skin)(effects)).expect("the devices of a test can be")
     }
 
@@ -62,7 +51,7 @@ impl Effects<'_> {
     /// Where there is no such device, or it refuses a stimulus.
     #[must_use]
     pub fn readings(&self, effects: Vec<Effect>, stimuli: &[Stimulus]) -> Vec<f64> {
-        self.read(&self.device(effects), stimuli)
+        self.read(self.device(effects).as_ref(), stimuli)
     }
 
     /// Every effect is the identity at 0, bit for bit, and its deviation from the nominal readings grows with its strength.
@@ -107,7 +96,7 @@ impl Effects<'_> {
     }
 
     /// What is stateful reads the stimulus number `middle` as its history makes it, what is not reads it as a device that was
-    /// just switched on; and a new trajectory is a device that was never touched.
+    /// just switched on; and a new state is a device that was never touched.
     ///
     /// # Panics
     ///
@@ -115,12 +104,12 @@ impl Effects<'_> {
     pub fn remember_what_they_should(&self, stimuli: &[Stimulus], middle: usize, seed: u64) {
         for info in self.known {
             let device = self.device(vec![Effect::new(info.name).seed(seed)]);
-            let after = self.read(&device, &stimuli[..=middle]);
-            let fresh = self.read(&device, &stimuli[middle..=middle]);
-            let last = &after[after.len() - device.model.channels()..];
+            let after = self.read(device.as_ref(), &stimuli[..=middle]);
+            let fresh = self.read(device.as_ref(), &stimuli[middle..=middle]);
+            let last = &after[after.len() - device.channels()..];
             assert_eq!(!same(last, &fresh), info.stateful, "{}", info.name);
-            let again = self.read(&device, stimuli);
-            assert!(same(&again, &self.read(&device, stimuli)), "{} is not reset", info.name);
+            let again = self.read(device.as_ref(), stimuli);
+            assert!(same(&again, &self.read(device.as_ref(), stimuli)), "{} is not reset", info.name);
         }
     }
 
@@ -166,6 +155,21 @@ impl Effects<'_> {
     }
 }
 
+/// Noise-free readings of a device that was just switched on, frame after frame, with what its converter makes of them.
+fn steps(model: &dyn ForwardModel, stimuli: &[Stimulus], frame: f64) -> Vec<f64> {
+    let mut state = model.start(0);
+    let mut readings = vec![0.0; model.channels()];
+    let mut all = Vec::new();
+    for (i, stimulus) in stimuli.iter().enumerate() {
+        let (t, mut stimulus) = (i as f64 * frame, stimulus.clone());
+        state.apply_to_stimulus(t, &mut stimulus);
+        state.step(t, &stimulus, &mut readings).expect("the stimuli of a test can be");
+        state.quantize(&mut readings);
+        all.extend_from_slice(&readings);
+    }
+    all
+}
+
 /// Noise-free readings of a device that was just switched on, frame after frame, with what its converter makes of them; then
 /// those of [`ForwardModel::response`] for the last stimulus.
 ///
@@ -174,18 +178,9 @@ impl Effects<'_> {
 /// Where the device refuses a stimulus.
 #[must_use]
 pub fn along(model: &dyn ForwardModel, stimuli: &[Stimulus], frame: f64) -> Vec<f64> {
-    let mut walk = model.trajectory();
-    let mut readings = vec![0.0; model.channels()];
-    let mut all = Vec::new();
-    for (i, stimulus) in stimuli.iter().enumerate() {
-        let (t, mut stimulus) = (i as f64 * frame, stimulus.clone());
-        walk.touch(t, &mut stimulus);
-        model.response(&stimulus, &mut readings).expect("the stimuli of a test can be");
-        walk.transduce(t, &stimulus, &mut readings);
-        walk.convert(&mut readings);
-        all.extend_from_slice(&readings);
-    }
+    let mut all = steps(model, stimuli, frame);
     if let Some(last) = stimuli.last() {
+        let mut readings = vec![0.0; model.channels()];
         model.response(last, &mut readings).expect("the stimuli of a test can be");
         all.extend_from_slice(&readings);
     }
@@ -279,4 +274,157 @@ pub fn as_recorded(path: &Path, found: &BTreeMap<String, Vec<f64>>) {
             assert!((a - b).abs() <= 1e-9 * largest, "{name}: number {i} is {a} and was {b}");
         }
     }
+}
+
+/// A model whose every method answers with something that no default does, to try wrappers on: two channels on a square of 20 mm.
+pub struct Probe {
+    surface: Surface,
+    superposes: bool,
+}
+
+impl Default for Probe {
+    fn default() -> Self {
+        let spec = SurfaceSpec::Rectangle { size: [0.02, 0.02], spacing: 0.005 };
+        Self { surface: Surface::from_spec(&spec), superposes: false }
+    }
+}
+
+impl Probe {
+    /// One that says that readings of contacts add up.
+    #[must_use]
+    pub fn that_superposes() -> Self {
+        Self { superposes: true, ..Self::default() }
+    }
+}
+
+/// Counts its steps from the seed on.
+struct ProbeState(f64);
+
+impl DeviceState for ProbeState {
+    fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
+        stimulus.temperature += 1.0 + time;
+    }
+
+    fn step(&mut self, time: f64, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.0 += 1.0;
+        out.copy_from_slice(&[self.0 + time, stimulus.temperature]);
+        Ok(())
+    }
+
+    fn quantize(&mut self, readings: &mut [f64]) {
+        readings.iter_mut().for_each(|r| *r = r.round());
+    }
+}
+
+#[deny(clippy::missing_trait_methods)]
+impl ForwardModel for Probe {
+    fn channels(&self) -> usize {
+        2
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        let force: f64 = stimulus.contacts.iter().map(|c| c.force.norm()).sum();
+        out.copy_from_slice(&[3.0 * force, 5.0 * force]);
+        Ok(())
+    }
+
+    /// Not what [`response`](ForwardModel::response) says, so that it shows who was asked.
+    fn responses(&self, stimuli: &[Stimulus], out: &mut [f64]) -> Result<(), ModelError> {
+        out.fill(stimuli.len() as f64);
+        Ok(())
+    }
+
+    fn jacobian(
+        &self,
+        _: &Stimulus,
+        unknowns: Unknowns,
+        _: &Differences,
+        out: &mut [f64],
+    ) -> Result<(), ModelError> {
+        out.fill(unknowns.count() as f64);
+        Ok(())
+    }
+
+    fn superposes(&self) -> bool {
+        self.superposes
+    }
+
+    fn noise(&self) -> &[f64] {
+        &[0.25, 0.5]
+    }
+
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        out.fill(7.0 + stimulus.contacts.len() as f64);
+        Ok(true)
+    }
+
+    fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(ProbeState(seed as f64))
+    }
+
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        Some(at.x + 10.0 * diameter + 100.0 * depth)
+    }
+
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        Some(at.x + 10.0 * diameter + force)
+    }
+}
+
+/// What every method of a wrapper around [`Probe`] says must be what the probe says; `noise` is the one that it should have. Where
+/// `same_response` is false, the wrapper has ways of its own for responses (neutral ones in the test): then they and their
+/// derivatives are compared with the wrapper's own response.
+///
+/// # Panics
+///
+/// Where a method is not forwarded.
+pub fn forwards_everything(wrapper: &dyn ForwardModel, noise: &[f64], same_response: bool) {
+    let probe = Probe::default();
+    let contact = Indentation::sphere(Point3::new(0.001, -0.002, 0.0), Vector3::new(0.0, 0.0, -0.5), 0.004);
+    let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+    assert_eq!(wrapper.channels(), probe.channels());
+    assert_eq!(wrapper.surface().points, probe.surface().points);
+    assert_eq!(wrapper.noise(), noise);
+    assert_eq!(wrapper.superposes(), probe.superposes());
+    let (mut own, mut wanted) = ([f64::NAN; 2], [f64::NAN; 2]);
+    wrapper.response(&stimulus, &mut own).expect("a press can be");
+    probe.response(&stimulus, &mut wanted).expect("a press can be");
+    assert_eq!(own, wanted, "response");
+
+    let mut many = [f64::NAN; 4];
+    wrapper.responses(&[stimulus.clone(), stimulus.clone()], &mut many).expect("a press can be");
+    let [a, b] = own;
+    assert_eq!(many, if same_response { [2.0; 4] } else { [a, b, a, b] }, "responses");
+    let mut jacobian = [f64::NAN; 6];
+    wrapper
+        .jacobian(&stimulus, Unknowns::Normal, &Differences::default(), &mut jacobian)
+        .expect("a press can be");
+    if same_response {
+        assert_eq!(jacobian, [3.0; 6], "jacobian");
+    } else {
+        for (found, wanted) in jacobian.iter().zip([0.0, 0.0, 0.0, 0.0, 3.0, 5.0]) {
+            assert!((found - wanted).abs() < 1e-6, "jacobian: {jacobian:?}");
+        }
+    }
+
+    let mut points = vec![f64::NAN; probe.surface().points.len()];
+    assert!(wrapper.displacement(&stimulus, &mut points).expect("a press can be"), "displacement");
+    assert!(points.iter().all(|p| *p == 8.0), "displacement: {points:?}");
+    let at = Point3::new(0.003, 0.0, 0.0);
+    assert_eq!(wrapper.force_at(&at, 0.004, 0.001), probe.force_at(&at, 0.004, 0.001), "force_at");
+    assert_eq!(wrapper.depth_at(&at, 0.004, 0.7), probe.depth_at(&at, 0.004, 0.7), "depth_at");
+
+    let (mut state, mut real) = (wrapper.start(40), stimulus);
+    state.apply_to_stimulus(0.5, &mut real);
+    assert_eq!(real.temperature, 293.15 + 1.5, "apply_to_stimulus");
+    for n in 1..3 {
+        state.step(0.25, &real, &mut own).expect("a press can be");
+        assert_eq!(own, [40.25 + f64::from(n), real.temperature], "step, and the seed of start");
+    }
+    state.quantize(&mut own);
+    assert_eq!(own, [42.0, 295.0], "quantize");
 }

@@ -544,7 +544,7 @@ impl SkinEstimator {
             let surface = model.surface();
             let mut out = vec![0.0; surface.points.len()];
             if let Some((position, normal)) = surface.points.first().zip(surface.normals.first()) {
-                let press = Indentation { position: *position, force: -normal, diameter: REACH };
+                let press = Indentation::sphere(*position, -normal, REACH);
                 // What it says of this press is of no interest.
                 let _ =
                     model.displacement(&Stimulus { contacts: vec![press], ..Stimulus::default() }, &mut out);
@@ -704,11 +704,10 @@ impl SkinEstimator {
             let known = |c: &&Contact| {
                 c.position.iter().chain(&c.force).all(|v| v.is_finite()) && c.normal_force() > 0.0
             };
-            let hint = learned.first().filter(known).map(|c| Indentation {
-                position: c.position,
-                force: c.force,
-                diameter: settings.diameter,
-            });
+            let hint = learned
+                .first()
+                .filter(known)
+                .map(|c| Indentation::sphere(c.position, c.force, settings.diameter));
             inverter.solve(&self.readings, hint.as_ref())
         };
         let solution =
@@ -847,8 +846,7 @@ impl SkinEstimator {
         }
         let inverter = self.pipelines.get(refined?)?.inverter.as_ref()?;
         let diameter = inverter.settings().diameter;
-        let contacts =
-            contacts.iter().map(|c| Indentation { position: c.position, force: c.force, diameter }).collect();
+        let contacts = contacts.iter().map(|c| Indentation::sphere(c.position, c.force, diameter)).collect();
         let mut points = vec![0.0; self.surface.points.len()];
         let known = inverter.model().displacement(&Stimulus { contacts, ..Stimulus::default() }, &mut points);
         if !known.unwrap_or_else(|error| {
@@ -1072,7 +1070,7 @@ fn locate(inverter: &Inverter, readings: &[Reading], before: &[Found]) -> Result
 }
 
 fn indentations(found: &[Found], diameter: f64) -> Vec<Indentation> {
-    found.iter().map(|f| Indentation { position: f.position, force: f.force, diameter }).collect()
+    found.iter().map(|f| Indentation::sphere(f.position, f.force, diameter)).collect()
 }
 
 /// \[N\] on every point of a surface: the pressing force of each contact on the points within its radius, shared by area.
@@ -1347,10 +1345,8 @@ mod tests {
         press: Option<([f64; 2], f64)>,
         broken: &[usize],
     ) -> Estimate {
-        let contacts = press.map(|([x, y], force)| Indentation {
-            position: Point3::new(x, y, 0.0),
-            force: Vector3::new(0.0, 0.0, -force),
-            diameter: 0.004,
+        let contacts = press.map(|([x, y], force)| {
+            Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004)
         });
         let stimulus = Stimulus { contacts: contacts.into_iter().collect(), ..Stimulus::default() };
         let mut signal = [0.0; 9];
@@ -1447,10 +1443,8 @@ mod tests {
 
     /// One frame of the pad of nine under presses at \[m\] with \[N\].
     fn both(k: u64, presses: &[([f64; 2], f64)]) -> Frame {
-        let contacts = presses.iter().map(|([x, y], force)| Indentation {
-            position: Point3::new(*x, *y, 0.0),
-            force: Vector3::new(0.0, 0.0, -force),
-            diameter: 0.004,
+        let contacts = presses.iter().map(|([x, y], force)| {
+            Indentation::sphere(Point3::new(*x, *y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004)
         });
         let mut signal = [0.0; 9];
         let stimulus = Stimulus { contacts: contacts.collect(), ..Stimulus::default() };

@@ -34,10 +34,8 @@ const FRAME: f64 = 0.02;
 
 /// Two presses, of which the first slides and the second has another beside it; meanwhile it gets warmer.
 fn stimuli() -> Vec<Stimulus> {
-    let contact = |x: f64, y: f64, force: f64| Indentation {
-        position: Point3::new(x, y, 0.0),
-        force: Vector3::new(0.1 * force, 0.0, -force),
-        diameter: 0.004,
+    let contact = |x: f64, y: f64, force: f64| {
+        Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.1 * force, 0.0, -force), 0.004)
     };
     let at = |i: i32| {
         let t = f64::from(i) * FRAME;
@@ -49,7 +47,12 @@ fn stimuli() -> Vec<Stimulus> {
             contacts.push(contact(0.002, 0.001, 0.8));
             contacts.push(contact(-0.005, 0.004, 0.3 * t));
         }
-        Stimulus { contacts, temperature: 293.15 + 4.0 * t, ambient_pressure: 101_325.0 + 40.0 * t }
+        Stimulus {
+            contacts,
+            temperature: 293.15 + 4.0 * t,
+            ambient_pressure: 101_325.0 + 40.0 * t,
+            ..Stimulus::default()
+        }
     };
     (0..60).map(at).collect()
 }

@@ -38,11 +38,11 @@ fn stimuli() -> Vec<Stimulus> {
     let contact = |x: f64, arc: f64, force: f64| {
         let (sin, cos) = (arc / 0.045).sin_cos();
         let normal = Vector3::new(0.0, sin, cos);
-        Indentation {
-            position: Point3::from(normal * 0.045) + Vector3::x() * x,
-            force: Vector3::x() * (0.1 * force) - normal * force,
-            diameter: 0.01,
-        }
+        Indentation::sphere(
+            Point3::from(normal * 0.045) + Vector3::x() * x,
+            Vector3::x() * (0.1 * force) - normal * force,
+            0.01,
+        )
     };
     let at = |i: i32| {
         let t = f64::from(i) * FRAME;
@@ -54,7 +54,12 @@ fn stimuli() -> Vec<Stimulus> {
             contacts.push(contact(0.004, 0.004, 8.0));
             contacts.push(contact(-0.004, -0.006, 3.0 * t));
         }
-        Stimulus { contacts, temperature: 293.15 + 4.0 * t, ambient_pressure: 101_325.0 + 40.0 * t }
+        Stimulus {
+            contacts,
+            temperature: 293.15 + 4.0 * t,
+            ambient_pressure: 101_325.0 + 40.0 * t,
+            ..Stimulus::default()
+        }
     };
     (0..60).map(at).collect()
 }
