@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::{
     COMMON, CommonEffect, CommonParameters, DeviceState, Differences, ForwardModel, Indentation, Stimulus,
-    Unknowns,
+    Unknowns, common_effect,
 };
 
 /// Makes the device that a skin describes.
@@ -230,12 +230,42 @@ pub fn switched_on(info: &CommonEffect, skin: &SkinDescription) -> Effect {
     effect
 }
 
+/// The common effects in an order that says which are recorded together: another order of the table changes no recording.
+const IN_PAIRS: [&str; 18] = [
+    "channel-offset",
+    "channel-gain",
+    "channel-curvature",
+    "crosstalk",
+    "taxel-position",
+    "thermal-zero",
+    "thermal-bend",
+    "thermal-span",
+    "warm-up",
+    "ageing",
+    "interference",
+    "delay",
+    "low-pass",
+    "truth-shift",
+    "force-scale",
+    "force-zero",
+    "tip-scale",
+    "channel-order",
+];
+
 /// Lists of effects whose readings a family records: each effect alone, in pairs across the seam between the family and what is
 /// common to all, and all at once.
+///
+/// # Panics
+///
+/// Where a common effect is missing from the recordings.
 #[must_use]
 pub fn cases(known: &[EffectInfo], skin: &SkinDescription) -> Vec<Vec<Effect>> {
     let own: Vec<Effect> = known.iter().map(|info| Effect::new(info.name).seed(5)).collect();
-    let common: Vec<Effect> = COMMON.iter().map(|info| switched_on(info, skin)).collect();
+    assert_eq!(COMMON.len(), IN_PAIRS.len(), "a common effect is in no recording");
+    let common: Vec<Effect> = IN_PAIRS
+        .iter()
+        .map(|name| switched_on(common_effect(name).expect("a common effect has this name"), skin))
+        .collect();
     let mut cases: Vec<Vec<Effect>> = own.iter().chain(&common).map(|e| vec![e.clone()]).collect();
     let remembering: Vec<&Effect> =
         known.iter().zip(&own).filter(|(info, _)| info.stateful).map(|(_, e)| e).collect();
