@@ -97,7 +97,7 @@ pub fn collect(
     let dir = dir.as_ref();
     let seed = options.seed.unwrap_or(plan.seed);
     let timeline = Timeline::new(plan, model, seed)?;
-    let mut sampler = Sampler::new(Arc::clone(model), skin, seed ^ 0x5eed_0001)?;
+    let mut sampler = Sampler::new(model.as_ref(), skin, seed ^ 0x5eed_0001)?;
     let mut truth = Truth::new(plan, options, seed);
     let session = format!("{}/{seed}", plan.name);
     let total = (timeline.duration() * skin.rate).ceil() as u64;
@@ -275,8 +275,8 @@ mod tests {
     use super::*;
     use crate::testing::{self, Bumps};
     use dermis_bag::BagReader;
-    use dermis_model::Stimulus;
-    use dermis_skin::{ChannelFlags, ModelError, Surface};
+    use dermis_model::{DeviceState, ForwardModel, Stepped, Stimulus, Wrapper};
+    use dermis_skin::{ChannelFlags, ModelError};
 
     const START: Stamp = 1_700_000_000_000_000_000;
 
@@ -304,7 +304,7 @@ mod tests {
         assert_eq!(truth.len(), frames.len());
 
         let timeline = Timeline::new(&testing::plan(), &model, 3).unwrap();
-        let mut walk = model.trajectory();
+        let mut state = model.start(0);
         assert_eq!(report.presses, timeline.presses());
         let (mut clean, mut squares, mut forces) = ([0.0; 3], 0.0, 0.0);
         let (mut readings, mut contacts) = (0.0, 0.0);
@@ -318,9 +318,8 @@ mod tests {
                 (label.press, label.location, label.phase),
                 (moment.press, moment.location, moment.phase.code())
             );
-            walk.touch(t, &mut moment.stimulus);
-            model.response(&moment.stimulus, &mut clean).unwrap();
-            walk.transduce(t, &moment.stimulus, &mut clean);
+            state.apply_to_stimulus(t, &mut moment.stimulus);
+            state.step(t, &moment.stimulus, &mut clean).unwrap();
             for (value, clean) in frame.values.iter().zip(clean) {
                 squares += (f64::from(*value) - clean).powi(2);
                 readings += 1.0;
@@ -362,12 +361,13 @@ mod tests {
     #[test]
     fn a_reading_beyond_the_range_is_cut_and_flagged() {
         let skin = testing::skin(100.0);
-        let mut sampler = Sampler::new(Bumps::shared(&skin), &skin, 1).unwrap();
-        let contact = dermis_model::Indentation {
-            position: nalgebra::Point3::origin(),
-            force: Vector3::new(0.0, 0.0, -2.0),
-            diameter: 0.004,
-        };
+        let model = Bumps::shared(&skin);
+        let mut sampler = Sampler::new(model.as_ref(), &skin, 1).unwrap();
+        let contact = dermis_model::Indentation::sphere(
+            nalgebra::Point3::origin(),
+            Vector3::new(0.0, 0.0, -2.0),
+            0.004,
+        );
         let (mut values, mut flags) = (Vec::new(), Vec::new());
         let mut stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
         sampler.sample(0.0, &mut stimulus, &mut values, &mut flags).unwrap();
@@ -382,27 +382,22 @@ mod tests {
         stop: Arc<AtomicBool>,
     }
 
-    impl ForwardModel for Interrupted {
-        fn channels(&self) -> usize {
-            self.inner.channels()
+    impl Wrapper for Interrupted {
+        const CHANGES_RESPONSE: bool = true;
+
+        fn inner(&self) -> &dyn ForwardModel {
+            &self.inner
         }
-        fn surface(&self) -> &Surface {
-            self.inner.surface()
-        }
+
         fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
             if self.left.fetch_sub(1, Ordering::Relaxed) == 0 {
                 self.stop.store(true, Ordering::Relaxed);
             }
             self.inner.response(stimulus, out)
         }
-        fn noise(&self) -> &[f64] {
-            self.inner.noise()
-        }
-        fn trajectory(&self) -> Box<dyn dermis_model::Trajectory> {
-            self.inner.trajectory()
-        }
-        fn depth_at(&self, at: &nalgebra::Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-            self.inner.depth_at(at, diameter, force)
+
+        fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
+            Box::new(Stepped::new(self, testing::Dragged::default()))
         }
     }
 
