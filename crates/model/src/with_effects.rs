@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{ModelError, SkinDescription, Surface};
+use dermis_skin::{Image, ModelError, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 
 use crate::effects::{
@@ -135,6 +135,15 @@ impl Wrapper for WithCommonEffects {
 
     fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
         self.model.displacement(&self.effects.real(stimulus, self.model.surface()), out)
+    }
+
+    /// Of what the rig really does. Effects of electronics act on numbers, not on pixels.
+    fn capture(
+        &self,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        self.model.capture(&self.effects.real(stimulus, self.model.surface()), noise)
     }
 
     /// As the rig states the force: [`response`](Self::response) takes its scale and zero into account.

@@ -7,8 +7,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_bag::{BagQos, BagWriter};
-use dermis_model::ForwardModel;
+use dermis_model::{ForwardModel, Stimulus};
 use dermis_msgs::msg::{Indentation, SkinGeometry, TaxelFrame};
+use dermis_msgs::sensor_msgs::msg::Image;
 use dermis_msgs::{Message, TypeSupport};
 use dermis_skin::{Frame, SkinDescription, Stamp, Surface};
 use indicatif::ProgressBar;
@@ -80,8 +81,8 @@ const STRIDE: u64 = 64;
 /// Custom data of a bag that was stopped before its plan's end.
 const INTERRUPTED: &str = "interrupted";
 
-/// Carries out `plan` on the modelled skin and writes the labelled bag `dir`: topics `taxels`, `ground_truth`
-/// and `skin_geometry`. As fast as the model answers, not in real time.
+/// Carries out `plan` on the modelled skin and writes the labelled bag `dir`: topics `taxels`, `ground_truth`,
+/// `skin_geometry` and, where the skin is read by a camera, `image`. As fast as the model answers, not in real time.
 ///
 /// # Errors
 ///
@@ -142,6 +143,10 @@ pub fn collect(
     writer.add_topic("skin_geometry", TypeSupport::of::<SkinGeometry>(), BagQos::latched())?;
     writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data())?;
     writer.add_topic("ground_truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data())?;
+    let untouched = model.capture(&Stimulus::default(), &mut || 0.0);
+    if untouched.map_err(|source| TestbedError::Model { press: 0, source })?.is_some() {
+        writer.add_topic("image", TypeSupport::of::<Image>(), BagQos::sensor_data())?;
+    }
     let mut out = Output { writer, begun };
     options.progress.set_length(total);
     let mut frame = Frame::default();
@@ -149,7 +154,7 @@ pub fn collect(
         let t = index as f64 / skin.rate;
         let mut moment = timeline.at(t);
         sampler
-            .sample(t, &mut moment.stimulus, &mut frame.values, &mut frame.flags)
+            .sample(t, &mut moment.stimulus, &mut frame)
             .map_err(|source| TestbedError::Model { press: moment.press, source })?;
         frame.stamp = start + (t * 1e9).round() as Stamp;
         frame.sequence = index;
@@ -157,6 +162,9 @@ pub fn collect(
         frame.device_time_us = 1 + (t * 1e6).round() as u64;
         frame.temperature = moment.stimulus.temperature as f32;
         out.write("taxels", &skin.frame_message(&frame), frame.stamp)?;
+        if let Some(image) = skin.image_message(&frame) {
+            out.write("image", &image, frame.stamp)?;
+        }
         truth.blur(&mut moment, model.surface());
         let label = moment.message(skin, model.surface(), &session, frame.stamp);
         out.write("ground_truth", &label, frame.stamp)?;
@@ -368,11 +376,11 @@ mod tests {
             Vector3::new(0.0, 0.0, -2.0),
             0.004,
         );
-        let (mut values, mut flags) = (Vec::new(), Vec::new());
+        let mut frame = Frame::default();
         let mut stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
-        sampler.sample(0.0, &mut stimulus, &mut values, &mut flags).unwrap();
-        assert_eq!((values[1], flags[1]), (900.0, ChannelFlags::SATURATED));
-        assert_eq!(flags[0], ChannelFlags::OK);
+        sampler.sample(0.0, &mut stimulus, &mut frame).unwrap();
+        assert_eq!((frame.values[1], frame.flags[1]), (900.0, ChannelFlags::SATURATED));
+        assert_eq!(frame.flags[0], ChannelFlags::OK);
     }
 
     /// Raises the stop flag in the middle of its work, as a signal handler does.

@@ -422,7 +422,7 @@ impl VirtualDevice {
                     }
                     let mut moment = script.at(t)?.unwrap_or_default();
                     sampler
-                        .sample(t, &mut moment.stimulus, &mut frame.values, &mut frame.flags)
+                        .sample(t, &mut moment.stimulus, &mut frame)
                         .map_err(|source| TestbedError::Model { press: moment.press, source })?;
                     // A device that is asked numbers its answers.
                     frame.sequence = if encoder.on_request() {

@@ -1,7 +1,7 @@
 //! What a skin's device would read: the model, its effects, its noise and the device's range.
 
 use dermis_model::{DeviceState, ForwardModel, Stimulus};
-use dermis_skin::{ChannelFlags, ModelError, SkinDescription};
+use dermis_skin::{ChannelFlags, Frame, ModelError, SkinDescription};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -57,8 +57,9 @@ impl<'a> Sampler<'a> {
         self.model.response(stimulus, &mut self.clean)
     }
 
-    /// One reading of every channel at `time` \[s\], in the unit of the skin, with the flag of those that are saturated. What
-    /// is left in `stimulus` is what really touched. Times rise from call to call.
+    /// One reading of every channel at `time` \[s\], in the unit of the skin, with the flag of those that are saturated, written
+    /// into `frame`; with a picture where the skin is read by a camera, whose numbers are then the readings. What is left in
+    /// `stimulus` is what really touched. Times rise from call to call.
     ///
     /// # Errors
     ///
@@ -67,15 +68,20 @@ impl<'a> Sampler<'a> {
         &mut self,
         time: f64,
         stimulus: &mut Stimulus,
-        values: &mut Vec<f32>,
-        flags: &mut Vec<ChannelFlags>,
+        frame: &mut Frame,
     ) -> Result<(), ModelError> {
         self.state.apply_to_stimulus(time, stimulus);
-        self.state.step(time, stimulus, &mut self.clean)?;
-        for (value, sigma) in self.clean.iter_mut().zip(self.model.noise()) {
-            *value += sigma * self.rng.sample::<f64, _>(StandardNormal);
+        let rng = &mut self.rng;
+        frame.image = self.model.capture(stimulus, &mut || rng.sample(StandardNormal))?;
+        let seen = frame.image.as_ref().is_some_and(|image| self.model.observe(image, &mut self.clean));
+        if !seen {
+            self.state.step(time, stimulus, &mut self.clean)?;
+            for (value, sigma) in self.clean.iter_mut().zip(self.model.noise()) {
+                *value += sigma * self.rng.sample::<f64, _>(StandardNormal);
+            }
         }
         self.state.quantize(&mut self.clean);
+        let Frame { values, flags, .. } = frame;
         values.clear();
         flags.clear();
         for (value, range) in self.clean.iter().zip(&self.ranges) {
