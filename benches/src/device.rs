@@ -43,10 +43,12 @@ impl Device {
             (0..VARIETY)
                 .map(|i| {
                     let angle = i as f64 / VARIETY as f64 * std::f64::consts::TAU;
-                    let contacts = force.map(|force| Indentation {
-                        position: Point3::new(CIRCLE * angle.cos(), CIRCLE * angle.sin(), 0.0),
-                        force: Vector3::new(0.0, 0.0, -force),
-                        diameter: 0.004,
+                    let contacts = force.map(|force| {
+                        Indentation::sphere(
+                            Point3::new(CIRCLE * angle.cos(), CIRCLE * angle.sin(), 0.0),
+                            Vector3::new(0.0, 0.0, -force),
+                            0.004,
+                        )
                     });
                     let stimulus =
                         Stimulus { contacts: contacts.into_iter().collect(), ..Stimulus::default() };

@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use dermis_gap::{Memory, Moment, Phase, Recording, Simulator, diagnose};
-use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_model::{DeviceState, ForwardModel, Indentation, Stepped, Stimulus};
 use dermis_skin::{Effect, EffectInfo, ModelError, ParameterInfo, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
@@ -198,7 +198,7 @@ impl ForwardModel for Fabric {
             c.check(i, &self.surface)?;
             let force = -c.force.z * (1.0 + self.rise * -c.force.z);
             // A wide tip has a wide footprint.
-            let square = self.width.powi(2) + c.diameter.powi(2) / 16.0;
+            let square = self.width.powi(2) + c.diameter().powi(2) / 16.0;
             for ((o, t), gain) in out.iter_mut().zip(&self.taxels).zip(&self.gains) {
                 let q = (c.position - t).xy().norm_squared() / (2.0 * square);
                 if q < 30.0 {
@@ -216,13 +216,13 @@ impl ForwardModel for Fabric {
         &self.noise
     }
 
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        Box::new(self.way.clone())
+    fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(Stepped::new(self, self.way.clone()))
     }
 }
 
-impl Trajectory for Way {
-    fn transduce(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
+impl dermis_model::Memory for Way {
+    fn apply_transducer(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
         let dt = time - self.last.unwrap_or(time);
         self.last = Some(time);
         if let Some((share, tau)) = self.creep {
@@ -279,23 +279,20 @@ fn recorded(skin: &SkinDescription, effects: Vec<Effect>, contacts: u64) -> Resu
     let reach = 0.5 * PITCH * ((channels as f64).sqrt() - 1.0);
     let mut read = vec![0.0; channels];
     let mut values = vec![0.0f32; channels];
-    let mut way = real.trajectory();
+    let mut state = real.start(0);
     let (mut time, mut press, mut location) = (0.0, 0u64, 0u32);
     let mut frame = |phase: Phase,
                      touch: Option<(Point3<f64>, f64)>,
                      [press, location]: [u64; 2],
                      rng: &mut ChaCha8Rng|
      -> Result<()> {
-        let contacts = touch.filter(|t| t.1 > 0.0).map(|(position, force)| Indentation {
-            position,
-            force: Vector3::new(0.0, 0.0, -force),
-            diameter: 0.004,
-        });
+        let contacts = touch
+            .filter(|t| t.1 > 0.0)
+            .map(|(position, force)| Indentation::sphere(position, Vector3::new(0.0, 0.0, -force), 0.004));
         let temperature = 293.15 + 4.0 * (time / 600.0f64).sin();
         let stimulus =
             Stimulus { contacts: contacts.into_iter().collect(), temperature, ..Stimulus::default() };
-        real.response(&stimulus, &mut read)?;
-        way.transduce(time, &stimulus, &mut read);
+        state.step(time, &stimulus, &mut read)?;
         for (v, r) in values.iter_mut().zip(&read) {
             *v = (r + rng.sample::<f64, _>(StandardNormal)) as f32;
         }

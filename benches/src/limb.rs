@@ -101,10 +101,12 @@ fn device(skin: &SkinDescription, model: &dyn ForwardModel, contacts: usize) -> 
         }
         let held: Vec<Indentation> = at
             .iter()
-            .map(|i| Indentation {
-                position: surface.points[*i],
-                force: -surface.normals[*i] * random.random_range(FORCES[0]..FORCES[1]),
-                diameter: DIAMETER,
+            .map(|i| {
+                Indentation::sphere(
+                    surface.points[*i],
+                    -surface.normals[*i] * random.random_range(FORCES[0]..FORCES[1]),
+                    DIAMETER,
+                )
             })
             .collect();
         let mut pressed = vec![0.0; model.channels()];

@@ -119,11 +119,11 @@ fn stimulus(model: &dyn ForwardModel, rng: &mut ChaCha8Rng, shear: f64, contacts
         .map(|_| {
             let force = rng.random_range(FORCES);
             let along = |rng: &mut ChaCha8Rng| (rng.random::<f64>() - 0.5) * 2.0 * shear * force;
-            Indentation {
-                position: Point3::new(rng.random_range(low.x..high.x), rng.random_range(low.y..high.y), 0.0),
-                force: Vector3::new(along(rng), along(rng), -force),
-                diameter: DIAMETER,
-            }
+            Indentation::sphere(
+                Point3::new(rng.random_range(low.x..high.x), rng.random_range(low.y..high.y), 0.0),
+                Vector3::new(along(rng), along(rng), -force),
+                DIAMETER,
+            )
         })
         .collect();
     Stimulus { contacts, ..Stimulus::default() }
@@ -152,11 +152,11 @@ fn table(model: &dyn ForwardModel, channel: usize, taxel: [f64; 2], rows: usize,
         let force = (root_step * row as f64).powi(3).max(1e-9);
         for column in 0..columns {
             let along = step * column as f64 / reach;
-            let contact = Indentation {
-                position: Point3::new(taxel[0] + along * dx, taxel[1] + along * dy, 0.0),
-                force: Vector3::new(0.0, 0.0, -force),
-                diameter: DIAMETER,
-            };
+            let contact = Indentation::sphere(
+                Point3::new(taxel[0] + along * dx, taxel[1] + along * dy, 0.0),
+                Vector3::new(0.0, 0.0, -force),
+                DIAMETER,
+            );
             let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
             values.push(response(model, &stimulus)?[channel] / force);
         }

@@ -268,7 +268,7 @@ fn stimulus(surface: &Surface, rng: &mut ChaCha8Rng) -> Stimulus {
                 (s, t) = (1.0 - s, 1.0 - t);
             }
             let (position, normal) = surface.project(&Point3::from(a + (b - a) * s + (c - a) * t));
-            Indentation { position, force: normal * -rng.random_range(FORCES), diameter: DIAMETER }
+            Indentation::sphere(position, normal * -rng.random_range(FORCES), DIAMETER)
         })
         .collect();
     Stimulus { contacts, ..Stimulus::default() }

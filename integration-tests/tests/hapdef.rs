@@ -324,7 +324,7 @@ fn both() -> [Point3<f64>; 2] {
 fn presses(places: &[Point3<f64>]) -> Vec<Indentation> {
     let press = |at: &Point3<f64>| {
         let (position, normal) = model().surface().project(at);
-        Indentation { position, force: -normal * FORCE, diameter: TIP }
+        Indentation::sphere(position, -normal * FORCE, TIP)
     };
     places.iter().map(press).collect()
 }
@@ -422,7 +422,7 @@ fn no_press_is_felt_by_one_gauge_alone() {
     let [_, rail] = skin.channels()[0].range.unwrap();
     let mut least = f64::INFINITY;
     for (position, normal) in model().surface().points.iter().zip(&model().surface().normals) {
-        let press = Indentation { position: *position, force: -normal * FORCE, diameter: TIP };
+        let press = Indentation::sphere(*position, -normal * FORCE, TIP);
         let mut strain: Vec<f64> = strain(vec![press]).iter().map(|s| s.abs()).collect();
         strain.sort_by(f64::total_cmp);
         // Only one that is at its rail comes into question, and a harder press is felt more by the others, too.

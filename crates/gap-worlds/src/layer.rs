@@ -214,7 +214,7 @@ impl Skin {
         let middle = self.turn * said + self.shift;
         let (forks, share): (&[f64], f64) =
             if self.fork == Vector2::zeros() { (&[0.0], 1.0) } else { (&[-1.0, 1.0], 0.5) };
-        let (a, depth) = self.tip(contact.diameter).under(pressing * share);
+        let (a, depth) = self.tip(contact.diameter()).under(pressing * share);
         for fork in forks {
             let at = middle + self.fork * *fork;
             for (value, element) in out.iter_mut().zip(&self.elements) {
@@ -378,11 +378,8 @@ mod tests {
     fn readings_add_up_and_fade_with_the_distance() {
         let device = device(&[]);
         let at = |x: f64, force: f64| {
-            let contact = Indentation {
-                position: Point3::new(x, 0.0, 0.0),
-                force: Vector3::new(0.0, 0.0, -force),
-                diameter: 0.004,
-            };
+            let contact =
+                Indentation::sphere(Point3::new(x, 0.0, 0.0), Vector3::new(0.0, 0.0, -force), 0.004);
             let mut out = vec![0.0; 6];
             device
                 .skin

@@ -370,10 +370,12 @@ mod tests {
         for i in 0..12 * 300_u32 {
             let (press, within) = (u64::from(i / 300), i % 300);
             let touched = within >= 100;
-            let contact = |x: f64| Indentation {
-                position: Point3::new(x, 0.0, 0.0),
-                force: Vector3::new(0.0, 0.0, -1.0),
-                diameter: if press < 6 { 0.004 } else { 0.008 },
+            let contact = |x: f64| {
+                Indentation::sphere(
+                    Point3::new(x, 0.0, 0.0),
+                    Vector3::new(0.0, 0.0, -1.0),
+                    if press < 6 { 0.004 } else { 0.008 },
+                )
             };
             let mut contacts = if touched { vec![contact(0.0)] } else { Vec::new() };
             if touched && press == 3 {
@@ -422,7 +424,11 @@ mod tests {
             ["several contacts at once"]
         );
         assert_eq!(
-            each(|m| m.stimulus.iter_mut().flat_map(|s| &mut s.contacts).for_each(|c| c.diameter = 0.004)),
+            each(|m| m
+                .stimulus
+                .iter_mut()
+                .flat_map(|s| &mut s.contacts)
+                .for_each(|c| c.tip = dermis_model::Tip::sphere(0.004))),
             ["a second tip"]
         );
         // Presses of half a second, and no pause that is longer than a frame.

@@ -237,11 +237,11 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Sam
             if share > 0.0 {
                 for at in &press.at {
                     let (position, normal) = surface.project(at);
-                    stimulus.contacts.push(Indentation {
+                    stimulus.contacts.push(Indentation::sphere(
                         position,
-                        force: Vector3::from(normal * (-share * press.force)),
-                        diameter: press.tip,
-                    });
+                        Vector3::from(normal * (-share * press.force)),
+                        press.tip,
+                    ));
                 }
             }
             add(time, phase, stimulus, n as u64 + 1);

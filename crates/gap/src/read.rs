@@ -4,7 +4,7 @@ use std::path::Path;
 
 use dermis_bag::{BagReader, BagSkin, Filter, SkinChoice};
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
-use dermis_model::{Indentation as Touch, Stimulus};
+use dermis_model::{Indentation as Touch, Stimulus, Tip};
 use dermis_msgs::msg::{Indentation, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
 use dermis_skin::{Frame, Phase, SkinDescription, Stamp, Surface};
@@ -177,10 +177,9 @@ fn own(
                 if truth.temperature.is_finite() {
                     moment.temperature = f64::from(truth.temperature);
                 }
-                let contacts = truth.contacts.iter().map(|c| Touch {
-                    position: Point3::new(c.position.x, c.position.y, c.position.z),
-                    force: Vector3::new(c.force.x, c.force.y, c.force.z),
-                    diameter: c.diameter,
+                let contacts = truth.contacts.iter().map(|c| {
+                    let position = Point3::new(c.position.x, c.position.y, c.position.z);
+                    Touch::sphere(position, Vector3::new(c.force.x, c.force.y, c.force.z), c.diameter)
                 });
                 moment.stimulus = stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
             }
@@ -314,9 +313,9 @@ pub(crate) fn stimulus(
             doubts.farthest = doubts.farthest.max(off);
         }
         contact.position = on;
-        if !(contact.diameter.is_finite() && contact.diameter > 0.0) {
+        if !(contact.diameter().is_finite() && contact.diameter() > 0.0) {
             doubts.tips += 1;
-            contact.diameter = 0.004;
+            contact.tip = Tip::sphere(0.004);
         }
         // What pulls is noise of the force cell around nothing, unless there is a lot of it.
         let pressing = -contact.force.dot(&normal);
@@ -386,11 +385,8 @@ fn mapped(
                     let contacts = truth.contacts.iter().map(|c| {
                         let pressing = c.normal_force().unwrap_or(f64::NAN);
                         let full = c.force.iter().all(|v| v.is_finite());
-                        Touch {
-                            position: c.position,
-                            force: if full { c.force } else { -c.normal * pressing },
-                            diameter: c.diameter,
-                        }
+                        let force = if full { c.force } else { -c.normal * pressing };
+                        Touch::sphere(c.position, force, c.diameter)
                     });
                     moment.stimulus = stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
                 }

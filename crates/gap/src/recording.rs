@@ -135,7 +135,7 @@ impl Recording {
                 hasher.update(s.temperature.to_le_bytes());
                 hasher.update(s.ambient_pressure.to_le_bytes());
                 for c in &s.contacts {
-                    for v in c.position.iter().chain(c.force.iter()).chain([&c.diameter]) {
+                    for v in c.position.iter().chain(c.force.iter()).chain([&c.diameter()]) {
                         hasher.update(v.to_le_bytes());
                     }
                 }

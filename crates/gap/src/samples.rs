@@ -197,7 +197,7 @@ impl Samples {
                 speed: facts[frame].speed,
                 temperature: moment.temperature,
                 position: first.map_or([f64::NAN; 3], |c| c.position.coords.into()),
-                diameter: first.map_or(f64::NAN, |c| c.diameter),
+                diameter: first.map_or(f64::NAN, dermis_model::Indentation::diameter),
                 contacts: moment.stimulus.as_ref().map_or(0, |s| s.contacts.len()),
                 paired,
             });

@@ -115,7 +115,7 @@ impl Simulator<'_> {
         let mut out = Vec::with_capacity(frames.len() * channels);
         let mut read = vec![0.0; channels];
         let whole = self.remembers(skin);
-        let mut way = model.trajectory();
+        let mut state = model.start(0);
         let mut run = None;
         let mut wanted = frames.iter().copied().peekable();
         let last = frames.last().map_or(0, |l| l + 1);
@@ -124,7 +124,7 @@ impl Simulator<'_> {
         for frame in all {
             let moment = &recording.moments[frame];
             if run != Some(moment.run) {
-                way = model.trajectory();
+                state = model.start(0);
                 run = Some(moment.run);
             }
             let Some(stimulus) = &moment.stimulus else {
@@ -132,15 +132,14 @@ impl Simulator<'_> {
                 continue;
             };
             let mut real = stimulus.clone();
-            way.touch(moment.time, &mut real);
-            model.response(&real, &mut read).map_err(|source| GapError::Model {
+            state.apply_to_stimulus(moment.time, &mut real);
+            state.step(moment.time, &real, &mut read).map_err(|source| GapError::Model {
                 what: format!("{}, frame {frame}", recording.name),
                 source,
             })?;
-            way.transduce(moment.time, &real, &mut read);
             if wanted.peek() == Some(&frame) {
                 wanted.next();
-                way.convert(&mut read);
+                state.quantize(&mut read);
                 out.extend(read.iter().map(|v| *v as f32));
             }
         }

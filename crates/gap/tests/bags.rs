@@ -86,7 +86,7 @@ fn frames_and_ground_truth_are_joined() {
     assert_eq!((moment.press, moment.location, moment.phase), (4, 4, Phase::Hold));
     assert!((moment.time - 0.33).abs() < 1e-9 && moment.temperature == 294.0);
     let contact = &moment.stimulus.as_ref().unwrap().contacts[0];
-    assert_eq!((contact.position.x, contact.force.z, contact.diameter), (0.003, -1.0, 0.004));
+    assert_eq!((contact.position.x, contact.force.z, contact.diameter()), (0.003, -1.0, 0.004));
     assert_eq!(recording.frame(33), [33.0, -33.0]);
     assert_eq!(recording.moments[31].phase, Phase::Idle);
 }

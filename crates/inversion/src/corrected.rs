@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
-use dermis_skin::{ModelError, Surface};
+use dermis_model::{DeviceState, ForwardModel, Indentation, Stimulus, Wrapper};
+use dermis_skin::ModelError;
 use nalgebra::{DMatrix, Point3};
 use serde::{Deserialize, Serialize};
 
@@ -270,17 +270,17 @@ impl Corrected {
     }
 }
 
-impl ForwardModel for Corrected {
-    fn channels(&self) -> usize {
-        self.model.channels()
-    }
-
-    fn surface(&self) -> &Surface {
-        self.model.surface()
-    }
-
-    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        self.model.response(stimulus, out)?;
+impl Corrected {
+    /// Makes readings of the device of those of its model, for what touches.
+    fn correct(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        if stimulus.contacts.len() > 1 && !self.model.superposes() {
+            return Err(ModelError::Stimulus {
+                index: 1,
+                reason: "this model's readings of several contacts do not add up, and a correction that was learned from \
+                         single presses cannot say more: leave the correction out, or ask for one contact"
+                    .to_owned(),
+            });
+        }
         for ((o, rest), gain) in out.iter_mut().zip(&self.rest).zip(&self.correction.gains) {
             *o = rest + (*o - rest) * gain;
         }
@@ -289,25 +289,43 @@ impl ForwardModel for Corrected {
         }
         Ok(())
     }
+}
 
-    fn noise(&self) -> &[f64] {
-        self.model.noise()
+impl Wrapper for Corrected {
+    const CHANGES_RESPONSE: bool = true;
+
+    fn inner(&self) -> &dyn ForwardModel {
+        self.model.as_ref()
     }
 
-    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
-        self.model.displacement(stimulus, out)
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.model.response(stimulus, out)?;
+        self.correct(stimulus, out)
     }
 
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        self.model.trajectory()
+    fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(CorrectedState { inner: self.model.start(seed), corrected: self })
+    }
+}
+
+/// A device whose readings, with all that it remembers, are corrected.
+struct CorrectedState<'a> {
+    inner: Box<dyn DeviceState + 'a>,
+    corrected: &'a Corrected,
+}
+
+impl DeviceState for CorrectedState<'_> {
+    fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
+        self.inner.apply_to_stimulus(time, stimulus);
     }
 
-    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
-        self.model.force_at(at, diameter, depth)
+    fn step(&mut self, time: f64, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.inner.step(time, stimulus, out)?;
+        self.corrected.correct(stimulus, out)
     }
 
-    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-        self.model.depth_at(at, diameter, force)
+    fn quantize(&mut self, readings: &mut [f64]) {
+        self.inner.quantize(readings);
     }
 }
 
@@ -329,6 +347,32 @@ mod tests {
             *gain = random.random_range(0.9..1.1);
         });
         toy
+    }
+
+    #[test]
+    fn a_corrected_model_forwards_what_it_does_not_correct() {
+        let probe: Arc<dyn ForwardModel> = Arc::new(dermis_model::suite::Probe::default());
+        let nothing =
+            Correction::fit(probe.as_ref(), &[], &[1.0; 2], &CorrectionSettings::default()).unwrap();
+        let corrected = Corrected::new(Arc::clone(&probe), nothing).unwrap();
+        dermis_model::suite::forwards_everything(&corrected, probe.noise(), false);
+        // The probe's contacts do not add up: a correction has nothing to say of two.
+        let contacts = vec![press(0.0, 0.0, 1.0), press(0.004, 0.0, 1.0)];
+        let stimulus = Stimulus { contacts, ..Stimulus::default() };
+        let refused = ForwardModel::response(&corrected, &stimulus, &mut [0.0; 2]).unwrap_err().to_string();
+        assert!(refused.contains("do not add up"), "{refused}");
+    }
+
+    #[test]
+    fn a_corrected_device_is_corrected_after_what_it_remembers() {
+        let probe: Arc<dyn ForwardModel> = Arc::new(dermis_model::suite::Probe::that_superposes());
+        let nothing =
+            Correction::fit(probe.as_ref(), &[], &[2.0; 2], &CorrectionSettings::default()).unwrap();
+        let corrected = Corrected::new(probe, nothing).unwrap();
+        let (mut state, mut out) = (ForwardModel::start(&corrected, 10), [0.0; 2]);
+        state.step(0.5, &Stimulus::default(), &mut out).unwrap();
+        // The probe counts its steps from the seed on.
+        assert_eq!(out[0], 2.0 * 11.5);
     }
 
     #[test]

@@ -56,8 +56,7 @@ impl Dictionary {
         let mut out = vec![0.0; channels];
         for place in &places {
             for (level, force) in forces.iter().enumerate() {
-                let contact =
-                    Indentation { position: place.position, force: -place.normal * *force, diameter };
+                let contact = Indentation::sphere(place.position, -place.normal * *force, diameter);
                 model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
                 out.iter_mut().zip(&rest).zip(gains).for_each(|((o, r), g)| *o = (*o - r) * g);
                 responses.extend(out.iter().map(|v| *v as f32));

@@ -1,7 +1,9 @@
 //! Least squares: contacts near a start that explain readings best.
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Unknown, Unknowns, tangents};
-use dermis_skin::{ModelError, Surface};
+use dermis_model::{
+    Differences, ForwardModel, Indentation, MovedForce, Stimulus, Unknown, Unknowns, tangents,
+};
+use dermis_skin::ModelError;
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// \[m\] by which a place is moved for its derivative.
@@ -80,44 +82,15 @@ impl Problem<'_> {
         self.data.iter().zip(signal).map(|(datum, model)| datum.residual(*model).0.powi(2)).sum()
     }
 
-    /// Moves `contact` by `by` in one unknown; what became of the step (0 at an edge that lets nothing move).
-    fn moved(&self, contact: &Indentation, unknown: Unknown, by: f64) -> (Indentation, f64) {
-        let surface = self.model.surface();
-        let (place, normal) = surface.project(&contact.position);
-        let [first, second] = tangents(&normal);
-        match unknown {
-            Unknown::Along(k) => {
-                let along = [first, second][k];
-                let step = self.shifted(surface, contact, &(along * by));
-                let done = (step.position - place).dot(&along);
-                (step, done)
-            }
-            Unknown::Pressing => {
-                let pressing = -contact.force.dot(&normal);
-                let after = (pressing + by).clamp(LIGHTEST, self.force_max);
-                let force = contact.force - normal * (after - pressing);
-                (Indentation { force, ..contact.clone() }, after - pressing)
-            }
-            Unknown::Shear(k) => {
-                let force = contact.force + [first, second][k] * by;
-                (Indentation { force, ..contact.clone() }, by)
-            }
+    /// How unknowns are moved for derivatives.
+    fn differences(&self) -> Differences {
+        Differences {
+            place: MOVE,
+            force: CHANGE,
+            least_force: LEAST_CHANGE,
+            pressing: [LIGHTEST, self.force_max],
+            moved_force: MovedForce::Turned,
         }
-    }
-
-    /// The contact elsewhere: its force turns with the surface.
-    fn shifted(&self, surface: &Surface, contact: &Indentation, by: &Vector3<f64>) -> Indentation {
-        let (place, normal) = surface.project(&contact.position);
-        let (position, turned) = surface.project(&(place + by));
-        let force = if (turned - normal).norm() < 1e-12 {
-            contact.force
-        } else {
-            let [a, b] = tangents(&normal);
-            let [c, d] = tangents(&turned);
-            let f = contact.force;
-            turned * f.dot(&normal) + c * f.dot(&a) + d * f.dot(&b)
-        };
-        Indentation { position, force, ..contact.clone() }
     }
 
     /// Levenberg–Marquardt from `start` (K. Levenberg 1944, D. W. Marquardt 1963), every step kept on the surface and
@@ -130,7 +103,8 @@ impl Problem<'_> {
         self.signal(&contacts, &mut signal)?;
         let mut chi2 = self.chi2(&signal);
         let size = list.len() * contacts.len();
-        let (mut plus, mut minus) = (vec![0.0; channels], vec![0.0; channels]);
+        let mut plus = vec![0.0; channels];
+        let differences = self.differences();
         let mut damping = 1e-3;
         let mut normal_matrix = DMatrix::zeros(size, size);
         for step in 0..STEPS {
@@ -141,28 +115,11 @@ impl Problem<'_> {
             for (i, (datum, model)) in self.data.iter().zip(&signal).enumerate() {
                 (residuals[i], weights[i]) = datum.residual(*model);
             }
-            for c in 0..contacts.len() {
-                for (k, unknown) in list.iter().enumerate() {
-                    let by = match unknown {
-                        Unknown::Along(_) => MOVE,
-                        _ => (contacts[c].force.norm() * CHANGE).max(LEAST_CHANGE),
-                    };
-                    let here = contacts[c].clone();
-                    let (more, up) = self.moved(&here, *unknown, by);
-                    let (less, down) = self.moved(&here, *unknown, -by);
-                    let span = up - down;
-                    if span.abs() < by * 1e-3 {
-                        continue;
-                    }
-                    contacts[c] = more;
-                    self.signal(&contacts, &mut plus)?;
-                    contacts[c] = less;
-                    self.signal(&contacts, &mut minus)?;
-                    contacts[c] = here;
-                    let column = c * list.len() + k;
-                    for i in 0..channels {
-                        jacobian[(i, column)] = weights[i] * (plus[i] - minus[i]) / span;
-                    }
+            let stimulus = Stimulus { contacts: contacts.clone(), ..Stimulus::default() };
+            self.model.jacobian(&stimulus, self.unknowns, &differences, jacobian.as_mut_slice())?;
+            for mut column in jacobian.column_iter_mut() {
+                for ((slope, weight), gain) in column.iter_mut().zip(&weights).zip(self.gains) {
+                    *slope *= weight * gain;
                 }
             }
             normal_matrix = jacobian.tr_mul(&jacobian);
@@ -213,20 +170,22 @@ impl Problem<'_> {
 
     /// A contact after one step in all of its unknowns.
     fn stepped(&self, contact: &Indentation, list: &[Unknown], change: &[f64]) -> Indentation {
-        let (_, normal) = self.model.surface().project(&contact.position);
+        let surface = self.model.surface();
+        let differences = self.differences();
+        let (_, normal) = surface.project(&contact.position);
         let axes = tangents(&normal);
         let mut way = Vector3::zeros();
         let mut force = contact.clone();
         for (unknown, by) in list.iter().zip(change) {
             match unknown {
                 Unknown::Along(k) => way += axes[*k] * *by,
-                _ => force = self.moved(&force, *unknown, *by).0,
+                _ => force = differences.moved(surface, &force, self.unknowns, *unknown, *by).0,
             }
         }
         let length = way.norm();
         if length > STRIDE {
             way *= STRIDE / length;
         }
-        self.shifted(self.model.surface(), &force, &way)
+        differences.shifted(surface, &force, self.unknowns, &way)
     }
 }

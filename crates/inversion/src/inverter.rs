@@ -553,7 +553,8 @@ impl Inverter {
                 break;
             }
             let mut starts: Vec<Vec<Indentation>> = Vec::new();
-            if contacts == 2 {
+            // Pairs are added up of places that were pressed alone: only a medium that does so can be searched by them.
+            if contacts == 2 && self.model.0.superposes() {
                 let bounds = (s.distance, s.force_max * 1.2, s.diameter);
                 let pairs = self.pairs.best(&self.dictionary, &data, bounds, PAIRS);
                 starts.extend(pairs.into_iter().map(Vec::from));
@@ -594,10 +595,7 @@ impl Inverter {
             return Ok(None);
         }
         let problem = self.problem(&data);
-        let start = before
-            .iter()
-            .map(|f| Indentation { position: f.position, force: f.force, diameter: s.diameter })
-            .collect();
+        let start = before.iter().map(|f| Indentation::sphere(f.position, f.force, s.diameter)).collect();
         let moved = problem.minimise(start)?;
         let freedom = freedom as f64;
         if moved.chi2 > freedom + PLAUSIBLE * (2.0 * freedom).sqrt() || !self.apart(&moved) {
@@ -786,11 +784,11 @@ impl Inverter {
                 .zip(&self.dictionary.forces)
                 .min_by(|a, b| (a.0.max(1e-9).ln().abs()).total_cmp(&b.0.max(1e-9).ln().abs()))
                 .map_or(0.0, |(share, force)| share * force);
-            chosen.push(Indentation {
-                position: place.position,
-                force: -place.normal * force.clamp(1e-3, self.settings.force_max),
-                diameter: self.settings.diameter,
-            });
+            chosen.push(Indentation::sphere(
+                place.position,
+                -place.normal * force.clamp(1e-3, self.settings.force_max),
+                self.settings.diameter,
+            ));
         }
         chosen
     }

@@ -34,7 +34,8 @@ impl Pairs {
     }
 
     /// The pairs, `apart` \[m\] or more from one another, whose best forces (between 0 and `force_max` \[N\]) explain most of
-    /// the data; at most `count`, no two of them alike. The medium is taken to be linear.
+    /// the data; at most `count`, no two of them alike. The readings of
+    /// both are taken to add up: [`ForwardModel::superposes`](dermis_model::ForwardModel::superposes).
     pub fn best(
         &self,
         dictionary: &Dictionary,
@@ -111,5 +112,5 @@ impl Pairs {
 }
 
 fn press(position: Point3<f64>, normal: Vector3<f64>, force: f64, diameter: f64) -> Indentation {
-    Indentation { position, force: -normal * force, diameter }
+    Indentation::sphere(position, -normal * force, diameter)
 }

@@ -72,11 +72,7 @@ impl Inverter {
             }
             active.retain(|(_, p)| !near(p));
             let (position, normal) = self.surface().project(&(place / total).into());
-            contacts.push(Indentation {
-                position,
-                force: -normal * total,
-                diameter: self.settings().diameter,
-            });
+            contacts.push(Indentation::sphere(position, -normal * total, self.settings().diameter));
         }
         contacts.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
         let strongest = contacts.first().map_or(0.0, |c| c.force.norm());

@@ -84,7 +84,7 @@ impl ForwardModel for Toy {
 }
 
 pub(crate) fn press(x: f64, y: f64, newtons: f64) -> Indentation {
-    Indentation { position: Point3::new(x, y, 0.0), force: Vector3::new(0.0, 0.0, -newtons), diameter: 0.004 }
+    Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -newtons), 0.004)
 }
 
 pub(crate) fn random(seed: u64) -> ChaCha8Rng {

@@ -3,10 +3,9 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory, Unknowns};
-use dermis_skin::{ChannelFlags, ForceComponents, ModelError, Surface};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, WithNoise};
+use dermis_skin::{ChannelFlags, ForceComponents};
 use dermis_theory::{ContactBound, TheoryError, cramer_rao};
-use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Dataset, SampleId, Truth};
@@ -66,11 +65,11 @@ pub fn bounds(
         .filter(|(id, _, truth)| truth.touched() && only.as_ref().is_none_or(|ids| ids.contains(id)))
         .filter_map(|(_, sample, truth)| Some((stimulus(truth)?, &*sample.flags)))
         .collect();
-    let mut masked = MaskedModel { model, noise: model.noise().to_vec() };
+    let mut masked = WithNoise::new(model, model.noise().to_vec());
     let mut found: Vec<(f64, ContactBound)> = Vec::new();
     for (stimulus, flags) in stimuli.iter().step_by(stimuli.len().div_ceil(MOST).max(1)) {
-        masked.noise.copy_from_slice(model.noise());
-        for (noise, _) in masked.noise.iter_mut().zip(*flags).filter(|(_, f)| !f.is_ok()) {
+        masked.noise_mut().copy_from_slice(model.noise());
+        for (noise, _) in masked.noise_mut().iter_mut().zip(*flags).filter(|(_, f)| !f.is_ok()) {
             *noise = MASKED_NOISE;
         }
         match cramer_rao(&masked, stimulus, unknowns) {
@@ -99,46 +98,6 @@ pub fn bounds(
 /// Noise of a channel that tells nothing, in any unit.
 const MASKED_NOISE: f64 = 1e30;
 
-/// A model of which some channels tell nothing.
-struct MaskedModel<'a> {
-    model: &'a dyn ForwardModel,
-    noise: Vec<f64>,
-}
-
-impl ForwardModel for MaskedModel<'_> {
-    fn channels(&self) -> usize {
-        self.model.channels()
-    }
-
-    fn surface(&self) -> &Surface {
-        self.model.surface()
-    }
-
-    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        self.model.response(stimulus, out)
-    }
-
-    fn noise(&self) -> &[f64] {
-        &self.noise
-    }
-
-    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
-        self.model.displacement(stimulus, out)
-    }
-
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        self.model.trajectory()
-    }
-
-    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
-        self.model.force_at(at, diameter, depth)
-    }
-
-    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-        self.model.depth_at(at, diameter, force)
-    }
-}
-
 /// What pressed, where the truth is whole.
 pub(crate) fn stimulus(truth: &Truth) -> Option<Stimulus> {
     let contacts = truth
@@ -149,7 +108,7 @@ pub(crate) fn stimulus(truth: &Truth) -> Option<Stimulus> {
             let full = c.components == ForceComponents::Full && c.force.iter().all(|v| v.is_finite());
             let force = if full { c.force } else { pressing };
             let known = c.position.iter().chain(&force).all(|v| v.is_finite()) && c.diameter > 0.0;
-            known.then_some(Indentation { position: c.position, force, diameter: c.diameter })
+            known.then_some(Indentation::sphere(c.position, force, c.diameter))
         })
         .collect::<Option<Vec<_>>>()?;
     Some(Stimulus { contacts, ..Stimulus::default() })
@@ -157,6 +116,8 @@ pub(crate) fn stimulus(truth: &Truth) -> Option<Stimulus> {
 
 #[cfg(test)]
 mod tests {
+    use dermis_skin::{ModelError, Surface};
+
     use super::*;
     use crate::FORCE_BINS;
     use crate::dataset::tests::presses;

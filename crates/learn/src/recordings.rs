@@ -1,6 +1,6 @@
 //! Single contacts that were recorded.
 
-use dermis_model::{Indentation, Stimulus};
+use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_skin::ChannelFlags;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -54,16 +54,18 @@ impl Recorded {
 }
 
 /// Sums of what single contacts read, as if they had pressed at once: `contacts` of them, at least `distance` \[m\] apart. Where a
-/// surface gives way in proportion to what presses, this is what it reads of all of them; where it stiffens, nearly so.
+/// surface gives way in proportion to what presses, this is what it reads of all of them; where it stiffens, nearly so. None of more
+/// than one contact where they do not ([`ForwardModel::superposes`]).
 #[must_use]
 pub fn superpose(
+    model: &dyn ForwardModel,
     recorded: &[Recorded],
     contacts: usize,
     count: usize,
     distance: f64,
     seed: u64,
 ) -> Vec<(Stimulus, Vec<f32>)> {
-    if recorded.is_empty() {
+    if recorded.is_empty() || (contacts > 1 && !model.superposes()) {
         return Vec::new();
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -99,16 +101,17 @@ mod tests {
     #[test]
     fn signals_of_places_that_stand_apart_add_up() {
         let press = |i: usize| Recorded {
-            contact: Indentation {
-                position: Point3::new(i as f64 * 0.01, 0.0, 0.0),
-                force: Vector3::new(0.0, 0.0, -1.0),
-                diameter: 0.004,
-            },
+            contact: Indentation::sphere(
+                Point3::new(i as f64 * 0.01, 0.0, 0.0),
+                Vector3::new(0.0, 0.0, -1.0),
+                0.004,
+            ),
             signal: vec![i as f32, 1.0],
             location: i as u32,
         };
         let recorded: Vec<Recorded> = (0..20).map(press).collect();
-        for (stimulus, signal) in superpose(&recorded, 3, 50, 0.025, 1) {
+        let model = dermis_model::suite::Probe::that_superposes();
+        for (stimulus, signal) in superpose(&model, &recorded, 3, 50, 0.025, 1) {
             let places: Vec<f64> = stimulus.contacts.iter().map(|c| c.position.x).collect();
             let sum: f64 = places.iter().map(|x| x / 0.01).sum();
             assert!((f64::from(signal[0]) - sum).abs() < 1e-4 && signal[1] == 3.0);
@@ -116,6 +119,10 @@ mod tests {
                 assert!(places[..i].iter().all(|b| (a - b).abs() >= 0.025 - 1e-12), "{places:?}");
             }
         }
-        assert!(superpose(&[], 2, 5, 0.01, 1).is_empty());
+        assert!(superpose(&model, &[], 2, 5, 0.01, 1).is_empty());
+        // The probe says that contacts change each other's readings.
+        let probe = dermis_model::suite::Probe::default();
+        assert!(superpose(&probe, &recorded, 2, 5, 0.01, 1).is_empty());
+        assert_eq!(superpose(&probe, &recorded, 1, 5, 0.01, 1).len(), 5);
     }
 }

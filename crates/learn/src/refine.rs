@@ -69,7 +69,7 @@ pub fn settings(
         ));
     }
     let mut diameters: Vec<f64> =
-        frames.iter().flat_map(|(s, _)| s.contacts.iter().map(|c| c.diameter)).collect();
+        frames.iter().flat_map(|(s, _)| s.contacts.iter().map(Indentation::diameter)).collect();
     diameters.sort_by(f64::total_cmp);
     let most_often = diameters.chunk_by(|a, b| a == b).max_by_key(|run| run.len()).map(|run| run[0]);
     let forces = frames.iter().flat_map(|(s, _)| s.contacts.iter().map(|c| c.force.norm()));

@@ -161,9 +161,9 @@ impl Maps {
         }
         for (pressed, truth) in stimulus.contacts.iter().zip(&truth.contacts) {
             let depth = self.model.as_ref().and_then(|model| {
-                model.depth_at(&pressed.position, pressed.diameter, -pressed.force.dot(&truth.normal))
+                model.depth_at(&pressed.position, pressed.diameter(), -pressed.force.dot(&truth.normal))
             });
-            let radius = patch(pressed.diameter, depth);
+            let radius = patch(pressed.diameter(), depth);
             for (i, share) in shares(&self.surface, &pressed.position, radius) {
                 let force: Vector3<f64> = pressed.force * share;
                 match map {

@@ -27,7 +27,7 @@ impl Friction {
     }
 
     /// Drags at what has moved since the last call, `time` in seconds.
-    pub fn touch(&mut self, time: f64, stimulus: &mut Stimulus) {
+    pub fn drag(&mut self, time: f64, stimulus: &mut Stimulus) {
         let contacts = stimulus.contacts.clone();
         if let Some((then, before)) = &self.before
             && before.len() == contacts.len()

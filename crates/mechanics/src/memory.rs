@@ -18,6 +18,19 @@ pub fn stream(effect: &Effect, index: usize) -> ChaCha8Rng {
     rng
 }
 
+/// The random numbers of one time that a device is switched on: those of the device itself for `start` 0, others of the same stream
+/// for any other.
+fn restarted(rng: &ChaCha8Rng, start: u64) -> ChaCha8Rng {
+    let mut seed = rng.get_seed();
+    // The effect's seed fills the first bytes most: any place will do, as the cipher mixes all of it.
+    for (byte, by) in seed[24..].iter_mut().zip(start.to_le_bytes()) {
+        *byte ^= by;
+    }
+    let mut other = ChaCha8Rng::from_seed(seed);
+    other.set_stream(rng.get_stream());
+    other
+}
+
 /// Prony series of two terms on every channel: how much of each signal has faded. Each change of a signal is held by a term
 /// and forgotten with its time. Exact where signals are linear between frames, however long the time between them.
 #[derive(Debug, Clone)]
@@ -69,6 +82,12 @@ impl Wander {
         Self { deviation, time, value: None, rng }
     }
 
+    /// The same, as it wanders after another start.
+    #[must_use]
+    pub fn restarted(&self, start: u64) -> Self {
+        Self { rng: restarted(&self.rng, start), ..self.clone() }
+    }
+
     /// Where it is `dt` \[s\] after the last call.
     pub fn next(&mut self, dt: f64) -> f64 {
         let draw: f64 = self.rng.sample(StandardNormal);
@@ -86,17 +105,23 @@ impl Wander {
 
 /// A random walk that starts at 0 and does not come back: Wiener's process.
 #[derive(Debug, Clone)]
-pub struct Walk {
+pub struct RandomWalk {
     rate: f64,
     value: f64,
     rng: ChaCha8Rng,
 }
 
-impl Walk {
+impl RandomWalk {
     /// With the standard deviation `rate` after a second; it grows with the root of the time.
     #[must_use]
     pub fn new(rate: f64, rng: ChaCha8Rng) -> Self {
         Self { rate, value: 0.0, rng }
+    }
+
+    /// The same, as it goes after another start.
+    #[must_use]
+    pub fn restarted(&self, start: u64) -> Self {
+        Self { rng: restarted(&self.rng, start), ..self.clone() }
     }
 
     /// Where it is `dt` \[s\] after the last call.
@@ -120,6 +145,12 @@ impl Warmth {
     #[must_use]
     pub fn new(self_heating: f64, heating_time: f64, room: Wander) -> Self {
         Self { self_heating, heating_time, room }
+    }
+
+    /// The same, in a room that wanders as after another start.
+    #[must_use]
+    pub fn restarted(&self, start: u64) -> Self {
+        Self { room: self.room.restarted(start), ..self.clone() }
     }
 
     /// \[K\] that it is warmer, `on` \[s\] after it was switched on and `dt` \[s\] after the last call.

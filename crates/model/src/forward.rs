@@ -1,74 +1,14 @@
 //! Stimulus → channels.
 
 use dermis_skin::{Image, ModelError, Surface};
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 
-use crate::{Memoryless, Trajectory};
-
-/// One indenter on the skin.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Indentation {
-    /// \[m\] centre of the contact on the undeformed surface.
-    pub position: Point3<f64>,
-    /// \[N\] exerted on the skin, in the link frame; the normal part points into the surface.
-    pub force: Vector3<f64>,
-    /// \[m\] diameter of the indenter's spherical tip.
-    pub diameter: f64,
-}
-
-impl Indentation {
-    /// \[m\] off the surface that a contact may lie: rounding of single precision, with room to spare.
-    pub const OFF_SURFACE: f64 = 1e-4;
-    /// \[m\] diameters of a tip that forward models speak of.
-    pub const DIAMETERS: std::ops::RangeInclusive<f64> = 1e-4..=0.1;
-
-    /// The outward normal under a contact that forward models can speak of; `index` is its place in the stimulus.
-    ///
-    /// # Errors
-    ///
-    /// [`ModelError::Stimulus`] where it is not a number, lies off `surface`, pulls, or has an impossible tip.
-    pub fn check(&self, index: usize, surface: &Surface) -> Result<Vector3<f64>, ModelError> {
-        let wrong = |reason: String| Err(ModelError::Stimulus { index, reason });
-        let p = self.position;
-        if !p.iter().chain(self.force.iter()).all(|v| v.is_finite()) {
-            return wrong("its position or force is not a number".into());
-        }
-        let (nearest, normal) = surface.project(&p);
-        let off = (p - nearest).norm();
-        if off > Self::OFF_SURFACE {
-            return wrong(format!("({}, {}, {}) m lies {off:.6} m off the surface", p.x, p.y, p.z));
-        }
-        let pressing = -self.force.dot(&normal);
-        if pressing < 0.0 {
-            return wrong(format!("it pulls with {} N, and this model knows no adhesion", -pressing));
-        }
-        if !Self::DIAMETERS.contains(&self.diameter) {
-            let (low, high) = (Self::DIAMETERS.start().to_owned(), Self::DIAMETERS.end().to_owned());
-            return wrong(format!("its diameter is {} m and must be {low} to {high} m", self.diameter));
-        }
-        Ok(normal)
-    }
-}
-
-/// What touches the skin at one instant, and what it is surrounded by.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Stimulus {
-    /// All indenters; empty means "not touched".
-    pub contacts: Vec<Indentation>,
-    /// \[K\] of the skin.
-    pub temperature: f64,
-    /// \[Pa\] of the air around it.
-    pub ambient_pressure: f64,
-}
-
-impl Default for Stimulus {
-    /// Untouched at 20 °C and one standard atmosphere.
-    fn default() -> Self {
-        Self { contacts: Vec::new(), temperature: 293.15, ambient_pressure: 101_325.0 }
-    }
-}
+use crate::{DeviceState, Differences, Memoryless, Stimulus, Unknowns};
 
 /// What would the channels read for this stimulus? The one model behind data, bounds, training and diagnosis.
+///
+/// A model without memory answers with [`response`](Self::response) alone. One that remembers is started and stepped:
+/// [`start`](Self::start) switches a device on, and each [`DeviceState::step`] is a frame.
 pub trait ForwardModel: Send + Sync {
     /// Number of channels.
     fn channels(&self) -> usize;
@@ -76,13 +16,51 @@ pub trait ForwardModel: Send + Sync {
     /// Surface that stimuli lie on.
     fn surface(&self) -> &Surface;
 
-    /// Noise-free readings, one a channel, in the unit of the skin description, written to `out`
-    /// (`out.len()` must be [`channels`](Self::channels)).
+    /// Noise-free readings of a device that remembers nothing, one a channel, in the unit of the skin description, written to
+    /// `out` (`out.len()` must be [`channels`](Self::channels)).
     ///
     /// # Errors
     ///
     /// [`ModelError::Stimulus`] where a contact lies off the surface or is not a number.
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError>;
+
+    /// [`response`](Self::response) to many stimuli, one after another in `out`
+    /// (`out.len()` must be their number times [`channels`](Self::channels)).
+    ///
+    /// # Errors
+    ///
+    /// As [`response`](Self::response), for the first stimulus that has no answer.
+    fn responses(&self, stimuli: &[Stimulus], out: &mut [f64]) -> Result<(), ModelError> {
+        let channels = self.channels();
+        debug_assert_eq!(out.len(), stimuli.len() * channels);
+        stimuli.iter().zip(out.chunks_exact_mut(channels.max(1))).try_for_each(|(s, o)| self.response(s, o))
+    }
+
+    /// Derivatives of [`response`](Self::response) by every unknown of every contact: a column of
+    /// [`channels`](Self::channels) numbers for each unknown, contact by contact, in the unit of the skin per metre or newton,
+    /// written to `out`. A column is 0 where the surface or the range of forces leaves no room to move.
+    ///
+    /// The default takes central differences with the steps of `differences`: two responses a column. A model that knows its
+    /// derivatives may ignore the steps, but not how forces turn with the surface.
+    ///
+    /// # Errors
+    ///
+    /// As [`response`](Self::response), for stimuli near this one.
+    fn jacobian(
+        &self,
+        stimulus: &Stimulus,
+        unknowns: Unknowns,
+        differences: &Differences,
+        out: &mut [f64],
+    ) -> Result<(), ModelError> {
+        differences.jacobian(self, stimulus, unknowns, out)
+    }
+
+    /// Whether readings of several contacts are those of each alone, added up: exactly, or nearly enough to begin a search with
+    /// and to make training data of recorded presses. `false` for a skin whose contacts change each other's readings.
+    fn superposes(&self) -> bool {
+        true
+    }
 
     /// Standard deviation of each channel's noise, in the unit of the skin description.
     fn noise(&self) -> &[f64];
@@ -121,10 +99,11 @@ pub trait ForwardModel: Send + Sync {
         false
     }
 
-    /// What the effects of the skin remember from frame to frame, at its beginning: a device that has never been touched.
-    /// [`response`](Self::response) holds the effects that remember nothing; this holds the others.
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        Box::new(Memoryless)
+    /// Switches a device on that has never been touched. `seed` tells one time that it is switched on from another: what
+    /// wanders draws from it. 0 is the one that effects with their own seeds describe.
+    fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
+        let _ = seed;
+        Box::new(Memoryless::new(self))
     }
 
     /// \[N\] that press a spherical tip of `diameter` \[m\] in by `depth` \[m\] at the point `at` of the surface; `None` where

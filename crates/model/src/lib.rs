@@ -2,23 +2,36 @@
 //!
 //! | word | type | what it is |
 //! |---|---|---|
-//! | stimulus | [`Stimulus`] | what touches the skin: the input of a forward model |
+//! | stimulus | [`Stimulus`], [`Indentation`], [`Tip`] | what touches the skin: the input of a forward model |
 //! | forward model | [`ForwardModel`] | stimulus → channels |
-//! | state | [`Trajectory`] | what the effects of a device remember from frame to frame |
+//! | state | [`DeviceState`], [`Memory`] | a device from when it was switched on, and what it remembers from frame to frame |
+//! | derivatives | [`ForwardModel::jacobian`], [`Differences`] | channels by the [`Unknowns`] of contacts |
 //! | common effects | [`COMMON`], [`device()`] | what every device may have: electronics, placement, the rig |
+//! | wrappers | [`Wrapper`], [`WithNoise`] | models around models |
 //!
 //! Everything that works on readings (testbed, training, inversion, bounds, diagnosis) is written on [`ForwardModel`].
 
 mod case;
-mod device;
+mod differences;
+mod effects;
 mod forward;
 mod state;
-#[cfg(feature = "test-suite")]
+mod stimulus;
+#[cfg(any(test, feature = "test-suite"))]
 pub mod suite;
 mod unknowns;
+mod with_effects;
+mod wrapper;
 
 pub use case::Case;
-pub use device::{COMMON, CURVED, CommonEffect, CommonParameters, common_effect, device, full_scale};
-pub use forward::{ForwardModel, Indentation, Stimulus};
-pub use state::{Memoryless, Trajectory};
+pub use differences::{Differences, MovedForce};
+pub use effects::{
+    COMMON, CURVED, CommonEffect, CommonParameters, NEUTRAL_TEMPERATURE, Signature, SignatureSample, Stage,
+    common_effect, full_scale,
+};
+pub use forward::ForwardModel;
+pub use state::{DeviceState, Memory, Memoryless, Stepped};
+pub use stimulus::{Indentation, Stimulus, Tip, TipShape};
 pub use unknowns::{Unknown, Unknowns, tangents};
+pub use with_effects::device;
+pub use wrapper::{WithNoise, Wrapper};

@@ -1,31 +1,99 @@
 //! What a simulated device remembers from frame to frame.
+//!
+//! A frame of a device is four calls, in the order of the signal: [`DeviceState::apply_to_stimulus`] (what really touches),
+//! [`DeviceState::step`] (the noise-free reading), the noise, [`DeviceState::quantize`] (the converter). A family whose model has
+//! no memory of its own, but whose medium and transducers have, implements [`Memory`] and puts it behind its model with
+//! [`Stepped`].
 
-use crate::Stimulus;
+use dermis_skin::ModelError;
 
-/// A walk through time of one simulated device: what its effects remember. Called in the order of time, once a frame:
-/// [`touch`](Self::touch), the model's response, [`transduce`](Self::transduce), the noise, [`convert`](Self::convert).
-/// Another device, or the same one switched on again, is another trajectory.
-pub trait Trajectory: Send {
+use crate::{ForwardModel, Stimulus};
+
+/// One device from when it was switched on. Called in the order of time, once a frame. Another device, or the same one switched
+/// on again, is another state.
+pub trait DeviceState: Send {
     /// Changes what touches the skin at `time` \[s\]: friction drags at a tip that slides, say. What is left in `stimulus`
     /// is what really happens, and what a force cell at the indenter measures. It depends on the call before this one at
     /// most, so that the truth of an instant can be had without the way that led there.
-    fn touch(&mut self, time: f64, stimulus: &mut Stimulus) {
+    fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
         let _ = (time, stimulus);
     }
 
-    /// Changes the noise-free readings at `time` \[s\] under `stimulus`, in the unit of the skin.
-    fn transduce(&mut self, time: f64, stimulus: &Stimulus, readings: &mut [f64]) {
-        let _ = (time, stimulus, readings);
-    }
+    /// Noise-free readings at `time` \[s\] under `stimulus`, one a channel, in the unit of the skin, written to `out`.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Stimulus`] where the model has no answer.
+    fn step(&mut self, time: f64, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError>;
 
-    /// Changes noisy readings as the electronics do: range, resolution.
-    fn convert(&mut self, readings: &mut [f64]) {
+    /// Changes noisy readings as the converter does: range, resolution.
+    fn quantize(&mut self, readings: &mut [f64]) {
         let _ = readings;
     }
 }
 
-/// Nothing is remembered, nothing is changed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Memoryless;
+/// What lies around a model without memory and remembers. All that is left out is the identity.
+pub trait Memory: Send {
+    /// As [`DeviceState::apply_to_stimulus`].
+    fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
+        let _ = (time, stimulus);
+    }
 
-impl Trajectory for Memoryless {}
+    /// Changes the model's response at `time` \[s\] under `stimulus`, in the unit of the skin, as medium and transducers do.
+    fn apply_transducer(&mut self, time: f64, stimulus: &Stimulus, readings: &mut [f64]) {
+        let _ = (time, stimulus, readings);
+    }
+
+    /// As [`DeviceState::quantize`].
+    fn quantize(&mut self, readings: &mut [f64]) {
+        let _ = readings;
+    }
+}
+
+/// The state of a model that remembers nothing.
+#[derive(Debug, Clone, Copy)]
+pub struct Memoryless<'a, M: ?Sized>(&'a M);
+
+impl<'a, M: ForwardModel + ?Sized> Memoryless<'a, M> {
+    /// Steps of `model` are its responses.
+    #[must_use]
+    pub fn new(model: &'a M) -> Self {
+        Self(model)
+    }
+}
+
+impl<M: ForwardModel + ?Sized> DeviceState for Memoryless<'_, M> {
+    fn step(&mut self, _: f64, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.0.response(stimulus, out)
+    }
+}
+
+/// A model without memory, followed by what remembers.
+pub struct Stepped<'a, M: ?Sized, S> {
+    model: &'a M,
+    memory: S,
+}
+
+impl<'a, M: ForwardModel + ?Sized, S: Memory> Stepped<'a, M, S> {
+    /// Steps of `model` are its responses as `memory` changes them.
+    #[must_use]
+    pub fn new(model: &'a M, memory: S) -> Self {
+        Self { model, memory }
+    }
+}
+
+impl<M: ForwardModel + ?Sized, S: Memory> DeviceState for Stepped<'_, M, S> {
+    fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
+        self.memory.apply_to_stimulus(time, stimulus);
+    }
+
+    fn step(&mut self, time: f64, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.model.response(stimulus, out)?;
+        self.memory.apply_transducer(time, stimulus, out);
+        Ok(())
+    }
+
+    fn quantize(&mut self, readings: &mut [f64]) {
+        self.memory.quantize(readings);
+    }
+}

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use dermis_inference::{Bundle, Limits, Runtime, RuntimeError};
 use dermis_msgs::geometry_msgs::msg::WrenchStamped;
 use dermis_msgs::msg::{ContactArray, DisplacementMap, ForceMap, SkinGeometry, TaxelFrame};
-use dermis_msgs::sensor_msgs::msg::PointCloud2;
+use dermis_msgs::sensor_msgs::msg::{Image, PointCloud2};
 use dermis_msgs::srv::{LoadModel, LoadModelResponse};
 use dermis_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
 use dermis_msgs::tf2_msgs::msg::TFMessage;
@@ -163,7 +163,7 @@ pub enum RunError {
 
 /// A running node; dropping it stops it.
 ///
-/// Topics, relative to its namespace: `contacts`, `taxels`, `wrench`, `contact_points`, `contact_markers`,
+/// Topics, relative to its namespace: `contacts`, `taxels`, `image` (of a skin that is read by a camera), `wrench`, `contact_points`, `contact_markers`,
 /// `skin_geometry` (latched) and, where the models give them, `force_map` and `displacement_map`; where the configuration has a
 /// `mount`, its transform on `/tf_static`. Services: `~/tare`, `~/set_enabled`,
 /// `~/load_model`. `taxels` carries readings in the unit of the skin *before* tare, so that a recording of it is all
@@ -562,6 +562,8 @@ fn apply(estimator: &mut SkinEstimator, name: &str, value: &ParameterValue) {
 
 struct Publishers {
     taxels: Publisher<TaxelFrame>,
+    /// Of a skin that is read by a camera, from its first picture on.
+    image: Option<Publisher<Image>>,
     contacts: Publisher<ContactArray>,
     wrench: Publisher<WrenchStamped>,
     points: Publisher<PointCloud2>,
@@ -579,6 +581,7 @@ impl Publishers {
     fn new(node: &Node, maps: Maps) -> Result<Self, NodeError> {
         let mut publishers = Self {
             taxels: node.stream_publisher("taxels", KEPT)?,
+            image: None,
             contacts: node.stream_publisher("contacts", KEPT)?,
             wrench: node.stream_publisher("wrench", KEPT)?,
             points: node.stream_publisher("contact_points", KEPT)?,
@@ -942,11 +945,18 @@ impl Shared {
         (ContactArray::STATUS_STALE, format!("no frame for {:.1} s: {why}", silence.as_secs_f64()))
     }
 
-    /// Stamps a frame that came. Whether anybody wants it.
+    /// Stamps a frame that came, and publishes its picture. Whether anybody wants the rest.
     fn receive(&self, core: &mut Core, frame: &mut Frame) -> bool {
         core.sequence = frame.sequence;
+        if frame.image.is_some() && core.publishers.image.is_none() {
+            // What cannot be offered is tried again with the next picture.
+            core.publishers.image = self.node.stream_publisher("image", KEPT_MAPS).ok();
+        }
         if self.node.clock().is_simulated() {
             frame.stamp = frame.stamp.saturating_sub(now_ns()).saturating_add(self.node.clock().now());
+        }
+        if let Some(publisher) = &core.publishers.image {
+            send(publisher, || self.skin.image_message(frame));
         }
         core.enabled
     }

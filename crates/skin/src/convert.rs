@@ -6,12 +6,13 @@ use dermis_msgs::ChannelLayout;
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::geometry_msgs::msg::{Point, Pose, Quaternion, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, ContactArray, SkinGeometry, TaxelFrame};
+use dermis_msgs::sensor_msgs::msg::Image as ImageMsg;
 use dermis_msgs::std_msgs::msg::Header;
 use nalgebra::{Point3, Vector3};
 
 use crate::{
     ChannelFlags, Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues, Frame,
-    SensorKind, SkinDescription, Stamp, Surface,
+    Image, PixelFormat, SensorKind, SkinDescription, Stamp, Surface,
 };
 
 fn point(p: &Point3<f64>) -> Point {
@@ -67,6 +68,22 @@ impl SkinDescription {
         }
     }
 
+    /// The picture of a frame as a message; `None` where the skin has no camera.
+    #[must_use]
+    pub fn image_message(&self, frame: &Frame) -> Option<ImageMsg> {
+        let image = frame.image.as_ref()?;
+        let step = image.width() * image.format().bytes() as u32;
+        Some(ImageMsg {
+            header: self.header(frame.stamp),
+            height: image.height(),
+            width: image.width(),
+            encoding: image.format().encoding().to_owned(),
+            is_bigendian: 0,
+            step,
+            data: image.data().to_vec(),
+        })
+    }
+
     /// A frame as a message.
     #[must_use]
     pub fn frame_message(&self, frame: &Frame) -> TaxelFrame {
@@ -114,6 +131,15 @@ impl SkinDescription {
             return Some(format!("frame {sequence}: channel {i} is `{got}` where the skin has `{expected}`"));
         }
         Some(format!("frame {sequence} is in \"{}\" where the skin is in \"{}\"", layout.unit, self.unit))
+    }
+}
+
+impl Image {
+    /// The picture of a message; `None` where its encoding is not known here, or its rows have something between them.
+    #[must_use]
+    pub fn from_message(message: &ImageMsg) -> Option<Self> {
+        let format = PixelFormat::from_encoding(&message.encoding)?;
+        Self::new(message.width, message.height, format, message.data.as_slice())
     }
 }
 

@@ -51,7 +51,7 @@ pub struct EffectInfo {
     /// Its parameters; those that a file does not name are typical.
     pub parameters: &'static [ParameterInfo],
     /// Whether readings depend on what happened before, or on how long ago the device was switched on, so that it shows
-    /// along a trajectory only.
+    /// as a device is stepped only.
     pub stateful: bool,
     /// Whether the seed matters: parts of it are drawn at random.
     pub random: bool,

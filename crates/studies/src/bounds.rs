@@ -322,7 +322,7 @@ fn surface_study(
             .iter()
             .map(|i| {
                 let force = -surface.normals[*i] * map.force;
-                let contact = Indentation { position: surface.points[*i], force, diameter: map.diameter };
+                let contact = Indentation::sphere(surface.points[*i], force, map.diameter);
                 let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
                 Ok(strongest_bands(model, &stimulus, Unknowns::Normal)?.along)
             })

@@ -455,11 +455,7 @@ fn forces(
     let mut out = vec![0.0; model.channels()];
     let mut clear = Vec::new();
     for place in places.iter().step_by(places.len().div_ceil(200).max(1)) {
-        let contact = dermis_model::Indentation {
-            position: place.point,
-            force: -place.normal,
-            diameter: options.diameter,
-        };
+        let contact = dermis_model::Indentation::sphere(place.point, -place.normal, options.diameter);
         model
             .response(&dermis_model::Stimulus { contacts: vec![contact], ..Default::default() }, &mut out)?;
         clear.push(out.iter().zip(model.noise()).map(|(v, n)| v.abs() / n).fold(0.0, f64::max));

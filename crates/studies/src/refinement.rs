@@ -388,7 +388,7 @@ fn prepare(
     }
     if settings.in_pairs() {
         let sums: Vec<_> = (1..=options.contacts.min(3))
-            .flat_map(|n| superpose(&chosen, n, SUMS, FAR.min(reach(&chosen) / 3.0), 77))
+            .flat_map(|n| superpose(model.as_ref(), &chosen, n, SUMS, FAR.min(reach(&chosen) / 3.0), 77))
             .collect();
         bar.begin("how much evidence a contact needs");
         if !sums.is_empty() && !refine::tune_evidence(&model, &mut settings, &sums, &|share| bar.at(share))? {

@@ -12,11 +12,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum as _};
 use dermis_figures::short;
-use dermis_model::{ForwardModel, Stimulus, Trajectory, Unknowns};
-use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
+use dermis_model::{ForwardModel, Unknowns, WithNoise};
+use dermis_skin::{SkinDescription, SurfaceSpec};
 use dermis_theory::resolution::{along_line, on_surface};
 use dermis_theory::{Responses, Summary, force_ladder, over_surface};
-use nalgebra::Point3;
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
@@ -193,46 +192,6 @@ fn factors(parameter: Parameter) -> &'static [f64] {
     if parameter == Parameter::Poisson { &POISSON } else { &FACTORS }
 }
 
-/// A model that reads with other noise.
-struct WithNoise {
-    model: Arc<dyn ForwardModel>,
-    noise: Vec<f64>,
-}
-
-impl ForwardModel for WithNoise {
-    fn channels(&self) -> usize {
-        self.model.channels()
-    }
-
-    fn surface(&self) -> &Surface {
-        self.model.surface()
-    }
-
-    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        self.model.response(stimulus, out)
-    }
-
-    fn noise(&self) -> &[f64] {
-        &self.noise
-    }
-
-    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
-        self.model.displacement(stimulus, out)
-    }
-
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        self.model.trajectory()
-    }
-
-    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
-        self.model.force_at(at, diameter, depth)
-    }
-
-    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-        self.model.depth_at(at, diameter, force)
-    }
-}
-
 /// What the skin can do with one number scaled.
 fn varied(
     parameter: Parameter,
@@ -244,11 +203,11 @@ fn varied(
 ) -> Result<Figures> {
     let scaled = parameter.scaled(skin, relative)?;
     // A model can take seconds to make, and noise is no part of it.
-    let model = if parameter == Parameter::Noise {
-        Arc::new(WithNoise { model: Arc::clone(nominal), noise: scaled.channel_noise() })
-    } else {
-        families.model(&scaled)?
-    };
+    if parameter == Parameter::Noise {
+        let noisy = WithNoise::new(nominal.as_ref(), scaled.channel_noise());
+        return figures(&scaled, &noisy, options);
+    }
+    let model = families.model(&scaled)?;
     figures(&scaled, model.as_ref(), options)
 }
 

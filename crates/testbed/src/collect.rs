@@ -7,8 +7,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_bag::{BagQos, BagWriter};
-use dermis_model::ForwardModel;
+use dermis_model::{ForwardModel, Stimulus};
 use dermis_msgs::msg::{Indentation, SkinGeometry, TaxelFrame};
+use dermis_msgs::sensor_msgs::msg::Image;
 use dermis_msgs::{Message, TypeSupport};
 use dermis_skin::{Frame, SkinDescription, Stamp, Surface};
 use indicatif::ProgressBar;
@@ -80,8 +81,8 @@ const STRIDE: u64 = 64;
 /// Custom data of a bag that was stopped before its plan's end.
 const INTERRUPTED: &str = "interrupted";
 
-/// Carries out `plan` on the modelled skin and writes the labelled bag `dir`: topics `taxels`, `ground_truth`
-/// and `skin_geometry`. As fast as the model answers, not in real time.
+/// Carries out `plan` on the modelled skin and writes the labelled bag `dir`: topics `taxels`, `ground_truth`,
+/// `skin_geometry` and, where the skin is read by a camera, `image`. As fast as the model answers, not in real time.
 ///
 /// # Errors
 ///
@@ -97,7 +98,7 @@ pub fn collect(
     let dir = dir.as_ref();
     let seed = options.seed.unwrap_or(plan.seed);
     let timeline = Timeline::new(plan, model, seed)?;
-    let mut sampler = Sampler::new(Arc::clone(model), skin, seed ^ 0x5eed_0001)?;
+    let mut sampler = Sampler::new(model.as_ref(), skin, seed ^ 0x5eed_0001)?;
     let mut truth = Truth::new(plan, options, seed);
     let session = format!("{}/{seed}", plan.name);
     let total = (timeline.duration() * skin.rate).ceil() as u64;
@@ -142,6 +143,10 @@ pub fn collect(
     writer.add_topic("skin_geometry", TypeSupport::of::<SkinGeometry>(), BagQos::latched())?;
     writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data())?;
     writer.add_topic("ground_truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data())?;
+    let untouched = model.capture(&Stimulus::default(), &mut || 0.0);
+    if untouched.map_err(|source| TestbedError::Model { press: 0, source })?.is_some() {
+        writer.add_topic("image", TypeSupport::of::<Image>(), BagQos::sensor_data())?;
+    }
     let mut out = Output { writer, begun };
     options.progress.set_length(total);
     let mut frame = Frame::default();
@@ -149,7 +154,7 @@ pub fn collect(
         let t = index as f64 / skin.rate;
         let mut moment = timeline.at(t);
         sampler
-            .sample(t, &mut moment.stimulus, &mut frame.values, &mut frame.flags)
+            .sample(t, &mut moment.stimulus, &mut frame)
             .map_err(|source| TestbedError::Model { press: moment.press, source })?;
         frame.stamp = start + (t * 1e9).round() as Stamp;
         frame.sequence = index;
@@ -157,6 +162,9 @@ pub fn collect(
         frame.device_time_us = 1 + (t * 1e6).round() as u64;
         frame.temperature = moment.stimulus.temperature as f32;
         out.write("taxels", &skin.frame_message(&frame), frame.stamp)?;
+        if let Some(image) = skin.image_message(&frame) {
+            out.write("image", &image, frame.stamp)?;
+        }
         truth.blur(&mut moment, model.surface());
         let label = moment.message(skin, model.surface(), &session, frame.stamp);
         out.write("ground_truth", &label, frame.stamp)?;
@@ -275,8 +283,8 @@ mod tests {
     use super::*;
     use crate::testing::{self, Bumps};
     use dermis_bag::BagReader;
-    use dermis_model::Stimulus;
-    use dermis_skin::{ChannelFlags, ModelError, Surface};
+    use dermis_model::{DeviceState, ForwardModel, Stepped, Stimulus, Wrapper};
+    use dermis_skin::{ChannelFlags, ModelError};
 
     const START: Stamp = 1_700_000_000_000_000_000;
 
@@ -304,7 +312,7 @@ mod tests {
         assert_eq!(truth.len(), frames.len());
 
         let timeline = Timeline::new(&testing::plan(), &model, 3).unwrap();
-        let mut walk = model.trajectory();
+        let mut state = model.start(0);
         assert_eq!(report.presses, timeline.presses());
         let (mut clean, mut squares, mut forces) = ([0.0; 3], 0.0, 0.0);
         let (mut readings, mut contacts) = (0.0, 0.0);
@@ -318,9 +326,8 @@ mod tests {
                 (label.press, label.location, label.phase),
                 (moment.press, moment.location, moment.phase.code())
             );
-            walk.touch(t, &mut moment.stimulus);
-            model.response(&moment.stimulus, &mut clean).unwrap();
-            walk.transduce(t, &moment.stimulus, &mut clean);
+            state.apply_to_stimulus(t, &mut moment.stimulus);
+            state.step(t, &moment.stimulus, &mut clean).unwrap();
             for (value, clean) in frame.values.iter().zip(clean) {
                 squares += (f64::from(*value) - clean).powi(2);
                 readings += 1.0;
@@ -362,17 +369,18 @@ mod tests {
     #[test]
     fn a_reading_beyond_the_range_is_cut_and_flagged() {
         let skin = testing::skin(100.0);
-        let mut sampler = Sampler::new(Bumps::shared(&skin), &skin, 1).unwrap();
-        let contact = dermis_model::Indentation {
-            position: nalgebra::Point3::origin(),
-            force: Vector3::new(0.0, 0.0, -2.0),
-            diameter: 0.004,
-        };
-        let (mut values, mut flags) = (Vec::new(), Vec::new());
+        let model = Bumps::shared(&skin);
+        let mut sampler = Sampler::new(model.as_ref(), &skin, 1).unwrap();
+        let contact = dermis_model::Indentation::sphere(
+            nalgebra::Point3::origin(),
+            Vector3::new(0.0, 0.0, -2.0),
+            0.004,
+        );
+        let mut frame = Frame::default();
         let mut stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
-        sampler.sample(0.0, &mut stimulus, &mut values, &mut flags).unwrap();
-        assert_eq!((values[1], flags[1]), (900.0, ChannelFlags::SATURATED));
-        assert_eq!(flags[0], ChannelFlags::OK);
+        sampler.sample(0.0, &mut stimulus, &mut frame).unwrap();
+        assert_eq!((frame.values[1], frame.flags[1]), (900.0, ChannelFlags::SATURATED));
+        assert_eq!(frame.flags[0], ChannelFlags::OK);
     }
 
     /// Raises the stop flag in the middle of its work, as a signal handler does.
@@ -382,27 +390,22 @@ mod tests {
         stop: Arc<AtomicBool>,
     }
 
-    impl ForwardModel for Interrupted {
-        fn channels(&self) -> usize {
-            self.inner.channels()
+    impl Wrapper for Interrupted {
+        const CHANGES_RESPONSE: bool = true;
+
+        fn inner(&self) -> &dyn ForwardModel {
+            &self.inner
         }
-        fn surface(&self) -> &Surface {
-            self.inner.surface()
-        }
+
         fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
             if self.left.fetch_sub(1, Ordering::Relaxed) == 0 {
                 self.stop.store(true, Ordering::Relaxed);
             }
             self.inner.response(stimulus, out)
         }
-        fn noise(&self) -> &[f64] {
-            self.inner.noise()
-        }
-        fn trajectory(&self) -> Box<dyn dermis_model::Trajectory> {
-            self.inner.trajectory()
-        }
-        fn depth_at(&self, at: &nalgebra::Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-            self.inner.depth_at(at, diameter, force)
+
+        fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
+            Box::new(Stepped::new(self, testing::Dragged::default()))
         }
     }
 

@@ -366,12 +366,14 @@ impl VirtualDevice {
         seed: u64,
         outlet: &Outlet,
     ) -> Result<Self, TestbedError> {
-        let mut sampler = Sampler::new(Arc::clone(&model), skin, seed ^ 0x5eed_0001)?;
+        let noise_seed = seed ^ 0x5eed_0001;
+        // Whether they belong together, before a line is opened.
+        drop(Sampler::new(model.as_ref(), skin, noise_seed)?);
         let (mut line, url) = Line::open(outlet, &skin.name)?;
-        let mut script = Script::new(plan.clone(), model, seed)?;
+        let mut script = Script::new(plan.clone(), Arc::clone(&model), seed)?;
         // A model may build tables when it is touched for the first time: not while frames are due.
         let warm_up = script.first_touch();
-        sampler
+        Sampler::new(model.as_ref(), skin, noise_seed)?
             .warm_up(&warm_up.stimulus)
             .map_err(|source| TestbedError::Model { press: warm_up.press, source })?;
         let begin = Instant::now();
@@ -382,8 +384,9 @@ impl VirtualDevice {
 
         let body = {
             let (script, counters, stop) = (Arc::clone(&script), Arc::clone(&counters), Arc::clone(&stop));
-            let (name, rate) = (skin.name.clone(), skin.rate);
+            let (name, rate, skin) = (skin.name.clone(), skin.rate, skin.clone());
             move || {
+                let mut sampler = Sampler::new(model.as_ref(), &skin, noise_seed)?;
                 let mut frame = Frame::new(0, 0, Vec::new());
                 let mut index = 0u64;
                 let lost =
@@ -420,7 +423,7 @@ impl VirtualDevice {
                     }
                     let mut moment = script.at(t)?.unwrap_or_default();
                     sampler
-                        .sample(t, &mut moment.stimulus, &mut frame.values, &mut frame.flags)
+                        .sample(t, &mut moment.stimulus, &mut frame)
                         .map_err(|source| TestbedError::Model { press: moment.press, source })?;
                     // A device that is asked numbers its answers.
                     frame.sequence = if encoder.on_request() {
@@ -462,12 +465,12 @@ impl VirtualDevice {
         let at = |t: f64| self.script.at(t).ok().flatten();
         let mut moment = at(t)?;
         // What effects do to what touches depends on the frame before at most.
-        let mut trajectory = self.script.model.trajectory();
+        let mut state = self.script.model.start(0);
         let before = t - 1.0 / self.skin.rate;
         if let Some(mut last) = at(before) {
-            trajectory.touch(before, &mut last.stimulus);
+            state.apply_to_stimulus(before, &mut last.stimulus);
         }
-        trajectory.touch(t, &mut moment.stimulus);
+        state.apply_to_stimulus(t, &mut moment.stimulus);
         Some(moment)
     }
 

@@ -2,6 +2,7 @@
 
 mod limits;
 mod step;
+mod tip;
 
 use std::path::Path;
 
@@ -11,6 +12,7 @@ use crate::TestbedError;
 pub(crate) use limits::LONGEST;
 pub use step::{Action, Level, Levels, Manner, Step};
 use step::{OneOrMore, StepFile};
+pub use tip::PlanTip;
 
 const SCHEMA: &str = "dermis-plan/1";
 
@@ -90,6 +92,12 @@ pub struct Plan {
     pub seed: u64,
     /// \[m\] of the indenter's spherical tip; of several, one is drawn for each place.
     pub diameter: Vec<f64>,
+    /// A tip that is no sphere, instead of `diameter`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tip: Option<PlanTip>,
+    /// \[m/s²\] in the frame of the link; none where absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gravity: Option<[f64; 3]>,
     /// \[m\] that contacts keep from the rim of the surface.
     pub margin: f64,
     /// \[m\] two corners of a box in the link frame that places are drawn from; all of the surface where absent.
@@ -118,7 +126,9 @@ struct PlanFile {
     description: String,
     #[serde(default)]
     seed: u64,
-    diameter: OneOrMore,
+    diameter: Option<OneOrMore>,
+    tip: Option<PlanTip>,
+    gravity: Option<[f64; 3]>,
     #[serde(default)]
     margin: f64,
     region: Option<[[f64; 3]; 2]>,
@@ -143,6 +153,9 @@ fn stage_noise() -> f64 {
     7.5e-6
 }
 
+/// \[m/s²\] of gravity and acceleration at most: a hundred times that of the earth.
+const GRAVITY: f64 = 1e3;
+
 /// Most contacts of a plan: what fits into memory with room to spare.
 pub(crate) const PRESSES_MAX: u64 = 1_000_000;
 
@@ -166,6 +179,8 @@ impl Plan {
             description: String::new(),
             seed: 0,
             diameter: vec![diameter],
+            tip: None,
+            gravity: None,
             margin: diameter,
             region: None,
             force_distribution: ForceDistribution::Uniform,
@@ -220,13 +235,28 @@ impl Plan {
             let step = step.step().map_err(|(key, reason)| wrong(&format!("steps[{i}].{key}"), &reason))?;
             steps.push(step);
         }
+        let diameter = match (read.diameter, &read.tip) {
+            (Some(diameter), None) => diameter.all(),
+            (None, Some(tip)) => vec![tip.shape.extent()],
+            (Some(_), Some(_)) => {
+                return Err(wrong("tip", "stands beside `diameter`, which means a sphere: name one of them"));
+            }
+            (None, None) => {
+                return Err(wrong(
+                    "(whole file)",
+                    "missing field `diameter`, or `tip` for a tip that is no sphere",
+                ));
+            }
+        };
         let plan = Self {
             schema: SCHEMA,
             file: file.to_owned(),
             name: read.name,
             description: read.description,
             seed: read.seed,
-            diameter: read.diameter.all(),
+            diameter,
+            tip: read.tip,
+            gravity: read.gravity,
             margin: read.margin,
             region: read.region,
             force_distribution: read.force_distribution,
@@ -251,6 +281,15 @@ impl Plan {
         }
         if self.name.is_empty() || self.name.contains(['/', '\0']) {
             return wrong("name".into(), "names a recording: not empty, without slashes".into());
+        }
+        if let Some(Err((field, reason))) = self.tip.as_ref().map(PlanTip::check) {
+            return wrong(field, reason);
+        }
+        if let Some(bad) = self.gravity.iter().flatten().find(|g| !(-GRAVITY..=GRAVITY).contains(*g)) {
+            return wrong(
+                "gravity".into(),
+                format!("has {bad} m/s² and must be -{GRAVITY} to {GRAVITY} m/s²"),
+            );
         }
         if self.diameter.is_empty() {
             return wrong("diameter".into(), "is empty: a tip has a diameter".into());
@@ -388,6 +427,10 @@ impl Plan {
                 }
             }
             let manner = &step.manner;
+            if self.tip.is_some() && !manner.diameter.is_empty() {
+                let reason = "stands in a plan whose `tip` is no sphere: leave it out";
+                return wrong(format!("steps[{i}].diameter"), reason.into());
+            }
             tips(&format!("steps[{i}].diameter"), &manner.diameter)?;
             if let Some([low, high]) = manner.shear
                 && !(low >= 0.0 && low <= high && high.is_finite())
@@ -437,7 +480,7 @@ mod tests {
         insta::assert_snapshot!(refused("plan/1", "plan/7"), @r#"plan plan.toml: field `schema`: is "dermis-plan/7" where this program reads "dermis-plan/1""#);
         insta::assert_snapshot!(refused("diameter = 0.004", "diameter = -0.004"), @"plan plan.toml: field `diameter`: is -0.004 m and must be a positive length");
         insta::assert_snapshot!(refused("margin = 0.002", "margin = nan"), @"plan plan.toml: field `margin`: is NaN m and must be 0 or positive");
-        insta::assert_snapshot!(refused("margin = 0.002", "marjin = 0.002"), @"plan plan.toml: field `marjin`: unknown field `marjin`, expected one of `schema`, `name`, `description`, `seed`, `diameter`, `margin`, `region`, `force_distribution`, `force_noise`, `stage_noise`, `timing`, `steps`");
+        insta::assert_snapshot!(refused("margin = 0.002", "marjin = 0.002"), @"plan plan.toml: field `marjin`: unknown field `marjin`, expected one of `schema`, `name`, `description`, `seed`, `diameter`, `tip`, `gravity`, `margin`, `region`, `force_distribution`, `force_noise`, `stage_noise`, `timing`, `steps`");
         insta::assert_snapshot!(refused("hold = [0.04, 0.06]", "hold = [0.06, 0.04]"), @"plan plan.toml: field `timing.hold`: [0.06, 0.04] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
         insta::assert_snapshot!(refused("duration = 0.2", "duration = 0.0"), @"plan plan.toml: field `steps[0].duration`: is 0 s and must be positive, a day at most");
         insta::assert_snapshot!(refused("force = [0.1, 0.5]", "force = [0.0, 0.5]"), @"plan plan.toml: field `steps[1].force`: [0, 0.5] is not a range: 0 < low ≤ high N");

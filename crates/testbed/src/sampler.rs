@@ -1,42 +1,36 @@
 //! What a skin's device would read: the model, its effects, its noise and the device's range.
 
-use std::sync::Arc;
-
-use dermis_model::{ForwardModel, Stimulus, Trajectory};
-use dermis_skin::{ChannelFlags, ModelError, SkinDescription};
+use dermis_model::{DeviceState, ForwardModel, Stimulus};
+use dermis_skin::{ChannelFlags, Frame, ModelError, SkinDescription};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::TestbedError;
 
-/// Readings of a modelled skin, frame after frame from when it was switched on: response along the model's trajectory plus
-/// Gaussian noise, converted, and cut off at the range of each channel.
-pub struct Sampler {
-    model: Arc<dyn ForwardModel>,
-    trajectory: Box<dyn Trajectory>,
+/// Readings of a modelled skin, frame after frame from when it was switched on: the steps of the model plus
+/// Gaussian noise, quantized, and cut off at the range of each channel.
+pub struct Sampler<'a> {
+    model: &'a dyn ForwardModel,
+    state: Box<dyn DeviceState + 'a>,
     ranges: Vec<Option<[f64; 2]>>,
     rng: ChaCha8Rng,
     clean: Vec<f64>,
 }
 
-impl std::fmt::Debug for Sampler {
+impl std::fmt::Debug for Sampler<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Sampler").field("channels", &self.clean.len()).finish_non_exhaustive()
     }
 }
 
-impl Sampler {
+impl<'a> Sampler<'a> {
     /// A sampler whose noise depends on `seed` only.
     ///
     /// # Errors
     ///
     /// [`TestbedError::Channels`] where model and skin don't belong together.
-    pub fn new(
-        model: Arc<dyn ForwardModel>,
-        skin: &SkinDescription,
-        seed: u64,
-    ) -> Result<Self, TestbedError> {
+    pub fn new(model: &'a dyn ForwardModel, skin: &SkinDescription, seed: u64) -> Result<Self, TestbedError> {
         let channels = skin.channels().len();
         if model.channels() != channels || model.noise().len() != channels {
             return Err(TestbedError::Channels {
@@ -46,7 +40,7 @@ impl Sampler {
             });
         }
         Ok(Self {
-            trajectory: model.trajectory(),
+            state: model.start(0),
             model,
             ranges: skin.channels().iter().map(|c| c.range).collect(),
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -63,8 +57,9 @@ impl Sampler {
         self.model.response(stimulus, &mut self.clean)
     }
 
-    /// One reading of every channel at `time` \[s\], in the unit of the skin, with the flag of those that are saturated. What
-    /// is left in `stimulus` is what really touched. Times rise from call to call.
+    /// One reading of every channel at `time` \[s\], in the unit of the skin, with the flag of those that are saturated, written
+    /// into `frame`; with a picture where the skin is read by a camera, whose numbers are then the readings. What is left in
+    /// `stimulus` is what really touched. Times rise from call to call.
     ///
     /// # Errors
     ///
@@ -73,16 +68,20 @@ impl Sampler {
         &mut self,
         time: f64,
         stimulus: &mut Stimulus,
-        values: &mut Vec<f32>,
-        flags: &mut Vec<ChannelFlags>,
+        frame: &mut Frame,
     ) -> Result<(), ModelError> {
-        self.trajectory.touch(time, stimulus);
-        self.model.response(stimulus, &mut self.clean)?;
-        self.trajectory.transduce(time, stimulus, &mut self.clean);
-        for (value, sigma) in self.clean.iter_mut().zip(self.model.noise()) {
-            *value += sigma * self.rng.sample::<f64, _>(StandardNormal);
+        self.state.apply_to_stimulus(time, stimulus);
+        let rng = &mut self.rng;
+        frame.image = self.model.capture(stimulus, &mut || rng.sample(StandardNormal))?;
+        let seen = frame.image.as_ref().is_some_and(|image| self.model.observe(image, &mut self.clean));
+        if !seen {
+            self.state.step(time, stimulus, &mut self.clean)?;
+            for (value, sigma) in self.clean.iter_mut().zip(self.model.noise()) {
+                *value += sigma * self.rng.sample::<f64, _>(StandardNormal);
+            }
         }
-        self.trajectory.convert(&mut self.clean);
+        self.state.quantize(&mut self.clean);
+        let Frame { values, flags, .. } = frame;
         values.clear();
         flags.clear();
         for (value, range) in self.clean.iter().zip(&self.ranges) {

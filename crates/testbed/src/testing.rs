@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_model::{DeviceState, ForwardModel, Indentation, Memory, Stepped, Stimulus};
 use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::Point3;
 
@@ -105,20 +105,20 @@ impl ForwardModel for Bumps {
         (self.deep && force <= 2.5).then_some(force / 500.0)
     }
 
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        Box::new(Dragged::default())
+    fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(Stepped::new(self, Dragged::default()))
     }
 }
 
 /// Drags what moves, and never forgets: each frame reads 0.0001 more, so that a frame left out shows.
 #[derive(Default)]
-struct Dragged {
+pub(crate) struct Dragged {
     frames: f64,
     last: Vec<Indentation>,
 }
 
-impl Trajectory for Dragged {
-    fn touch(&mut self, _: f64, stimulus: &mut Stimulus) {
+impl Memory for Dragged {
+    fn apply_to_stimulus(&mut self, _: f64, stimulus: &mut Stimulus) {
         let contacts = stimulus.contacts.clone();
         for (contact, last) in stimulus.contacts.iter_mut().zip(&self.last) {
             let way = contact.position - last.position;
@@ -129,7 +129,7 @@ impl Trajectory for Dragged {
         self.last = contacts;
     }
 
-    fn transduce(&mut self, _: f64, _: &Stimulus, readings: &mut [f64]) {
+    fn apply_transducer(&mut self, _: f64, _: &Stimulus, readings: &mut [f64]) {
         self.frames += 1.0;
         readings.iter_mut().for_each(|r| *r += 1e-4 * self.frames);
     }

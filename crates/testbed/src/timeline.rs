@@ -4,7 +4,7 @@ mod sites;
 
 use std::sync::Arc;
 
-use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Tip as ModelTip, TipShape};
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, IndentationContact};
 use dermis_skin::{Phase, SkinDescription, Stamp, Surface};
@@ -14,7 +14,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TestbedError;
-use crate::plan::{Action, ForceDistribution, LONGEST, Level, Levels, Manner, Plan};
+use crate::plan::{Action, ForceDistribution, LONGEST, Level, Levels, Manner, Plan, PlanTip};
 use sites::Sites;
 
 /// The testbed at one instant: the ground truth.
@@ -69,7 +69,7 @@ impl Moment {
                 vector(&c.force),
                 msg::Contact::FORCE_FULL,
                 depth.unwrap_or(f64::NAN),
-                c.diameter,
+                c.diameter(),
             )
         });
         msg::Indentation {
@@ -131,6 +131,8 @@ pub struct Timeline {
     duration: f64,
     count: u64,
     model: Arc<dyn ForwardModel>,
+    tip: Option<PlanTip>,
+    gravity: Vector3<f64>,
 }
 
 impl std::fmt::Debug for Timeline {
@@ -155,7 +157,14 @@ impl Timeline {
         let mut more = ChaCha8Rng::seed_from_u64(seed);
         more.set_stream(1);
         let mut draw = Draw { rng: ChaCha8Rng::seed_from_u64(seed), more, plan, sites: &sites, tried: 0 };
-        let mut timeline = Self { presses: Vec::new(), duration: 0.0, count: 0, model: Arc::clone(model) };
+        let mut timeline = Self {
+            presses: Vec::new(),
+            duration: 0.0,
+            count: 0,
+            model: Arc::clone(model),
+            tip: plan.tip,
+            gravity: plan.gravity.unwrap_or_default().into(),
+        };
         let mut location = 0;
         let too_narrow = || {
             let within = if plan.region.is_some() { " within `region`" } else { "" };
@@ -406,19 +415,25 @@ impl Timeline {
         first.map(|t| self.at(t)).unwrap_or_default()
     }
 
+    /// Nothing touches.
+    fn idle_moment(&self) -> Moment {
+        let stimulus = Stimulus { gravity: self.gravity, ..Stimulus::default() };
+        Moment { stimulus, ..Moment::default() }
+    }
+
     /// What the testbed does at `t` \[s\]; idle before the start and after the end.
     #[must_use]
     pub fn at(&self, t: f64) -> Moment {
         let index = self.presses.partition_point(|p| p.start <= t).saturating_sub(1);
         let Some(press) = self.presses.get(index).filter(|p| p.start <= t) else {
-            return Moment::default();
+            return self.idle_moment();
         };
         let since = t - press.start;
         let mut moment = Moment {
             press: press.number,
             location: press.location,
             repeat: press.repeat,
-            ..Moment::default()
+            ..self.idle_moment()
         };
         // A smooth start and end: a stage does not change its speed in no time.
         let smooth = |x: f64| 0.5 - 0.5 * (std::f64::consts::PI * x.clamp(0.0, 1.0)).cos();
@@ -454,7 +469,8 @@ impl Timeline {
                 if now.shear > 0.0 && touch.shear != Vector3::zeros() {
                     force += touch.shear * self.press_of(touch, &position, now.shear).0;
                 }
-                moment.stimulus.contacts.push(Indentation { position, force, diameter: touch.diameter });
+                let tip = self.tip.map_or_else(|| ModelTip::sphere(touch.diameter), |tip| tip.on(&normal));
+                moment.stimulus.contacts.push(Indentation { position, force, tip });
                 moment.depths.push(depth);
             }
         }
@@ -477,7 +493,9 @@ impl Timeline {
         match touch.level {
             Level::Force(force) => {
                 let force = force * share;
-                (force, self.model.depth_at(at, touch.diameter, force))
+                // Of other tips than spheres no model knows how deep they sink in.
+                let sphere = self.tip.is_none_or(|tip| matches!(tip.shape, TipShape::Sphere { .. }));
+                (force, sphere.then(|| self.model.depth_at(at, touch.diameter, force)).flatten())
             }
             Level::Depth(depth) => {
                 let depth = depth * share;
@@ -492,7 +510,8 @@ impl Timeline {
 /// Refuses a depth that takes no force that the model knows.
 fn knows(plan: &Plan, model: &Arc<dyn ForwardModel>, step: usize, touch: &Touch) -> Result<(), TestbedError> {
     let Level::Depth(depth) = touch.level else { return Ok(()) };
-    let known = |depth| model.force_at(&touch.from, touch.diameter, depth).is_some();
+    let sphere = plan.tip.is_none_or(|tip| matches!(tip.shape, TipShape::Sphere { .. }));
+    let known = |depth| sphere && model.force_at(&touch.from, touch.diameter, depth).is_some();
     if known(depth) {
         return Ok(());
     }
@@ -723,6 +742,48 @@ mod tests {
     }
 
     #[test]
+    fn a_plan_may_name_a_tip_that_is_no_sphere_and_gravity() {
+        let steps = "[[steps]]\nkind = \"presses\"\ncount = 3\nforce = [0.5, 1.0]\n";
+        let tip = "{ shape = { shape = \"wedge\", angle = 1.0, length = 0.006 }, turn = 0.5, tilt = 0.25 }";
+        let head = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ntip = {tip}\n");
+        let text = format!("{head}gravity = [0.0, 0.0, -9.81]\n{steps}");
+        let read = |text: &str| Plan::from_toml(text, "some.toml").map_err(|e| e.to_string());
+        let plan = read(&text).unwrap();
+        let model = testing::Bumps::shared(&testing::skin(100.0));
+        let timeline = Timeline::new(&plan, &model, 1).unwrap();
+        let mut pressed = 0;
+        for moment in moments(&timeline) {
+            assert_eq!(moment.stimulus.gravity, Vector3::new(0.0, 0.0, -9.81));
+            for contact in &moment.stimulus.contacts {
+                assert_eq!(contact.tip.shape, TipShape::Wedge { angle: 1.0, length: 0.006 });
+                let turned = contact.tip.orientation * Vector3::x();
+                assert!((turned - Vector3::new(0.5f64.cos(), 0.5f64.sin(), 0.0)).norm() < 1e-12);
+                let up = contact.tip.orientation * Vector3::z();
+                assert!((up.z - 0.25f64.cos()).abs() < 1e-12);
+                pressed += 1;
+            }
+            assert!(moment.depths.iter().all(Option::is_none));
+        }
+        assert!(pressed > 0);
+        // Written and read again it is the same plan; one that says nothing of it does not write it.
+        let json = serde_json::to_value(&plan).unwrap();
+        assert_eq!(json["tip"]["shape"]["shape"], "wedge");
+        let plain =
+            read(&format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}")).unwrap();
+        let json = serde_json::to_value(&plain).unwrap();
+        assert!(json.get("tip").is_none() && json.get("gravity").is_none());
+        let deep = text.replace("force = [0.5, 1.0]", "depth = [0.0005, 0.001]");
+        insta::assert_snapshot!(Timeline::new(&read(&deep).unwrap(), &model, 1).unwrap_err(), @"plan some.toml: field `steps[0].depth`: the model of this skin does not know how deep a tip sinks in: name forces instead");
+        let refused = |from: &str, to: &str| read(&text.replace(from, to)).unwrap_err();
+        insta::assert_snapshot!(refused("gravity", "diameter = 0.004\ngravity"), @"plan some.toml: field `tip`: stands beside `diameter`, which means a sphere: name one of them");
+        insta::assert_snapshot!(refused("-9.81", "-9810.0"), @"plan some.toml: field `gravity`: has -9810 m/s² and must be -1000 to 1000 m/s²");
+        insta::assert_snapshot!(refused("0.006", "0.0"), @"plan some.toml: field `tip.shape`: its length is 0 m and must be 0.0001 to 0.1 m");
+        insta::assert_snapshot!(refused("tilt = 0.25", "tilt = 2.5"), @"plan some.toml: field `tip.tilt`: is 2.5 rad and must be -1.5707963267948966 to 1.5707963267948966 rad");
+        insta::assert_snapshot!(read(&format!("schema = \"dermis-plan/1\"\nname = \"some\"\n{steps}")).unwrap_err(), @"plan some.toml: field `(whole file)`: missing field `diameter`, or `tip` for a tip that is no sphere");
+        insta::assert_snapshot!(refused("force = [0.5, 1.0]", "force = [0.5, 1.0]\ndiameter = 0.004"), @"plan some.toml: field `steps[0].diameter`: stands in a plan whose `tip` is no sphere: leave it out");
+    }
+
+    #[test]
     fn depths_take_the_force_that_the_model_knows() {
         let steps = "[[steps]]\nkind = \"presses\"\ncount = 20\ndepth = [0.0005, 0.002]\n";
         let timeline = carried_out(steps).unwrap();
@@ -788,7 +849,7 @@ mod tests {
                     contact.force.z,
                     BTreeSet::new(),
                 ));
-                entry.2.insert(contact.diameter.to_bits());
+                entry.2.insert(contact.diameter().to_bits());
             }
             places
         };

@@ -1,18 +1,11 @@
 //! The Cramér–Rao bound of the contacts that one frame shows.
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Unknown, Unknowns, tangents};
-use dermis_skin::Surface;
+use dermis_model::{Differences, ForwardModel, Stimulus, Unknown, Unknowns};
 use nalgebra::DMatrix;
 use serde::Serialize;
 
 use crate::TheoryError;
 
-/// \[m\] by which a contact is moved for its derivative: far below any pitch of taxels, far above what a table resolves.
-const MOVE: f64 = 5e-5;
-/// Share of a force by which it is changed for its derivative.
-const CHANGE: f64 = 1e-3;
-/// \[N\] by which a force is changed at least.
-const LEAST_CHANGE: f64 = 1e-6;
 /// \[m\] and \[N\] that are of the same order in touch: the scale on which unknowns are compared.
 const SCALE: (f64, f64) = (1e-3, 1.0);
 /// Singular values below this share of the largest count as 0: what they stand for cannot be told at all.
@@ -79,26 +72,16 @@ fn derivatives(
     }
     let list = unknowns.list();
     let per_contact = list.len();
-    let mut whitened = DMatrix::zeros(noise.len(), per_contact * stimulus.contacts.len());
-    let mut scales = Vec::with_capacity(whitened.ncols());
-    let (mut more, mut less) = (vec![0.0; noise.len()], vec![0.0; noise.len()]);
-    for (i, contact) in stimulus.contacts.iter().enumerate() {
-        for (k, unknown) in list.iter().enumerate() {
-            let (plus, minus, step) = neighbours(model.surface(), contact, unknowns, *unknown);
-            let scale = if matches!(unknown, Unknown::Along(_)) { SCALE.0 } else { SCALE.1 };
-            scales.push(scale);
-            if step == 0.0 {
-                continue;
-            }
-            for (neighbour, out) in [(plus, &mut more), (minus, &mut less)] {
-                let mut moved = stimulus.clone();
-                moved.contacts[i] = neighbour;
-                model.response(&moved, out)?;
-            }
-            for (channel, ((a, b), sigma)) in more.iter().zip(&less).zip(noise).enumerate() {
-                whitened[(channel, i * per_contact + k)] = (a - b) / step / sigma * scale;
-            }
-        }
+    let channels = noise.len();
+    let columns = per_contact * stimulus.contacts.len();
+    let mut jacobian = vec![0.0; channels * columns];
+    model.jacobian(stimulus, unknowns, &Differences::default(), &mut jacobian)?;
+    let mut whitened = DMatrix::from_vec(channels, columns, jacobian);
+    let mut scales = Vec::with_capacity(columns);
+    for (mut column, unknown) in whitened.column_iter_mut().zip(list.iter().cycle()) {
+        let scale = if matches!(unknown, Unknown::Along(_)) { SCALE.0 } else { SCALE.1 };
+        scales.push(scale);
+        column.iter_mut().zip(noise).for_each(|(slope, sigma)| *slope *= scale / sigma);
     }
     Ok((whitened, scales))
 }
@@ -143,43 +126,6 @@ pub fn strongest_bands(
     })
 }
 
-/// A contact with one unknown a little more and a little less, and how far they are apart: 0 where the surface leaves no
-/// room.
-pub(crate) fn neighbours(
-    surface: &Surface,
-    contact: &Indentation,
-    unknowns: Unknowns,
-    unknown: Unknown,
-) -> (Indentation, Indentation, f64) {
-    let (place, normal) = surface.project(&contact.position);
-    let [first, second] = tangents(&normal);
-    if let Unknown::Along(direction) = unknown {
-        let along = [first, second][direction];
-        let moved = |by: f64| {
-            let (position, turned) = surface.project(&(place + along * by));
-            let force = match unknowns {
-                Unknowns::Full => contact.force,
-                // It goes on pressing along the normal.
-                _ => turned * contact.force.dot(&normal),
-            };
-            Indentation { position, force, ..contact.clone() }
-        };
-        let (plus, minus) = (moved(MOVE), moved(-MOVE));
-        // Less than twice the step at an edge.
-        let step = (plus.position - minus.position).dot(&along);
-        return (plus, minus, step);
-    }
-    let change = (contact.force.norm() * CHANGE).max(LEAST_CHANGE);
-    let (axis, down) = match unknown {
-        Unknown::Shear(0) => (first, change),
-        Unknown::Shear(_) => (second, change),
-        // Nothing presses with less than nothing.
-        _ => (-normal, change.min((-contact.force.dot(&normal)).max(0.0))),
-    };
-    let with = |by: f64| Indentation { force: contact.force + axis * by, ..contact.clone() };
-    (with(change), with(-down), change + down)
-}
-
 /// Variances of all unknowns from their whitened and scaled derivatives.
 fn variances(whitened: DMatrix<f64>, scales: &[f64]) -> Vec<f64> {
     let svd = whitened.svd(false, true);
@@ -210,15 +156,13 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
+    use dermis_model::Indentation;
+
     use super::*;
     use crate::testing::{DEPTH, Toy};
 
     fn press(x: f64, y: f64, newtons: f64) -> Indentation {
-        Indentation {
-            position: Point3::new(x, y, 0.0),
-            force: Vector3::new(0.0, 0.0, -newtons),
-            diameter: 0.004,
-        }
+        Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -newtons), 0.004)
     }
 
     fn one(model: &Toy, contact: Indentation) -> ContactBound {

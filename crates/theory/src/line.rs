@@ -530,11 +530,11 @@ mod tests {
             // Taxels that lie further away have steeper isolines, but here one σ_S of them is more force.
             assert!(four <= two && six <= four, "{two} {four} {six}");
             // And the box that holds all bands is wider than what their average would have, which is the bound.
-            let contact = dermis_model::Indentation {
-                position: line.responses().points()[place],
-                force: Vector3::new(0.0, 0.0, -0.8),
-                diameter: 0.004,
-            };
+            let contact = dermis_model::Indentation::sphere(
+                line.responses().points()[place],
+                Vector3::new(0.0, 0.0, -0.8),
+                0.004,
+            );
             let stimulus = dermis_model::Stimulus { contacts: vec![contact], ..Default::default() };
             let bound = cramer_rao(&model, &stimulus, Unknowns::Line).unwrap()[0].position;
             assert!(bound < six * 1.05, "{bound} {six}");
@@ -549,11 +549,11 @@ mod tests {
             Toy::new(&feet)
         };
         let bound = |n| {
-            let contact = dermis_model::Indentation {
-                position: Point3::new(0.001, 0.0, 0.0),
-                force: Vector3::new(0.0, 0.0, -0.5),
-                diameter: 0.004,
-            };
+            let contact = dermis_model::Indentation::sphere(
+                Point3::new(0.001, 0.0, 0.0),
+                Vector3::new(0.0, 0.0, -0.5),
+                0.004,
+            );
             let stimulus = dermis_model::Stimulus { contacts: vec![contact], ..Default::default() };
             cramer_rao(&model(n), &stimulus, Unknowns::Line).unwrap()[0].position
         };

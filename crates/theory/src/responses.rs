@@ -62,7 +62,7 @@ impl Responses {
         for (place, point) in points.iter().enumerate() {
             let normal = model.surface().project(point).1;
             for (k, force) in forces.iter().enumerate() {
-                let contact = Indentation { position: *point, force: -normal * *force, diameter };
+                let contact = Indentation::sphere(*point, -normal * *force, diameter);
                 model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
                 for (channel, value) in out.iter().enumerate() {
                     values[(place * channels + channel) * forces.len() + k] = *value;

@@ -86,7 +86,7 @@ pub fn over_surface(
         .iter()
         .zip(&surface.normals)
         .map(|(position, normal)| {
-            let contact = Indentation { position: *position, force: -normal * force, diameter };
+            let contact = Indentation::sphere(*position, -normal * force, diameter);
             let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
             Ok(cramer_rao(model, &stimulus, unknowns)?[0])
         })
@@ -138,7 +138,7 @@ pub fn two_contacts(
             positive("distance of two contacts [m]", distance)?;
             let contacts = [0.5, -0.5].map(|side| {
                 let (position, normal) = surface.project(&(middle + along * (side * distance)));
-                Indentation { position, force: -normal * force, diameter }
+                Indentation::sphere(position, -normal * force, diameter)
             });
             let stimulus = Stimulus { contacts: contacts.to_vec(), ..Stimulus::default() };
             let bounds = cramer_rao(model, &stimulus, unknowns)?;

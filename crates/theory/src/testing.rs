@@ -41,7 +41,7 @@ impl Toy {
 pub fn read(model: &dyn ForwardModel, position: &Point3<f64>, force: f64) -> Vec<f64> {
     let (position, normal) = model.surface().project(position);
     let mut out = vec![0.0; model.channels()];
-    let contacts = vec![Indentation { position, force: -normal * force, diameter: 0.004 }];
+    let contacts = vec![Indentation::sphere(position, -normal * force, 0.004)];
     model.response(&Stimulus { contacts, ..Stimulus::default() }, &mut out).unwrap();
     out
 }

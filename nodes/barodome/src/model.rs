@@ -11,7 +11,7 @@ mod flat;
 mod rim;
 mod sink;
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_model::{DeviceState, ForwardModel, Indentation, Stepped, Stimulus};
 use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::{Point3, Vector3};
 
@@ -176,8 +176,8 @@ impl ForwardModel for BarometerModel {
             if self.diameter_scale == 1.0 {
                 self.add(index, contact, out)?;
             } else {
-                let diameter = contact.diameter * self.diameter_scale;
-                self.add(index, &Indentation { diameter, ..contact.clone() }, out)?;
+                let diameter = contact.diameter() * self.diameter_scale;
+                self.add(index, &contact.clone().with_diameter(diameter), out)?;
             }
         }
         let ambient = stimulus.ambient_pressure - STANDARD_ATMOSPHERE;
@@ -191,8 +191,8 @@ impl ForwardModel for BarometerModel {
         &self.noise
     }
 
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        self.dynamics.begin()
+    fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(Stepped::new(self, self.dynamics.start(seed)))
     }
 
     /// Of a layer as wide as it likes, on which the curvature of a skin makes a tip sharper; edges are not felt.
@@ -227,11 +227,7 @@ mod tests {
     static MODEL: LazyLock<BarometerModel> = LazyLock::new(|| BarometerModel::new(&skin("", "")).unwrap());
 
     fn press(x: f64, y: f64, force: f64) -> Indentation {
-        Indentation {
-            position: Point3::new(x, y, 0.0),
-            force: Vector3::new(0.0, 0.0, -force),
-            diameter: 0.004,
-        }
+        Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004)
     }
 
     fn read(model: &BarometerModel, contacts: Vec<Indentation>) -> Vec<f64> {
@@ -303,7 +299,7 @@ mod tests {
     #[test]
     fn scaled_tips_are_other_tips() {
         let model = changed(|p| p.diameter_scale = 1.5);
-        let tip = |diameter: f64| vec![Indentation { diameter, ..press(0.001, 0.002, 0.7) }];
+        let tip = |diameter: f64| vec![press(0.001, 0.002, 0.7).with_diameter(diameter)];
         assert_eq!(read(&model, tip(0.004)), read(&MODEL, tip(0.006)));
     }
 
@@ -375,7 +371,7 @@ mod tests {
         insta::assert_snapshot!(refused(|c| c.position.x = 0.020), @"contact 1: (0.02, 0, 0) m lies 0.003000 m off the surface");
         insta::assert_snapshot!(refused(|c| c.force.z = f64::NAN), @"contact 1: its position or force is not a number");
         insta::assert_snapshot!(refused(|c| c.force.z = 0.5), @"contact 1: it pulls with 0.5 N, and this model knows no adhesion");
-        insta::assert_snapshot!(refused(|c| c.diameter = 0.0), @"contact 1: its diameter is 0 m and must be 0.0001 to 0.1 m");
+        insta::assert_snapshot!(refused(|c| c.tip = dermis_model::Tip::sphere(0.0)), @"contact 1: its diameter is 0 m and must be 0.0001 to 0.1 m");
     }
 
     proptest! {

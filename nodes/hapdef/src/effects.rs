@@ -1,7 +1,7 @@
 //! What a device has that its design has not: the effects of strain gauges on a shell.
 //!
 //! [`EFFECTS`] lists them. Those that change what the model is computed from act in [`shape`]; those that remember, the hand that
-//! touches and the electronics act along a [`Walk`], whatever their order in the file, in the order of the signal: what touches
+//! touches and the electronics act in a `ShellMemory`, whatever their order in the file, in the order of the signal: what touches
 //! (`oblique-force`, `friction`), the shell (`creep`), the gauges (`temperature`, `zero-drift`), the noise, the amplifier and its
 //! converter (`saturation`, and the bridge of the skin description).
 //!
@@ -9,12 +9,12 @@
 //! is drawn at random has a stream of its own for each effect and channel, so that another effect, or another channel, changes
 //! nothing of it.
 
+mod memory;
 mod shape;
 mod table;
 #[cfg(test)]
 mod tests;
-mod walk;
 
+pub(crate) use memory::Dynamics;
 pub(crate) use shape::shape;
 pub use table::EFFECTS;
-pub(crate) use walk::Dynamics;

@@ -9,7 +9,7 @@ mod nodes;
 use std::sync::OnceLock;
 
 use dermis_mechanics::shell::{Action, Face, Gauge, Shell, ShellMesh, Support};
-use dermis_model::{ForwardModel, Indentation, Stimulus, Trajectory};
+use dermis_model::{DeviceState, ForwardModel, Indentation, Stepped, Stimulus};
 use dermis_skin::cache::{self, Bytes, Keep, Key};
 use dermis_skin::{ModelError, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
@@ -356,7 +356,7 @@ impl ForwardModel for ShellModel {
         let kept = self.kept(&contacts);
         let mut patch = Vec::with_capacity(32);
         for ((contact, normal), kept) in contacts.iter().zip(kept) {
-            let radius = contact.diameter / 2.0;
+            let radius = contact.diameter() / 2.0;
             self.nodes.patch(&self.surface, &contact.position, normal, radius, &mut patch);
             let force = contact.force * kept;
             let width = 3 * out.len();
@@ -402,8 +402,8 @@ impl ForwardModel for ShellModel {
         &self.noise
     }
 
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        self.dynamics.begin()
+    fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(Stepped::new(self, self.dynamics.start(seed)))
     }
 
     /// Of the shell under a touch of the nominal patch, whatever the tip: a hard shell gives way as a whole.

@@ -168,11 +168,7 @@ impl SkinEstimator {
             let known = |c: &&Contact| {
                 c.position.iter().chain(&c.force).all(|v| v.is_finite()) && c.normal_force() > 0.0
             };
-            let hint = learned.first().filter(known).map(|c| Indentation {
-                position: c.position,
-                force: c.force,
-                diameter: settings.diameter,
-            });
+            let hint = learned.first().filter(known).map(|c| Indentation::sphere(c.position, c.force, settings.diameter));
             inverter.solve(&self.readings, hint.as_ref())
         };
         let solution =
@@ -245,5 +241,5 @@ fn locate(inverter: &Inverter, readings: &[Reading], before: &[Found]) -> Result
 }
 
 fn indentations(found: &[Found], diameter: f64) -> Vec<Indentation> {
-    found.iter().map(|f| Indentation { position: f.position, force: f.force, diameter }).collect()
+    found.iter().map(|f| Indentation::sphere(f.position, f.force, diameter)).collect()
 }

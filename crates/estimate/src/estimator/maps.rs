@@ -31,7 +31,7 @@ impl SkinEstimator {
             let surface = model.surface();
             let mut out = vec![0.0; surface.points.len()];
             if let Some((position, normal)) = surface.points.first().zip(surface.normals.first()) {
-                let press = Indentation { position: *position, force: -normal, diameter: REACH };
+                let press = Indentation::sphere(*position, -normal, REACH);
                 // What it says of this press is of no interest.
                 let _ =
                     model.displacement(&Stimulus { contacts: vec![press], ..Stimulus::default() }, &mut out);
@@ -78,7 +78,7 @@ impl SkinEstimator {
         let inverter = self.pipelines.get(refined?)?.inverter.as_ref()?;
         let diameter = inverter.settings().diameter;
         let contacts =
-            contacts.iter().map(|c| Indentation { position: c.position, force: c.force, diameter }).collect();
+            contacts.iter().map(|c| Indentation::sphere(c.position, c.force, diameter)).collect();
         let mut points = vec![0.0; self.surface.points.len()];
         let known = inverter.model().displacement(&Stimulus { contacts, ..Stimulus::default() }, &mut points);
         if !known.unwrap_or_else(|error| {

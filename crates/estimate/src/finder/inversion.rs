@@ -58,7 +58,7 @@ impl ContactFinder for InversionFinder {
         let Self { inverter, start } = self;
         let (diameter, components) =
             (inverter.settings().diameter, inverter.settings().unknowns.force_components());
-        let indentation = |c: &Contact| Indentation { position: c.position, force: c.force, diameter };
+        let indentation = |c: &Contact| Indentation::sphere(c.position, c.force, diameter);
         let readings: Vec<_> = readings(frame.signal, frame.flags).collect();
         let solution = match start {
             Start::Greedy => inverter.solve(&readings, None)?,

@@ -144,7 +144,7 @@ pub(crate) fn recorded(device: &Device, presses: usize, repeats: usize, seed: u6
             })
             .collect();
         let contacts = if force > 0.0 {
-            vec![Indentation { position: at, force: Vector3::new(0.0, 0.0, -force), diameter: 0.004 }]
+            vec![Indentation::sphere(at, Vector3::new(0.0, 0.0, -force), 0.004)]
         } else {
             Vec::new()
         };

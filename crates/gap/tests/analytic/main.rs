@@ -308,11 +308,7 @@ fn the_corrected_skin_reads_what_the_diagnosis_says() {
         })
     });
     let (model, nominal) = (model.unwrap(), Toy::make(&skin).unwrap());
-    let press = Indentation {
-        position: Point3::new(-0.009, -0.005, 0.0),
-        force: Vector3::new(0.0, 0.0, -1.0),
-        diameter: 0.004,
-    };
+    let press = Indentation::sphere(Point3::new(-0.009, -0.005, 0.0), Vector3::new(0.0, 0.0, -1.0), 0.004);
     let stimulus = Stimulus { contacts: vec![press], ..Stimulus::default() };
     let (mut corrected, mut plain) = ([0.0; 6], [0.0; 6]);
     model.response(&stimulus, &mut corrected).unwrap();

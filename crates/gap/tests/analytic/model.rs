@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_model::{ForwardModel, Stimulus, Trajectory};
+use dermis_model::{DeviceState, ForwardModel, Memory, Stepped, Stimulus};
 use dermis_skin::{Effect, EffectInfo, ModelError, ParameterInfo, SkinDescription, Surface};
 use nalgebra::Point3;
 use rand::{Rng, SeedableRng};
@@ -170,13 +170,13 @@ impl ForwardModel for Toy {
     fn noise(&self) -> &[f64] {
         &self.noise
     }
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        Box::new(self.way.clone())
+    fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(Stepped::new(self, self.way.clone()))
     }
 }
 
-impl Trajectory for Way {
-    fn transduce(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
+impl Memory for Way {
+    fn apply_transducer(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
         let dt = time - self.last.unwrap_or(time);
         self.last = Some(time);
         if let Some((share, tau)) = self.creep {

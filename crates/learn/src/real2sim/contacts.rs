@@ -63,11 +63,8 @@ mod tests {
 
     #[test]
     fn pairs_are_the_nearest_and_none_is_used_twice() {
-        let press = |x: f64| Indentation {
-            position: Point3::new(x, 0.0, 0.0),
-            force: Vector3::new(0.0, 0.0, -1.0),
-            diameter: 0.004,
-        };
+        let press =
+            |x: f64| Indentation::sphere(Point3::new(x, 0.0, 0.0), Vector3::new(0.0, 0.0, -1.0), 0.004);
         let found = |x: f64| Contact::at(Point3::new(x, 0.0, 0.0), Vector3::z());
         let truth = [press(0.0), press(0.020)];
         assert_eq!(matched(&truth, &[found(0.019), found(0.003)], 0.015), [Some(1), Some(0)]);

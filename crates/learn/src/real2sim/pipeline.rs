@@ -245,6 +245,11 @@ pub fn train(
             "no single contact of known place, force and tip was recorded at some places to learn from and at others to choose by",
         ));
     }
+    if settings.superpose > 1 && !model.superposes() {
+        return Err(wrong(
+            "this skin's readings of several contacts do not add up, so that sums of recorded presses are none of it: set `superpose` to 1",
+        ));
+    }
     let (channels, points) = (model.channels(), model.surface().points.len());
     let distance = scenes.settings().distance;
     let seed = scenes.settings().seed;
@@ -259,7 +264,7 @@ pub fn train(
             })
             .collect();
         for contacts in 2..=most {
-            all.extend(superpose(recorded, contacts, count, distance, seed));
+            all.extend(superpose(model.as_ref(), recorded, contacts, count, distance, seed));
         }
         all
     };
@@ -344,7 +349,14 @@ pub fn train(
     for contacts in 2..=CONTACTS {
         // Nearer than two radii of the search, peaks run into one another whatever is set.
         let apart = distance.max(2.0 * settings.peaks.radius);
-        frames.extend(superpose(recorded, contacts, PEAK_FRAMES / contacts, apart, seed ^ 0x5eed));
+        frames.extend(superpose(
+            model.as_ref(),
+            recorded,
+            contacts,
+            PEAK_FRAMES / contacts,
+            apart,
+            seed ^ 0x5eed,
+        ));
     }
     let mut found = Vec::with_capacity(frames.len());
     let mut reader = pipeline.contacts(model.surface(), runtime)?;

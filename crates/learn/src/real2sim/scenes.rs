@@ -56,7 +56,7 @@ impl Compliance {
         let mut map = vec![0.0; surface.points.len()];
         let mut shares = Vec::with_capacity(map.len());
         for (i, (position, normal)) in surface.points.iter().zip(&surface.normals).enumerate() {
-            let contact = Indentation { position: *position, force: -normal, diameter };
+            let contact = Indentation::sphere(*position, -normal, diameter);
             let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
             if !model.displacement(&stimulus, &mut map).map_err(|e| wrong(e.to_string()))? {
                 return Err(unknown());
@@ -163,7 +163,7 @@ impl Scenes {
                 (u, v) = (1.0 - u, 1.0 - v);
             }
             let (position, normal) = surface.project(&(a + (b - a) * u + (c - a) * v));
-            let contact = Indentation { position, force: -normal, diameter: settings.diameter };
+            let contact = Indentation::sphere(position, -normal, settings.diameter);
             let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
             let known = model.displacement(&stimulus, &mut map).map_err(|e| wrong(format!("scenes: {e}")))?;
             if !known {
@@ -219,7 +219,7 @@ impl Scenes {
                     continue;
                 }
                 let force = -normal * rng.random_range(s.force[0]..s.force[1]);
-                chosen.push(Indentation { position, force, diameter: s.diameter });
+                chosen.push(Indentation::sphere(position, force, s.diameter));
             }
             Stimulus { contacts: chosen, ..Stimulus::default() }
         };

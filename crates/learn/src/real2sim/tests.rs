@@ -105,7 +105,7 @@ fn recorded(device: &Sheet, count: usize, seed: u64) -> Vec<Recorded> {
             let at = |half: f64, rng: &mut ChaCha8Rng| rng.random_range(-half..half);
             let position = Point3::new(at(0.05, &mut rng), at(0.03, &mut rng), 0.0);
             let force = nalgebra::Vector3::new(0.0, 0.0, -rng.random_range(1.0..10.0));
-            let contact = Indentation { position, force, diameter: 0.01 };
+            let contact = Indentation::sphere(position, force, 0.01);
             let stimulus = Stimulus { contacts: vec![contact.clone()], ..Stimulus::default() };
             device.response(&stimulus, &mut out).unwrap();
             let signal = out.iter().map(|v| (v - 0.5 + 1e-3 * rng.sample::<f64, _>(StandardNormal)) as f32);
@@ -226,7 +226,7 @@ fn several_contacts_of_a_device_are_found_and_the_graph_says_the_same() {
     let fresh = recorded(&device, 300, 7);
     for contacts in [1, 2] {
         let (mut distance, mut force, mut count) = (0.0, 0.0, 0);
-        let frames = superpose(&fresh, contacts, 150, 0.035, 4);
+        let frames = superpose(model.as_ref(), &fresh, contacts, 150, 0.035, 4);
         let mut right = 0;
         for (stimulus, signal) in &frames {
             let found = reader.contacts(&pipeline.map(signal).unwrap()).unwrap();

@@ -48,10 +48,12 @@ fn read(bag: &Path) -> Result<Record> {
             .contacts
             .iter()
             .filter(|c| c.force.x * c.normal.x + c.force.y * c.normal.y + c.force.z * c.normal.z < 0.0);
-        let contacts = pressing.map(|c| Indentation {
-            position: Point3::new(c.position.x, c.position.y, c.position.z),
-            force: Vector3::new(c.force.x, c.force.y, c.force.z),
-            diameter: c.diameter,
+        let contacts = pressing.map(|c| {
+            Indentation::sphere(
+                Point3::new(c.position.x, c.position.y, c.position.z),
+                Vector3::new(c.force.x, c.force.y, c.force.z),
+                c.diameter,
+            )
         });
         record.stimuli.push(Stimulus {
             contacts: contacts.collect(),
@@ -66,21 +68,12 @@ fn read(bag: &Path) -> Result<Record> {
 fn simulate(model: &Arc<dyn ForwardModel>, record: &Record) -> Result<Vec<f64>> {
     let channels = model.channels();
     let mut readings = vec![0.0; channels * record.times.len()];
-    let mut walk = model.trajectory();
-    let mut kept: Option<(Vec<Indentation>, Vec<f64>)> = None;
+    let mut state = model.start(0);
     for ((row, time), stimulus) in readings.chunks_mut(channels).zip(&record.times).zip(&record.stimuli) {
         let mut stimulus = stimulus.clone();
-        walk.touch(*time, &mut stimulus);
-        match &kept {
-            // Nothing changes while nothing touches.
-            Some((contacts, same)) if contacts.is_empty() && stimulus.contacts.is_empty() => {
-                row.copy_from_slice(same);
-            }
-            _ => model.response(&stimulus, row)?,
-        }
-        kept = Some((stimulus.contacts.clone(), row.to_vec()));
-        walk.transduce(*time, &stimulus, row);
-        walk.convert(row);
+        state.apply_to_stimulus(*time, &mut stimulus);
+        state.step(*time, &stimulus, row)?;
+        state.quantize(row);
     }
     zeroed(&mut readings, channels, &record.times);
     Ok(readings)

@@ -353,7 +353,7 @@ fn prepare(
     // Gains are in the correction; measured once more on a few places they would only add noise.
     better.gains.clear();
     progress.begin("how much evidence a contact needs");
-    let pairs: Vec<_> = (1..=3).flat_map(|n| superpose(&chosen, n, 60, FAR, 77)).collect();
+    let pairs: Vec<_> = (1..=3).flat_map(|n| superpose(model.as_ref(), &chosen, n, 60, FAR, 77)).collect();
     refine::tune_evidence(model, &mut plain, &pairs, &on)?;
     refine::tune_evidence(&corrected, &mut better, &pairs, &on)?;
 
@@ -442,7 +442,7 @@ fn row(
         let true_ones: Vec<dermis_model::Indentation> = truth
             .contacts
             .iter()
-            .map(|c| dermis_model::Indentation { position: c.position, force: c.force, diameter: c.diameter })
+            .map(|c| dermis_model::Indentation::sphere(c.position, c.force, c.diameter))
             .collect();
         for (t, index) in matched(&true_ones, &contacts, f64::INFINITY).into_iter().enumerate() {
             let Some(found) = index.map(|i| &contacts[i]) else { continue };

@@ -114,7 +114,7 @@ impl Method for Refined {
             Begin::Sparse(settings) => self.inverter.sparse(&readings, settings)?,
             Begin::Other(method) => {
                 let diameter = self.inverter.settings().diameter;
-                let at = |c: Contact| Indentation { position: c.position, force: c.force, diameter };
+                let at = |c: Contact| Indentation::sphere(c.position, c.force, diameter);
                 method.contacts(sample)?.into_iter().map(at).collect()
             }
         };

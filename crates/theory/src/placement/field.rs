@@ -1,11 +1,10 @@
 //! What every candidate reads for presses all over a skin.
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
+use dermis_model::{Differences, ForwardModel, Indentation, Stimulus, Unknowns};
 use nalgebra::{DMatrix, Point3, Vector3};
 
 use super::Watch;
 use crate::TheoryError;
-use crate::bound::neighbours;
 use crate::surface::positive;
 
 /// A place that is pressed.
@@ -59,7 +58,8 @@ impl Field {
         let (channels, presses) = (model.channels(), places.len() * forces.len());
         let mut readings = DMatrix::zeros(presses, channels);
         let mut slopes = std::array::from_fn(|_| DMatrix::zeros(presses, channels));
-        let (mut more, mut less) = (vec![0.0; channels], vec![0.0; channels]);
+        let mut read = vec![0.0; channels];
+        let mut jacobian = vec![0.0; channels * Unknowns::Normal.count()];
         let mut stimulus = Stimulus::default();
         for (at, place) in places.iter().enumerate() {
             if !watch(at as f64 / places.len() as f64) {
@@ -67,24 +67,14 @@ impl Field {
             }
             for (n, &force) in forces.iter().enumerate() {
                 let row = at * forces.len() + n;
-                let contact = Indentation { position: place.point, force: -place.normal * force, diameter };
-                stimulus.contacts = vec![contact.clone()];
-                model.response(&stimulus, &mut more)?;
-                readings.row_mut(row).iter_mut().zip(&more).for_each(|(to, from)| *to = *from);
-                for (k, unknown) in Unknowns::Normal.list().iter().enumerate() {
-                    let (plus, minus, step) =
-                        neighbours(model.surface(), &contact, Unknowns::Normal, *unknown);
-                    if step == 0.0 {
-                        continue;
-                    }
-                    stimulus.contacts[0] = plus;
-                    model.response(&stimulus, &mut more)?;
-                    stimulus.contacts[0] = minus;
-                    model.response(&stimulus, &mut less)?;
-                    let slope: &mut DMatrix<f64> = &mut slopes[k];
-                    for (to, (a, b)) in slope.row_mut(row).iter_mut().zip(more.iter().zip(&less)) {
-                        *to = (a - b) / step;
-                    }
+                let contact = Indentation::sphere(place.point, -place.normal * force, diameter);
+                stimulus.contacts = vec![contact];
+                model.response(&stimulus, &mut read)?;
+                readings.row_mut(row).iter_mut().zip(&read).for_each(|(to, from)| *to = *from);
+                model.jacobian(&stimulus, Unknowns::Normal, &Differences::default(), &mut jacobian)?;
+                for (slope, column) in slopes.iter_mut().zip(jacobian.chunks_exact(channels.max(1))) {
+                    let slope: &mut DMatrix<f64> = slope;
+                    slope.row_mut(row).iter_mut().zip(column).for_each(|(to, from)| *to = *from);
                 }
             }
         }

@@ -145,6 +145,11 @@ impl ForwardModel for CameraModel {
         Ok(true)
     }
 
+    /// Shading is not linear in the slope, and colours end at full scale.
+    fn superposes(&self) -> bool {
+        false
+    }
+
     fn capture(
         &self,
         stimulus: &Stimulus,

@@ -1,6 +1,6 @@
 //! Stimulus → voltages, as changes against the untouched skin: what a model answers is 0 where nothing touches.
 
-use dermis_model::{ForwardModel, Stimulus, Trajectory};
+use dermis_model::{DeviceState, ForwardModel, Memory, Stepped, Stimulus};
 use dermis_skin::{ModelError, SkinDescription, Surface};
 use nalgebra::Point3;
 use serde::Deserialize;
@@ -113,13 +113,19 @@ impl ForwardModel for FoamModel {
         &self.noise
     }
 
-    fn trajectory(&self) -> Box<dyn Trajectory> {
-        Box::new(Creep {
+    /// Presses take from each other.
+    fn superposes(&self) -> bool {
+        false
+    }
+
+    fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
+        let creep = Creep {
             slow: vec![0.0; self.noise.len()],
             fade: self.medium.fade,
             time: self.medium.time,
             last: None,
-        })
+        };
+        Box::new(Stepped::new(self, creep))
     }
 }
 
@@ -131,8 +137,8 @@ struct Creep {
     last: Option<f64>,
 }
 
-impl Trajectory for Creep {
-    fn transduce(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
+impl Memory for Creep {
+    fn apply_transducer(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
         let step =
             self.last.replace(time).map_or(0.0, |last| 1.0 - (-(time - last).max(0.0) / self.time).exp());
         for (reading, slow) in readings.iter_mut().zip(&mut self.slow) {

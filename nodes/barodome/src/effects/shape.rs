@@ -8,7 +8,7 @@ use rand::Rng;
 use super::EFFECTS;
 use crate::parameters::{Element, Parameters};
 
-/// Applies the static effects of a skin to the numbers that its model is computed from. Effects that act along a trajectory
+/// Applies the static effects of a skin to the numbers that its model is computed from. Effects that remember
 /// are checked and left to [`Dynamics`](super::Dynamics).
 ///
 /// # Errors

@@ -1,9 +1,9 @@
-//! What is promised of every effect in the table, and what each of those along a trajectory does.
+//! What is promised of every effect in the table, and what each of those that remember does.
 
 use std::sync::{Arc, LazyLock};
 
-use dermis_model::suite::{Device, Effects};
-use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_model::suite::Effects;
+use dermis_model::{DeviceState, ForwardModel, Indentation, Memory, Stepped, Stimulus, Wrapper};
 use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
@@ -58,7 +58,7 @@ const ACT: Act = Act { place: [0.001, -0.004], force: 0.6 };
 const DT: f64 = 0.02;
 
 fn contact(x: f64, y: f64, force: f64) -> Indentation {
-    Indentation { position: Point3::new(x, y, 0.0), force: Vector3::new(0.0, 0.0, -force), diameter: 0.004 }
+    Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004)
 }
 
 /// Seven seconds: a strong press above the first taxel that slides away; then, after a pause, a press beside a weaker one.
@@ -85,7 +85,7 @@ fn act(act: Act) -> Vec<Stimulus> {
 static NOMINAL: LazyLock<Arc<BarometerModel>> =
     LazyLock::new(|| Arc::new(BarometerModel::new(&skin(vec![])).unwrap()));
 
-/// The model of a pad with one effect, and what its trajectories begin with. Tables are the slow part of a model: those that an
+/// The model of a pad with one effect, and what it starts with. Tables are the slow part of a model: those that an
 /// effect does not change are made once.
 fn device(effect: Effect) -> (Arc<BarometerModel>, Dynamics) {
     let skin = skin(vec![effect]);
@@ -99,6 +99,24 @@ fn device(effect: Effect) -> (Arc<BarometerModel>, Dynamics) {
     (model, Dynamics::new(&skin).unwrap())
 }
 
+/// A model that starts with other dynamics than its own.
+struct Started {
+    model: Arc<BarometerModel>,
+    dynamics: Dynamics,
+}
+
+impl Wrapper for Started {
+    const CHANGES_RESPONSE: bool = false;
+
+    fn inner(&self) -> &dyn ForwardModel {
+        self.model.as_ref()
+    }
+
+    fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(Stepped::new(self.model.as_ref(), self.dynamics.start(seed)))
+    }
+}
+
 /// The promises that every family's effects keep.
 fn suite() -> Effects<'static> {
     Effects {
@@ -110,7 +128,7 @@ fn suite() -> Effects<'static> {
                 [one] => device(one.clone()),
                 _ => (Arc::clone(&NOMINAL), Dynamics::new(skin)?),
             };
-            Ok(Device { model, begin: Box::new(move || dynamics.begin()) })
+            Ok(Arc::new(Started { model, dynamics }))
         },
         frame: DT,
     }
@@ -148,20 +166,30 @@ fn every_effect_is_named_and_parametrised() {
 }
 
 #[test]
-fn a_model_begins_its_trajectories_with_the_effects_of_its_skin() {
-    let whole = Effects {
-        device: &|skin| {
-            let model = Arc::new(BarometerModel::new(skin)?);
-            let walks = Arc::clone(&model);
-            Ok(Device { model, begin: Box::new(move || walks.trajectory()) })
-        },
-        ..suite()
-    };
+fn a_model_starts_with_the_effects_of_its_skin() {
+    let whole = Effects { device: &|skin| Ok(Arc::new(BarometerModel::new(skin)?)), ..suite() };
     let relaxing = || vec![Effect::new("relaxation")];
     let stimuli = act(ACT);
     let found = whole.readings(relaxing(), &stimuli);
     assert!(found == suite().readings(relaxing(), &stimuli));
     assert!(found != suite().readings(vec![], &stimuli));
+}
+
+#[test]
+fn what_wanders_does_so_otherwise_after_another_start() {
+    for name in ["trapped-air", "ambient-pressure"] {
+        let dynamics = Dynamics::new(&skin(vec![Effect::new(name).seed(3)])).unwrap();
+        let read = |start: u64| {
+            let (mut memory, mut out) = (dynamics.start(start), [0.0; 4]);
+            for t in [0.0, 3600.0] {
+                out = [0.0; 4];
+                memory.apply_transducer(t, &Stimulus::default(), &mut out);
+            }
+            out
+        };
+        assert_eq!(read(1), read(1), "{name}");
+        assert!(read(0) != read(1) && read(1) != read(2), "{name}");
+    }
 }
 
 #[test]
@@ -197,13 +225,13 @@ fn another_effect_or_channel_changes_no_draw() {
     assert!(alone[..3].iter().zip(&fewer).all(|(a, b)| a.gain == b.gain));
 }
 
-/// The walk of one effect over signals of the first channel, at these times.
-fn walk(effect: Effect, signal: impl IntoIterator<Item = (f64, f64)>) -> Vec<f64> {
-    let mut walk = Dynamics::new(&skin(vec![effect])).unwrap().begin();
+/// What one effect makes over signals of the first channel, at these times.
+fn stepped(effect: Effect, signal: impl IntoIterator<Item = (f64, f64)>) -> Vec<f64> {
+    let mut memory = Dynamics::new(&skin(vec![effect])).unwrap().start(0);
     let step = |(t, s): (f64, f64)| {
         let mut readings = [s, 0.0, 0.0, s];
-        walk.transduce(t, &Stimulus::default(), &mut readings);
-        walk.convert(&mut readings);
+        memory.apply_transducer(t, &Stimulus::default(), &mut readings);
+        memory.quantize(&mut readings);
         readings[0]
     };
     signal.into_iter().map(step).collect()
@@ -215,14 +243,14 @@ fn relaxation_is_exact_between_corners() {
     let fine: Vec<f64> = (0..=700).map(|i| f64::from(i) * 0.01).collect();
     let coarse = [0.0, 1.0, 1.5, 3.0, 3.5, 7.0];
     let relaxation = || Effect::new("relaxation");
-    let all = walk(relaxation(), fine.iter().map(|t| (*t, signal(*t))));
-    let few = walk(relaxation(), coarse.iter().map(|t| (*t, signal(*t))));
+    let all = stepped(relaxation(), fine.iter().map(|t| (*t, signal(*t))));
+    let few = stepped(relaxation(), coarse.iter().map(|t| (*t, signal(*t))));
     for (t, found) in coarse.iter().zip(few) {
         let exact = all[(t / 0.01).round() as usize];
         assert!((found - exact).abs() < 1e-9, "{t}: {found} for {exact}");
     }
     // A step that is held fades by the shares of both terms in the end.
-    let held = walk(relaxation(), [(0.0, 0.0), (1e-6, 1000.0), (1e4, 1000.0)]);
+    let held = stepped(relaxation(), [(0.0, 0.0), (1e-6, 1000.0), (1e4, 1000.0)]);
     approx::assert_relative_eq!(held[1], 1000.0, max_relative = 1e-5);
     approx::assert_relative_eq!(held[2], 920.0, max_relative = 1e-9);
 }
@@ -231,12 +259,12 @@ fn relaxation_is_exact_between_corners() {
 fn hysteresis_has_the_loop_that_was_asked_for() {
     let up = (0..=100).map(|i| f64::from(i) * 100.0);
     let cycle: Vec<f64> = up.clone().chain(up.clone().rev()).chain(up).collect();
-    let out = walk(Effect::new("hysteresis"), cycle.iter().enumerate().map(|(i, s)| (i as f64, *s)));
+    let out = stepped(Effect::new("hysteresis"), cycle.iter().enumerate().map(|(i, s)| (i as f64, *s)));
     // In the middle of the second loading and of the unloading before.
     approx::assert_relative_eq!(out[151] - out[252], 0.1 * 5000.0, max_relative = 1e-9);
     // Where it grows with the load it is a share of the signal, 5 and 2 kPa, but for what friction takes to turn round.
     let with_load = Effect::new("hysteresis").with("with_load", 1.0);
-    let out = walk(with_load, cycle.iter().enumerate().map(|(i, s)| (i as f64, *s)));
+    let out = stepped(with_load, cycle.iter().enumerate().map(|(i, s)| (i as f64, *s)));
     for (unloading, loading, stress) in [(151, 252, 5000.0), (181, 222, 2000.0)] {
         let loop_ = out[unloading] - out[loading];
         approx::assert_relative_eq!(loop_, 0.1 * stress, max_relative = 1e-3);
@@ -245,18 +273,19 @@ fn hysteresis_has_the_loop_that_was_asked_for() {
 
 #[test]
 fn softening_shows_below_the_largest_stress_only() {
-    let out = walk(Effect::new("mullins"), [(0.0, 4000.0), (1.0, 1000.0), (2.0, 4000.0), (3.0, 8000.0)]);
+    let out = stepped(Effect::new("mullins"), [(0.0, 4000.0), (1.0, 1000.0), (2.0, 4000.0), (3.0, 8000.0)]);
     assert_eq!((out[0], out[2], out[3]), (4000.0, 4000.0, 8000.0));
     approx::assert_relative_eq!(out[1], 1000.0 * (1.0 - 0.075 * 0.75 * 0.8), max_relative = 1e-12);
 }
 
 #[test]
 fn channels_are_read_one_after_another() {
-    let mut walk = Dynamics::new(&skin(vec![Effect::new("read-skew").with("delay", 0.013)])).unwrap().begin();
+    let mut memory =
+        Dynamics::new(&skin(vec![Effect::new("read-skew").with("delay", 0.013)])).unwrap().start(0);
     for i in 0..20 {
         let t = f64::from(i) * DT;
         let mut readings = [100.0 * t; 4];
-        walk.transduce(t, &Stimulus::default(), &mut readings);
+        memory.apply_transducer(t, &Stimulus::default(), &mut readings);
         for (channel, reading) in readings.iter().enumerate() {
             let at = (t - 0.013 * (3 - channel) as f64).max(0.0);
             assert!((reading - 100.0 * at).abs() < 1e-9, "channel {channel} at {t} s: {reading}");
@@ -267,10 +296,10 @@ fn channels_are_read_one_after_another() {
 #[test]
 fn air_expands_and_gives_way() {
     let air = Effect::new("trapped-air").with("room", 0.0).with("share", 0.2);
-    let mut walk = Dynamics::new(&skin(vec![air])).unwrap().begin();
+    let mut memory = Dynamics::new(&skin(vec![air])).unwrap().start(0);
     let mut next = |t, temperature, stress: f64| {
         let mut readings = [stress; 4];
-        walk.transduce(t, &Stimulus { temperature, ..Stimulus::default() }, &mut readings);
+        memory.apply_transducer(t, &Stimulus { temperature, ..Stimulus::default() }, &mut readings);
         readings
     };
     let (cold, pressed, warm) = (next(0.0, 293.15, 0.0), next(0.0, 293.15, 1000.0), next(0.0, 303.15, 0.0));
@@ -290,7 +319,7 @@ fn the_weather_is_the_same_for_all_and_wanders_as_slowly_as_was_asked() {
     let weather = Effect::new("ambient-pressure").with("time", 1000.0);
     let (mut moved, mut spread, devices) = (0.0, 0.0, 400);
     for seed in 0..devices {
-        let out = walk(weather.clone().seed(seed), [(0.0, 0.0), (10.0, 0.0)]);
+        let out = stepped(weather.clone().seed(seed), [(0.0, 0.0), (10.0, 0.0)]);
         moved += (out[1] - out[0]).powi(2);
         spread += out[0].powi(2);
     }
@@ -301,20 +330,21 @@ fn the_weather_is_the_same_for_all_and_wanders_as_slowly_as_was_asked() {
 
 #[test]
 fn the_converter_ends_and_counts() {
-    let ends = |strength| walk(Effect::new("saturation").strength(strength), [(0.0, 9000.0), (1.0, 8000.0)]);
+    let ends =
+        |strength| stepped(Effect::new("saturation").strength(strength), [(0.0, 9000.0), (1.0, 8000.0)]);
     assert_eq!(ends(1.0), [8700.0, 8000.0]);
     assert_eq!(ends(0.5), [8850.0, 8000.0]);
     assert_eq!(ends(7.0), [8700.0, 8000.0]);
-    let out = walk(Effect::new("resolution").with("step", 2.0), [(0.0, 9000.7), (1.0, -3.2)]);
+    let out = stepped(Effect::new("resolution").with("step", 2.0), [(0.0, 9000.7), (1.0, -3.2)]);
     assert_eq!(out, [9000.0, -4.0]);
 }
 
 #[test]
 fn a_sliding_tip_is_dragged_along_its_way() {
-    let mut walk = Dynamics::new(&skin(vec![Effect::new("friction")])).unwrap().begin();
+    let mut memory = Dynamics::new(&skin(vec![Effect::new("friction")])).unwrap().start(0);
     let mut next = |t: f64, x: f64| {
         let mut stimulus = Stimulus { contacts: vec![contact(x, 0.0, 0.5)], ..Stimulus::default() };
-        walk.touch(t, &mut stimulus);
+        memory.apply_to_stimulus(t, &mut stimulus);
         stimulus.contacts[0].force
     };
     assert_eq!(next(0.0, 0.0), Vector3::new(0.0, 0.0, -0.5));
@@ -327,7 +357,7 @@ fn a_sliding_tip_is_dragged_along_its_way() {
 
 /// Keeps the table honest about what acts where.
 #[test]
-fn what_is_not_static_acts_along_a_trajectory() -> Result<(), ModelError> {
+fn what_is_not_static_remembers() -> Result<(), ModelError> {
     let moves = |info: &EffectInfo| -> Result<bool, ModelError> {
         let skin = skin(vec![Effect::new(info.name)]);
         let mut parameters = Parameters::nominal(&skin)?;

@@ -90,11 +90,7 @@ mod tests {
 
     fn read(text: &str, x: f64, force: f64) -> [f64; 2] {
         let skin = SkinDescription::from_toml(text, "air.toml").unwrap();
-        let contact = Indentation {
-            position: Point3::new(x, 0.0, 0.0),
-            force: Vector3::new(0.0, 0.0, -force),
-            diameter: 0.008,
-        };
+        let contact = Indentation::sphere(Point3::new(x, 0.0, 0.0), Vector3::new(0.0, 0.0, -force), 0.008);
         let mut out = [0.0; 2];
         let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
         BarometerModel::new(&skin).unwrap().response(&stimulus, &mut out).unwrap();

@@ -210,7 +210,7 @@ fn at_force(contacts: &[Contact], force: f64) -> Contact {
 impl Field for Dome {
     fn add(&self, index: usize, contact: &Indentation, out: &mut [f64]) -> Result<(), ModelError> {
         let influence = self.field(index)?.influence();
-        let contacts = self.contacts(index, contact.diameter)?;
+        let contacts = self.contacts(index, contact.diameter())?;
         let [arc, angle] = self.shape.chart(&contact.position);
         let normal = self.shape.normal(&contact.position);
         let patch = at_force(&contacts, -contact.force.dot(&normal));
@@ -269,7 +269,7 @@ mod tests {
         let around = Vector3::new(-at[1].sin(), at[1].cos(), 0.0);
         let force = -out * force[0] + around.cross(&out) * force[1] + around * force[2];
         let mut readings = vec![0.0; 16];
-        dome.add(0, &Indentation { position, force, diameter: 0.004 }, &mut readings).unwrap();
+        dome.add(0, &Indentation::sphere(position, force, 0.004), &mut readings).unwrap();
         readings
     }
 
@@ -320,7 +320,7 @@ mod tests {
                 .map(|at| {
                     let position = NOMINAL.shape.point(*at);
                     let mut out = vec![0.0; 16];
-                    let contact = Indentation { position, force: Vector3::from(force), diameter: 0.004 };
+                    let contact = Indentation::sphere(position, Vector3::from(force), 0.004);
                     NOMINAL.add(0, &contact, &mut out).unwrap();
                     out
                 })
@@ -342,7 +342,7 @@ mod tests {
             let position = Point3::new(0.0, 0.0, 0.026);
             let mut out = vec![0.0; 16];
             let force = Vector3::new(0.0, 0.0, -0.5);
-            NOMINAL.add(0, &Indentation { position, force, diameter }, &mut out).unwrap();
+            NOMINAL.add(0, &Indentation::sphere(position, force, diameter), &mut out).unwrap();
             out[0]
         };
         assert!(below(0.002) > below(0.004) && below(0.004) > below(0.012));

@@ -230,9 +230,9 @@ impl Field for Flat {
     fn add(&self, index: usize, contact: &Indentation, out: &mut [f64]) -> Result<(), ModelError> {
         let kept;
         let tables: &[PressureTable] = match self.first.get() {
-            Some((diameter, tables)) if *diameter == contact.diameter.to_bits() => tables,
+            Some((diameter, tables)) if *diameter == contact.diameter().to_bits() => tables,
             _ => {
-                kept = self.tables(index, contact.diameter)?;
+                kept = self.tables(index, contact.diameter())?;
                 &kept
             }
         };
@@ -278,8 +278,7 @@ mod tests {
     }
 
     fn read(flat: &Flat, [x, y]: [f64; 2], force: [f64; 3]) -> Vec<f64> {
-        let contact =
-            Indentation { position: Point3::new(x, y, 0.0), force: Vector3::from(force), diameter: 0.004 };
+        let contact = Indentation::sphere(Point3::new(x, y, 0.0), Vector3::from(force), 0.004);
         let mut out = vec![0.0; 25];
         flat.add(0, &contact, &mut out).unwrap();
         out
@@ -289,8 +288,7 @@ mod tests {
     fn a_diameter_is_tabulated_once() {
         let flat = flat(|_| ());
         for diameter in [0.002, 0.012, 0.002] {
-            let contact =
-                Indentation { position: Point3::origin(), force: Vector3::new(0.0, 0.0, -0.3), diameter };
+            let contact = Indentation::sphere(Point3::origin(), Vector3::new(0.0, 0.0, -0.3), diameter);
             flat.add(0, &contact, &mut [0.0; 25]).unwrap();
         }
         assert_eq!(flat.tables.read().unwrap().len(), 2);

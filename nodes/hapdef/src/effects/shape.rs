@@ -14,7 +14,7 @@ use crate::parameters::{Clamp, Parameters, refusal};
 /// Waves that make up a random field: many, so that it is close to Gaussian.
 const WAVES: usize = 200;
 
-/// Applies the static effects of a skin to the numbers that its model is computed from. Effects that act along a trajectory
+/// Applies the static effects of a skin to the numbers that its model is computed from. Effects that remember
 /// are checked and left to [`Dynamics`](super::Dynamics).
 ///
 /// # Errors

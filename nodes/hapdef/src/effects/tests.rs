@@ -1,10 +1,10 @@
-//! What is promised of every effect in the table, and what each of those along a trajectory does.
+//! What is promised of every effect in the table, and what each of those that remember does.
 
 use std::sync::Arc;
 
 use approx::assert_relative_eq;
-use dermis_model::suite::{Device, Effects};
-use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_model::suite::Effects;
+use dermis_model::{ForwardModel, Indentation, Memory, Stimulus};
 use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
@@ -47,10 +47,8 @@ fn skin(effects: Vec<Effect>) -> SkinDescription {
     skin
 }
 
-fn device(skin: &SkinDescription) -> Result<Device, ModelError> {
-    let model = Arc::new(ShellModel::new(skin)?);
-    let walks = Arc::clone(&model);
-    Ok(Device { model, begin: Box::new(move || walks.trajectory()) })
+fn device(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
+    Ok(Arc::new(ShellModel::new(skin)?))
 }
 
 /// The promises that every family's effects keep.
@@ -73,11 +71,7 @@ struct Act {
 fn contact(x: f64, arc: f64, force: f64) -> Indentation {
     let (sin, cos) = (arc / 0.045).sin_cos();
     let normal = Vector3::new(0.0, sin, cos);
-    Indentation {
-        position: Point3::from(normal * 0.045) + Vector3::x() * x,
-        force: -normal * force,
-        diameter: 0.01,
-    }
+    Indentation::sphere(Point3::from(normal * 0.045) + Vector3::x() * x, -normal * force, 0.01)
 }
 
 /// Seven seconds: a strong press on the middle beam that slides around it; then, after a pause, two at once.
@@ -132,12 +126,12 @@ fn every_effect_is_named_and_parametrised() {
 }
 
 /// What a device with this effect reads of one gauge without a touch, or with it (strain), at times \[s\].
-fn walk(effect: Effect, readings: impl IntoIterator<Item = (f64, f64)>) -> Vec<f64> {
-    let mut walk = Dynamics::new(&skin(vec![effect]), None).unwrap().begin();
+fn stepped(effect: Effect, readings: impl IntoIterator<Item = (f64, f64)>) -> Vec<f64> {
+    let mut memory = Dynamics::new(&skin(vec![effect]), None).unwrap().start(0);
     let next = |(t, strain): (f64, f64)| {
         let mut readings = [strain; 4];
-        walk.transduce(t, &Stimulus::default(), &mut readings);
-        walk.convert(&mut readings);
+        memory.apply_transducer(t, &Stimulus::default(), &mut readings);
+        memory.quantize(&mut readings);
         readings[0]
     };
     readings.into_iter().map(next).collect()
@@ -146,7 +140,7 @@ fn walk(effect: Effect, readings: impl IntoIterator<Item = (f64, f64)>) -> Vec<f
 #[test]
 fn plastic_goes_on_giving_way() {
     let out =
-        walk(Effect::new("creep"), [(0.0, 0.0), (1e-6, 1e-3), (1e5, 1e-3), (1e5 + 1e-6, 0.0), (3e5, 0.0)]);
+        stepped(Effect::new("creep"), [(0.0, 0.0), (1e-6, 1e-3), (1e5, 1e-3), (1e5 + 1e-6, 0.0), (3e5, 0.0)]);
     assert_relative_eq!(out[1], 1e-3, max_relative = 1e-5);
     assert_relative_eq!(out[2], 1.07e-3, max_relative = 1e-6);
     assert_relative_eq!(out[3], 0.07e-3, max_relative = 1e-5);
@@ -154,10 +148,10 @@ fn plastic_goes_on_giving_way() {
 }
 
 #[test]
-fn zeros_walk_as_far_as_was_asked() {
+fn zeros_drift_as_far_as_was_asked() {
     let devices = 400;
     let squares: f64 = (0..devices)
-        .map(|seed| walk(Effect::new("zero-drift").seed(seed), [(0.0, 0.0), (3600.0, 0.0)])[1].powi(2))
+        .map(|seed| stepped(Effect::new("zero-drift").seed(seed), [(0.0, 0.0), (3600.0, 0.0)])[1].powi(2))
         .sum();
     assert_relative_eq!((squares / devices as f64).sqrt(), 1e-5, max_relative = 0.15);
 }
@@ -165,9 +159,9 @@ fn zeros_walk_as_far_as_was_asked() {
 #[test]
 fn warmth_reads_as_strain() {
     let effect = Effect::new("temperature").with("room", 0.0).with("self_heating", 0.0);
-    let mut walk = Dynamics::new(&skin(vec![effect]), None).unwrap().begin();
+    let mut memory = Dynamics::new(&skin(vec![effect]), None).unwrap().start(0);
     let mut readings = [0.0; 4];
-    walk.transduce(0.0, &Stimulus { temperature: 303.15, ..Stimulus::default() }, &mut readings);
+    memory.apply_transducer(0.0, &Stimulus { temperature: 303.15, ..Stimulus::default() }, &mut readings);
     // 10 K of 60 microstrain each, of which 5 % are left on average, and at most twice that.
     assert!(readings.iter().all(|r| (0.0..=6e-5).contains(r)), "{readings:?}");
     assert!(readings.iter().any(|r| *r > 1e-6));
@@ -176,7 +170,7 @@ fn warmth_reads_as_strain() {
 #[test]
 fn the_amplifier_ends() {
     let ends = |strength| {
-        walk(Effect::new("saturation").strength(strength), [(0.0, 3e-3), (1.0, -3e-3), (2.0, 1e-3)])
+        stepped(Effect::new("saturation").strength(strength), [(0.0, 3e-3), (1.0, -3e-3), (2.0, 1e-3)])
     };
     assert_eq!(ends(1.0), [2e-3, -2e-3, 1e-3]);
     assert_eq!(ends(0.5), [2.5e-3, -2.5e-3, 1e-3]);
@@ -187,9 +181,10 @@ fn counts_are_those_of_the_bridge() {
     let text =
         format!("{PANEL}bridge = {{ gain = 330.0, gauge_factor = 2.1, active_arms = 1.0, bits = 12 }}\n");
     let skin = SkinDescription::from_toml(&text, "panel.toml").unwrap();
-    let mut walk = ShellModel::new(&skin).unwrap().trajectory();
+    let model = ShellModel::new(&skin).unwrap();
+    let mut state = model.start(0);
     let mut readings = [2e-6, -2e-6, 0.0, 1e-4];
-    walk.convert(&mut readings);
+    state.quantize(&mut readings);
     let count = 4.0 / (330.0 * 2.1 * 4096.0);
     for (found, counts) in readings.iter().zip([1.0, -1.0, 0.0, 71.0]) {
         assert_relative_eq!(*found, counts * count, max_relative = 1e-12);
@@ -198,10 +193,10 @@ fn counts_are_those_of_the_bridge() {
 
 #[test]
 fn an_oblique_force_presses_as_hard_as_before() {
-    let mut walk = Dynamics::new(&skin(vec![Effect::new("oblique-force")]), None).unwrap().begin();
+    let mut memory = Dynamics::new(&skin(vec![Effect::new("oblique-force")]), None).unwrap().start(0);
     let straight = contact(0.0, 0.004, 10.0);
     let mut stimulus = Stimulus { contacts: vec![straight.clone()], ..Stimulus::default() };
-    walk.touch(0.0, &mut stimulus);
+    memory.apply_to_stimulus(0.0, &mut stimulus);
     let normal = -straight.force.normalize();
     let force = stimulus.contacts[0].force;
     assert_relative_eq!(-force.dot(&normal), 10.0, max_relative = 1e-9);
@@ -218,9 +213,25 @@ fn impossible_devices_are_refused_by_field() {
     assert!(text.contains("lie on the shell") || text.contains("lies on no material"), "{text}");
 }
 
+#[test]
+fn what_wanders_does_so_otherwise_after_another_start() {
+    for name in ["temperature", "zero-drift"] {
+        let model = ShellModel::new(&skin(vec![Effect::new(name).seed(3)])).unwrap();
+        let read = |start: u64| {
+            let (mut state, mut out) = (model.start(start), [0.0; 4]);
+            for t in [0.0, 3600.0] {
+                state.step(t, &Stimulus::default(), &mut out).unwrap();
+            }
+            out
+        };
+        assert_eq!(read(1), read(1), "{name}");
+        assert!(read(0) != read(1) && read(1) != read(2), "{name}");
+    }
+}
+
 /// Keeps the table honest about what acts where.
 #[test]
-fn what_is_not_static_acts_along_a_trajectory() -> Result<(), ModelError> {
+fn what_is_not_static_remembers() -> Result<(), ModelError> {
     let moves = |info: &EffectInfo| -> Result<bool, ModelError> {
         let skin = skin(vec![Effect::new(info.name)]);
         let mut parameters = Parameters::nominal(&skin)?;

@@ -19,7 +19,7 @@ static MODEL: LazyLock<ShellModel> = LazyLock::new(|| ShellModel::new(&coarse())
 
 fn press(model: &ShellModel, at: Point3<f64>, force: f64) -> Indentation {
     let (position, normal) = model.surface.project(&at);
-    Indentation { position, force: -normal * force, diameter: 0.010 }
+    Indentation::sphere(position, -normal * force, 0.010)
 }
 
 fn read(model: &ShellModel, contacts: Vec<Indentation>) -> Vec<f64> {
@@ -126,7 +126,7 @@ fn what_is_no_touch_is_refused() {
     insta::assert_snapshot!(wrong(Indentation { force: Vector3::repeat(f64::NAN), ..good.clone() }), @"contact 0: its position or force is not a number");
     insta::assert_snapshot!(wrong(Indentation { position: Point3::new(0.0, 0.0, 0.045), ..good.clone() }), @"contact 0: (0, 0, 0.045) m lies 0.006794 m off the surface");
     insta::assert_snapshot!(wrong(Indentation { force: -good.force, ..good.clone() }), @"contact 0: it pulls with 0.9999999999999999 N, and this model knows no adhesion");
-    insta::assert_snapshot!(wrong(Indentation { diameter: 0.0, ..good }), @"contact 0: its diameter is 0 m and must be 0.0001 to 0.1 m");
+    insta::assert_snapshot!(wrong(good.with_diameter(0.0)), @"contact 0: its diameter is 0 m and must be 0.0001 to 0.1 m");
 }
 
 #[test]

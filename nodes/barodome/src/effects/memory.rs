@@ -1,10 +1,10 @@
-//! Effects that act along a trajectory, and those of the electronics.
+//! Effects that remember, and those of the electronics.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use dermis_mechanics::{Friction, Prony, Wander, Warmth, stream};
-use dermis_model::{Stimulus, Trajectory};
+use dermis_model::{Memory, Stimulus};
 use dermis_skin::{Effect, ModelError, SkinDescription};
 use rand::Rng;
 
@@ -19,14 +19,14 @@ const PLAYS: [f64; 4] = [0.05, 0.1, 0.2, 0.4];
 /// Stress on which friction that grows with the load turns round, per scale.
 const DAHL: f64 = 0.05;
 
-/// What a device that was just switched on will remember: the effects of a skin that act along a trajectory.
+/// What a device that was just switched on will remember.
 #[derive(Debug, Clone)]
 pub struct Dynamics {
-    start: Walk,
+    start: MediumMemory,
 }
 
 impl Dynamics {
-    /// The effects of `skin` that act along a trajectory.
+    /// The effects of `skin` that remember.
     ///
     /// # Errors
     ///
@@ -35,7 +35,7 @@ impl Dynamics {
     pub fn new(skin: &SkinDescription) -> Result<Self, ModelError> {
         Effect::check(&skin.effects, EFFECTS, &skin.name)?;
         let channels = skin.channels().len();
-        let mut walk = Walk { channels, ..Walk::default() };
+        let mut memory = MediumMemory { channels, ..MediumMemory::default() };
         for (i, effect) in skin.effects.iter().enumerate().filter(|(_, e)| e.strength > 0.0) {
             let Some(info) = EFFECTS.iter().find(|info| info.name == effect.name) else { continue };
             let (strength, value) = (effect.strength, |name: &str| info.value(effect, name));
@@ -52,20 +52,20 @@ impl Dynamics {
             };
             match info.name {
                 "friction" => {
-                    walk.friction =
+                    memory.friction =
                         Some(Friction::new(strength * value("coefficient"), Arc::new(skin.surface())));
                 }
                 "mullins" => {
                     let loss = strength * value("loss") * value("share");
                     all(loss)?;
-                    walk.mullins =
+                    memory.mullins =
                         Some(Mullins { loss, onset: value("onset"), largest: vec![0.0; channels] });
                 }
                 "hysteresis" => {
                     let (width, with_load) = (strength * value("width"), value("with_load"));
                     let weight = width * (1.0 - with_load) / (2.0 * PLAYS.iter().sum::<f64>());
                     all(weight * PLAYS.len() as f64 + 0.5 * width * with_load)?;
-                    walk.hysteresis = Some(Hysteresis {
+                    memory.hysteresis = Some(Hysteresis {
                         weight,
                         thresholds: PLAYS.map(|p| p * value("scale")),
                         plays: vec![[0.0; PLAYS.len()]; channels],
@@ -78,12 +78,12 @@ impl Dynamics {
                     let terms = [("fast", "fast_time"), ("slow", "slow_time")];
                     let terms = terms.map(|(share, time)| (strength * value(share), value(time)));
                     all(terms.iter().map(|t| t.0).sum())?;
-                    walk.relaxation = Some(Prony::new(terms, channels));
+                    memory.relaxation = Some(Prony::new(terms, channels));
                 }
                 "trapped-air" => {
                     all(2.0 * strength * value("share"))?;
                     let mean = strength * value("share");
-                    walk.air = Some(Air {
+                    memory.air = Some(Air {
                         shares: (0..channels)
                             .map(|c| mean * stream(effect, c).random_range(0.0..=2.0))
                             .collect(),
@@ -96,29 +96,32 @@ impl Dynamics {
                 }
                 "ambient-pressure" => {
                     let deviation = strength * value("deviation");
-                    walk.weather = Some(Wander::new(deviation, value("time"), stream(effect, 0)));
+                    memory.weather = Some(Wander::new(deviation, value("time"), stream(effect, 0)));
                 }
                 "read-skew" => {
-                    walk.skew = Some(Skew { delay: strength * value("delay"), frames: VecDeque::new() });
+                    memory.skew = Some(Skew { delay: strength * value("delay"), frames: VecDeque::new() });
                 }
-                "saturation" => walk.end = Some((value("limit"), (1.0 - strength).max(0.0))),
-                "resolution" => walk.step = Some(strength * value("step")).filter(|s| *s > 0.0),
+                "saturation" => memory.end = Some((value("limit"), (1.0 - strength).max(0.0))),
+                "resolution" => memory.step = Some(strength * value("step")).filter(|s| *s > 0.0),
                 _ => {}
             }
         }
-        Ok(Self { start: walk })
+        Ok(Self { start: memory })
     }
 
-    /// Switches the device on.
+    /// Switches the device on: `seed` as in [`ForwardModel::start`](dermis_model::ForwardModel::start).
     #[must_use]
-    pub fn begin(&self) -> Box<dyn Trajectory> {
-        Box::new(self.start.clone())
+    pub fn start(&self, seed: u64) -> MediumMemory {
+        let mut memory = self.start.clone();
+        memory.weather = memory.weather.map(|weather| weather.restarted(seed));
+        memory.air = memory.air.map(|air| Air { warmth: air.warmth.restarted(seed), ..air });
+        memory
     }
 }
 
 /// One device from when it was switched on.
 #[derive(Debug, Clone, Default)]
-pub struct Walk {
+pub struct MediumMemory {
     channels: usize,
     friction: Option<Friction>,
     mullins: Option<Mullins>,
@@ -137,14 +140,14 @@ pub struct Walk {
     times: Option<(f64, f64)>,
 }
 
-impl Trajectory for Walk {
-    fn touch(&mut self, time: f64, stimulus: &mut Stimulus) {
+impl Memory for MediumMemory {
+    fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
         if let Some(friction) = &mut self.friction {
-            friction.touch(time, stimulus);
+            friction.drag(time, stimulus);
         }
     }
 
-    fn transduce(&mut self, time: f64, stimulus: &Stimulus, readings: &mut [f64]) {
+    fn apply_transducer(&mut self, time: f64, stimulus: &Stimulus, readings: &mut [f64]) {
         debug_assert_eq!(readings.len(), self.channels);
         let (first, last) = self.times.unwrap_or((time, time));
         self.times = Some((first, time));
@@ -192,7 +195,7 @@ impl Trajectory for Walk {
         }
     }
 
-    fn convert(&mut self, readings: &mut [f64]) {
+    fn quantize(&mut self, readings: &mut [f64]) {
         if let Some((limit, share)) = self.end {
             readings.iter_mut().filter(|r| **r > limit).for_each(|r| *r = limit + (*r - limit) * share);
         }

@@ -1,9 +1,9 @@
-//! Effects that act along a trajectory, and those of the electronics.
+//! Effects that remember, and those of the electronics.
 
 use std::sync::Arc;
 
-use dermis_mechanics::{Friction, Prony, Walk as Drift, Wander, Warmth, stream};
-use dermis_model::{Stimulus, Trajectory, tangents};
+use dermis_mechanics::{Friction, Prony, RandomWalk, Wander, Warmth, stream};
+use dermis_model::{Memory, Stimulus, tangents};
 use dermis_skin::{Effect, ModelError, SkinDescription, Surface};
 use nalgebra::{Unit, UnitQuaternion};
 use rand::Rng;
@@ -14,14 +14,14 @@ use crate::parameters::Bridge;
 /// \[K\] at which gauges are balanced.
 const STANDARD_TEMPERATURE: f64 = 293.15;
 
-/// What a device that was just switched on will remember: the effects of a skin that act along a trajectory.
+/// What a device that was just switched on will remember.
 #[derive(Debug, Clone)]
 pub struct Dynamics {
-    start: Walk,
+    start: ShellMemory,
 }
 
 impl Dynamics {
-    /// The effects of `skin` that act along a trajectory, and the `bridge` that counts.
+    /// The effects of `skin` that remember, and the `bridge` that counts.
     ///
     /// # Errors
     ///
@@ -30,27 +30,27 @@ impl Dynamics {
     pub fn new(skin: &SkinDescription, bridge: Option<Bridge>) -> Result<Self, ModelError> {
         Effect::check(&skin.effects, EFFECTS, &skin.name)?;
         let channels = skin.channels().len();
-        let mut walk = Walk { step: bridge.map(|b| b.count()), ..Walk::default() };
+        let mut memory = ShellMemory { step: bridge.map(|b| b.count()), ..ShellMemory::default() };
         for effect in skin.effects.iter().filter(|e| e.strength > 0.0) {
             let Some(info) = EFFECTS.iter().find(|info| info.name == effect.name) else { continue };
             let (strength, value) = (effect.strength, |name: &str| info.value(effect, name));
             match info.name {
                 "oblique-force" => {
                     let direction = stream(effect, 0).random_range(0.0..std::f64::consts::TAU);
-                    walk.oblique = Some(Oblique {
+                    memory.oblique = Some(Oblique {
                         angle: strength * value("angle"),
                         direction,
                         surface: Arc::new(skin.surface()),
                     });
                 }
                 "friction" => {
-                    walk.friction =
+                    memory.friction =
                         Some(Friction::new(strength * value("coefficient"), Arc::new(skin.surface())));
                 }
                 "creep" => {
                     let terms = [("fast", "fast_time"), ("slow", "slow_time")];
                     let terms = terms.map(|(share, time)| (strength * value(share), value(time)));
-                    walk.creep = Some(Prony::new(terms, channels));
+                    memory.creep = Some(Prony::new(terms, channels));
                 }
                 "temperature" => {
                     // Each gauge keeps 0 to twice what is left on average.
@@ -58,36 +58,39 @@ impl Dynamics {
                     let room = Wander::new(value("room"), value("room_time"), stream(effect, channels));
                     let per_kelvin =
                         (0..channels).map(|c| left * stream(effect, c).random_range(0.0..=2.0)).collect();
-                    walk.warmth =
+                    memory.warmth =
                         Some((Warmth::new(value("self_heating"), value("heating_time"), room), per_kelvin));
                 }
                 "zero-drift" => {
                     let rate = strength * value("rate") / 3600f64.sqrt();
-                    walk.drift = (0..channels).map(|c| Drift::new(rate, stream(effect, c))).collect();
+                    memory.drift = (0..channels).map(|c| RandomWalk::new(rate, stream(effect, c))).collect();
                 }
-                "saturation" => walk.end = Some((value("limit"), (1.0 - strength).max(0.0))),
+                "saturation" => memory.end = Some((value("limit"), (1.0 - strength).max(0.0))),
                 _ => {}
             }
         }
-        Ok(Self { start: walk })
+        Ok(Self { start: memory })
     }
 
-    /// Switches the device on.
+    /// Switches the device on: `seed` as in [`ForwardModel::start`](dermis_model::ForwardModel::start).
     #[must_use]
-    pub fn begin(&self) -> Box<dyn Trajectory> {
-        Box::new(self.start.clone())
+    pub fn start(&self, seed: u64) -> ShellMemory {
+        let mut memory = self.start.clone();
+        memory.drift = memory.drift.iter().map(|drift| drift.restarted(seed)).collect();
+        memory.warmth = memory.warmth.map(|(warmth, per_kelvin)| (warmth.restarted(seed), per_kelvin));
+        memory
     }
 }
 
 /// One device from when it was switched on.
 #[derive(Debug, Clone, Default)]
-pub struct Walk {
+pub struct ShellMemory {
     oblique: Option<Oblique>,
     friction: Option<Friction>,
     creep: Option<Prony>,
     /// And strain per kelvin that is left of the expansion, one a channel.
     warmth: Option<(Warmth, Vec<f64>)>,
-    drift: Vec<Drift>,
+    drift: Vec<RandomWalk>,
     /// Strain either way beyond which readings grow by this share only.
     end: Option<(f64, f64)>,
     /// Strain of a count.
@@ -96,17 +99,17 @@ pub struct Walk {
     times: Option<(f64, f64)>,
 }
 
-impl Trajectory for Walk {
-    fn touch(&mut self, time: f64, stimulus: &mut Stimulus) {
+impl Memory for ShellMemory {
+    fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
         if let Some(oblique) = &self.oblique {
-            oblique.touch(stimulus);
+            oblique.turn(stimulus);
         }
         if let Some(friction) = &mut self.friction {
-            friction.touch(time, stimulus);
+            friction.drag(time, stimulus);
         }
     }
 
-    fn transduce(&mut self, time: f64, stimulus: &Stimulus, readings: &mut [f64]) {
+    fn apply_transducer(&mut self, time: f64, stimulus: &Stimulus, readings: &mut [f64]) {
         let (first, last) = self.times.unwrap_or((time, time));
         self.times = Some((first, time));
         // A clock that jumps back makes no time.
@@ -127,7 +130,7 @@ impl Trajectory for Walk {
         }
     }
 
-    fn convert(&mut self, readings: &mut [f64]) {
+    fn quantize(&mut self, readings: &mut [f64]) {
         if let Some((limit, share)) = self.end {
             for r in readings.iter_mut().filter(|r| r.abs() > limit) {
                 *r = r.signum() * (limit + (r.abs() - limit) * share);
@@ -151,7 +154,7 @@ struct Oblique {
 
 impl Oblique {
     /// Turns forces; how hard they press stays what a plan asks for.
-    fn touch(&self, stimulus: &mut Stimulus) {
+    fn turn(&self, stimulus: &mut Stimulus) {
         for contact in &mut stimulus.contacts {
             let (_, normal) = self.surface.project(&contact.position);
             let [first, second] = tangents(&normal);

@@ -1,0 +1,67 @@
+//! Dead time: readings of a while ago, linear between frames; before the first frame, as in it.
+
+use std::collections::VecDeque;
+
+use dermis_skin::ParameterInfo;
+
+use super::{
+    Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Signature, Stage, StatefulAct,
+};
+
+pub(super) const EFFECT: CommonEffect = CommonEffect {
+    name: "delay",
+    what: "Readings come late against the ground truth.",
+    source: "dead time of a chain of measurement",
+    parameters: CommonParameters::Named(&[ParameterInfo::new(
+        "time",
+        "s",
+        "by which they are late",
+        0.0,
+        [0.0, 0.1],
+        [0.0, f64::INFINITY],
+    )]),
+    unit: "s",
+    stateful: true,
+    rig: false,
+    stage: Stage::Electronics,
+    signature: Signature::SIMULATED,
+    acts,
+};
+
+fn acts(settings: &Settings<'_>) -> Result<Vec<Act>, Refused> {
+    let by = settings.duration("time")?;
+    if by == 0.0 {
+        return Ok(Vec::new());
+    }
+    Ok(vec![Act::remembers(Stage::Electronics, Delay { by, frames: VecDeque::new() })])
+}
+
+#[derive(Clone)]
+struct Delay {
+    /// \[s\]
+    by: f64,
+    /// Time and readings, as far back as needed.
+    frames: VecDeque<(f64, Vec<f64>)>,
+}
+
+impl StatefulAct for Delay {
+    fn apply(&mut self, now: &Circumstances, readings: &mut [f64]) {
+        let at = now.time - self.by;
+        while self.frames.len() > 1 && self.frames[1].0 <= at {
+            self.frames.pop_front();
+        }
+        self.frames.push_back((now.time, readings.to_vec()));
+        let after = self.frames.partition_point(|(t, _)| *t < at);
+        match (after.checked_sub(1), self.frames.get(after)) {
+            (Some(before), Some((t1, next))) => {
+                let (t0, ago) = &self.frames[before];
+                let part = (at - t0) / (t1 - t0);
+                for ((r, a), n) in readings.iter_mut().zip(ago).zip(next) {
+                    *r = a + (n - a) * part;
+                }
+            }
+            (None, Some((_, next))) => readings.copy_from_slice(next),
+            (_, None) => {}
+        }
+    }
+}

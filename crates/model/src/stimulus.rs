@@ -1,0 +1,256 @@
+//! What touches a skin: the input of a forward model.
+
+use dermis_skin::{ModelError, Surface};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Shape and size \[m\] of the end of an indenter. It presses along its own -z.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "shape", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum TipShape {
+    /// A ball.
+    Sphere {
+        /// \[m\]
+        diameter: f64,
+    },
+    /// A rod that lies on its side, along its own x.
+    Cylinder {
+        /// \[m\]
+        diameter: f64,
+        /// \[m\]
+        length: f64,
+    },
+    /// The flat end of a round rod.
+    FlatPunch {
+        /// \[m\] of the face.
+        diameter: f64,
+    },
+    /// An edge along its own x, between two flanks.
+    Wedge {
+        /// \[rad\] between the flanks.
+        angle: f64,
+        /// \[m\] of the edge.
+        length: f64,
+    },
+    /// The flat end of a rod with as many equal sides; the first corner is on its own x.
+    Polygon {
+        /// Sides of the face.
+        sides: u32,
+        /// \[m\] of the circle through its corners.
+        diameter: f64,
+    },
+    /// The flat side of a box; tilted, its edge presses first.
+    Box {
+        /// \[m\] along its own x and y.
+        size: [f64; 2],
+    },
+}
+
+impl TipShape {
+    /// As files and errors call it.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Sphere { .. } => "sphere",
+            Self::Cylinder { .. } => "cylinder",
+            Self::FlatPunch { .. } => "flat-punch",
+            Self::Wedge { .. } => "wedge",
+            Self::Polygon { .. } => "polygon",
+            Self::Box { .. } => "box",
+        }
+    }
+
+    /// \[m\] from end to end: the diameter of a sphere, the longest extent of the face of any other shape.
+    #[must_use]
+    pub fn extent(&self) -> f64 {
+        match *self {
+            Self::Sphere { diameter } | Self::FlatPunch { diameter } | Self::Polygon { diameter, .. } => {
+                diameter
+            }
+            Self::Cylinder { diameter, length } => diameter.max(length),
+            Self::Wedge { length, .. } => length,
+            Self::Box { size: [x, y] } => x.hypot(y),
+        }
+    }
+
+    /// The same shape with all lengths times `factor`.
+    #[must_use]
+    pub fn scaled(mut self, factor: f64) -> Self {
+        match &mut self {
+            Self::Sphere { diameter } | Self::FlatPunch { diameter } | Self::Polygon { diameter, .. } => {
+                *diameter *= factor;
+            }
+            Self::Cylinder { diameter, length } => {
+                *diameter *= factor;
+                *length *= factor;
+            }
+            Self::Wedge { length, .. } => *length *= factor,
+            Self::Box { size } => size.iter_mut().for_each(|s| *s *= factor),
+        }
+        self
+    }
+
+    /// What of the shape cannot be: which number, and what it must be.
+    ///
+    /// # Errors
+    ///
+    /// A sentence.
+    pub fn check(&self) -> Result<(), String> {
+        let (low, high) =
+            (Indentation::DIAMETERS.start().to_owned(), Indentation::DIAMETERS.end().to_owned());
+        let lengths: &[(&str, f64)] = match self {
+            Self::Sphere { diameter } | Self::FlatPunch { diameter } => &[("diameter", *diameter)],
+            Self::Cylinder { diameter, length } => &[("diameter", *diameter), ("length", *length)],
+            Self::Wedge { angle, length } => {
+                if !(*angle > 0.0 && *angle < std::f64::consts::PI) {
+                    return Err(format!("the angle of its wedge is {angle} rad and must be between 0 and π"));
+                }
+                &[("length", *length)]
+            }
+            Self::Polygon { sides, diameter } => {
+                if !(3..=64).contains(sides) {
+                    return Err(format!("its polygon has {sides} sides and must have 3 to 64"));
+                }
+                &[("diameter", *diameter)]
+            }
+            Self::Box { size: [x, y] } => &[("first side", *x), ("second side", *y)],
+        };
+        for (name, value) in lengths {
+            if !Indentation::DIAMETERS.contains(value) {
+                return Err(format!("its {name} is {value} m and must be {low} to {high} m"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The end of an indenter, and how it stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tip {
+    /// Shape and size.
+    pub shape: TipShape,
+    /// From the frame of the tip to that of the skin's link. A sphere is the same whichever way it is turned.
+    pub orientation: UnitQuaternion<f64>,
+}
+
+impl Tip {
+    /// A ball of this diameter \[m\].
+    #[must_use]
+    pub fn sphere(diameter: f64) -> Self {
+        Self { shape: TipShape::Sphere { diameter }, orientation: UnitQuaternion::identity() }
+    }
+
+    /// The diameter \[m\] of a sphere; `None` for any other shape.
+    #[must_use]
+    pub fn as_sphere(&self) -> Option<f64> {
+        match self.shape {
+            TipShape::Sphere { diameter } => Some(diameter),
+            _ => None,
+        }
+    }
+}
+
+/// One indenter on the skin.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Indentation {
+    /// \[m\] centre of the contact on the undeformed surface.
+    pub position: Point3<f64>,
+    /// \[N\] exerted on the skin, in the link frame; the normal part points into the surface.
+    pub force: Vector3<f64>,
+    /// What presses.
+    pub tip: Tip,
+}
+
+impl Indentation {
+    /// \[m\] off the surface that a contact may lie: rounding of single precision, with room to spare.
+    pub const OFF_SURFACE: f64 = 1e-4;
+    /// \[m\] diameters of a tip that forward models speak of.
+    pub const DIAMETERS: std::ops::RangeInclusive<f64> = 1e-4..=0.1;
+
+    /// A ball of `diameter` \[m\] that exerts `force` \[N\] at `position` \[m\].
+    #[must_use]
+    pub fn sphere(position: Point3<f64>, force: Vector3<f64>, diameter: f64) -> Self {
+        Self { position, force, tip: Tip::sphere(diameter) }
+    }
+
+    /// \[m\] of a spherical tip; of any other, its longest extent ([`TipShape::extent`]).
+    #[must_use]
+    pub fn diameter(&self) -> f64 {
+        self.tip.shape.extent()
+    }
+
+    /// The same with a spherical tip of another diameter \[m\].
+    #[must_use]
+    pub fn with_diameter(self, diameter: f64) -> Self {
+        Self { tip: Tip::sphere(diameter), ..self }
+    }
+
+    /// The outward normal under a contact that forward models for spherical tips can speak of; `index` is its place in the
+    /// stimulus.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Stimulus`] where it is not a number, lies off `surface`, pulls, or has an impossible tip or one that is no
+    /// sphere.
+    pub fn check(&self, index: usize, surface: &Surface) -> Result<Vector3<f64>, ModelError> {
+        let wrong = |reason: String| Err(ModelError::Stimulus { index, reason });
+        if self.tip.as_sphere().is_none() {
+            return wrong(format!(
+                "its tip is a {}, and this model knows spheres only: give a tip of shape \"sphere\"",
+                self.tip.shape.name()
+            ));
+        }
+        self.check_any_tip(index, surface)
+    }
+
+    /// As [`check`](Self::check), for models that know every shape of tip.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Stimulus`] where it is not a number, lies off `surface`, pulls, or has an impossible tip.
+    pub fn check_any_tip(&self, index: usize, surface: &Surface) -> Result<Vector3<f64>, ModelError> {
+        let wrong = |reason: String| Err(ModelError::Stimulus { index, reason });
+        let p = self.position;
+        if !p.iter().chain(self.force.iter()).all(|v| v.is_finite()) {
+            return wrong("its position or force is not a number".into());
+        }
+        let (nearest, normal) = surface.project(&p);
+        let off = (p - nearest).norm();
+        if off > Self::OFF_SURFACE {
+            return wrong(format!("({}, {}, {}) m lies {off:.6} m off the surface", p.x, p.y, p.z));
+        }
+        let pressing = -self.force.dot(&normal);
+        if pressing < 0.0 {
+            return wrong(format!("it pulls with {} N, and this model knows no adhesion", -pressing));
+        }
+        match self.tip.shape.check() {
+            Ok(()) => Ok(normal),
+            Err(reason) => wrong(reason),
+        }
+    }
+}
+
+/// What touches the skin at one instant, and what it is surrounded by.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stimulus {
+    /// All indenters; empty means "not touched".
+    pub contacts: Vec<Indentation>,
+    /// \[K\] of the skin.
+    pub temperature: f64,
+    /// \[Pa\] of the air around it.
+    pub ambient_pressure: f64,
+    /// \[m/s²\] in the frame of the skin's link. Zero, the default: the weight of the skin itself is part of its tare.
+    pub gravity: Vector3<f64>,
+}
+
+impl Default for Stimulus {
+    /// Untouched at 20 °C and one standard atmosphere, without weight.
+    fn default() -> Self {
+        Self {
+            contacts: Vec::new(),
+            temperature: 293.15,
+            ambient_pressure: 101_325.0,
+            gravity: Vector3::zeros(),
+        }
+    }
+}
