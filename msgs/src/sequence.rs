@@ -7,7 +7,8 @@
 //!
 //! Method: [`SequenceTracker`] follows one sender. It keeps its highest number and the gaps below it. A number that falls into
 //! a gap was late and takes itself off the count. Any other number that is not above the highest is told by its time: where
-//! it was sent after the highest one, the sender counts from the start again; otherwise it has come before. The first message
+//! it was sent after the highest one, the sender counts from the start again; otherwise it has come before. Without times, a lower
+//! number starts the count again, unless the number after the highest one follows: then it was late. The first message
 //! of a sender is where counting begins: what went before it was never meant for this receiver. [`LossCounter`] does so for
 //! several senders.
 //!
@@ -50,6 +51,8 @@ pub struct SequenceTracker {
     highest: Option<(u64, Option<i64>)>,
     /// When the sender last began to count again: what it sent before may still arrive.
     since: Option<i64>,
+    /// The highest number before a lower one came that no time tells from a start.
+    doubted: Option<u64>,
     /// First and last number of each gap below the highest, in rising order.
     gaps: VecDeque<(u64, u64)>,
     missing: u64,
@@ -62,6 +65,10 @@ impl SequenceTracker {
             self.highest = Some((number, sent_ns));
             return Arrival::First;
         };
+        if self.doubted.take().is_some_and(|before| number == before + 1) {
+            self.highest = Some((number, sent_ns));
+            return Arrival::Next;
+        }
         if number > highest {
             let before_restart = matches!((sent_ns, self.since), (Some(sent), Some(since)) if sent < since);
             if number > highest + 1 && before_restart {
@@ -91,6 +98,7 @@ impl SequenceTracker {
         if !newer && (timed || number == highest) {
             return Arrival::Repeated;
         }
+        self.doubted = (!timed).then_some(highest);
         self.highest = Some((number, sent_ns));
         self.since = sent_ns;
         self.gaps.clear();
@@ -248,6 +256,19 @@ mod tests {
         {
             assert_eq!(tracker.observe(number, None), arrival, "{number}");
         }
+    }
+
+    /// A live message may overtake one of the history; a frame that has no stamp does not tell so by its time.
+    #[test]
+    fn one_that_comes_late_without_a_time_is_no_start() {
+        use Arrival::{After, First, Next, Restarted};
+        let mut tracker = SequenceTracker::default();
+        for (number, arrival) in
+            [(8, First), (7, Restarted), (9, Next), (0, Restarted), (1, Next), (10, After(8))]
+        {
+            assert_eq!(tracker.observe(number, None), arrival, "{number}");
+        }
+        assert_eq!(tracker.missing(), 8);
     }
 
     #[test]

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription, Surface, SurfaceSpec};
+use dermis_skin::{
+    Effect, EffectInfo, Image, ModelError, PixelFormat, SkinDescription, Surface, SurfaceSpec,
+};
 use nalgebra::{Point3, Vector3};
 
 use crate::{
@@ -392,6 +394,21 @@ impl ForwardModel for Probe {
         Ok(true)
     }
 
+    /// One grey pixel that tells the number of contacts and the noise.
+    fn capture(
+        &self,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        let level = 10.0 * stimulus.contacts.len() as f64 + noise();
+        Ok(Image::new(1, 1, PixelFormat::Mono8, vec![level as u8]))
+    }
+
+    fn observe(&self, image: &Image, out: &mut [f64]) -> bool {
+        out.fill(f64::from(image.data()[0]));
+        true
+    }
+
     fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
         Box::new(ProbeState(seed as f64))
     }
@@ -444,6 +461,11 @@ pub fn forwards_everything(wrapper: &dyn ForwardModel, noise: &[f64], same_respo
     let mut points = vec![f64::NAN; probe.surface().points.len()];
     assert!(wrapper.displacement(&stimulus, &mut points).expect("a press can be"), "displacement");
     assert!(points.iter().all(|p| *p == 8.0), "displacement: {points:?}");
+    let image =
+        wrapper.capture(&stimulus, &mut || 3.0).expect("a press can be").expect("the probe has a camera");
+    assert_eq!(image.data(), [13], "capture");
+    assert!(wrapper.observe(&image, &mut own), "observe");
+    assert_eq!(own, [13.0; 2], "observe");
     let at = Point3::new(0.003, 0.0, 0.0);
     assert_eq!(wrapper.force_at(&at, 0.004, 0.001), probe.force_at(&at, 0.004, 0.001), "force_at");
     assert_eq!(wrapper.depth_at(&at, 0.004, 0.7), probe.depth_at(&at, 0.004, 0.7), "depth_at");

@@ -11,8 +11,8 @@ use dermis_msgs::std_msgs::msg::Header;
 use nalgebra::{Point3, Vector3};
 
 use crate::{
-    ChannelFlags, Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues, Frame,
-    Image, PixelFormat, SensorKind, SkinDescription, Stamp, Surface,
+    ChannelFlags, Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues, Frame, Image,
+    PixelFormat, SensorKind, SkinDescription, Stamp, Surface,
 };
 
 fn point(p: &Point3<f64>) -> Point {

@@ -154,7 +154,11 @@ impl Method for Learned {
         let Some(learned) = self.network(id)? else { return Ok(None) };
         let Some(inverter) = &self.inverter else { return Ok(Some(learned)) };
         let pressing = learned.normal_force();
-        let hint = (pressing > 0.0).then_some(Indentation::sphere(learned.position, learned.force, inverter.settings().diameter));
+        let hint = (pressing > 0.0).then_some(Indentation::sphere(
+            learned.position,
+            learned.force,
+            inverter.settings().diameter,
+        ));
         let found = inverter.solve(&readings(sample), hint.as_ref())?.contacts.into_iter().next();
         Ok(Some(found.map_or(learned, |found| {
             let mut contact = Contact::at(found.position, found.normal);

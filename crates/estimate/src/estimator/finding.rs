@@ -168,7 +168,10 @@ impl SkinEstimator {
             let known = |c: &&Contact| {
                 c.position.iter().chain(&c.force).all(|v| v.is_finite()) && c.normal_force() > 0.0
             };
-            let hint = learned.first().filter(known).map(|c| Indentation::sphere(c.position, c.force, settings.diameter));
+            let hint = learned
+                .first()
+                .filter(known)
+                .map(|c| Indentation::sphere(c.position, c.force, settings.diameter));
             inverter.solve(&self.readings, hint.as_ref())
         };
         let solution =

@@ -248,7 +248,9 @@ fn pressed(
     press: Option<([f64; 2], f64)>,
     broken: &[usize],
 ) -> Estimate {
-    let contacts = press.map(|([x, y], force)| Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004));
+    let contacts = press.map(|([x, y], force)| {
+        Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004)
+    });
     let stimulus = Stimulus { contacts: contacts.into_iter().collect(), ..Stimulus::default() };
     let mut signal = [0.0; 9];
     Membrane::new(&nine()).response(&stimulus, &mut signal).unwrap();
@@ -342,7 +344,9 @@ fn maps_are_made_of_refined_contacts_where_somebody_asks() {
 
 /// One frame of the pad of nine under presses at \[m\] with \[N\].
 fn both(k: u64, presses: &[([f64; 2], f64)]) -> Frame {
-    let contacts = presses.iter().map(|([x, y], force)| Indentation::sphere(Point3::new(*x, *y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004));
+    let contacts = presses.iter().map(|([x, y], force)| {
+        Indentation::sphere(Point3::new(*x, *y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004)
+    });
     let mut signal = [0.0; 9];
     let stimulus = Stimulus { contacts: contacts.collect(), ..Stimulus::default() };
     Membrane::new(&nine()).response(&stimulus, &mut signal).unwrap();
