@@ -1,6 +1,7 @@
 //! A fifth sensor is a folder: a family that nothing under `crates/` knows goes all the way through the program.
 //!
-//! The foam has 784 channels that follow from 28 electrodes, a shape of its own, memory, and contacts that do not add up.
+//! The foam has 784 channels that follow from 28 electrodes, a shape of its own, memory, and contacts that do not add up. The
+//! camera sends images on request, over a wire of its own; a convolutional network makes a force map of them.
 
 #![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
@@ -10,10 +11,12 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
 use dermis_integration_tests::{Peer, backend, domain, finish, isolate, json, program, refused, root};
-use dermis_msgs::msg::{ContactArray, TaxelFrame};
+use dermis_msgs::msg::{ContactArray, ForceMap, TaxelFrame};
+use dermis_msgs::sensor_msgs::msg::Image;
 use dermis_node::{Node, NodeOptions, Qos};
 
 const FOAM: &str = "integration-tests/toys/skins/toy-foam.toml";
+const CAMERA: &str = "integration-tests/toys/skins/toy-camera.toml";
 /// Longest wait for anything, on a machine at full load.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -36,10 +39,28 @@ fn plan(folder: &Path, name: &str, presses: u32, seed: u32) -> PathBuf {
     path
 }
 
+/// Short presses on a pad of 32 x 24 mm.
+fn pad_plan(folder: &Path, name: &str, presses: u32, seed: u32) -> PathBuf {
+    let path = folder.join(format!("{name}.toml"));
+    let text = format!(
+        "schema = 'dermis-plan/1'\nname = '{name}'\nseed = {seed}\ndiameter = 0.004\nmargin = 0.003\n\
+         [timing]\napproach = [0.05, 0.1]\nload = [0.1, 0.15]\nhold = [0.2, 0.3]\nunload = [0.05, 0.1]\ngap = [0.2, 0.3]\n\
+         [[steps]]\nkind = 'idle'\nduration = 2.0\n\
+         [[steps]]\nkind = 'presses'\ncount = {presses}\nforce = [0.5, 4.0]\n"
+    );
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
 fn collect(folder: &Path, name: &str, presses: u32, seed: u32, effects: &[&str]) -> PathBuf {
-    let bag = folder.join(name);
-    let mut command = toys(&["collect", FOAM, "--plan"]);
-    command.arg(plan(folder, name, presses, seed)).arg("--out").arg(&bag);
+    collect_by(FOAM, &plan(folder, name, presses, seed), effects)
+}
+
+/// Records a plan beside its file.
+fn collect_by(skin: &str, plan: &Path, effects: &[&str]) -> PathBuf {
+    let bag = plan.with_extension("");
+    let mut command = toys(&["collect", skin, "--plan"]);
+    command.arg(plan).arg("--out").arg(&bag);
     effects.iter().for_each(|effect| {
         command.args(["--effect", effect]);
     });
@@ -142,4 +163,117 @@ fn its_node_finds_contacts_on_the_wire() {
         }
         assert!(Instant::now() < deadline, "no contact was found; it last said {:?}", array.status_text);
     }
+}
+
+/// A convolutional network from images to a force map, learned from a bag.
+fn seeing_model(folder: &Path) -> PathBuf {
+    let bag = collect_by(CAMERA, &pad_plan(folder, "seen", 60, 1), &[]);
+    let config = folder.join("train.cfg.toml");
+    let text = "targets = [\"position.x\", \"position.y\", \"force.normal\", \"map.normal\"]\nbaseline = \"tared\"\n\
+                [features]\nscaling = \"common\"\nimage = { planes = 3, rows = 24, columns = 32 }\n\
+                [network.conv]\ngrid = [3, 24, 32]\nencoder = [8, 16, 16]\nhidden = 64\nsurface = [13, 17]\n\
+                [training]\nepochs = 30\nbatch = 32\nlearning_rate = 3e-3\n\
+                [split]\nkind = \"location\"\nfraction = 0.2\n";
+    std::fs::write(&config, text).unwrap();
+    let out = folder.join("model");
+    let mut train = toys(&["train", "--skin", CAMERA, "--config"]);
+    finish(train.arg(config).arg("--out").arg(&out).arg(bag));
+    out
+}
+
+#[test]
+fn a_cameras_images_are_recorded_learned_from_and_bounded() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = seeing_model(folder.path());
+    let manifest = std::fs::read_to_string(model.join("bundle.toml")).unwrap();
+    assert!(manifest.contains("[input.image]") && manifest.contains("map.normal"), "{manifest}");
+    let bag = collect_by(CAMERA, &pad_plan(folder.path(), "test", 20, 2), &[]);
+    let info = json(&finish(toys(&["bag", "info", "--json"]).arg(&bag)));
+    let topics = info["topics"].as_array().unwrap();
+    let count = |name: &str| topics.iter().find(|t| t["name"] == name).unwrap()["messages"].as_u64().unwrap();
+    assert!(count("/image") > 200 && count("/image") == count("/taxels"), "{info}");
+    let found =
+        json(&finish(toys(&["evaluate", "--json", "--skin", CAMERA, "--model"]).arg(&model).arg(&bag)));
+    let median = found["figures"]["position_median"].as_f64().unwrap();
+    println!("position: median error {:.2} mm on a pad of 32 x 24 mm", median * 1e3);
+    // Chance is about 10 mm.
+    assert!(median < 0.004, "{}", found["figures"]);
+    let coarse = folder.path().join("coarse.toml");
+    let text = std::fs::read_to_string(root().join(CAMERA)).unwrap();
+    std::fs::write(&coarse, text.replace("spacing = 0.002", "spacing = 0.006")).unwrap();
+    let coarse = coarse.display().to_string();
+    let mut bounds = toys(&["bounds", &coarse, "--json", "--force", "1", "--diameter", "0.004"]);
+    let bound = json(&finish(&mut bounds));
+    assert_eq!((bound["channels"].as_u64(), bound["diameter_m"].as_f64()), (Some(576), Some(0.004)));
+}
+
+#[test]
+fn a_cameras_gap_has_a_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = collect_by(CAMERA, &pad_plan(folder.path(), "soft", 40, 3), &["soft-pad=1"]);
+    let mut diagnose = toys(&["gap", "diagnose", "--json", "--resamples", "4", "--skin", CAMERA, "--real"]);
+    let cache = folder.path().join("kept");
+    let report = json(&finish(
+        diagnose.arg(&bag).arg("--cache").arg(cache).arg("--out").arg(folder.path().join("out")),
+    ));
+    println!("{}", report["sentence"]);
+    assert_eq!(report["verdict"], "named", "{}", report["sentence"]);
+    assert_eq!(report["effects"][0]["label"], "soft-pad", "{}", report["sentence"]);
+}
+
+#[test]
+fn an_effect_on_channels_is_refused_where_a_camera_makes_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = toys(&["collect", CAMERA, "--effect", "interference=1", "--plan"]);
+    command.arg(pad_plan(folder.path(), "hum", 2, 5)).arg("--out").arg(folder.path().join("bag"));
+    let said = refused(&mut command);
+    assert!(said.contains("`interference` acts on channels"), "{said}");
+}
+
+#[test]
+fn a_cameras_node_publishes_images_and_the_force_map_of_its_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = seeing_model(folder.path());
+    let link = folder.path().join("pad");
+    let mut simulate = toys(&["device", "simulate", CAMERA, "--link"]);
+    let _device =
+        Peer::start(simulate.arg(&link).arg("--plan").arg(pad_plan(folder.path(), "pressed", 500, 4)));
+    let options = NodeOptions::new("listener").domain_id(domain()).localhost_only(true);
+    let node = Node::open(options, &backend()).unwrap();
+    let (seen, images) = channel();
+    let _images = node
+        .subscribe::<Image>("image", Qos::sensor_data(), move |image, _| {
+            let _ = seen.send((image.width, image.height, image.encoding, image.data.len()));
+        })
+        .unwrap();
+    let (felt, maps) = channel();
+    let _maps = node
+        .subscribe::<ForceMap>("force_map", Qos::sensor_data(), move |map, _| {
+            let _ = felt.send(map);
+        })
+        .unwrap();
+    let (found, contacts) = channel();
+    let _contacts = node
+        .subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {
+            let _ = found.send(array);
+        })
+        .unwrap();
+    let mut run = toys(&["run", CAMERA, "--source"]);
+    let _node = Peer::start(run.arg(format!("pty://{}", link.display())).arg("--model").arg(&model));
+    assert_eq!(images.recv_timeout(PATIENCE).unwrap(), (320, 240, "rgb8".to_owned(), 320 * 240 * 3));
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        assert!(Instant::now() < deadline, "no force map of a press came");
+        let map = maps.recv_timeout(PATIENCE).unwrap();
+        assert_eq!((map.kind, map.forces.len()), (ForceMap::KIND_NORMAL, 13 * 17));
+        // What presses is somewhere, and not everywhere.
+        let total: f32 = map.forces.iter().sum();
+        let largest = map.forces.iter().fold(0.0_f32, |m, f| m.max(*f));
+        if total > 1.0 && largest > 4.0 * total / map.forces.len() as f32 {
+            break;
+        }
+    }
+    let pressed = |c: &dermis_msgs::msg::Contact| -c.force.z > 0.3 && c.position.x.abs() <= 0.016;
+    let any = |array: ContactArray| array.contacts.iter().any(pressed);
+    assert!(std::iter::repeat_with(|| contacts.recv_timeout(PATIENCE).unwrap()).take(200).any(any));
 }

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use dermis_skin::{ChannelFlags, Condition, Frame, SkinDescription, Stamp, TareState, ZeroTracker};
+use dermis_skin::{
+    ChannelFlags, Condition, Frame, ImageGrid, ImageGridError, SkinDescription, Stamp, TareState, ZeroTracker,
+};
 
 /// A contact ends below this share of the level at which it begins, so that noise does not make it flicker.
 const RELEASE: f64 = 0.6;
@@ -60,6 +62,10 @@ pub struct Conditioned {
     pub level: f64,
     /// Whether something touches the skin, by level.
     pub touched: bool,
+    /// The coarse image that was asked for ([`Conditioner::set_image`]); NaN throughout where the frame has none.
+    pub image: Vec<f32>,
+    /// The same less its zero; NaN where that is not known.
+    pub image_signal: Vec<f32>,
 }
 
 /// Cleans the frames of one skin, in order.
@@ -70,6 +76,8 @@ pub struct Conditioner {
     condition: Condition,
     health: Health,
     zero: ZeroTracker,
+    /// What is made of the image of every frame.
+    grid: Option<ImageGrid>,
     touched: bool,
     level: f64,
     /// Highest level of the contact that lasts.
@@ -103,6 +111,7 @@ impl Conditioner {
             condition: skin.condition.clone(),
             health: Health::new(skin, masked),
             zero: ZeroTracker::new(skin),
+            grid: None,
             touched: false,
             level: f64::NAN,
             peak: 0.0,
@@ -127,11 +136,24 @@ impl Conditioner {
         self.condition = condition;
     }
 
+    /// Makes a coarse image of every frame from the next one on, and keeps its zero; where the grid is another one than before,
+    /// that zero is known after the next tare, or once untouched frames have come.
+    pub fn set_image(&mut self, grid: Option<ImageGrid>) {
+        if grid != self.grid {
+            self.zero.set_image(grid.map_or(0, |grid| grid.numbers()));
+            self.grid = grid;
+        }
+    }
+
     /// Flags the channels of a frame, subtracts the zero and decides whether the skin is touched. The zero itself
     /// is not moved: that is [`follow`](Self::follow), once it is known whether there is a contact.
     ///
     /// The frame has as many channels as the skin.
-    pub fn clean(&mut self, frame: &Frame, out: &mut Conditioned) {
+    ///
+    /// # Errors
+    ///
+    /// [`ImageGridError`] where the frame's image is not one that the grid divides; the frame is taken without it.
+    pub fn clean(&mut self, frame: &Frame, out: &mut Conditioned) -> Result<(), ImageGridError> {
         out.reading.clone_from(frame);
         out.reading.flags.resize(frame.values.len(), ChannelFlags::OK);
         self.health.flag(&mut out.reading, &self.condition);
@@ -165,6 +187,22 @@ impl Conditioner {
         }
         out.level = self.level;
         out.touched = self.touched;
+        self.look(frame, out)
+    }
+
+    /// Makes the coarse image of a frame.
+    fn look(&self, frame: &Frame, out: &mut Conditioned) -> Result<(), ImageGridError> {
+        let numbers = self.grid.map_or(0, |grid| grid.numbers());
+        let seen = match (&self.grid, &frame.image) {
+            (Some(grid), Some(image)) => grid.reduce(image, &mut out.image),
+            _ => Ok(()),
+        };
+        if seen.is_err() || frame.image.is_none() || self.grid.is_none() {
+            out.image.clear();
+            out.image.resize(numbers, f32::NAN);
+        }
+        self.zero.subtract_image(&out.image, &mut out.image_signal);
+        seen
     }
 
     fn judge(&mut self, signal: &[f32]) {
@@ -201,7 +239,7 @@ impl Conditioner {
     /// Lets the zero follow the cleaned frame, unless something touches: by level, or because the model says so.
     pub fn follow(&mut self, cleaned: &Conditioned, model_says_touched: bool) {
         let averaging = self.zero.state() != TareState::Done;
-        self.zero.push(&cleaned.reading, cleaned.touched || model_says_touched);
+        self.zero.push_with(&cleaned.reading, &cleaned.image, cleaned.touched || model_says_touched);
         self.replaced |= averaging && self.zero.state() == TareState::Done;
     }
 
@@ -569,7 +607,7 @@ mod tests {
             let stamp = (self.k as f64 / RATE * 1e9) as Stamp;
             let frame = Frame::new(stamp, self.k, values.to_vec());
             self.k += 1;
-            self.conditioner.clean(&frame, &mut self.out);
+            self.conditioner.clean(&frame, &mut self.out).unwrap();
             self.conditioner.follow(&self.out, false);
             &self.out
         }
@@ -787,7 +825,7 @@ mod tests {
                     let values = (0..10)
                         .map(|i| (drift * t + load / f64::from(1 + i) + 3e-6 * noise.normal()) as f32)
                         .collect();
-                    conditioner.clean(&Frame::new((t * 1e9) as Stamp, k, values), &mut out);
+                    conditioner.clean(&Frame::new((t * 1e9) as Stamp, k, values), &mut out).unwrap();
                     conditioner.follow(&out, false);
                     k += 1;
                     every &= out.touched;
@@ -892,7 +930,7 @@ mod tests {
         let mut frame = Frame::new((run.k as f64 / RATE * 1e9) as Stamp, run.k, vec![101_325.0; 4]);
         frame.values[1] = f32::NAN;
         frame.flags[1] = ChannelFlags::STUCK;
-        run.conditioner.clean(&frame, &mut run.out);
+        run.conditioner.clean(&frame, &mut run.out).unwrap();
         assert_eq!(run.out.reading.flags[1], ChannelFlags::STUCK);
     }
 
@@ -930,7 +968,7 @@ mod tests {
                     let values = tesla(if before > 0 { &untouched } else { &reading[1..] });
                     let frame = Frame::new(stamp - before * 100_000_000, k, values);
                     k += 1;
-                    conditioner.clean(&frame, &mut out);
+                    conditioner.clean(&frame, &mut out).unwrap();
                     conditioner.follow(&out, false);
                     if before == 1 {
                         ended += usize::from(!out.touched);

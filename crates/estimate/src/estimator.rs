@@ -133,8 +133,7 @@ impl SkinEstimator {
     /// Uses these models from the next frame on.
     pub fn set_models(&mut self, models: Models) {
         self.pipelines = models.0;
-        self.before.clear();
-        self.probable = false;
+        self.follow_models();
     }
 
     /// Uses these models in place of those that give any of the same outputs; the others stay.
@@ -142,6 +141,13 @@ impl SkinEstimator {
         self.pipelines
             .retain(|old| !models.0.iter().any(|new| old.names().any(|n| new.names().any(|m| m == n))));
         self.pipelines.extend(models.0);
+        self.follow_models();
+    }
+
+    /// Forgets what other models said, and has the images made that these take.
+    fn follow_models(&mut self) {
+        let grid = self.pipelines.iter().find_map(|p| p.features.config().image);
+        self.conditioner.set_image(grid);
         self.before.clear();
         self.probable = false;
     }
@@ -303,7 +309,7 @@ impl SkinEstimator {
             });
         }
         let mut cleaned = std::mem::take(&mut self.cleaned);
-        self.conditioner.clean(frame, &mut cleaned);
+        let seen = self.conditioner.clean(frame, &mut cleaned);
         self.cleaned = cleaned;
         if self.conditioner.zero_replaced() {
             for pipeline in self.pipelines.iter_mut().filter(|p| p.baseline == Baseline::Tared) {
@@ -318,6 +324,11 @@ impl SkinEstimator {
             touched: self.cleaned.touched,
             probability: None,
         };
+        if let Err(error) = seen {
+            self.verdict.quality = Quality::Uncalibrated;
+            self.verdict.text = error.to_string();
+            return Err(EstimateError::Model { sequence: frame.sequence, reason: self.verdict.text.clone() });
+        }
         Ok(quality)
     }
 }

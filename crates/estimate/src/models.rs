@@ -42,6 +42,17 @@ pub enum SetupError {
         /// Bundle that came second.
         second: PathBuf,
     },
+    /// Two bundles take images of different sizes.
+    #[error(
+        "model bundles {first} and {second} take images of different sizes (`input.image`), and one is made of every frame; \
+         load only one of them, or train them on images of one size"
+    )]
+    OtherImage {
+        /// Bundle that came first.
+        first: PathBuf,
+        /// Bundle that came second.
+        second: PathBuf,
+    },
     /// A bundle that wants its answers refined on a forward model, which the skin has not.
     #[error("model bundle {path}: field `inversion`: {source}")]
     NoForwardModel {
@@ -198,6 +209,11 @@ impl Models {
                         second: pipeline.path.clone(),
                     });
                 }
+            }
+            let image = |p: &Pipeline| p.features.config().image;
+            let other = |p: &&Pipeline| image(p).is_some() && image(p) != image(&pipeline);
+            if let Some(other) = models.0.iter().find(other).filter(|_| image(&pipeline).is_some()) {
+                return Err(SetupError::OtherImage { first: other.path.clone(), second: pipeline.path });
             }
             let points = surface.points.len();
             for (output, expected) in

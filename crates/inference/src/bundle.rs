@@ -406,7 +406,7 @@ fn read_normalisation(folder: &Path, manifest: &mut Manifest, limits: &Limits) -
     let expected = (section.bytes, section.hash.as_str());
     let bytes = read_whole(folder, (NORMALISATION, "normalisation"), expected, limits.manifest_bytes)?;
     let path = folder.join(NORMALISATION);
-    let (mean, scale) = normalisation::decode(&bytes, manifest.skin.channels.len()).map_err(|reason| {
+    let (mean, scale) = normalisation::decode(&bytes, manifest.numbers()).map_err(|reason| {
         ManifestError::Impossible { file: path.display().to_string(), field: "(whole file)".into(), reason }
     })?;
     (manifest.input.mean, manifest.input.scale) = (mean, scale);

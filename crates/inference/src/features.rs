@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use dermis_skin::ImageGrid;
 use serde::{Deserialize, Serialize};
 
 /// Most frames that the history keeps, so that a device which sends too fast cannot fill the memory.
@@ -45,6 +46,9 @@ pub enum Missing {
 
 /// How frames become an input. Serialised in the `[input]` table of a bundle's manifest.
 ///
+/// Where `image` is given, the numbers of a coarse image of the skin's camera stand in the place of channels: `C` is their
+/// number, they lie plane by plane and row by row, and their unit is the full scale of a pixel.
+///
 /// With `C` channels and `z = (x − mean) / scale`, the input is, in this order and each part in channel order:
 ///
 /// 1. for every tap, `C` values `z(t − delay)`;
@@ -75,6 +79,9 @@ pub struct FeatureConfig {
     /// \[s\] without a frame after which history starts anew.
     #[serde(default = "half_second")]
     pub max_gap: f64,
+    /// The image that the model sees in place of the channels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image: Option<ImageGrid>,
 }
 
 fn half_second() -> f64 {
@@ -93,10 +100,11 @@ impl FeatureConfig {
             difference: Vec::new(),
             missing: Missing::Mean,
             max_gap: half_second(),
+            image: None,
         }
     }
 
-    /// Number of channels.
+    /// Number of channels, or of the numbers of an image.
     #[must_use]
     pub fn channels(&self) -> usize {
         self.mean.len()
@@ -133,6 +141,26 @@ impl FeatureConfig {
         }
         if let Some(i) = self.scale.iter().position(|s| !(s.is_normal() && *s > 0.0)) {
             return wrong(format!("scale[{i}]"), format!("is {} and must be positive", self.scale[i]));
+        }
+        if let Some(grid) = &self.image {
+            if !(1..=ImageGrid::MOST).contains(&grid.numbers()) {
+                return wrong(
+                    "image".into(),
+                    format!("has {} numbers and must have 1 to {}", grid.numbers(), ImageGrid::MOST),
+                );
+            }
+            if grid.numbers() != self.mean.len() {
+                return wrong(
+                    "mean".into(),
+                    format!("has {} entries where `image` has {} numbers", self.mean.len(), grid.numbers()),
+                );
+            }
+            if self.missing == Missing::Mask {
+                return wrong(
+                    "missing".into(),
+                    "must be \"mean\": an image is there as a whole or not at all".into(),
+                );
+            }
         }
         if self.taps.len() == 0 && self.low_pass.is_empty() {
             return wrong("taps".into(), "is empty: the model would see no reading".into());

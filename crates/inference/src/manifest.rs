@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use dermis_inversion::Settings;
-use dermis_skin::SkinDescription;
+use dermis_skin::{ImageGrid, SkinDescription};
 use serde::{Deserialize, Serialize};
 
 use crate::correction::CorrectionSection;
@@ -239,14 +239,25 @@ impl Manifest {
         Ok(manifest)
     }
 
+    /// How many numbers a frame gives the model: the channels of the skin, or those of an image.
+    pub(crate) fn numbers(&self) -> usize {
+        self.input.image.map_or(self.skin.channels.len(), |grid| grid.numbers())
+    }
+
     /// The input, with stand-ins for mean and scale while these are in a file that was not read yet.
     fn whole_input(&self) -> Cow<'_, FeatureConfig> {
         if self.normalisation.is_none() || !self.input.mean.is_empty() || !self.input.scale.is_empty() {
             return Cow::Borrowed(&self.input);
         }
         let mut input = self.input.clone();
-        input.mean = vec![0.0; self.skin.channels.len()];
-        input.scale = vec![1.0; self.skin.channels.len()];
+        // A grid that is too large is refused by its own name.
+        let numbers = if self.input.image.is_some_and(|grid| grid.numbers() > ImageGrid::MOST) {
+            1
+        } else {
+            self.numbers()
+        };
+        input.mean = vec![0.0; numbers];
+        input.scale = vec![1.0; numbers];
         Cow::Owned(input)
     }
 
@@ -291,7 +302,7 @@ impl Manifest {
         {
             return wrong("normalisation.hash", "must be `sha256:` and 64 hex digits".into());
         }
-        if self.skin.channels.len() != input.channels() {
+        if self.numbers() != input.channels() {
             return wrong(
                 "input.mean",
                 format!(

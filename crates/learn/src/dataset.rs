@@ -349,16 +349,13 @@ impl Dataset {
         let mut features = Features::new(config.clone())?;
         for run in 0..self.runs.len() {
             features.reset();
-            for (sample, s) in self.stream(run)?.enumerate() {
+            for (sample, s) in self.stream_for(run, config.image)?.enumerate() {
                 let s = s?;
                 if s.tare {
                     // As an estimator does: history seen with another zero would hold a step.
                     features.reset();
                 }
-                match baseline {
-                    Baseline::Tared => features.push(s.frame.stamp, &s.tared)?,
-                    Baseline::Raw => features.push(s.frame.stamp, &s.frame.values)?,
-                }
+                features.push(s.frame.stamp, s.numbers(baseline, config.image.is_some()))?;
                 if s.truth.is_some()
                     && let Some(input) = features.input()
                 {

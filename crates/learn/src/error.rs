@@ -21,6 +21,25 @@ pub enum LearnError {
         /// The bag.
         bag: PathBuf,
     },
+    /// An image of a kind that is not known.
+    #[error(
+        "bag {bag}: an image has the encoding \"{encoding}\", or rows with something between them, and only whole \"mono8\" and \
+         \"rgb8\" are read; convert it, or record the node's own topic `image`"
+    )]
+    Image {
+        /// The bag.
+        bag: PathBuf,
+        /// As the message says.
+        encoding: String,
+    },
+    /// An image that does not divide as a model wants it.
+    #[error("bag {bag}: {source}; choose a size that divides it (`features.image`)")]
+    ImageSize {
+        /// The bag.
+        bag: PathBuf,
+        /// What does not fit.
+        source: dermis_skin::ImageGridError,
+    },
     /// The data cannot be used as asked; all reasons at once.
     #[error("{0}")]
     Unfit(Findings),

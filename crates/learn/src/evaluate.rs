@@ -289,7 +289,7 @@ pub fn evaluate_by(
     let mut evaluator = Evaluator::new().by_force(edges);
     for (run, r) in data.runs().iter().enumerate() {
         estimator.reset();
-        for (sample, s) in data.stream(run)?.enumerate() {
+        for (sample, s) in data.stream_images(run, None)?.enumerate() {
             let s = s?;
             if s.tare {
                 estimator.tare();
@@ -334,7 +334,7 @@ pub fn evaluate_parts(
     let mut done = 0u32;
     for (run, r) in data.runs().iter().enumerate() {
         estimator.reset();
-        for (sample, s) in data.stream(run)?.enumerate() {
+        for (sample, s) in data.stream_images(run, None)?.enumerate() {
             let s = s?;
             if !watch(f64::from(done) / total) {
                 return Ok(None);

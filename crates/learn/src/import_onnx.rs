@@ -8,7 +8,7 @@ use dermis_inference::{
     Baseline, BundleWriter, FeatureConfig, Interface, Limits, Link, Manifest, Missing, Model, OutputConfig,
     OutputSpec, Outputs, Runtime, RuntimeKind, Taps, TrainingSection, rehearse_embedded,
 };
-use dermis_skin::SkinDescription;
+use dermis_skin::{ImageGrid, SkinDescription};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -80,6 +80,8 @@ pub struct Wiring {
     pub missing: Missing,
     /// \[s\] without a frame after which history starts anew.
     pub max_gap: f64,
+    /// The image that it sees in place of the channels.
+    pub image: Option<ImageGrid>,
     /// By the name of the output.
     pub outputs: BTreeMap<String, OutputScaling>,
 }
@@ -97,6 +99,7 @@ impl Default for Wiring {
             difference: newest.difference,
             missing: newest.missing,
             max_gap: newest.max_gap,
+            image: None,
             outputs: BTreeMap::new(),
         }
     }
@@ -124,6 +127,7 @@ impl Wiring {
             difference: self.difference.clone(),
             missing: self.missing,
             max_gap: self.max_gap,
+            image: self.image,
         }
     }
 }
@@ -170,19 +174,20 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
     let raw =
         dermis_io::read(request.onnx, dermis_io::TABLE).map_err(LearnError::io(request.onnx, "read"))?;
     let mut findings = Findings::default();
-    let features = wiring.features(skin.channels().len());
+    // A grid that is too large is refused before anything is made of its size.
+    let numbers = wiring.image.map_or(skin.channels().len(), |grid| grid.numbers().min(ImageGrid::MOST + 1));
+    let given = wiring.image.map_or_else(
+        || format!("skin `{}` has {numbers} channels", skin.name),
+        |_| format!("`image` has {numbers} numbers"),
+    );
+    let features = wiring.features(numbers);
     let outputs = outputs(request.outputs, wiring, &mut findings);
     if let Err(error) = features.validate() {
         findings.fatal("the model's input", error.to_string(), "correct the file of `--input`");
-    } else if features.channels() != skin.channels().len() {
+    } else if features.channels() != numbers {
         findings.fatal(
             "the model's input",
-            format!(
-                "`mean` has {} entries where skin `{}` has {} channels",
-                features.channels(),
-                skin.name,
-                skin.channels().len()
-            ),
+            format!("`mean` has {} entries where {given}", features.channels()),
             "give one number for all, or one each",
         );
     }
@@ -194,12 +199,8 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
             return Err(LearnError::Unfit(findings));
         }
     };
-    let wanted = format!(
-        "{} numbers for the {} channels of skin `{}`",
-        features.input_len(),
-        skin.channels().len(),
-        skin.name
-    );
+    let of = if wiring.image.is_some() { "numbers of `image`" } else { "channels" };
+    let wanted = format!("{} numbers for the {numbers} {of} of skin `{}`", features.input_len(), skin.name);
     let input = only(&signature.inputs, "input", features.input_len(), &wanted, &place, &mut findings);
     let wanted = format!("{} numbers for {}", outputs.len(), request.outputs.join(", "));
     let output = only(&signature.outputs, "output", outputs.len(), &wanted, &place, &mut findings);

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 /// What the bytes of an [`Image`] are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum PixelFormat {
@@ -80,6 +82,72 @@ impl Image {
     }
 }
 
+/// A coarser image, as models take it: means over blocks of pixels, colour by colour.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImageGrid {
+    /// 1 for brightness, 3 for red, green and blue.
+    pub planes: usize,
+    /// Rows of blocks, from the top.
+    pub rows: usize,
+    /// Blocks of a row, from the left.
+    pub columns: usize,
+}
+
+/// An image that a grid does not fit.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "an image of {width} x {height} pixels and {planes} colours does not divide into {} x {} blocks of {} colours (columns x rows)",
+    .grid.columns, .grid.rows, .grid.planes
+)]
+pub struct ImageGridError {
+    width: u32,
+    height: u32,
+    planes: usize,
+    grid: ImageGrid,
+}
+
+impl ImageGrid {
+    /// Most numbers of a grid.
+    pub const MOST: usize = 1 << 22;
+
+    /// Numbers of the grid, plane by plane and row by row.
+    #[must_use]
+    pub fn numbers(&self) -> usize {
+        self.planes.saturating_mul(self.rows).saturating_mul(self.columns)
+    }
+
+    /// Writes the means over the blocks of an image, 0 (dark) to 1 (full scale): planes × rows × columns.
+    ///
+    /// # Errors
+    ///
+    /// [`ImageGridError`] where the image has other colours, or its size is no multiple of the grid's.
+    pub fn reduce(&self, image: &Image, out: &mut Vec<f32>) -> Result<(), ImageGridError> {
+        let planes = image.format.bytes();
+        let (width, height) = (image.width as usize, image.height as usize);
+        let fits =
+            |pixels: usize, blocks: usize| blocks > 0 && pixels >= blocks && pixels.is_multiple_of(blocks);
+        if planes != self.planes || !fits(width, self.columns) || !fits(height, self.rows) {
+            return Err(ImageGridError { width: image.width, height: image.height, planes, grid: *self });
+        }
+        let [wide, high] = [width / self.columns, height / self.rows];
+        let mut sums = vec![0_u32; self.numbers()];
+        for (y, row) in image.data.chunks_exact(width * planes).enumerate() {
+            let first = y / high * self.columns;
+            for (x, pixel) in row.chunks_exact(planes).enumerate() {
+                let at = first + x / wide;
+                for (plane, value) in pixel.iter().enumerate() {
+                    sums[plane * self.rows * self.columns + at] += u32::from(*value);
+                }
+            }
+        }
+        let share = 1.0 / (255.0 * (wide * high) as f64);
+        out.clear();
+        out.extend(sums.into_iter().map(|sum| (f64::from(sum) * share) as f32));
+        Ok(())
+    }
+}
+
 impl std::fmt::Debug for Image {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Image({} x {}, {})", self.width, self.height, self.format.encoding())
@@ -97,5 +165,31 @@ mod tests {
         assert!(Image::new(u32::MAX, u32::MAX, PixelFormat::Rgb8, vec![]).is_none());
         assert_eq!(PixelFormat::from_encoding("mono8"), Some(PixelFormat::Mono8));
         assert_eq!(PixelFormat::from_encoding("bayer_rggb8"), None);
+    }
+
+    #[test]
+    fn a_grid_is_means_of_blocks_plane_by_plane() {
+        // Two blocks of 2 x 2 pixels side by side; red 0.2 and 0.4, green 1 and 0, blue 0 throughout but for one pixel.
+        let pixel = |x: usize, y: usize| {
+            let blue = if (x, y) == (3, 1) { 204 } else { 0 };
+            if x < 2 { [51, 255, blue] } else { [102, 0, blue] }
+        };
+        let data: Vec<u8> = (0..2).flat_map(|y| (0..4).flat_map(move |x| pixel(x, y))).collect();
+        let image = Image::new(4, 2, PixelFormat::Rgb8, data).unwrap();
+        let mut out = Vec::new();
+        let grid = ImageGrid { planes: 3, rows: 1, columns: 2 };
+        grid.reduce(&image, &mut out).unwrap();
+        for (found, wanted) in out.iter().zip([0.2, 0.4, 1.0, 0.0, 0.0, 0.2]) {
+            assert!((found - wanted).abs() < 1e-6, "{out:?}");
+        }
+        for wrong in [(1, 1, 2), (3, 1, 3), (3, 0, 2), (3, 4, 2)] {
+            let (planes, rows, columns) = wrong;
+            assert!(ImageGrid { planes, rows, columns }.reduce(&image, &mut out).is_err(), "{wrong:?}");
+        }
+        let said = ImageGrid { planes: 3, rows: 1, columns: 3 }.reduce(&image, &mut out).unwrap_err();
+        assert_eq!(
+            said.to_string(),
+            "an image of 4 x 2 pixels and 3 colours does not divide into 3 x 1 blocks of 3 colours (columns x rows)"
+        );
     }
 }

@@ -65,7 +65,7 @@ pub use effect::{Effect, EffectInfo, ParameterInfo};
 pub use error::SkinError;
 pub use family::{Family, FamilyShape, FieldFault, register};
 pub use frame::{ChannelFlags, Frame};
-pub use image::{Image, PixelFormat};
+pub use image::{Image, ImageGrid, ImageGridError, PixelFormat};
 pub use instance::{InstanceError, Mount, MountError};
 pub use mesh::{TriangleMesh, closest_on_triangle};
 pub use phase::Phase;

@@ -64,7 +64,8 @@ pub struct ZeroTracker {
     tare_duration: f64,
     drift_time: f64,
     trust_labels: bool,
-    /// NaN where unknown. Only meaningful while `known`.
+    /// Zeros of the channels, and behind them those of the numbers of an image. NaN where unknown. Only meaningful while
+    /// `known`.
     zero: Vec<f64>,
     /// Readings behind each zero, up to as many as a tare averages.
     weight: Vec<u32>,
@@ -98,10 +99,10 @@ impl Window {
         self.count.resize(channels, 0);
     }
 
-    fn push(&mut self, frame: &Frame) {
+    fn push(&mut self, frame: &Frame, image: &[f32]) {
         self.start.get_or_insert(frame.stamp);
         self.frames += 1;
-        for (i, value) in usable(frame) {
+        for (i, value) in usable(frame, image) {
             self.count[i] += 1;
             let delta = value - self.mean[i];
             self.mean[i] += delta / f64::from(self.count[i]);
@@ -122,15 +123,11 @@ impl Window {
     }
 }
 
-/// Channels of a frame that may move the zero: finite and healthy.
-fn usable(frame: &Frame) -> impl Iterator<Item = (usize, f64)> + '_ {
-    frame
-        .values
-        .iter()
-        .zip(&frame.flags)
-        .enumerate()
-        .filter(|(_, (v, f))| v.is_finite() && f.is_ok())
-        .map(|(i, (v, _))| (i, f64::from(*v)))
+/// Numbers of a frame that may move the zero: finite, and of healthy channels; those of its image come after the channels.
+fn usable<'a>(frame: &'a Frame, image: &'a [f32]) -> impl Iterator<Item = (usize, f64)> + 'a {
+    let healthy = frame.values.iter().zip(&frame.flags).map(|(v, f)| if f.is_ok() { *v } else { f32::NAN });
+    let all = healthy.chain(image.iter().copied()).enumerate();
+    all.filter(|(_, v)| v.is_finite()).map(|(i, v)| (i, f64::from(v)))
 }
 
 impl ZeroTracker {
@@ -164,6 +161,19 @@ impl ZeroTracker {
         Self { trust_labels: true, ..Self::new(skin) }
     }
 
+    /// Has it keep the zero of an image of so many numbers as well, which is taken from the same frames as that of the
+    /// channels. Whether the skin is quiet is told by the channels alone.
+    ///
+    /// A zero of another image is forgotten.
+    pub fn set_image(&mut self, numbers: usize) {
+        let channels = self.noise.len();
+        self.zero.truncate(channels);
+        self.weight.truncate(channels);
+        self.zero.resize(channels + numbers, f64::NAN);
+        self.weight.resize(channels + numbers, 0);
+        self.window.clear(channels + numbers);
+    }
+
     /// \[s\] with which the zero follows drift from now on.
     pub fn set_drift_time(&mut self, seconds: f64) {
         if seconds.is_finite() && seconds > 0.0 {
@@ -182,36 +192,44 @@ impl ZeroTracker {
     ///
     /// A frame with another number of channels is ignored.
     pub fn push(&mut self, frame: &Frame, touched: bool) {
+        self.push_with(frame, &[], touched);
+    }
+
+    /// Takes the next frame and the numbers of its image: none where it has none, NaN where one is unknown.
+    ///
+    /// A frame with another number of channels is ignored; numbers beyond those that the image has are, too.
+    pub fn push_with(&mut self, frame: &Frame, image: &[f32], touched: bool) {
         if frame.values.len() != self.noise.len() || frame.flags.len() != self.noise.len() {
             return;
         }
+        let image = &image[..image.len().min(self.zero.len() - self.noise.len())];
         let step = self.last.map_or(0.0, |last| seconds(last, frame.stamp)).clamp(0.0, LONGEST_STEP);
         self.last = Some(frame.stamp);
         if touched {
             self.last_touch = Some(frame.stamp);
-            self.window.clear(self.noise.len());
+            self.window.clear(self.zero.len());
             return;
         }
         if self.averaging {
-            self.average(frame);
+            self.average(frame, image);
         } else {
-            self.follow(frame, step);
+            self.follow((frame, image), step);
         }
     }
 
-    fn average(&mut self, frame: &Frame) {
+    fn average(&mut self, frame: &Frame, image: &[f32]) {
         // A clock that jumped back, e.g. a recording that starts over, must not hold up the tare.
         if self.window.start.is_some_and(|start| frame.stamp < start) {
-            self.window.clear(self.noise.len());
+            self.window.clear(self.zero.len());
         }
-        self.window.push(frame);
+        self.window.push(frame, image);
         if self.elapsed() < self.tare_duration || self.window.frames < FEWEST_FRAMES {
             return;
         }
         let spread = self.window.spread(&self.noise);
         if !self.trust_labels && spread > QUIET_SPREAD {
             self.disturbed = Some(spread);
-            self.window.clear(self.noise.len());
+            self.window.clear(self.zero.len());
             return;
         }
         for (i, n) in self.window.count.iter().enumerate() {
@@ -221,15 +239,15 @@ impl ZeroTracker {
         self.known = true;
         self.averaging = false;
         self.disturbed = None;
-        self.window.clear(self.noise.len());
+        self.window.clear(self.zero.len());
     }
 
-    fn follow(&mut self, frame: &Frame, step: f64) {
+    fn follow(&mut self, (frame, image): (&Frame, &[f32]), step: f64) {
         if self.last_touch.is_some_and(|t| (0.0..SETTLE).contains(&seconds(t, frame.stamp))) {
             return;
         }
         let drift = 1.0 - (-step / self.drift_time).exp();
-        for (i, value) in usable(frame) {
+        for (i, value) in usable(frame, image) {
             // A channel that came back after the tare gets its zero as quickly as a tare would give it.
             let share = drift.max(1.0 / f64::from(self.weight[i] + 1));
             if self.zero[i].is_nan() {
@@ -255,13 +273,13 @@ impl ZeroTracker {
     pub fn begin_tare(&mut self) {
         self.averaging = true;
         self.disturbed = None;
-        self.window.clear(self.noise.len());
+        self.window.clear(self.zero.len());
     }
 
     /// Gives up a tare that was asked for; the zero before it stays. Without one the tracker keeps averaging.
     pub fn cancel_tare(&mut self) {
         self.averaging = !self.known;
-        self.window.clear(self.noise.len());
+        self.window.clear(self.zero.len());
     }
 
     /// Where the tare stands.
@@ -278,14 +296,21 @@ impl ZeroTracker {
     /// before the first tare is done.
     #[must_use]
     pub fn zero(&self) -> Option<&[f64]> {
-        self.known.then_some(self.zero.as_slice())
+        self.known.then(|| &self.zero[..self.noise.len()])
+    }
+
+    /// Zero of every number of the image, NaN where none is known yet; `None` before the first tare is done.
+    #[must_use]
+    pub fn image_zero(&self) -> Option<&[f64]> {
+        self.known.then(|| &self.zero[self.noise.len()..])
     }
 
     /// Takes a zero from elsewhere, e.g. from the idle readings of a recording; other lengths are ignored.
     pub fn set_zero(&mut self, zero: &[f64]) {
-        if zero.len() == self.zero.len() {
-            self.zero.copy_from_slice(zero);
-            self.weight.fill(FEWEST_FRAMES);
+        let channels = self.noise.len();
+        if zero.len() == channels {
+            self.zero[..channels].copy_from_slice(zero);
+            self.weight[..channels].fill(FEWEST_FRAMES);
             self.known = true;
             self.averaging = false;
         }
@@ -294,12 +319,23 @@ impl ZeroTracker {
     /// Replaces the values of a frame by `value − zero`. Channels that are invalid, and all channels before the
     /// first tare, become NaN; a saturated channel keeps its value, which is a bound.
     pub fn subtract(&self, frame: &mut Frame) {
-        let known = self.known && frame.values.len() == self.zero.len();
+        let known = self.known && frame.values.len() == self.noise.len();
         for (i, value) in frame.values.iter_mut().enumerate() {
             *value = if known { (f64::from(*value) - self.zero[i]) as f32 } else { f32::NAN };
             if frame.flags.get(i).is_some_and(|f| f.is_invalid()) {
                 *value = f32::NAN;
             }
+        }
+    }
+
+    /// The numbers of an image less their zero; NaN where either is not known.
+    pub fn subtract_image(&self, image: &[f32], out: &mut Vec<f32>) {
+        out.clear();
+        match self.image_zero() {
+            Some(zero) if zero.len() == image.len() => {
+                out.extend(image.iter().zip(zero).map(|(v, zero)| (f64::from(*v) - zero) as f32));
+            }
+            _ => out.resize(image.len(), f32::NAN),
         }
     }
 
@@ -312,7 +348,7 @@ impl ZeroTracker {
         self.disturbed = None;
         self.last = None;
         self.last_touch = None;
-        self.window.clear(self.noise.len());
+        self.window.clear(self.zero.len());
     }
 }
 
@@ -477,5 +513,32 @@ mod tests {
             (zero.zero().unwrap()[0] - 100.0).abs() < 0.1,
             "the old zero stays until the new one is done"
         );
+    }
+
+    #[test]
+    fn an_image_gets_its_zero_from_the_frames_that_give_the_channels_theirs() {
+        let mut zero = ZeroTracker::new(&skin());
+        zero.set_image(2);
+        let mut k = 0_u64;
+        while zero.zero().is_none() {
+            assert!(zero.image_zero().is_none() && k < 1000);
+            // Every other frame lacks its image, and one number is never known.
+            let image = if k.is_multiple_of(2) { vec![0.25, f32::NAN] } else { Vec::new() };
+            zero.push_with(&at(k, [wiggle(k, 100.0), wiggle(k, -50.0)]), &image, false);
+            k += 1;
+        }
+        assert_eq!(zero.zero().unwrap().len(), 2);
+        let image = zero.image_zero().unwrap();
+        assert!((image[0] - 0.25).abs() < 1e-9 && image[1].is_nan(), "{image:?}");
+        // A touch moves neither; an untouched frame gives the missing one a first zero.
+        zero.push_with(&at(k, [900.0, 900.0]), &[0.9, 0.9], true);
+        assert!((zero.image_zero().unwrap()[0] - 0.25).abs() < 1e-9);
+        zero.push_with(&at(k + 200, [100.0, -50.0]), &[0.25, 0.5], false);
+        assert!((zero.image_zero().unwrap()[1] - 0.5).abs() < 1e-9);
+        // A zero of the channels from elsewhere leaves that of the image.
+        zero.set_zero(&[0.0, 0.0]);
+        assert!((zero.image_zero().unwrap()[0] - 0.25).abs() < 1e-9);
+        zero.reset();
+        assert!(zero.image_zero().is_none());
     }
 }

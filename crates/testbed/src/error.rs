@@ -28,6 +28,9 @@ pub enum TestbedError {
         /// What is wrong with it, and what would be right.
         reason: String,
     },
+    /// A device that cannot be simulated.
+    #[error(transparent)]
+    Simulated(#[from] ModelError),
     /// Model and skin description are not of the same skin.
     #[error(
         "the model has {model} channels where skin `{skin}` has {channels}: they describe different skins"

@@ -1,6 +1,6 @@
 //! What a skin's device would read: the model, its effects, its noise and the device's range.
 
-use dermis_model::{DeviceState, ForwardModel, Stimulus};
+use dermis_model::{DeviceState, ForwardModel, Stage, Stimulus, common_effect};
 use dermis_skin::{ChannelFlags, Frame, ModelError, SkinDescription};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -29,7 +29,8 @@ impl<'a> Sampler<'a> {
     ///
     /// # Errors
     ///
-    /// [`TestbedError::Channels`] where model and skin don't belong together.
+    /// [`TestbedError::Channels`] where model and skin don't belong together; [`TestbedError::Simulated`] names an effect on channels
+    /// where the skin is read by a camera, whose numbers are made of the image.
     pub fn new(model: &'a dyn ForwardModel, skin: &SkinDescription, seed: u64) -> Result<Self, TestbedError> {
         let channels = skin.channels().len();
         if model.channels() != channels || model.noise().len() != channels {
@@ -38,6 +39,22 @@ impl<'a> Sampler<'a> {
                 skin: skin.name.clone(),
                 channels,
             });
+        }
+        let on_channels = skin.effects.iter().position(|e| {
+            common_effect(&e.name).is_some_and(|c| c.stage != Stage::Rig && c.stage != Stage::Medium)
+        });
+        if let Some(i) = on_channels
+            && model.capture(&Stimulus::default(), &mut || 0.0)?.is_some()
+        {
+            return Err(TestbedError::Simulated(ModelError::Description {
+                skin: skin.name.clone(),
+                field: format!("effects[{i}]"),
+                reason: format!(
+                    "`{}` acts on channels, and the numbers of this skin are made of what its camera sees; name an effect of \
+                     the rig or of its family",
+                    skin.effects[i].name
+                ),
+            }));
         }
         Ok(Self {
             state: model.start(0),

@@ -2,6 +2,7 @@
 //!
 //! Not a physical model: a press makes a dent, three lamps shade it in three colours, and the picture is asked for and answered.
 
+mod effects;
 mod model;
 mod wire;
 
@@ -10,8 +11,8 @@ use std::sync::Arc;
 use dermis_model::ForwardModel;
 use dermis_sensor::{Decoder, DecoderOptions, Encoder, Sensor};
 use dermis_skin::{
-    Channel, Family, FieldFault, Image, ModelError, PixelFormat, SkinDescription, SurfaceSpec, Taxel,
-    WireProtocol,
+    Channel, EffectInfo, Family, FieldFault, Image, ModelError, PixelFormat, SkinDescription, SurfaceSpec,
+    Taxel, WireProtocol,
 };
 
 /// The family.
@@ -90,6 +91,10 @@ impl Sensor for Camera {
 
     fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
         Ok(Arc::new(model::CameraModel::new(skin)?))
+    }
+
+    fn effects(&self) -> &'static [EffectInfo] {
+        effects::EFFECTS
     }
 
     fn check_medium(&self, skin: &SkinDescription) -> Result<(), ModelError> {

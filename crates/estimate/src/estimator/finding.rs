@@ -27,11 +27,19 @@ impl SkinEstimator {
         let cleaned = &self.cleaned;
         for pipeline in &mut self.pipelines {
             pipeline.fresh = false;
+            let stamp = cleaned.reading.stamp;
+            if pipeline.features.config().image.is_some() {
+                let numbers = match pipeline.baseline {
+                    Baseline::Raw => &cleaned.image,
+                    Baseline::Tared => &cleaned.image_signal,
+                };
+                pipeline.features.push(stamp, numbers).map_err(|e| e.to_string())?;
+                continue;
+            }
             let values = match pipeline.baseline {
                 Baseline::Raw => &cleaned.reading.values,
                 Baseline::Tared => &cleaned.signal.values,
             };
-            let stamp = cleaned.reading.stamp;
             // A model that was told which channels are missing knows better what to make of it.
             let pushed = if self.guessed.is_empty() || pipeline.features.config().missing == Missing::Mask {
                 pipeline.features.push(stamp, values)

@@ -6,6 +6,7 @@ use std::path::Path;
 use dermis_bag::{BagReader, BagSkin, Filter, SkinChoice, SkinChoiceError};
 use dermis_msgs::geometry_msgs::msg::{TransformStamped, WrenchStamped};
 use dermis_msgs::msg::{Contact as ContactMsg, Indentation, SkinGeometry, TaxelFrame};
+use dermis_msgs::sensor_msgs::msg::Image as ImageMsg;
 use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::{Message, TypeSupport};
 use dermis_skin::{ForceComponents, Frame, SkinDescription, Stamp};
@@ -13,7 +14,7 @@ use nalgebra::{Point3, Vector3};
 use sha2::{Digest, Sha256};
 
 use super::recording::Recording;
-use super::stream::infos;
+use super::stream::{BagFrames, infos};
 use super::{DatasetOptions, Run, Truth, TruthContact, hex};
 use crate::LearnError;
 use crate::findings::{self, Findings};
@@ -27,6 +28,8 @@ struct Contents {
     rig: Readings,
     /// Frames of the skin by topic.
     topics: BTreeMap<String, usize>,
+    /// Topic of the images that belong to them.
+    images: Option<String>,
     /// Other skins that the bag holds.
     others: BTreeSet<String>,
     sessions: BTreeSet<String>,
@@ -132,6 +135,14 @@ impl Contents {
             }
         }
         found.truths.sort_by_key(|(stamp, _)| *stamp);
+        if let Some(topic) = found.topics.keys().next().filter(|_| found.topics.len() == 1) {
+            let beside = format!("{}/image", namespace(topic));
+            let image = TypeSupport::of::<ImageMsg>();
+            if let Some(topic) = bag.topics().iter().find(|t| t.name == beside && t.type_name == image.name) {
+                bag.check_type(topic, image)?;
+                found.images = Some(beside);
+            }
+        }
         Ok(found)
     }
 
@@ -297,8 +308,13 @@ pub(super) fn read_run(
         return Ok(None);
     }
     let invalid = found.frames.unhealthy;
-    let (frames, source) =
-        std::mem::take(&mut found.frames).finish(&found.instance, topic_of(options), memory);
+    let of_bag = BagFrames {
+        instance: found.instance.clone(),
+        topic: topic_of(options).cloned(),
+        images: found.images.clone(),
+        ranks: None,
+    };
+    let (frames, source) = std::mem::take(&mut found.frames).finish(of_bag, memory);
     let (mut lost, mut gap) = (0_u64, 0);
     for w in frames.windows(2) {
         lost = lost.saturating_add(w[1].sequence.saturating_sub(w[0].sequence).saturating_sub(1));

@@ -49,20 +49,15 @@ impl Recording {
         }
     }
 
-    /// Marks in order of acquisition, and where the frames are found in that order; `memory` is left with what they take.
-    pub(super) fn finish(
-        self,
-        instance: &str,
-        topic: Option<&String>,
-        memory: &mut usize,
-    ) -> (Vec<Mark>, Source) {
+    /// Marks in order of acquisition, and where the frames are found in that order: those of `bag`, whose ranks are filled in.
+    /// `memory` is left with what they take.
+    pub(super) fn finish(self, mut bag: BagFrames, memory: &mut usize) -> (Vec<Mark>, Source) {
         let mut marks = self.marks;
-        if let Some(mut frames) = self.held {
-            marks.sort_by_key(|m| m.stamp);
+        let held = self.held.map(|mut frames| {
             frames.sort_by_key(|f| f.stamp);
             *memory = memory.saturating_sub(self.bytes);
-            return (marks, Source::Held(Arc::new(frames)));
-        }
+            Arc::new(frames)
+        });
         let mut ranks = None;
         if !marks.is_sorted_by_key(|m| m.stamp) {
             let mut order: Vec<u32> = (0_u32..).take(marks.len()).collect();
@@ -74,6 +69,7 @@ impl Recording {
             ranks = Some(Arc::new(places));
             marks.sort_by_key(|m| m.stamp);
         }
-        (marks, Source::Bag(BagFrames { instance: instance.to_owned(), topic: topic.cloned(), ranks }))
+        bag.ranks = ranks;
+        (marks, Source { held, bag: Some(bag) })
     }
 }

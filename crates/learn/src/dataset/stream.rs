@@ -5,6 +5,9 @@
 //! one frame and those that lie in the bag before it although they were acquired later; time is that of decoding the bag,
 //! once a pass.
 //!
+//! Images are never held: who asks for them reads the bag. An image belongs to the frame of its stamp, on the topic `image`
+//! beside that of the frames.
+//!
 //! [`DatasetOptions::memory`]: super::DatasetOptions::memory
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,9 +15,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use dermis_bag::{BagReader, Filter, Messages};
+use dermis_inference::Baseline;
 use dermis_msgs::Message;
 use dermis_msgs::msg::TaxelFrame;
-use dermis_skin::{ChannelFlags, Frame, SkinDescription, Stamp, ZeroTracker};
+use dermis_msgs::sensor_msgs::msg::Image as ImageMsg;
+use dermis_skin::{ChannelFlags, Frame, Image, ImageGrid, SkinDescription, Stamp, ZeroTracker};
 
 use super::truth::Truth;
 use super::{Run, SampleId};
@@ -22,6 +27,8 @@ use crate::LearnError;
 
 /// Frames that a tare takes at least.
 pub(super) const FEWEST_TARE_FRAMES: usize = 3;
+/// Images, and frames, that are read ahead of their counterparts: they may be recorded in either order.
+const AHEAD: usize = 64;
 
 /// What stays in memory of every frame: when it was acquired and what was true, but no reading.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,19 +50,37 @@ pub struct Sample {
     pub frame: Frame,
     /// `value − zero` in the unit of the skin, one a channel; NaN where a channel is invalid or its zero unknown.
     pub tared: Vec<f32>,
+    /// The coarse image that was asked for ([`Dataset::stream_images`](super::Dataset::stream_images)), NaN throughout where
+    /// the frame has none; empty where none was asked for.
+    pub image: Vec<f32>,
+    /// The same less its zero; NaN where that is not known.
+    pub image_tared: Vec<f32>,
     /// Whether the zero is taken anew from this frame on: the first of an idle stretch that is long enough.
     pub tare: bool,
     /// `None` for a frame without ground truth; it still feeds history.
     pub truth: Option<Truth>,
 }
 
-/// Where the frames of a run are.
-#[derive(Debug, Clone)]
-pub(super) enum Source {
-    /// In memory, in order of acquisition.
-    Held(Arc<Vec<Frame>>),
+impl Sample {
+    /// What a model takes of it: the channels or, where it takes images, the coarse image.
+    #[must_use]
+    pub fn numbers(&self, baseline: Baseline, image: bool) -> &[f32] {
+        match (image, baseline) {
+            (false, Baseline::Raw) => &self.frame.values,
+            (false, Baseline::Tared) => &self.tared,
+            (true, Baseline::Raw) => &self.image,
+            (true, Baseline::Tared) => &self.image_tared,
+        }
+    }
+}
+
+/// Where the frames of a run are: in memory, in a bag, or in both.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Source {
+    /// In memory, in order of acquisition; without their images where they are of a bag.
+    pub(super) held: Option<Arc<Vec<Frame>>>,
     /// In the bag.
-    Bag(BagFrames),
+    pub(super) bag: Option<BagFrames>,
 }
 
 /// Which messages of a bag are the frames of a run.
@@ -63,6 +88,8 @@ pub(super) enum Source {
 pub(super) struct BagFrames {
     pub(super) instance: String,
     pub(super) topic: Option<String>,
+    /// Topic of their images, where there is one.
+    pub(super) images: Option<String>,
     /// Place in time of every frame of the bag; `None` where they lie in order.
     pub(super) ranks: Option<Arc<Vec<u32>>>,
 }
@@ -72,6 +99,7 @@ pub struct Samples<'a> {
     run: &'a Run,
     frames: Frames<'a>,
     zero: ZeroTracker,
+    grid: Option<ImageGrid>,
     next: usize,
 }
 
@@ -87,38 +115,77 @@ struct Reading<'a> {
     messages: Messages,
     /// Frames of the bag that were read.
     read: usize,
-    /// Frames that come later in time than others that lie behind them in the bag.
+    /// Frames that were read before it was their turn, by their place in time.
     early: BTreeMap<usize, Frame>,
+    /// Images that were read and belong to no frame so far.
+    images: BTreeMap<Stamp, Image>,
 }
 
-impl Reading<'_> {
-    /// The frame with this place in time.
-    fn frame(&mut self, place: usize) -> Result<Frame, LearnError> {
-        if let Some(frame) = self.early.remove(&place) {
-            return Ok(frame);
+impl<'a> Reading<'a> {
+    fn open(path: &'a Path, of: &'a BagFrames, images: bool) -> Result<Self, LearnError> {
+        let images = of.images.as_ref().filter(|_| images);
+        let mut filter = Filter::default()
+            .types([TaxelFrame::TYPE_NAME].into_iter().chain(images.map(|_| ImageMsg::TYPE_NAME)));
+        if let Some(topic) = &of.topic {
+            filter = filter.topics([topic].into_iter().chain(images).cloned());
         }
-        while let Some(message) = self.messages.next().transpose()? {
-            if self.of.topic.as_ref().is_some_and(|topic| **topic != *message.topic) {
-                continue;
+        let messages = BagReader::open(path)?.messages_where(filter);
+        Ok(Self { path, of, messages, read: 0, early: BTreeMap::new(), images: BTreeMap::new() })
+    }
+
+    /// Reads one message; `false` at the end of the bag.
+    fn advance(&mut self) -> Result<bool, LearnError> {
+        let Some(message) = self.messages.next().transpose()? else { return Ok(false) };
+        if *message.type_name == *ImageMsg::TYPE_NAME {
+            if self.of.images.as_ref().is_some_and(|topic| **topic == *message.topic) {
+                let image: ImageMsg = message.decode()?;
+                let unknown =
+                    || LearnError::Image { bag: self.path.to_owned(), encoding: image.encoding.clone() };
+                let seen = Image::from_message(&image).ok_or_else(unknown)?;
+                self.images.insert(image.header.stamp.as_nanos(), seen);
+                if self.images.len() > AHEAD {
+                    self.images.pop_first();
+                }
             }
-            let frame: TaxelFrame = message.decode()?;
-            if frame.skin != self.of.instance || frame.header.stamp.as_nanos() == 0 {
-                continue;
-            }
+            return Ok(true);
+        }
+        if self.of.topic.as_ref().is_some_and(|topic| **topic != *message.topic) {
+            return Ok(true);
+        }
+        let frame: TaxelFrame = message.decode()?;
+        if frame.skin == self.of.instance && frame.header.stamp.as_nanos() != 0 {
             let rank = match &self.of.ranks {
                 None => Some(self.read),
                 Some(ranks) => ranks.get(self.read).map(|r| *r as usize),
             };
             self.read += 1;
-            match rank {
-                Some(rank) if rank == place => return Ok(Frame::from(&frame)),
-                Some(rank) => {
-                    self.early.insert(rank, Frame::from(&frame));
-                }
-                None => break,
+            self.early.insert(rank.ok_or_else(|| self.changed())?, Frame::from(&frame));
+        }
+        Ok(true)
+    }
+
+    /// The frame with this place in time.
+    fn frame(&mut self, place: usize) -> Result<Frame, LearnError> {
+        loop {
+            if let Some(frame) = self.early.remove(&place) {
+                return Ok(frame);
+            }
+            if !self.advance()? {
+                return Err(self.changed());
             }
         }
-        Err(self.changed())
+    }
+
+    /// The image of this stamp, where there is one near its frame.
+    fn image(&mut self, stamp: Stamp) -> Result<Option<Image>, LearnError> {
+        loop {
+            if let Some(image) = self.images.remove(&stamp) {
+                return Ok(Some(image));
+            }
+            if self.early.len() >= AHEAD || !self.advance()? {
+                return Ok(None);
+            }
+        }
     }
 
     fn changed(&self) -> LearnError {
@@ -126,42 +193,67 @@ impl Reading<'_> {
     }
 }
 
+/// Which images of a run are wanted.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Images {
+    /// Whether frames come with theirs.
+    pub(super) read: bool,
+    /// What is made of them besides.
+    pub(super) grid: Option<ImageGrid>,
+}
+
 impl<'a> Samples<'a> {
-    pub(super) fn new(run: &'a Run, skin: &SkinDescription) -> Result<Self, LearnError> {
-        let frames = match &run.source {
-            Source::Held(frames) => Frames::Held(frames.iter()),
-            Source::Bag(of) => {
-                let mut filter = Filter::default().types([TaxelFrame::TYPE_NAME]);
-                if let Some(topic) = &of.topic {
-                    filter = filter.topics([topic.clone()]);
-                }
-                let messages = BagReader::open(&run.path)?.messages_where(filter);
-                let path = run.path.as_path();
-                Frames::Bag(Box::new(Reading { path, of, messages, read: 0, early: BTreeMap::new() }))
-            }
+    pub(super) fn new(run: &'a Run, skin: &SkinDescription, images: Images) -> Result<Self, LearnError> {
+        let Source { held, bag } = &run.source;
+        let in_bag = bag.as_ref().filter(|of| held.is_none() || (images.read && of.images.is_some()));
+        let frames = match (in_bag, held) {
+            (Some(of), _) => Frames::Bag(Box::new(Reading::open(&run.path, of, images.read)?)),
+            (None, held) => Frames::Held(held.as_ref().map_or(&[][..], |frames| frames.as_slice()).iter()),
         };
-        Ok(Self { run, frames, zero: ZeroTracker::labelled(skin), next: 0 })
+        let mut zero = ZeroTracker::labelled(skin);
+        zero.set_image(images.grid.map_or(0, |grid| grid.numbers()));
+        Ok(Self { run, frames, zero, grid: images.grid, next: 0 })
     }
 
     fn sample(&mut self, info: &FrameInfo) -> Result<Sample, LearnError> {
         let frame = match &mut self.frames {
             Frames::Held(frames) => frames.next().cloned().unwrap_or_default(),
             Frames::Bag(reading) => {
-                let frame = reading.frame(self.next)?;
+                let mut frame = reading.frame(self.next)?;
                 if frame.stamp != info.stamp {
                     return Err(reading.changed());
+                }
+                if reading.of.images.is_some() {
+                    frame.image = reading.image(frame.stamp)?;
                 }
                 frame
             }
         };
+        let mut image = Vec::new();
+        if let Some(grid) = &self.grid {
+            image.resize(grid.numbers(), f32::NAN);
+            if let Some(seen) = &frame.image {
+                let unfit = |source| LearnError::ImageSize { bag: self.run.path.clone(), source };
+                grid.reduce(seen, &mut image).map_err(unfit)?;
+            }
+        }
         if info.tare {
             self.zero.reset();
         }
         // What is not known to be untouched must not move the zero.
-        self.zero.push(&frame, info.truth.as_ref().is_none_or(Truth::touched));
+        self.zero.push_with(&frame, &image, info.truth.as_ref().is_none_or(Truth::touched));
         let mut tared = frame.clone();
         self.zero.subtract(&mut tared);
-        Ok(Sample { frame, tared: tared.values, tare: info.tare, truth: info.truth.clone() })
+        let mut image_tared = Vec::new();
+        self.zero.subtract_image(&image, &mut image_tared);
+        Ok(Sample {
+            frame,
+            tared: tared.values,
+            image,
+            image_tared,
+            tare: info.tare,
+            truth: info.truth.clone(),
+        })
     }
 }
 
@@ -190,13 +282,13 @@ impl Run {
         let mut flags = SharedFlags::default();
         let marks = frames.iter().map(|f| (f.stamp, flags.share(&f.flags))).collect();
         let samples = infos(marks, labels, skin, tare_when_idle);
-        let source = Source::Held(Arc::new(frames));
+        let source = Source { held: Some(Arc::new(frames)), bag: None };
         Self { path, session, hash, samples, lost: 0, bias: None, source }
     }
 }
 
 impl super::Dataset {
-    /// The frames of one run, read anew; none where there is no such run.
+    /// The frames of one run, read anew, without the images of a camera; none where there is no such run.
     ///
     /// # Errors
     ///
@@ -205,7 +297,37 @@ impl super::Dataset {
         &self,
         run: usize,
     ) -> Result<impl Iterator<Item = Result<Sample, LearnError>> + '_, LearnError> {
-        let samples = self.runs.get(run).map(|run| Samples::new(run, &self.skin)).transpose()?;
+        self.samples(run, Images::default())
+    }
+
+    /// As [`stream`](Self::stream), with the image of every frame that has one, and what `grid` makes of it.
+    ///
+    /// # Errors
+    ///
+    /// As [`stream`](Self::stream); then, sample by sample, [`LearnError::Image`] and [`LearnError::ImageSize`].
+    pub fn stream_images(
+        &self,
+        run: usize,
+        grid: Option<ImageGrid>,
+    ) -> Result<impl Iterator<Item = Result<Sample, LearnError>> + '_, LearnError> {
+        self.samples(run, Images { read: true, grid })
+    }
+
+    /// What a model takes of the frames of one run: with images where it takes these.
+    pub(crate) fn stream_for(
+        &self,
+        run: usize,
+        image: Option<ImageGrid>,
+    ) -> Result<impl Iterator<Item = Result<Sample, LearnError>> + '_, LearnError> {
+        self.samples(run, Images { read: image.is_some(), grid: image })
+    }
+
+    fn samples(
+        &self,
+        run: usize,
+        images: Images,
+    ) -> Result<std::iter::Flatten<std::option::IntoIter<Samples<'_>>>, LearnError> {
+        let samples = self.runs.get(run).map(|run| Samples::new(run, &self.skin, images)).transpose()?;
         Ok(samples.into_iter().flatten())
     }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use dermis_inference::{Baseline, FeatureConfig, Missing, Taps};
+use dermis_skin::ImageGrid;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::Truth;
@@ -82,6 +83,9 @@ pub struct FeatureChoice {
     pub max_gap: f64,
     /// What a channel is divided by.
     pub scaling: Scaling,
+    /// The image that the model sees in place of the channels, of a skin that is read by a camera.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub image: Option<ImageGrid>,
 }
 
 impl Default for FeatureChoice {
@@ -94,6 +98,7 @@ impl Default for FeatureChoice {
             missing: newest.missing,
             max_gap: newest.max_gap,
             scaling: Scaling::default(),
+            image: None,
         }
     }
 }
@@ -110,6 +115,7 @@ impl FeatureChoice {
             difference: self.difference.clone(),
             missing: self.missing,
             max_gap: self.max_gap,
+            image: self.image,
         }
     }
 }
@@ -299,6 +305,18 @@ impl TrainConfig {
                 "network.input",
                 "`direction` needs the newest frame as the first of `features.taps`".into(),
             );
+        }
+        if let Some(grid) = &self.features.image {
+            if !(1..=ImageGrid::MOST).contains(&grid.numbers()) {
+                let most = ImageGrid::MOST;
+                return wrong(
+                    "features.image",
+                    format!("has {} numbers and must have 1 to {most}", grid.numbers()),
+                );
+            }
+            if self.network.input == InputForm::Direction {
+                return wrong("network.input", "is for channels; leave it out, or `features.image`".into());
+            }
         }
         if self.network.conv.is_some() {
             for (field, used) in [

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use dermis_inference::{Baseline, FeatureConfig, Link, OutputConfig, OutputSpec};
+use dermis_inference::{FeatureConfig, Link, OutputConfig, OutputSpec};
 
 use super::config::{Scaling, TrainConfig};
 use super::run::no_rows;
@@ -11,6 +11,9 @@ use crate::dataset::{Dataset, SampleId, Truth};
 use crate::findings::Findings;
 use crate::split::Split;
 use crate::target::{MapTarget, Maps, Target};
+
+/// Step of a pixel's converter as a share of its full scale: no number of an image is known to be quieter.
+const PIXEL_STEP: f64 = 1.0 / 255.0;
 
 #[derive(Default, Clone, Copy)]
 struct Moments {
@@ -38,20 +41,21 @@ pub(super) fn measure_features(
     config: &TrainConfig,
     split: &Split,
 ) -> Result<FeatureConfig, LearnError> {
-    let noise = data.skin().channel_noise();
+    let image = config.features.image;
+    let noise = match &image {
+        Some(grid) => vec![PIXEL_STEP; grid.numbers()],
+        None => data.skin().channel_noise(),
+    };
     let mut moments = vec![Moments::default(); noise.len()];
     let train: BTreeSet<SampleId> = split.train.iter().copied().collect();
     for run in 0..data.runs().len() {
-        for (sample, read) in data.stream(run)?.enumerate() {
+        for (sample, read) in data.stream_for(run, image)?.enumerate() {
             let read = read?;
             if !read.truth.as_ref().is_some_and(Truth::touched) || !train.contains(&SampleId { run, sample })
             {
                 continue;
             }
-            let values = match config.baseline {
-                Baseline::Tared => &read.tared,
-                Baseline::Raw => &read.frame.values,
-            };
+            let values = read.numbers(config.baseline, image.is_some());
             for (m, v) in moments.iter_mut().zip(values).filter(|(_, v)| v.is_finite()) {
                 m.push(f64::from(*v));
             }

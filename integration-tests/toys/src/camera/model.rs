@@ -14,6 +14,9 @@ const AMBIENT: f64 = 0.15;
 /// Brightness that a lamp adds to a surface that faces it.
 const LAMP: f64 = 0.6;
 
+/// Pixels along a side of a square of which the noise-free numbers look at one: dents are wider than that.
+const STRIDE: usize = 4;
+
 /// The pad and the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -24,6 +27,16 @@ pub struct Medium {
     width: f64,
     /// Standard deviation of a pixel's noise, full scale 1.
     pixel_noise: f64,
+    /// Share of its brightness that the first lamp has.
+    #[serde(skip, default = "whole")]
+    pub(super) red: f64,
+    /// Factor of `give`.
+    #[serde(skip, default = "whole")]
+    pub(super) softness: f64,
+}
+
+fn whole() -> f64 {
+    1.0
 }
 
 impl Medium {
@@ -43,7 +56,7 @@ impl Medium {
                 });
             }
         }
-        Ok(medium)
+        super::effects::apply(skin, medium)
     }
 }
 
@@ -73,13 +86,19 @@ impl CameraModel {
         let dent = |(index, contact): (usize, &dermis_model::Indentation)| {
             let normal = contact.check(index, &self.surface)?;
             let pressing = (-contact.force.dot(&normal)).max(0.0);
-            Ok(([contact.position.x, contact.position.y], self.medium.give * pressing.powf(EXPONENT)))
+            let give = self.medium.softness * self.medium.give;
+            Ok(([contact.position.x, contact.position.y], give * pressing.powf(EXPONENT)))
         };
         stimulus.contacts.iter().enumerate().map(dent).collect()
     }
 
-    /// Brightness of every pixel in every colour, 0 to 1.
-    fn render(&self, stimulus: &Stimulus, mut pixel: impl FnMut(usize, f64)) -> Result<(), ModelError> {
+    /// Brightness in every colour, 0 to 1, of the pixels in the middle of squares of `stride`.
+    fn render(
+        &self,
+        stimulus: &Stimulus,
+        stride: usize,
+        mut pixel: impl FnMut(usize, f64),
+    ) -> Result<(), ModelError> {
         let dents = self.dents(stimulus)?;
         let lamps: [Vector3<f64>; COLOURS] = std::array::from_fn(|i| {
             let (sin, cos) = (std::f64::consts::TAU * i as f64 / COLOURS as f64).sin_cos();
@@ -87,9 +106,9 @@ impl CameraModel {
         });
         let variance = self.medium.width * self.medium.width;
         let [width, height] = SIZE.map(|n| n as usize);
-        for row in 0..height {
+        for row in (stride / 2..height).step_by(stride) {
             let y = ((row as f64 + 0.5) / height as f64 - 0.5) * self.size[1];
-            for column in 0..width {
+            for column in (stride / 2..width).step_by(stride) {
                 let x = ((column as f64 + 0.5) / width as f64 - 0.5) * self.size[0];
                 let mut slope = [0.0; 2];
                 for ([px, py], deep) in &dents {
@@ -100,7 +119,8 @@ impl CameraModel {
                 }
                 let normal = Vector3::new(-slope[0], -slope[1], 1.0).normalize();
                 for (colour, lamp) in lamps.iter().enumerate() {
-                    let bright = AMBIENT + LAMP * normal.dot(lamp).max(0.0);
+                    let power = if colour == 0 { LAMP * self.medium.red } else { LAMP };
+                    let bright = AMBIENT + power * normal.dot(lamp).max(0.0);
                     pixel((row * width + column) * COLOURS + colour, bright.min(1.0));
                 }
             }
@@ -121,8 +141,9 @@ impl ForwardModel for CameraModel {
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
         out.fill(0.0);
         let [columns, _] = super::BLOCKS;
-        let (width, share) = (SIZE[0] as usize, 1.0 / (super::BLOCK * super::BLOCK) as f64);
-        self.render(stimulus, |i, bright| {
+        let seen = super::BLOCK / STRIDE;
+        let (width, share) = (SIZE[0] as usize, 1.0 / (seen * seen) as f64);
+        self.render(stimulus, STRIDE, |i, bright| {
             let (pixel, colour) = (i / COLOURS, i % COLOURS);
             let block = pixel / width / super::BLOCK * columns + pixel % width / super::BLOCK;
             out[block * COLOURS + colour] += bright * share;
@@ -156,7 +177,7 @@ impl ForwardModel for CameraModel {
         noise: &mut dyn FnMut() -> f64,
     ) -> Result<Option<Image>, ModelError> {
         let mut data = vec![0_u8; SIZE[0] as usize * SIZE[1] as usize * COLOURS];
-        self.render(stimulus, |i, bright| {
+        self.render(stimulus, 1, |i, bright| {
             let read = bright + self.medium.pixel_noise * noise();
             data[i] = (read * 255.0).round().clamp(0.0, 255.0) as u8;
         })?;
