@@ -44,6 +44,9 @@ pub const ROS_IN_PROGRAM: [&str; 2] = [
 /// Programs and tests in one go: apart, their dependencies differ in features and are built twice.
 pub const BUILD: [&str; 4] = ["build", "--release", "--bins", "--tests"];
 
+/// What the tests with ROS 2 need: nothing else is linked once more.
+const BUILD_ROS: [&str; 5] = ["build", "--release", "--bin=dermis", "--bin=dermis-train", "--test=ros2"];
+
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let mut skipped = Vec::new();
     if options.no_lint {
@@ -80,7 +83,9 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         c
     };
     if !options.no_lint {
-        step("lints", || execute(everything(&["clippy", "--all-targets"]).args(["--", "-D", "warnings"])))?;
+        // With the profile of the build: macros and build scripts are built once for both.
+        let clippy = ["clippy", "--release", "--all-targets"];
+        step("lints", || execute(everything(&clippy).args(["--", "-D", "warnings"])))?;
     }
     // Release, because that is what ships, and training in it takes seconds.
     step("build", || execute(&mut everything(&BUILD)))?;
@@ -112,11 +117,13 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             c
         };
         if !options.no_lint {
-            step("lints with ROS 2", || execute(with(&["clippy", "--bins"]).args(["--", "-D", "warnings"])))?;
+            let clippy = ["clippy", "--release", "--bins"];
+            step("lints with ROS 2", || execute(with(&clippy).args(["--", "-D", "warnings"])))?;
         }
         let programs = step("build with ROS 2", || {
-            build_aside(&release, &["dermis", "dermis-train"], || execute(&mut with(&BUILD)))
+            build_aside(&release, &["dermis", "dermis-train"], || execute(&mut with(&BUILD_ROS)))
         })?;
+        let tests = [&tests[..], &["--test=ros2"]].concat();
         step("tests with ROS 2", || nextest(with(&tests), &programs, "binary(ros2)"))?;
     }
     if skipped.is_empty() {

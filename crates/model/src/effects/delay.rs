@@ -65,3 +65,44 @@ impl StatefulAct for Delay {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// What was read at `at` \[s\], between frames linearly, and before the first as in it.
+    fn history(frames: &[(f64, f64)], at: f64) -> f64 {
+        let after = frames.iter().position(|(t, _)| *t >= at).unwrap_or(frames.len() - 1);
+        let (t1, b) = frames[after];
+        if after == 0 || t1 < at {
+            return b;
+        }
+        let (t0, a) = frames[after - 1];
+        a + (b - a) * (at - t0) / (t1 - t0)
+    }
+
+    proptest! {
+        #[test]
+        fn every_reading_is_the_one_of_a_while_ago(
+            by in 0.001..0.2_f64,
+            frames in prop::collection::vec((0.001..0.05_f64, -1.0..1.0_f64), 2..60),
+        ) {
+            let mut delay = Delay { by, frames: VecDeque::new() };
+            let (mut time, mut all) = (0.0, Vec::new());
+            for (step, value) in frames {
+                time += step;
+                all.push((time, value));
+                let mut readings = [value, 2.0 * value];
+                delay.apply(&Circumstances { time, touched: false }, &mut readings);
+                let wanted = history(&all, time - by);
+                prop_assert!((readings[0] - wanted).abs() < 1e-9, "{readings:?} is not {wanted}");
+                prop_assert!((readings[1] - 2.0 * wanted).abs() < 1e-9);
+                // Nothing is kept that is too old to matter: one frame before the delay and all since.
+                let since = all.iter().filter(|(t, _)| *t > time - by).count();
+                prop_assert!(delay.frames.len() <= since + 2, "{} frames are kept", delay.frames.len());
+            }
+        }
+    }
+}

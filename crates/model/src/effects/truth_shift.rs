@@ -81,3 +81,50 @@ impl RigAct for Shift {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::SurfaceSpec;
+    use nalgebra::Point3;
+
+    use super::*;
+
+    fn moved(shift: [f64; 3], turn: f64, surface: &Surface, at: [f64; 3], force: [f64; 3]) -> Indentation {
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), turn);
+        let mut contact = Indentation::sphere(Point3::from(at), Vector3::from(force), 0.004);
+        Shift { shift: Vector3::from(shift), turn }.real(&mut contact, surface);
+        contact
+    }
+
+    fn near(found: &Indentation, at: [f64; 3], force: [f64; 3]) {
+        let (at, force) = (Point3::from(at), Vector3::from(force));
+        assert!((found.position - at).norm() < 1e-9, "{} is not {at}", found.position);
+        assert!((found.force - force).norm() < 1e-9, "{} is not {force}", found.force);
+    }
+
+    #[test]
+    fn on_a_plane_contacts_turn_and_move_and_forces_stay() {
+        let plane = Surface::from_spec(&SurfaceSpec::Rectangle { size: [0.04, 0.04], spacing: 0.01 });
+        let found = moved([0.003, -0.001, 0.002], 0.3, &plane, [0.002, 0.004, 0.0], [0.1, 0.2, -1.0]);
+        let (sin, cos) = 0.3_f64.sin_cos();
+        let at = [0.002 * cos - 0.004 * sin + 0.003, 0.002 * sin + 0.004 * cos - 0.001, 0.0];
+        near(&found, at, [0.1, 0.2, -1.0]);
+    }
+
+    #[test]
+    fn around_a_wall_forces_turn_with_the_normal() {
+        let dome = Surface::from_spec(&SurfaceSpec::Dome { radius: 0.03, cylinder: 0.02, spacing: 0.002 });
+        // Up the wall: nothing but the height changes.
+        near(
+            &moved([0.0, 0.0, 0.002], 0.0, &dome, [0.03, 0.0, 0.01], [-1.0, 0.5, 0.25]),
+            [0.03, 0.0, 0.012],
+            [-1.0, 0.5, 0.25],
+        );
+        // A quarter round it: pressing stays pressing, and what pushed along the wall still does.
+        near(
+            &moved([0.0; 3], std::f64::consts::FRAC_PI_2, &dome, [0.03, 0.0, 0.01], [-1.0, 0.5, 0.25]),
+            [0.0, 0.03, 0.01],
+            [-0.5, -1.0, 0.25],
+        );
+    }
+}
