@@ -1,6 +1,6 @@
 //! What fuzzing has found, tried again: the committed corpus of every fuzz target, which holds each input that once failed.
 
-#[path = "../../fuzz/src/lib.rs"]
+#[path = "../../../fuzz/src/lib.rs"]
 #[allow(dead_code, missing_docs, reason = "a crate of its own")]
 mod fuzz;
 

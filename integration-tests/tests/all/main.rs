@@ -1,0 +1,30 @@
+//! Programs, devices and other people's clients together: one binary, because each would link the whole stack once more.
+//! What needs ROS 2 in the program is a binary of its own beside it.
+
+mod bags;
+mod collect;
+mod corpus;
+mod examples;
+mod faults;
+mod gap;
+mod gap_check;
+mod gap_faults;
+mod hapdef;
+mod instances;
+mod launch;
+mod layouts;
+mod limits;
+mod losses;
+mod models;
+mod network;
+mod recorded;
+mod rmw_zenoh;
+mod security;
+mod sentences;
+mod soak;
+mod supervision;
+mod toys;
+mod training;
+mod verify;
+mod watch;
+mod zenoh;
