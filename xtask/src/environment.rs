@@ -23,6 +23,15 @@ pub fn clients(root: &Path) -> Result<PathBuf> {
     venv(&home(root).join("clients"), &requirements)
 }
 
+/// Chromium, in which pages and figures are looked at; installs it where it may. Says what is not tested without it.
+pub fn chromium() -> Option<String> {
+    let there = || Command::new("chromium").arg("--version").output().is_ok_and(|o| o.status.success());
+    (!debian(&["chromium", "fonts-dejavu-core"], there)).then(|| {
+        "Chromium cannot be installed here (apt-get install chromium): how pages look is not tested"
+            .to_owned()
+    })
+}
+
 /// Makes sure that CalculiX is there, which judges our finite elements: the one on the path, or Debian's package. Without
 /// rights to install it, tests that need it say that they are skipped: answers why, then.
 pub fn calculix() -> Option<String> {

@@ -56,6 +56,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     }
     step("test runner", || environment::subcommand(root, "nextest", "0.9.143"))?;
     skipped.extend(step("CalculiX", || Ok(environment::calculix()))?);
+    skipped.extend(step("Chromium", || Ok(environment::chromium()))?);
     let clients = step("Python clients", || environment::clients(root))?;
     if !options.no_lint {
         step("licences and sources", || {

@@ -13,6 +13,8 @@ use dermis_skin::SkinDescription;
 use nalgebra::{Point3, Vector3};
 use serde_json::Value;
 
+use crate::browser::looks_right;
+
 const LINE: &str = "launch/skins/baro-line.toml";
 
 fn dermis(arguments: &[&str]) -> Command {
@@ -77,6 +79,7 @@ fn what_was_switched_on_is_named_and_switching_it_on_reduces_the_gap() {
     );
     let page = std::fs::read_to_string(folder.join("out/report.html")).unwrap();
     assert!(page.contains("relaxation") && page.contains("Closes"));
+    looks_right(&folder.join("out/report.html"));
     // On the corrected skin there is no gap left.
     let corrected = folder.join("out/skin.toml");
     let again = folder.join("again");
@@ -175,6 +178,7 @@ fn closing_a_gap_makes_the_estimator_better() {
     assert!(after < 0.7 * before, "{before} m before, {after} m after");
     let page = std::fs::read_to_string(folder.join("closed/report.html")).unwrap();
     assert!(page.contains("[mm]: "));
+    looks_right(&folder.join("closed/report.html"));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 //! What needs ROS 2 in the program is a binary of its own beside it.
 
 mod bags;
+mod browser;
 mod collect;
 mod corpus;
 mod examples;

@@ -9,6 +9,8 @@ use dermis_integration_tests::{Peer, client_python, finish, isolate, json, progr
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
 use dermis_skin::SkinDescription;
 
+use crate::browser::looks_right;
+
 const SOON: Duration = Duration::from_secs(60);
 const SKIN: &str = "launch/skins/baro-grid.toml";
 const MAP: &str = "launch/labels/rig.toml";
@@ -105,7 +107,7 @@ fn a_recording_beside_a_rig_trains_as_well_as_one_beside_our_ground_truth() {
         let card = json(&std::fs::read_to_string(out.join("card.json")).unwrap());
         assert!(card["locations"].as_u64() > Some(60), "{}", card["locations"]);
         assert_eq!(card["map"].is_null(), !map);
-        assert!(out.join("report.html").is_file());
+        looks_right(&out.join("report.html"));
         // Both are measured against our ground truth, on all that was recorded.
         let text =
             finish(dermis().args(["evaluate", "--json", "--skin", SKIN, "--model"]).arg(out).arg(&bag));
