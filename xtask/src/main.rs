@@ -7,6 +7,7 @@ mod environment;
 mod fuzz;
 mod layers;
 mod measure;
+mod mutants;
 mod run;
 mod targets;
 mod test;
@@ -47,6 +48,8 @@ enum Command {
     Measure(measure::Measurement),
     /// Try any bytes on what reads frames, messages, bags and configuration; see `fuzz/`.
     Fuzz(fuzz::Options),
+    /// Change the code of the base crates in small ways, and say which changes no test notices; takes hours, so by night.
+    Mutants(mutants::Options),
     /// Build the book under docs/, check its tables and links, or write what is generated of it.
     Docs(docs::Options),
     /// Check that imports between crates run one way.
@@ -83,6 +86,7 @@ fn main() -> Result<()> {
         Command::Bench(options) => bench::run(&root, &options),
         Command::Measure(measurement) => measure::run(&root, &measurement),
         Command::Fuzz(options) => fuzz::run(&root, &options),
+        Command::Mutants(options) => mutants::run(&root, &options),
         Command::Docs(options) => docs::run(&root, &options),
         Command::Layers => layers::check(&root),
         Command::Advisories => {

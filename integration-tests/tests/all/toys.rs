@@ -44,7 +44,7 @@ fn pad_plan(folder: &Path, name: &str, presses: u32, seed: u32) -> PathBuf {
     let path = folder.join(format!("{name}.toml"));
     let text = format!(
         "schema = 'dermis-plan/1'\nname = '{name}'\nseed = {seed}\ndiameter = 0.004\nmargin = 0.003\n\
-         [timing]\napproach = [0.05, 0.1]\nload = [0.1, 0.15]\nhold = [0.2, 0.3]\nunload = [0.05, 0.1]\ngap = [0.2, 0.3]\n\
+         [timing]\napproach = [0.05, 0.06]\nload = [0.05, 0.1]\nhold = [0.1, 0.15]\nunload = [0.05, 0.06]\ngap = [0.1, 0.2]\n\
          [[steps]]\nkind = 'idle'\nduration = 2.0\n\
          [[steps]]\nkind = 'presses'\ncount = {presses}\nforce = [0.5, 4.0]\n"
     );
@@ -167,12 +167,12 @@ fn its_node_finds_contacts_on_the_wire() {
 
 /// A convolutional network from images to a force map, learned from a bag.
 fn seeing_model(folder: &Path) -> PathBuf {
-    let bag = collect_by(CAMERA, &pad_plan(folder, "seen", 60, 1), &[]);
+    let bag = collect_by(CAMERA, &pad_plan(folder, "seen", 100, 1), &[]);
     let config = folder.join("train.cfg.toml");
     let text = "targets = [\"position.x\", \"position.y\", \"force.normal\", \"map.normal\"]\nbaseline = \"tared\"\n\
                 [features]\nscaling = \"common\"\nimage = { planes = 3, rows = 24, columns = 32 }\n\
                 [network.conv]\ngrid = [3, 24, 32]\nencoder = [8, 16, 16]\nhidden = 64\nsurface = [13, 17]\n\
-                [training]\nepochs = 30\nbatch = 32\nlearning_rate = 3e-3\n\
+                [training]\nepochs = 60\nbatch = 32\nlearning_rate = 3e-3\n\
                 [split]\nkind = \"location\"\nfraction = 0.2\n";
     std::fs::write(&config, text).unwrap();
     let out = folder.join("model");

@@ -1,7 +1,7 @@
 //! From a data set to a convolutional network.
 //!
-//! Inputs and targets are computed anew in every epoch, while the bags are read: nothing of them is held but a mini-batch
-//! and what is shuffled. A tenth of the places of the training part serves to stop early, besides those that are held out.
+//! Inputs and targets are held where they are few; otherwise they are computed anew in every epoch, while the bags are read, and
+//! nothing of them is held but a mini-batch and what is shuffled. A tenth of the places of the training part serves to stop early, besides those that are held out.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -22,8 +22,22 @@ const SHUFFLE: usize = 1024;
 /// Places of the training part that serve to stop early.
 const VALIDATION: f64 = 0.1;
 
+/// Bytes of inputs and targets up to which they are held from one epoch to the next.
+const HELD: usize = 256 << 20;
+
+/// Whether samples are held.
+enum Held {
+    /// So many were read so far, and they may still be few.
+    Reading(Vec<TensorSample>, usize),
+    /// All of them.
+    All(Vec<TensorSample>),
+    /// They are too many.
+    No,
+}
+
 /// Samples of a data set.
 struct Reader<'a> {
+    held: RefCell<Held>,
     job: &'a Job<'a>,
     ids: BTreeSet<SampleId>,
     maps: &'a RefCell<Maps>,
@@ -31,8 +45,41 @@ struct Reader<'a> {
     columns: &'a [&'static str],
 }
 
+impl Held {
+    /// Keeps one more sample, unless they have become too many.
+    fn push(&mut self, sample: &TensorSample) {
+        let Self::Reading(samples, bytes) = self else { return };
+        let rows = sample.targets.iter().chain(&sample.weights).map(Vec::len).sum::<usize>();
+        *bytes += size_of::<f32>() * (sample.input.len() + rows);
+        if *bytes > HELD {
+            *self = Self::No;
+        } else {
+            samples.push(sample.clone());
+        }
+    }
+}
+
 impl TensorReader for Reader<'_> {
     fn each(&self, take: &mut dyn FnMut(TensorSample) -> Result<(), LearnError>) -> Result<(), LearnError> {
+        if let Held::All(samples) = &*self.held.borrow() {
+            return samples.iter().try_for_each(|sample| take(sample.clone()));
+        }
+        if matches!(*self.held.borrow(), Held::Reading(..)) {
+            // What an earlier, interrupted reading has kept is read again.
+            *self.held.borrow_mut() = Held::Reading(Vec::new(), 0);
+        }
+        self.read(take)?;
+        let mut held = self.held.borrow_mut();
+        if let Held::Reading(samples, _) = &mut *held {
+            *held = Held::All(std::mem::take(samples));
+        }
+        Ok(())
+    }
+}
+
+impl Reader<'_> {
+    /// Reads the bags.
+    fn read(&self, take: &mut dyn FnMut(TensorSample) -> Result<(), LearnError>) -> Result<(), LearnError> {
         let (data, baseline) = (self.job.request.data, self.job.request.config.baseline);
         data.each_input(self.job.features, baseline, |id, row| {
             let truth = data.sample(id).and_then(|s| s.truth.as_ref());
@@ -51,7 +98,10 @@ impl TensorReader for Reader<'_> {
                 };
                 self.heads.iter().map(&mut part).collect()
             };
-            take(TensorSample { input: row.to_vec(), targets: parts(&targets), weights: parts(&weights) })
+            let sample =
+                TensorSample { input: row.to_vec(), targets: parts(&targets), weights: parts(&weights) };
+            self.held.borrow_mut().push(&sample);
+            take(sample)
         })
     }
 }
@@ -139,7 +189,14 @@ pub(super) fn fit_conv(
         return Err(no_rows());
     }
     let (maps, columns) = (RefCell::new(maps), job.columns());
-    let reader = |ids: BTreeSet<SampleId>| Reader { job, ids, maps: &maps, heads: &heads, columns: &columns };
+    let reader = |ids: BTreeSet<SampleId>| Reader {
+        held: RefCell::new(Held::Reading(Vec::new(), 0)),
+        job,
+        ids,
+        maps: &maps,
+        heads: &heads,
+        columns: &columns,
+    };
     let samples = train.len();
     let folder = partial(request.out);
     std::fs::create_dir_all(&folder).map_err(LearnError::io(&folder, "written"))?;
