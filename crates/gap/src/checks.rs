@@ -193,20 +193,23 @@ fn tared(readings: &[f32], model: &[f32], samples: &Samples, sigma: &[f64]) -> T
     let channels = sigma.len();
     let usable: Vec<usize> = (0..channels).filter(|k| sigma[*k].is_finite()).collect();
     let rest: Vec<usize> = (0..samples.list.len()).filter(|i| !samples.list[*i].phase.touched()).collect();
-    let zero: Vec<f32> = (0..channels)
-        .map(|k| {
-            let mut values: Vec<f32> = rest.iter().map(|i| readings[i * channels + k]).collect();
+    let zero = |of: &[f32]| -> Vec<f32> {
+        let median = |k: usize| {
+            let mut values: Vec<f32> = rest.iter().map(|i| of[i * channels + k]).collect();
             values.sort_by(f32::total_cmp);
             values.get(values.len() / 2).copied().unwrap_or(0.0)
-        })
-        .collect();
+        };
+        (0..channels).map(median).collect()
+    };
+    // A model may read something where nothing touches, as a device does.
+    let (zero, nothing) = (zero(readings), zero(model));
     let (mut real, mut said) = (Vec::new(), Vec::new());
     for i in held(samples) {
         for k in 0..channels {
             let finite = sigma[k].is_finite();
             let s = sigma[k] as f32;
             real.push(if finite { (readings[i * channels + k] - zero[k]) / s } else { 0.0 });
-            said.push(if finite { model[i * channels + k] / s } else { 0.0 });
+            said.push(if finite { (model[i * channels + k] - nothing[k]) / s } else { 0.0 });
         }
     }
     Tared { real, model: said, channels, usable }
@@ -281,6 +284,7 @@ pub fn agreement(
             name: recording.name.clone(),
             channels: recording.channels,
             moments: recording.moments.clone(),
+            zero: recording.zero,
             ..Recording::default()
         };
         for m in &mut other.moments {
@@ -360,8 +364,9 @@ mod tests {
     use nalgebra::{Point3, Vector3};
 
     use super::*;
-    use crate::recording::Moment;
+    use crate::recording::{Moment, Zero};
     use crate::samples::SampleOptions;
+    use crate::testing::{EFFECTS, Small, gains, recorded, skin};
 
     /// Twelve presses in two sessions, of two tips, with everything that a recording can have.
     fn whole() -> Recording {
@@ -439,5 +444,33 @@ mod tests {
             }
         });
         assert_eq!(busy, ["windows without contact, at least half a second each"]);
+    }
+
+    #[test]
+    fn a_model_that_reads_something_untouched_agrees_as_one_that_does_not() {
+        let skin = skin();
+        for zero in [Zero::AsRead, Zero::Press] {
+            let compared = |rest: f64| {
+                let make = |skin: &SkinDescription| Small::make(skin, rest);
+                let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
+                let mut recording = recorded(&simulator, &[gains()]);
+                recording.tare(zero);
+                let samples = Samples::draw(&recording, &[true; 3], &SampleOptions::default());
+                let frames = samples.frames();
+                let readings: Vec<f32> =
+                    frames.iter().flat_map(|f| recording.frame(*f).iter().copied()).collect();
+                let model = simulator.readings(&skin, &recording, &frames).unwrap();
+                let sigma = [5.0; 3];
+                let found = agreement(&simulator, &recording, &samples, &readings, &model, &sigma).unwrap();
+                assert!(found.problems.is_empty() && found.order.is_none(), "{:?}", found.problems);
+                let now = tared(&readings, &model, &samples, &sigma);
+                (now.agreement(), now.gain())
+            };
+            let (plain, resting) = (compared(0.0), compared(4000.0));
+            assert!(plain.0 > 0.95, "{plain:?}");
+            // Gains scale an untouched reading, too, where nobody tares: the zero takes that away again.
+            assert!((plain.0 - resting.0).abs() < 1e-4, "{plain:?} {resting:?}");
+            assert!((plain.1 - resting.1).abs() < 1e-4, "{plain:?} {resting:?}");
+        }
     }
 }

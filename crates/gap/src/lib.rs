@@ -12,6 +12,9 @@
 //! simulator, over the presses of the recording. Whatever is measured of an effect is measured on places that it was not fitted
 //! to. Energies are in deviations of the noise squared; shares are of the readings' variance (FVU) unless they say otherwise.
 //!
+//! Columns of effects are what switching an effect on changes in whole frames, of all contacts at once. Changes of several effects are
+//! added to first order; nothing is taken to add up over contacts, so that a model need not superpose.
+//!
 //! Nothing here knows a sensor by name, and no stage of [`diagnose`] an effect.
 
 mod algebra;
@@ -37,8 +40,11 @@ mod signatures;
 mod simulate;
 mod statistics;
 mod store;
+#[cfg(test)]
+mod testing;
 mod whitening;
 mod wording;
+mod zero_level;
 
 pub use axes::{Axis, Bin, Map};
 pub use checks::Missing;

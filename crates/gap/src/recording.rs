@@ -1,6 +1,6 @@
 //! What was done to a skin, and what it read: the input of every diagnosis.
 
-use dermis_model::Stimulus;
+use dermis_model::{Stimulus, TipShape};
 use dermis_skin::Phase;
 use sha2::{Digest, Sha256};
 
@@ -34,6 +34,9 @@ impl Moment {
 }
 
 /// What readings are counted from.
+///
+/// A model may read something where nothing touches. Readings as they were recorded are compared with what it reads; tared ones with
+/// its signals, from which its own untouched readings are subtracted ([`Untouched`](dermis_model::Untouched)).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Zero {
     /// As they were recorded: the zero of the device is part of the gap.
@@ -83,6 +86,8 @@ pub struct Recording {
     pub session: Vec<u32>,
     /// What was noticed on reading it.
     pub problems: Vec<Problem>,
+    /// What its readings are counted from; [`tare`](Self::tare) sets it.
+    pub zero: Zero,
 }
 
 impl Recording {
@@ -121,7 +126,7 @@ impl Recording {
         found.len()
     }
 
-    /// Identity of what was done, whatever was read: signatures belong to it.
+    /// Identity of what was done, whatever was read: signatures belong to it, once it is known what readings count from.
     #[must_use]
     pub fn stimulus_hash(&self) -> String {
         let mut hasher = Sha256::new();
@@ -131,14 +136,8 @@ impl Recording {
             hasher.update(m.press.to_le_bytes());
             hasher.update(m.location.to_le_bytes());
             hasher.update([m.phase as u8, u8::from(m.stimulus.is_some())]);
-            if let Some(s) = &m.stimulus {
-                hasher.update(s.temperature.to_le_bytes());
-                hasher.update(s.ambient_pressure.to_le_bytes());
-                for c in &s.contacts {
-                    for v in c.position.iter().chain(c.force.iter()).chain([&c.diameter()]) {
-                        hasher.update(v.to_le_bytes());
-                    }
-                }
+            if let Some(stimulus) = &m.stimulus {
+                hash_stimulus(stimulus, &mut hasher);
             }
         }
         hex(&hasher.finalize())
@@ -160,6 +159,9 @@ impl Recording {
 
     /// Takes from each reading what its channel read while nothing touched.
     pub fn tare(&mut self, zero: Zero) {
+        if zero != Zero::AsRead {
+            self.zero = zero;
+        }
         let n = self.channels;
         let mut begin = 0;
         while begin < self.moments.len() {
@@ -245,6 +247,33 @@ impl Recording {
     }
 }
 
+/// All that a forward model may ask of a stimulus.
+fn hash_stimulus(stimulus: &Stimulus, hasher: &mut Sha256) {
+    let surroundings = [stimulus.temperature, stimulus.ambient_pressure];
+    for v in surroundings.iter().chain(stimulus.gravity.iter()) {
+        hasher.update(v.to_le_bytes());
+    }
+    hasher.update((stimulus.contacts.len() as u64).to_le_bytes());
+    for contact in &stimulus.contacts {
+        let shape = contact.tip.shape;
+        let sizes = match shape {
+            TipShape::Sphere { diameter } | TipShape::FlatPunch { diameter } => [diameter, 0.0],
+            TipShape::Cylinder { diameter, length } => [diameter, length],
+            TipShape::Wedge { angle, length } => [angle, length],
+            TipShape::Polygon { sides, diameter } => [f64::from(sides), diameter],
+            TipShape::Box { size } => size,
+        };
+        hasher.update(shape.name());
+        for v in contact.position.iter().chain(contact.force.iter()).chain(&sizes) {
+            hasher.update(v.to_le_bytes());
+        }
+        // A sphere is the same whichever way it is turned.
+        if contact.tip.as_sphere().is_none() {
+            contact.tip.orientation.coords.iter().for_each(|v| hasher.update(v.to_le_bytes()));
+        }
+    }
+}
+
 pub(crate) fn hex(bytes: &[u8]) -> String {
     let digits: String = bytes.iter().map(|b| format!("{b:02x}")).collect();
     format!("sha256:{digits}")
@@ -252,6 +281,9 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use dermis_model::{Indentation, Tip};
+    use nalgebra::{Point3, UnitQuaternion, Vector3};
+
     use super::*;
 
     /// Rests at 10 and drifts by 1 from press to press; each press adds 5.
@@ -274,6 +306,48 @@ mod tests {
         }
         recording.tare(zero);
         [10, 160, 190, 360].map(|i| recording.readings[i]).to_vec()
+    }
+
+    #[test]
+    fn signatures_of_one_tip_or_gravity_are_none_of_another() {
+        let hash = |change: &dyn Fn(&mut Stimulus)| {
+            let contact =
+                Indentation::sphere(Point3::new(0.0, 0.0, 0.0), Vector3::new(0.0, 0.0, -1.0), 0.004);
+            let mut stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+            change(&mut stimulus);
+            let mut recording = Recording::new("one", 1);
+            let moment = Moment {
+                time: 0.0,
+                run: 0,
+                press: 1,
+                location: 1,
+                phase: Phase::Hold,
+                stimulus: Some(stimulus),
+                temperature: f64::NAN,
+            };
+            recording.push(moment, &[1.0]);
+            recording.stimulus_hash()
+        };
+        let turned = |by: f64| UnitQuaternion::from_euler_angles(0.0, 0.0, by);
+        let punch =
+            |turn: f64| Tip { shape: TipShape::FlatPunch { diameter: 0.004 }, orientation: turned(turn) };
+        let all = [
+            hash(&|_| ()),
+            hash(&|s| s.gravity.z = -9.81),
+            hash(&|s| s.contacts[0].tip = punch(0.0)),
+            hash(&|s| s.contacts[0].tip = punch(0.3)),
+            hash(&|s| {
+                s.contacts[0].tip.shape = TipShape::Cylinder { diameter: 0.002, length: 0.004 };
+            }),
+            // As long as the one before.
+            hash(&|s| {
+                s.contacts[0].tip.shape = TipShape::Cylinder { diameter: 0.003, length: 0.004 };
+            }),
+        ];
+        for (i, a) in all.iter().enumerate() {
+            assert!(all[..i].iter().all(|b| a != b), "{i}");
+        }
+        assert_eq!(all[0], hash(&|s| s.contacts[0].tip.orientation = turned(0.3)), "a sphere was turned");
     }
 
     #[test]

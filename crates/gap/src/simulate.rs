@@ -4,13 +4,15 @@ use std::sync::Arc;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use dermis_model::{ForwardModel, common_effect, device};
+use dermis_model::{ForwardModel, Untouched, common_effect, device};
 use dermis_skin::{Effect, EffectInfo, SkinDescription};
 use indicatif::ProgressBar;
 
 use crate::GapError;
-use crate::recording::Recording;
+use crate::effects;
+use crate::recording::{Recording, Zero};
 use crate::samples::Samples;
+use crate::zero_level::ZeroLevel;
 
 /// What a device would have read along a recording.
 type Simulated = Result<Vec<f32>, GapError>;
@@ -59,7 +61,7 @@ impl Simulator<'_> {
         made.map_err(|Refused::Model(reason)| GapError::Make { what: describe(skin, self.skin), reason })
     }
 
-    /// Whether what a skin reads depends on what happened before.
+    /// Whether effects of a skin make what it reads depend on what happened before.
     fn remembers(&self, skin: &SkinDescription) -> bool {
         skin.effects.iter().filter(|e| e.strength > 0.0).any(|e| {
             self.effects.iter().find(|info| info.name == e.name).is_some_and(|info| info.stateful)
@@ -67,7 +69,47 @@ impl Simulator<'_> {
         })
     }
 
-    /// Noise-free readings of `skin` in the samples of a recording, a channel after another for each sample, in the unit of the skin.
+    /// What `skin` reads untouched, but for effects that only shift channels: those stay visible in a tared recording, as what its
+    /// zero missed. `model` is the skin's.
+    fn unshifted(
+        &self,
+        skin: &SkinDescription,
+        model: &Arc<dyn ForwardModel>,
+    ) -> Result<Untouched, GapError> {
+        let shifts = |name: &str| effects::of(name).shifts_channels;
+        let model = if skin.effects.iter().any(|e| shifts(&e.name)) {
+            let mut other = skin.clone();
+            other.effects.retain(|e| !shifts(&e.name));
+            self.model(&other)?
+        } else {
+            Arc::clone(model)
+        };
+        self.untouched(&model)
+    }
+
+    fn untouched(&self, model: &Arc<dyn ForwardModel>) -> Result<Untouched, GapError> {
+        let what = || format!("skin `{}`, untouched", self.skin.name);
+        Untouched::of(model.as_ref()).map_err(|source| GapError::Model { what: what(), source })
+    }
+
+    /// Whether untouched readings are subtracted from simulated ones: the recording was tared, and the design reads something of its
+    /// own where nothing touches. What effects alone add to a design that reads 0 stays, as what the zero of the recording missed.
+    fn subtracts(&self, recording: &Recording) -> Result<bool, GapError> {
+        if recording.zero == Zero::AsRead {
+            return Ok(false);
+        }
+        Ok(!self.unshifted(self.skin, &self.model(self.skin)?)?.is_zero())
+    }
+
+    /// What the design reads untouched, and what of it simulated readings of this recording hold.
+    pub(crate) fn zero_level(&self, recording: &Recording) -> Result<ZeroLevel, GapError> {
+        let model = self.model(self.skin)?;
+        let unshifted = self.unshifted(self.skin, &model)?;
+        Ok(ZeroLevel::new(&self.untouched(&model)?, &unshifted, recording.zero != Zero::AsRead))
+    }
+
+    /// Noise-free readings of `skin` in the samples of a recording, a channel after another for each sample, in the unit of the skin:
+    /// signals, where the recording was tared.
     ///
     /// # Errors
     ///
@@ -78,16 +120,7 @@ impl Simulator<'_> {
         recording: &Recording,
         frames: &[usize],
     ) -> Result<Vec<f32>, GapError> {
-        let mut out = self.unlimited(skin, recording, frames)?;
-        let ranges: Vec<Option<[f64; 2]>> = skin.channels().iter().map(|c| c.range).collect();
-        for row in out.chunks_exact_mut(ranges.len().max(1)) {
-            for (v, range) in row.iter_mut().zip(&ranges) {
-                if let Some([low, high]) = range {
-                    *v = v.clamp(*low as f32, *high as f32);
-                }
-            }
-        }
-        Ok(out)
+        self.simulate(skin, recording, frames, (true, self.subtracts(recording)?))
     }
 
     /// As [`readings`](Self::readings) of a device whose channels never end; what effects say of their ends holds.
@@ -101,6 +134,18 @@ impl Simulator<'_> {
         recording: &Recording,
         frames: &[usize],
     ) -> Result<Vec<f32>, GapError> {
+        self.simulate(skin, recording, frames, (false, self.subtracts(recording)?))
+    }
+
+    /// Steps a device through the frames of a recording; `limited` says whether channels end, `subtracts` whether its untouched
+    /// readings are subtracted.
+    fn simulate(
+        &self,
+        skin: &SkinDescription,
+        recording: &Recording,
+        frames: &[usize],
+        (limited, subtracts): (bool, bool),
+    ) -> Result<Vec<f32>, GapError> {
         let model = self.model(skin)?;
         let channels = model.channels();
         if channels != recording.channels {
@@ -112,9 +157,11 @@ impl Simulator<'_> {
                 ),
             });
         }
+        let untouched = subtracts.then(|| self.unshifted(skin, &model)).transpose()?;
+        let ranges: Vec<Option<[f64; 2]>> = skin.channels().iter().map(|c| c.range).collect();
         let mut out = Vec::with_capacity(frames.len() * channels);
         let mut read = vec![0.0; channels];
-        let whole = self.remembers(skin);
+        let whole = model.remembers() || self.remembers(skin);
         let mut state = model.start(0);
         let mut run = None;
         let mut wanted = frames.iter().copied().peekable();
@@ -137,10 +184,17 @@ impl Simulator<'_> {
                 what: format!("{}, frame {frame}", recording.name),
                 source,
             })?;
-            if wanted.peek() == Some(&frame) {
-                wanted.next();
-                state.quantize(&mut read);
-                out.extend(read.iter().map(|v| *v as f32));
+            if wanted.peek() != Some(&frame) {
+                continue;
+            }
+            wanted.next();
+            state.quantize(&mut read);
+            for (channel, value) in read.iter().enumerate() {
+                let value = *value as f32;
+                let range = ranges.get(channel).copied().flatten().filter(|_| limited);
+                let value = range.map_or(value, |[low, high]| value.clamp(low as f32, high as f32));
+                let zero = untouched.as_ref().map(|u| u.readings()[channel]);
+                out.push(zero.map_or(value, |zero| (f64::from(value) - zero) as f32));
             }
         }
         Ok(out)
@@ -160,6 +214,7 @@ impl Simulator<'_> {
         progress: &ProgressBar,
     ) -> Result<Vec<Result<Vec<f32>, GapError>>, GapError> {
         let frames = samples.frames();
+        let how = (limited, self.subtracts(recording)?);
         let next = AtomicUsize::new(0);
         let done: Vec<Mutex<Option<Simulated>>> = skins.iter().map(|_| Mutex::new(None)).collect();
         std::thread::scope(|scope| {
@@ -170,11 +225,7 @@ impl Simulator<'_> {
                         let Some(skin) = skins.get(i).filter(|_| !stop.load(Ordering::Relaxed)) else {
                             break;
                         };
-                        let readings = if limited {
-                            self.readings(skin, recording, &frames)
-                        } else {
-                            self.unlimited(skin, recording, &frames)
-                        };
+                        let readings = self.simulate(skin, recording, &frames, how);
                         if let Ok(mut slot) = done[i].lock() {
                             *slot = Some(readings);
                         }
@@ -196,5 +247,111 @@ fn describe(skin: &SkinDescription, nominal: &SkinDescription) -> String {
         format!("skin `{}`", skin.name)
     } else {
         format!("skin `{}` with {}", skin.name, on.join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_model::{DeviceState, Memory, Stepped, Stimulus};
+    use dermis_skin::{ModelError, Surface};
+
+    use super::*;
+    use crate::testing::{EFFECTS, Small, gains, presses, skin};
+
+    fn along(zero: Zero) -> Recording {
+        let mut recording = Recording { zero, ..Recording::new("presses", 3) };
+        presses().into_iter().for_each(|moment| recording.push(moment, &[]));
+        recording
+    }
+
+    #[test]
+    fn a_tared_recording_is_simulated_by_signals() {
+        let skin = skin();
+        let plain = |skin: &SkinDescription| Small::make(skin, 0.0);
+        let resting = |skin: &SkinDescription| Small::make(skin, 700.0);
+        let of = |make| Simulator { skin: &skin, effects: EFFECTS, make };
+        let (plain, resting) = (of(&plain), of(&resting));
+        let frames: Vec<usize> = (0..600).step_by(7).collect();
+        let offset = Effect::new("channel-offset").with("b", 30.0);
+        for effects in [Vec::new(), vec![gains()], vec![offset]] {
+            let read =
+                |of: &Simulator<'_>, zero| of.readings(&of.with(&effects), &along(zero), &frames).unwrap();
+            // What channels are shifted by stays visible, as what the zero of the recording missed.
+            for (a, b) in read(&plain, Zero::Press).iter().zip(read(&resting, Zero::Press)) {
+                // Single precision of readings of 2,500 Pa.
+                assert!((a - b).abs() < 1e-3, "{effects:?}: {a} {b}");
+            }
+            // A design that reads nothing untouched is simulated alike, bit for bit, whatever readings count from.
+            assert_eq!(read(&plain, Zero::AsRead), read(&plain, Zero::Start));
+        }
+        // As recorded, untouched readings are readings.
+        let read = resting.readings(&skin, &along(Zero::AsRead), &[0]).unwrap();
+        assert_eq!(read, [700.0, 1400.0, 2100.0]);
+    }
+
+    #[test]
+    fn ends_of_channels_are_those_of_readings() {
+        let mut skin = skin();
+        let mut channels = skin.channels().to_vec();
+        channels.iter_mut().for_each(|channel| channel.range = Some([0.0, 1000.0]));
+        skin.set_channels(channels);
+        let make = |skin: &SkinDescription| Small::make(skin, 990.0);
+        let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
+        let recording = along(Zero::Start);
+        let frames: Vec<usize> = (0..recording.moments.len()).collect();
+        let read = simulator.readings(&skin, &recording, &frames).unwrap();
+        // The first channel rests at 990 of 1000 Pa: no signal is more than 10.
+        let most = read.iter().step_by(3).copied().fold(0.0f32, f32::max);
+        assert!((most - 10.0).abs() < 1e-3, "{most}");
+        let most = simulator.unlimited(&skin, &recording, &frames).unwrap();
+        assert!(most.iter().step_by(3).any(|v| *v > 100.0));
+    }
+
+    /// Reads how many frames it has seen.
+    struct Counts(Surface);
+
+    struct Count(f64);
+
+    impl Memory for Count {
+        fn apply_transducer(&mut self, _: f64, _: &Stimulus, readings: &mut [f64]) {
+            self.0 += 1.0;
+            readings.fill(self.0);
+        }
+    }
+
+    impl ForwardModel for Counts {
+        fn channels(&self) -> usize {
+            3
+        }
+
+        fn surface(&self) -> &Surface {
+            &self.0
+        }
+
+        fn response(&self, _: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+            out.fill(0.0);
+            Ok(())
+        }
+
+        fn noise(&self) -> &[f64] {
+            &[5.0; 3]
+        }
+
+        fn remembers(&self) -> bool {
+            true
+        }
+
+        fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
+            Box::new(Stepped::new(self, Count(0.0)))
+        }
+    }
+
+    #[test]
+    fn a_model_that_remembers_is_stepped_through_every_frame() {
+        let skin = skin();
+        let make = |skin: &SkinDescription| Ok(Arc::new(Counts(skin.surface())) as Arc<dyn ForwardModel>);
+        let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
+        let read = simulator.readings(&skin, &along(Zero::AsRead), &[3, 10]).unwrap();
+        assert_eq!(read, [4.0, 4.0, 4.0, 11.0, 11.0, 11.0]);
     }
 }

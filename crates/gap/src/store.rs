@@ -12,9 +12,10 @@ use crate::samples::Samples;
 use crate::signatures::{Candidate, Signatures};
 use crate::simulate::Simulator;
 use crate::statistics::Column;
+use crate::zero_level::ZeroLevel;
 
 /// Its digit goes up whenever signatures are made otherwise.
-const MAGIC: &[u8; 8] = b"dgapsigb";
+const MAGIC: &[u8; 8] = b"dgapsigc";
 
 #[derive(Serialize, Deserialize)]
 struct Head {
@@ -22,12 +23,13 @@ struct Head {
     discrepancy: Vec<usize>,
     discrepancy_names: Vec<String>,
     silent: Vec<(String, String)>,
+    zero: ZeroLevel,
     nominal: usize,
     columns: Vec<(Option<usize>, usize)>,
 }
 
-/// What signatures depend on: the skin with its effects, the family's effects, the presses, the frames that are compared, and
-/// this program.
+/// What signatures depend on: the skin with its effects, the family's effects, the presses, what readings count from, the frames that
+/// are compared, and this program.
 pub(crate) fn key(simulator: &Simulator<'_>, recording: &Recording, samples: &Samples) -> String {
     let mut hasher = Sha256::new();
     hasher.update(MAGIC);
@@ -38,6 +40,7 @@ pub(crate) fn key(simulator: &Simulator<'_>, recording: &Recording, samples: &Sa
         hasher.update(value.unwrap_or_default());
     }
     hasher.update(recording.stimulus_hash());
+    hasher.update([recording.zero as u8]);
     for row in &samples.list {
         hasher.update((row.frame as u64).to_le_bytes());
     }
@@ -78,6 +81,7 @@ pub(crate) fn load(folder: &Path, key: &str) -> Option<Signatures> {
         discrepancy: head.discrepancy,
         discrepancy_names: head.discrepancy_names,
         silent: head.silent,
+        zero: head.zero,
     })
 }
 
@@ -93,6 +97,7 @@ pub(crate) fn save(folder: &Path, key: &str, signatures: &Signatures) -> Result<
         discrepancy: signatures.discrepancy.clone(),
         discrepancy_names: signatures.discrepancy_names.clone(),
         silent: signatures.silent.clone(),
+        zero: signatures.zero.clone(),
         nominal: signatures.nominal.len(),
         columns: signatures.columns.iter().map(|c| (c.channel, c.values.len())).collect(),
     };

@@ -1,6 +1,6 @@
 //! How far a device and its forward model are apart.
 
-use dermis_model::{ForwardModel, Stimulus, Unknowns};
+use dermis_model::{ForwardModel, Stimulus, Unknowns, Untouched};
 use dermis_skin::ModelError;
 
 use crate::fit::{Datum, Problem};
@@ -69,14 +69,13 @@ impl Calibration {
     ) -> Result<Self, CalibrationError> {
         let channels = model.channels();
         let noise = model.noise();
-        let mut rest = vec![0.0; channels];
-        model.response(&Stimulus::default(), &mut rest)?;
+        let untouched = Untouched::of(model)?;
         let mut all = Vec::new();
         for (stimulus, signal) in frames {
             if signal.iter().zip(noise).any(|(v, n)| f64::from(*v) > 2.0 * STRONG * n) {
                 let mut expected = vec![0.0; channels];
                 model.response(stimulus, &mut expected)?;
-                expected.iter_mut().zip(&rest).for_each(|(e, r)| *e -= r);
+                untouched.subtract(&mut expected);
                 all.push(Labelled { stimulus, signal, expected });
             }
         }
@@ -99,7 +98,8 @@ impl Calibration {
                 let data: Vec<Datum> = frame.signal.iter().zip(noise).map(datum).collect();
                 let known = data.iter().filter(|d| **d != Datum::None).count();
                 let force_max = force_max * 2.0;
-                let problem = Problem { model, unknowns, data: &data, gains: &gains, rest: &rest, force_max };
+                let problem =
+                    Problem { model, unknowns, data: &data, gains: &gains, untouched: &untouched, force_max };
                 let fit = problem.minimise(frame.stimulus.contacts.clone())?;
                 let freedom = known.saturating_sub(unknowns.count() * fit.contacts.len()) as f64;
                 // A frame that nothing explains must not stand for all.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_model::{DeviceState, ForwardModel, Indentation, Stimulus, Wrapper};
+use dermis_model::{DeviceState, ForwardModel, Indentation, Stimulus, Untouched, Wrapper};
 use dermis_skin::ModelError;
 use nalgebra::{DMatrix, Point3};
 use serde::{Deserialize, Serialize};
@@ -74,7 +74,7 @@ impl Correction {
             weights: Vec::new(),
         };
         let width = fitted.centres.len() * fitted.powers;
-        let rest = rest(model)?;
+        let untouched = Untouched::of(model)?;
         let (mut gram, mut sums) =
             (DMatrix::<f64>::zeros(width, width), DMatrix::<f64>::zeros(width, channels));
         // Rows in blocks: products of whole matrices are many times as fast as sums of outer products.
@@ -91,12 +91,13 @@ impl Correction {
                 }
                 let stimulus = Stimulus { contacts: vec![(*contact).clone()], ..Stimulus::default() };
                 model.response(&stimulus, &mut expected)?;
+                untouched.subtract(&mut expected);
                 fitted.basis(contact, &mut row);
                 // The row is what the difference in the unit of the skin is made of, so that a press counts as much as its
                 // force makes it stand out of the noise.
                 basis.row_mut(i).iter_mut().zip(&row).for_each(|(b, r)| *b = *r);
                 for (c, signal) in signal.iter().enumerate() {
-                    left[(i, c)] = f64::from(*signal) - gains[c] * (expected[c] - rest[c]);
+                    left[(i, c)] = f64::from(*signal) - gains[c] * expected[c];
                 }
             }
             gram += basis.tr_mul(&basis);
@@ -160,15 +161,14 @@ impl Correction {
     ///
     /// [`ModelError`] where the model has no answer for a press.
     pub fn remainder(&self, model: &dyn ForwardModel, presses: &[Press<'_>]) -> Result<f64, ModelError> {
-        let rest = rest(model)?;
+        let untouched = Untouched::of(model)?;
         let mut expected = vec![0.0; model.channels()];
         let (mut sum, mut count) = (0.0, 0usize);
         for (contact, signal) in presses {
             let stimulus = Stimulus { contacts: vec![(*contact).clone()], ..Stimulus::default() };
             model.response(&stimulus, &mut expected)?;
-            for (c, e) in expected.iter_mut().enumerate() {
-                *e = (*e - rest[c]) * self.gains[c];
-            }
+            untouched.subtract(&mut expected);
+            expected.iter_mut().zip(&self.gains).for_each(|(e, gain)| *e *= gain);
             self.add(contact, &mut expected);
             for ((e, v), n) in expected.iter().zip(*signal).zip(model.noise()) {
                 if v.is_finite() {
@@ -218,12 +218,6 @@ impl Correction {
     }
 }
 
-fn rest(model: &dyn ForwardModel) -> Result<Vec<f64>, ModelError> {
-    let mut rest = vec![0.0; model.channels()];
-    model.response(&Stimulus::default(), &mut rest)?;
-    Ok(rest)
-}
-
 /// Of these points, `most` at most that are `apart` \[m\] or more from one another; farther, where there would be more.
 fn centres(points: &[Point3<f64>], mut apart: f64, most: usize) -> Vec<[f64; 3]> {
     loop {
@@ -243,11 +237,17 @@ fn centres(points: &[Point3<f64>], mut apart: f64, most: usize) -> Vec<[f64; 3]>
     }
 }
 
-/// A forward model with a [`Correction`]: the readings of contacts add up in what differs.
+/// A forward model with a [`Correction`]: the signals of contacts add up in what differs.
+///
+/// A device that remembers is corrected after its memory: its readings are first those of the inner device, history included, and
+/// then corrected for what touches now. The gains were measured on readings, so they belong after everything that makes a reading;
+/// they scale about the untouched reading of the model. For memory that is linear in the signal (creep, a low-pass filter) the order
+/// does not matter for the gains. The part of the correction that depends on the place is added at once and does not creep. It is a
+/// few per cent of a signal and creep a few per cent of that. A zero that drifts inside the inner device is scaled by the gains, too.
 pub struct Corrected {
     model: Arc<dyn ForwardModel>,
     correction: Correction,
-    rest: Vec<f64>,
+    untouched: Untouched,
 }
 
 impl std::fmt::Debug for Corrected {
@@ -265,8 +265,8 @@ impl Corrected {
     /// As [`Correction::check`].
     pub fn new(model: Arc<dyn ForwardModel>, correction: Correction) -> Result<Self, InverterError> {
         correction.check(model.channels())?;
-        let rest = rest(model.as_ref())?;
-        Ok(Self { model, correction, rest })
+        let untouched = Untouched::of(model.as_ref())?;
+        Ok(Self { model, correction, untouched })
     }
 }
 
@@ -281,7 +281,8 @@ impl Corrected {
                     .to_owned(),
             });
         }
-        for ((o, rest), gain) in out.iter_mut().zip(&self.rest).zip(&self.correction.gains) {
+        let untouched = self.untouched.readings();
+        for ((o, rest), gain) in out.iter_mut().zip(untouched).zip(&self.correction.gains) {
             *o = rest + (*o - rest) * gain;
         }
         for contact in &stimulus.contacts {
@@ -371,8 +372,8 @@ mod tests {
         let corrected = Corrected::new(probe, nothing).unwrap();
         let (mut state, mut out) = (ForwardModel::start(&corrected, 10), [0.0; 2]);
         state.step(0.5, &Stimulus::default(), &mut out).unwrap();
-        // The probe counts its steps from the seed on.
-        assert_eq!(out[0], 2.0 * 11.5);
+        // The probe counts its steps from the seed on, and reads 17 untouched.
+        assert_eq!(out[0], 17.0 + 2.0 * (11.5 - 17.0));
     }
 
     #[test]

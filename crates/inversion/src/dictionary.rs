@@ -1,6 +1,12 @@
-//! Responses of single contacts at places all over a surface: where a search begins, and what a weak signal can mean.
+//! Signals of single contacts at places all over a surface: where a search begins, and what a weak signal can mean.
+//!
+//! The dictionary holds single contacts only, so it is exact for one contact on every model. For several contacts it says where to
+//! start: the next contact is looked for in what the model itself leaves of all contacts found so far, and all of them are then
+//! refined together on the model ([`Problem::minimise`](crate::fit::Problem::minimise)). Only [`Pairs`](crate::pairs::Pairs) and
+//! [`Inverter::sparse`](crate::Inverter::sparse) add its signals up. Each asks
+//! [`ForwardModel::superposes`] first.
 
-use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Untouched};
 use dermis_skin::{ModelError, Surface};
 use nalgebra::{Point3, Vector3};
 
@@ -49,8 +55,7 @@ impl Dictionary {
         }
         let forces: Vec<f64> = LEVELS.iter().map(|share| share * force_max).collect();
         let channels = model.channels();
-        let mut rest = vec![0.0; channels];
-        model.response(&Stimulus::default(), &mut rest)?;
+        let untouched = Untouched::of(model)?;
         let mut responses = Vec::with_capacity(places.len() * forces.len() * channels);
         let mut directions = Vec::with_capacity(places.len() * channels);
         let mut out = vec![0.0; channels];
@@ -58,7 +63,8 @@ impl Dictionary {
             for (level, force) in forces.iter().enumerate() {
                 let contact = Indentation::sphere(place.position, -place.normal * *force, diameter);
                 model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
-                out.iter_mut().zip(&rest).zip(gains).for_each(|((o, r), g)| *o = (*o - r) * g);
+                untouched.subtract(&mut out);
+                out.iter_mut().zip(gains).for_each(|(o, gain)| *o *= gain);
                 responses.extend(out.iter().map(|v| *v as f32));
                 if level == SHAPE {
                     let whitened = || out.iter().zip(model.noise()).map(|(v, n)| v / n);

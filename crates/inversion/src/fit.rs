@@ -1,7 +1,7 @@
 //! Least squares: contacts near a start that explain readings best.
 
 use dermis_model::{
-    Differences, ForwardModel, Indentation, MovedForce, Stimulus, Unknown, Unknowns, tangents,
+    Differences, ForwardModel, Indentation, MovedForce, Stimulus, Unknown, Unknowns, Untouched, tangents,
 };
 use dermis_skin::ModelError;
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -52,7 +52,7 @@ pub(crate) struct Problem<'a> {
     /// Reading of the device per reading of the model, one a channel.
     pub gains: &'a [f64],
     /// Untouched readings of the model.
-    pub rest: &'a [f64],
+    pub untouched: &'a Untouched,
     pub force_max: f64,
 }
 
@@ -72,9 +72,8 @@ impl Problem<'_> {
     pub fn signal(&self, contacts: &[Indentation], out: &mut [f64]) -> Result<(), ModelError> {
         let stimulus = Stimulus { contacts: contacts.to_vec(), ..Stimulus::default() };
         self.model.response(&stimulus, out)?;
-        for ((value, rest), gain) in out.iter_mut().zip(self.rest).zip(self.gains) {
-            *value = (*value - rest) * gain;
-        }
+        self.untouched.subtract(out);
+        out.iter_mut().zip(self.gains).for_each(|(value, gain)| *value *= gain);
         Ok(())
     }
 

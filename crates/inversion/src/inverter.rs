@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, tangents};
+use dermis_model::{ForwardModel, Indentation, Unknowns, Untouched, tangents};
 use dermis_skin::{ChannelFlags, ModelError, Surface};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -347,7 +347,7 @@ pub struct Inverter {
     model: ModelBox,
     settings: Settings,
     gains: Vec<f64>,
-    rest: Vec<f64>,
+    untouched: Untouched,
     spacing: f64,
     /// \[m\] y of the middle line, where only x is looked for.
     line: Option<f64>,
@@ -374,8 +374,7 @@ impl Inverter {
         settings.check(channels)?;
         let s = &settings;
         let gains = if s.gains.is_empty() { vec![1.0; channels] } else { s.gains.clone() };
-        let mut rest = vec![0.0; channels];
-        model.response(&Stimulus::default(), &mut rest)?;
+        let untouched = Untouched::of(model.as_ref())?;
         let area: f64 = model.surface().areas.iter().sum();
         // Fine enough to begin at; a row of taxels has a length more than an area.
         let longest = model.surface().points.iter().map(|p| p.coords.amax()).fold(0.0, f64::max);
@@ -386,7 +385,7 @@ impl Inverter {
         let dictionary =
             Dictionary::new(model.as_ref(), (line, s.region), spacing, s.diameter, s.force_max, &gains)?;
         let pairs = Pairs::new(&dictionary, spacing);
-        Ok(Self { model: ModelBox(model), settings, gains, rest, spacing, line, dictionary, pairs })
+        Ok(Self { model: ModelBox(model), settings, gains, untouched, spacing, line, dictionary, pairs })
     }
 
     /// What it was told.
@@ -655,7 +654,7 @@ impl Inverter {
             unknowns: self.settings.unknowns,
             data,
             gains: &self.gains,
-            rest: &self.rest,
+            untouched: &self.untouched,
             force_max: self.settings.force_max * 1.5,
         }
     }
@@ -961,8 +960,10 @@ mod tests {
     use proptest::prelude::*;
     use rand::Rng;
 
+    use dermis_model::Stimulus;
+
     use super::*;
-    use crate::testing::{Toy, press, random};
+    use crate::testing::{Shifted, Toy, press, random};
 
     fn inverter(noise: f64, change: impl FnOnce(&mut Settings)) -> (Inverter, Arc<Toy>) {
         let model = Arc::new(Toy::grid(noise));
@@ -1040,6 +1041,36 @@ mod tests {
         let single = inverter.search(&model.read(&[press(0.003, 0.004, 0.8)], &mut random)).unwrap();
         assert_eq!(single.contacts.len(), 1);
         assert!(inverter.search(&[Reading::Exact(0.0)]).is_err());
+    }
+
+    #[test]
+    fn a_model_that_reads_something_untouched_finds_the_same_contacts() {
+        let settings = Settings { contacts: 2, ..Settings::new(0.004, 2.0) };
+        let plain = Inverter::new(Arc::new(Toy::grid(20.0)), settings.clone()).unwrap();
+        let shifted = Inverter::new(Arc::new(Shifted(Toy::grid(20.0), 3e4)), settings).unwrap();
+        // What a skin publishes: readings minus untouched ones.
+        let truth = [press(0.007, 0.005, 1.0), press(-0.008, -0.006, 0.7)];
+        let readings = Toy::grid(20.0).read(&truth, &mut random(14));
+        let light = Toy::grid(20.0).read(&[press(0.003, 0.001, 0.012)], &mut random(15));
+        let same = |of: &dyn Fn(&Inverter) -> Solution| {
+            let (a, b) = (of(&plain), of(&shifted));
+            assert_eq!(a.contacts.len(), b.contacts.len());
+            assert!(!a.contacts.is_empty());
+            for (a, b) in a.contacts.iter().zip(&b.contacts) {
+                // Both end where a step gains less than 1e-4 of a unit of chi².
+                assert!((a.position - b.position).norm() < 0.02 * a.deviation(), "{a:?} {b:?}");
+                assert!((a.force - b.force).norm() < 1e-3 * a.force.norm(), "{a:?} {b:?}");
+            }
+        };
+        same(&|inverter| inverter.solve(&readings, None).unwrap());
+        same(&|inverter| inverter.search(&readings).unwrap());
+        same(&|inverter| inverter.refine(&readings, &truth).unwrap());
+        same(&|inverter| inverter.solve(&light, None).unwrap());
+        let (a, b) = (plain.evidence(&light), shifted.evidence(&light));
+        assert!((a.0 - b.0).abs() < 1e-3 * a.0 && (a.1 - b.1).abs() < 1e-3 * a.1, "{a:?} {b:?}");
+        let mut signal = vec![f64::NAN; 25];
+        shifted.signal(&[], &mut signal).unwrap();
+        assert_eq!(signal, [0.0; 25]);
     }
 
     #[test]

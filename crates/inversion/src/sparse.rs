@@ -31,7 +31,9 @@ impl Inverter {
     /// Contacts by a least-squares fit with an ℓ₁ penalty over the forces at places all over the surface, none of which
     /// pulls (R. Tibshirani, *J. R. Stat. Soc. B* 58 (1996) 267; coordinate descent as in J. Friedman et al., *J. Stat. Softw.* 33
     /// (2010) 1). Places that stand together are one contact at their mean, weighted by force. The medium is taken to
-    /// be linear; [`refine`](Self::refine) goes on from here without that.
+    /// be linear; [`refine`](Self::refine) goes on from here without that. For a model that does not
+    /// [superpose](dermis_model::ForwardModel::superposes) a sum of single responses is no answer: there the fit is only the start,
+    /// and what is returned was refined on the model.
     ///
     /// # Errors
     ///
@@ -78,6 +80,14 @@ impl Inverter {
         let strongest = contacts.first().map_or(0.0, |c| c.force.norm());
         contacts.retain(|c| c.force.norm() >= settings.share * strongest);
         contacts.truncate(self.settings().contacts);
+        if contacts.len() > 1 && !self.model().superposes() {
+            let refined = self.refine(readings, &contacts)?.contacts;
+            let diameter = self.settings().diameter;
+            return Ok(refined
+                .into_iter()
+                .map(|c| Indentation::sphere(c.position, c.force, diameter))
+                .collect());
+        }
         Ok(contacts)
     }
 }
@@ -129,7 +139,9 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::testing::{Toy, press, random};
+    use dermis_model::{ForwardModel, Stimulus};
+
+    use crate::testing::{Stiffening, Toy, press, random};
     use crate::{Inverter, Settings};
 
     fn inverter(noise: f64) -> (Inverter, Arc<Toy>) {
@@ -154,6 +166,26 @@ mod tests {
         // The refinement takes away what grid and penalty leave.
         let refined = inverter.refine(&readings, &found).unwrap().contacts;
         for (found, truth) in refined.iter().zip(&truth) {
+            assert!((found.position - truth.position).norm() < 1e-4, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn where_signals_do_not_add_up_the_answer_is_refined_on_the_model() {
+        let model = Arc::new(Stiffening(Toy::grid(1e-3)));
+        let mut settings = Settings::new(0.004, 2.0);
+        settings.contacts = 4;
+        let inverter = Inverter::new(Arc::clone(&model) as _, settings).unwrap();
+        let truth = [press(0.008, 0.006, 1.0), press(-0.009, -0.004, 0.6)];
+        let mut read = vec![0.0; 25];
+        model.response(&Stimulus { contacts: truth.to_vec(), ..Stimulus::default() }, &mut read).unwrap();
+        let readings: Vec<Reading> = read.into_iter().map(Reading::Exact).collect();
+        let settings = SparseSettings { radius: 0.006, ..SparseSettings::default() };
+        let found = inverter.sparse(&readings, &settings).unwrap();
+        assert_eq!(found.len(), 2, "{found:?}");
+        // A sum of single presses of 0.4 N would say two thirds of these forces: 1.2 / 1.8.
+        for (found, truth) in found.iter().zip(&truth) {
+            assert!((found.force.norm() - truth.force.norm()).abs() < 0.01, "{found:?}");
             assert!((found.position - truth.position).norm() < 1e-4, "{found:?}");
         }
     }

@@ -83,6 +83,57 @@ impl ForwardModel for Toy {
     }
 }
 
+/// The same skin behind electronics that read so much more, touched or not.
+pub(crate) struct Shifted(pub Toy, pub f64);
+
+impl ForwardModel for Shifted {
+    fn channels(&self) -> usize {
+        self.0.channels()
+    }
+
+    fn surface(&self) -> &Surface {
+        self.0.surface()
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.0.response(stimulus, out)?;
+        out.iter_mut().for_each(|v| *v += self.1);
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        self.0.noise()
+    }
+}
+
+/// The same skin in a medium that stiffens by a half for each newton on all of it: signals do not add up.
+pub(crate) struct Stiffening(pub Toy);
+
+impl ForwardModel for Stiffening {
+    fn channels(&self) -> usize {
+        self.0.channels()
+    }
+
+    fn surface(&self) -> &Surface {
+        self.0.surface()
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.0.response(stimulus, out)?;
+        let load: f64 = stimulus.contacts.iter().map(|c| c.force.norm()).sum();
+        out.iter_mut().for_each(|v| *v /= 1.0 + 0.5 * load);
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        self.0.noise()
+    }
+
+    fn superposes(&self) -> bool {
+        false
+    }
+}
+
 pub(crate) fn press(x: f64, y: f64, newtons: f64) -> Indentation {
     Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -newtons), 0.004)
 }

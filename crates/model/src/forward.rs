@@ -9,6 +9,14 @@ use crate::{DeviceState, Differences, Memoryless, Stimulus, Unknowns};
 ///
 /// A model without memory answers with [`response`](Self::response) alone. One that remembers is started and stepped:
 /// [`start`](Self::start) switches a device on, and each [`DeviceState::step`] is a frame.
+///
+/// # Readings and signals
+///
+/// A model answers what the channels read, as the device sends it. Voltages of an untouched skin need not be 0. What a skin
+/// publishes as its signal is a reading minus its zero, the reading of the untouched skin. So whoever compares a model with
+/// signals subtracts the model's own untouched readings, with [`Untouched`](crate::Untouched): inversion, bounds, isolines and
+/// placement work on signals, and so does the diagnosis of a recording that was tared. A diagnosis of readings as they were
+/// recorded compares readings with readings. Derivatives are the same either way.
 pub trait ForwardModel: Send + Sync {
     /// Number of channels.
     fn channels(&self) -> usize;
@@ -23,6 +31,19 @@ pub trait ForwardModel: Send + Sync {
     ///
     /// [`ModelError::Stimulus`] where a contact lies off the surface or is not a number.
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError>;
+
+    /// What the channels read where nothing touches, at the temperature and pressure of [`Stimulus::default`]; written to `out` (one
+    /// a channel, in the unit of the skin description). All 0 for many skins, whose readings are signals already.
+    ///
+    /// The default asks [`response`](Self::response). A model that knows these readings may say them without computing anything,
+    /// but must say the same.
+    ///
+    /// # Errors
+    ///
+    /// As [`response`](Self::response).
+    fn untouched(&self, out: &mut [f64]) -> Result<(), ModelError> {
+        self.response(&Stimulus::default(), out)
+    }
 
     /// [`response`](Self::response) to many stimuli, one after another in `out`
     /// (`out.len()` must be their number times [`channels`](Self::channels)).
@@ -56,8 +77,10 @@ pub trait ForwardModel: Send + Sync {
         differences.jacobian(self, stimulus, unknowns, out)
     }
 
-    /// Whether readings of several contacts are those of each alone, added up: exactly, or nearly enough to begin a search with
-    /// and to make training data of recorded presses. `false` for a skin whose contacts change each other's readings.
+    /// Whether the signals of several contacts (readings minus [untouched](Self::untouched) ones) are those of each alone, added
+    /// up: exactly, or nearly enough to make training data of recorded presses. `false` for a skin whose contacts change each
+    /// other's readings: then a sum of single responses is no answer, and may only be the start of a search that is refined on
+    /// [`response`](Self::response) to all contacts at once.
     fn superposes(&self) -> bool {
         true
     }
@@ -96,6 +119,12 @@ pub trait ForwardModel: Send + Sync {
     /// the picture is not one of this skin.
     fn observe(&self, image: &Image, out: &mut [f64]) -> bool {
         let _ = (image, out);
+        false
+    }
+
+    /// Whether steps of [`start`](Self::start) depend on the frames before them. A model that says `true` is stepped through every
+    /// frame of a recording, one that says `false` only through the frames that are asked for.
+    fn remembers(&self) -> bool {
         false
     }
 

@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | stimulus | [`Stimulus`], [`Indentation`], [`Tip`] | what touches the skin: the input of a forward model |
 //! | forward model | [`ForwardModel`] | stimulus → channels |
+//! | untouched readings | [`Untouched`] | what is subtracted from readings to have signals |
 //! | state | [`DeviceState`], [`Memory`] | a device from when it was switched on, and what it remembers from frame to frame |
 //! | derivatives | [`ForwardModel::jacobian`], [`Differences`] | channels by the [`Unknowns`] of contacts |
 //! | common effects | [`COMMON`], [`device()`] | what every device may have: electronics, placement, the rig |
@@ -20,6 +21,7 @@ mod stimulus;
 #[cfg(any(test, feature = "test-suite"))]
 pub mod suite;
 mod unknowns;
+mod untouched;
 mod with_effects;
 mod wrapper;
 
@@ -33,5 +35,6 @@ pub use forward::ForwardModel;
 pub use state::{DeviceState, Memory, Memoryless, Stepped};
 pub use stimulus::{Indentation, Stimulus, Tip, TipShape};
 pub use unknowns::{Unknown, Unknowns, tangents};
+pub use untouched::Untouched;
 pub use with_effects::device;
 pub use wrapper::{WithNoise, Wrapper};

@@ -365,6 +365,12 @@ impl ForwardModel for Probe {
     }
 
     /// Not what [`response`](ForwardModel::response) says, so that it shows who was asked.
+    fn untouched(&self, out: &mut [f64]) -> Result<(), ModelError> {
+        out.copy_from_slice(&[17.0, 19.0]);
+        Ok(())
+    }
+
+    /// Not what [`response`](ForwardModel::response) says, so that it shows who was asked.
     fn responses(&self, stimuli: &[Stimulus], out: &mut [f64]) -> Result<(), ModelError> {
         out.fill(stimuli.len() as f64);
         Ok(())
@@ -409,6 +415,10 @@ impl ForwardModel for Probe {
         true
     }
 
+    fn remembers(&self) -> bool {
+        true
+    }
+
     fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
         Box::new(ProbeState(seed as f64))
     }
@@ -441,6 +451,10 @@ pub fn forwards_everything(wrapper: &dyn ForwardModel, noise: &[f64], same_respo
     wrapper.response(&stimulus, &mut own).expect("a press can be");
     probe.response(&stimulus, &mut wanted).expect("a press can be");
     assert_eq!(own, wanted, "response");
+    let mut rest = [f64::NAN; 2];
+    wrapper.untouched(&mut rest).expect("nothing can touch");
+    assert_eq!(rest, if same_response { [17.0, 19.0] } else { [0.0; 2] }, "untouched");
+    assert!(wrapper.remembers(), "remembers");
 
     let mut many = [f64::NAN; 4];
     wrapper.responses(&[stimulus.clone(), stimulus.clone()], &mut many).expect("a press can be");

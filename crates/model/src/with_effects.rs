@@ -125,6 +125,10 @@ impl Wrapper for WithCommonEffects {
         Ok(())
     }
 
+    fn remembers(&self) -> bool {
+        self.model.remembers() || self.effects.acts.iter().any(|act| matches!(act, OnReadings::Remembers(_)))
+    }
+
     fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
         let acts = self.effects.acts.iter().map(|act| match act {
             OnReadings::Reading(act) => ActState::Reading(act.as_ref()),

@@ -11,8 +11,8 @@ use crate::{DeviceState, Differences, ForwardModel, Stimulus, Unknowns};
 /// A model around another one. Every method but [`inner`](Self::inner) is that of [`ForwardModel`], and asks the inner model
 /// where a wrapper does not say otherwise.
 ///
-/// One that changes [`response`](Self::response) must answer for [`responses`](Self::responses), [`jacobian`](Self::jacobian) and
-/// [`start`](Self::start) as well: [`CHANGES_RESPONSE`](Self::CHANGES_RESPONSE) makes the first two follow.
+/// One that changes [`response`](Self::response) must answer for untouched readings, for many responses, for derivatives and for
+/// [`start`](Self::start) as well: [`CHANGES_RESPONSE`](Self::CHANGES_RESPONSE) makes the first three follow.
 pub trait Wrapper: Send + Sync {
     /// Whether [`response`](Self::response) is another than that of the inner model.
     const CHANGES_RESPONSE: bool;
@@ -76,6 +76,11 @@ pub trait Wrapper: Send + Sync {
         self.inner().observe(image, out)
     }
 
+    /// As [`ForwardModel::remembers`].
+    fn remembers(&self) -> bool {
+        self.inner().remembers()
+    }
+
     /// As [`ForwardModel::start`].
     fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
         self.inner().start(seed)
@@ -104,6 +109,14 @@ impl<W: Wrapper> ForwardModel for W {
 
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
         Wrapper::response(self, stimulus, out)
+    }
+
+    fn untouched(&self, out: &mut [f64]) -> Result<(), ModelError> {
+        if W::CHANGES_RESPONSE {
+            Wrapper::response(self, &Stimulus::default(), out)
+        } else {
+            self.inner().untouched(out)
+        }
     }
 
     fn responses(&self, stimuli: &[Stimulus], out: &mut [f64]) -> Result<(), ModelError> {
@@ -151,6 +164,10 @@ impl<W: Wrapper> ForwardModel for W {
 
     fn observe(&self, image: &Image, out: &mut [f64]) -> bool {
         Wrapper::observe(self, image, out)
+    }
+
+    fn remembers(&self) -> bool {
+        Wrapper::remembers(self)
     }
 
     fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {

@@ -136,6 +136,28 @@ impl Surface {
         }
     }
 
+    /// [`geodesic`](Self::geodesic) from one point to each of others; on a mesh at the cost of one.
+    #[must_use]
+    pub fn geodesics(&self, from: &Point3<f64>, to: &[Point3<f64>]) -> Vec<f64> {
+        if self.has_closed_form() {
+            return to.iter().map(|p| self.geodesic(from, p)).collect();
+        }
+        let ways = self.ways_from(&self.project(from).0);
+        let length = |p: &Point3<f64>| {
+            let on = self.project(p).0;
+            let last = |i: u32| ways[i as usize] + (self.points[i as usize] - on).norm();
+            self.around(&on).into_iter().map(last).fold(f64::INFINITY, f64::min)
+        };
+        to.iter().map(length).collect()
+    }
+
+    /// Whether distances along the surface follow from a formula (around the openings of a panel they do not); otherwise they are
+    /// looked for over the triangulation.
+    #[must_use]
+    pub fn has_closed_form(&self) -> bool {
+        !matches!(self.spec, SurfaceSpec::Mesh { .. } | SurfaceSpec::Family(_))
+    }
+
     /// Lengths \[m\] of the shortest ways over the triangulation from a place on it to each of its points; infinite where there is
     /// none. They follow edges and diagonals, and so are some percent longer than those along the ideal surface.
     #[must_use]
@@ -361,6 +383,10 @@ mod tests {
         let (p, n) = s.project(&Point3::new(0.005, 0.004, -0.001));
         assert!((p - Point3::new(0.005, 0.004, 0.0)).norm() < 1e-9 && n.z < -0.5);
         let up_the_wall = s.geodesic(&Point3::new(0.005, 0.0, 0.005), &Point3::new(0.005, 0.004, 0.0));
+        // From one point to many is as from one to each.
+        let (from, to) = (Point3::new(0.005, 0.0, 0.005), [Point3::new(0.005, 0.004, 0.0), s.points[7]]);
+        assert_eq!(s.geodesics(&from, &to), to.map(|p| s.geodesic(&from, &p)));
+        assert!(!s.has_closed_form());
         // Eight points leave few ways.
         assert!((0.009..0.014).contains(&up_the_wall), "{up_the_wall}");
         // Text and binary STL of one triangle are the same.

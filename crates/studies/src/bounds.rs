@@ -3,7 +3,9 @@
 //! Problem: which error of place and force must every estimator make on these channels? Method: Cramér–Rao bounds of one and
 //! of two contacts over the surface, and taxel value isolines with the deviations σ_P, σ_F and the super-resolution factor Ω
 //! of the thesis' chapter 5 (equations 5.1 to 5.24). Assumptions: independent Gaussian noise of the channels, one frame, an
-//! estimator without bias. Cost: one response of the model for each point, force and difference; seconds for some hundred points.
+//! estimator without bias. Cost: one response of the model for each point, force and difference; seconds for some hundred points
+//! and some hundred channels. Isolines are computed of at most [`dermis_theory::MOST_STUDIED`] channels of the row, or of those that
+//! σ_P needs; bands are overlapped of at most [`dermis_theory::MOST_BANDS`] channels at a place.
 
 mod sources;
 mod summary;
@@ -18,8 +20,8 @@ use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
 use dermis_skin::{SkinDescription, Surface};
 use dermis_theory::resolution::{Testbed, on_surface};
 use dermis_theory::{
-    Isoline, Line, LineStudy, Responses, StudyOptions, Summary, SurfaceBound, TwoContacts, force_ladder,
-    longest_row, over_surface, strongest_bands, two_contacts,
+    BandBox, Isoline, Line, LineStudy, Responses, StudyOptions, Summary, SurfaceBound, TwoContacts,
+    force_ladder, longest_row, over_surface, over_surface_and_bands, strongest_bands, two_contacts,
 };
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize, Serializer};
@@ -202,10 +204,17 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
     };
     progress.begin(&skin.name);
     let surface = skin.surface();
-    let (mut maps, mut pairs) = (Vec::new(), Vec::new());
+    let (mut maps, mut boxes, mut pairs) = (Vec::new(), Vec::new(), Vec::new());
     if let Some(model) = &model {
         for (i, &force) in options.force.iter().enumerate() {
-            maps.push(over_surface(model.as_ref(), force, options.diameter, unknowns)?);
+            // The study of the surface takes shear for known: its boxes follow from derivatives without it.
+            if unknowns == Unknowns::Normal {
+                let (map, bands) = over_surface_and_bands(model.as_ref(), force, options.diameter, unknowns)?;
+                maps.push(map);
+                boxes.push(bands);
+            } else {
+                maps.push(over_surface(model.as_ref(), force, options.diameter, unknowns)?);
+            }
             progress.at(0.3 * (i + 1) as f64 / options.force.len() as f64);
         }
         pairs = pairs_of(model.as_ref(), middle, options.diameter, unknowns)?;
@@ -229,7 +238,7 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
     let on_surface = if options.line {
         None
     } else {
-        Some(surface_study(&source, model.as_deref(), &surface, &feet, least, options, &maps)?)
+        Some(surface_study(&source, model.as_deref(), &surface, &feet, (least, options), (&maps, &boxes))?)
     };
     progress.at(0.8);
     // A recording is of the skin as it is, and only the page shows how others would be.
@@ -294,9 +303,8 @@ fn surface_study(
     model: Option<&dyn ForwardModel>,
     surface: &Surface,
     feet: &[Point3<f64>],
-    least: f64,
-    options: &Request,
-    maps: &[SurfaceBound],
+    (least, options): (f64, &Request),
+    (maps, known_boxes): (&[SurfaceBound], &[Vec<BandBox>]),
 ) -> Result<SurfaceStudy> {
     let forces = force_ladder(source.force_max(), 30);
     let spacing = (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt();
@@ -308,7 +316,7 @@ fn surface_study(
     let middle = middle_of(surface);
     let near = |c: &usize| (feet[*c] - middle).norm();
     let channel = (0..feet.len()).min_by(|a, b| near(a).total_cmp(&near(b))).unwrap_or_default();
-    let distances: Vec<f64> = surface.points.iter().map(|p| surface.geodesic(p, &feet[channel])).collect();
+    let distances = surface.geodesics(&feet[channel], &surface.points);
     let value = responses.reading(responses.peak(channel), channel, 0.1);
     let value = if value.is_finite() { value } else { least };
     let isoline = Isoline::of(&responses, &distances, channel, value);
@@ -316,11 +324,14 @@ fn surface_study(
     let areas: Vec<f64> = inside.iter().map(|i| surface.areas[*i]).collect();
     let area: f64 = areas.iter().sum();
     let mut factors = Vec::new();
-    for map in maps {
+    for (number, map) in maps.iter().enumerate() {
         let Some(model) = model else { break };
         let boxes = inside
             .iter()
             .map(|i| {
+                if let Some(known) = known_boxes.get(number) {
+                    return Ok(known[*i].along);
+                }
                 let force = -surface.normals[*i] * map.force;
                 let contact = Indentation::sphere(surface.points[*i], force, map.diameter);
                 let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };

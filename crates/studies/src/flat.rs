@@ -12,8 +12,8 @@ pub fn flat(surface: &Surface, points: &[Point3<f64>]) -> (Vec<(f64, f64)>, [&'s
         return (points.iter().map(|p| (p.x * 1e3, p.y * 1e3)).collect(), ["x [mm]", "y [mm]"]);
     }
     let top = surface.points.iter().max_by(|a, b| a.z.total_cmp(&b.z)).copied().unwrap_or_default();
-    let laid = points.iter().map(|p| {
-        let (far, turn) = (surface.geodesic(&top, p) * 1e3, (p.y - top.y).atan2(p.x - top.x));
+    let laid = points.iter().zip(surface.geodesics(&top, points)).map(|(p, far)| {
+        let (far, turn) = (far * 1e3, (p.y - top.y).atan2(p.x - top.x));
         (far * turn.cos(), far * turn.sin())
     });
     (laid.collect(), ["along the surface from the tip, towards x [mm]", "towards y [mm]"])

@@ -452,12 +452,14 @@ fn forces(
         return Ok(forces);
     }
     let model = families.model_of_file(&options.skin, skin)?;
+    let untouched = dermis_model::Untouched::of(model.as_ref())?;
     let mut out = vec![0.0; model.channels()];
     let mut clear = Vec::new();
     for place in places.iter().step_by(places.len().div_ceil(200).max(1)) {
         let contact = dermis_model::Indentation::sphere(place.point, -place.normal, options.diameter);
         model
             .response(&dermis_model::Stimulus { contacts: vec![contact], ..Default::default() }, &mut out)?;
+        untouched.subtract(&mut out);
         clear.push(out.iter().zip(model.noise()).map(|(v, n)| v.abs() / n).fold(0.0, f64::max));
     }
     clear.sort_by(f64::total_cmp);

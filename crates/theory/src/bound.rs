@@ -1,6 +1,6 @@
 //! The Cramér–Rao bound of the contacts that one frame shows.
 
-use dermis_model::{Differences, ForwardModel, Stimulus, Unknown, Unknowns};
+use dermis_model::{Differences, ForwardModel, Stimulus, Unknown, Unknowns, Untouched};
 use nalgebra::DMatrix;
 use serde::Serialize;
 
@@ -39,11 +39,15 @@ pub fn cramer_rao(
     stimulus: &Stimulus,
     unknowns: Unknowns,
 ) -> Result<Vec<ContactBound>, TheoryError> {
-    let (whitened, scales) = derivatives(model, stimulus, unknowns)?;
+    Ok(bounds(&derivatives(model, stimulus, unknowns)?, unknowns))
+}
+
+/// The bounds that derivatives give.
+pub(crate) fn bounds(derivatives: &Derivatives, unknowns: Unknowns) -> Vec<ContactBound> {
     let list = unknowns.list();
     let per_contact = list.len();
-    let variances = variances(whitened, &scales);
-    Ok(variances
+    let variances = variances(derivatives);
+    variances
         .chunks_exact(per_contact)
         .map(|v| {
             let root = |of: fn(&Unknown) -> bool| {
@@ -56,16 +60,21 @@ pub fn cramer_rao(
                 shear: (unknowns == Unknowns::Full).then(|| root(|u| matches!(u, Unknown::Shear(_)))),
             }
         })
-        .collect())
+        .collect()
 }
 
 /// Derivatives of every channel by every unknown of every contact, in units of the channel's noise and of the unknown's
 /// scale; and the scales.
-fn derivatives(
+pub(crate) struct Derivatives {
+    whitened: DMatrix<f64>,
+    scales: Vec<f64>,
+}
+
+pub(crate) fn derivatives(
     model: &dyn ForwardModel,
     stimulus: &Stimulus,
     unknowns: Unknowns,
-) -> Result<(DMatrix<f64>, Vec<f64>), TheoryError> {
+) -> Result<Derivatives, TheoryError> {
     let noise = model.noise();
     if let Some((channel, &noise)) = noise.iter().enumerate().find(|(_, n)| !(n.is_finite() && **n > 0.0)) {
         return Err(TheoryError::Noise { channel, noise });
@@ -83,12 +92,12 @@ fn derivatives(
         scales.push(scale);
         column.iter_mut().zip(noise).for_each(|(slope, sigma)| *slope *= scale / sigma);
     }
-    Ok((whitened, scales))
+    Ok(Derivatives { whitened, scales })
 }
 
 /// What the bands of the isolines of as many channels as there are unknowns leave open of a contact, to first order: half
-/// of the box around the volume in which all of them overlap (thesis 5.4; along a line 5.14). The channels are those that
-/// read most, three on a surface.
+/// of the box around the volume in which all of them overlap (thesis 5.4; along a line 5.14). The channels are those whose
+/// signal is largest, three on a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BandBox {
     /// \[m\] along both directions of the surface; the second is 0 along a line. Infinite where the bands do not close.
@@ -107,11 +116,18 @@ pub fn strongest_bands(
     stimulus: &Stimulus,
     unknowns: Unknowns,
 ) -> Result<BandBox, TheoryError> {
-    let (whitened, scales) = derivatives(model, stimulus, unknowns)?;
-    let mut readings = vec![0.0; model.channels()];
-    model.response(stimulus, &mut readings)?;
-    let mut order: Vec<usize> = (0..readings.len()).collect();
-    order.sort_by(|a, b| readings[*b].total_cmp(&readings[*a]));
+    let derivatives = derivatives(model, stimulus, unknowns)?;
+    let mut signal = vec![0.0; model.channels()];
+    model.response(stimulus, &mut signal)?;
+    Untouched::of(model)?.subtract(&mut signal);
+    Ok(bands(&derivatives, &signal, unknowns))
+}
+
+/// The box that derivatives and a signal give.
+pub(crate) fn bands(derivatives: &Derivatives, signal: &[f64], unknowns: Unknowns) -> BandBox {
+    let Derivatives { whitened, scales } = derivatives;
+    let mut order: Vec<usize> = (0..signal.len()).collect();
+    order.sort_by(|a, b| signal[*b].total_cmp(&signal[*a]));
     order.truncate(scales.len());
     let closes = order.len() == scales.len();
     let inverse = closes.then(|| whitened.select_rows(&order).try_inverse()).flatten();
@@ -120,15 +136,16 @@ pub fn strongest_bands(
         // The farthest corner: every band's end pushes the same way.
         inverse.as_ref().map_or(f64::INFINITY, |m| m.row(k).iter().map(|v| v.abs()).sum::<f64>() * scales[k])
     };
-    Ok(BandBox {
+    BandBox {
         along: [half(Unknown::Along(0)), half(Unknown::Along(1))],
         normal_force: half(Unknown::Pressing),
-    })
+    }
 }
 
 /// Variances of all unknowns from their whitened and scaled derivatives.
-fn variances(whitened: DMatrix<f64>, scales: &[f64]) -> Vec<f64> {
-    let svd = whitened.svd(false, true);
+fn variances(derivatives: &Derivatives) -> Vec<f64> {
+    let scales = &derivatives.scales;
+    let svd = derivatives.whitened.clone().svd(false, true);
     let Some(v) = svd.v_t else { return vec![f64::INFINITY; scales.len()] };
     let largest = svd.singular_values.iter().copied().fold(0.0, f64::max);
     scales
@@ -159,7 +176,8 @@ mod tests {
     use dermis_model::Indentation;
 
     use super::*;
-    use crate::testing::{DEPTH, Toy};
+    use crate::over_surface_and_bands;
+    use crate::testing::{DEPTH, Shifted, Toy};
 
     fn press(x: f64, y: f64, newtons: f64) -> Indentation {
         Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -newtons), 0.004)
@@ -259,6 +277,35 @@ mod tests {
         // Two taxels do not close on a surface.
         let open = strongest_bands(&row, &stimulus(0.001, 0.0), Unknowns::Normal).unwrap();
         assert!(open.along[0].is_infinite());
+    }
+
+    #[test]
+    fn a_model_that_reads_something_untouched_has_the_same_bounds() {
+        let (plain, shifted) = (Toy::grid(), Shifted::new(Toy::grid()));
+        for at in [(0.0005, 0.0003), (0.006, 0.0075)] {
+            let contact = Stimulus { contacts: vec![press(at.0, at.1, 0.7)], ..Stimulus::default() };
+            let (a, b) = (&plain as &dyn ForwardModel, &shifted as &dyn ForwardModel);
+            let bound = |model| cramer_rao(model, &contact, Unknowns::Normal).unwrap()[0];
+            approx::assert_relative_eq!(bound(a).position, bound(b).position, max_relative = 1e-6);
+            // The channels whose signal is largest, not those whose reading is.
+            let bands = |model| strongest_bands(model, &contact, Unknowns::Normal).unwrap();
+            let (a, b) = (bands(a), bands(b));
+            approx::assert_relative_eq!(a.normal_force, b.normal_force, max_relative = 1e-6);
+            for k in 0..2 {
+                approx::assert_relative_eq!(a.along[k], b.along[k], max_relative = 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn boxes_over_a_surface_are_those_of_each_point() {
+        let model = Shifted::new(Toy::grid());
+        let (map, boxes) = over_surface_and_bands(&model, 0.7, 0.004, Unknowns::Normal).unwrap();
+        assert_eq!(map, crate::over_surface(&model, 0.7, 0.004, Unknowns::Normal).unwrap());
+        for (at, found) in model.surface().points.iter().zip(&boxes) {
+            let contact = Stimulus { contacts: vec![press(at.x, at.y, 0.7)], ..Stimulus::default() };
+            assert_eq!(*found, strongest_bands(&model, &contact, Unknowns::Normal).unwrap());
+        }
     }
 
     #[test]

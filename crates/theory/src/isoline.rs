@@ -97,9 +97,8 @@ impl Isoline {
         let mut wide = 20;
         for _ in 0..9 {
             let tried = (-wide..=wide).map(|i| (best + f64::from(i) * step).clamp(low, high));
-            best = tried.min_by(|a, b| {
-                straight(&points, far, a.exp()).2.total_cmp(&straight(&points, far, b.exp()).2)
-            })?;
+            let left = tried.map(|exponent| (exponent, straight(&points, far, exponent.exp()).2));
+            best = left.min_by(|a, b| a.1.total_cmp(&b.1))?.0;
             step /= 5.0;
             wide = 6;
         }

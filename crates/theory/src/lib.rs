@@ -35,5 +35,8 @@ pub use line::{Line, LineTaxel};
 pub use path::Path;
 pub use responses::{Press, Responses, force_ladder, noise_of_repeats};
 pub use solver::{Averaging, IsolineSolver, Solution, SolverOptions};
-pub use study::{Averages, ByForce, Factors, LineMap, LineStudy, StudyOptions, TaxelStudy, longest_row};
-pub use surface::{Summary, SurfaceBound, TwoContacts, over_surface, two_contacts};
+pub use study::{
+    Averages, ByForce, Factors, LineMap, LineStudy, MOST_BANDS, MOST_STUDIED, StudyOptions, TaxelStudy,
+    longest_row,
+};
+pub use surface::{Summary, SurfaceBound, TwoContacts, over_surface, over_surface_and_bands, two_contacts};

@@ -36,28 +36,41 @@ impl Path {
         direction: &Vector3<f64>,
         step: f64,
     ) -> Result<Self, TheoryError> {
+        let (points, closed) = Self::places(surface, through, direction, step)?;
+        let normals = points.iter().map(|p| surface.project(p).1).collect();
+        // On a mesh the shortest way over its edges would be many times a step; places that follow each other lie straight ahead.
+        let exact = surface.has_closed_form();
+        let apart =
+            |a: &Point3<f64>, b: &Point3<f64>| if exact { surface.geodesic(a, b) } else { (b - a).norm() };
+        let mut arc = Vec::with_capacity(points.len());
+        let mut length = 0.0;
+        for (i, point) in points.iter().enumerate() {
+            if i > 0 {
+                length += apart(&points[i - 1], point);
+            }
+            arc.push(length);
+        }
+        let around = match (closed, points.first(), points.last()) {
+            (true, Some(first), Some(last)) => Some(length + apart(last, first)),
+            _ => None,
+        };
+        Ok(Self { points, normals, arc, around })
+    }
+
+    /// The places of a path, and whether it comes back to where it began.
+    pub(crate) fn places(
+        surface: &Surface,
+        through: &Point3<f64>,
+        direction: &Vector3<f64>,
+        step: f64,
+    ) -> Result<(Vec<Point3<f64>>, bool), TheoryError> {
         positive("step of a path [m]", step)?;
         let (start, normal) = surface.project(through);
         let along = (direction - normal * normal.dot(direction)).try_normalize(1e-9);
         let along = along.ok_or(TheoryError::Direction)?;
         let (ahead, closed) = walk(surface, start, along, step);
         let behind = if closed { Vec::new() } else { walk(surface, start, -along, step).0 };
-        let points: Vec<Point3<f64>> =
-            behind.into_iter().rev().chain(std::iter::once(start)).chain(ahead).collect();
-        let normals = points.iter().map(|p| surface.project(p).1).collect();
-        let mut arc = Vec::with_capacity(points.len());
-        let mut length = 0.0;
-        for (i, point) in points.iter().enumerate() {
-            if i > 0 {
-                length += surface.geodesic(&points[i - 1], point);
-            }
-            arc.push(length);
-        }
-        let around = match (closed, points.first(), points.last()) {
-            (true, Some(first), Some(last)) => Some(length + surface.geodesic(last, first)),
-            _ => None,
-        };
-        Ok(Self { points, normals, arc, around })
+        Ok((behind.into_iter().rev().chain(std::iter::once(start)).chain(ahead).collect(), closed))
     }
 
     /// \[m\] from end to end, or all around.
@@ -69,8 +82,7 @@ impl Path {
     /// Index of the place that is nearest to a point, and how far it is \[m\].
     #[must_use]
     pub fn nearest(&self, point: &Point3<f64>) -> (usize, f64) {
-        let distances = self.points.iter().map(|p| (p - point).norm()).enumerate();
-        distances.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::NAN))
+        nearest(&self.points, point)
     }
 
     /// Where a point lies along the path \[m\]: the foot on its nearest piece.
@@ -86,6 +98,26 @@ impl Path {
         });
         feet.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |f| f.1)
     }
+}
+
+/// Index of the point that is nearest to another one, and how far it is \[m\].
+pub(crate) fn nearest(points: &[Point3<f64>], point: &Point3<f64>) -> (usize, f64) {
+    let distances = points.iter().map(|p| (p - point).norm()).enumerate();
+    distances.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::NAN))
+}
+
+/// Points that differ, in the order in which each comes first, and which of them each point is: many channels may belong to one
+/// taxel.
+pub(crate) fn distinct(points: &[Point3<f64>]) -> (Vec<Point3<f64>>, Vec<usize>) {
+    let mut found: Vec<Point3<f64>> = Vec::new();
+    let of = points.iter().map(|point| {
+        found.iter().position(|p| p == point).unwrap_or_else(|| {
+            found.push(*point);
+            found.len() - 1
+        })
+    });
+    let of = of.collect();
+    (found, of)
 }
 
 /// Places ahead of a start, and whether the walk came round.

@@ -1,6 +1,8 @@
 //! What the channels of a skin read over places and forces: of a forward model, or of a recording.
+//!
+//! Readings here are signals: the zero of a recording is subtracted, and so are a model's own untouched readings.
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, tangents};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Untouched, tangents};
 use dermis_skin::Surface;
 use nalgebra::{DMatrix, Point3};
 
@@ -42,6 +44,21 @@ pub fn force_ladder(most: f64, count: usize) -> Vec<f64> {
     (0..count.max(2)).map(|i| most * (i as f64 / (count.max(2) - 1) as f64).powf(1.5)).collect()
 }
 
+/// A force between two of a curve's.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bracket {
+    above: usize,
+    /// Of the way to the force above.
+    share: f64,
+}
+
+impl Bracket {
+    /// Reading of a curve at the force, on the straight line between its neighbours.
+    pub(crate) fn of(&self, curve: &[f64]) -> f64 {
+        curve[self.above - 1] + self.share * (curve[self.above] - curve[self.above - 1])
+    }
+}
+
 impl Responses {
     /// What a model reads for a tip of `diameter` \[m\] that presses along the normal, at places of its surface.
     ///
@@ -57,15 +74,20 @@ impl Responses {
         positive("diameter of the tip [m]", diameter)?;
         check(forces)?;
         let channels = model.channels();
+        let untouched = Untouched::of(model)?;
         let mut values = vec![0.0; points.len() * channels * forces.len()];
-        let mut out = vec![0.0; channels];
-        for (place, point) in points.iter().enumerate() {
+        let mut out = vec![0.0; channels * forces.len()];
+        for (point, values) in points.iter().zip(values.chunks_exact_mut((channels * forces.len()).max(1))) {
             let normal = model.surface().project(point).1;
-            for (k, force) in forces.iter().enumerate() {
+            let press = |force: &f64| {
                 let contact = Indentation::sphere(*point, -normal * *force, diameter);
-                model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
-                for (channel, value) in out.iter().enumerate() {
-                    values[(place * channels + channel) * forces.len() + k] = *value;
+                Stimulus { contacts: vec![contact], ..Stimulus::default() }
+            };
+            model.responses(&forces.iter().map(press).collect::<Vec<_>>(), &mut out)?;
+            untouched.subtract(&mut out);
+            for (k, read) in out.chunks_exact(channels.max(1)).enumerate() {
+                for (channel, value) in read.iter().enumerate() {
+                    values[channel * forces.len() + k] = *value;
                 }
             }
         }
@@ -169,13 +191,17 @@ impl Responses {
     /// Reading of a channel at a place under `force` \[N\]; NaN where it is not known.
     #[must_use]
     pub fn reading(&self, place: usize, channel: usize, force: f64) -> f64 {
-        let curve = self.curve(place, channel);
+        self.bracket(force).map_or(f64::NAN, |bracket| bracket.of(self.curve(place, channel)))
+    }
+
+    /// Where a force \[N\] lies among those of the curves; `None` where it is none of theirs.
+    pub(crate) fn bracket(&self, force: f64) -> Option<Bracket> {
         if !(force >= 0.0 && force <= self.forces[self.forces.len() - 1]) {
-            return f64::NAN;
+            return None;
         }
-        let k = self.forces.partition_point(|f| *f <= force).clamp(1, self.forces.len() - 1);
-        let share = (force - self.forces[k - 1]) / (self.forces[k] - self.forces[k - 1]);
-        curve[k - 1] + share * (curve[k] - curve[k - 1])
+        let above = self.forces.partition_point(|f| *f <= force).clamp(1, self.forces.len() - 1);
+        let share = (force - self.forces[above - 1]) / (self.forces[above] - self.forces[above - 1]);
+        Some(Bracket { above, share })
     }
 
     /// Force \[N\] at which a channel's reading at a place first rises to `value`: one point of a taxel value isoline.
@@ -302,7 +328,7 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal, Uniform};
 
     use super::*;
-    use crate::testing::Toy;
+    use crate::testing::{Shifted, Toy};
 
     #[test]
     fn a_reading_is_found_again_by_its_force() {
@@ -330,6 +356,22 @@ mod tests {
             responses.minimum_force(0, 10.0, 2).unwrap(),
             responses.force_for(0, 3, 10.0).unwrap().max(responses.force_for(0, 2, 10.0).unwrap())
         );
+    }
+
+    #[test]
+    fn isolines_are_those_of_signals() {
+        // An untouched reading above a value would be an isoline of no force at all.
+        let points = [Point3::new(0.001, 0.0, 0.0), Point3::new(0.003, 0.0, 0.0)];
+        let forces = force_ladder(2.0, 30);
+        let plain = Responses::of_model(&Toy::row(6), &points, &forces, 0.004).unwrap();
+        let shifted = Responses::of_model(&Shifted::new(Toy::row(6)), &points, &forces, 0.004).unwrap();
+        assert_eq!(shifted.reading(0, 2, 0.0), 0.0);
+        for place in 0..2 {
+            for channel in 0..6 {
+                let [a, b] = [&plain, &shifted].map(|r| r.force_for(place, channel, 20.0).unwrap());
+                assert_relative_eq!(a, b, max_relative = 1e-9);
+            }
+        }
     }
 
     #[test]

@@ -1,17 +1,27 @@
 //! Everything that the isolines along a line say of a skin, as figures and files need it.
 
+use std::collections::BTreeSet;
+
 use dermis_model::tangents;
 use dermis_skin::Surface;
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
 use crate::normalised::Deviations;
+use crate::path::{distinct, nearest};
 use crate::resolution::{Testbed, along_line};
+use crate::responses::Bracket;
 use crate::surface::positive;
 use crate::{Isoline, IsolineFit, Line, LineTaxel, Path, TheoryError};
 
 /// Share of the distance of taxels that one may lie beside a line and still be on it.
 const BESIDE: f64 = 0.15;
+/// Channels on a line up to which the isolines of each are computed. Where there are more (a skin that reads every electrode while
+/// each is driven has hundreds), only those are that σ_P is computed from: both next to some place of the line.
+pub const MOST_STUDIED: usize = 64;
+/// Channels at most whose bands are overlapped at one place: those that stand farthest out of their noise. The work goes with the
+/// square of their number, and the bands of weaker channels are wider.
+pub const MOST_BANDS: usize = 32;
 
 /// What is asked of a line.
 #[derive(Debug, Clone, PartialEq)]
@@ -101,7 +111,9 @@ pub struct LineStudy {
     pub span: f64,
     /// S_min, in the unit of the skin.
     pub least: f64,
-    /// In order along the line.
+    /// Taxels on the line.
+    pub count: usize,
+    /// In order along the line: all of them, up to [`MOST_STUDIED`].
     pub taxels: Vec<TaxelStudy>,
     /// F_S \[N\] at every place: from here on two taxels read S_min.
     pub minimum_force: Vec<Option<f64>>,
@@ -132,24 +144,30 @@ pub struct Factors {
 /// [`TheoryError::Line`] where no two taxels lie on one.
 pub fn longest_row(surface: &Surface, feet: &[Point3<f64>], step: f64) -> Result<(Path, f64), TheoryError> {
     positive("step of a path [m]", step)?;
-    let nearest = feet.iter().enumerate().map(|(i, a)| {
-        let others = feet.iter().enumerate().filter(|(j, _)| *j != i);
-        others.map(|(_, b)| (a - b).norm()).filter(|d| *d > 1e-6).fold(f64::INFINITY, f64::min)
+    // Channels of one taxel have one foot: each is looked at once, and counts as often as there are channels.
+    let (places, of) = distinct(feet);
+    let mut counts = vec![0usize; places.len()];
+    of.iter().for_each(|place| counts[*place] += 1);
+    let nearest_other = places.iter().zip(&counts).enumerate().flat_map(|(i, (a, count))| {
+        let others = places.iter().enumerate().filter(move |(j, _)| *j != i);
+        let nearest = others.map(|(_, b)| (a - b).norm()).filter(|d| *d > 1e-6).fold(f64::INFINITY, f64::min);
+        std::iter::repeat_n(nearest, *count)
     });
-    let mut nearest: Vec<f64> = nearest.filter(|d| d.is_finite()).collect();
-    nearest.sort_by(f64::total_cmp);
-    let Some(pitch) = nearest.get(nearest.len() / 2) else {
+    let mut apart: Vec<f64> = nearest_other.filter(|d| d.is_finite()).collect();
+    apart.sort_by(f64::total_cmp);
+    let Some(pitch) = apart.get(apart.len() / 2) else {
         return Err(TheoryError::Line { taxels: feet.len() });
     };
     let tolerance = BESIDE * pitch;
     let count = surface.points.len().max(1) as f64;
     let middle = Point3::from(surface.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count);
     let mut best: Option<(usize, f64, Point3<f64>, Vector3<f64>)> = None;
-    for foot in feet {
+    for foot in &places {
         let [first, second] = tangents(&surface.project(foot).1);
         for direction in [first, second] {
-            let path = Path::across(surface, foot, &direction, pitch / 8.0)?;
-            let on = feet.iter().filter(|f| path.nearest(f).1 <= tolerance + pitch / 16.0).count();
+            let (path, _) = Path::places(surface, foot, &direction, pitch / 8.0)?;
+            let on = |f: &Point3<f64>| nearest(&path, f).1 <= tolerance + pitch / 16.0;
+            let on = places.iter().zip(&counts).filter(|(f, _)| on(f)).map(|(_, count)| count).sum::<usize>();
             let off = (foot - middle).norm();
             // More taxels first, then nearer to the middle; the first direction (x) where both are equal.
             let better = best
@@ -171,7 +189,7 @@ impl Line {
     /// Studies the line. `progress` is told the share that is done, now and then.
     #[must_use]
     pub fn study(&self, options: &StudyOptions, mut progress: impl FnMut(f64)) -> LineStudy {
-        let taxels: Vec<TaxelStudy> = self.taxels().iter().map(|t| self.taxel(t, options)).collect();
+        let taxels: Vec<TaxelStudy> = self.studied().iter().map(|t| self.taxel(t, options)).collect();
         let minimum_force =
             (0..self.arc().len()).map(|p| self.responses().minimum_force(p, options.least, 2)).collect();
         let places = self.places(options.step);
@@ -186,7 +204,8 @@ impl Line {
             let found: Vec<Option<Deviations>> = places
                 .iter()
                 .map(|place| {
-                    let active = self.responses().active(*place, *force, options.least);
+                    let mut active = self.responses().active(*place, *force, options.least);
+                    self.clearest(*place, *force, &mut active);
                     (active.len() > 1).then(|| self.corners_of_all(*place, *force, &active)).flatten()
                 })
                 .collect();
@@ -202,9 +221,12 @@ impl Line {
                     || (first - 1e-9..=first + self.span() + 1e-9).contains(&self.arc()[*p])
             })
             .collect();
+        let bounds: Vec<Vec<Option<Deviations>>> =
+            between.iter().map(|place| self.bounds(*place, &options.forces)).collect();
         let mut by_force = Vec::new();
         for (row, force) in options.forces.iter().enumerate() {
-            by_force.push(self.averages(*force, &between, &taxels, options));
+            let bounds: Vec<Option<Deviations>> = bounds.iter().map(|of| of[row]).collect();
+            by_force.push(self.averages(*force, (&between, &bounds), &taxels, options));
             progress(0.5 + 0.5 * (row + 1) as f64 / options.forces.len() as f64);
         }
         let mean = |of: fn(&ByForce) -> Option<Averages>| {
@@ -221,12 +243,36 @@ impl Line {
             arc: self.arc().to_vec(),
             span: self.span(),
             least: options.least,
+            count: self.taxels().len(),
             taxels,
             minimum_force,
             map,
             by_force,
             factors,
         }
+    }
+
+    /// The taxels whose isolines are computed ([`MOST_STUDIED`]).
+    fn studied(&self) -> Vec<LineTaxel> {
+        let all = self.taxels();
+        if all.len() <= MOST_STUDIED {
+            return all.to_vec();
+        }
+        let pairs: BTreeSet<usize> =
+            self.arc().iter().flat_map(|arc| self.pair(*arc)).map(|taxel| taxel.channel).collect();
+        all.iter().copied().filter(|taxel| pairs.contains(&taxel.channel)).collect()
+    }
+
+    /// Leaves [`MOST_BANDS`] of `channels`, in their order: those that stand farthest out of their noise.
+    fn clearest(&self, place: usize, force: f64, channels: &mut Vec<usize>) {
+        if channels.len() <= MOST_BANDS {
+            return;
+        }
+        let clear = |c: &usize| self.responses().reading(place, *c, force) / self.responses().noise()[*c];
+        let mut by_clarity = channels.clone();
+        by_clarity.sort_by(|a, b| clear(b).total_cmp(&clear(a)));
+        by_clarity.truncate(MOST_BANDS);
+        channels.retain(|c| by_clarity.contains(c));
     }
 
     /// Places about `step` \[m\] apart.
@@ -268,12 +314,11 @@ impl Line {
     fn averages(
         &self,
         force: f64,
-        places: &[usize],
+        (places, bounds): (&[usize], &[Option<Deviations>]),
         taxels: &[TaxelStudy],
         options: &StudyOptions,
     ) -> ByForce {
-        let average = |of: &dyn Fn(usize) -> Option<Deviations>| -> Option<Averages> {
-            let found: Vec<Deviations> = places.iter().filter_map(|p| of(*p)).collect();
+        let average = |found: Vec<Deviations>| -> Option<Averages> {
             let n = found.len() as f64;
             if found.is_empty() {
                 return None;
@@ -289,6 +334,9 @@ impl Line {
                 factor_with_testbed: factor(options.testbed.position(position)),
             })
         };
+        let at_places = |of: &dyn Fn(usize) -> Option<Deviations>| {
+            average(places.iter().filter_map(|place| of(*place)).collect())
+        };
         let pair = |place: usize| self.pair(self.arc()[place]);
         let located = |place: usize| {
             pair(place).iter().all(|t| self.responses().reading(place, t.channel, force) >= options.least)
@@ -298,16 +346,16 @@ impl Line {
         };
         ByForce {
             force,
-            fits: average(&|place| {
+            fits: at_places(&|place| {
                 let pair = pair(place);
                 located(place)
                     .then(|| self.by_fits(place, force, &pair, [fits_of(&pair[0]), fits_of(&pair[1])]))
                     .flatten()
             }),
-            corners: average(&|place| {
+            corners: at_places(&|place| {
                 located(place).then(|| self.corners(place, force, pair(place).map(|t| t.channel))).flatten()
             }),
-            bound: average(&|place| self.bound(place, force)),
+            bound: average(bounds.iter().flatten().copied().collect()),
         }
     }
 
@@ -315,104 +363,42 @@ impl Line {
     /// recording as of a model.
     #[must_use]
     pub fn bound(&self, place: usize, force: f64) -> Option<Deviations> {
+        self.bounds(place, &[force]).pop().flatten()
+    }
+
+    /// [`bound`](Self::bound) under many forces: every channel's curves are looked at once.
+    #[must_use]
+    pub fn bounds(&self, place: usize, forces: &[f64]) -> Vec<Option<Deviations>> {
         let ([before, after], way) = self.beside(place);
-        let change = 0.02 * force;
-        let read = |place, channel, force| self.responses().reading(place, channel, force);
-        let (mut xx, mut xf, mut ff) = (0.0, 0.0, 0.0);
-        for (channel, sigma) in self.responses().noise().iter().enumerate() {
-            let by_place = (read(after, channel, force) - read(before, channel, force)) / way / sigma;
-            let by_force = (read(place, channel, force + change) - read(place, channel, force - change))
-                / (2.0 * change)
-                / sigma;
-            if by_place.is_finite() && by_force.is_finite() {
-                xx += by_place * by_place;
-                xf += by_place * by_force;
-                ff += by_force * by_force;
+        let responses = self.responses();
+        let brackets: Vec<[Option<Bracket>; 3]> = forces
+            .iter()
+            .map(|force| [0.0, 0.02, -0.02].map(|share| responses.bracket(force + share * force)))
+            .collect();
+        // By place twice, by place and force, by force twice.
+        let mut sums = vec![[0.0; 3]; forces.len()];
+        for (channel, sigma) in responses.noise().iter().enumerate() {
+            let [before, here, after] = [before, place, after].map(|p| responses.curve(p, channel));
+            for ((sums, force), [at, more, less]) in sums.iter_mut().zip(forces).zip(&brackets) {
+                let (Some(at), Some(more), Some(less)) = (at, more, less) else { continue };
+                let change = 0.02 * force;
+                let by_place = (at.of(after) - at.of(before)) / way / sigma;
+                let by_force = (more.of(here) - less.of(here)) / (2.0 * change) / sigma;
+                if by_place.is_finite() && by_force.is_finite() {
+                    sums[0] += by_place * by_place;
+                    sums[1] += by_place * by_force;
+                    sums[2] += by_force * by_force;
+                }
             }
         }
-        let determinant = xx * ff - xf * xf;
-        (determinant > 1e-12 * xx * ff)
-            .then(|| Deviations { position: (ff / determinant).sqrt(), force: (xx / determinant).sqrt() })
+        let bound = |[xx, xf, ff]: [f64; 3]| {
+            let determinant = xx * ff - xf * xf;
+            (determinant > 1e-12 * xx * ff)
+                .then(|| Deviations { position: (ff / determinant).sqrt(), force: (xx / determinant).sqrt() })
+        };
+        sums.into_iter().map(bound).collect()
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use approx::assert_relative_eq;
-    use dermis_model::{ForwardModel, Unknowns};
-
-    use super::*;
-    use crate::testing::{Dome, Row, Toy};
-    use crate::{Responses, force_ladder, over_surface};
-
-    fn study() -> (LineStudy, Row) {
-        let model = Row::new();
-        let (path, tolerance) = longest_row(model.surface(), &Row::feet(), 1.25e-4).unwrap();
-        let responses = Responses::of_model(&model, &path.points, &force_ladder(2.5, 40), 0.004).unwrap();
-        let line = Line::new(responses, &path, model.surface(), &Row::feet(), tolerance).unwrap();
-        let options = StudyOptions {
-            least: 100.0,
-            values: (0..8).map(|i| 200.0 * 1.6f64.powi(i)).collect(),
-            forces: vec![0.1, 0.3, 0.5, 1.0, 1.4],
-            map_forces: vec![0.2, 1.0],
-            step: 5e-4,
-            testbed: Testbed::THESIS,
-        };
-        let mut seen = 0.0;
-        let study = line.study(&options, |share| {
-            assert!(share >= seen);
-            seen = share;
-        });
-        assert_relative_eq!(seen, 1.0);
-        (study, model)
-    }
-
-    #[test]
-    fn the_row_of_the_thesis() {
-        let (study, model) = study();
-        assert_eq!(study.taxels.len(), 6);
-        assert_relative_eq!(study.span, 0.0325, max_relative = 1e-6);
-        for taxel in &study.taxels {
-            // physics.md: 0.141 N/kPa at a light touch; a deeper contact spreads and reads less.
-            assert!((0.135e-3..0.175e-3).contains(&taxel.c) && taxel.nonlinearity < 0.1, "{taxel:?}");
-            // α falls with the value.
-            assert!(taxel.fits[0].alpha > taxel.fits[taxel.fits.len() - 1].alpha);
-            // c grows with the distance.
-            assert!(
-                taxel.c_by_distance.iter().all(|[d, c]| *c > 0.0 && (d.abs() < 1e-3 || *c > taxel.c * 0.9))
-            );
-        }
-        // Less between two taxels than above one, and least where most taxels are near.
-        let least = |x: f64| study.minimum_force[((x + 0.01625) / 1.25e-4).round() as usize].unwrap();
-        assert!(least(0.0) < least(0.00325) && least(-0.01625) > least(0.0));
-        for by in &study.by_force {
-            let bound = over_surface(&model, by.force, 0.004, Unknowns::Line).unwrap().position.rms;
-            assert_relative_eq!(by.bound.unwrap().position_rms, bound, max_relative = 0.05);
-            let (fits, corners) = (by.fits.unwrap(), by.corners.unwrap());
-            assert!((0.2..5.0).contains(&(fits.position / corners.position)), "{by:?}");
-            // A box is wider than a standard deviation.
-            assert!(corners.position > by.bound.unwrap().position);
-            assert!(fits.factor_with_testbed < fits.factor);
-        }
-        // More force, more resolution; more taxels and more force, smaller boxes.
-        assert!(
-            study.by_force.windows(2).all(|w| w[1].corners.unwrap().factor > w[0].corners.unwrap().factor)
-        );
-        let middle = study.map.arc.len() / 2;
-        assert!(study.map.position[1][middle].unwrap() < study.map.position[0][middle].unwrap());
-    }
-
-    #[test]
-    fn rows_are_found_on_any_surface() {
-        let grid = Toy::grid();
-        let feet: Vec<_> = grid.taxels.iter().map(|(x, y)| Point3::new(*x, *y, 0.0)).collect();
-        let (path, tolerance) = longest_row(grid.surface(), &feet, 0.001).unwrap();
-        // Through the middle, along x.
-        assert!(path.points.iter().all(|p| p.y == 0.0) && (tolerance - 0.0012).abs() < 1e-9);
-        let dome = Dome::new();
-        let (path, _) = longest_row(dome.surface(), &dome.feet, 0.0005).unwrap();
-        let on = dome.feet.iter().filter(|f| path.nearest(f).1 < 0.001).count();
-        assert!(on >= 5, "{on}");
-        assert!(longest_row(grid.surface(), &feet[..1], 0.001).is_err());
-    }
-}
+mod tests;

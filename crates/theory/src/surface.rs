@@ -1,10 +1,11 @@
 //! The bound over a whole skin, and of two contacts that come ever closer.
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, tangents};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, Untouched, tangents};
 use nalgebra::Point3;
 use serde::Serialize;
 
-use crate::{ContactBound, TheoryError, cramer_rao};
+use crate::bound::{Derivatives, bands, bounds, derivatives};
+use crate::{BandBox, ContactBound, TheoryError, cramer_rao};
 
 /// Bound of one contact at every point of a skin.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -78,26 +79,65 @@ pub fn over_surface(
     diameter: f64,
     unknowns: Unknowns,
 ) -> Result<SurfaceBound, TheoryError> {
+    let each = |derivatives: &Derivatives, _: &Stimulus| Ok(bounds(derivatives, unknowns)[0]);
+    let bounds = at_every_point(model, force, diameter, unknowns, each)?;
+    Ok(SurfaceBound::of(model, force, diameter, bounds))
+}
+
+/// [`over_surface`], and the box of the [strongest bands](crate::strongest_bands) at every point: from the same derivatives.
+///
+/// # Errors
+///
+/// As [`over_surface`].
+pub fn over_surface_and_bands(
+    model: &dyn ForwardModel,
+    force: f64,
+    diameter: f64,
+    unknowns: Unknowns,
+) -> Result<(SurfaceBound, Vec<BandBox>), TheoryError> {
+    let untouched = Untouched::of(model)?;
+    let mut signal = vec![0.0; model.channels()];
+    let each = |derivatives: &Derivatives, stimulus: &Stimulus| {
+        model.response(stimulus, &mut signal)?;
+        untouched.subtract(&mut signal);
+        Ok((bounds(derivatives, unknowns)[0], bands(derivatives, &signal, unknowns)))
+    };
+    let (bounds, bands) = at_every_point(model, force, diameter, unknowns, each)?.into_iter().unzip();
+    Ok((SurfaceBound::of(model, force, diameter, bounds), bands))
+}
+
+/// What `of` makes of the derivatives for one contact at every point of a skin.
+fn at_every_point<T>(
+    model: &dyn ForwardModel,
+    force: f64,
+    diameter: f64,
+    unknowns: Unknowns,
+    mut of: impl FnMut(&Derivatives, &Stimulus) -> Result<T, TheoryError>,
+) -> Result<Vec<T>, TheoryError> {
     positive("force [N]", force)?;
     positive("diameter of the tip [m]", diameter)?;
     let surface = model.surface();
-    let bounds = surface
-        .points
-        .iter()
-        .zip(&surface.normals)
+    let points = surface.points.iter().zip(&surface.normals);
+    points
         .map(|(position, normal)| {
             let contact = Indentation::sphere(*position, -normal * force, diameter);
             let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
-            Ok(cramer_rao(model, &stimulus, unknowns)?[0])
+            of(&derivatives(model, &stimulus, unknowns)?, &stimulus)
         })
-        .collect::<Result<Vec<_>, TheoryError>>()?;
-    Ok(SurfaceBound {
-        force,
-        diameter,
-        position: Summary::of(bounds.iter().map(|b| b.position), &surface.areas),
-        normal_force: Summary::of(bounds.iter().map(|b| b.normal_force), &surface.areas),
-        bounds,
-    })
+        .collect()
+}
+
+impl SurfaceBound {
+    fn of(model: &dyn ForwardModel, force: f64, diameter: f64, bounds: Vec<ContactBound>) -> Self {
+        let areas = &model.surface().areas;
+        Self {
+            force,
+            diameter,
+            position: Summary::of(bounds.iter().map(|b| b.position), areas),
+            normal_force: Summary::of(bounds.iter().map(|b| b.normal_force), areas),
+            bounds,
+        }
+    }
 }
 
 /// Two equal contacts at a distance.

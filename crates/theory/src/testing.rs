@@ -102,6 +102,40 @@ impl ForwardModel for Dome {
     }
 }
 
+/// A toy whose channels read something where nothing touches.
+pub struct Shifted {
+    pub toy: Toy,
+    pub by: Vec<f64>,
+}
+
+impl Shifted {
+    /// More on each channel than any touch of the tests, and least where the toy reads most.
+    pub fn new(toy: Toy) -> Self {
+        let by = (0..toy.taxels.len()).map(|k| 3000.0 - 200.0 * k as f64).collect();
+        Self { toy, by }
+    }
+}
+
+impl ForwardModel for Shifted {
+    fn channels(&self) -> usize {
+        self.toy.channels()
+    }
+
+    fn surface(&self) -> &Surface {
+        self.toy.surface()
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        self.toy.response(stimulus, out)?;
+        out.iter_mut().zip(&self.by).for_each(|(v, by)| *v += by);
+        Ok(())
+    }
+
+    fn noise(&self) -> &[f64] {
+        self.toy.noise()
+    }
+}
+
 impl ForwardModel for Toy {
     fn channels(&self) -> usize {
         self.taxels.len()

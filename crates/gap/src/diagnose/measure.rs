@@ -14,6 +14,7 @@ use crate::report::NamedEffect;
 use crate::samples::Samples;
 use crate::select::SelectOptions;
 use crate::whitening::{mask_saturated, measure, residual, whiten};
+use crate::zero_level::ZeroLevel;
 
 /// Readings beside the nominal model.
 pub(super) struct Measured {
@@ -23,7 +24,9 @@ pub(super) struct Measured {
     pub whitened: Vec<f32>,
     /// Readings, whitened.
     pub scaled: Vec<f32>,
-    /// Nominal model, whitened.
+    /// Signals: readings without what the nominal model reads untouched, whitened.
+    pub signals: Vec<f32>,
+    /// Signals of the nominal model, whitened.
     pub modelled: Vec<f32>,
     pub gap: Gap,
     /// Effects that are known before any residual is explained, with the gap that each makes.
@@ -34,11 +37,26 @@ pub(super) struct Measured {
     pub beside: Vec<Effect>,
 }
 
-/// Measures the gap.
-pub(super) fn gap(prepared: Prepared, skin: &SkinDescription, samples: &Samples, seed: u64) -> Measured {
+/// Measures the gap. `zero` is what the nominal model reads untouched.
+pub(super) fn gap(
+    prepared: Prepared,
+    (skin, zero): (&SkinDescription, &ZeroLevel),
+    samples: &Samples,
+    seed: u64,
+) -> Measured {
     let Prepared { mut readings, sigma, nominal, mut known, beside, step, .. } = prepared;
+    let channels = sigma.len();
     let scaled = whiten(&readings, &sigma);
-    mask_saturated(&mut readings, &nominal, skin, &sigma);
+    let signals = whiten(&zero.signals(&readings, channels), &sigma);
+    match (zero.restored(&readings, channels), zero.restored(&nominal, channels)) {
+        // Ranges of channels speak of readings with their zero.
+        (Some(mut whole), Some(model)) => {
+            mask_saturated(&mut whole, &model, skin, &sigma);
+            let cut = readings.iter_mut().zip(&whole).filter(|(_, whole)| whole.is_nan());
+            cut.for_each(|(reading, _)| *reading = f32::NAN);
+        }
+        _ => mask_saturated(&mut readings, &nominal, skin, &sigma),
+    }
     let whitened = residual(&readings, &nominal, &sigma);
     let mut gap = measure(&whitened, &scaled, samples, &sigma, seed);
     // A reading lies anywhere within its step, and frame after frame at the same place of it.
@@ -49,8 +67,8 @@ pub(super) fn gap(prepared: Prepared, skin: &SkinDescription, samples: &Samples,
     credit(&mut known, gap.fvu_before - stepped);
     let fixed = known.iter().flat_map(|k| k.effects.iter().cloned()).collect();
     let known = known.into_iter().map(|k| k.named).collect();
-    let modelled = whiten(&nominal, &sigma);
-    Measured { readings, sigma, whitened, scaled, modelled, gap, known, fixed, beside }
+    let modelled = whiten(&zero.signals(&nominal, channels), &sigma);
+    Measured { readings, sigma, whitened, scaled, signals, modelled, gap, known, fixed, beside }
 }
 
 /// Gives each known effect the part of the gap that it made; `after` is what all of them leave.
@@ -174,6 +192,37 @@ mod tests {
         approx::assert_relative_eq!(noise(true, &[-5.0; 8]), 25.0, max_relative = 1e-6);
         assert!(noise(false, &[0.0; 8]) < 1e-3);
         assert_eq!(rounding(0.0, false, &spread, &sigma), 0.0);
+    }
+
+    #[test]
+    fn what_lies_at_the_end_of_a_range_is_left_out_of_tared_readings_too() {
+        let mut skin = crate::testing::skin();
+        let mut channels = skin.channels().to_vec();
+        channels.iter_mut().for_each(|channel| channel.range = Some([0.0, 1000.0]));
+        skin.set_channels(channels);
+        let untouched = dermis_model::Untouched::from(vec![900.0; 3]);
+        let samples = crate::statistics::tests::samples(&[0, 1]);
+        let measured = |zero: &ZeroLevel, shift: f32| {
+            let prepared = Prepared {
+                readings: [10.0, 99.0, 20.0, 30.0, 40.0, 99.0].map(|v| v + shift).to_vec(),
+                sigma: vec![5.0; 3],
+                nominal: [12.0, 90.0, 20.0, 30.0, 40.0, 90.0].map(|v| v + shift).to_vec(),
+                problems: Vec::new(),
+                known: Vec::new(),
+                beside: Vec::new(),
+                step: 0.0,
+            };
+            super::gap(prepared, (&skin, zero), &samples, 1)
+        };
+        // 99 above a zero of 900 is within 5 of 1000.
+        let tared = measured(&ZeroLevel::new(&untouched, &untouched, true), 0.0);
+        let cut: Vec<bool> = tared.readings.iter().map(|v| v.is_nan()).collect();
+        assert_eq!(cut, [false, true, false, false, false, true]);
+        let read = measured(&ZeroLevel::new(&untouched, &untouched, false), 900.0);
+        assert_eq!(read.readings.iter().map(|v| v.is_nan()).collect::<Vec<_>>(), cut);
+        // Axes and checks see what touches make, as it was read or tared.
+        assert_eq!((&tared.modelled, &tared.signals), (&read.modelled, &read.signals));
+        assert_eq!(tared.modelled[0], 12.0 / 5.0);
     }
 
     fn gap(systematic: f64, interval: [f64; 2], again: Option<f64>) -> Gap {

@@ -25,6 +25,8 @@ mod refine;
 mod report;
 mod select;
 mod signatures;
+#[cfg(test)]
+mod testing;
 mod write;
 
 use std::path::PathBuf;
@@ -118,7 +120,7 @@ pub fn diagnose(
     let seed = options.select.seed;
     let prepared = check::quantization(simulator, recording, samples, aligned, seed)?;
     report.data.problems.extend(prepared.problems.iter().cloned());
-    let mut measured = measure::gap(prepared, simulator.skin, samples, seed);
+    let mut measured = measure::gap(prepared, (simulator.skin, &signatures.zero), samples, seed);
     report::locate(&mut report, &measured, simulator.skin, recording, samples, seed);
     let irreproducible = measure::irreproducible(&measured.gap, &options.select);
     let interference = measure::interference(recording, simulator.skin, &mut measured.gap, &options.select);
@@ -178,4 +180,37 @@ fn announce(progress: &ProgressBar, what: &'static str, steps: usize) {
     progress.set_message(what);
     progress.set_length(steps as u64);
     progress.set_position(0);
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::SkinDescription;
+
+    use super::*;
+    use crate::recording::Zero;
+    use crate::report::Verdict;
+    use crate::testing::{EFFECTS, Small, gains, recorded, skin};
+
+    #[test]
+    fn a_tared_skin_that_reads_something_untouched_gets_the_same_diagnosis() {
+        let skin = skin();
+        let said = |rest: f64| {
+            let make = |skin: &SkinDescription| Small::make(skin, rest);
+            let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
+            let mut recording = recorded(&simulator, &[gains()]);
+            recording.tare(Zero::Press);
+            let options = Options { resamples: 2, ..Options::default() };
+            diagnose(&simulator, &recording, &options, &Memory::default()).unwrap().report
+        };
+        let (plain, resting) = (said(0.0), said(3.0));
+        assert_eq!(plain.verdict, Verdict::Named, "{}", plain.sentence);
+        assert_eq!(resting.verdict, plain.verdict, "{}", resting.sentence);
+        assert_eq!(resting.class(), plain.class());
+        let [a, b] = [&plain, &resting].map(|r| r.gap.as_ref().unwrap().systematic);
+        assert!((a - b).abs() < 1e-3 * a, "{a} {b}");
+        for name in ["a", "b", "c"] {
+            let [a, b] = [&plain, &resting].map(|r| r.corrected[0].parameters[name]);
+            assert!((a - b).abs() < 1e-3, "{name}: {a} {b}");
+        }
+    }
 }

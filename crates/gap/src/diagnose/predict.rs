@@ -276,3 +276,6 @@ fn remembers(data: &Data<'_>, name: &str) -> bool {
     data.simulator.effects.iter().any(|info| info.name == name && info.stateful)
         || common_effect(name).is_some_and(|common| common.stateful)
 }
+
+#[cfg(test)]
+mod tests;

@@ -440,3 +440,14 @@ fn half_widths(statistics: &Statistics, fit: &Fit, of: &[usize], weights: &[f64]
         })
         .collect()
 }
+
+#[cfg(test)]
+impl FittedCandidate {
+    /// What another stage needs of a candidate with values.
+    pub(super) fn written(candidate: usize, effects: Vec<Effect>) -> Self {
+        Self { candidate, effects, left: Vec::new(), energy: 0.0, score: 0.0, values: Vec::new() }
+    }
+}
+
+#[cfg(test)]
+mod tests;

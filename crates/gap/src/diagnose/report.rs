@@ -133,7 +133,7 @@ pub(super) fn locate(
     report.axes = axes::shares(&view, &recording.sessions, seed);
     report.channels = axes::channels(&view, &measured.scaled, skin);
     report.maps.push(axes::map(&view, &skin.surface()));
-    report.consistency_checks = consistency_checks::checks(&view, &measured.scaled);
+    report.consistency_checks = consistency_checks::checks(&view, &measured.signals);
 }
 
 /// Interference as an axis and a warning.

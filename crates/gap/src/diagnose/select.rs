@@ -66,3 +66,55 @@ pub(super) fn with_irreproducible(data: &Data<'_>, selected: &Selected, whitened
         gap
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Case, with_simulator};
+    use super::*;
+    use crate::testing::gains;
+
+    #[test]
+    fn the_effect_that_makes_a_residual_is_selected_and_no_other() {
+        with_simulator(|simulator| {
+            let case = Case::of(simulator, &[gains()]);
+            let data = case.data(simulator);
+            let found = select(&data, &case.measured.whitened).unwrap();
+            let names: Vec<&str> =
+                found.set().iter().map(|c| data.signatures.candidates[*c].name.as_str()).collect();
+            assert_eq!(names, ["channel-gain"]);
+            let pick = &found.selection.picks[0];
+            // All of the systematic gap, which places of training hold more or less of: 4 % in a standard deviation.
+            assert!((pick.gain / data.gap.systematic - 1.0).abs() < 0.2, "{pick:?} {:?}", data.gap);
+            assert_eq!(pick.class[0].candidate, pick.candidate);
+            // Signatures reproduce the whitened residual: only noise, of variance 1, is left.
+            let weights = data.samples.training();
+            let selector = data.selector(&found.statistics, &found.gram, &weights);
+            let fit = selector.fit_all(&found.set(), Tier::Loose);
+            let left = data.without(&case.measured.whitened, &found.columns, fit.terms());
+            let square = left.iter().map(|v| v * v).sum::<f32>() / left.len() as f32;
+            assert!((square - 1.0).abs() < 0.2, "{square}");
+            // Nothing differs between presses that were done alike, for there are none.
+            assert!(with_irreproducible(&data, &found, &case.measured.whitened).is_none());
+        });
+    }
+
+    #[test]
+    fn noise_alone_selects_nothing() {
+        with_simulator(|simulator| {
+            let case = Case::of(simulator, &[]);
+            let data = case.data(simulator);
+            let found = select(&data, &case.measured.whitened).unwrap();
+            assert!(found.set().is_empty(), "{:?}", found.selection.picks);
+        });
+    }
+
+    #[test]
+    fn a_selection_that_is_stopped_is_none() {
+        with_simulator(|simulator| {
+            let case = Case::of(simulator, &[gains()]);
+            let data = case.data(simulator);
+            data.options.stop.store(true, Ordering::Relaxed);
+            assert!(matches!(select(&data, &case.measured.whitened), Err(GapError::Interrupted)));
+        });
+    }
+}

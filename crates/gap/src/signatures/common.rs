@@ -12,6 +12,7 @@ use crate::constants::signatures::{MOVED, NONLINEAR, SHIFT};
 use crate::effects::{self, Properties, Signature};
 use crate::samples::Samples;
 use crate::statistics::Column;
+use crate::zero_level::ZeroLevel;
 
 /// \[K\] at which thermal effects are neutral.
 const NEUTRAL: f64 = 293.15;
@@ -49,6 +50,7 @@ pub(crate) struct Context<'a> {
     noise: &'a [f64],
     /// Readings of the nominal model, samples × channels.
     nominal: &'a [f32],
+    zero: &'a ZeroLevel,
     /// Changes by all taxels moved along each axis.
     taxels: &'a [Vec<Change>; 3],
     names: Vec<String>,
@@ -61,12 +63,12 @@ impl<'a> Context<'a> {
         skin: &'a SkinDescription,
         samples: &'a Samples,
         noise: &'a [f64],
-        nominal: &'a [f32],
+        (nominal, zero): (&'a [f32], &'a ZeroLevel),
         taxels: &'a [Vec<Change>; 3],
     ) -> Self {
         let names = skin.channels().iter().map(|c| c.name.clone()).collect();
         let kelvin = samples.list.iter().map(|s| s.temperature).collect();
-        Self { skin, samples, noise, nominal, taxels, names, kelvin }
+        Self { skin, samples, noise, nominal, zero, taxels, names, kelvin }
     }
 
     fn channels(&self) -> usize {
@@ -125,15 +127,18 @@ pub(crate) fn offsets(of: &Context<'_>) -> Parts {
     Parts::Columns(of.of_channels(of.sigma(), |_, _| 1.0))
 }
 
-/// A factor for each channel.
+/// A factor for each channel. In a tared recording it scales signals: the zero was read with the same factor.
 pub(crate) fn gains(of: &Context<'_>) -> Parts {
     Parts::Columns(of.of_channels(0.05, |i, k| of.reading(i, k)))
 }
 
-/// The square of the reading over the full scale, for each channel.
+/// The square of the reading over the full scale, for each channel; in a tared recording less that of the zero.
 pub(crate) fn curvatures(of: &Context<'_>) -> Parts {
     let full: Vec<f64> = of.skin.channels().iter().map(|c| full_scale(c, of.skin.noise)).collect();
-    Parts::Columns(of.of_channels(0.05, |i, k| of.reading(i, k).powi(2) / full[k]))
+    Parts::Columns(of.of_channels(0.05, |i, k| {
+        let zero = of.zero.subtracted(k);
+        ((of.reading(i, k) + zero).powi(2) - zero.powi(2)) / full[k]
+    }))
 }
 
 /// Zeros that follow the temperature, linearly and by its square.
@@ -245,7 +250,8 @@ impl Signatures {
     ) {
         let nominal = std::mem::take(&mut self.nominal);
         let least = MOVED * ((samples.list.len() * noise.len()) as f64).sqrt();
-        let context = Context::new(skin, samples, noise, &nominal, &changes.taxels);
+        let zero = std::mem::take(&mut self.zero);
+        let context = Context::new(skin, samples, noise, (&nominal, &zero), &changes.taxels);
         for of in effects::TABLE {
             match of.signature {
                 Signature::None => {}
@@ -261,7 +267,7 @@ impl Signatures {
                 }
             }
         }
-        self.nominal = nominal;
+        (self.nominal, self.zero) = (nominal, zero);
     }
 
     /// Adds an effect that is known by its columns, each of one parameter; those that move nothing are left out.

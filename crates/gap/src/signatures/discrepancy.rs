@@ -11,6 +11,7 @@ use crate::algebra::components;
 use crate::constants::signatures::{DISCREPANCIES, LAW};
 use crate::samples::Samples;
 use crate::statistics::Column;
+use crate::zero_level::ZeroLevel;
 
 /// A change of a field over the distance, in units of its width.
 type Shape = fn(f64) -> f64;
@@ -28,12 +29,14 @@ struct Field<'a> {
     skin: &'a SkinDescription,
     noise: &'a [f64],
     nominal: &'a [f32],
+    zero: &'a ZeroLevel,
     owners: Vec<usize>,
 }
 
 impl Field<'_> {
-    fn reading(&self, sample: usize, channel: usize) -> f64 {
-        f64::from(self.nominal[sample * self.noise.len() + channel])
+    /// What touches make the nominal model read: laws of contact and spread say nothing of what it reads untouched.
+    fn signal(&self, sample: usize, channel: usize) -> f64 {
+        self.zero.signal(channel, f64::from(self.nominal[sample * self.noise.len() + channel]))
     }
 
     /// \[m\] from the contact to a channel's taxel; NaN where nothing touches.
@@ -44,12 +47,12 @@ impl Field<'_> {
         square.sqrt()
     }
 
-    /// \[m\] mean distance from which channels see contacts, weighted by the energy of readings.
+    /// \[m\] mean distance from which channels see contacts, weighted by the energy of signals.
     fn width(&self) -> f64 {
         let (mut scale, mut weight) = (0.0, 0.0);
         for i in 0..self.samples.list.len() {
             for k in 0..self.noise.len() {
-                let (d, s) = (self.distance(i, k), self.reading(i, k).powi(2));
+                let (d, s) = (self.distance(i, k), self.signal(i, k).powi(2));
                 if d.is_finite() {
                     scale += s * d;
                     weight += s;
@@ -76,7 +79,7 @@ impl Field<'_> {
         let mean = forces.iter().sum::<f64>() / forces.len().max(1) as f64;
         self.whitened(|i, k| {
             let force = list[i].force;
-            if force > 0.0 { LAW * self.reading(i, k) * (force.ln() - mean) } else { 0.0 }
+            if force > 0.0 { LAW * self.signal(i, k) * (force.ln() - mean) } else { 0.0 }
         })
     }
 }
@@ -97,7 +100,8 @@ impl Signatures {
                 self.discrepancy_names.push(name);
             }
         }
-        let field = Field { samples, skin, noise, nominal: &self.nominal, owners: skin.channel_taxels() };
+        let (nominal, zero) = (&self.nominal, &self.zero);
+        let field = Field { samples, skin, noise, nominal, zero, owners: skin.channel_taxels() };
         vectors.push(field.exponent());
         self.discrepancy_names.push("exponent of the force".to_owned());
         let width = field.width();
@@ -105,7 +109,7 @@ impl Signatures {
             for (name, shape) in SHAPES {
                 vectors.push(field.whitened(|i, k| {
                     let q = field.distance(i, k) / width;
-                    if q.is_finite() { LAW * field.reading(i, k) * shape(q) } else { 0.0 }
+                    if q.is_finite() { LAW * field.signal(i, k) * shape(q) } else { 0.0 }
                 }));
                 self.discrepancy_names.push(name.to_owned());
             }
@@ -123,5 +127,38 @@ impl Signatures {
             self.discrepancy.push(self.columns.len());
             self.columns.push(Column { channel: None, values: std::mem::take(values) });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::statistics::tests::samples;
+
+    #[test]
+    fn laws_of_contact_scale_signals_and_not_untouched_readings() {
+        let skin = crate::testing::skin();
+        let mut samples = samples(&[0, 0, 1, 1]);
+        for (i, sample) in samples.list.iter_mut().enumerate() {
+            (sample.force, sample.contacts) = (0.2 + 0.2 * i as f64, 1);
+            sample.position = [0.003 * i as f64, 0.001, 0.0];
+        }
+        let signals: Vec<f32> = (0..12).map(|i| 64.0 * i as f32).collect();
+        let raised: Vec<f32> = signals.iter().enumerate().map(|(i, s)| s + 1000.0 * (i % 3) as f32).collect();
+        let untouched = dermis_model::Untouched::from(vec![0.0, 1000.0, 2000.0]);
+        let zero = ZeroLevel::new(&untouched, &untouched, false);
+        let nothing = ZeroLevel::default();
+        let field = |nominal, zero| Field {
+            samples: &samples,
+            skin: &skin,
+            noise: &[5.0; 3],
+            nominal,
+            zero,
+            owners: skin.channel_taxels(),
+        };
+        let (plain, raised) = (field(&signals, &nothing), field(&raised, &zero));
+        assert_eq!(plain.exponent(), raised.exponent());
+        assert_eq!(plain.width(), raised.width());
+        assert!(plain.exponent().iter().any(|v| v.abs() > 1.0));
     }
 }

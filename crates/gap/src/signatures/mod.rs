@@ -30,6 +30,7 @@ use crate::recording::Recording;
 use crate::samples::Samples;
 use crate::simulate::Simulator;
 use crate::statistics::Column;
+use crate::zero_level::ZeroLevel;
 
 use jobs::{Job, Purpose};
 
@@ -83,6 +84,8 @@ pub struct Signatures {
     pub discrepancy_names: Vec<String>,
     /// Effects that cannot be seen in this recording, and why.
     pub silent: Vec<(String, String)>,
+    /// What the nominal model reads where nothing touches.
+    pub zero: ZeroLevel,
 }
 
 /// Changes of simulations that are no realisations of a family's effect.
@@ -191,7 +194,8 @@ impl Signatures {
             noise: noise.clone(),
             refused,
         };
-        let mut found = Self { nominal, ..Self::default() };
+        let zero = simulator.zero_level(recording)?;
+        let mut found = Self { nominal, zero, ..Self::default() };
         let (families, others): (Vec<Job>, Vec<Job>) =
             jobs.into_iter().partition(|j| matches!(j.purpose, Purpose::Family(..)));
         let mut changes = Changes::sort(runner.run(others)?);

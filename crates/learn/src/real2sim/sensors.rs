@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_model::{ForwardModel, Stimulus};
+use dermis_model::{ForwardModel, Stimulus, Untouched};
 use dermis_skin::SkinDescription;
 
 use super::{MapBasis, Told};
@@ -24,7 +24,7 @@ pub enum VirtualSensors {
         /// The model.
         model: Arc<dyn ForwardModel>,
         /// Its untouched readings.
-        rest: Vec<f64>,
+        untouched: Untouched,
     },
 }
 
@@ -56,11 +56,9 @@ impl VirtualSensors {
     ///
     /// [`LearnError::Training`] where the model has no answer for the untouched skin.
     pub fn channels(model: Arc<dyn ForwardModel>) -> Result<Self, LearnError> {
-        let mut rest = vec![0.0; model.channels()];
-        model
-            .response(&Stimulus::default(), &mut rest)
-            .map_err(|e| LearnError::Training { reason: e.to_string() })?;
-        Ok(Self::Channels { model, rest })
+        let untouched =
+            Untouched::of(model.as_ref()).map_err(|e| LearnError::Training { reason: e.to_string() })?;
+        Ok(Self::Channels { model, untouched })
     }
 
     /// Number of them.
@@ -68,7 +66,7 @@ impl VirtualSensors {
     pub fn count(&self) -> usize {
         match self {
             Self::Displacements { points, .. } => points.len(),
-            Self::Channels { rest, .. } => rest.len(),
+            Self::Channels { untouched, .. } => untouched.readings().len(),
         }
     }
 
@@ -79,7 +77,7 @@ impl VirtualSensors {
             Self::Displacements { points, each } => {
                 format!("displacements of {} points, {each} near each element", points.len())
             }
-            Self::Channels { rest, .. } => format!("the {} channels of the skin as designed", rest.len()),
+            Self::Channels { .. } => format!("the {} channels of the skin as designed", self.count()),
         }
     }
 
@@ -87,12 +85,13 @@ impl VirtualSensors {
     fn read(&self, stimulus: &Stimulus, map: &[f64], out: &mut Vec<f32>) -> Result<(), LearnError> {
         match self {
             Self::Displacements { points, .. } => out.extend(points.iter().map(|i| map[*i] as f32)),
-            Self::Channels { model, rest } => {
-                let mut values = vec![0.0; rest.len()];
+            Self::Channels { model, untouched } => {
+                let mut values = vec![0.0; self.count()];
                 model
                     .response(stimulus, &mut values)
                     .map_err(|e| LearnError::Training { reason: e.to_string() })?;
-                out.extend(values.iter().zip(rest).map(|(v, r)| (v - r) as f32));
+                untouched.subtract(&mut values);
+                out.extend(values.iter().map(|v| *v as f32));
             }
         }
         Ok(())

@@ -61,7 +61,7 @@ fn middle(line: &LineStudy) -> Option<&TaxelStudy> {
 }
 
 fn row(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
-    let _ = writeln!(body, "<h2>A row of {} taxels</h2>", line.taxels.len());
+    let _ = writeln!(body, "<h2>A row of {} taxels</h2>", line.count);
     isolines(body, line, unit)?;
     coefficients(body, line, unit)?;
     maps(body, line, unit)?;

@@ -112,7 +112,7 @@ fn row(out: &mut String, line: &LineStudy, unit: &str) {
     let _ = writeln!(
         out,
         "row of {} taxels, {} mm: c(0) = {:.3} N/{per}, linear within {:.0} %; F_S from {} to {} N",
-        line.taxels.len(),
+        line.count,
         mm(line.span),
         median(line, |t| Some(t.c)) * factor,
         median(line, |t| Some(t.nonlinearity)) * 100.0,

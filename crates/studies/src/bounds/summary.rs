@@ -33,7 +33,7 @@ pub fn median(line: &LineStudy, of: impl Fn(&TaxelStudy) -> Option<f64>) -> f64 
 pub fn summary(findings: &Findings) -> Value {
     let line = findings.line.as_ref().map(|line| {
         json!({
-            "taxels": line.taxels.len(),
+            "taxels": line.count,
             "span_m": line.span,
             "c_n_per_unit": line.taxels.iter().map(|t| t.c).collect::<Vec<_>>(),
             "alpha_by_value": alphas(line),

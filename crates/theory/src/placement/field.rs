@@ -1,6 +1,6 @@
 //! What every candidate reads for presses all over a skin.
 
-use dermis_model::{Differences, ForwardModel, Indentation, Stimulus, Unknowns};
+use dermis_model::{Differences, ForwardModel, Indentation, Stimulus, Unknowns, Untouched};
 use nalgebra::{DMatrix, Point3, Vector3};
 
 use super::Watch;
@@ -16,7 +16,7 @@ pub struct Place {
     pub normal: Vector3<f64>,
 }
 
-/// Readings of candidates, free of noise, for presses along the normal: every place with every force, force by force within a
+/// Readings of candidates, free of noise and with the untouched ones subtracted, for presses along the normal: every place with every force, force by force within a
 /// place. Press `p` is at place `p / forces.len()`.
 #[derive(Debug, Clone)]
 pub struct Field {
@@ -58,6 +58,7 @@ impl Field {
         let (channels, presses) = (model.channels(), places.len() * forces.len());
         let mut readings = DMatrix::zeros(presses, channels);
         let mut slopes = std::array::from_fn(|_| DMatrix::zeros(presses, channels));
+        let untouched = Untouched::of(model)?;
         let mut read = vec![0.0; channels];
         let mut jacobian = vec![0.0; channels * Unknowns::Normal.count()];
         let mut stimulus = Stimulus::default();
@@ -70,6 +71,7 @@ impl Field {
                 let contact = Indentation::sphere(place.point, -place.normal * force, diameter);
                 stimulus.contacts = vec![contact];
                 model.response(&stimulus, &mut read)?;
+                untouched.subtract(&mut read);
                 readings.row_mut(row).iter_mut().zip(&read).for_each(|(to, from)| *to = *from);
                 model.jacobian(&stimulus, Unknowns::Normal, &Differences::default(), &mut jacobian)?;
                 for (slope, column) in slopes.iter_mut().zip(jacobian.chunks_exact(channels.max(1))) {

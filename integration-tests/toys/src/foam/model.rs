@@ -118,6 +118,10 @@ impl ForwardModel for FoamModel {
         false
     }
 
+    fn remembers(&self) -> bool {
+        self.medium.fade > 0.0
+    }
+
     fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
         let creep = Creep {
             slow: vec![0.0; self.noise.len()],
