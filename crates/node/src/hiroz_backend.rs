@@ -1,47 +1,42 @@
 //! The embedded backend: ROS 2 over zenoh with the wire of `rmw_zenoh`, by the hiroz library.
+//!
+//! Here are sessions and nodes; `wire` has names, types and QoS as `rmw_zenoh` writes them, `publisher`, `subscription` and
+//! `service` the endpoints.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Weak};
-use std::task::Poll;
-use std::time::Duration;
 
-use bytes::Bytes;
 use dermis_msgs::TypeSupport;
-use futures::FutureExt;
-use futures::future::BoxFuture;
 use hiroz::Builder;
-use hiroz::attachment::{Attachment, GidArray};
 use hiroz::context::{ZContext, ZContextBuilder};
-use hiroz::entity::{EndpointEntity, EndpointKind as GraphKind, Entity, TypeHash, TypeInfo};
+use hiroz::entity::{EndpointKind as GraphKind, TypeInfo};
 use hiroz::graph::Graph;
 use hiroz::msg::ZService;
 use hiroz::node::ZNode;
-use hiroz::pubsub::{ZPub, ZSub};
-use hiroz::queue::BoundedQueue;
-use hiroz_protocol::qos as wire_qos;
 use zenoh::Wait;
-use zenoh::key_expr::KeyExpr;
 use zenoh::qos::CongestionControl;
-use zenoh::query::{ConsolidationMode, Query, QueryTarget};
-use zenoh::sample::Sample;
 
 use crate::backend::{
     Backend, BackendClient, BackendEndpoint, BackendError, BackendNode, BackendPublisher, EndpointInfo,
-    EndpointKind, GraphHook, MessageSink, NodeSpec, Publication, RawMessage, RawRequest, RequestSink,
-    ServiceSupport,
+    EndpointKind, GraphHook, MessageSink, NodeSpec, RequestSink, ServiceSupport,
 };
-use crate::clock::system_now;
 use crate::executor::lock;
 use crate::network::zenoh_config::insert;
 use crate::network::{Network, SessionOptions};
 use crate::node::runtime;
-use crate::qos::{Durability, History, Qos, Reliability};
+use crate::qos::{Qos, Reliability};
+use publisher::{HirozPublisher, HirozStream};
+use service::{HirozClient, HirozServer, raw_request};
+use subscription::{HirozSubscription, hand_on};
+use wire::{endpoint, from_wire_qos, has_type, ros_type_name, to_wire_qos, type_info};
+
+mod publisher;
+mod service;
+mod subscription;
+mod wire;
 
 const NAME: &str = "hiroz";
-
-/// Depth of the history that `rmw_zenoh` keeps for “keep all”.
-const KEEP_ALL_DEPTH: usize = 42;
 
 /// How the embedded backend finds others within the [`Network`] of a node; the default suits most.
 ///
@@ -151,12 +146,14 @@ async fn follow(shared: &Weak<Shared>, graph: &Arc<Graph>) {
     }
 }
 
+/// A publisher whose subscriptions are counted.
 struct Matching {
     topic: String,
     type_info: TypeInfo,
     count: Arc<AtomicUsize>,
 }
 
+/// What a node shares with its publishers and with [`follow`].
 struct Shared {
     /// Taken out when the node is closed.
     node: Mutex<Option<ZNode>>,
@@ -180,19 +177,6 @@ impl Shared {
             .filter(|entity| has_type(entity, &publisher.type_info))
             .count()
     }
-}
-
-fn has_type(entity: &Entity, type_info: &TypeInfo) -> bool {
-    endpoint(entity).is_some_and(|endpoint| {
-        endpoint
-            .type_info
-            .as_ref()
-            .is_some_and(|other| other.name == type_info.name && other.hash == type_info.hash)
-    })
-}
-
-fn endpoint(entity: &Entity) -> Option<&EndpointEntity> {
-    if let Entity::Endpoint(endpoint) = entity { Some(endpoint) } else { None }
 }
 
 struct HirozNode {
@@ -268,64 +252,6 @@ impl HirozNode {
             id,
             shared: Arc::downgrade(&self.shared),
         })
-    }
-}
-
-/// `std_msgs/msg/String` as the wire names it: `std_msgs::msg::dds_::String_`.
-fn wire_type_name(name: &str) -> String {
-    match name.rsplit_once('/') {
-        Some((package, name)) => format!("{}::dds_::{name}_", package.replace('/', "::")),
-        None => name.to_owned(),
-    }
-}
-
-/// The other way.
-fn ros_type_name(name: &str) -> String {
-    name.replace("::dds_::", "/").replace("::", "/").trim_end_matches('_').to_owned()
-}
-
-fn type_info(what: &'static str, topic: &str, name: &str, hash: &str) -> Result<TypeInfo, BackendError> {
-    let hash = TypeHash::from_rihs_string(hash).ok_or_else(|| BackendError::Endpoint {
-        what,
-        name: topic.to_owned(),
-        reason: format!("`{hash}` is not a RIHS01 type hash"),
-    })?;
-    Ok(TypeInfo { name: wire_type_name(name), hash })
-}
-
-fn to_wire_qos(qos: &Qos) -> hiroz::qos::QosProfile {
-    hiroz::qos::QosProfile {
-        reliability: match qos.reliability {
-            Reliability::BestEffort => hiroz::qos::QosReliability::BestEffort,
-            Reliability::Reliable => hiroz::qos::QosReliability::Reliable,
-        },
-        durability: match qos.durability {
-            Durability::Volatile => hiroz::qos::QosDurability::Volatile,
-            Durability::TransientLocal => hiroz::qos::QosDurability::TransientLocal,
-        },
-        history: match qos.depth() {
-            Some(depth) => hiroz::qos::QosHistory::from_depth(depth),
-            None => hiroz::qos::QosHistory::KeepAll,
-        },
-        ..hiroz::qos::QosProfile::default()
-    }
-}
-
-fn from_wire_qos(qos: &wire_qos::QosProfile) -> Qos {
-    Qos {
-        reliability: match qos.reliability {
-            wire_qos::QosReliability::BestEffort => Reliability::BestEffort,
-            wire_qos::QosReliability::Reliable => Reliability::Reliable,
-        },
-        durability: match qos.durability {
-            wire_qos::QosDurability::Volatile => Durability::Volatile,
-            wire_qos::QosDurability::TransientLocal => Durability::TransientLocal,
-        },
-        history: match qos.history {
-            wire_qos::QosHistory::KeepLast(0) => History::KeepLast(KEEP_ALL_DEPTH),
-            wire_qos::QosHistory::KeepLast(depth) => History::KeepLast(depth),
-            wire_qos::QosHistory::KeepAll => History::KeepAll,
-        },
     }
 }
 
@@ -503,261 +429,9 @@ impl ZService for RawService {
     type Response = Raw;
 }
 
-struct HirozPublisher {
-    topic: String,
-    publisher: Option<(ZPub<Raw, RawSerdes>, zenoh::pubsub::Publisher<'static>)>,
-    count: Arc<AtomicUsize>,
-    watched: Arc<AtomicBool>,
-    id: u64,
-    shared: Weak<Shared>,
-}
-
-impl HirozPublisher {
-    fn not_sent(&self, error: &zenoh::Error) -> BackendError {
-        BackendError::Send { name: self.topic.clone(), reason: error.to_string() }
-    }
-}
-
-impl BackendPublisher for HirozPublisher {
-    fn publish(&self, payload: &[u8]) -> Result<(), BackendError> {
-        let Some((publisher, _)) = &self.publisher else { return Ok(()) };
-        publisher.publish_serialized(payload).map_err(|error| self.not_sent(&error))
-    }
-
-    fn subscriber_count(&self) -> usize {
-        let plain = usize::from(self.watched.load(Ordering::Acquire));
-        self.count.load(Ordering::Acquire).max(plain)
-    }
-}
-
-impl Drop for HirozPublisher {
-    fn drop(&mut self) {
-        if let Some(shared) = self.shared.upgrade() {
-            lock(&shared.publishers).remove(&self.id);
-        }
-        let publisher = self.publisher.take();
-        off_runtime(|| drop(publisher));
-    }
-}
-
-/// A publisher that offers reliable delivery and never waits. hiroz makes each reliable publisher wait for its peers, up to a
-/// minute for one that stopped reading; `rmw_zenoh` does so only for one that keeps all messages. So hiroz announces the
-/// publisher, and its messages go another way.
-struct HirozStream {
-    publisher: HirozPublisher,
-    sequence: AtomicI64,
-    gid: GidArray,
-}
-
-impl HirozStream {
-    fn new(publisher: HirozPublisher) -> Self {
-        let entity = publisher.publisher.as_ref().map(|(announced, _)| announced.entity());
-        let gid = entity.and_then(hiroz::entity::endpoint_gid).unwrap_or_default();
-        Self { publisher, sequence: AtomicI64::new(0), gid }
-    }
-}
-
-impl BackendPublisher for HirozStream {
-    fn publish(&self, payload: &[u8]) -> Result<(), BackendError> {
-        let Some((_, sender)) = &self.publisher.publisher else { return Ok(()) };
-        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
-        sender
-            .put(payload)
-            .attachment(Attachment::new(sequence, self.gid))
-            .wait()
-            .map_err(|error| self.publisher.not_sent(&error))
-    }
-
-    fn subscriber_count(&self) -> usize {
-        self.publisher.subscriber_count()
-    }
-}
-
-/// Where the samples of a subscription go; taken out when it is dropped.
-type Gate = Arc<Mutex<Option<MessageSink>>>;
-
-/// Hands samples on as they come, until the gate is shut. A sample is taken out of the queue under the lock of the gate, so
-/// that whoever shuts the gate knows that none is on its way between them.
-async fn hand_on(queue: Arc<BoundedQueue<Sample>>, gate: Gate) {
-    /// Samples after which others get their turn on the runtime.
-    const TURN: usize = 64;
-    let mut next = Box::pin(queue.recv_async());
-    std::future::poll_fn(|context| {
-        for _ in 0..TURN {
-            let gate = lock(&gate);
-            let Some(sink) = &*gate else { return Poll::Ready(()) };
-            match next.as_mut().poll(context) {
-                Poll::Ready(sample) => sink(raw_message(&sample)),
-                Poll::Pending => return Poll::Pending,
-            }
-            next.set(queue.recv_async());
-        }
-        context.waker().wake_by_ref();
-        Poll::Pending
-    })
-    .await;
-}
-
-struct HirozSubscription {
-    subscription: Option<ZSub<Raw, Sample, RawSerdes>>,
-    /// What has arrived and was not handed on yet.
-    waiting: Arc<BoundedQueue<Sample>>,
-    gate: Gate,
-    task: tokio::task::AbortHandle,
-}
-
-impl BackendEndpoint for HirozSubscription {}
-
-impl Drop for HirozSubscription {
-    fn drop(&mut self) {
-        let subscription = self.subscription.take();
-        off_runtime(|| drop(subscription));
-        let sink = {
-            let mut gate = lock(&self.gate);
-            // What has arrived is not lost.
-            while let Some(sink) = &*gate
-                && let Some(sample) = self.waiting.try_recv()
-            {
-                sink(raw_message(&sample));
-            }
-            gate.take()
-        };
-        drop(sink);
-        self.task.abort();
-    }
-}
-
-fn raw_message(sample: &Sample) -> RawMessage {
-    // A plain zenoh client publishes without an attachment.
-    let attachment = sample.attachment().and_then(|bytes| Attachment::try_from(bytes).ok());
-    let publication = attachment.as_ref().and_then(|attachment| {
-        let number = u64::try_from(attachment.sequence_number).ok()?;
-        Some(Publication { publisher: attachment.source_gid, number })
-    });
-    RawMessage {
-        payload: Bytes::from(sample.payload().to_bytes().into_owned()),
-        source_ns: attachment.map(|attachment| attachment.source_timestamp),
-        received_ns: system_now(),
-        publication,
-    }
-}
-
-fn raw_request(service: &str, query: Query) -> RawRequest {
-    // A plain zenoh client may call without an attachment; it does not look for one in the answer.
-    let (sequence, gid) = query
-        .attachment()
-        .and_then(|bytes| Attachment::try_from(bytes).ok())
-        .map_or((0, GidArray::default()), |a| (a.sequence_number, a.source_gid));
-    let payload =
-        query.payload().map_or_else(Bytes::new, |payload| Bytes::from(payload.to_bytes().into_owned()));
-    let service = service.to_owned();
-    RawRequest {
-        payload,
-        reply: Box::new(move |bytes| {
-            let key = query.key_expr().clone();
-            off_runtime(|| query.reply(key, bytes).attachment(Attachment::new(sequence, gid)).wait())
-                .map_err(|error| BackendError::Send { name: service, reason: error.to_string() })
-        }),
-    }
-}
-
-struct HirozServer(Option<Box<dyn std::any::Any + Send + Sync>>);
-
-impl BackendEndpoint for HirozServer {}
-
-impl Drop for HirozServer {
-    fn drop(&mut self) {
-        let server = self.0.take();
-        off_runtime(|| drop(server));
-    }
-}
-
-struct HirozClient {
-    name: String,
-    /// Announces the client in the graph.
-    presence: Option<Box<dyn std::any::Any + Send + Sync>>,
-    type_info: TypeInfo,
-    key: KeyExpr<'static>,
-    gid: GidArray,
-    /// Taken out when the client is dropped.
-    session: Option<Arc<zenoh::Session>>,
-    graph: Arc<Graph>,
-    sequence: AtomicI64,
-}
-
-impl BackendClient for HirozClient {
-    fn available(&self) -> bool {
-        self.graph
-            .get_entities_by_service(GraphKind::Service, &self.name)
-            .iter()
-            .any(|entity| has_type(entity, &self.type_info))
-    }
-
-    fn call(&self, request: &[u8], timeout: Duration) -> BoxFuture<'static, Result<Bytes, BackendError>> {
-        let name = self.name.clone();
-        let no_answer = move |reason: String| BackendError::NoAnswer { name, reason };
-        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
-        let (answer, answered) = futures::channel::oneshot::channel();
-        let answer = Mutex::new(Some(answer));
-        let Some(session) = &self.session else {
-            return std::future::ready(Err(no_answer("the client is closed".to_owned()))).boxed();
-        };
-        let sent = session
-            .get(&self.key)
-            .target(QueryTarget::All)
-            .consolidation(ConsolidationMode::None)
-            .timeout(timeout)
-            .payload(request)
-            .attachment(Attachment::new(sequence, self.gid))
-            .callback(move |reply| {
-                if let Ok(sample) = reply.into_result()
-                    && let Some(answer) = lock(&answer).take()
-                {
-                    // The caller may have given up.
-                    let _ = answer.send(Bytes::from(sample.payload().to_bytes().into_owned()));
-                }
-            })
-            .wait();
-        async move {
-            match sent {
-                Ok(()) => {
-                    answered.await.map_err(|_| no_answer("the server ended the call without one".to_owned()))
-                }
-                Err(error) => Err(no_answer(error.to_string())),
-            }
-        }
-        .boxed()
-    }
-}
-
-impl Drop for HirozClient {
-    fn drop(&mut self) {
-        let (presence, session) = (self.presence.take(), self.session.take());
-        off_runtime(|| drop((presence, session)));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn type_names_go_both_ways() {
-        for (ros, wire) in [
-            ("dermis_msgs/msg/ContactArray", "dermis_msgs::msg::dds_::ContactArray_"),
-            ("std_srvs/srv/Trigger", "std_srvs::srv::dds_::Trigger_"),
-        ] {
-            assert_eq!(wire_type_name(ros), wire);
-            assert_eq!(ros_type_name(wire), ros);
-        }
-    }
-
-    #[test]
-    fn qos_survives_the_wire_form() {
-        for qos in [Qos::sensor_data(), Qos::latched(), Qos::services()] {
-            assert_eq!(from_wire_qos(&to_wire_qos(&qos).to_protocol_qos()), qos);
-        }
-    }
 
     #[test]
     fn a_bad_override_is_named() {

@@ -535,7 +535,7 @@ fn both_are_found(operator: &Operator, near: f64) -> f64 {
         seen.len() > 20
     });
     assert!(seen.iter().all(|(_, [a, b])| a != b && *a > 0 && *b > 0), "{seen:?}");
-    // Frames that lie further apart have been passed over.
+    // Frames that lie further apart have been dropped.
     let changed = seen.windows(2).find(|pair| pair[1].0 - pair[0].0 < 0.1 && pair[1].1 != pair[0].1);
     assert_eq!(changed, None, "{seen:?}");
     first.contacts.iter().map(pressing).sum()
@@ -598,8 +598,8 @@ fn two_contacts_a_thousand_times_a_second_are_looked_for_in_the_newest_frame() {
     device.expect("", SOON);
     operator.contacts_say("that nothing touches", untouched);
     operator.contacts_say("two contacts", |a| a.contacts.len() == 2);
-    let status = operator.hears(&operator.diagnostics, "that frames are passed over", |s| {
-        s.message.contains("the newest is taken and others are passed over")
+    let status = operator.hears(&operator.diagnostics, "that frames are dropped", |s| {
+        s.message.contains("the newest is taken and others are dropped")
     });
     assert_eq!(status.level, DiagnosticStatus::WARN);
     let value = |key: &str| {

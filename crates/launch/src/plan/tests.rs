@@ -1,5 +1,9 @@
-use super::*;
+use std::path::PathBuf;
+
 use proptest::prelude::*;
+use serde_json::{Value, json};
+
+use super::*;
 
 /// A program with one kind of node, whose only parameter is `rate`, and one command.
 struct Fake;

@@ -13,7 +13,8 @@ use dermis_inference::{Bundle, Limits, Runtime};
 use dermis_skin::SkinDescription;
 use dermis_skin::cache::{self, Stage, Work};
 
-use super::{RunError, Shared};
+use super::RunError;
+use super::shared::Shared;
 use crate::config::Config;
 use dermis_estimate::{Models, SetupError, SkinEstimator};
 use dermis_sensor::Sensor;
