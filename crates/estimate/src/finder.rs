@@ -1,7 +1,8 @@
 //! From one conditioned frame to contacts: every way that there is, behind one trait.
 //!
-//! The node's [`SkinEstimator`](crate::SkinEstimator) makes its contacts with the functions here ([`regressed`], [`inverted`],
-//! [`readings`]), and so do comparisons. The finders put the same parts together for one frame by itself.
+//! The node's [`SkinEstimator`](crate::SkinEstimator) makes its contacts with the functions of this module, and so do
+//! comparisons: `regressed` for the outputs of models, `peaks` for a displacement map, `solve` and `inverted` for a forward
+//! model. The estimator adds what depends on earlier frames or on several bundles: presence, identities, confidence.
 //!
 //! | finder | from | to |
 //! |---|---|---|
@@ -9,20 +10,25 @@
 //! | [`MapFinder`] | a bundle that gives a displacement map | the peaks of the map |
 //! | [`InversionFinder`] | a forward model | contacts of maximum likelihood |
 //! | [`RegressionFinder`] | any function of the whitened readings | one contact |
+//!
+//! A finder does not judge whether something touches: who asks it for the contacts of an untouched frame gets what the noise
+//! looks like to it.
 
 mod inversion;
 mod map;
 mod network;
 mod regression;
 
-use dermis_inference::{BundleError, FeatureError, ModelError, OutputError};
+use dermis_inference::FeatureError;
 use dermis_inversion::{InverterError, Reading};
 use dermis_skin::{ChannelFlags, Contact, Stamp};
 
-pub use inversion::{InversionFinder, Start, inverted};
+pub use inversion::{InversionFinder, Start};
+pub(crate) use inversion::{inverted, solve};
 pub use map::MapFinder;
-pub(crate) use network::is_flat;
-pub use network::{NetworkFinder, Regressed, regressed};
+pub(crate) use map::peaks;
+pub use network::NetworkFinder;
+pub(crate) use network::{Regressed, is_flat, regressed};
 pub use regression::{Regress, RegressionFinder};
 
 /// One frame after conditioning.
@@ -42,40 +48,46 @@ pub struct ConditionedFrame<'a> {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FindError {
-    /// A bundle cannot be used.
-    #[error(transparent)]
-    Bundle(#[from] BundleError),
     /// A frame does not fit the features of a bundle.
     #[error(transparent)]
     Features(#[from] FeatureError),
-    /// A model failed.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    /// What a model gave is not what its bundle says.
-    #[error(transparent)]
-    Output(#[from] OutputError),
+    /// A model failed, or gave what its bundle does not say; the sentence names the bundle.
+    #[error("{0}")]
+    Model(String),
     /// The forward model has no answer.
     #[error(transparent)]
     Inversion(#[from] InverterError),
-    /// A bundle that looks at several frames was asked about one.
-    #[error("the bundle wants a history of frames, where this looks at one frame by itself")]
-    History,
-    /// A bundle without a displacement map.
-    #[error("model bundle {0}: bundle.toml has no `[peaks]`: train one with `dermis real2sim train`")]
-    NoPeaks(String),
+    /// A bundle that looks at several frames has not seen enough of them, or no channel has a reading.
+    #[error(
+        "model {0}: there is no input for this frame: no channel has a reading, or the model looks at several frames and \
+         has not seen enough of them since the last pause or tare"
+    )]
+    History(String),
     /// A regression failed, or gave another number of values.
     #[error("a regression {0}")]
     Regression(String),
 }
 
-/// Finds contacts in one frame, without what earlier frames said.
+/// Finds contacts in frames of one device that come in their order.
 pub trait ContactFinder: Send {
-    /// The contacts of a frame.
+    /// The contacts of a frame; empty where there are none.
     ///
     /// # Errors
     ///
     /// [`FindError`] says what failed.
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError>;
+
+    /// Takes a frame whose contacts nobody asks for into the history of what looks at several frames.
+    ///
+    /// # Errors
+    ///
+    /// [`FindError::Features`] where the frame is of another skin.
+    fn pass(&mut self, _frame: &ConditionedFrame<'_>) -> Result<(), FindError> {
+        Ok(())
+    }
+
+    /// Forgets the frames before: what comes next is another recording, or has another zero.
+    fn reset(&mut self) {}
 
     /// Whether it answers with one contact, whatever touches.
     fn single(&self) -> bool {
@@ -84,6 +96,12 @@ pub trait ContactFinder: Send {
 }
 
 /// The signal of a frame, as an inverter takes it.
-pub fn readings<'a>(signal: &'a [f32], flags: &'a [ChannelFlags]) -> impl Iterator<Item = Reading> + 'a {
+pub(crate) fn readings<'a>(
+    signal: &'a [f32],
+    flags: &'a [ChannelFlags],
+) -> impl Iterator<Item = Reading> + 'a {
     signal.iter().zip(flags).map(|(value, flags)| Reading::of(*value, *flags))
 }
+
+#[cfg(test)]
+mod tests;

@@ -22,7 +22,7 @@ pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
 pub use contacts::{TaxelShares, Tracker};
 pub use estimator::{Maps, Quality, SkinEstimator, Verdict};
 pub use finder::{ConditionedFrame, ContactFinder, FindError};
-pub use models::{Models, SetupError};
+pub use models::{Models, SetupError, inverter};
 
 /// Frame → contacts, without maps, with these model bundles; `masked` names channels to leave out.
 ///

@@ -8,12 +8,13 @@ use dermis_inference::{
     Baseline, Bundle, BundleError, Features, MAP_DISPLACEMENT, MapContacts, Model, Outputs, Runtime,
 };
 use dermis_inversion::{Corrected, Inverter, InverterError};
-use dermis_model::Stimulus;
+use dermis_model::{ForwardModel, Stimulus};
 use dermis_sensor::Sensor;
-use dermis_skin::{ModelError, SkinDescription};
+use dermis_skin::{ModelError, SkinDescription, Surface};
 
 use crate::condition::ConditionError;
 use crate::estimator::Maps;
+use crate::finder::{ConditionedFrame, FindError};
 
 /// Output that gives the pressing force at every point of the surface \[N\].
 pub(crate) const MAP_NORMAL: &str = "map.normal";
@@ -87,6 +88,35 @@ pub enum SetupError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A bundle without a displacement map.
+    #[error("model bundle {path}: bundle.toml has no `[peaks]`: train one with `dermis real2sim train`")]
+    NoPeaks {
+        /// Folder of the bundle.
+        path: PathBuf,
+    },
+}
+
+/// The inverter that a bundle asks for on a skin's forward model, with the bundle's correction; `None` where its manifest has
+/// no `inversion`.
+///
+/// # Errors
+///
+/// [`SetupError`] where there is no such model, or the bundle's correction or settings do not fit it.
+pub fn inverter(
+    bundle: &Bundle,
+    model: impl FnOnce() -> Result<Arc<dyn ForwardModel>, ModelError>,
+) -> Result<Option<Inverter>, SetupError> {
+    let path = || bundle.path().to_owned();
+    let Some(settings) = &bundle.manifest().inversion else { return Ok(None) };
+    let mut model = model().map_err(|source| SetupError::NoForwardModel { path: path(), source })?;
+    if let Some(correction) = bundle.correction() {
+        let corrected = Corrected::new(model, correction.clone())
+            .map_err(|source| SetupError::Correction { path: path(), source })?;
+        model = Arc::new(corrected);
+    }
+    let inverter = Inverter::new(model, settings.clone())
+        .map_err(|source| SetupError::Inversion { path: path(), source })?;
+    Ok(Some(inverter))
 }
 
 /// One loaded bundle.
@@ -113,43 +143,13 @@ pub(crate) struct Pipeline {
 }
 
 impl Pipeline {
-    fn new(
-        sensor: &dyn Sensor,
-        skin: &SkinDescription,
-        bundle: &Bundle,
-        runtime: &Runtime,
-    ) -> Result<Self, SetupError> {
-        let path = || bundle.path().to_owned();
-        let inverter = match &bundle.manifest().inversion {
-            None => None,
-            Some(settings) => {
-                let mut model = sensor
-                    .model(skin)
-                    .map_err(|source| SetupError::NoForwardModel { path: path(), source })?;
-                if let Some(correction) = bundle.correction() {
-                    let corrected = Corrected::new(model, correction.clone())
-                        .map_err(|source| SetupError::Correction { path: path(), source })?;
-                    model = Arc::new(corrected);
-                }
-                let inverter = Inverter::new(model, settings.clone())
-                    .map_err(|source| SetupError::Inversion { path: path(), source })?;
-                Some(inverter)
-            }
-        };
-        let displaces = inverter.as_ref().is_some_and(|inverter| {
-            let model = inverter.model();
-            let mut points = vec![0.0; model.surface().points.len()];
-            matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true))
-        });
-        let unfelt = inverter.as_ref().map(|inverter| {
-            let force = LIGHT * inverter.settings().force_max;
-            (force, inverter.unfelt(force, inverter.settings().presence))
-        });
-        Ok(Self {
-            peaks: MapContacts::of(bundle, &skin.surface(), runtime)?,
-            inverter,
-            unfelt,
-            displaces,
+    /// A bundle on a surface, without the forward model that it may ask for.
+    pub(crate) fn of(bundle: &Bundle, surface: &Surface, runtime: &Runtime) -> Result<Self, SetupError> {
+        let pipeline = Self {
+            peaks: MapContacts::of(bundle, surface, runtime)?,
+            inverter: None,
+            unfelt: None,
+            displaces: false,
             answered: None,
             path: bundle.path().to_owned(),
             name: bundle.manifest().name.clone(),
@@ -160,7 +160,50 @@ impl Pipeline {
             raw: Vec::new(),
             outputs: bundle.outputs(),
             fresh: false,
-        })
+        };
+        let points = surface.points.len();
+        for (output, expected) in [(MAP_NORMAL, points), (MAP_FORCE, 3 * points), (MAP_DISPLACEMENT, points)]
+        {
+            if let Some(values) = pipeline.outputs.values(output)
+                && values.len() != expected
+            {
+                return Err(SetupError::Output {
+                    path: pipeline.path,
+                    output: output.into(),
+                    reason: format!(
+                        "has {} numbers where the surface needs {expected}; was `surface.spacing` changed?",
+                        values.len()
+                    ),
+                });
+            }
+        }
+        let weights = bundle.manifest().peaks.as_ref().map_or(0, |peaks| peaks.weights.len());
+        if weights != 0 && weights != points {
+            return Err(SetupError::Output {
+                path: pipeline.path,
+                output: MAP_DISPLACEMENT.into(),
+                reason: format!(
+                    "`peaks.weights` has {weights} numbers where the surface needs {points}; was `surface.spacing` changed?"
+                ),
+            });
+        }
+        Ok(pipeline)
+    }
+
+    fn new(
+        sensor: &dyn Sensor,
+        skin: &SkinDescription,
+        bundle: &Bundle,
+        runtime: &Runtime,
+    ) -> Result<Self, SetupError> {
+        let pipeline = Self::of(bundle, &skin.surface(), runtime)?;
+        let Some(inverter) = inverter(bundle, || sensor.model(skin))? else { return Ok(pipeline) };
+        let model = inverter.model();
+        let mut points = vec![0.0; model.surface().points.len()];
+        let displaces = matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true));
+        let force = LIGHT * inverter.settings().force_max;
+        let unfelt = Some((force, inverter.unfelt(force, inverter.settings().presence)));
+        Ok(Self { inverter: Some(inverter), unfelt, displaces, ..pipeline })
     }
 
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
@@ -177,6 +220,25 @@ impl Pipeline {
             .map_err(|reason| format!("model {}: {reason}", self.path.display()))?;
         self.fresh = true;
         Ok(true)
+    }
+
+    /// Takes a frame into the history.
+    pub(crate) fn take(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {
+        let values = match self.baseline {
+            Baseline::Raw => frame.reading,
+            Baseline::Tared => frame.signal,
+        };
+        Ok(self.features.push(frame.stamp, values)?)
+    }
+
+    /// Takes a frame and evaluates the model on it.
+    pub(crate) fn answer(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {
+        self.take(frame)?;
+        match self.infer() {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(FindError::History(self.path.display().to_string())),
+            Err(reason) => Err(FindError::Model(reason)),
+        }
     }
 }
 
@@ -198,7 +260,6 @@ impl Models {
         runtime: &Runtime,
     ) -> Result<Self, SetupError> {
         let mut models = Self(Vec::new());
-        let surface = skin.surface();
         for bundle in bundles {
             let pipeline = Pipeline::new(sensor, skin, bundle, runtime)?;
             for other in &models.0 {
@@ -214,33 +275,6 @@ impl Models {
             let other = |p: &&Pipeline| image(p).is_some() && image(p) != image(&pipeline);
             if let Some(other) = models.0.iter().find(other).filter(|_| image(&pipeline).is_some()) {
                 return Err(SetupError::OtherImage { first: other.path.clone(), second: pipeline.path });
-            }
-            let points = surface.points.len();
-            for (output, expected) in
-                [(MAP_NORMAL, points), (MAP_FORCE, 3 * points), (MAP_DISPLACEMENT, points)]
-            {
-                if let Some(values) = pipeline.outputs.values(output)
-                    && values.len() != expected
-                {
-                    return Err(SetupError::Output {
-                        path: pipeline.path,
-                        output: output.into(),
-                        reason: format!(
-                            "has {} numbers where the surface needs {expected}; was `surface.spacing` changed?",
-                            values.len()
-                        ),
-                    });
-                }
-            }
-            let weights = bundle.manifest().peaks.as_ref().map_or(0, |peaks| peaks.weights.len());
-            if weights != 0 && weights != points {
-                return Err(SetupError::Output {
-                    path: pipeline.path,
-                    output: MAP_DISPLACEMENT.into(),
-                    reason: format!(
-                        "`peaks.weights` has {weights} numbers where the surface needs {points}; was `surface.spacing` changed?"
-                    ),
-                });
             }
             models.0.push(pipeline);
         }

@@ -3,7 +3,7 @@
 use crate::{RegressError, Rows, Standard};
 
 /// Regression by nearest neighbours: the mean of the targets of the rows that lie nearest, weighted with the inverse of their
-/// distance. Columns count alike: they are divided by their spread.
+/// distance.
 #[derive(Debug, Clone)]
 pub struct Neighbours {
     standard: Standard,
@@ -14,12 +14,32 @@ pub struct Neighbours {
 }
 
 impl Neighbours {
-    /// Keeps all rows; `count` of them answer each time.
+    /// Keeps all rows; `count` of them answer each time. Columns count alike: they are divided by their spread.
     ///
     /// # Errors
     ///
     /// [`RegressError`] where the tables do not have equally many rows or `count` is 0.
     pub fn fit(inputs: Rows<'_>, targets: Rows<'_>, count: usize) -> Result<Self, RegressError> {
+        Self::scaled_by(Standard::of(&inputs), inputs, targets, count)
+    }
+
+    /// As [`fit`](Self::fit), with columns that are of one scale already, as readings in deviations of their noise are.
+    ///
+    /// # Errors
+    ///
+    /// As [`fit`](Self::fit).
+    pub fn fit_as_given(inputs: Rows<'_>, targets: Rows<'_>, count: usize) -> Result<Self, RegressError> {
+        let width = inputs.width();
+        let standard = Standard { mean: vec![0.0; width], spread: vec![1.0; width] };
+        Self::scaled_by(standard, inputs, targets, count)
+    }
+
+    fn scaled_by(
+        standard: Standard,
+        inputs: Rows<'_>,
+        targets: Rows<'_>,
+        count: usize,
+    ) -> Result<Self, RegressError> {
         if targets.count() != inputs.count() {
             return Err(RegressError::Size {
                 what: "the table of targets",
@@ -30,7 +50,6 @@ impl Neighbours {
         if count == 0 {
             return Err(RegressError::Setting { name: "count", value: 0.0, must: "at least 1" });
         }
-        let standard = Standard::of(&inputs);
         let mut scaled = Vec::with_capacity(inputs.count() * inputs.width());
         inputs.iter().for_each(|row| standard.push(row, &mut scaled));
         Ok(Self {
@@ -80,6 +99,17 @@ impl Neighbours {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn columns_that_are_of_one_scale_stay() {
+        let (inputs, targets) = ([0.0, 0.0, 1.0, 0.0, 0.0, 100.0], [1.0, 2.0, 3.0]);
+        let (inputs, targets) =
+            (Rows::new(&inputs, 2, "inputs").unwrap(), Rows::new(&targets, 1, "targets").unwrap());
+        let asked = |model: Neighbours| model.predict(&[0.9, 60.0]).unwrap()[0];
+        // In spreads of the columns, 0.47 and 47, the second row is nearest; as given it is the third.
+        assert!((asked(Neighbours::fit(inputs, targets, 1).unwrap()) - 2.0).abs() < 1e-12);
+        assert!((asked(Neighbours::fit_as_given(inputs, targets, 1).unwrap()) - 3.0).abs() < 1e-12);
+    }
 
     #[test]
     fn near_rows_answer() {

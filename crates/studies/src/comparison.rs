@@ -1,7 +1,10 @@
 //! Estimators side by side on the same held-out readings, with the bound beside them.
 //!
 //! Networks of bundles, the same refined on the forward model, nearest neighbours in units of the noise, and the thesis'
-//! numeric solution by isolines answer the same frames of one contact; the Cramér–Rao bound says what is possible.
+//! numeric solution by isolines answer the same frames of one contact; the Cramér–Rao bound says what is possible. All but the
+//! isolines are the finders of `dermis-estimate`, which the node's estimator is made of; none judges whether something touches.
+//!
+//! Cost: one pass over the bags for all of them; neighbours look at every reading of the training part for every answer.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -9,12 +12,13 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_estimate::finder;
-use dermis_inference::{Bundle, Model, Outputs, Runtime, RuntimeConfig};
-use dermis_inversion::{Inverter, Reading};
+use dermis_estimate::finder::{InversionFinder, NetworkFinder, RegressionFinder, Start};
+use dermis_estimate::{ConditionedFrame, ContactFinder, FindError, inverter};
+use dermis_inference::{Bundle, Runtime, RuntimeConfig};
 use dermis_learn::cli::Labels;
-use dermis_learn::{Bounds, Dataset, Evaluation, Evaluator, Sample, SampleId, Truth, bounds};
-use dermis_model::{ForwardModel, Indentation};
+use dermis_learn::{Bounds, Dataset, Evaluation, Evaluator, Sample, SampleId, Truth, TruthContact, bounds};
+use dermis_model::ForwardModel;
+use dermis_regress::Rows;
 use dermis_skin::{Contact, Estimate, ForceComponents, SkinDescription, Surface};
 use dermis_theory::{IsolineSolver, Press, SolverOptions};
 use nalgebra::{Point3, Vector3};
@@ -22,7 +26,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use crate::evaluation::{split_of, unknowns};
-use crate::{Families, Progress};
+use crate::{Families, Progress, called, conditioned};
 
 /// What to compare on what.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -93,150 +97,6 @@ impl Serialize for Findings {
     }
 }
 
-/// Something that answers one reading.
-trait Method {
-    fn answer(&mut self, sample: &Sample, id: SampleId) -> Result<Option<Contact>>;
-}
-
-/// A network by itself, and refined where its bundle says so.
-struct Learned {
-    model: Model,
-    outputs: Outputs,
-    inputs: std::collections::BTreeMap<SampleId, Vec<f32>>,
-    surface: Surface,
-    flat: bool,
-    inverter: Option<Inverter>,
-}
-
-impl Learned {
-    fn new(bundle: &Bundle, skin: &SkinDescription, data: &Dataset, runtime: &Runtime) -> Result<Self> {
-        let (ids, rows) = data.inputs(&bundle.manifest().input, bundle.manifest().baseline)?;
-        let width = bundle.manifest().input.input_len();
-        let inputs = ids.into_iter().zip(rows.chunks_exact(width).map(<[f32]>::to_vec)).collect();
-        Ok(Self {
-            model: bundle.session(runtime)?,
-            outputs: bundle.outputs(),
-            inputs,
-            surface: skin.surface(),
-            flat: matches!(skin.surface, dermis_skin::SurfaceSpec::Rectangle { .. }),
-            inverter: None,
-        })
-    }
-
-    fn network(&mut self, id: SampleId) -> Result<Option<Contact>> {
-        let Some(input) = self.inputs.get(&id) else { return Ok(None) };
-        let mut raw = Vec::new();
-        self.model.run(input, &mut raw)?;
-        self.outputs.decode(&raw)?;
-        let get = |name: &str| self.outputs.get(name);
-        let (Some(x), Some(y)) = (get("position.x"), get("position.y")) else { return Ok(None) };
-        let z = if self.flat { 0.0 } else { get("position.z").unwrap_or(f64::NAN) };
-        let (position, normal) = self.surface.project(&Point3::new(x, y, z));
-        let mut contact = Contact::at(position, normal);
-        if let Some(force) = self.outputs.force() {
-            contact.force = Vector3::from(force);
-            contact.force_components = ForceComponents::Full;
-        } else if let Some(pressing) = self.outputs.normal_force() {
-            contact.force = -normal * pressing;
-            contact.force_components = ForceComponents::Normal;
-        }
-        Ok(Some(contact))
-    }
-}
-
-/// Readings of a sample, as an inverter takes them.
-fn readings(sample: &Sample) -> Vec<Reading> {
-    finder::readings(&sample.tared, &sample.frame.flags).collect()
-}
-
-impl Method for Learned {
-    fn answer(&mut self, sample: &Sample, id: SampleId) -> Result<Option<Contact>> {
-        let Some(learned) = self.network(id)? else { return Ok(None) };
-        let Some(inverter) = &self.inverter else { return Ok(Some(learned)) };
-        let pressing = learned.normal_force();
-        let hint = (pressing > 0.0).then_some(Indentation::sphere(
-            learned.position,
-            learned.force,
-            inverter.settings().diameter,
-        ));
-        let found = inverter.solve(&readings(sample), hint.as_ref())?.contacts.into_iter().next();
-        Ok(Some(found.map_or(learned, |found| {
-            let mut contact = Contact::at(found.position, found.normal);
-            contact.force = found.force;
-            contact.force_components = inverter.settings().unknowns.force_components();
-            contact
-        })))
-    }
-}
-
-/// Mean of the contacts whose readings are nearest, weighted by the inverse of their distance.
-struct Neighbours {
-    count: usize,
-    noise: Vec<f32>,
-    rows: Vec<f32>,
-    contacts: Vec<(Point3<f64>, Vector3<f64>)>,
-    surface: Surface,
-    components: ForceComponents,
-}
-
-impl Neighbours {
-    fn new(count: usize, data: &Dataset, train: &[SampleId], components: ForceComponents) -> Result<Self> {
-        let noise: Vec<f32> = data.skin().channel_noise().iter().map(|n| *n as f32).collect();
-        let (mut rows, mut contacts) = (Vec::new(), Vec::new());
-        let train = data.gather(train)?;
-        for (sample, truth) in train.iter().filter_map(|(_, sample)| labelled(sample)) {
-            let Some(contact) = truth.single().filter(|c| c.force.iter().all(|v| v.is_finite())) else {
-                continue;
-            };
-            rows.extend(whitened(sample, &noise));
-            contacts.push((contact.position, contact.force));
-        }
-        Ok(Self { count, noise, rows, contacts, surface: data.skin().surface(), components })
-    }
-}
-
-fn labelled(sample: &Sample) -> Option<(&Sample, &Truth)> {
-    Some((sample, sample.truth.as_ref()?))
-}
-
-/// In units of the noise; what is missing is 0.
-fn whitened<'a>(sample: &'a Sample, noise: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
-    sample.tared.iter().zip(noise).map(|(v, n)| if v.is_finite() { v / n } else { 0.0 })
-}
-
-impl Method for Neighbours {
-    fn answer(&mut self, sample: &Sample, _: SampleId) -> Result<Option<Contact>> {
-        let row: Vec<f32> = whitened(sample, &self.noise).collect();
-        let mut nearest: Vec<(f32, usize)> = Vec::with_capacity(self.count + 1);
-        for (index, other) in self.rows.chunks_exact(row.len()).enumerate() {
-            let distance: f32 = row.iter().zip(other).map(|(a, b)| (a - b) * (a - b)).sum();
-            if nearest.len() < self.count || nearest.last().is_some_and(|(worst, _)| distance < *worst) {
-                let at = nearest.partition_point(|(d, _)| *d < distance);
-                nearest.insert(at, (distance, index));
-                nearest.truncate(self.count);
-            }
-        }
-        let (mut place, mut force, mut total) = (Vector3::zeros(), Vector3::zeros(), 0.0);
-        for (distance, index) in nearest {
-            let weight = 1.0 / f64::from(distance.max(1e-6).sqrt());
-            place += self.contacts[index].0.coords * weight;
-            force += self.contacts[index].1 * weight;
-            total += weight;
-        }
-        if total == 0.0 {
-            return Ok(None);
-        }
-        let (position, normal) = self.surface.project(&Point3::from(place / total));
-        let mut contact = Contact::at(position, normal);
-        contact.force = force / total;
-        if self.components == ForceComponents::Normal {
-            contact.force = normal * contact.force.dot(&normal);
-        }
-        contact.force_components = self.components;
-        Ok(Some(contact))
-    }
-}
-
 /// The thesis' numeric solution.
 struct Isolines {
     solver: Arc<IsolineSolver>,
@@ -244,16 +104,21 @@ struct Isolines {
     surface: Surface,
 }
 
-impl Method for Isolines {
-    fn answer(&mut self, sample: &Sample, _: SampleId) -> Result<Option<Contact>> {
-        let values: Vec<f64> = sample.tared.iter().map(|v| f64::from(*v)).collect();
-        Ok(self.solver.solve(&values, self.taxels).map(|solution| {
+impl ContactFinder for Isolines {
+    fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
+        let values: Vec<f64> = frame.signal.iter().map(|v| f64::from(*v)).collect();
+        let contact = self.solver.solve(&values, self.taxels).map(|solution| {
             let (position, normal) = self.surface.project(&solution.position);
             let mut contact = Contact::at(position, normal);
             contact.force = -normal * solution.force;
             contact.force_components = ForceComponents::Normal;
             contact
-        }))
+        });
+        Ok(contact.into_iter().collect())
+    }
+
+    fn single(&self) -> bool {
+        true
     }
 }
 
@@ -270,37 +135,23 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     let least = options.bins.first().copied().context("`--bins` names no force")?;
     let clear = |id: &SampleId| {
         let truth = data.sample(*id).and_then(|s| s.truth.as_ref());
-        truth
-            .and_then(Truth::single)
-            .and_then(dermis_learn::TruthContact::normal_force)
-            .is_some_and(|f| f >= least)
+        truth.and_then(Truth::single).and_then(TruthContact::normal_force).is_some_and(|f| f >= least)
     };
     let all: Vec<SampleId> = split.test.iter().copied().filter(clear).collect();
     let test: Vec<SampleId> = all.iter().copied().step_by(all.len().div_ceil(options.most).max(1)).collect();
     if test.is_empty() {
         bail!("nothing of one contact of {least} N or more was held out of these bags");
     }
-    let asked = data.gather(&test)?;
-    let mut methods = methods(options, &skin, &forward, &data, &split.train)?;
-    let mut rows: Vec<(String, Evaluation)> = Vec::new();
-    for (name, method) in &mut methods {
-        progress.begin(name);
-        let mut evaluator = Evaluator::new().by_force(&options.bins);
-        for (n, (id, sample)) in asked.iter().enumerate() {
-            let Some((sample, truth)) = labelled(sample) else { continue };
-            let contacts = method.answer(sample, *id)?.into_iter().collect();
-            evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
-            progress.at((n + 1) as f64 / test.len() as f64);
-        }
-        rows.push((name.clone(), evaluator.finish(name.clone())));
-    }
+    let finders = methods(options, &skin, &forward, &data, &split.train, progress)?;
+    progress.begin("answering");
+    let rows = answer(finders, &data, &test, &options.bins, progress)?;
     let bound = rows
         .first()
         .map(|(_, first)| bounds(forward.as_ref(), &data, Some(&test), unknowns(&data, first), &options.bins))
         .transpose()?
         .flatten();
     let places: BTreeSet<u32> =
-        asked.iter().filter_map(|(_, sample)| labelled(sample)).map(|(_, t)| t.location).collect();
+        test.iter().filter_map(|id| Some(data.sample(*id)?.truth.as_ref()?.location)).collect();
     Ok(Findings {
         skin,
         readings: test.len(),
@@ -311,40 +162,136 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     })
 }
 
-type Named = (String, Box<dyn Method>);
+type Named = (String, Box<dyn ContactFinder>);
 
+/// What finders make of the asked frames. The frames between them feed the history of what looks at several, as in a node; a
+/// history that is not filled yet is an answer of no contact, as there.
+fn answer(
+    mut finders: Vec<Named>,
+    data: &Dataset,
+    asked: &[SampleId],
+    bins: &[f64],
+    progress: &dyn Progress,
+) -> Result<Vec<(String, Evaluation)>> {
+    let wanted: BTreeSet<SampleId> = asked.iter().copied().collect();
+    let mut evaluators: Vec<Evaluator> = finders.iter().map(|_| Evaluator::new().by_force(bins)).collect();
+    let mut done = 0_usize;
+    for run in 0..data.runs().len() {
+        finders.iter_mut().for_each(|(_, finder)| finder.reset());
+        let of_run = SampleId { run, sample: 0 }..=SampleId { run, sample: usize::MAX };
+        let Some(last) = wanted.range(of_run).next_back() else { continue };
+        for (sample, read) in data.stream(run)?.enumerate().take(last.sample + 1) {
+            let read = read?;
+            if read.tare {
+                // A history with two zeros would hold a step.
+                finders.iter_mut().for_each(|(_, finder)| finder.reset());
+            }
+            let frame = conditioned(&read);
+            let truth = read.truth.as_ref().filter(|_| wanted.contains(&SampleId { run, sample }));
+            for ((_, finder), evaluator) in finders.iter_mut().zip(&mut evaluators) {
+                let Some(truth) = truth else {
+                    finder.pass(&frame)?;
+                    continue;
+                };
+                let contacts = match finder.find(&frame) {
+                    Err(FindError::History(_)) => Vec::new(),
+                    found => found?,
+                };
+                evaluator.push(run, truth, &Estimate { contacts, ..Estimate::default() });
+            }
+            done += usize::from(truth.is_some());
+            progress.at(done as f64 / wanted.len() as f64);
+        }
+    }
+    let rows = finders.into_iter().zip(evaluators);
+    Ok(rows.map(|((name, _), evaluator)| (name.clone(), evaluator.finish(name))).collect())
+}
+
+/// Everything that answers, with its name.
 fn methods(
     options: &Request,
     skin: &SkinDescription,
     forward: &Arc<dyn ForwardModel>,
     data: &Dataset,
     train: &[SampleId],
+    progress: &dyn Progress,
 ) -> Result<Vec<Named>> {
     let runtime = Runtime::load(&RuntimeConfig::default())?;
     let mut methods: Vec<Named> = Vec::new();
     let mut components = ForceComponents::Normal;
     for folder in &options.model {
         let bundle = Bundle::load(folder, skin)?;
-        let name =
-            folder.file_name().map_or_else(|| folder.display().to_string(), |n| n.to_string_lossy().into());
+        let name = called(folder);
         if bundle.manifest().output.values.iter().any(|v| v.name == "force.x") {
             components = ForceComponents::Full;
         }
-        methods.push((format!("{name}: network"), Box::new(Learned::new(&bundle, skin, data, runtime)?)));
-        if let Some(settings) = &bundle.manifest().inversion {
-            let mut refined = Learned::new(&bundle, skin, data, runtime)?;
-            refined.inverter = Some(Inverter::new(Arc::clone(forward), settings.clone())?);
+        let network = || NetworkFinder::new(&bundle, skin, runtime);
+        methods.push((format!("{name}: network"), Box::new(network()?)));
+        if let Some(inverter) = inverter(&bundle, || Ok(Arc::clone(forward)))? {
+            let refined = InversionFinder::new(inverter, Start::Bundle(Box::new(network()?)));
             methods.push((format!("{name}: with forward model"), Box::new(refined)));
         }
     }
-    let neighbours = Neighbours::new(options.neighbours, data, train, components)?;
-    methods.push((format!("{} nearest neighbours", options.neighbours), Box::new(neighbours)));
-    let presses: Vec<Press> = data
-        .gather(train)?
-        .iter()
-        .filter_map(|(_, sample)| labelled(sample))
-        .filter_map(|(sample, truth)| {
-            let contact = truth.single()?;
+    let learned = data.gather(train)?;
+    let name = format!("{} nearest neighbours", options.neighbours);
+    match neighbours(options.neighbours, skin, &learned, components)? {
+        Some(finder) => methods.push((name, Box::new(finder))),
+        None => progress.note(&format!(
+            "{name}: left out, for the training part holds no single contact of known place and force"
+        )),
+    }
+    let solver = Arc::new(isolines(skin, &learned)?);
+    for taxels in [solver.needed(), solver.needed() + 1] {
+        let method = Isolines { solver: Arc::clone(&solver), taxels, surface: skin.surface() };
+        methods.push((format!("isolines of {taxels} taxels"), Box::new(method)));
+    }
+    Ok(methods)
+}
+
+/// Single contacts of samples, with what was read of them.
+fn single(learned: &[(SampleId, Sample)]) -> impl Iterator<Item = (&Sample, &TruthContact)> {
+    learned.iter().filter_map(|(_, sample)| Some((sample, sample.truth.as_ref()?.single()?)))
+}
+
+/// Mean of the contacts whose readings are nearest in units of the noise, weighted by the inverse of their distance; `None`
+/// where no contact is known.
+fn neighbours(
+    count: usize,
+    skin: &SkinDescription,
+    learned: &[(SampleId, Sample)],
+    components: ForceComponents,
+) -> Result<Option<RegressionFinder>> {
+    let noise = skin.channel_noise();
+    let (mut rows, mut contacts) = (Vec::new(), Vec::new());
+    for (sample, contact) in single(learned) {
+        let force = match (components, contact.normal_force()) {
+            (ForceComponents::Full, _) => contact.force.as_slice().to_vec(),
+            (_, Some(pressing)) => vec![pressing],
+            (_, None) => continue,
+        };
+        if contact.position.iter().chain(&force).all(|v| v.is_finite()) {
+            let whitened = sample.tared.iter().zip(&noise);
+            rows.extend(whitened.map(|(v, n)| if v.is_finite() { f64::from(*v) / n } else { 0.0 }));
+            contacts.extend(contact.position.iter().copied().chain(force));
+        }
+    }
+    if rows.is_empty() {
+        return Ok(None);
+    }
+    let outputs = if components == ForceComponents::Full { 6 } else { 4 };
+    let nearest = dermis_regress::Neighbours::fit_as_given(
+        Rows::new(&rows, noise.len(), "readings")?,
+        Rows::new(&contacts, outputs, "contacts")?,
+        count,
+    )?;
+    let regress = move |row: &[f64]| nearest.predict(row).map_err(|e| format!("failed: {e}"));
+    Ok(Some(RegressionFinder::new(skin, Box::new(regress))))
+}
+
+/// Isolines through recorded presses: along a line where the surface is thin, otherwise over the surface.
+fn isolines(skin: &SkinDescription, learned: &[(SampleId, Sample)]) -> Result<IsolineSolver> {
+    let presses: Vec<Press> = single(learned)
+        .filter_map(|(sample, contact)| {
             Some(Press {
                 position: contact.position,
                 force: contact.normal_force()?,
@@ -357,16 +304,10 @@ fn methods(
         surface.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / surface.points.len().max(1) as f64;
     let thin = surface.points.iter().map(|p| (p.y - middle.y).abs()).fold(0.0, f64::max) < 1e-3;
     let noise = skin.channel_noise();
-    let solver = if thin {
+    Ok(if thin {
         let (through, along) = (Point3::from(middle), Vector3::x());
         IsolineSolver::line_of_presses(&presses, &noise, &surface, &through, &along, &SolverOptions::line())?
     } else {
         IsolineSolver::surface_of_presses(&presses, &noise, &skin.surface, &SolverOptions::surface())?
-    };
-    let solver = Arc::new(solver);
-    for taxels in [solver.needed(), solver.needed() + 1] {
-        let method = Isolines { solver: Arc::clone(&solver), taxels, surface: surface.clone() };
-        methods.push((format!("isolines of {taxels} taxels"), Box::new(method)));
-    }
-    Ok(methods)
+    })
 }

@@ -1,13 +1,12 @@
 //! From model outputs to contacts.
 
-use dermis_inference::{Baseline, MAP_DISPLACEMENT, Missing};
-use dermis_inversion::{Found, Inverter, InverterError, Reading, Solution};
+use dermis_inference::{Baseline, Missing};
+use dermis_inversion::{Found, InverterError, Reading};
 use dermis_model::Indentation;
 use dermis_skin::Contact;
 
 use super::SkinEstimator;
-use crate::finder::{Regressed, inverted, is_flat, readings, regressed};
-use crate::models::Pipeline;
+use crate::finder::{Regressed, inverted, is_flat, peaks, readings, regressed, solve};
 
 /// Presence by probability begins above the first and ends below the second.
 const PRESENT: (f64, f64) = (0.5, 0.4);
@@ -115,11 +114,7 @@ impl SkinEstimator {
         let shows = self.cleaned.touched
             || inverter.settings().shows((inverter.evidence(&self.readings).0, 0.0), true);
         if shows {
-            let solution = if inverter.settings().in_pairs() {
-                locate(inverter, &self.readings, &self.before)?
-            } else {
-                inverter.solve(&self.readings, None)?
-            };
+            let solution = solve(inverter, &self.readings, &[], &self.before)?;
             let found = indentations(&solution.contacts, inverter.settings().diameter);
             inverter.signal(&found, &mut self.guessed)?;
             // Asked once a frame: what it costs is the frame's time.
@@ -135,12 +130,7 @@ impl SkinEstimator {
         else {
             return Ok(vec![self.contact()]);
         };
-        let Pipeline { peaks, outputs, path, .. } = pipeline;
-        let map = outputs.values(MAP_DISPLACEMENT).unwrap_or_default();
-        let mut contacts = match peaks {
-            Some(peaks) => peaks.contacts(map).map_err(|e| format!("model {}: {e}", path.display()))?,
-            None => Vec::new(),
-        };
+        let mut contacts = peaks(pipeline)?;
         let single = contacts.len() == 1;
         for contact in &mut contacts {
             contact.confidence = self.confidence(contact.normal_force()) as f32;
@@ -167,20 +157,10 @@ impl SkinEstimator {
             return Ok((learned, None));
         };
         let settings = inverter.settings();
-        let solution = if settings.in_pairs() {
-            match self.solution.take() {
-                Some(solution) => Ok(solution),
-                None => locate(inverter, &self.readings, &self.before),
-            }
-        } else {
-            let known = |c: &&Contact| {
-                c.position.iter().chain(&c.force).all(|v| v.is_finite()) && c.normal_force() > 0.0
-            };
-            let hint = learned
-                .first()
-                .filter(known)
-                .map(|c| Indentation::sphere(c.position, c.force, settings.diameter));
-            inverter.solve(&self.readings, hint.as_ref())
+        let solution = match self.solution.take() {
+            // Found when it was asked what the missing channels would read.
+            Some(solution) => Ok(solution),
+            None => solve(inverter, &self.readings, &learned, &self.before),
         };
         let solution =
             solution.map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
@@ -240,14 +220,6 @@ impl SkinEstimator {
             _ => 1.0,
         };
         (present * healthy * familiar).clamp(0.0, 1.0)
-    }
-}
-
-/// Several contacts: those of the frame before for as long as they last, otherwise whatever explains the readings best.
-fn locate(inverter: &Inverter, readings: &[Reading], before: &[Found]) -> Result<Solution, InverterError> {
-    match inverter.follow(readings, before)? {
-        Some(solution) => Ok(solution),
-        None => inverter.search(readings),
     }
 }
 

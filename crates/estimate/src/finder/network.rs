@@ -1,24 +1,25 @@
 //! One contact from a model that gives its position and force.
 
-use dermis_inference::{Baseline, Bundle, Features, Model, Outputs, Runtime};
+use dermis_inference::{Bundle, Runtime};
 use dermis_skin::{Contact, ForceComponents, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::{ConditionedFrame, ContactFinder, FindError};
+use crate::models::{Pipeline, SetupError};
 
 /// A contact as model outputs give it, and its pressing force \[N\] or, where no normal is known, the size of the force; NaN where
 /// no force is given.
 #[derive(Debug, Clone)]
-pub struct Regressed {
+pub(crate) struct Regressed {
     /// The contact.
-    pub contact: Contact,
+    pub(crate) contact: Contact,
     /// Its force.
-    pub magnitude: f64,
+    pub(crate) magnitude: f64,
 }
 
 /// The contact that model outputs give: `get` answers with the value of an output, `sigma` with its error at a pressing force
 /// \[N\] (NaN where unknown). `flat` skins know their own height and normal. Covariances are those of the errors.
-pub fn regressed(
+pub(crate) fn regressed(
     get: impl Fn(&str) -> Option<f64>,
     sigma: impl Fn(&str, f64) -> f64,
     surface: &Surface,
@@ -77,13 +78,9 @@ pub(crate) fn is_flat(skin: &SkinDescription) -> bool {
 
 /// One contact from a bundle that gives its position and force.
 pub struct NetworkFinder {
-    features: Features,
-    baseline: Baseline,
-    model: Model,
-    outputs: Outputs,
+    pipeline: Pipeline,
     surface: Surface,
     flat: bool,
-    raw: Vec<f32>,
 }
 
 impl NetworkFinder {
@@ -91,44 +88,29 @@ impl NetworkFinder {
     ///
     /// # Errors
     ///
-    /// [`FindError::Bundle`] where the bundle cannot be loaded into the runtime.
-    pub fn new(bundle: &Bundle, skin: &SkinDescription, runtime: &Runtime) -> Result<Self, FindError> {
-        Ok(Self {
-            features: bundle.features(),
-            baseline: bundle.manifest().baseline,
-            model: bundle.session(runtime)?,
-            outputs: bundle.outputs(),
-            surface: skin.surface(),
-            flat: is_flat(skin),
-            raw: Vec::new(),
-        })
-    }
-
-    /// The contact that the model gives for an input of its features; `None` where it gives no position.
-    ///
-    /// # Errors
-    ///
-    /// [`FindError`] where the model fails.
-    pub fn infer(&mut self, input: &[f32]) -> Result<Option<Contact>, FindError> {
-        self.model.run(input, &mut self.raw)?;
-        self.outputs.decode(&self.raw)?;
-        let outputs = &self.outputs;
-        let sigma = |name: &str, force: f64| outputs.sigma(name, force).unwrap_or(f64::NAN);
-        let contact = regressed(|name| outputs.get(name), sigma, &self.surface, self.flat).contact;
-        Ok((!contact.position.x.is_nan()).then_some(contact))
+    /// [`SetupError`] where the bundle does not fit the surface, or cannot be loaded into the runtime.
+    pub fn new(bundle: &Bundle, skin: &SkinDescription, runtime: &Runtime) -> Result<Self, SetupError> {
+        let surface = skin.surface();
+        Ok(Self { pipeline: Pipeline::of(bundle, &surface, runtime)?, surface, flat: is_flat(skin) })
     }
 }
 
 impl ContactFinder for NetworkFinder {
+    /// Nothing where the model gives no position.
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
-        self.features.reset();
-        let values = match self.baseline {
-            Baseline::Raw => frame.reading,
-            Baseline::Tared => frame.signal,
-        };
-        self.features.push(frame.stamp, values)?;
-        let input = self.features.input().ok_or(FindError::History)?.to_vec();
-        Ok(self.infer(&input)?.into_iter().collect())
+        self.pipeline.answer(frame)?;
+        let outputs = &self.pipeline.outputs;
+        let sigma = |name: &str, force: f64| outputs.sigma(name, force).unwrap_or(f64::NAN);
+        let contact = regressed(|name| outputs.get(name), sigma, &self.surface, self.flat).contact;
+        Ok(if contact.position.x.is_nan() { Vec::new() } else { vec![contact] })
+    }
+
+    fn pass(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {
+        self.pipeline.take(frame)
+    }
+
+    fn reset(&mut self) {
+        self.pipeline.features.reset();
     }
 
     fn single(&self) -> bool {

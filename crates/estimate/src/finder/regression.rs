@@ -1,11 +1,12 @@
 //! One contact from a function of the readings.
 
 use dermis_skin::{Contact, ForceComponents, SkinDescription, Surface};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use super::{ConditionedFrame, ContactFinder, FindError};
 
-/// Whitened readings (in deviations of the noise, 0 where a channel has none) → x, y, z \[m\] and the pressing force \[N\].
+/// Whitened readings (in deviations of the noise, 0 where a channel has none) → x, y, z \[m\] and the pressing force \[N\], or
+/// x, y and z of the force \[N\] on the skin.
 pub type Regress = Box<dyn Fn(&[f64]) -> Result<Vec<f64>, String> + Send>;
 
 /// One contact by regression from readings: support vectors, neighbours, a network.
@@ -25,17 +26,37 @@ impl RegressionFinder {
 
 impl ContactFinder for RegressionFinder {
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
+        let (found, expected) = (frame.signal.len(), self.noise.len());
+        if found != expected {
+            let reason = format!("was given {found} channels where its skin has {expected}");
+            return Err(FindError::Regression(reason));
+        }
         let whitened = frame.signal.iter().zip(&self.noise);
         let row: Vec<f64> =
             whitened.map(|(v, n)| if v.is_finite() { f64::from(*v) / n } else { 0.0 }).collect();
         let answer = (self.regress)(&row).map_err(FindError::Regression)?;
-        let [x, y, z, force] = answer[..] else {
-            return Err(FindError::Regression(format!("gave {} numbers where 4 are expected", answer.len())));
+        let place = |x, y, z| {
+            let (position, normal) = self.surface.project(&Point3::new(x, y, z));
+            Contact::at(position, normal)
         };
-        let (position, normal) = self.surface.project(&Point3::new(x, y, z));
-        let mut contact = Contact::at(position, normal);
-        contact.force = -normal * force.max(0.0);
-        contact.force_components = ForceComponents::Normal;
+        let contact = match answer[..] {
+            [x, y, z, pressing] => {
+                let mut contact = place(x, y, z);
+                contact.force = -contact.normal * pressing.max(0.0);
+                contact.force_components = ForceComponents::Normal;
+                contact
+            }
+            [x, y, z, fx, fy, fz] => {
+                let mut contact = place(x, y, z);
+                contact.force = Vector3::new(fx, fy, fz);
+                contact.force_components = ForceComponents::Full;
+                contact
+            }
+            _ => {
+                let got = answer.len();
+                return Err(FindError::Regression(format!("gave {got} numbers where 4 or 6 are expected")));
+            }
+        };
         Ok(vec![contact])
     }
 

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
+use dermis_estimate::ContactFinder;
+use dermis_estimate::finder::RegressionFinder;
 use dermis_learn::cli::Labels;
 use dermis_learn::real2sim::Recorded;
 use dermis_learn::{Dataset, Evaluation, Evaluator, SampleId};
@@ -10,9 +12,9 @@ use dermis_skin::{Estimate, SkinDescription};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::Progress;
-use crate::real2sim::estimators::{Direct, Method};
+use crate::real2sim::regressions;
 use crate::real2sim::train::parts;
+use crate::{Progress, conditioned};
 
 /// Recorded readings that neighbours and the network learn from at most, and support vectors.
 const LEARNED: usize = 12_000;
@@ -70,26 +72,26 @@ pub(super) fn beside(
     asked.retain(|(_, sample)| sample.tared.iter().any(|v| v.is_finite()));
     let every = asked.len().div_ceil(ASKED).max(1);
     let mut found = Vec::new();
-    let mut measure = |method: &'static str, settings: Value, mut direct: Direct| -> Result<()> {
+    let mut measure = |method: &'static str, settings: Value, mut finder: RegressionFinder| -> Result<()> {
         progress.begin(&format!("{method}: answering"));
         let mut evaluator = Evaluator::new().by_force(bins);
         for (id, sample) in asked.iter().step_by(every) {
             let Some(truth) = sample.truth.as_ref() else { continue };
-            let contacts = direct.contacts(sample)?;
+            let contacts = finder.find(&conditioned(sample))?;
             evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
         }
         found.push(Beside { method, settings, evaluation: evaluator.finish(method) });
         Ok(())
     };
     progress.begin("support vectors: learning");
-    let (vectors, settings) = Direct::tuned_vectors(skin, &learn, &choose, VECTORS)?;
+    let (vectors, settings) = regressions::tuned_vectors(skin, &learn, &choose, VECTORS)?;
     let [x, y, z, force] = settings;
     measure("support vectors", json!({ "x": x, "y": y, "z": z, "force": force }), vectors)?;
     progress.begin("nearest neighbours: learning");
-    let (neighbours, count) = Direct::tuned_neighbours(skin, &learn, &choose)?;
+    let (neighbours, count) = regressions::tuned_neighbours(skin, &learn, &choose)?;
     measure("nearest neighbours", json!({ "count": count }), neighbours)?;
     progress.begin("feed-forward network: learning");
-    let network = Direct::network(skin, &learn)?;
+    let network = regressions::network(skin, &learn)?;
     measure("feed-forward network", json!({ "learned": learn.len() }), network)?;
     Ok(found)
 }

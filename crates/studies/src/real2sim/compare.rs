@@ -7,6 +7,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use dermis_estimate::ContactFinder;
+use dermis_estimate::finder::{InversionFinder, MapFinder, Start};
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
 use dermis_inversion::{Corrected, ForcePrior, Inverter, SparseSettings};
 use dermis_learn::cli::Labels;
@@ -18,10 +20,9 @@ use dermis_skin::{Estimate, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 
-use super::estimators::{Begin, Direct, Likely, Method, Peaks, Refined, Searched, Sparse, inverter};
-use super::nominal;
 use super::train::parts;
-use crate::{Families, Progress};
+use super::{nominal, regressions};
+use crate::{Families, Progress, called, conditioned};
 
 /// What to compare on what.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -243,9 +244,9 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     if let (Some(path), Some(id)) = (options.model.first(), test.get(&Kind::Far).and_then(|ids| ids.first()))
     {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
-        let mut peaks = Peaks::new(&Bundle::load(path, &skin)?, model.surface(), runtime)?;
+        let mut peaks = MapFinder::new(&Bundle::load(path, &skin)?, &skin, runtime)?;
         if let Some((_, sample)) = data.gather(&[*id])?.first() {
-            let map = peaks.map(sample)?.to_vec();
+            let map = peaks.map(&conditioned(sample))?.to_vec();
             let contacts = sample.truth.as_ref().map(|t| t.contacts.clone()).unwrap_or_default();
             shown = Some(Shown { map, contacts });
         }
@@ -303,7 +304,7 @@ fn frames(
 
 /// All methods, and what was found while they were made.
 struct Prepared {
-    methods: Vec<(String, Box<dyn Method>)>,
+    methods: Vec<(String, Box<dyn ContactFinder>)>,
     notes: Value,
 }
 
@@ -326,12 +327,11 @@ fn prepare(
     if recorded.is_empty() || chosen.is_empty() {
         bail!("the bags of `--train` hold no single contact of known place, force and tip");
     }
-    let mut methods: Vec<(String, Box<dyn Method>)> = Vec::new();
+    let mut methods: Vec<(String, Box<dyn ContactFinder>)> = Vec::new();
     for folder in &options.model {
         let bundle = Bundle::load(folder, skin)?;
-        let name =
-            folder.file_name().map_or_else(|| folder.display().to_string(), |n| n.to_string_lossy().into());
-        methods.push((format!("{name}: peaks"), Box::new(Peaks::new(&bundle, model.surface(), runtime)?)));
+        methods
+            .push((format!("{}: peaks", called(folder)), Box::new(MapFinder::new(&bundle, skin, runtime)?)));
     }
 
     progress.begin("gains of the channels");
@@ -357,36 +357,28 @@ fn prepare(
     refine::tune_evidence(model, &mut plain, &pairs, &on)?;
     refine::tune_evidence(&corrected, &mut better, &pairs, &on)?;
 
-    methods.push(("forward model, likelihood".into(), Box::new(Likely(inverter(model, &plain)?))));
     let sparse = tune_sparse(&inverter(model, &plain)?, &pairs)?;
-    methods.push((
-        "forward model, sparse".into(),
-        Box::new(Sparse { inverter: inverter(model, &plain)?, settings: sparse }),
-    ));
-    methods.push(("corrected model, likelihood".into(), Box::new(Likely(inverter(&corrected, &better)?))));
-    methods.push(("corrected model, all pairs".into(), Box::new(Searched(inverter(&corrected, &better)?))));
     let generous = SparseSettings { share: 0.02, ..sparse };
-    methods.push((
-        "corrected model, from sparse".into(),
-        Box::new(Refined { inverter: inverter(&corrected, &better)?, begin: Begin::Sparse(generous) }),
-    ));
+    let mut invert = |name: &str, corrects: bool, start: Start| -> Result<()> {
+        let inverter = if corrects { inverter(&corrected, &better)? } else { inverter(model, &plain)? };
+        methods.push((name.into(), Box::new(InversionFinder::new(inverter, start))));
+        Ok(())
+    };
+    invert("forward model, likelihood", false, Start::Greedy)?;
+    invert("forward model, sparse", false, Start::SparseOnly(sparse))?;
+    invert("corrected model, likelihood", true, Start::Greedy)?;
+    invert("corrected model, all pairs", true, Start::Pairs)?;
+    invert("corrected model, from sparse", true, Start::Sparse(generous))?;
     if let Some(folder) = options.model.first() {
-        let bundle = Bundle::load(folder, skin)?;
-        let peaks = Peaks::new(&bundle, model.surface(), runtime)?;
-        methods.push((
-            "corrected model, from peaks".into(),
-            Box::new(Refined {
-                inverter: inverter(&corrected, &better)?,
-                begin: Begin::Other(Box::new(peaks)),
-            }),
-        ));
+        let peaks = MapFinder::new(&Bundle::load(folder, skin)?, skin, runtime)?;
+        invert("corrected model, from peaks", true, Start::Refine(Box::new(peaks)))?;
     }
 
     progress.begin("regressions");
-    let vectors = Direct::vectors(skin, &recorded, options.vectors)?;
+    let vectors = regressions::vectors(skin, &recorded, options.vectors)?;
     methods.push(("support vectors".into(), Box::new(vectors)));
-    methods.push(("6 nearest neighbours".into(), Box::new(Direct::neighbours(skin, &recorded)?)));
-    methods.push(("feed-forward network".into(), Box::new(Direct::network(skin, &recorded)?)));
+    methods.push(("6 nearest neighbours".into(), Box::new(regressions::neighbours(skin, &recorded)?)));
+    methods.push(("feed-forward network".into(), Box::new(regressions::network(skin, &recorded)?)));
     let notes = json!({
         "recorded": recorded.len(), "gains": plain.gains, "model_error": plain.model_error,
         "evidence": plain.evidence, "sparse": { "penalty": sparse.penalty, "share": sparse.share },
@@ -395,6 +387,11 @@ fn prepare(
                         "model_error": better.model_error, "evidence": better.evidence },
     });
     Ok(Prepared { methods, notes })
+}
+
+/// An inverter of these settings.
+fn inverter(model: &Arc<dyn ForwardModel>, settings: &dermis_inversion::Settings) -> Result<Inverter> {
+    Ok(Inverter::new(Arc::clone(model), settings.clone())?)
 }
 
 type Sum = (dermis_model::Stimulus, Vec<f32>);
@@ -421,7 +418,7 @@ fn tune_sparse(inverter: &Inverter, frames: &[Sum]) -> Result<SparseSettings> {
 
 fn row(
     name: &str,
-    method: &mut dyn Method,
+    method: &mut dyn ContactFinder,
     kind: Kind,
     data: &Dataset,
     ids: &[SampleId],
@@ -435,7 +432,9 @@ fn row(
     let started = Instant::now();
     for (n, (id, sample)) in read.iter().enumerate() {
         let Some(truth) = sample.truth.as_ref() else { continue };
-        let contacts = method.contacts(sample)?;
+        // These frames do not follow each other.
+        method.reset();
+        let contacts = method.find(&conditioned(sample))?;
         progress.at((n + 1) as f64 / ids.len() as f64);
         wanted += truth.contacts.len();
         right += usize::from(contacts.len() == truth.contacts.len());
