@@ -606,7 +606,7 @@ fn a_listener_that_stops_reading_holds_nobody_up() {
     let mut other = Peer::start(Command::new(std::env::current_exe().unwrap()).args([
         "--ignored",
         "--exact",
-        "listener",
+        "faults::listener",
         "--nocapture",
     ]));
     other.expect("heard", SOON);

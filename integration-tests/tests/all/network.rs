@@ -77,7 +77,8 @@ impl Host {
     /// One of the ignored tests of this file, on this host.
     fn inside(&self, role: &str) -> Command {
         let mut command = self.command(std::env::current_exe().unwrap());
-        command.args([role, "--exact", "--ignored", "--nocapture"]).env("DERMIS_TEST_ROLE", role);
+        let name = format!("network::{role}");
+        command.args([&name, "--exact", "--ignored", "--nocapture"]).env("DERMIS_TEST_ROLE", role);
         command
     }
 
