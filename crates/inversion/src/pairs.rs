@@ -114,3 +114,58 @@ impl Pairs {
 fn press(position: Point3<f64>, normal: Vector3<f64>, force: f64, diameter: f64) -> Indentation {
     Indentation::sphere(position, -normal * force, diameter)
 }
+
+#[cfg(test)]
+mod tests {
+    use dermis_model::{ForwardModel, Stimulus};
+
+    use super::*;
+    use crate::testing::Toy;
+
+    const DIAMETER: f64 = 0.004;
+    const FORCE_MAX: f64 = 3.0;
+    const APART: f64 = 0.008;
+
+    /// The best pairs for what presses of these forces \[N\] at two places read together, as if a force could pull.
+    fn best(forces: [f64; 2]) -> Vec<[Indentation; 2]> {
+        let toy = Toy::grid(1.0);
+        let gains = vec![1.0; toy.channels()];
+        let dictionary = Dictionary::new(&toy, (None, None), 0.002, DIAMETER, FORCE_MAX, &gains).unwrap();
+        let mut sum = vec![0.0; toy.channels()];
+        for (x, force) in [-0.008, 0.008].into_iter().zip(forces) {
+            let mut out = vec![0.0; toy.channels()];
+            let contact = crate::testing::press(x, 0.0, force.abs());
+            toy.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out).unwrap();
+            sum.iter_mut().zip(&out).for_each(|(s, o)| *s += force.signum() * o);
+        }
+        let data: Vec<Datum> = sum.into_iter().map(|v| Datum::Exact(v, 1.0)).collect();
+        let found = Pairs::new(&dictionary, 0.002).best(&dictionary, &data, (APART, FORCE_MAX, DIAMETER), 4);
+        for [a, b] in &found {
+            for contact in [a, b] {
+                let pressing = -contact.force.z;
+                assert!(pressing > 0.0 && pressing <= FORCE_MAX, "{pressing} N for {forces:?}");
+            }
+            assert!((a.position - b.position).norm() >= APART, "{} and {}", a.position, b.position);
+        }
+        found
+    }
+
+    #[test]
+    fn the_best_pair_is_the_one_that_presses() {
+        let found = best([1.0, 2.0]);
+        let [a, b] = &found[0];
+        let (left, right) = if a.position.x < b.position.x { (a, b) } else { (b, a) };
+        for (contact, (x, force)) in [(left, (-0.008, 1.0)), (right, (0.008, 2.0))] {
+            assert!((contact.position - Point3::new(x, 0.0, 0.0)).norm() < 0.003, "{}", contact.position);
+            assert!((-contact.force.z - force).abs() < 0.3 * force, "{} N", -contact.force.z);
+        }
+    }
+
+    #[test]
+    fn nothing_pulls_and_nothing_is_pressed_too_hard() {
+        // `best` itself looks at every force.
+        best([1.0, -0.6]);
+        best([-0.6, 1.0]);
+        best([2.9, 4.5]);
+    }
+}
