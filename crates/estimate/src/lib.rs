@@ -24,7 +24,7 @@ pub use estimator::{Maps, Quality, SkinEstimator, Verdict};
 pub use finder::{ConditionedFrame, ContactFinder, FindError};
 pub use models::{Models, SetupError, inverter};
 
-/// Frame → contacts, without maps, with these model bundles; `masked` names channels to leave out.
+/// Frame → contacts, and the maps that a model gives by itself, with these bundles; `masked` names channels to leave out.
 ///
 /// # Errors
 ///
@@ -38,7 +38,9 @@ pub fn estimator(
 ) -> Result<Box<dyn Estimator>, SetupError> {
     let bundles = bundles.iter().map(|folder| Bundle::load(folder, skin)).collect::<Result<Vec<_>, _>>()?;
     let mut estimator = SkinEstimator::new(skin, masked)?;
-    estimator.set_models(Models::load(sensor, skin, &bundles, runtime)?);
-    estimator.want_maps(Maps::NONE);
+    let models = Models::load(sensor, skin, &bundles, runtime)?;
+    let maps = models.own_maps();
+    estimator.set_models(models);
+    estimator.want_maps(maps);
     Ok(Box::new(estimator))
 }

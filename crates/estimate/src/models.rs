@@ -286,6 +286,15 @@ impl Models {
     pub fn maps(&self) -> Maps {
         maps(&self.0)
     }
+
+    /// Maps that they give by themselves, and that are not made of contacts.
+    #[must_use]
+    pub fn own_maps(&self) -> Maps {
+        Maps {
+            force: gives(&self.0, &[MAP_NORMAL, MAP_FORCE]),
+            displacement: gives(&self.0, &[MAP_DISPLACEMENT]),
+        }
+    }
 }
 
 pub(crate) fn gives(pipelines: &[Pipeline], outputs: &[&str]) -> bool {

@@ -9,6 +9,7 @@ use crate::LearnError;
 use crate::dataset::{Dataset, SampleId, Truth};
 use crate::evaluate::Evaluation;
 use crate::metrics::{Bin, FORCE_BINS, bin_of};
+use crate::target::MapTarget;
 
 /// Everything that is true of the data, whatever is learned from it.
 ///
@@ -117,8 +118,14 @@ pub(crate) fn force_range(data: &Dataset, ids: &[SampleId]) -> Option<[f64; 2]> 
 
 /// Writes measured errors into a manifest, as metrics and as the sigma of its outputs.
 pub fn measured(manifest: &mut Manifest, evaluation: &Evaluation) {
+    // Of a vector, that of one of its numbers.
+    let of_map = |name: &str| {
+        let numbers = MapTarget::ALL.into_iter().find(|m| m.name() == name)?.per_point();
+        Some(evaluation.maps.get(name)?.touched.rms? / (numbers as f64).sqrt())
+    };
     for spec in &mut manifest.output.values {
-        spec.sigma = evaluation.quantities.get(&spec.name).map(|s| s.rms).filter(|s| *s > 0.0);
+        let sigma = evaluation.quantities.get(&spec.name).map(|s| s.rms).or_else(|| of_map(&spec.name));
+        spec.sigma = sigma.filter(|s| *s > 0.0);
         if let Some(bins) = evaluation.by_force.get(&spec.name) {
             spec.sigma_by_force = sigma_bins(bins);
         }
@@ -132,6 +139,14 @@ pub fn measured(manifest: &mut Manifest, evaluation: &Evaluation) {
             [(format!("{name}_rmse_{unit}"), s.rms), (format!("{name}_mean_{unit}"), s.mean)]
         })
         .collect();
+    for (name, errors) in &evaluation.maps {
+        let (name, unit) = (name.replace('.', "_"), errors.unit.to_lowercase());
+        let figures = [
+            (format!("{name}_rmse_{unit}"), errors.touched.rms),
+            (format!("{name}_total_force_rmse_n"), errors.touched.total_force),
+        ];
+        manifest.metrics.extend(figures.into_iter().filter_map(|(name, v)| Some((name, v?))));
+    }
 }
 
 /// A bundle's bins ascend without gaps; one with too few samples to tell is covered by the next.

@@ -8,7 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId};
-use crate::metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, Scores, Summary};
+use crate::metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, MapErrors, MapPart, MapScorer, Scores, Summary};
+use crate::target::Maps;
+
+mod requirement;
+
+pub use requirement::{Requirement, Verdict, Verdicts};
 
 /// Errors of an estimator on labelled frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -35,6 +40,9 @@ pub struct Evaluation {
     pub quantities: BTreeMap<String, Summary>,
     /// Errors by quantity and true normal force.
     pub by_force: BTreeMap<String, Vec<Bin>>,
+    /// Errors of maps over the surface, by name: `map.normal`, `map.force`, `map.displacement`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub maps: BTreeMap<String, MapErrors>,
 }
 
 impl Evaluation {
@@ -57,12 +65,20 @@ impl Evaluation {
             count_right: scores.count_right(),
             quantities: scores.summaries(1),
             by_force: scores.by_force(&FORCE_BINS),
+            maps: BTreeMap::new(),
         }
+    }
+
+    /// The same with errors of maps.
+    pub(crate) fn with_maps(mut self, maps: MapScorer) -> Self {
+        self.maps = maps.finish();
+        self
     }
 
     /// Every figure that a [`Requirement`] can name, in SI units: `position_rms`, `position_mean`,
     /// `position_median`, `position_p95`, `position_max`, the same of `position_x` …, `force_normal` …, and
-    /// `missed`, `false_contacts`, `unanswered`, `count_right_of_1` … as shares.
+    /// `missed`, `false_contacts`, `unanswered`, `count_right_of_1` … as shares. Of maps `map_normal_rms`, `map_normal_relative`,
+    /// `map_normal_total_force` on touched frames, `map_normal_untouched_rms` … on the others, `map_normal_unanswered` of both.
     #[must_use]
     pub fn figures(&self) -> BTreeMap<String, f64> {
         let mut all = BTreeMap::new();
@@ -78,6 +94,18 @@ impl Evaluation {
         all.extend(shares.into_iter().filter_map(|(name, v)| Some((name.to_owned(), v?))));
         for (number, share) in &self.count_right {
             all.insert(format!("count_right_of_{number}"), *share);
+        }
+        for (name, errors) in &self.maps {
+            let name = name.replace('.', "_");
+            for (part, what) in [(&errors.touched, ""), (&errors.untouched, "untouched_")] {
+                let values =
+                    [("rms", part.rms), ("relative", part.relative), ("total_force", part.total_force)];
+                let known = values.into_iter().filter_map(|(figure, v)| Some((figure, v?)));
+                all.extend(known.map(|(figure, v)| (format!("{name}_{what}{figure}"), v)));
+            }
+            let unanswered = errors.touched.unanswered + errors.untouched.unanswered;
+            let asked = errors.touched.frames + errors.untouched.frames + unanswered;
+            all.insert(format!("{name}_unanswered"), unanswered as f64 / asked.max(1) as f64);
         }
         let asked = self.frames + self.unanswered;
         if asked > 0 {
@@ -96,6 +124,37 @@ impl Evaluation {
 /// Millimetres and newtons: for people.
 fn shown(unit: &str, value: f64) -> String {
     if unit == "m" { format!("{:.3}", value * 1e3) } else { format!("{value:.3}") }
+}
+
+/// Errors of maps, for people: micrometres and millinewtons a point, newtons in all.
+fn write_maps(f: &mut fmt::Formatter<'_>, maps: &BTreeMap<String, MapErrors>) -> fmt::Result {
+    if maps.is_empty() {
+        return Ok(());
+    }
+    writeln!(
+        f,
+        "  {:<28}{:>4}{:>12}{:>14}{:>16}{:>9}{:>12}",
+        "maps, over all points", "", "RMS", "of the truth", "total force [N]", "frames", "unanswered"
+    )?;
+    let or_dash = |value: Option<String>| value.unwrap_or_else(|| "-".into());
+    for (name, errors) in maps {
+        let (unit, factor) = if errors.unit == "m" { ("µm", 1e6) } else { ("mN", 1e3) };
+        for (what, part) in [("touched", &errors.touched), ("untouched", &errors.untouched)] {
+            let MapPart { frames, unanswered, rms, relative, total_force } = part;
+            if frames + unanswered == 0 {
+                continue;
+            }
+            writeln!(
+                f,
+                "  {:<28}{unit:>4}{:>12}{:>14}{:>16}{frames:>9}{unanswered:>12}",
+                format!("{name} {what}"),
+                or_dash(rms.map(|v| format!("{:.3}", v * factor))),
+                or_dash(relative.map(|v| format!("{:.1} %", v * 100.0))),
+                or_dash(total_force.map(|v| format!("{v:.3}"))),
+            )?;
+        }
+    }
+    Ok(())
 }
 
 impl fmt::Display for Evaluation {
@@ -146,6 +205,7 @@ impl fmt::Display for Evaluation {
             }
             writeln!(f)?;
         }
+        write_maps(f, &self.maps)?;
         if let Some(missed) = self.missed {
             write!(f, "  missed contacts {:.2} %", missed * 100.0)?;
             if let Some(wrong) = self.false_contacts {
@@ -165,9 +225,10 @@ impl fmt::Display for Evaluation {
 }
 
 /// Compares estimates with the truth one by one, for callers that get their estimates elsewhere, e.g. from a bus.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct Evaluator {
     answers: Vec<(usize, crate::Truth, Vec<Contact>)>,
+    maps: Option<MapScorer>,
     edges: Option<Vec<f64>>,
     unanswered: usize,
     tares: usize,
@@ -185,6 +246,22 @@ impl Evaluator {
     pub fn by_force(mut self, edges: &[f64]) -> Self {
         self.edges = Some(edges.to_vec());
         self
+    }
+
+    /// Compares maps over the surface with these, too.
+    #[must_use]
+    pub fn with_maps(mut self, maps: Maps) -> Self {
+        self.maps = Some(MapScorer::new(maps));
+        self
+    }
+
+    /// Takes the maps of one estimate, besides what [`push`](Self::push) takes of it; none count as unanswered.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Training`] where the forward model fails on the true map.
+    pub fn push_maps(&mut self, truth: &crate::Truth, estimate: &Estimate) -> Result<(), LearnError> {
+        self.maps.as_mut().map_or(Ok(()), |maps| maps.push_estimate(truth, estimate))
     }
 
     /// Takes one estimate. Where one contact is true, of several found the one with the largest normal force counts, then
@@ -250,7 +327,10 @@ impl Evaluator {
         if let Some(edges) = &self.edges {
             evaluation.by_force = scores.by_force(edges);
         }
-        evaluation
+        match self.maps {
+            Some(maps) => evaluation.with_maps(maps),
+            None => evaluation,
+        }
     }
 }
 
@@ -270,23 +350,23 @@ pub fn evaluate(
     only: Option<&[SampleId]>,
     name: impl Into<String>,
 ) -> Result<Evaluation, LearnError> {
-    evaluate_by(estimator, data, only, &FORCE_BINS, name)
+    evaluate_by(Evaluator::new().by_force(&FORCE_BINS), estimator, data, only, name)
 }
 
-/// As [`evaluate`], with errors by force in other bins: `edges` \[N\] ascend, the last bin is open.
+/// As [`evaluate`], with errors by force in other bins ([`Evaluator::by_force`]) or with errors of maps
+/// ([`Evaluator::with_maps`]).
 ///
 /// # Errors
 ///
-/// As [`evaluate`].
+/// As [`evaluate`], and where the forward model fails on a true map.
 pub fn evaluate_by(
+    mut evaluator: Evaluator,
     estimator: &mut dyn Estimator,
     data: &Dataset,
     only: Option<&[SampleId]>,
-    edges: &[f64],
     name: impl Into<String>,
 ) -> Result<Evaluation, LearnError> {
     let only: Option<BTreeSet<SampleId>> = only.map(|ids| ids.iter().copied().collect());
-    let mut evaluator = Evaluator::new().by_force(edges);
     for (run, r) in data.runs().iter().enumerate() {
         estimator.reset();
         for (sample, s) in data.stream_images(run, None)?.enumerate() {
@@ -304,8 +384,10 @@ pub fn evaluate_by(
             }
             if !s.tared.iter().all(|v| v.is_nan()) {
                 evaluator.push(run, truth, &estimate);
+                evaluator.push_maps(truth, &estimate)?;
             } else if truth.touched() {
                 evaluator.unanswered();
+                evaluator.push_maps(truth, &Estimate::default())?;
             }
         }
     }
@@ -367,199 +449,5 @@ pub fn evaluate_parts(
     Ok(Some(evaluators.into_iter().zip(parts).map(|(e, (name, _))| e.finish(*name)).collect()))
 }
 
-/// A figure that an evaluation has to reach, e.g. `position_rms<=0.0005` (SI units).
-#[derive(Debug, Clone, PartialEq)]
-pub struct Requirement {
-    figure: String,
-    at_least: bool,
-    bound: f64,
-}
-
-/// What an evaluation says to a requirement.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Verdict {
-    /// The requirement.
-    pub requirement: String,
-    /// The measured figure; absent where the evaluation has none of this name, which counts as failed.
-    pub value: Option<f64>,
-    /// Whether it is met.
-    pub met: bool,
-}
-
-/// What an evaluation says to all requirements.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Verdicts(Vec<Verdict>);
-
-impl Verdicts {
-    /// Holds every requirement against an evaluation.
-    #[must_use]
-    pub fn of(requirements: &[Requirement], evaluation: &Evaluation) -> Self {
-        Self(requirements.iter().map(|r| r.check(evaluation)).collect())
-    }
-
-    /// Whether all are met.
-    ///
-    /// # Errors
-    ///
-    /// [`LearnError::Missed`] counts those that are not.
-    pub fn require(&self) -> Result<(), LearnError> {
-        match self.0.iter().filter(|v| !v.met).count() {
-            0 => Ok(()),
-            missed => Err(LearnError::Missed { missed, of: self.0.len() }),
-        }
-    }
-}
-
-impl fmt::Display for Verdicts {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|verdict| writeln!(f, "{verdict}"))
-    }
-}
-
-impl std::str::FromStr for Requirement {
-    type Err = LearnError;
-
-    fn from_str(text: &str) -> Result<Self, LearnError> {
-        let wrong = |reason: String| LearnError::Requirement { text: text.to_owned(), reason };
-        let (figure, at_least, bound) = if let Some((figure, bound)) = text.split_once("<=") {
-            (figure, false, bound)
-        } else if let Some((figure, bound)) = text.split_once(">=") {
-            (figure, true, bound)
-        } else {
-            return Err(wrong("needs `<=` or `>=`, as in `position_rms<=0.0005`".into()));
-        };
-        let bound = bound.trim();
-        let bound: f64 =
-            bound.parse().map_err(|_| wrong(format!("`{bound}` is not a number in SI units")))?;
-        if !bound.is_finite() || figure.trim().is_empty() {
-            return Err(wrong("needs the name of a figure and a finite number".into()));
-        }
-        Ok(Self { figure: figure.trim().to_owned(), at_least, bound })
-    }
-}
-
-impl fmt::Display for Requirement {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}{}", self.figure, if self.at_least { ">=" } else { "<=" }, self.bound)
-    }
-}
-
-impl Requirement {
-    /// Holds it against an evaluation.
-    #[must_use]
-    pub fn check(&self, evaluation: &Evaluation) -> Verdict {
-        let value = evaluation.figures().get(&self.figure).copied();
-        let met = value.is_some_and(|v| if self.at_least { v >= self.bound } else { v <= self.bound });
-        Verdict { requirement: self.to_string(), value, met }
-    }
-}
-
-impl fmt::Display for Verdict {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mark = if self.met { "met" } else { "MISSED" };
-        match self.value {
-            Some(value) => write!(f, "{mark}: {} (measured {value:.6})", self.requirement),
-            None => write!(f, "{mark}: {} (no such figure here)", self.requirement),
-        }
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use dermis_skin::{EstimateError, Frame};
-    use nalgebra::{Point3, Vector3};
-
-    use super::*;
-    use crate::dataset::tests::presses;
-
-    /// Reads position and force off the two channels of the made-up skin, whose zero is 1000; 0.5 mm off in x.
-    struct Known;
-
-    impl Estimator for Known {
-        fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
-            let [x, force] = [frame.values[0] - 1000.0, frame.values[1] - 1000.0].map(f64::from);
-            let mut estimate = Estimate::default();
-            if force > 1.0 {
-                let mut contact = Contact::at(Point3::new(x * 1e-4 + 0.0005, 0.0, 0.0), Vector3::z());
-                contact.force = Vector3::new(0.0, 0.0, -force / 20.0 * 1.1);
-                contact.force_components = ForceComponents::Normal;
-                estimate.contacts.push(contact);
-            }
-            Ok(estimate)
-        }
-
-        fn reset(&mut self) {}
-    }
-
-    #[test]
-    fn people_read_a_table() {
-        let data = presses(10, 2);
-        let result = evaluate(&mut Known, &data, None, "made-up presses").unwrap();
-        insta::assert_snapshot!(result, @r"
-        made-up presses: 180 frames, zero taken 20 times
-                                            RMS       95 % interval     mean   median      p95   frames
-          force.normal               N    0.332      0.243 .. 0.409    0.300    0.300    0.500       40
-          force.normal untouched     N    0.000      0.000 .. 0.000    0.000    0.000    0.000      140
-          position                  mm    0.500      0.500 .. 0.500    0.500    0.500    0.500       40
-          position.x                mm    0.500      0.500 .. 0.500    0.500    0.500    0.500       40
-          position.y                mm    0.000      0.000 .. 0.000    0.000    0.000    0.000       40
-          intervals: whole locations resampled (10)
-          force.normal RMS [N] by force [N]:  1-2: 0.100  2-5: 0.311  5-10: 0.500
-          position RMS [mm] by force [N]:  1-2: 0.500  2-5: 0.500  5-10: 0.500
-          missed contacts 0.00 %, false contacts 0.00 %
-        ");
-        let figures = result.figures();
-        approx::assert_relative_eq!(figures["position_rms"], 0.0005, max_relative = 1e-3);
-        let again: Evaluation = serde_json::from_value(result.to_json()).unwrap();
-        assert_eq!(again.frames, result.frames);
-        let verdict = |text: &str| text.parse::<Requirement>().unwrap().check(&result);
-        assert!(verdict("position_rms <= 0.00051").met && verdict("missed<=0").met);
-        insta::assert_snapshot!(verdict("position_rms<=0.0004"), @"MISSED: position_rms<=0.0004 (measured 0.000500)");
-        insta::assert_snapshot!(verdict("force_x_rms<=1"), @"MISSED: force_x_rms<=1 (no such figure here)");
-    }
-
-    #[test]
-    fn only_the_asked_samples_count() {
-        let data = presses(10, 2);
-        let held_out = crate::SplitConfig::default().apply(&data).unwrap().test;
-        let result = evaluate(&mut Known, &data, Some(&held_out), "held out").unwrap();
-        let read = data.gather(&held_out).unwrap();
-        let has_zero = read.iter().filter(|(_, sample)| sample.tared[0].is_finite()).count();
-        assert_eq!((result.frames, result.unanswered), (has_zero, 0));
-        assert!(result.frames < data.labelled().count());
-    }
-
-    #[test]
-    fn parts_are_evaluated_by_themselves_and_without_what_nobody_asks_for() {
-        let data = presses(10, 2);
-        let held_out = crate::SplitConfig::default().apply(&data).unwrap().test;
-        let (one, two) = held_out.split_at(held_out.len() / 2);
-        let parts = [("one", one), ("two", two)];
-        let both = evaluate_parts(&mut Known, &data, &parts, &|_| true).unwrap().unwrap();
-        for ((name, ids), found) in parts.iter().zip(&both) {
-            assert_eq!(found, &evaluate(&mut Known, &data, Some(ids), *name).unwrap());
-        }
-        // It counts what it is asked.
-        struct Counted(usize);
-        impl Estimator for Counted {
-            fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
-                self.0 += 1;
-                Known.estimate(frame)
-            }
-            fn reset(&mut self) {}
-        }
-        let mut counted = Counted(0);
-        evaluate_parts(&mut counted, &data, &parts, &|_| true).unwrap();
-        let all: usize = data.runs().iter().map(|r| r.samples.len()).sum();
-        assert!(counted.0 < all && counted.0 >= held_out.len(), "{} of {all}", counted.0);
-        assert_eq!(evaluate_parts(&mut Known, &data, &parts, &|share| share < 0.5).unwrap(), None);
-    }
-
-    #[test]
-    fn requirements_are_read_strictly() {
-        let told = |text: &str| text.parse::<Requirement>().unwrap_err().to_string();
-        insta::assert_snapshot!(told("position_rms<0.1"), @"requirement `position_rms<0.1`: needs `<=` or `>=`, as in `position_rms<=0.0005`");
-        insta::assert_snapshot!(told("position_rms<=0.5mm"), @"requirement `position_rms<=0.5mm`: `0.5mm` is not a number in SI units");
-    }
-}
+mod tests;

@@ -1,5 +1,6 @@
 //! What a graph makes of a data set, without the estimator of a sensor family around it.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 
 use dermis_inference::{Baseline, FeatureConfig, Model, Outputs};
@@ -7,8 +8,9 @@ use dermis_inference::{Baseline, FeatureConfig, Model, Outputs};
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId};
 use crate::evaluate::Evaluation;
-use crate::metrics::{Answer, Scores};
+use crate::metrics::{Answer, MapScorer, Scores};
 use crate::plot::Point;
+use crate::target::Maps;
 
 /// Runs the finished graph.
 pub(crate) struct GraphEvaluator<'a> {
@@ -23,15 +25,17 @@ pub(crate) struct GraphEvaluator<'a> {
 }
 
 impl GraphEvaluator<'_> {
-    /// Compares its answers with the truth, on `only` or on all labelled frames.
+    /// Compares its answers with the truth, on `only` or on all labelled frames; its maps with those of `maps`.
     pub(crate) fn evaluate(
         &mut self,
         data: &Dataset,
         only: Option<&BTreeSet<SampleId>>,
+        maps: Maps,
         name: String,
     ) -> Result<(Evaluation, Vec<Point>), LearnError> {
         let wanted = |id: &SampleId| only.is_none_or(|only| only.contains(id));
         let mut scores = Scores::new();
+        let mut maps = MapScorer::new(maps);
         let (mut points, mut raw, mut frames) = (Vec::new(), Vec::new(), 0);
         let mut answered = BTreeSet::new();
         data.each_input(self.features, self.baseline, |id, row| {
@@ -42,15 +46,21 @@ impl GraphEvaluator<'_> {
             self.outputs.decode(&raw)?;
             let answer = self.answer();
             scores.push(id.run, truth, &answer);
+            maps.push(truth, |map| self.outputs.values(map.name()).map(Cow::Borrowed))?;
             points.push(Point::new(truth, &answer));
             answered.insert(id);
             frames += 1;
             Ok(())
         })?;
-        let unanswered =
-            data.labelled().filter(|(id, _, t)| wanted(id) && t.touched() && !answered.contains(id)).count();
+        let mut unanswered = 0;
+        for (_, _, truth) in
+            data.labelled().filter(|(id, _, t)| wanted(id) && t.touched() && !answered.contains(id))
+        {
+            unanswered += 1;
+            maps.push(truth, |_| None)?;
+        }
         let tares = data.runs().iter().flat_map(|r| &r.samples).filter(|s| s.tare).count();
-        Ok((Evaluation::of(&scores, name, frames, unanswered, tares), points))
+        Ok((Evaluation::of(&scores, name, frames, unanswered, tares).with_maps(maps), points))
     }
 
     fn answer(&self) -> Answer {

@@ -17,6 +17,7 @@ use crate::evaluate::Evaluation;
 use crate::evaluator::GraphEvaluator;
 use crate::findings::Findings;
 use crate::plot::Report;
+use crate::target::Maps;
 use crate::{LearnError, SplitConfig, card};
 
 /// One number for all channels, or one each.
@@ -243,7 +244,9 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
         let held_out = split.map(|s| s.apply(data)).transpose()?.map(|s| s.test);
         let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
         let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
-        measured = Some((data, split, evaluator.evaluate(data, only.as_ref(), name)?));
+        // There is no forward model here: displacements are not compared.
+        let maps = Maps::new(data.skin(), None, &[])?;
+        measured = Some((data, split, evaluator.evaluate(data, only.as_ref(), maps, name)?));
     }
 
     let training = TrainingSection {

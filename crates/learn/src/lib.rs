@@ -47,6 +47,8 @@ pub use evaluate::{
 };
 pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
-pub use metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, MapScores, MapSummary, Scores, Summary, bins};
+pub use metrics::{
+    Answer, Bin, COUNTED_FROM, FORCE_BINS, MapErrors, MapPart, MapScores, MapSummary, Scores, Summary, bins,
+};
 pub use recordings::{Recorded, superpose};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -12,6 +12,11 @@ use dermis_skin::Contact;
 
 use crate::dataset::{Truth, TruthContact};
 
+mod maps;
+
+pub(crate) use maps::MapScorer;
+pub use maps::{MapErrors, MapPart, MapScores, MapSummary};
+
 /// \[N\] edges of the bins of normal force that errors are reported by; the last bin is open.
 pub const FORCE_BINS: [f64; 9] = [0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
 
@@ -286,64 +291,6 @@ impl Scores {
     }
 }
 
-/// Errors of whole maps (displacements over a surface), map by map.
-#[derive(Debug, Clone, Default)]
-pub struct MapScores {
-    squares: f64,
-    energy: f64,
-    /// Sum of the true maps, point by point.
-    sums: Vec<f64>,
-    maps: usize,
-}
-
-/// What [`MapScores`] come to.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct MapSummary {
-    /// Maps that were compared.
-    pub maps: usize,
-    /// Root mean square over all points of all maps, in their unit.
-    pub rms: f64,
-    /// Fraction of the variance of the true maps that is unexplained: 0 is perfect, 1 as good as their mean.
-    pub fvu: f64,
-}
-
-impl MapScores {
-    /// Nothing yet.
-    #[must_use]
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// Compares one map with the true one. Maps of another length than the first are left out.
-    pub fn push(&mut self, truth: &[f32], answer: &[f32]) {
-        if self.maps == 0 {
-            self.sums = vec![0.0; truth.len()];
-        }
-        if truth.len() != self.sums.len() || answer.len() != truth.len() {
-            return;
-        }
-        for ((t, a), sum) in truth.iter().zip(answer).zip(&mut self.sums) {
-            let t = f64::from(*t);
-            self.squares += (f64::from(*a) - t).powi(2);
-            self.energy += t * t;
-            *sum += t;
-        }
-        self.maps += 1;
-    }
-
-    /// Sums up; not a number where nothing was compared.
-    #[must_use]
-    pub fn summary(&self) -> MapSummary {
-        let maps = self.maps as f64;
-        let variance = self.energy - self.sums.iter().map(|s| s * s).sum::<f64>() / maps;
-        MapSummary {
-            maps: self.maps,
-            rms: (self.squares / (maps * self.sums.len() as f64)).sqrt(),
-            fvu: self.squares / variance,
-        }
-    }
-}
-
 /// Which of `found` belongs to each true contact, none twice: the assignment whose distances add up to least (linear sum
 /// assignment by the Hungarian method, Kuhn 1955).
 fn assign(truth: &Truth, found: &[Contact]) -> Vec<Option<usize>> {
@@ -460,136 +407,4 @@ fn percentile(sorted: &[f64], share: f64) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::dataset::tests::contact;
-
-    fn truth(location: u32, contacts: Vec<TruthContact>) -> Truth {
-        Truth { press: u64::from(location), location, idle: false, contacts }
-    }
-
-    fn at(x: f64, y: f64, force: f64) -> Answer {
-        Answer {
-            position: Some([x, y, 0.0]),
-            normal_force: Some(force),
-            contact: Some(true),
-            ..Answer::default()
-        }
-    }
-
-    #[test]
-    fn figures_are_those_computed_by_hand() {
-        let mut scores = Scores::new();
-        // Distances 5, 0 and 1 mm; force errors +1, -2 and 0 N.
-        scores.push(0, &truth(1, vec![contact(0.0, 0.0, 1.0)]), &at(0.003, -0.004, 2.0));
-        scores.push(0, &truth(2, vec![contact(0.01, 0.0, 3.0)]), &at(0.01, 0.0, 1.0));
-        scores.push(0, &truth(3, vec![contact(0.0, 0.01, 3.5)]), &at(0.0, 0.011, 3.5));
-        let s = scores.summaries(1);
-        let position = &s["position"];
-        approx::assert_relative_eq!(position.rms, (26e-6_f64 / 3.0).sqrt(), max_relative = 1e-9);
-        approx::assert_relative_eq!(position.mean, 0.002, max_relative = 1e-9);
-        approx::assert_relative_eq!(position.median, 0.001, max_relative = 1e-9);
-        approx::assert_relative_eq!(position.p95, 0.0046, max_relative = 1e-9);
-        approx::assert_relative_eq!(position.max, 0.005, max_relative = 1e-9);
-        assert_eq!((position.samples, position.groups, position.bias), (3, 3, None));
-        let force = &s["force.normal"];
-        approx::assert_relative_eq!(force.rms, (5.0_f64 / 3.0).sqrt(), max_relative = 1e-9);
-        approx::assert_relative_eq!(force.bias.unwrap(), -1.0 / 3.0, max_relative = 1e-9);
-        approx::assert_relative_eq!(s["position.y"].rms, (17e-6_f64 / 3.0).sqrt(), max_relative = 1e-9);
-        assert!(!s.contains_key("position.z"));
-        let [low, high] = position.rms_interval.unwrap();
-        assert!(low < position.rms && position.rms <= high && high <= 0.005 + 1e-12);
-
-        let bins = &scores.by_force(&FORCE_BINS)["force.normal"];
-        let rows: Vec<(f64, usize, f64)> = bins.iter().map(|b| (b.from, b.samples, b.rms)).collect();
-        assert_eq!(rows, [(1.0, 1, 1.0), (2.0, 2, 2.0_f64.sqrt())]);
-    }
-
-    #[test]
-    fn missed_and_false_contacts_are_counted() {
-        let mut scores = Scores::new();
-        let none = Answer { contact: Some(false), normal_force: Some(0.0), ..Answer::default() };
-        scores.push(0, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &none);
-        scores.push(0, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &at(0.0, 0.0, 2.0));
-        scores.push(0, &truth(1, vec![]), &at(0.0, 0.0, 0.5));
-        assert_eq!((scores.missed(), scores.false_contacts()), (Some(0.5), Some(1.0)));
-        let s = scores.summaries(1);
-        assert_eq!((s["position"].samples, s["force.normal"].samples), (1, 2));
-        approx::assert_relative_eq!(s["force.normal"].rms, 2.0_f64.sqrt(), max_relative = 1e-9);
-        approx::assert_relative_eq!(s["force.normal untouched"].rms, 0.5, max_relative = 1e-9);
-        assert_eq!(s["force.normal"].rms_interval, None);
-    }
-
-    proptest::proptest! {
-        #[test]
-        fn no_other_assignment_is_shorter(
-            true_ones in proptest::collection::vec((-0.02..0.02f64, -0.02..0.02f64), 0..6),
-            found in proptest::collection::vec((-0.02..0.02f64, -0.02..0.02f64), 0..6),
-        ) {
-            /// Sum of distances of the best assignment of `rest` to what `free` marks, every possible one tried.
-            fn shortest(rest: &[(f64, f64)], found: &[(f64, f64)], free: usize, pairs: usize) -> f64 {
-                if pairs == 0 {
-                    return 0.0;
-                }
-                let Some((first, rest)) = rest.split_first() else { return f64::INFINITY };
-                let mut least = shortest(rest, found, free, pairs);
-                for (f, place) in found.iter().enumerate().filter(|(f, _)| free & (1 << f) != 0) {
-                    let distance = (first.0 - place.0).hypot(first.1 - place.1);
-                    least = least.min(distance + shortest(rest, found, free & !(1 << f), pairs - 1));
-                }
-                least
-            }
-            let pairs = true_ones.len().min(found.len());
-            let least = shortest(&true_ones, &found, (1 << found.len()) - 1, pairs);
-            let truth = truth(1, true_ones.iter().map(|(x, y)| contact(*x, *y, 1.0)).collect());
-            let contacts: Vec<Contact> = found
-                .iter()
-                .map(|(x, y)| Contact::at(nalgebra::Point3::new(*x, *y, 0.0), nalgebra::Vector3::z()))
-                .collect();
-            let assigned = assign(&truth, &contacts);
-            let sum: f64 = assigned
-                .iter()
-                .enumerate()
-                .filter_map(|(t, f)| f.map(|f| (contacts[f].position - truth.contacts[t].position).norm()))
-                .sum();
-            let mut taken: Vec<usize> = assigned.iter().flatten().copied().collect();
-            taken.sort_unstable();
-            taken.dedup();
-            proptest::prop_assert_eq!(taken.len(), pairs);
-            approx::assert_abs_diff_eq!(sum, least, epsilon = 1e-10);
-        }
-    }
-
-    #[test]
-    fn intervals_widen_where_samples_repeat_a_location() {
-        let spread = |locations: u32| {
-            let mut scores = Scores::new();
-            for i in 0..400_u32 {
-                let location = i % locations;
-                let error = f64::from(location * 7919 % 101) * 1e-5;
-                scores.push(0, &truth(location, vec![contact(0.0, 0.0, 1.0)]), &at(error, 0.0, 1.0));
-            }
-            let [low, high] = scores.summaries(3)["position"].mean_interval.unwrap();
-            high - low
-        };
-        assert!(spread(10) > 2.0 * spread(400));
-    }
-
-    #[test]
-    fn maps_are_compared_point_by_point() {
-        let truth = [[1.0, 0.0, 2.0], [3.0, 0.0, -2.0]];
-        let mut perfect = MapScores::new();
-        let mut mean = MapScores::new();
-        for t in &truth {
-            perfect.push(t, t);
-            mean.push(t, &[2.0, 0.0, 0.0]);
-        }
-        assert_eq!(perfect.summary(), MapSummary { maps: 2, rms: 0.0, fvu: 0.0 });
-        let summary = mean.summary();
-        assert!((summary.fvu - 1.0).abs() < 1e-12, "{summary:?}");
-        assert!((summary.rms - (10.0f64 / 6.0).sqrt()).abs() < 1e-12, "{summary:?}");
-        mean.push(&[1.0], &[1.0]);
-        assert_eq!(mean.summary(), summary, "a map of another surface");
-        assert!(MapScores::new().summary().rms.is_nan());
-    }
-}
+mod tests;

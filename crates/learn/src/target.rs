@@ -107,6 +107,8 @@ pub struct Maps {
     surface: Surface,
     model: Option<Arc<dyn ForwardModel>>,
     displacement: Vec<f64>,
+    /// Whether the forward model knows displacements, once it was asked.
+    displaces: Option<bool>,
 }
 
 impl Maps {
@@ -130,13 +132,30 @@ impl Maps {
             });
         }
         let surface = skin.surface();
-        Ok(Self { displacement: vec![0.0; surface.points.len()], surface, model })
+        Ok(Self { displacement: vec![0.0; surface.points.len()], displaces: None, surface, model })
     }
 
     /// Numbers of a map.
     #[must_use]
     pub fn len(&self, map: MapTarget) -> usize {
         map.per_point() * self.surface.points.len()
+    }
+
+    /// Whether a map can be computed at all: displacements need a forward model that knows them.
+    #[must_use]
+    pub fn knows(&mut self, map: MapTarget) -> bool {
+        map != MapTarget::Displacement
+            || *self.displaces.get_or_insert_with(|| {
+                let model = self.model.as_ref();
+                let asked = model.map(|m| m.displacement(&Stimulus::default(), &mut self.displacement));
+                matches!(asked, Some(Ok(true)))
+            })
+    }
+
+    /// Whether the ground truth of a frame tells its maps: place, force and diameter of every contact are known.
+    #[must_use]
+    pub fn tells(truth: &Truth) -> bool {
+        stimulus(truth).is_some()
     }
 
     /// Appends a map in SI units; NaN throughout where the ground truth does not tell it.

@@ -311,3 +311,6 @@ fn isolines(skin: &SkinDescription, learned: &[(SampleId, Sample)]) -> Result<Is
         IsolineSolver::surface_of_presses(&presses, &noise, &skin.surface, &SolverOptions::surface())?
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,8 +10,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::Args;
 use dermis_learn::cli::Labels;
+use dermis_learn::target::Maps;
 use dermis_learn::{
-    Bounds, Dataset, Evaluation, Requirement, SampleId, SplitConfig, SplitKind, Verdicts, bounds, evaluate_by,
+    Bounds, Dataset, Evaluation, Evaluator, Requirement, SampleId, SplitConfig, SplitKind, Verdicts, bounds,
+    evaluate_by,
 };
 use dermis_model::Unknowns;
 use dermis_skin::SkinDescription;
@@ -155,8 +157,18 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
         test = Some(kept);
     }
     let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
-    let evaluation = evaluate_by(estimator.as_mut(), &data, test.as_deref(), &options.bins, name)?;
-    let bound = bound(families, &skin, &data, test.as_deref(), &evaluation, &options.bins)?;
+    let model = families.model(&skin).ok();
+    // Maps that nobody can know here are not compared.
+    let maps = Maps::new(&skin, model.clone(), &[])?;
+    let evaluator = Evaluator::new().by_force(&options.bins).with_maps(maps);
+    let evaluation = evaluate_by(evaluator, estimator.as_mut(), &data, test.as_deref(), name)?;
+    let bound = match &model {
+        None => None,
+        Some(model) => {
+            let unknowns = unknowns(&data, &evaluation);
+            bounds(model.as_ref(), &data, test.as_deref(), unknowns, &options.bins)?
+        }
+    };
     let others = if options.beside.is_empty() {
         Vec::new()
     } else {
@@ -165,19 +177,6 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
     };
     let verdicts = Verdicts::of(&options.require, &evaluation);
     Ok(Findings { evaluation, bound, others, verdicts })
-}
-
-/// What any estimator without bias could reach at best on the same contacts, where the skin has a forward model.
-fn bound(
-    families: &Families,
-    skin: &SkinDescription,
-    data: &Dataset,
-    only: Option<&[SampleId]>,
-    evaluation: &Evaluation,
-    edges: &[f64],
-) -> Result<Option<Bounds>> {
-    let Ok(model) = families.model(skin) else { return Ok(None) };
-    Ok(bounds(model.as_ref(), data, only, unknowns(data, evaluation), edges)?)
 }
 
 /// What was unknown to who was evaluated.

@@ -110,10 +110,13 @@ pub fn run(
         features: &features,
         baseline: config.baseline,
     };
-    let (evaluation, points) = evaluator.evaluate(data, Some(&held_out), config.split.describe())?;
+    let true_maps = || Maps::new(data.skin(), request.model.clone(), &config.maps());
+    let (evaluation, points) =
+        evaluator.evaluate(data, Some(&held_out), true_maps()?, config.split.describe())?;
     let mut others = Vec::new();
     for (name, other) in request.others {
-        let (evaluation, points) = evaluator.evaluate(other, None, format!("other run: {name}"))?;
+        let (evaluation, points) =
+            evaluator.evaluate(other, None, true_maps()?, format!("other run: {name}"))?;
         others.push((name.clone(), evaluation, points));
     }
 

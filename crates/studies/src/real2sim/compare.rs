@@ -2,27 +2,28 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 use dermis_estimate::ContactFinder;
-use dermis_estimate::finder::{InversionFinder, MapFinder, Start};
+use dermis_estimate::finder::MapFinder;
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
-use dermis_inversion::{Corrected, ForcePrior, Inverter, SparseSettings};
 use dermis_learn::cli::Labels;
-use dermis_learn::real2sim::{Compliance, Recorded, matched, superpose};
-use dermis_learn::refine::Learned;
-use dermis_learn::{Bounds, Dataset, Evaluation, Evaluator, SampleId, Truth, TruthContact, bounds, refine};
-use dermis_model::{ForwardModel, Unknowns};
+use dermis_learn::real2sim::{Compliance, matched};
+use dermis_learn::{Bounds, Dataset, Evaluation, Evaluator, SampleId, Truth, TruthContact, bounds};
+use dermis_model::Unknowns;
 use dermis_skin::{Estimate, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 
+use super::nominal;
 use super::train::parts;
-use super::{nominal, regressions};
-use crate::{Families, Progress, called, conditioned};
+use crate::{Families, Progress, conditioned};
+
+mod methods;
+
+use methods::prepare;
 
 /// What to compare on what.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -300,120 +301,6 @@ fn frames(
         *ids = ids.iter().copied().step_by(step).collect();
     }
     Ok(all)
-}
-
-/// All methods, and what was found while they were made.
-struct Prepared {
-    methods: Vec<(String, Box<dyn ContactFinder>)>,
-    notes: Value,
-}
-
-fn prepare(
-    options: &Request,
-    skin: &SkinDescription,
-    model: &Arc<dyn ForwardModel>,
-    compliance: &Compliance,
-    learned: &Dataset,
-    (learn, choose): (&[SampleId], &[SampleId]),
-    progress: &dyn Progress,
-) -> Result<Prepared> {
-    let runtime = Runtime::load(&RuntimeConfig::default())?;
-    let felt = |ids: &[SampleId], most: usize| {
-        let mut all = Recorded::of(learned, ids, options.least * 0.5, most)?;
-        all.retain(|r| compliance.gives_way(&r.contact.position));
-        anyhow::Ok(all)
-    };
-    let (recorded, chosen) = (felt(learn, options.learn)?, felt(choose, options.learn / 4)?);
-    if recorded.is_empty() || chosen.is_empty() {
-        bail!("the bags of `--train` hold no single contact of known place, force and tip");
-    }
-    let mut methods: Vec<(String, Box<dyn ContactFinder>)> = Vec::new();
-    for folder in &options.model {
-        let bundle = Bundle::load(folder, skin)?;
-        methods
-            .push((format!("{}: peaks", called(folder)), Box::new(MapFinder::new(&bundle, skin, runtime)?)));
-    }
-
-    progress.begin("gains of the channels");
-    let mut plain = refine::settings(model.as_ref(), learned, learn, Unknowns::Normal, options.contacts)?;
-    plain.distance = 0.008;
-    plain.force_prior = ForcePrior::Log;
-    progress.begin("what the model does not know");
-    let on = |share: f64| {
-        progress.at(share);
-        true
-    };
-    let learned_of = refine::correction(model.as_ref(), &recorded, &chosen, &plain.gains, &on)?;
-    let Learned { correction, settings, left, .. } =
-        learned_of.context("the correction was not learned to its end")?;
-    let corrected: Arc<dyn ForwardModel> = Arc::new(Corrected::new(Arc::clone(model), correction)?);
-    let mut better =
-        refine::settings(corrected.as_ref(), learned, choose, Unknowns::Normal, options.contacts)?;
-    (better.distance, better.force_prior) = (plain.distance, plain.force_prior);
-    // Gains are in the correction; measured once more on a few places they would only add noise.
-    better.gains.clear();
-    progress.begin("how much evidence a contact needs");
-    let pairs: Vec<_> = (1..=3).flat_map(|n| superpose(model.as_ref(), &chosen, n, 60, FAR, 77)).collect();
-    refine::tune_evidence(model, &mut plain, &pairs, &on)?;
-    refine::tune_evidence(&corrected, &mut better, &pairs, &on)?;
-
-    let sparse = tune_sparse(&inverter(model, &plain)?, &pairs)?;
-    let generous = SparseSettings { share: 0.02, ..sparse };
-    let mut invert = |name: &str, corrects: bool, start: Start| -> Result<()> {
-        let inverter = if corrects { inverter(&corrected, &better)? } else { inverter(model, &plain)? };
-        methods.push((name.into(), Box::new(InversionFinder::new(inverter, start))));
-        Ok(())
-    };
-    invert("forward model, likelihood", false, Start::Greedy)?;
-    invert("forward model, sparse", false, Start::SparseOnly(sparse))?;
-    invert("corrected model, likelihood", true, Start::Greedy)?;
-    invert("corrected model, all pairs", true, Start::Pairs)?;
-    invert("corrected model, from sparse", true, Start::Sparse(generous))?;
-    if let Some(folder) = options.model.first() {
-        let peaks = MapFinder::new(&Bundle::load(folder, skin)?, skin, runtime)?;
-        invert("corrected model, from peaks", true, Start::Refine(Box::new(peaks)))?;
-    }
-
-    progress.begin("regressions");
-    let vectors = regressions::vectors(skin, &recorded, options.vectors)?;
-    methods.push(("support vectors".into(), Box::new(vectors)));
-    methods.push(("6 nearest neighbours".into(), Box::new(regressions::neighbours(skin, &recorded)?)));
-    methods.push(("feed-forward network".into(), Box::new(regressions::network(skin, &recorded)?)));
-    let notes = json!({
-        "recorded": recorded.len(), "gains": plain.gains, "model_error": plain.model_error,
-        "evidence": plain.evidence, "sparse": { "penalty": sparse.penalty, "share": sparse.share },
-        "correction": { "length_m": settings.length, "ridge": settings.ridge, "powers": settings.powers,
-                        "remainder_before_in_noise": left[0], "remainder_after_in_noise": left[1],
-                        "model_error": better.model_error, "evidence": better.evidence },
-    });
-    Ok(Prepared { methods, notes })
-}
-
-/// An inverter of these settings.
-fn inverter(model: &Arc<dyn ForwardModel>, settings: &dermis_inversion::Settings) -> Result<Inverter> {
-    Ok(Inverter::new(Arc::clone(model), settings.clone())?)
-}
-
-type Sum = (dermis_model::Stimulus, Vec<f32>);
-
-/// Penalty and share that give the right number most often, and places that are nearest.
-fn tune_sparse(inverter: &Inverter, frames: &[Sum]) -> Result<SparseSettings> {
-    let mut best = (f64::NEG_INFINITY, SparseSettings::default());
-    for penalty in [3e-4, 1e-3, 3e-3, 1e-2, 3e-2] {
-        for share in [0.05, 0.1, 0.15, 0.2, 0.3] {
-            let tried = SparseSettings { penalty, share, radius: 0.015 };
-            let mut right = 0usize;
-            for (stimulus, signal) in frames {
-                right += usize::from(
-                    inverter.sparse(&refine::exact(signal), &tried)?.len() == stimulus.contacts.len(),
-                );
-            }
-            if right as f64 > best.0 {
-                best = (right as f64, tried);
-            }
-        }
-    }
-    Ok(best.1)
 }
 
 fn row(

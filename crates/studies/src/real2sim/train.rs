@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::Result;
 use clap::Args;
@@ -11,8 +12,9 @@ use dermis_inference::{
 };
 use dermis_learn::cli::Labels;
 use dermis_learn::real2sim::{Compliance, Recorded, Scenes, Settings, Trained, train};
+use dermis_learn::target::Maps;
 use dermis_learn::{Dataset, Evaluation, Evaluator, SampleId};
-use dermis_skin::Estimate;
+use dermis_skin::{DisplacementMap, Estimate};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
@@ -94,7 +96,7 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
     progress.begin("held-out contacts");
     let evaluation = {
         let mut reader = pipeline.contacts(model.surface(), runtime)?;
-        let mut evaluator = Evaluator::new();
+        let mut evaluator = Evaluator::new().with_maps(Maps::new(&skin, Some(Arc::clone(&model)), &[])?);
         for (id, sample) in data.gather(&split.test)? {
             let Some(truth) = sample.truth.as_ref().filter(|t| t.touched()) else { continue };
             let heavy =
@@ -103,8 +105,15 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
             if rigid || !truth.contacts.iter().all(heavy) || sample.tared.iter().any(|v| !v.is_finite()) {
                 continue;
             }
-            let contacts = reader.contacts(&pipeline.map(&sample.tared)?)?;
-            evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
+            let map = pipeline.map(&sample.tared)?;
+            let displacements = map.iter().map(|d| *d as f32).collect();
+            let estimate = Estimate {
+                contacts: reader.contacts(&map)?,
+                displacement_map: Some(DisplacementMap { indices: None, displacements }),
+                ..Estimate::default()
+            };
+            evaluator.push(id.run, truth, &estimate);
+            evaluator.push_maps(truth, &estimate)?;
         }
         evaluator.finish(settings.split.describe())
     };

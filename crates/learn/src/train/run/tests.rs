@@ -167,10 +167,22 @@ fn a_map_is_learned_and_its_bundle_gives_it() {
     let (data, mut config) = (presses(30, 2), config());
     config.targets = vec!["map.normal".into(), "force.normal".into(), "contact".into()];
     config.training.epochs = 60;
-    run(&request(&data, &config, &out), &AtomicBool::new(false), &|_| {}).unwrap();
+    let outcome = run(&request(&data, &config, &out), &AtomicBool::new(false), &|_| {}).unwrap();
+    let errors = &outcome.held_out.maps["map.normal"];
+    let (touched, untouched) = (&errors.touched, &errors.untouched);
+    assert!(touched.frames > 0 && untouched.frames > 0, "{errors:?}");
+    assert!(touched.relative.is_some_and(|r| r < 1.0), "better than no force anywhere: {errors:?}");
+    assert!(touched.total_force.is_some() && untouched.total_force.is_some(), "{errors:?}");
+    let card: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(out.join("card.json")).unwrap()).unwrap();
+    assert_eq!(card["held_out"]["maps"]["map.normal"]["touched"]["frames"], touched.frames);
+    let report = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(report.contains("map.normal touched"));
     let bundle = Bundle::load(&out, &skin()).unwrap();
     let points = skin().surface().points.len();
-    assert_eq!(bundle.manifest().output.values[1].count, points);
+    let spec = &bundle.manifest().output.values[1];
+    assert_eq!((spec.name.as_str(), spec.count, spec.sigma), ("map.normal", points, touched.rms));
+    assert_eq!(Some(bundle.manifest().metrics["map_normal_rmse_n"]), touched.rms);
     let (mut model, mut outputs) = (bundle.session(runtime()).unwrap(), bundle.outputs());
     let (mut features, mut raw, mut errors) = (bundle.features(), Vec::new(), Vec::new());
     for sample in samples(&data).iter().skip(20) {

@@ -1,0 +1,113 @@
+use super::*;
+use crate::dataset::tests::contact;
+
+fn truth(location: u32, contacts: Vec<TruthContact>) -> Truth {
+    Truth { press: u64::from(location), location, idle: false, contacts }
+}
+
+fn at(x: f64, y: f64, force: f64) -> Answer {
+    Answer {
+        position: Some([x, y, 0.0]),
+        normal_force: Some(force),
+        contact: Some(true),
+        ..Answer::default()
+    }
+}
+
+#[test]
+fn figures_are_those_computed_by_hand() {
+    let mut scores = Scores::new();
+    // Distances 5, 0 and 1 mm; force errors +1, -2 and 0 N.
+    scores.push(0, &truth(1, vec![contact(0.0, 0.0, 1.0)]), &at(0.003, -0.004, 2.0));
+    scores.push(0, &truth(2, vec![contact(0.01, 0.0, 3.0)]), &at(0.01, 0.0, 1.0));
+    scores.push(0, &truth(3, vec![contact(0.0, 0.01, 3.5)]), &at(0.0, 0.011, 3.5));
+    let s = scores.summaries(1);
+    let position = &s["position"];
+    approx::assert_relative_eq!(position.rms, (26e-6_f64 / 3.0).sqrt(), max_relative = 1e-9);
+    approx::assert_relative_eq!(position.mean, 0.002, max_relative = 1e-9);
+    approx::assert_relative_eq!(position.median, 0.001, max_relative = 1e-9);
+    approx::assert_relative_eq!(position.p95, 0.0046, max_relative = 1e-9);
+    approx::assert_relative_eq!(position.max, 0.005, max_relative = 1e-9);
+    assert_eq!((position.samples, position.groups, position.bias), (3, 3, None));
+    let force = &s["force.normal"];
+    approx::assert_relative_eq!(force.rms, (5.0_f64 / 3.0).sqrt(), max_relative = 1e-9);
+    approx::assert_relative_eq!(force.bias.unwrap(), -1.0 / 3.0, max_relative = 1e-9);
+    approx::assert_relative_eq!(s["position.y"].rms, (17e-6_f64 / 3.0).sqrt(), max_relative = 1e-9);
+    assert!(!s.contains_key("position.z"));
+    let [low, high] = position.rms_interval.unwrap();
+    assert!(low < position.rms && position.rms <= high && high <= 0.005 + 1e-12);
+
+    let bins = &scores.by_force(&FORCE_BINS)["force.normal"];
+    let rows: Vec<(f64, usize, f64)> = bins.iter().map(|b| (b.from, b.samples, b.rms)).collect();
+    assert_eq!(rows, [(1.0, 1, 1.0), (2.0, 2, 2.0_f64.sqrt())]);
+}
+
+#[test]
+fn missed_and_false_contacts_are_counted() {
+    let mut scores = Scores::new();
+    let none = Answer { contact: Some(false), normal_force: Some(0.0), ..Answer::default() };
+    scores.push(0, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &none);
+    scores.push(0, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &at(0.0, 0.0, 2.0));
+    scores.push(0, &truth(1, vec![]), &at(0.0, 0.0, 0.5));
+    assert_eq!((scores.missed(), scores.false_contacts()), (Some(0.5), Some(1.0)));
+    let s = scores.summaries(1);
+    assert_eq!((s["position"].samples, s["force.normal"].samples), (1, 2));
+    approx::assert_relative_eq!(s["force.normal"].rms, 2.0_f64.sqrt(), max_relative = 1e-9);
+    approx::assert_relative_eq!(s["force.normal untouched"].rms, 0.5, max_relative = 1e-9);
+    assert_eq!(s["force.normal"].rms_interval, None);
+}
+
+proptest::proptest! {
+    #[test]
+    fn no_other_assignment_is_shorter(
+        true_ones in proptest::collection::vec((-0.02..0.02f64, -0.02..0.02f64), 0..6),
+        found in proptest::collection::vec((-0.02..0.02f64, -0.02..0.02f64), 0..6),
+    ) {
+        /// Sum of distances of the best assignment of `rest` to what `free` marks, every possible one tried.
+        fn shortest(rest: &[(f64, f64)], found: &[(f64, f64)], free: usize, pairs: usize) -> f64 {
+            if pairs == 0 {
+                return 0.0;
+            }
+            let Some((first, rest)) = rest.split_first() else { return f64::INFINITY };
+            let mut least = shortest(rest, found, free, pairs);
+            for (f, place) in found.iter().enumerate().filter(|(f, _)| free & (1 << f) != 0) {
+                let distance = (first.0 - place.0).hypot(first.1 - place.1);
+                least = least.min(distance + shortest(rest, found, free & !(1 << f), pairs - 1));
+            }
+            least
+        }
+        let pairs = true_ones.len().min(found.len());
+        let least = shortest(&true_ones, &found, (1 << found.len()) - 1, pairs);
+        let truth = truth(1, true_ones.iter().map(|(x, y)| contact(*x, *y, 1.0)).collect());
+        let contacts: Vec<Contact> = found
+            .iter()
+            .map(|(x, y)| Contact::at(nalgebra::Point3::new(*x, *y, 0.0), nalgebra::Vector3::z()))
+            .collect();
+        let assigned = assign(&truth, &contacts);
+        let sum: f64 = assigned
+            .iter()
+            .enumerate()
+            .filter_map(|(t, f)| f.map(|f| (contacts[f].position - truth.contacts[t].position).norm()))
+            .sum();
+        let mut taken: Vec<usize> = assigned.iter().flatten().copied().collect();
+        taken.sort_unstable();
+        taken.dedup();
+        proptest::prop_assert_eq!(taken.len(), pairs);
+        approx::assert_abs_diff_eq!(sum, least, epsilon = 1e-10);
+    }
+}
+
+#[test]
+fn intervals_widen_where_samples_repeat_a_location() {
+    let spread = |locations: u32| {
+        let mut scores = Scores::new();
+        for i in 0..400_u32 {
+            let location = i % locations;
+            let error = f64::from(location * 7919 % 101) * 1e-5;
+            scores.push(0, &truth(location, vec![contact(0.0, 0.0, 1.0)]), &at(error, 0.0, 1.0));
+        }
+        let [low, high] = scores.summaries(3)["position"].mean_interval.unwrap();
+        high - low
+    };
+    assert!(spread(10) > 2.0 * spread(400));
+}

@@ -1,0 +1,143 @@
+use std::sync::Mutex;
+
+use dermis_learn::Run;
+use dermis_skin::Frame;
+
+use super::*;
+use crate::Unwatched;
+
+const SKIN: &str = r#"
+    schema = "dermis-skin/1"
+    name = "pad"
+    sensor = "taxels"
+    frame_id = "pad_link"
+    unit = "Pa"
+    rate = 100.0
+    noise = 2.0
+    surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
+    taxels = [
+        { name = "left", position = [-0.005, 0.0, -0.005] },
+        { name = "right", position = [0.005, 0.0, -0.005] },
+    ]
+    [condition]
+    tare_duration = 0.03
+"#;
+
+fn skin() -> SkinDescription {
+    SkinDescription::from_toml(SKIN, "pad.toml").unwrap()
+}
+
+/// One contact at x \[m\], or none.
+fn truth(at: Option<(f64, Vector3<f64>)>) -> Truth {
+    let contact = |(x, force)| TruthContact {
+        position: Point3::new(x, 0.0, 0.0),
+        normal: Vector3::z(),
+        force,
+        components: ForceComponents::Full,
+        diameter: 0.004,
+    };
+    Truth { press: 0, location: 0, idle: at.is_none(), contacts: at.map(contact).into_iter().collect() }
+}
+
+/// Twice ten untouched frames, from the first of which the zero is taken, and three touched ones.
+fn data() -> Dataset {
+    let skin = skin();
+    let (mut frames, mut labels) = (Vec::new(), Vec::new());
+    for k in 0..26_i64 {
+        let touched = k % 13 >= 10;
+        let values = if touched { vec![1100.0, 1000.0] } else { vec![1000.0; 2] };
+        frames.push(Frame::new((k + 1) * 10_000_000, k as u64, values));
+        labels.push(Some(truth(touched.then_some((0.001, Vector3::new(0.0, 0.0, -1.0))))));
+    }
+    let run = Run::of_frames(("made.bag".into(), "made".into(), String::new()), frames, labels, &skin, true);
+    Dataset::from_runs(&skin, vec![run])
+}
+
+/// Notes what it is asked, has no answer to the first touched frame after a reset, and is 2 mm off in the others.
+struct Noting {
+    told: Arc<Mutex<Vec<String>>>,
+    early: bool,
+}
+
+impl ContactFinder for Noting {
+    fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
+        self.told.lock().unwrap().push(format!("find {:?}", frame.signal));
+        if std::mem::take(&mut self.early) {
+            return Err(FindError::History("made up".into()));
+        }
+        let mut contact = Contact::at(Point3::new(0.003, 0.0, 0.0), Vector3::z());
+        contact.force = Vector3::new(0.0, 0.0, -1.0);
+        contact.force_components = ForceComponents::Normal;
+        Ok(vec![contact])
+    }
+
+    fn pass(&mut self, _: &ConditionedFrame<'_>) -> Result<(), FindError> {
+        self.told.lock().unwrap().push("pass".into());
+        Ok(())
+    }
+
+    fn reset(&mut self) {
+        self.early = true;
+        self.told.lock().unwrap().push("reset".into());
+    }
+}
+
+#[test]
+fn finders_see_every_frame_and_answer_those_that_are_asked() {
+    let data = data();
+    let told = Arc::new(Mutex::new(Vec::new()));
+    let noting = Noting { told: Arc::clone(&told), early: false };
+    let asked: Vec<SampleId> = [10, 12, 24].map(|sample| SampleId { run: 0, sample }).to_vec();
+    let rows = answer(vec![("noting".into(), Box::new(noting))], &data, &asked, &[0.0], &Unwatched).unwrap();
+    let mut expected = vec!["reset", "reset"];
+    expected.extend(["pass"; 10]);
+    expected.extend(["find [100.0, 0.0]", "pass", "find [100.0, 0.0]", "reset"]);
+    expected.extend(["pass"; 11]);
+    expected.push("find [100.0, 0.0]");
+    // What lies behind the last frame that is asked is not read.
+    assert_eq!(*told.lock().unwrap(), expected);
+    let [(name, evaluation)] = rows.as_slice() else { panic!("{} rows", rows.len()) };
+    assert_eq!((name.as_str(), evaluation.frames), ("noting", 3));
+    // A history that is not filled is no contact: one after either zero.
+    let missed = evaluation.missed.unwrap();
+    assert!((missed - 2.0 / 3.0).abs() < 1e-12, "{missed}");
+    assert!((evaluation.quantities["position"].rms - 0.002).abs() < 1e-12);
+}
+
+fn sample(values: [f32; 2], x: f64, force: Vector3<f64>) -> (SampleId, Sample) {
+    let frame = Frame::new(10_000_000, 0, values.to_vec());
+    let sample = Sample { frame, tared: values.to_vec(), tare: false, truth: Some(truth(Some((x, force)))) };
+    (SampleId { run: 0, sample: 0 }, sample)
+}
+
+#[test]
+fn neighbours_answer_with_the_contacts_whose_readings_are_nearest() {
+    let learned = [
+        sample([100.0, 0.0], -0.005, Vector3::new(0.1, 0.0, -1.0)),
+        sample([0.0, 100.0], 0.005, Vector3::new(0.3, 0.2, -2.0)),
+    ];
+    let ask = |count, components, values: [f32; 2]| {
+        let mut finder = neighbours(count, &skin(), &learned, components).unwrap().unwrap();
+        let (_, sample) = sample(values, 0.0, Vector3::zeros());
+        finder.find(&conditioned(&sample)).unwrap().remove(0)
+    };
+    let near = ask(1, ForceComponents::Normal, [10.0, 90.0]);
+    assert!((near.position - Point3::new(0.005, 0.0, 0.0)).norm() < 1e-12);
+    assert_eq!(near.force_components, ForceComponents::Normal);
+    assert!((near.force - Vector3::new(0.0, 0.0, -2.0)).norm() < 1e-12, "{}", near.force);
+    // As far from the one as from the other: their mean.
+    let between = ask(2, ForceComponents::Full, [50.0, 50.0]);
+    assert!((between.position - Point3::origin()).norm() < 1e-12, "{}", between.position);
+    assert_eq!(between.force_components, ForceComponents::Full);
+    assert!((between.force - Vector3::new(0.2, 0.1, -1.5)).norm() < 1e-12, "{}", between.force);
+    // A channel without a reading counts as untouched.
+    let blind = ask(1, ForceComponents::Normal, [90.0, f32::NAN]);
+    assert!((blind.position - Point3::new(-0.005, 0.0, 0.0)).norm() < 1e-12);
+
+    let mut unknown = learned.clone();
+    for (_, sample) in &mut unknown {
+        sample.truth.as_mut().unwrap().contacts[0].components = ForceComponents::None;
+    }
+    assert!(neighbours(1, &skin(), &unknown, ForceComponents::Normal).unwrap().is_none());
+    assert!(neighbours(0, &skin(), &learned, ForceComponents::Normal).is_err());
+}
