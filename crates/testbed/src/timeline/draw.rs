@@ -1,0 +1,128 @@
+//! The random choices of a timeline: places, levels, tips, directions.
+//!
+//! Two streams of one seed: a second one serves what not every press draws, so that a plan without it draws what it drew before.
+
+use nalgebra::{Point3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::Touch;
+use super::sites::Sites;
+use crate::plan::{ForceDistribution, Level, Manner, Plan};
+
+/// Random choices of one timeline.
+pub(super) struct Draw<'a> {
+    pub(super) rng: ChaCha8Rng,
+    /// For what not every press draws, so that the others stay what they are without it.
+    pub(super) more: ChaCha8Rng,
+    pub(super) plan: &'a Plan,
+    pub(super) sites: &'a Sites<'a>,
+    /// Comparisons with edges of the rim and with other contacts, for all places that were tried.
+    pub(super) tried: u64,
+}
+
+/// Comparisons of all places that a plan draws: some seconds.
+pub(super) const EFFORT: u64 = 1_000_000_000;
+
+/// Tries before a surface counts as too small for what the plan names.
+const TRIES: usize = 2000;
+
+impl<'a> Draw<'a> {
+    pub(super) fn new(plan: &'a Plan, sites: &'a Sites<'a>, seed: u64) -> Self {
+        let mut more = ChaCha8Rng::seed_from_u64(seed);
+        more.set_stream(1);
+        Self { rng: ChaCha8Rng::seed_from_u64(seed), more, plan, sites, tried: 0 }
+    }
+
+    pub(super) fn within(&mut self, [low, high]: [f64; 2]) -> f64 {
+        self.rng.random_range(low..=high)
+    }
+
+    pub(super) fn level(&mut self, range: &Level<[f64; 2]>) -> Level<f64> {
+        range.map(|range| match self.plan.force_distribution {
+            ForceDistribution::Uniform => self.within(*range),
+            ForceDistribution::Log => self.within(range.map(f64::ln)).exp(),
+        })
+    }
+
+    pub(super) fn diameter(&mut self, manner: &Manner) -> f64 {
+        let of = if manner.diameter.is_empty() { &self.plan.diameter } else { &manner.diameter };
+        match of[..] {
+            [diameter] => diameter,
+            _ => of[self.more.random_range(0..of.len())],
+        }
+    }
+
+    /// A contact that stays in place, moved by its shear only.
+    pub(super) fn touch(
+        &mut self,
+        at: Point3<f64>,
+        level: Level<f64>,
+        diameter: f64,
+        manner: &Manner,
+    ) -> Touch {
+        let mut shear = Vector3::zeros();
+        if let Some([low, high]) = manner.shear {
+            let ratio = self.more.random_range(low..=high);
+            let turn = match manner.shear_direction {
+                Some(direction) => direction,
+                None => self.more.random_range(0.0..std::f64::consts::TAU),
+            };
+            let (_, normal) = self.sites.surface.project(&at);
+            let from = [Vector3::x(), Vector3::y()]
+                .into_iter()
+                .find_map(|axis| (axis - normal * axis.dot(&normal)).try_normalize(1e-3));
+            if let Some(along) = from {
+                let (sin, cos) = turn.sin_cos();
+                shear = (along * cos + normal.cross(&along) * sin) * ratio;
+            }
+        }
+        Touch { from: at, to: at, level, diameter, shear }
+    }
+
+    pub(super) fn place(&mut self) -> Option<Point3<f64>> {
+        (0..TRIES).find_map(|_| {
+            self.tried += 10 + self.sites.edges();
+            let p = self.sites.random(&mut self.rng);
+            self.sites.may_be_touched(&p).then_some(p)
+        })
+    }
+
+    /// Ends of a straight slide, projected to the surface.
+    pub(super) fn path(&mut self, length: [f64; 2]) -> Option<(Point3<f64>, Point3<f64>)> {
+        for _ in 0..TRIES {
+            let from = self.place()?;
+            let long = self.within(length);
+            let (_, normal) = self.sites.surface.project(&from);
+            let direction = Vector3::from_fn(|_, _| self.rng.random_range(-1.0..1.0f64));
+            let Some(along) = (direction - normal * direction.dot(&normal)).try_normalize(1e-3) else {
+                continue;
+            };
+            let (to, _) = self.sites.surface.project(&(from + along * long));
+            self.tried += self.sites.edges();
+            // One that the rim or the curvature cut short has another length than the one that was drawn.
+            if (to - from).norm() > 0.7 * long && self.sites.may_be_touched(&to) {
+                return Some((from, to));
+            }
+        }
+        None
+    }
+
+    /// So many places, each so far from every other.
+    pub(super) fn apart(&mut self, count: usize, [least, most]: [f64; 2]) -> Option<Vec<Point3<f64>>> {
+        for _ in 0..20 {
+            let mut places: Vec<Point3<f64>> = Vec::new();
+            for _ in 0..TRIES / 10 {
+                self.tried += places.len() as u64;
+                let p = self.place()?;
+                if places.iter().all(|q| (least..=most).contains(&(p - q).norm())) {
+                    places.push(p);
+                }
+                if places.len() == count {
+                    return Some(places);
+                }
+            }
+        }
+        None
+    }
+}

@@ -1,0 +1,339 @@
+//! From a plan to presses, one after the other.
+//!
+//! Steps are carried out in order, and each draws its places, levels and durations. A plan that would last or draw for too
+//! long is refused while it is drawn, and a depth that the model knows no force for before it is recorded.
+
+use std::sync::Arc;
+
+use dermis_model::{ForwardModel, TipShape};
+use dermis_skin::Phase;
+use nalgebra::{Point3, Vector3};
+use rand::Rng;
+use rand::seq::SliceRandom;
+
+use super::draw::{Draw, EFFORT};
+use super::sites::Sites;
+use super::{Key, Press, Timeline, Touch};
+use crate::TestbedError;
+use crate::plan::{Action, LONGEST, Level, Levels, Manner, Plan, Step};
+
+/// \[m\] off the surface that a named place may lie: rounding.
+const OFF_SURFACE: f64 = 1e-4;
+
+impl Timeline {
+    /// Draws what `plan` leaves open.
+    ///
+    /// # Errors
+    ///
+    /// [`TestbedError::Plan`] where the plan does not fit the skin: no place keeps the margin, a place lies off the surface,
+    /// contacts cannot keep their distance, or the model knows no force for a depth.
+    pub fn new(plan: &Plan, model: &Arc<dyn ForwardModel>, seed: u64) -> Result<Self, TestbedError> {
+        let sites = Sites::new(model.surface(), plan.margin, plan.region);
+        let timeline = Self {
+            presses: Vec::new(),
+            duration: 0.0,
+            count: 0,
+            model: Arc::clone(model),
+            tip: plan.tip,
+            gravity: plan.gravity.unwrap_or_default().into(),
+        };
+        let draw = Draw::new(plan, &sites, seed);
+        let mut schedule = Schedule { timeline, draw, step: 0, location: 0 };
+        for (i, step) in plan.steps.iter().enumerate() {
+            schedule.step = i;
+            schedule.carry_out(step)?;
+            schedule.check_bounds()?;
+        }
+        let timeline = schedule.timeline;
+        if timeline.duration <= 0.0 {
+            return Err(plan.wrong("timing", "lets the plan last no time at all: lengthen a phase"));
+        }
+        Ok(timeline)
+    }
+
+    /// A stretch of nothing.
+    fn idle(&mut self, duration: f64) {
+        self.presses.push(Press {
+            number: self.count,
+            location: 0,
+            repeat: 0,
+            touches: Vec::new(),
+            start: self.duration,
+            keys: Vec::new(),
+        });
+        self.duration += duration;
+    }
+}
+
+/// A timeline that is being drawn.
+struct Schedule<'a> {
+    timeline: Timeline,
+    draw: Draw<'a>,
+    /// Index of the step.
+    step: usize,
+    /// Identity of the last place, from 1.
+    location: u32,
+}
+
+impl Schedule<'_> {
+    fn carry_out(&mut self, step: &Step) -> Result<(), TestbedError> {
+        let manner = &step.manner;
+        match &step.action {
+            Action::Idle { duration } => {
+                self.timeline.idle(*duration);
+                Ok(())
+            }
+            Action::Presses { count, level, repeats } => {
+                (0..*count).try_for_each(|_| self.presses_at_one_place(level, *repeats, manner))
+            }
+            Action::Grid { pitch, levels } => self.grid(*pitch, levels, manner),
+            Action::Places { at, levels } => {
+                at.iter().enumerate().try_for_each(|(j, at)| self.named_place(j, *at, levels, manner))
+            }
+            Action::Slides { count, force, length, speed } => {
+                (0..*count).try_for_each(|_| self.slide(*force, *length, *speed, manner))
+            }
+            Action::Multi { count, contacts, distance, level } => {
+                (0..*count).try_for_each(|_| self.multi(*contacts, *distance, level, manner))
+            }
+        }
+    }
+
+    fn presses_at_one_place(
+        &mut self,
+        level: &Level<[f64; 2]>,
+        repeats: u32,
+        manner: &Manner,
+    ) -> Result<(), TestbedError> {
+        self.check_bounds()?;
+        let at = self.draw.place().ok_or_else(|| self.too_narrow())?;
+        self.location += 1;
+        let diameter = self.draw.diameter(manner);
+        for repeat in 0..repeats {
+            let level = self.draw.level(level);
+            let touch = self.draw.touch(at, level, diameter, manner);
+            self.check_depth(&touch)?;
+            self.press(manner, repeat, vec![touch], None, &[1.0]);
+        }
+        Ok(())
+    }
+
+    fn grid(&mut self, pitch: [f64; 2], levels: &Levels, manner: &Manner) -> Result<(), TestbedError> {
+        let plan = self.draw.plan;
+        let mut places = self
+            .draw
+            .sites
+            .grid(pitch)
+            .map_err(|reason| plan.wrong(format!("steps[{}].pitch", self.step), reason))?;
+        if places.is_empty() {
+            return Err(self.too_narrow());
+        }
+        plan.fits(places.len() as u64 * u64::from(levels.repeats) * levels.presses() as u64)?;
+        places.shuffle(&mut self.draw.rng);
+        for at in places {
+            self.check_bounds()?;
+            self.location += 1;
+            self.levels(at, levels, manner)?;
+        }
+        Ok(())
+    }
+
+    fn named_place(
+        &mut self,
+        index: usize,
+        at: [f64; 3],
+        levels: &Levels,
+        manner: &Manner,
+    ) -> Result<(), TestbedError> {
+        let Draw { plan, sites, .. } = self.draw;
+        let field = || format!("steps[{}].at[{index}]", self.step);
+        let [x, y, z] = at;
+        let at = Point3::from(at);
+        let off = sites.surface.distance(&at);
+        if off > OFF_SURFACE {
+            let reason = format!("({x}, {y}, {z}) m lies {off:.6} m off the surface");
+            return Err(plan.wrong(field(), reason));
+        }
+        let (at, _) = sites.surface.project(&at);
+        if !sites.may_be_touched(&at) {
+            let or = if plan.region.is_some() { ", or outside of `region`" } else { "" };
+            let reason =
+                format!("({x}, {y}, {z}) m is nearer to the rim than the margin of {} m{or}", plan.margin);
+            return Err(plan.wrong(field(), reason));
+        }
+        self.location += 1;
+        self.levels(at, levels, manner)
+    }
+
+    /// All presses at one place.
+    fn levels(&mut self, at: Point3<f64>, levels: &Levels, manner: &Manner) -> Result<(), TestbedError> {
+        let diameter = self.draw.diameter(manner);
+        for repeat in 0..levels.repeats {
+            let values = levels.values.value();
+            let all: &[f64] = if levels.incremental { &values[values.len() - 1..] } else { values };
+            for value in all {
+                let touch = self.draw.touch(at, levels.values.map(|_| *value), diameter, manner);
+                self.check_depth(&touch)?;
+                let stairs: Vec<f64> =
+                    if levels.incremental { values.iter().map(|v| v / value).collect() } else { vec![1.0] };
+                self.press(manner, repeat, vec![touch], None, &stairs);
+            }
+        }
+        Ok(())
+    }
+
+    fn slide(
+        &mut self,
+        force: [f64; 2],
+        length: [f64; 2],
+        speed: [f64; 2],
+        manner: &Manner,
+    ) -> Result<(), TestbedError> {
+        self.check_bounds()?;
+        let (from, to) = self.draw.path(length).ok_or_else(|| {
+            let reason = format!("no way of {} m fits on the surface within the margin", length[0]);
+            self.draw.plan.wrong(format!("steps[{}].length", self.step), reason)
+        })?;
+        self.location += 1;
+        let duration = (to - from).norm() / self.draw.within(speed);
+        let level = self.draw.level(&Level::Force(force));
+        let diameter = self.draw.diameter(manner);
+        let touch = Touch { from, to, level, diameter, shear: Vector3::zeros() };
+        self.press(manner, 0, vec![touch], Some(duration), &[1.0]);
+        Ok(())
+    }
+
+    fn multi(
+        &mut self,
+        contacts: [u32; 2],
+        distance: [f64; 2],
+        level: &Level<[f64; 2]>,
+        manner: &Manner,
+    ) -> Result<(), TestbedError> {
+        self.check_bounds()?;
+        let wanted = self.draw.rng.random_range(contacts[0]..=contacts[1]) as usize;
+        let at = self.draw.apart(wanted, distance).ok_or_else(|| {
+            let [least, most] = distance;
+            let far = if most.is_finite() { format!("{least} to {most}") } else { least.to_string() };
+            let reason = format!("{wanted} contacts {far} m apart do not fit on the surface");
+            self.draw.plan.wrong(format!("steps[{}].distance", self.step), reason)
+        })?;
+        self.location += 1;
+        let diameter = self.draw.diameter(manner);
+        let mut touches = Vec::with_capacity(at.len());
+        for at in at {
+            let level = self.draw.level(level);
+            let touch = self.draw.touch(at, level, diameter, manner);
+            self.check_depth(&touch)?;
+            touches.push(touch);
+        }
+        self.press(manner, 0, touches, None, &[1.0]);
+        Ok(())
+    }
+
+    /// A press at the last place that holds at each of `stairs`, in shares of its full level, the last of which is 1.
+    fn press(
+        &mut self,
+        manner: &Manner,
+        repeat: u32,
+        touches: Vec<Touch>,
+        slide: Option<f64>,
+        stairs: &[f64],
+    ) {
+        let draw = &mut self.draw;
+        let t = &draw.plan.timing;
+        let held = manner.hold.unwrap_or(t.hold);
+        let [approach, load, hold, unload, gap] =
+            [t.approach, t.load, held, t.unload, t.gap].map(|range| draw.within(range));
+        let mut keys = Vec::with_capacity(4);
+        let mut at = Key { end: approach, phase: Phase::Approach, level: 0.0, shear: 0.0, slide: 0.0 };
+        keys.push(at);
+        let mut go = |duration: f64, key: Key| {
+            at = Key { end: at.end + duration, ..key };
+            keys.push(at);
+            at
+        };
+        let sheared = touches.iter().any(|touch| touch.shear != Vector3::zeros());
+        let mut key = Key { end: approach, phase: Phase::Load, level: 0.0, shear: 0.0, slide: 0.0 };
+        for (i, stair) in stairs.iter().enumerate() {
+            let [load, hold] = if i == 0 {
+                [load, hold]
+            } else {
+                [t.load, held].map(|[low, high]| draw.more.random_range(low..=high))
+            };
+            key = go(load, Key { phase: Phase::Load, level: *stair, ..key });
+            key = match slide {
+                Some(duration) => go(duration, Key { phase: Phase::Slide, slide: 1.0, ..key }),
+                None => go(hold, Key { phase: Phase::Hold, ..key }),
+            };
+            if sheared {
+                let [load, hold] = [t.load, held].map(|[low, high]| draw.more.random_range(low..=high));
+                key = go(load, Key { phase: Phase::Load, shear: *stair, ..key });
+                key = go(hold, Key { phase: Phase::Hold, ..key });
+            }
+        }
+        let end = go(unload, Key { phase: Phase::Unload, level: 0.0, shear: 0.0, ..key }).end;
+        let timeline = &mut self.timeline;
+        timeline.count += 1;
+        timeline.presses.push(Press {
+            number: timeline.count,
+            location: self.location,
+            repeat,
+            touches,
+            start: timeline.duration,
+            keys,
+        });
+        timeline.duration += end + gap;
+    }
+
+    /// Refuses a plan that takes too long to carry out, or to draw.
+    fn check_bounds(&self) -> Result<(), TestbedError> {
+        let wrong = |reason: String| Err(self.draw.plan.wrong(format!("steps[{}]", self.step), reason));
+        if self.timeline.duration > LONGEST {
+            let days = LONGEST / 86_400.0;
+            return wrong(format!(
+                "makes the plan last longer than {days} days: take fewer or shorter presses"
+            ));
+        }
+        if self.draw.tried > EFFORT {
+            return wrong(
+                "finds too few places that keep the margin and the distances: take fewer presses, a smaller margin or shorter \
+                 distances"
+                    .to_owned(),
+            );
+        }
+        Ok(())
+    }
+
+    /// Refuses a depth that takes no force that the model knows.
+    fn check_depth(&self, touch: &Touch) -> Result<(), TestbedError> {
+        let (plan, model, step) = (self.draw.plan, &self.timeline.model, self.step);
+        let Level::Depth(depth) = touch.level else { return Ok(()) };
+        let sphere = plan.tip.is_none_or(|tip| matches!(tip.shape, TipShape::Sphere { .. }));
+        let known = |depth| sphere && model.force_at(&touch.from, touch.diameter, depth).is_some();
+        if known(depth) {
+            return Ok(());
+        }
+        let field = match plan.steps[step].action {
+            Action::Grid { .. } | Action::Places { .. } => "depths",
+            _ => "depth",
+        };
+        let Point3 { coords } = touch.from;
+        let reason = if known(0.0) {
+            format!(
+                "{depth:.6} m at ({:.6}, {:.6}, {:.6}) m is deeper than a tip of {} m can be pressed into this skin",
+                coords.x, coords.y, coords.z, touch.diameter
+            )
+        } else {
+            "the model of this skin does not know how deep a tip sinks in: name forces instead".to_owned()
+        };
+        Err(plan.wrong(format!("steps[{step}].{field}"), reason))
+    }
+
+    fn too_narrow(&self) -> TestbedError {
+        let plan = self.draw.plan;
+        let within = if plan.region.is_some() { " within `region`" } else { "" };
+        let reason = format!("no place on the surface{within} is {} m away from its rim", plan.margin);
+        plan.wrong("margin", reason)
+    }
+}

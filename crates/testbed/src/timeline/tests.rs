@@ -1,0 +1,332 @@
+use std::collections::{BTreeMap, BTreeSet};
+
+use dermis_skin::SurfaceSpec;
+use proptest::prelude::*;
+
+use super::*;
+use crate::plan::Plan;
+use crate::testing;
+
+fn moments(timeline: &Timeline) -> Vec<Moment> {
+    let steps = (timeline.duration() * 1000.0) as u32;
+    (0..=steps).map(|i| timeline.at(f64::from(i) / 1000.0)).collect()
+}
+
+#[test]
+fn a_press_goes_through_its_phases_and_its_force_does_not_jump() {
+    let skin = testing::skin(100.0);
+    let timeline = Timeline::new(&testing::plan(), &testing::Bumps::shared(&skin), 3).unwrap();
+    let force = |m: &Moment| m.stimulus.contacts.iter().map(|c| -c.force.z).fold(0.0, f64::max);
+    let mut last = Moment::default();
+    for moment in moments(&timeline) {
+        if moment.press == last.press && moment.phase != last.phase {
+            let expected = match last.phase {
+                Phase::Idle | Phase::Approach => &[Phase::Load][..],
+                Phase::Load => &[Phase::Hold, Phase::Slide],
+                Phase::Hold | Phase::Slide => &[Phase::Unload],
+                Phase::Unload => &[Phase::Idle],
+            };
+            assert!(expected.contains(&moment.phase), "{:?} after {:?}", moment.phase, last.phase);
+        }
+        // 0.5 N in 30 ms along a cosine is at most 26 N/s.
+        assert!((force(&moment) - force(&last)).abs() < 0.03, "{last:?} then {moment:?}");
+        let tip = moment.tip.unwrap();
+        assert_eq!(tip.gap > 0.0, matches!(moment.phase, Phase::Idle | Phase::Approach), "{moment:?}");
+        assert!(moment.stimulus.contacts.first().is_none_or(|c| c.position == tip.place));
+        let touches = matches!(moment.phase, Phase::Hold | Phase::Slide);
+        assert!(!touches || force(&moment) > 0.0);
+        assert!(
+            !matches!(moment.phase, Phase::Idle | Phase::Approach) || moment.stimulus.contacts.is_empty()
+        );
+        last = moment;
+    }
+    assert_eq!(timeline.at(-1.0), Moment::default());
+    assert_eq!(timeline.at(timeline.duration() + 1e6).phase, Phase::Idle);
+}
+
+#[test]
+fn the_plan_is_carried_out_in_full() {
+    let skin = testing::skin(100.0);
+    let timeline = Timeline::new(&testing::plan(), &testing::Bumps::shared(&skin), 3).unwrap();
+    // 26 mm by 16 mm within the margin: points at 0, 8, 16, 24 by 0, 8, 16 mm.
+    let grid = 4 * 3;
+    assert_eq!(timeline.presses(), 4 * 2 + grid * 2 * 2 + 3 + 3);
+    let all = moments(&timeline);
+    let locations: BTreeSet<u32> = all.iter().map(|m| m.location).collect();
+    assert_eq!(locations.len() as u64, 1 + 4 + grid + 3 + 3);
+    assert!(all.iter().any(|m| m.phase == Phase::Slide));
+    for pair in all.iter().map(|m| &m.stimulus.contacts).filter(|c| c.len() > 1) {
+        assert!((pair[0].position - pair[1].position).norm() >= 0.006);
+    }
+    // One place is one position, whatever the repeat, unless it slides.
+    for location in 1..=4 {
+        let places: Vec<_> = all
+            .iter()
+            .filter(|m| m.location == location)
+            .flat_map(|m| m.stimulus.contacts.iter().map(|c| c.position))
+            .collect();
+        assert!(places.len() > 10 && places.iter().all(|p| *p == places[0]));
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let skin = testing::skin(100.0);
+    let plan_error = |text: &str| {
+        let plan = Plan::from_toml(text, "plan.toml").unwrap();
+        Timeline::new(&plan, &testing::Bumps::shared(&skin), 1).unwrap_err().to_string()
+    };
+    let refused = |from: &str, to: &str| plan_error(&testing::PLAN.replace(from, to));
+    let no_time = r#"
+        schema = "dermis-plan/1"
+        name = "no-time"
+        diameter = 0.004
+        timing = { approach = [0, 0], load = [0, 0], hold = [0, 0], unload = [0, 0], gap = [0, 0] }
+        steps = [{ kind = "presses", count = 3, force = [0.1, 0.2] }]
+    "#;
+    insta::assert_snapshot!(plan_error(no_time), @"plan plan.toml: field `timing`: lets the plan last no time at all: lengthen a phase");
+    insta::assert_snapshot!(refused("margin = 0.002", "margin = 0.011"), @"plan plan.toml: field `margin`: no place on the surface is 0.011 m away from its rim");
+    insta::assert_snapshot!(refused("length = [0.004, 0.008]", "length = [0.1, 0.2]"), @"plan plan.toml: field `steps[3].length`: no way of 0.1 m fits on the surface within the margin");
+    insta::assert_snapshot!(refused("distance = 0.006", "distance = 0.06"), @"plan plan.toml: field `steps[4].distance`: 2 contacts 0.06 m apart do not fit on the surface");
+}
+
+fn carried_out(steps: &str) -> Result<Timeline, String> {
+    let text = format!(
+        r#"
+        schema = "dermis-plan/1"
+        name = "some"
+        diameter = 0.004
+        margin = 0.002
+        timing = {{ approach = [0.02, 0.02], load = [0.04, 0.04], hold = [0.1, 0.1], unload = [0.04, 0.04], gap = [0.02, 0.02] }}
+        {steps}
+        "#
+    );
+    let plan = Plan::from_toml(&text, "some.toml").map_err(|e| e.to_string())?;
+    let model = testing::Bumps::shared(&testing::skin(100.0));
+    Timeline::new(&plan, &model, 1).map_err(|e| e.to_string())
+}
+
+#[test]
+fn a_plan_may_name_a_tip_that_is_no_sphere_and_gravity() {
+    let steps = "[[steps]]\nkind = \"presses\"\ncount = 3\nforce = [0.5, 1.0]\n";
+    let tip = "{ shape = { shape = \"wedge\", angle = 1.0, length = 0.006 }, turn = 0.5, tilt = 0.25 }";
+    let head = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ntip = {tip}\n");
+    let text = format!("{head}gravity = [0.0, 0.0, -9.81]\n{steps}");
+    let read = |text: &str| Plan::from_toml(text, "some.toml").map_err(|e| e.to_string());
+    let plan = read(&text).unwrap();
+    let model = testing::Bumps::shared(&testing::skin(100.0));
+    let timeline = Timeline::new(&plan, &model, 1).unwrap();
+    let mut pressed = 0;
+    for moment in moments(&timeline) {
+        assert_eq!(moment.stimulus.gravity, Vector3::new(0.0, 0.0, -9.81));
+        for contact in &moment.stimulus.contacts {
+            assert_eq!(contact.tip.shape, TipShape::Wedge { angle: 1.0, length: 0.006 });
+            let turned = contact.tip.orientation * Vector3::x();
+            assert!((turned - Vector3::new(0.5f64.cos(), 0.5f64.sin(), 0.0)).norm() < 1e-12);
+            let up = contact.tip.orientation * Vector3::z();
+            assert!((up.z - 0.25f64.cos()).abs() < 1e-12);
+            pressed += 1;
+        }
+        assert!(moment.depths.iter().all(Option::is_none));
+    }
+    assert!(pressed > 0);
+    // Written and read again it is the same plan; one that says nothing of it does not write it.
+    let json = serde_json::to_value(&plan).unwrap();
+    assert_eq!(json["tip"]["shape"]["shape"], "wedge");
+    let plain =
+        read(&format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}")).unwrap();
+    let json = serde_json::to_value(&plain).unwrap();
+    assert!(json.get("tip").is_none() && json.get("gravity").is_none());
+    let deep = text.replace("force = [0.5, 1.0]", "depth = [0.0005, 0.001]");
+    insta::assert_snapshot!(Timeline::new(&read(&deep).unwrap(), &model, 1).unwrap_err(), @"plan some.toml: field `steps[0].depth`: the model of this skin does not know how deep a tip sinks in: name forces instead");
+    let refused = |from: &str, to: &str| read(&text.replace(from, to)).unwrap_err();
+    insta::assert_snapshot!(refused("gravity", "diameter = 0.004\ngravity"), @"plan some.toml: field `tip`: stands beside `diameter`, which means a sphere: name one of them");
+    insta::assert_snapshot!(refused("-9.81", "-9810.0"), @"plan some.toml: field `gravity`: has -9810 m/s² and must be -1000 to 1000 m/s²");
+    insta::assert_snapshot!(refused("0.006", "0.0"), @"plan some.toml: field `tip.shape`: its length is 0 m and must be 0.0001 to 0.1 m");
+    insta::assert_snapshot!(refused("tilt = 0.25", "tilt = 2.5"), @"plan some.toml: field `tip.tilt`: is 2.5 rad and must be -1.5707963267948966 to 1.5707963267948966 rad");
+    insta::assert_snapshot!(read(&format!("schema = \"dermis-plan/1\"\nname = \"some\"\n{steps}")).unwrap_err(), @"plan some.toml: field `(whole file)`: missing field `diameter`, or `tip` for a tip that is no sphere");
+    insta::assert_snapshot!(refused("force = [0.5, 1.0]", "force = [0.5, 1.0]\ndiameter = 0.004"), @"plan some.toml: field `steps[0].diameter`: stands in a plan whose `tip` is no sphere: leave it out");
+}
+
+#[test]
+fn depths_take_the_force_that_the_model_knows() {
+    let steps = "[[steps]]\nkind = \"presses\"\ncount = 20\ndepth = [0.0005, 0.002]\n";
+    let timeline = carried_out(steps).unwrap();
+    let mut deepest = 0.0f64;
+    for moment in moments(&timeline) {
+        assert_eq!(moment.stimulus.contacts.len(), moment.depths.len());
+        for (contact, depth) in moment.stimulus.contacts.iter().zip(&moment.depths) {
+            let depth = depth.unwrap();
+            assert!((-contact.force.z - 500.0 * depth).abs() < 1e-12 && depth <= 0.002);
+            deepest = deepest.max(depth);
+        }
+    }
+    assert!(deepest > 0.0015, "{deepest}");
+    let refused = |from: &str, to: &str| carried_out(&steps.replace(from, to)).unwrap_err();
+    insta::assert_snapshot!(refused("0.002]", "0.02]"), @"plan some.toml: field `steps[0].depth`: 0.009491 m at (-0.003716, -0.005006, 0.000000) m is deeper than a tip of 0.004 m can be pressed into this skin");
+    let mut bumps = testing::Bumps::new(&testing::skin(100.0));
+    bumps.deep = false;
+    let model: Arc<dyn ForwardModel> = Arc::new(bumps);
+    let text = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}");
+    let plan = Plan::from_toml(&text, "some.toml").unwrap();
+    insta::assert_snapshot!(Timeline::new(&plan, &model, 1).unwrap_err(), @"plan some.toml: field `steps[0].depth`: the model of this skin does not know how deep a tip sinks in: name forces instead");
+}
+
+#[test]
+fn an_incremental_press_climbs_and_is_moved_sideways_at_each_level() {
+    let timeline = carried_out(
+        "[[steps]]\nkind = \"places\"\nat = [[0.001, 0.0, 0.0]]\nforces = [0.1, 0.3, 0.4]\nincremental = true\nshear = 0.5\nshear_direction = 1.0",
+    )
+    .unwrap();
+    assert_eq!(timeline.presses(), 1);
+    let mut held = Vec::new();
+    let mut last: Vector3<f64> = Vector3::zeros();
+    for moment in moments(&timeline) {
+        let force = moment.stimulus.contacts.first().map_or(Vector3::zeros(), |c| c.force);
+        let (normal, along) = (-force.z, Vector3::new(force.x, force.y, 0.0));
+        assert!((along - Vector3::new(1f64.cos(), 1f64.sin(), 0.0) * along.norm()).norm() < 1e-12);
+        if moment.phase == Phase::Load {
+            assert!(normal >= -last.z - 1e-12 && along.norm() <= 0.5 * normal + 1e-12);
+        }
+        if moment.phase == Phase::Hold {
+            let level = [normal, along.norm()].map(|f| (f * 1e9).round() / 1e9);
+            if held.last() != Some(&level) {
+                held.push(level);
+            }
+        }
+        assert!((force - last).norm() < 0.03, "it jumps from {last:?} to {force:?}");
+        last = force;
+    }
+    assert_eq!(held, [[0.1, 0.0], [0.1, 0.05], [0.3, 0.05], [0.3, 0.15], [0.4, 0.15], [0.4, 0.2]]);
+}
+
+#[test]
+fn what_a_step_adds_does_not_change_what_the_others_draw() {
+    let plain = "[[steps]]\nkind = \"presses\"\ncount = 6\nforce = [0.1, 0.5]\n";
+    let of = |steps: &str| {
+        let timeline = carried_out(steps).unwrap();
+        let held = moments(&timeline).into_iter().filter(|m| m.phase == Phase::Hold);
+        let mut places: BTreeMap<u32, (Point3<f64>, f64, BTreeSet<u64>)> = BTreeMap::new();
+        for moment in held {
+            let contact = &moment.stimulus.contacts[0];
+            let entry =
+                places.entry(moment.location).or_insert((contact.position, contact.force.z, BTreeSet::new()));
+            entry.2.insert(contact.diameter().to_bits());
+        }
+        places
+    };
+    let (plain, more) = (of(plain), of(&format!("{plain}shear = [0.1, 0.9]\ndiameter = [0.002, 0.008]")));
+    let mut tips: BTreeSet<u64> = BTreeSet::new();
+    for (location, (place, force, _)) in &plain {
+        let (same, strong, diameters) = &more[location];
+        assert_eq!((place, force, diameters.len()), (same, strong, 1));
+        tips.extend(diameters);
+    }
+    assert_eq!(tips.len(), 2);
+}
+
+#[test]
+fn a_grid_has_the_pitch_that_was_asked_for() {
+    let steps = "[[steps]]\nkind = \"grid\"\npitch = [0.0007, 0.004]\nforces = [0.1]\n";
+    let timeline = carried_out(steps).unwrap();
+    let mut places: Vec<_> = timeline.presses.iter().map(|p| p.touches[0].from).collect();
+    places.sort_by(|a, b| (a.y, a.x).partial_cmp(&(b.y, b.x)).unwrap());
+    // 26 mm by 16 mm within the margin.
+    assert_eq!(places.len(), 38 * 5);
+    for pair in places.windows(2) {
+        let way = pair[1] - pair[0];
+        assert!((way.x - 0.0007).abs() < 1e-12 && way.y == 0.0 || (way.y - 0.004).abs() < 1e-12, "{way:?}");
+    }
+    assert!((nalgebra::center(&places[0], &places[places.len() - 1]).coords).norm() < 1e-12);
+    let refused = |from: &str, to: &str| carried_out(&steps.replace(from, to)).unwrap_err();
+    insta::assert_snapshot!(refused("[0.0007, 0.004]", "1e-6"), @"plan some.toml: field `steps[0].pitch`: makes 416042001 places; 1000000 contacts at most fit a recording");
+    insta::assert_snapshot!(refused("[0.0007, 0.004]\nforces = [0.1]", "0.00003\nforces = [0.1, 0.2, 0.3]"), @"plan some.toml: field `steps`: make 1388934 contacts; 1000000 at most fit a recording");
+    let text = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}");
+    let on_a_dome = |pitch: &str| {
+        let plan = Plan::from_toml(&text.replace("[0.0007, 0.004]", pitch), "some.toml").unwrap();
+        let dome = SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 };
+        Timeline::new(&plan, &testing::Bumps::on(&dome), 1).map_err(|e| e.to_string())
+    };
+    insta::assert_snapshot!(on_a_dome("[0.0007, 0.004]").unwrap_err(), @"plan some.toml: field `steps[0].pitch`: is of two numbers, which a flat skin has only");
+    insta::assert_snapshot!(on_a_dome("0.0005").unwrap_err(), @"plan some.toml: field `steps[0].pitch`: is 0.0005 m, and the points of this curved surface are 0.002023 m apart: take a wider pitch, or a finer `surface.spacing` in the skin description");
+    assert!(on_a_dome("0.004").unwrap().presses() > 50);
+}
+
+#[test]
+fn shear_lies_in_a_curved_surface_too() {
+    let text = r#"
+        schema = "dermis-plan/1"
+        name = "sheared"
+        diameter = 0.004
+        [[steps]]
+        kind = "presses"
+        count = 60
+        force = [0.2, 0.4]
+        shear = 0.5
+        [[steps]]
+        kind = "grid"
+        pitch = 0.008
+        depths = [0.001, 0.002]
+        incremental = true
+        shear = 0.5
+        shear_direction = 0.0
+    "#;
+    let dome = SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 };
+    let (model, plan) = (testing::Bumps::on(&dome), Plan::from_toml(text, "sheared.toml").unwrap());
+    let timeline = Timeline::new(&plan, &model, 1).unwrap();
+    let mut largest = 0.0f64;
+    for i in 0..(timeline.duration() * 100.0) as u32 {
+        for contact in timeline.at(f64::from(i) / 100.0).stimulus.contacts {
+            let (on, normal) = model.surface().project(&contact.position);
+            let pressing = -contact.force.dot(&normal);
+            let along = (contact.force + normal * pressing).norm();
+            assert!((on - contact.position).norm() < 1e-9 && along <= 0.5 * pressing + 1e-9);
+            largest = largest.max(along / pressing);
+        }
+    }
+    assert!((largest - 0.5).abs() < 1e-9, "{largest}");
+}
+
+#[test]
+fn named_places_lie_on_the_surface() {
+    let refused = |at: &str| {
+        carried_out(&format!("[[steps]]\nkind = \"places\"\nat = [[0.0, 0.0, 0.0], {at}]\nforces = [0.1]"))
+            .unwrap_err()
+    };
+    insta::assert_snapshot!(refused("[0.02, 0.0, 0.0]"), @"plan some.toml: field `steps[0].at[1]`: (0.02, 0, 0) m lies 0.005000 m off the surface");
+    insta::assert_snapshot!(refused("[0.0, 0.0, 0.001]"), @"plan some.toml: field `steps[0].at[1]`: (0, 0, 0.001) m lies 0.001000 m off the surface");
+    insta::assert_snapshot!(refused("[0.0, 0.0095, 0.0]"), @"plan some.toml: field `steps[0].at[1]`: (0, 0.0095, 0) m is nearer to the rim than the margin of 0.002 m");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn contacts_lie_on_the_surface_and_press_with_what_was_asked(seed in any::<u64>(), dome in any::<bool>()) {
+        let spec = if dome {
+            SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 }
+        } else {
+            SurfaceSpec::Rectangle { size: [0.03, 0.02], spacing: 0.002 }
+        };
+        let model = testing::Bumps::on(&spec);
+        let surface = model.surface();
+        let timeline = Timeline::new(&testing::plan(), &model, seed).unwrap();
+        let again = Timeline::new(&testing::plan(), &model, seed).unwrap();
+        for i in 0..200 {
+            let t = timeline.duration() * f64::from(i) / 200.0;
+            let moment = timeline.at(t);
+            prop_assert_eq!(&moment, &again.at(t));
+            for contact in &moment.stimulus.contacts {
+                let (on, normal) = surface.project(&contact.position);
+                prop_assert!((on - contact.position).norm() < 1e-9);
+                let pressing = -contact.force.dot(&normal);
+                prop_assert!(pressing > 0.0 && pressing <= 0.5 + 1e-9);
+                prop_assert!((contact.force + normal * pressing).norm() < 1e-9);
+                if !dome {
+                    let p = contact.position;
+                    prop_assert!(p.x.abs() <= 0.013 + 1e-9 && p.y.abs() <= 0.008 + 1e-9);
+                }
+            }
+        }
+    }
+}
