@@ -21,7 +21,7 @@ mod regression;
 
 use dermis_inference::FeatureError;
 use dermis_inversion::{InverterError, Reading};
-use dermis_skin::{ChannelFlags, Contact, Stamp};
+use dermis_skin::{ChannelFlags, Contact, ImageGrid, Stamp};
 
 pub use inversion::{InversionFinder, Start};
 pub(crate) use inversion::{inverted, solve};
@@ -42,6 +42,10 @@ pub struct ConditionedFrame<'a> {
     pub signal: &'a [f32],
     /// What is wrong with each channel.
     pub flags: &'a [ChannelFlags],
+    /// The coarse image that a finder takes ([`ContactFinder::image`]); empty where none is made.
+    pub image: &'a [f32],
+    /// The same without its zero.
+    pub image_signal: &'a [f32],
 }
 
 /// Why a finder has no answer.
@@ -88,6 +92,11 @@ pub trait ContactFinder: Send {
 
     /// Forgets the frames before: what comes next is another recording, or has another zero.
     fn reset(&mut self) {}
+
+    /// The image that it takes in place of the channels, of a skin with a camera.
+    fn image(&self) -> Option<ImageGrid> {
+        None
+    }
 
     /// Whether it answers with one contact, whatever touches.
     fn single(&self) -> bool {

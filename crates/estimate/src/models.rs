@@ -224,9 +224,11 @@ impl Pipeline {
 
     /// Takes a frame into the history.
     pub(crate) fn take(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {
-        let values = match self.baseline {
-            Baseline::Raw => frame.reading,
-            Baseline::Tared => frame.signal,
+        let values = match (self.features.config().image.is_some(), self.baseline) {
+            (false, Baseline::Raw) => frame.reading,
+            (false, Baseline::Tared) => frame.signal,
+            (true, Baseline::Raw) => frame.image,
+            (true, Baseline::Tared) => frame.image_signal,
         };
         Ok(self.features.push(frame.stamp, values)?)
     }

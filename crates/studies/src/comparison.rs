@@ -175,12 +175,16 @@ fn answer(
 ) -> Result<Vec<(String, Evaluation)>> {
     let wanted: BTreeSet<SampleId> = asked.iter().copied().collect();
     let mut evaluators: Vec<Evaluator> = finders.iter().map(|_| Evaluator::new().by_force(bins)).collect();
+    let image = finders.iter().find_map(|(_, finder)| finder.image());
+    if finders.iter().filter_map(|(_, finder)| finder.image()).any(|other| Some(other) != image) {
+        bail!("these bundles take images of different sizes; compare them one after the other");
+    }
     let mut done = 0_usize;
     for run in 0..data.runs().len() {
         finders.iter_mut().for_each(|(_, finder)| finder.reset());
         let of_run = SampleId { run, sample: 0 }..=SampleId { run, sample: usize::MAX };
         let Some(last) = wanted.range(of_run).next_back() else { continue };
-        for (sample, read) in data.stream(run)?.enumerate().take(last.sample + 1) {
+        for (sample, read) in data.stream_images(run, image)?.enumerate().take(last.sample + 1) {
             let read = read?;
             if read.tare {
                 // A history with two zeros would hold a step.

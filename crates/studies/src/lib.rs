@@ -97,6 +97,8 @@ fn conditioned(sample: &Sample) -> ConditionedFrame<'_> {
         reading: &sample.frame.values,
         signal: &sample.tared,
         flags: &sample.frame.flags,
+        image: &sample.image,
+        image_signal: &sample.image_tared,
     }
 }
 

@@ -1,7 +1,7 @@
 //! Contacts as the peaks of a displacement map that a bundle gives.
 
 use dermis_inference::{Bundle, MAP_DISPLACEMENT, Runtime};
-use dermis_skin::{Contact, SkinDescription};
+use dermis_skin::{Contact, ImageGrid, SkinDescription};
 
 use super::{ConditionedFrame, ContactFinder, FindError};
 use crate::models::{Pipeline, SetupError};
@@ -56,5 +56,9 @@ impl ContactFinder for MapFinder {
 
     fn reset(&mut self) {
         self.pipeline.features.reset();
+    }
+
+    fn image(&self) -> Option<ImageGrid> {
+        self.pipeline.features.config().image
     }
 }

@@ -1,7 +1,7 @@
 //! One contact from a model that gives its position and force.
 
 use dermis_inference::{Bundle, Runtime};
-use dermis_skin::{Contact, ForceComponents, SkinDescription, Surface, SurfaceSpec};
+use dermis_skin::{Contact, ForceComponents, ImageGrid, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::{ConditionedFrame, ContactFinder, FindError};
@@ -111,6 +111,10 @@ impl ContactFinder for NetworkFinder {
 
     fn reset(&mut self) {
         self.pipeline.features.reset();
+    }
+
+    fn image(&self) -> Option<ImageGrid> {
+        self.pipeline.features.config().image
     }
 
     fn single(&self) -> bool {

@@ -23,7 +23,7 @@ fn runtime() -> &'static Runtime {
 
 /// A frame at [ms] whose zero is 0.
 fn frame<'a>(at: i64, signal: &'a [f32], flags: &'a [ChannelFlags]) -> ConditionedFrame<'a> {
-    ConditionedFrame { stamp: at * MS, reading: signal, signal, flags }
+    ConditionedFrame { stamp: at * MS, reading: signal, signal, flags, image: &[], image_signal: &[] }
 }
 
 /// What a finder finds where every channel is well.
@@ -103,8 +103,7 @@ fn a_network_does_without_a_channel_but_not_without_all_or_with_others() {
 fn a_network_takes_the_readings_that_its_bundle_asks_for() {
     let (mut finder, _dir) = network(&TestBundle { baseline: Baseline::Raw, ..TestBundle::default() });
     let flags = [ChannelFlags::default(); 4];
-    let raw =
-        ConditionedFrame { stamp: 0, reading: &[1000.0, 0.0, 0.0, 0.0], signal: &[0.0; 4], flags: &flags };
+    let raw = ConditionedFrame { reading: &[1000.0, 0.0, 0.0, 0.0], ..frame(0, &[0.0; 4], &flags) };
     assert_are(&finder.find(&raw).unwrap(), &[([-0.005, -0.005], 1.0)], 1e-6, 1e-5);
 }
 
@@ -375,6 +374,8 @@ fn assert_same(estimator: &SkinEstimator, finder: &mut dyn ContactFinder, contac
         reading: &reading.values,
         signal: &signal.values,
         flags: &signal.flags,
+        image: &[],
+        image_signal: &[],
     };
     let found = finder.find(&frame).unwrap();
     assert_eq!(found.len(), contacts.len());

@@ -106,7 +106,14 @@ fn finders_see_every_frame_and_answer_those_that_are_asked() {
 
 fn sample(values: [f32; 2], x: f64, force: Vector3<f64>) -> (SampleId, Sample) {
     let frame = Frame::new(10_000_000, 0, values.to_vec());
-    let sample = Sample { frame, tared: values.to_vec(), tare: false, truth: Some(truth(Some((x, force)))) };
+    let sample = Sample {
+        frame,
+        tared: values.to_vec(),
+        tare: false,
+        image: Vec::new(),
+        image_tared: Vec::new(),
+        truth: Some(truth(Some((x, force)))),
+    };
     (SampleId { run: 0, sample: 0 }, sample)
 }
 
