@@ -29,7 +29,7 @@ pub trait Host {
     ///
     /// # Errors
     ///
-    /// One sentence on what would.
+    /// One sentence on what would be one.
     fn network(&self, text: &str) -> Result<(), String>;
 
     /// The configuration of a node, checked as far as can be without starting it, with absolute paths.
