@@ -50,7 +50,8 @@ impl BagReader {
         Self::open_with(path.as_ref(), false)
     }
 
-    /// Opens a bag that may have been interrupted: what is whole of it is read, up to the first damage.
+    /// Opens a bag that may have been interrupted: damaged chunks are skipped, and a file ends where its next record
+    /// cannot be read.
     ///
     /// # Errors
     /// Where there is no bag or it is stored in a way that is not read here.

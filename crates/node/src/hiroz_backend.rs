@@ -44,7 +44,7 @@ const NAME: &str = "hiroz";
 /// used too. The environment variable `ZENOH_CONFIG_OVERRIDE` of `rmw_zenoh` counts here too.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct HirozConfig {
-    /// What the sessions want beside what the network of a node says.
+    /// Options of the sessions, in addition to the network of a node.
     pub session: SessionOptions,
     /// Entries of the zenoh configuration that win over it: key and JSON5 value.
     pub overrides: Vec<(String, String)>,

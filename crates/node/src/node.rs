@@ -316,7 +316,7 @@ impl Node {
         self.0.log(level, text.into());
     }
 
-    /// What keeps messages from arriving at the moment, as far as the graph tells.
+    /// What keeps messages from arriving at the moment, as far as the graph shows it.
     #[must_use]
     pub fn problems(&self) -> Vec<Problem> {
         lock(&self.0.problems).values().cloned().collect()

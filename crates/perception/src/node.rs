@@ -53,7 +53,7 @@ mod work;
 ///
 /// `taxels` carries readings in the unit of the skin *before* tare, so that a recording of it is all
 /// that training needs. `wrench`, `contact_points` and `contact_markers` fall silent while the skin is blind;
-/// `contacts` goes on and says why.
+/// `contacts` continues, and its status gives the reason.
 pub struct SkinNode {
     node: Node,
     shared: Arc<Shared>,
@@ -196,7 +196,7 @@ impl Drop for SkinNode {
     }
 }
 
-/// Goes on with the zero of before a crash, where there is one; a recording that is started again is at its beginning.
+/// Restores the zero that was kept before a crash, where there is one. A replay has none: it starts at its beginning.
 fn take_zero(
     node: &Node,
     url: &SourceUrl,

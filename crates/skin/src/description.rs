@@ -20,7 +20,7 @@ mod parts;
 
 const SCHEMA: &str = "dermis-skin/1";
 
-/// A number that follows from the rest of a description: two that differ in it only are equal.
+/// A number that is computed from the rest of a description, so that comparisons leave it out.
 #[derive(Debug, Clone, Default)]
 struct Layout(OnceLock<(String, u32)>);
 
@@ -30,7 +30,7 @@ impl PartialEq for Layout {
     }
 }
 
-/// What a skin is, as its file says it.
+/// The content of a skin description file.
 ///
 /// A file is TOML; see `launch/skins/` for examples to copy. Unknown keys are errors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -152,7 +152,7 @@ impl SkinDescription {
         Ok(skin)
     }
 
-    /// What [`medium`](Self::medium) says, as a sensor family knows it.
+    /// [`medium`](Self::medium) as the type of a sensor family.
     ///
     /// # Errors
     ///
@@ -168,8 +168,8 @@ impl SkinDescription {
         })
     }
 
-    /// What `read`, a family's reader of [`medium`](Self::medium), says of that table. A skin without one has no forward model, which
-    /// is no mistake; neither is one that the family has no model for.
+    /// Checks [`medium`](Self::medium) by `read`, the family's reader of that table. A skin without a medium has no forward model,
+    /// which is no mistake; neither is one that the family has no model for.
     ///
     /// # Errors
     ///
@@ -203,8 +203,7 @@ impl SkinDescription {
         }
     }
 
-    /// What says of a frame that its values are those of [`channels`](Self::channels) in [`unit`](Self::unit); see
-    /// [`ChannelLayout`]. Computed once: frames come often.
+    /// Identity of [`channels`](Self::channels) and [`unit`](Self::unit), which each frame carries; see [`ChannelLayout`]. Computed once: frames come often.
     #[must_use]
     pub fn layout_id(&self) -> u32 {
         let names = self.channels.iter().map(|channel| channel.name.as_str());

@@ -52,7 +52,7 @@ fn disorder(summary: &Summary) -> i64 {
     if summary.chunk_indexes.is_empty() { DISORDER } else { nanos(largest) }
 }
 
-/// What the files themselves say, before `metadata.yaml` is laid over it.
+/// What the files themselves hold; `metadata.yaml` is applied over it.
 #[derive(Default)]
 pub(super) struct Contents {
     pub(super) topics: BTreeMap<String, Topic>,

@@ -73,7 +73,7 @@ impl BagMessage {
         self.before.is_some()
     }
 
-    /// Says why it could not be converted, where that is so.
+    /// Refuses a message that could not be converted.
     pub(crate) fn readable(&self) -> Result<(), BagError> {
         self.refused.as_ref().map_or(Ok(()), |source| Err(self.undecodable(source.clone())))
     }

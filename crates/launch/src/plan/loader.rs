@@ -32,7 +32,7 @@ pub(super) struct Named {
     pub(super) field: String,
     pub(super) namespace: String,
     pub(super) after: Vec<String>,
-    /// Whether it says when it is ready, or tries to.
+    /// Whether it has the key `ready`, valid or not.
     pub(super) ready: bool,
 }
 

@@ -95,7 +95,7 @@ impl Process {
     }
 }
 
-/// What a configuration says, without what it leaves open.
+/// The keys of a configuration that are set.
 fn said(config: &Value) -> Value {
     let open = |value: &Value| match value {
         Value::Null | Value::Bool(false) => true,

@@ -7,10 +7,10 @@ use crate::error::LaunchError;
 use crate::faults::Faults;
 use crate::file::Text;
 
-/// What `log` may say, beside filters.
+/// Levels of `log`; it may also be a filter.
 pub(super) const LEVELS: [&str; 6] = ["off", "error", "warn", "info", "debug", "trace"];
 
-/// What groups and files around an entry say.
+/// What groups and files set for the entries within them.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Around {
     /// Absolute, without a slash at the end.
@@ -79,7 +79,7 @@ impl At<'_> {
 }
 
 impl Around {
-    /// With what a file, group or process says for itself; the inner one wins.
+    /// The scope within a file, group or process that sets these keys; the inner one wins.
     pub(super) fn inside(
         &self,
         at: &At,

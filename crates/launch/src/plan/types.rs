@@ -25,11 +25,11 @@ pub trait Host {
     /// One sentence on what it does not take.
     fn check(&self, arguments: &[String]) -> Result<(), String>;
 
-    /// Whether `text` says how far a program reaches over the network.
+    /// Checks that `text` is a reach over the network, as `--network` takes it.
     ///
     /// # Errors
     ///
-    /// One sentence on what would.
+    /// One sentence on what would be one.
     fn network(&self, text: &str) -> Result<(), String>;
 
     /// The configuration of a node, checked as far as can be without starting it, with absolute paths.
@@ -168,7 +168,7 @@ pub struct Process {
 }
 
 impl Process {
-    /// Says who can reach it over the network, whatever the file says: a reach as `--network` takes it, or the path of a
+    /// Sets who can reach it over the network, in place of what the file sets: a reach as `--network` takes it, or the path of a
     /// configuration file of zenoh.
     pub fn set_network(&mut self, reach: bool, value: &str) {
         let network =

@@ -238,7 +238,7 @@ impl Fields {
     }
 }
 
-/// The table over arc and angle: it goes on over the tip on the other side, and below the foot by a parabola.
+/// The table over arc and angle. Beyond the tip it continues on the other side, below the foot by a parabola.
 fn table(values: &[f64], steps: [f64; 2], [along, around]: [usize; 2], width: usize) -> Bicubic {
     let row = |i: usize, j: isize| {
         let place = (i * around + j.rem_euclid(around as isize) as usize) * width;

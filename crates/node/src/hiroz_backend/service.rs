@@ -18,7 +18,7 @@ use super::{has_type, off_runtime};
 use crate::backend::{BackendClient, BackendEndpoint, BackendError, RawRequest};
 use crate::executor::lock;
 
-/// A request with the way back to who asked.
+/// A request, with the function that answers its caller.
 pub(super) fn raw_request(service: &str, query: Query) -> RawRequest {
     // A plain zenoh client may call without an attachment; it does not look for one in the answer.
     let (sequence, gid) = query

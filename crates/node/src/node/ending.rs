@@ -119,8 +119,8 @@ impl Shared {
         self.closing.1.notify_all();
     }
 
-    /// Waits for another thread that shuts the node down: a program that goes on would end in the middle of it, and leave
-    /// its names in the graph of others until they miss it. Not in a callback, which that thread waits for, nor in that
+    /// Waits for another thread that shuts the node down: a program that ended in the middle of it would leave its names in the
+    /// graph of others until their liveliness expires. Not in a callback, which that thread waits for, nor in that
     /// thread itself, where the last clone of the node goes with the callbacks that are dropped.
     fn wait_until_gone(&self) {
         if self.core.executor.is_inside() || self.core.system.is_inside() {

@@ -3,8 +3,8 @@
 //! A node that starts averages untouched readings for its zero. One that was killed and starts again may find the skin
 //! touched, because the hand holds something: it would give no contacts until that is let go. So a node under `launch`
 //! keeps its zero in a file, in a folder that ends with the launch, and one that starts again within [`FRESH`] goes on with
-//! it. A zero drifts over minutes, so that an older one is not used. A node that ends as asked takes the file away: who
-//! starts it anew wants a new zero.
+//! it. A zero drifts over minutes, so that an older one is not used. A node that is stopped removes the file: its next start
+//! averages a new zero.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -52,7 +52,7 @@ impl KeptZero {
             return None;
         }
         let saved: Saved = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-        // A clock that was set back makes an age that says nothing.
+        // A clock that was set back makes a negative age, which is refused.
         let age = Duration::from_nanos(u64::try_from(now.checked_sub(saved.time)?).ok()?);
         let zero = saved.zero.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect();
         (saved.skin == self.skin && age <= FRESH).then_some((zero, age))

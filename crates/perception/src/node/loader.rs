@@ -41,9 +41,9 @@ pub(super) fn bundles(
 
 /// What makes models ready, on a thread of its own.
 pub(super) struct Loader {
-    /// Tells the thread whom the models are for.
+    /// Gives the thread the node that the models are for.
     node: Sender<Weak<Shared>>,
-    /// Says how it ended.
+    /// Result of the thread.
     ended: Receiver<Result<(), SetupError>>,
 }
 
@@ -105,9 +105,9 @@ impl Loader {
         Ok(Some(Self { node, ended }))
     }
 
-    /// Gives the models to a node as soon as they are ready; waits for that, and says how it ended, where `strict`.
+    /// Gives the models to a node as soon as they are ready; where `strict`, waits for that and returns the result.
     pub(super) fn hand_over(self, shared: &Arc<Shared>, strict: bool) -> Result<(), RunError> {
-        // A thread that has ended by a panic took nothing over, which the end of the other channel says.
+        // This fails where the thread ended by a panic; the other channel is closed then, too.
         let _ = self.node.send(Arc::downgrade(shared));
         if !strict {
             return Ok(());
@@ -135,7 +135,7 @@ impl Shared {
         Ok(())
     }
 
-    /// Says why there are no contacts.
+    /// Records why there are no contacts.
     fn do_without(&self, error: &SetupError) {
         tracing::error!("{error}");
         let mut core = self.lock();
@@ -144,7 +144,7 @@ impl Shared {
     }
 }
 
-/// Says what takes its time, and where results come from.
+/// Logs what takes long, and where results come from.
 fn say(work: &Work) {
     let what = work.what;
     match &work.stage {

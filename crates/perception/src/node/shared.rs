@@ -29,7 +29,7 @@ pub(super) struct Shared {
     pub(super) device_time: bool,
     /// Where this device is fixed, if that is known.
     pub(super) mount: Option<Mount>,
-    /// How this device differs from its forward model, where its models are not to say it.
+    /// File of how this device differs from its forward model; it replaces the corrections of the models.
     pub(super) correction: Option<PathBuf>,
     pub(super) skin: SkinDescription,
     pub(super) surface: Surface,

@@ -27,7 +27,7 @@ const LATE: (Duration, f64) = (Duration::from_millis(25), 2.0);
 const MOST_EVENTS: usize = 1024;
 /// Weight of the last frame in the average of the time that a frame takes.
 const PACE: f64 = 0.1;
-/// Period at which a blind skin says that it is blind.
+/// Period of the messages of a blind skin.
 const BLIND_PERIOD: Duration = Duration::from_millis(500);
 /// Shortest time between two warnings about a clock: a broken one jumps with every frame.
 const JUMP_PERIOD: Duration = Duration::from_secs(10);
@@ -122,7 +122,7 @@ impl<'a> Worker<'a> {
         self.shared.clear_arrows(&mut core);
     }
 
-    /// Takes what came, estimates the contacts of one frame, and says where the skin is blind.
+    /// Decodes what came, estimates the contacts of one frame, and reports a skin that is blind.
     fn turn(&mut self, source: &mut Source) {
         let shared = self.shared;
         let request = shared.lock().decoder.as_mut().and_then(|decoder| decoder.request(now_ns()));
@@ -279,7 +279,7 @@ impl Shared {
         }
     }
 
-    /// Why no frame comes, as far as link and decoder know.
+    /// Why no frame comes, by what link and decoder report.
     fn why_blind(&self, core: &Core, silence: Duration) -> (u8, String) {
         let stats = core.decoder.as_ref().map(|decoder| decoder.stats());
         let name = &self.skin.name;

@@ -229,7 +229,7 @@ pub struct Condition {
     pub drift_time: f64,
     /// Share of a contact's strongest signal below which a signal that stands still for `tare_duration` is what the
     /// medium's hysteresis leaves behind: the contact has ended there, and that signal is the new zero. 0 switches
-    /// this off: where contacts may shift their weight instead of ending, as under a foot, stillness says nothing.
+    /// this off, for skins whose contacts may shift their weight instead of ending, as under a foot.
     pub release_share: f64,
     /// \[s\] without any change after which a channel is stuck; 0 switches the check off.
     pub stuck_time: f64,

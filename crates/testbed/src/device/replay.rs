@@ -187,7 +187,7 @@ impl ReplayDevice {
         self.finished.load(Ordering::Acquire)
     }
 
-    /// Whether it is still plugged in; `false` after it failed, and [`stop`](Self::stop) says why.
+    /// Whether it is still connected; `false` after it failed, for the reason that [`stop`](Self::stop) returns.
     #[must_use]
     pub fn running(&self) -> bool {
         self.worker.running()
@@ -199,7 +199,7 @@ impl ReplayDevice {
         self.counters.read()
     }
 
-    /// Pulls the plug.
+    /// Ends the thread and closes the line.
     ///
     /// # Errors
     ///

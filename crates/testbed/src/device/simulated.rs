@@ -154,13 +154,13 @@ impl VirtualDevice {
         self.counters.read()
     }
 
-    /// Whether it is still sending; `false` after its line was lost, and [`stop`](Self::stop) says why.
+    /// Whether it is still sending; `false` after its line was lost, for the reason that [`stop`](Self::stop) returns.
     #[must_use]
     pub fn running(&self) -> bool {
         self.worker.running()
     }
 
-    /// Pulls the plug: ends the thread, closes the line, and says what had gone wrong before.
+    /// Ends the thread and closes the line.
     ///
     /// # Errors
     ///
@@ -219,7 +219,7 @@ impl Sending {
         }
     }
 
-    /// Waits until a frame is due `t` \[s\] after the start; meanwhile the host is listened to and the line goes on sending.
+    /// Waits until a frame is due `t` \[s\] after the start; meanwhile requests of the host are read and the line sends on.
     fn wait(&mut self, t: f64) -> Result<(), TestbedError> {
         let due = self.begin + Duration::from_secs_f64(t);
         loop {
