@@ -60,13 +60,13 @@ struct Dependency {
 /// Words that only a crate under nodes/ may use for itself: the names of the sensor families.
 const FAMILIES: [&str; 4] = ["hapdef", "barodome", "insight", "ert"];
 
-/// What makes the check of the diagnosis honest: the diagnosis never sees the worlds that it is checked against.
+/// What makes the check of the diagnosis honest: the diagnosis never sees the benchmark that it is checked by.
 const TOOL: &str = "dermis-gap";
-const WORLDS: &str = "dermis-gap-worlds";
-/// Who scores the diagnosis on those worlds.
+const BENCHMARK: &str = "dermis-gap-benchmark";
+/// Who scores the diagnosis on the benchmark.
 const MAY_SCORE: [&str; 4] = ["dermis", "dermis-studies", "dermis-report", "integration-tests"];
-/// What worlds share with the rest: vocabulary, stimuli and files, no model.
-const WORLDS_MAY: [&str; 6] =
+/// What the benchmark shares with the rest: vocabulary, stimuli and files, no model.
+const BENCHMARK_MAY: [&str; 6] =
     ["dermis-skin", "dermis-model", "dermis-testbed", "dermis-bag", "dermis-io", "dermis_msgs"];
 
 /// Every import that runs the wrong way, as one sentence each.
@@ -97,20 +97,20 @@ pub fn violations(metadata: &str) -> Result<Vec<String>> {
             }
         }
         for dependency in &package.dependencies {
-            if dependency.name == WORLDS && !MAY_SCORE.contains(&package.name.as_str()) {
+            if dependency.name == BENCHMARK && !MAY_SCORE.contains(&package.name.as_str()) {
                 let why = if package.name == TOOL {
                     "what it is checked against is none of its business, not in tests either"
                 } else {
                     "only the studies, what reports them, the program and tests of the check may"
                 };
-                found.push(format!("{} ({here}) imports {WORLDS}: {why}", package.name));
+                found.push(format!("{} ({here}) imports {BENCHMARK}: {why}", package.name));
             }
-            if package.name == WORLDS
-                && !WORLDS_MAY.contains(&dependency.name.as_str())
+            if package.name == BENCHMARK
+                && !BENCHMARK_MAY.contains(&dependency.name.as_str())
                 && dependency.path.is_some()
             {
                 found.push(format!(
-                    "{WORLDS} ({here}) imports {}: worlds have a physics of their own",
+                    "{BENCHMARK} ({here}) imports {}: the benchmark has a physics of its own",
                     dependency.name
                 ));
             }
@@ -203,18 +203,18 @@ mod tests {
     }
 
     #[test]
-    fn the_diagnosis_never_sees_the_worlds_that_it_is_checked_against() {
-        let worlds = ("crates/gap-worlds", "dermis-gap-worlds");
+    fn the_diagnosis_never_sees_the_benchmark_that_it_is_checked_by() {
+        let benchmark = ("crates/gap-benchmark", "dermis-gap-benchmark");
         for kind in ["null", "\"dev\"", "\"build\""] {
-            let text = metadata(("crates/gap", "dermis-gap"), worlds);
+            let text = metadata(("crates/gap", "dermis-gap"), benchmark);
             let found = violations(&text.replace("\"kind\":null", &format!("\"kind\":{kind}"))).unwrap();
             assert_eq!(found.len(), 1, "{kind}: {found:?}");
             assert!(found[0].contains("not in tests either"), "{found:?}");
         }
-        assert!(violations(&metadata(("dermis", "dermis"), worlds)).unwrap().is_empty());
-        assert_eq!(violations(&metadata(("crates/learn", "dermis-learn"), worlds)).unwrap().len(), 1);
+        assert!(violations(&metadata(("dermis", "dermis"), benchmark)).unwrap().is_empty());
+        assert_eq!(violations(&metadata(("crates/learn", "dermis-learn"), benchmark)).unwrap().len(), 1);
         let physics = ("crates/mechanics", "dermis-mechanics");
-        assert_eq!(violations(&metadata(worlds, physics)).unwrap().len(), 1);
+        assert_eq!(violations(&metadata(benchmark, physics)).unwrap().len(), 1);
     }
 
     #[test]

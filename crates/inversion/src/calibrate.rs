@@ -187,8 +187,8 @@ mod tests {
                         (v * gain * (1.0 + error * random.random_range(-1.7..1.7)) + 20.0 * noise) as f32
                     })
                     .collect();
-                let told = press(x + 1e-5, y - 1e-5, force + random.random_range(-0.007..0.007));
-                (Stimulus { contacts: vec![told], ..Stimulus::default() }, signal)
+                let label = press(x + 1e-5, y - 1e-5, force + random.random_range(-0.007..0.007));
+                (Stimulus { contacts: vec![label], ..Stimulus::default() }, signal)
             })
             .collect()
     }

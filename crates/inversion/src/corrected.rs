@@ -427,8 +427,8 @@ mod tests {
             Correction::fit(model.as_ref(), &[], &[1.0; 25], &CorrectionSettings::default()).unwrap();
         assert!(Corrected::new(model.clone(), correction.clone()).is_ok());
         correction.gains.pop();
-        let told = Corrected::new(model, correction).unwrap_err().to_string();
-        insta::assert_snapshot!(told, @"a correction of 24 channels for a model of 25; fit it anew");
+        let refused = Corrected::new(model, correction).unwrap_err().to_string();
+        insta::assert_snapshot!(refused, @"a correction of 24 channels for a model of 25; fit it anew");
     }
 
     #[test]
@@ -439,13 +439,13 @@ mod tests {
         let settings = CorrectionSettings { length: 0.004, powers: 1, ..CorrectionSettings::default() };
         let good = Correction::fit(&Toy::grid(1e-3), &presses, &[1.0; 25], &settings).unwrap();
         assert!(good.check(25).is_ok());
-        let told = |change: fn(&mut Correction)| {
+        let refused = |change: fn(&mut Correction)| {
             let mut bad = good.clone();
             change(&mut bad);
             bad.check(25).unwrap_err().to_string()
         };
-        insta::assert_snapshot!(told(|c| c.weights[3] = f32::NAN), @"the correction's `weights`: number 3 is not finite; fit it anew");
-        insta::assert_snapshot!(told(|c| c.length = 0.0), @"the correction's `length`: is 0 and must be positive; fit it anew");
-        insta::assert_snapshot!(told(|c| c.powers = usize::MAX), @"the correction's `weights`: has 100 numbers where 2 centres, 18446744073709551615 powers of the force and 25 channels need another number; fit it anew");
+        insta::assert_snapshot!(refused(|c| c.weights[3] = f32::NAN), @"the correction's `weights`: number 3 is not finite; fit it anew");
+        insta::assert_snapshot!(refused(|c| c.length = 0.0), @"the correction's `length`: is 0 and must be positive; fit it anew");
+        insta::assert_snapshot!(refused(|c| c.powers = usize::MAX), @"the correction's `weights`: has 100 numbers where 2 centres, 18446744073709551615 powers of the force and 25 channels need another number; fit it anew");
     }
 }

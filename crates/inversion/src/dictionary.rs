@@ -83,7 +83,7 @@ impl Dictionary {
             .map(move |direction| direction.iter().zip(residuals).map(|(a, b)| a * b).sum::<f32>().max(0.0))
     }
 
-    /// Unit direction of every place's response in units of the noise, end to end; 0 for a place that nothing feels.
+    /// Unit direction of every place's response in units of the noise, end to end; 0 for a place that no channel responds to.
     pub fn directions(&self) -> &[f32] {
         &self.directions
     }

@@ -173,18 +173,18 @@ impl Problem<'_> {
         let differences = self.differences();
         let (_, normal) = surface.project(&contact.position);
         let axes = tangents(&normal);
-        let mut way = Vector3::zeros();
+        let mut stride = Vector3::zeros();
         let mut force = contact.clone();
         for (unknown, by) in list.iter().zip(change) {
             match unknown {
-                Unknown::Along(k) => way += axes[*k] * *by,
+                Unknown::Along(k) => stride += axes[*k] * *by,
                 _ => force = differences.moved(surface, &force, self.unknowns, *unknown, *by).0,
             }
         }
-        let length = way.norm();
+        let length = stride.norm();
         if length > STRIDE {
-            way *= STRIDE / length;
+            stride *= STRIDE / length;
         }
-        differences.shifted(surface, &force, self.unknowns, &way)
+        differences.shifted(surface, &force, self.unknowns, &stride)
     }
 }

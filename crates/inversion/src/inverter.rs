@@ -11,7 +11,7 @@ use crate::dictionary::{Dictionary, SHAPE};
 use crate::fit::{Datum, Minimum, Problem};
 use crate::pairs::Pairs;
 
-/// What an [`Inverter`] is told besides the model.
+/// Settings of an [`Inverter`], besides the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
@@ -57,11 +57,11 @@ pub struct Settings {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Search {
-    /// One after the other ([`Inverter::solve`]): where elements are many and each feels what is near.
+    /// One after the other ([`Inverter::solve`]): where elements are many and each responds to what is near.
     #[default]
     Greedy,
     /// The first two among all pairs of places ([`Inverter::search`]), and from frame to frame ([`Inverter::follow`]): where
-    /// elements are few and each feels half of the surface.
+    /// elements are few and each responds to half of the surface.
     Pairs,
 }
 
@@ -364,7 +364,7 @@ impl std::fmt::Debug for ModelBox {
 }
 
 impl Inverter {
-    /// An inverter for one skin; asks the model some thousand times.
+    /// An inverter for one skin; costs some thousand responses of the model.
     ///
     /// # Errors
     ///
@@ -388,13 +388,13 @@ impl Inverter {
         Ok(Self { model: ModelBox(model), settings, gains, untouched, spacing, line, dictionary, pairs })
     }
 
-    /// What it was told.
+    /// Its settings.
     #[must_use]
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The model that it asks.
+    /// The model that it inverts.
     #[must_use]
     pub fn model(&self) -> &Arc<dyn ForwardModel> {
         &self.model.0
@@ -460,7 +460,7 @@ impl Inverter {
             }
             let Some(found) = found else { break };
             let first = best.contacts.is_empty();
-            // The first contact is there because the caller asks; a further one has to prove itself.
+            // The caller knows that there is a contact; each further one must lower the deviations enough.
             if !first && (best.chi2 - found.chi2 < self.settings.evidence || !self.apart(&found)) {
                 break;
             }
@@ -524,7 +524,7 @@ impl Inverter {
     }
 
     /// As [`solve`](Self::solve), but looks for two contacts among all pairs of places, not for the second beside the first:
-    /// where elements are few and each feels half of the surface, the best single contact may be none of the two. Takes some
+    /// where elements are few and each responds to half of the surface, the best single contact may be none of the two. Takes some
     /// milliseconds.
     ///
     /// # Errors
@@ -619,20 +619,20 @@ impl Inverter {
     }
 
     /// Share of the surface where a press of `force` \[N\] lowers the sum of squared deviations by less than `evidence`, in
-    /// units of the noise: where it cannot be told from nothing.
+    /// units of the noise: where it cannot be detected.
     #[must_use]
     pub fn unfelt(&self, force: f64, evidence: f64) -> f64 {
         let unit = self.dictionary.forces[SHAPE];
-        let (mut all, mut unfelt) = (0.0, 0.0);
+        let (mut all, mut undetectable) = (0.0, 0.0);
         for (index, place) in self.dictionary.places.iter().enumerate() {
             let response = self.dictionary.response(index, SHAPE).iter().zip(self.noise());
             let square: f64 = response.map(|(v, n)| (f64::from(*v) / n * force / unit).powi(2)).sum();
             all += place.area;
             if square < evidence {
-                unfelt += place.area;
+                undetectable += place.area;
             }
         }
-        if all > 0.0 { unfelt / all } else { 0.0 }
+        if all > 0.0 { undetectable / all } else { 0.0 }
     }
 
     /// How unlikely a minimum is, to be compared between minima of as many contacts.
@@ -768,7 +768,7 @@ impl Inverter {
             if chosen.iter().any(|c| (c.position - place.position).norm() < 3.0 * self.spacing) {
                 continue;
             }
-            // The level that asks for the least change of its force.
+            // The level whose force changes least.
             let force = (0..self.dictionary.forces.len())
                 .map(|level| {
                     let (mut dot, mut square) = (0.0, 0.0);
@@ -1104,7 +1104,7 @@ mod tests {
     }
 
     #[test]
-    fn light_presses_are_not_felt_and_strong_ones_are() {
+    fn light_presses_are_undetectable_and_strong_ones_are_not() {
         let (inverter, _) = inverter(20.0, |_| ());
         assert!(inverter.unfelt(1e-4, 30.0) > 0.99 && inverter.unfelt(2.0, 30.0) < 0.01);
         let some = inverter.unfelt(0.03, 30.0);

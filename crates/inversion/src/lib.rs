@@ -1,12 +1,12 @@
 //! From readings to contacts by maximum likelihood on a forward model.
 //!
-//! A learned model answers in one step and knows what it was trained on. A forward model can be asked the other way round:
+//! A learned model answers in one step and knows what it was trained on. A forward model can be inverted:
 //! which contacts would have made these readings? [`Inverter`] finds them, one or several, with the error that the noise
 //! leaves, for any [`ForwardModel`](dermis_model::ForwardModel). [`Calibration`] measures on labelled readings how far a
 //! device and its forward model are apart, so that the answer does not believe the model more than it deserves, and
 //! [`Corrected`] takes what presses at known places show of the difference into the model.
 //!
-//! [`PeakFinder`] goes another way: contacts as the peaks of a displacement map that something else has found.
+//! [`PeakFinder`] needs no forward model: contacts as the peaks of a displacement map that something else has found.
 
 mod calibrate;
 mod corrected;

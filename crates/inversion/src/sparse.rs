@@ -10,7 +10,7 @@ const ROUNDS: usize = 400;
 /// Change of an amplitude, as a share of the largest, at which the descent has ended.
 const SETTLED: f64 = 1e-4;
 
-/// What a sparse recovery is told.
+/// Settings of a sparse recovery.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SparseSettings {
     /// Penalty as a share of the one that leaves nothing: small keeps many contacts.
@@ -54,7 +54,7 @@ impl Inverter {
                 response.map(|(v, n)| (f64::from(*v) / n).powi(2)).sum::<f64>().sqrt()
             })
             .collect();
-        // Where hardly anything is felt, an enormous force would explain whatever is left.
+        // Where no channel responds much, an enormous force would explain whatever is left.
         let most: Vec<f64> = lengths.iter().map(|l| l * self.settings().force_max / unit).collect();
         let amplitudes = lasso(&signal, dictionary.directions(), &most, settings.penalty);
         let force =

@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::Reading;
 
-/// Point taxels below a plane that feel a normal force as a half-space does, a little less than linear in it, and shear as
+/// Point taxels below a plane that respond to a normal force as a half-space does, a little less than linear in it, and shear as
 /// the derivative of that.
 pub(crate) struct Toy {
     surface: Surface,

@@ -8,11 +8,11 @@ use crate::TheoryError;
 
 /// \[m\] and \[N\] that are of the same order in touch: the scale on which unknowns are compared.
 const SCALE: (f64, f64) = (1e-3, 1.0);
-/// Singular values below this share of the largest count as 0: what they stand for cannot be told at all.
+/// Singular values below this share of the largest count as 0: the channels do not determine what they stand for.
 const BLIND: f64 = 1e-9;
 
 /// Least standard deviations that an estimator without bias can have for one contact, from one frame. Infinite where the
-/// channels do not tell the quantity at all.
+/// channels do not determine the quantity at all.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ContactBound {
     /// \[m\] root of the sum of both variances along the surface.
@@ -160,7 +160,7 @@ fn variances(derivatives: &Derivatives) -> Vec<f64> {
                     sum += (v[(j, k)] / s).powi(2);
                 }
             }
-            // What lies in the directions that no channel tells is unbounded.
+            // What lies in directions that no channel determines is unbounded.
             if seen < 1.0 - 1e-9 { f64::INFINITY } else { sum * scale * scale }
         })
         .collect()

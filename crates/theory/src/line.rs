@@ -54,8 +54,8 @@ impl Line {
     ) -> Result<Self, TheoryError> {
         let (places, of) = distinct(feet);
         let on = |foot: &Point3<f64>| {
-            let beside = surface.geodesic(foot, &path.points[path.nearest(foot).0]);
-            (beside <= tolerance).then(|| path.foot(foot))
+            let off = surface.geodesic(foot, &path.points[path.nearest(foot).0]);
+            (off <= tolerance).then(|| path.foot(foot))
         };
         let on: Vec<Option<f64>> = places.iter().map(on).collect();
         let mut taxels: Vec<LineTaxel> = of
@@ -104,7 +104,7 @@ impl Line {
         self.taxels.last().map_or(0.0, |t| t.foot) - self.taxels.first().map_or(0.0, |t| t.foot)
     }
 
-    /// Signed distance \[m\] of a place from a taxel's foot, the shorter way around.
+    /// Signed distance \[m\] of a place from a taxel's foot, the shorter one where the line is closed.
     #[must_use]
     pub fn distance(&self, place: usize, taxel: &LineTaxel) -> f64 {
         let off = self.arc[place] - taxel.foot;
@@ -130,7 +130,7 @@ impl Line {
     }
 
     /// Places before and after one, itself at an end, and how far \[m\] they are apart.
-    pub(crate) fn beside(&self, place: usize) -> ([usize; 2], f64) {
+    pub(crate) fn neighbours(&self, place: usize) -> ([usize; 2], f64) {
         let here = (place, self.arc[place]);
         let before = self.at(place as isize - 1).unwrap_or(here);
         let after = self.at(place as isize + 1).unwrap_or(here);
@@ -321,11 +321,11 @@ impl Line {
     fn slope(&self, place: usize, force: f64, channel: usize) -> Option<(f64, f64)> {
         let value = self.responses.reading(place, channel, force);
         let sigma = self.responses.noise()[channel];
-        let ([before, after], way) = self.beside(place);
+        let ([before, after], apart) = self.neighbours(place);
         let low = self.responses.force_for(before, channel, value)?;
         let high = self.responses.force_for(after, channel, value)?;
         let c = self.responses.slope(place, channel, value)?;
-        Some(((high - low) / way, c * sigma))
+        Some(((high - low) / apart, c * sigma))
     }
 
     /// σ_P and σ_F of a contact from two channels to first order, with the isolines' own slopes: (5.14) with the sign of
@@ -392,7 +392,7 @@ impl Line {
                     Some(around) => Some((arc + distance).rem_euclid(around)),
                     None => Some(arc + distance).filter(|arc| *arc <= end + 1e-9),
                 };
-                let told: Vec<bool> = self
+                let apart: Vec<bool> = self
                     .arc
                     .iter()
                     .enumerate()
@@ -400,7 +400,7 @@ impl Line {
                     .filter_map(|(place, arc)| Some((place, other(*arc)?)))
                     .map(|(place, arc)| each_has_own(&reached[place], &reached[self.place(arc)], 2))
                     .collect();
-                told.iter().filter(|t| **t).count() as f64 / told.len().max(1) as f64
+                apart.iter().filter(|t| **t).count() as f64 / apart.len().max(1) as f64
             })
             .collect()
     }

@@ -23,7 +23,7 @@ pub struct Path {
 }
 
 impl Path {
-    /// Walks from `through` along `direction` and against it, in steps of `step` \[m\], until the surface ends or the path
+    /// Goes from `through` along `direction` and against it, in steps of `step` \[m\], until the surface ends or the path
     /// comes back to where it began.
     ///
     /// # Errors
@@ -68,8 +68,8 @@ impl Path {
         let (start, normal) = surface.project(through);
         let along = (direction - normal * normal.dot(direction)).try_normalize(1e-9);
         let along = along.ok_or(TheoryError::Direction)?;
-        let (ahead, closed) = walk(surface, start, along, step);
-        let behind = if closed { Vec::new() } else { walk(surface, start, -along, step).0 };
+        let (ahead, closed) = straight_ahead(surface, start, along, step);
+        let behind = if closed { Vec::new() } else { straight_ahead(surface, start, -along, step).0 };
         Ok((behind.into_iter().rev().chain(std::iter::once(start)).chain(ahead).collect(), closed))
     }
 
@@ -120,15 +120,20 @@ pub(crate) fn distinct(points: &[Point3<f64>]) -> (Vec<Point3<f64>>, Vec<usize>)
     (found, of)
 }
 
-/// Places ahead of a start, and whether the walk came round.
-fn walk(surface: &Surface, start: Point3<f64>, along: Vector3<f64>, step: f64) -> (Vec<Point3<f64>>, bool) {
+/// Places ahead of a start, and whether they come back to it.
+fn straight_ahead(
+    surface: &Surface,
+    start: Point3<f64>,
+    along: Vector3<f64>,
+    step: f64,
+) -> (Vec<Point3<f64>>, bool) {
     let (mut at, mut along) = (start, along);
     let mut places = Vec::new();
     while places.len() < MOST {
         let (next, normal) = surface.project(&(at + along * step));
-        let way = next - at;
+        let moved = next - at;
         // What is left of a step at the edge is its last.
-        if way.norm() < 1e-3 * step {
+        if moved.norm() < 1e-3 * step {
             break;
         }
         places.push(next);
@@ -136,7 +141,7 @@ fn walk(surface: &Surface, start: Point3<f64>, along: Vector3<f64>, step: f64) -
             places.pop();
             return (places, true);
         }
-        if way.norm() < 0.5 * step || way.dot(&along) < 0.5 * way.norm() {
+        if moved.norm() < 0.5 * step || moved.dot(&along) < 0.5 * moved.norm() {
             break;
         }
         let Some(turned) = (along - normal * normal.dot(&along)).try_normalize(1e-9) else { break };

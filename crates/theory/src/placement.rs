@@ -1,6 +1,6 @@
 //! Where to put sensing elements: k of thousands of candidates (H. Sun, *Machine Learning for Haptics*, 2023, 2.2.2–2.3.1).
 //!
-//! A forward model whose elements are the candidates is asked once what each of them would read for presses all over the skin
+//! A forward model whose elements are the candidates is evaluated once for what each of them would read under presses all over the skin
 //! ([`Field`]); everything else works on those numbers. [`feasible`] leaves out what lies at an edge or close to a support, and
 //! [`reduce`] what the others tell anyway. Five methods choose:
 //!
@@ -10,7 +10,7 @@
 //! - [`by_bound`], ours, adds the element that reduces the expected error of a contact most: its Cramér–Rao bound, and how far off
 //!   a press is foretold from the others.
 //!
-//! [`judge`] asks the same estimator of all of them: how far off it is on presses that nobody saw, and once elements fail.
+//! [`judge`] evaluates the same estimator on all of them: how far off it is on presses that nobody saw, and once elements fail.
 
 mod feasible;
 mod field;

@@ -48,7 +48,7 @@ pub fn force_ladder(most: f64, count: usize) -> Vec<f64> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bracket {
     above: usize,
-    /// Of the way to the force above.
+    /// Share of the step to the force above.
     share: f64,
 }
 
@@ -290,7 +290,7 @@ fn regress(window: &[(&Press, [f64; 2], f64)], channels: usize) -> Option<Vec<f6
         }
     }
     let ridge = RIDGE * normal[(0, 0)];
-    // The constant is what is asked for: it must not be drawn to 0.
+    // The constant is the result: it must not be drawn to 0.
     (1..columns).for_each(|i| normal[(i, i)] += ridge);
     let solved = normal.cholesky()?.solve(&side);
     Some(solved.row(0).iter().copied().collect())

@@ -18,7 +18,7 @@ pub struct SolverOptions {
     pub force_max: f64,
     /// \[m\] between tabulated places; between them isolines are straight.
     pub step: f64,
-    /// \[m\] diameter of the tip, where a model is asked.
+    /// \[m\] diameter of the tip, where the table is that of a model.
     pub diameter: f64,
     /// Readings below this many standard deviations of their noise do not count.
     pub threshold: f64,
@@ -97,7 +97,7 @@ enum Shape {
 
 /// A crossing.
 #[derive(Debug, Clone, Copy)]
-struct Found {
+struct Crossed {
     at: Point3<f64>,
     force: f64,
     /// Whether isolines do cross there.
@@ -211,8 +211,8 @@ impl IsolineSolver {
         let total: f64 = strongest.iter().map(|c| values[*c]).sum();
         let between = strongest.iter().map(|c| points[self.peaks[*c]].coords * (values[*c] / total));
         let mut expected = Point3::from(between.sum::<Vector3<f64>>());
-        let mut found: Vec<Found> = Vec::new();
-        let mut take = |new: Option<Found>, expected: &mut Point3<f64>| {
+        let mut found: Vec<Crossed> = Vec::new();
+        let mut take = |new: Option<Crossed>, expected: &mut Point3<f64>| {
             if let Some(new) = new {
                 if found.is_empty() {
                     *expected = new.at;
@@ -235,7 +235,7 @@ impl IsolineSolver {
         // What only comes close counts where nothing crosses.
         let crossed = found.iter().any(|f| f.crossed);
         found.retain(|f| f.crossed || !crossed);
-        let weight = |f: &Found| match self.averaging {
+        let weight = |f: &Crossed| match self.averaging {
             Averaging::Weighted if crossed => 1.0 / f.variance,
             _ => 1.0,
         };
@@ -258,15 +258,15 @@ impl IsolineSolver {
     }
 
     /// Where the isolines of two channels cross on a line, nearest to where it is expected.
-    fn cross_two(&self, [a, b]: [usize; 2], values: &[f64], expected: &Point3<f64>) -> Option<Found> {
+    fn cross_two(&self, [a, b]: [usize; 2], values: &[f64], expected: &Point3<f64>) -> Option<Crossed> {
         let points = self.responses.points();
         let gap = |place: usize| {
             let first = self.responses.force_for(place, a, values[a])?;
             let second = self.responses.force_for(place, b, values[b])?;
             Some((first, second))
         };
-        let mut best: Option<(f64, Found)> = None;
-        let mut closest: Option<(f64, Found)> = None;
+        let mut best: Option<(f64, Crossed)> = None;
+        let mut closest: Option<(f64, Crossed)> = None;
         let mut before: Option<(f64, f64)> = None;
         for place in 0..points.len() {
             let here = gap(place);
@@ -274,7 +274,7 @@ impl IsolineSolver {
                 let apart = (first - second).abs() / (first + second);
                 if closest.is_none_or(|(least, _)| apart < least) {
                     let (at, force) = (points[place], f64::midpoint(first, second));
-                    closest = Some((apart, Found { at, force, crossed: false, variance: f64::INFINITY }));
+                    closest = Some((apart, Crossed { at, force, crossed: false, variance: f64::INFINITY }));
                 }
             }
             if let (Some((f0, s0)), Some((f1, s1))) = (before, here)
@@ -282,14 +282,14 @@ impl IsolineSolver {
                 && f0 - s0 != f1 - s1
             {
                 let share = (f0 - s0) / ((f0 - s0) - (f1 - s1));
-                let way = points[place] - points[place - 1];
-                let at = points[place - 1] + way * share;
+                let step = points[place] - points[place - 1];
+                let at = points[place - 1] + step * share;
                 let off = (at - expected).norm();
                 if best.is_none_or(|(least, _)| off < least) {
-                    let apart = ((f1 - s1) - (f0 - s0)) / way.norm();
+                    let apart = ((f1 - s1) - (f0 - s0)) / step.norm();
                     let band = self.band(place, a, values[a]).hypot(self.band(place, b, values[b]));
                     let (force, variance) = (f0 + share * (f1 - f0), (band / apart).powi(2));
-                    best = Some((off, Found { at, force, crossed: true, variance }));
+                    best = Some((off, Crossed { at, force, crossed: true, variance }));
                 }
             }
             before = here;
@@ -299,9 +299,9 @@ impl IsolineSolver {
 
     /// Where the isolines of three channels cross on a surface, nearest to where it is expected: within a triangle all of
     /// them are planes.
-    fn cross_three(&self, channels: [usize; 3], values: &[f64], expected: &Point3<f64>) -> Option<Found> {
+    fn cross_three(&self, channels: [usize; 3], values: &[f64], expected: &Point3<f64>) -> Option<Crossed> {
         let points = self.responses.points();
-        // A contact lies nearer to the taxels that feel it most than these lie to each other, or not much further.
+        // A contact lies nearer to the taxels that read most than these lie to each other, or not much further.
         let far = channels.iter().map(|c| (points[self.peaks[*c]] - expected).norm()).fold(0.0, f64::max);
         let forces: Vec<Option<[f64; 3]>> = points
             .iter()
@@ -314,7 +314,7 @@ impl IsolineSolver {
                 Some([a?, b?, c?])
             })
             .collect();
-        let mut best: Option<(f64, Found)> = None;
+        let mut best: Option<(f64, Crossed)> = None;
         for triangle in &self.surface.triangles {
             let corners = triangle.map(|i| i as usize);
             let [Some(p), Some(q), Some(r)] = corners.map(|i| forces[i]) else { continue };
@@ -344,7 +344,7 @@ impl IsolineSolver {
                 let noise = channels.map(|c| self.band(corners[0], c, values[c]));
                 let gaps = [[noise[0], noise[0]], [noise[1], 0.0], [0.0, noise[2]]];
                 let variance = gaps.into_iter().map(moved).sum();
-                best = Some((off, Found { at, force, crossed: true, variance }));
+                best = Some((off, Crossed { at, force, crossed: true, variance }));
             }
         }
         best.map(|(_, found)| found).or_else(|| {
@@ -355,7 +355,7 @@ impl IsolineSolver {
             let known = forces.iter().enumerate().filter_map(|(i, f)| Some((i, (*f)?)));
             let closest = known.min_by(|a, b| spread(&a.1).total_cmp(&spread(&b.1)))?;
             let (at, force) = (points[closest.0], closest.1.iter().sum::<f64>() / 3.0);
-            Some(Found { at, force, crossed: false, variance: f64::INFINITY })
+            Some(Crossed { at, force, crossed: false, variance: f64::INFINITY })
         })
     }
 }

@@ -23,7 +23,7 @@ pub const MOST_STUDIED: usize = 64;
 /// square of their number, and the bands of weaker channels are wider.
 pub const MOST_BANDS: usize = 32;
 
-/// What is asked of a line.
+/// Settings of the study of a line.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StudyOptions {
     /// S_min, in the unit of the skin: smaller readings count as none.
@@ -144,7 +144,7 @@ pub struct Factors {
 /// [`TheoryError::Line`] where no two taxels lie on one.
 pub fn longest_row(surface: &Surface, feet: &[Point3<f64>], step: f64) -> Result<(Path, f64), TheoryError> {
     positive("step of a path [m]", step)?;
-    // Channels of one taxel have one foot: each is looked at once, and counts as often as there are channels.
+    // Channels of one taxel have one foot: each foot is tried once, and counts as often as there are channels.
     let (places, of) = distinct(feet);
     let mut counts = vec![0usize; places.len()];
     of.iter().for_each(|place| counts[*place] += 1);
@@ -186,7 +186,7 @@ pub fn longest_row(surface: &Surface, feet: &[Point3<f64>], step: f64) -> Result
 }
 
 impl Line {
-    /// Studies the line. `progress` is told the share that is done, now and then.
+    /// Studies the line. `progress` is called with the share that is done, now and then.
     #[must_use]
     pub fn study(&self, options: &StudyOptions, mut progress: impl FnMut(f64)) -> LineStudy {
         let taxels: Vec<TaxelStudy> = self.studied().iter().map(|t| self.taxel(t, options)).collect();
@@ -366,10 +366,10 @@ impl Line {
         self.bounds(place, &[force]).pop().flatten()
     }
 
-    /// [`bound`](Self::bound) under many forces: every channel's curves are looked at once.
+    /// [`bound`](Self::bound) under many forces: every channel's curves are read once.
     #[must_use]
     pub fn bounds(&self, place: usize, forces: &[f64]) -> Vec<Option<Deviations>> {
-        let ([before, after], way) = self.beside(place);
+        let ([before, after], apart) = self.neighbours(place);
         let responses = self.responses();
         let brackets: Vec<[Option<Bracket>; 3]> = forces
             .iter()
@@ -382,7 +382,7 @@ impl Line {
             for ((sums, force), [at, more, less]) in sums.iter_mut().zip(forces).zip(&brackets) {
                 let (Some(at), Some(more), Some(less)) = (at, more, less) else { continue };
                 let change = 0.02 * force;
-                let by_place = (at.of(after) - at.of(before)) / way / sigma;
+                let by_place = (at.of(after) - at.of(before)) / apart / sigma;
                 let by_force = (more.of(here) - less.of(here)) / (2.0 * change) / sigma;
                 if by_place.is_finite() && by_force.is_finite() {
                     sums[0] += by_place * by_place;

@@ -51,7 +51,7 @@ pub struct Dome {
     surface: Surface,
     pub feet: Vec<Point3<f64>>,
     noise: Vec<f64>,
-    /// The last place that was asked for, and its way to each foot.
+    /// The last place, and its distance along the surface to each foot.
     ways: std::sync::Mutex<(Point3<f64>, Vec<f64>)>,
 }
 

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use dermis_gap_worlds::set::{self, Manifest, SetSpec};
+use dermis_gap_benchmark::set::{self, Manifest, SetSpec};
 use dermis_skin::SkinDescription;
 use indicatif::{ProgressBar, ProgressStyle};
 

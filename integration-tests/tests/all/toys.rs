@@ -106,12 +106,7 @@ fn it_is_learned_measured_and_bounded() {
     println!("position: median error {:.1} mm on a skin of 200 mm", median * 1e3);
     // Chance is about 80 mm.
     assert!(median < 0.025, "{}", found["figures"]);
-    // At fewer places: isolines of 784 channels take their time.
-    let coarse = folder.path().join("coarse.toml");
-    let text = std::fs::read_to_string(root().join(FOAM)).unwrap();
-    std::fs::write(&coarse, text.replace("spacing = 0.0125", "spacing = 0.05")).unwrap();
-    let coarse = coarse.display().to_string();
-    let mut bounds = toys(&["bounds", &coarse, "--json", "--force", "10", "--diameter", "0.02"]);
+    let mut bounds = toys(&["bounds", FOAM, "--json", "--force", "10", "--diameter", "0.02"]);
     let bound = json(&finish(&mut bounds));
     assert_eq!((bound["channels"].as_u64(), bound["diameter_m"].as_f64()), (Some(784), Some(0.02)));
 }
@@ -198,11 +193,7 @@ fn a_cameras_images_are_recorded_learned_from_and_bounded() {
     println!("position: median error {:.2} mm on a pad of 32 x 24 mm", median * 1e3);
     // Chance is about 10 mm.
     assert!(median < 0.004, "{}", found["figures"]);
-    let coarse = folder.path().join("coarse.toml");
-    let text = std::fs::read_to_string(root().join(CAMERA)).unwrap();
-    std::fs::write(&coarse, text.replace("spacing = 0.002", "spacing = 0.006")).unwrap();
-    let coarse = coarse.display().to_string();
-    let mut bounds = toys(&["bounds", &coarse, "--json", "--force", "1", "--diameter", "0.004"]);
+    let mut bounds = toys(&["bounds", CAMERA, "--json", "--force", "1", "--diameter", "0.004"]);
     let bound = json(&finish(&mut bounds));
     assert_eq!((bound["channels"].as_u64(), bound["diameter_m"].as_f64()), (Some(576), Some(0.004)));
 }

@@ -4,10 +4,13 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use dermis_figures::{Axes, COLOURS, Curve, Pen, curves, escape, figure, heat, page, short, surface};
+use dermis_skin::Surface;
 use dermis_studies::bounds::{Findings, SurfaceStudy, feet};
 use dermis_studies::flat::flat;
 use dermis_theory::normalised::TwoTaxels;
 use dermis_theory::{Averages, ByForce, LineStudy, TaxelStudy};
+
+use nalgebra::Point3;
 
 use super::text::mm;
 
@@ -251,10 +254,21 @@ fn factors(body: &mut String, line: &LineStudy) -> Result<()> {
     Ok(())
 }
 
+/// Points above taxels, each once however many channels it has.
+fn taxels(findings: &Findings, surface: &Surface) -> Vec<Point3<f64>> {
+    let mut found: Vec<Point3<f64>> = Vec::new();
+    for foot in feet(&findings.skin, surface) {
+        if !found.contains(&foot) {
+            found.push(foot);
+        }
+    }
+    found
+}
+
 fn over_surface(body: &mut String, findings: &Findings, study: &SurfaceStudy) -> Result<()> {
     let skin = findings.skin.surface();
     let (points, [x, y]) = flat(&skin, &skin.points);
-    let (taxels, _) = flat(&skin, &feet(&findings.skin, &skin));
+    let (taxels, _) = flat(&skin, &taxels(findings, &skin));
     let mut isoline = vec![f64::NAN; points.len()];
     for point in &study.isoline.points {
         isoline[point.place] = point.force;
@@ -311,7 +325,7 @@ fn bounds(body: &mut String, findings: &Findings) -> Result<()> {
     let Some(model) = findings.model.as_ref().filter(|_| !findings.maps.is_empty()) else { return Ok(()) };
     let skin = model.surface();
     let (points, [x, y]) = flat(skin, &skin.points);
-    let (taxels, _) = flat(skin, &feet(&findings.skin, skin));
+    let (taxels, _) = flat(skin, &taxels(findings, skin));
     let row = findings.unknowns == dermis_model::Unknowns::Line;
     body.push_str("<h2>The bound</h2>\n");
     let mut pictures = Vec::new();

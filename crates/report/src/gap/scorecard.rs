@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 use dermis_figures::escape as escaped;
-use dermis_gap_worlds::score::{Aim, Scorecard, Share};
+use dermis_gap_benchmark::score::{Aim, Scorecard, Share};
 use serde_json::Value;
 
 /// \[px\] of the picture.

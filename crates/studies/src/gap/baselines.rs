@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use dermis_bag::BagReader;
-use dermis_gap_worlds::score::{Answer, Named};
+use dermis_gap_benchmark::score::{Answer, Named};
 use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_msgs::msg::{Indentation as Label, TaxelFrame};
 use dermis_skin::{Effect, SkinDescription};

@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_gap::{SampleOptions, Samples, Simulator};
-use dermis_gap_worlds::score::{Answer, Mapping, Named, Scorecard};
-use dermis_gap_worlds::set::{self, Case, GroundTruth, Manifest};
+use dermis_gap_benchmark::score::{Answer, Mapping, Named, Scorecard};
+use dermis_gap_benchmark::set::{self, Case, GroundTruth, Manifest};
 use dermis_skin::{Effect, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
@@ -38,7 +38,7 @@ pub struct Request {
     /// Leave the baselines out.
     #[arg(long)]
     pub no_baselines: bool,
-    /// Do not try what reports switch on in another recording of the same world.
+    /// Do not try what reports switch on in another recording of the same reference device.
     #[arg(long)]
     pub no_elsewhere: bool,
     /// Passed on to every diagnosis, e.g. --resamples 0.
@@ -223,7 +223,7 @@ fn library(cases: &[Opened]) -> BTreeSet<String> {
     library
 }
 
-/// Tries what each report switches on in another recording of the same world, which no report has seen.
+/// Tries what each report switches on in another recording of the same reference device, which no report has seen.
 fn elsewhere(
     skin: &SkinDescription,
     cases: &mut [Opened],

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use dermis_gap_worlds::score::{Aim, Scorecard, Scores};
+use dermis_gap_benchmark::score::{Aim, Scorecard, Scores};
 use serde_json::{Value, json};
 
 /// Rates with their intervals and middle values of one set of cases.
@@ -50,7 +50,7 @@ pub(super) fn json(head: &Value, card: &Scorecard, baselines: &[(String, Scoreca
 
 #[cfg(test)]
 mod tests {
-    use dermis_gap_worlds::score::Share;
+    use dermis_gap_benchmark::score::Share;
 
     use super::*;
 

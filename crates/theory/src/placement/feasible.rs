@@ -7,7 +7,7 @@ use serde::Serialize;
 /// What keeps a candidate from being built.
 #[derive(Debug, Clone, Default)]
 pub struct Feasibility {
-    /// Points of the surface around a candidate that are looked at, k.
+    /// Points of the surface around a candidate that count, k.
     pub neighbours: usize,
     /// \[m\] that their centre may lie off the candidate, θ; further off, the candidate is at an edge.
     pub edge: f64,

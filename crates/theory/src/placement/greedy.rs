@@ -42,10 +42,10 @@ pub(super) fn noisy(field: &Field, seed: u64) -> nalgebra::DMatrix<f64> {
     out
 }
 
-/// One fold: rows that teach, rows that are asked.
+/// One fold: training rows, validation rows.
 struct Fold {
     taught: Vec<usize>,
-    asked: Vec<usize>,
+    validated: Vec<usize>,
 }
 
 struct Search {
@@ -94,7 +94,7 @@ impl Search {
         let folds = (0..count)
             .map(|k| Fold {
                 taught: (0..presses).filter(|p| fold[*p] != k).collect(),
-                asked: (0..presses).filter(|p| fold[*p] == k).collect(),
+                validated: (0..presses).filter(|p| fold[*p] == k).collect(),
             })
             .collect();
         Self { columns, targets, scale, folds, svr: settings.svr }
@@ -104,7 +104,7 @@ impl Search {
     fn error(&self, distances: &[f64], count: usize) -> f64 {
         let n = self.columns.first().map_or(0, Vec::len);
         let kernel = gram(distances, self.svr.gamma / count as f64);
-        let (mut sum, mut asked) = (0.0, 0);
+        let (mut sum, mut validated) = (0.0, 0);
         let mut part = Vec::new();
         let mut column = Vec::new();
         for fold in &self.folds {
@@ -113,21 +113,21 @@ impl Search {
                 let row = &kernel[i * n..(i + 1) * n];
                 part.extend(fold.taught.iter().map(|j| row[*j]));
             }
-            let mut squares = vec![0.0; fold.asked.len()];
+            let mut squares = vec![0.0; fold.validated.len()];
             for target in &self.targets {
                 column.clear();
                 column.extend(fold.taught.iter().map(|i| target[*i]));
                 let dual = solve(&part, &column, &self.svr);
-                for (square, p) in squares.iter_mut().zip(&fold.asked) {
+                for (square, p) in squares.iter_mut().zip(&fold.validated) {
                     let row = &kernel[p * n..(p + 1) * n];
                     let answer: f64 = fold.taught.iter().zip(&dual.weights).map(|(i, w)| row[*i] * w).sum();
                     *square += (answer + dual.bias - target[*p]).powi(2);
                 }
             }
             sum += squares.iter().map(|s| s.sqrt()).sum::<f64>();
-            asked += squares.len();
+            validated += squares.len();
         }
-        sum / asked.max(1) as f64 * self.scale
+        sum / validated.max(1) as f64 * self.scale
     }
 
     fn with(&self, base: &[f64], candidate: usize, out: &mut Vec<f64>) {

@@ -168,7 +168,7 @@ impl Problem {
         let mut unlike = state.unlike.as_slice();
         for (i, own) in read.iter().enumerate() {
             let (row, rest) = unlike.split_at(i);
-            // The lower half is looked at.
+            // Only the lower half is used.
             for (j, (d, other)) in row.iter().zip(read).enumerate() {
                 covariance[(i, j)] = (by * (d + (own - other) * (own - other))).exp();
             }

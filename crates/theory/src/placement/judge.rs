@@ -235,7 +235,7 @@ fn failing(count: usize, failed: usize, draw: usize, seed: u64) -> Vec<usize> {
     order
 }
 
-/// Teaches the estimator with the presses of `teach` and asks it those of `ask`, which are at other places. `None` where `watch`
+/// Trains the estimator on the presses of `teach` and evaluates it on those of `ask`, which are at other places. `None` where `watch`
 /// stopped it.
 ///
 /// # Errors

@@ -78,7 +78,7 @@ impl Script {
     ///
     /// # Errors
     ///
-    /// [`BenchmarkError::Testbed`] where the skin has no room for it.
+    /// [`BenchmarkError::Testbed`] where no place of the skin is far enough from its rim for it.
     pub fn draw(
         model: &Arc<dyn ForwardModel>,
         rig: &Rig,

@@ -16,7 +16,7 @@ use crate::{
     BenchmarkError, Cause, CauseInfo, Climate, Numerics, ReferenceDevice, Script, parameters, unexplained,
 };
 
-/// Gaps that are asked for, in multiples of the floor.
+/// Requested gaps, in multiples of the floor.
 const GAPS: [f64; 3] = [3.0, 10.0, 1.0];
 /// Noise, in multiples of the skin's.
 const NOISES: [f64; 5] = [1.0, 3.0, 1.5, 5.0, 2.0];
@@ -77,7 +77,7 @@ pub(super) fn wanted(order: &SetSpec, known: &'static [CauseInfo]) -> Vec<Wanted
                     None => deck.clear(),
                 }
             }
-            // Each cause walks through all pairs of gap and noise for itself: their numbers have no common divisor.
+            // Each cause goes through all pairs of gap and noise for itself: their numbers have no common divisor.
             let turn = causes.first().map_or(i, |first| {
                 let count =
                     dealt.entry(first.id).or_insert_with(|| rng.random_range(0..GAPS.len() * NOISES.len()));
@@ -260,8 +260,8 @@ pub fn record_again(skin: &SkinDescription, truth: &GroundTruth, dir: &Path) -> 
     crate::record(skin, &*device.model(), &script, &readings, dir, None)
 }
 
-/// Makes a benchmark set in the folder `dir` and its ground truths in `ground truths`, neither of which may hold one yet. `skin_text` is the skin file,
-/// which goes into the benchmark set. `done` is told of every case that is finished, and ends the work where it returns `false`; what is
+/// Makes a benchmark set in the folder `dir` and its ground truths in `ground_truths`, neither of which may hold one yet. `skin_text` is the skin file,
+/// which goes into the benchmark set. `done` is called for every case that is finished, and ends the work where it returns `false`; what is
 /// there by then is a valid, smaller set.
 ///
 /// # Errors

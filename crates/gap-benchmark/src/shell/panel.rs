@@ -1,4 +1,4 @@
-//! A clamped panel of facets: what each gauge feels of a force anywhere, by reciprocity.
+//! A clamped panel of facets: the strain in each gauge under a force anywhere, by reciprocity.
 
 use dermis_skin::SurfaceSpec;
 use faer::linalg::solvers::Solve;
@@ -36,11 +36,11 @@ impl Shape {
     /// Where openings begin and end along an axis.
     fn openings(&self, axis: usize) -> Vec<[f64; 2]> {
         let n = f64::from(self.cells[axis]);
-        let room = self.size[axis] - 2.0 * self.borders[axis] - (n - 1.0) * self.beam[axis];
+        let free = self.size[axis] - 2.0 * self.borders[axis] - (n - 1.0) * self.beam[axis];
         let first = -self.size[axis] / 2.0 + self.borders[axis];
         (0..self.cells[axis])
-            .map(|i| first + f64::from(i) * (room / n + self.beam[axis]))
-            .map(|from| [from, from + room / n])
+            .map(|i| first + f64::from(i) * (free / n + self.beam[axis]))
+            .map(|from| [from, from + free / n])
             .collect()
     }
 
@@ -68,7 +68,7 @@ pub(super) struct Gauge {
     pub angle: f64,
     /// \[m\] along and across.
     pub size: [f64; 2],
-    /// Share of the strain across that it feels.
+    /// Share of the strain across that it measures.
     pub across: f64,
 }
 
@@ -95,7 +95,7 @@ pub(super) struct Influence {
     /// Whether there is material between lines.
     solid: Vec<bool>,
     /// Strain of each gauge by a force of 1 N at each node, by its components.
-    felt: Vec<Vec<Vector3<f64>>>,
+    strains: Vec<Vec<Vector3<f64>>>,
 }
 
 impl Influence {
@@ -128,7 +128,7 @@ impl Influence {
                 })
             })
             .collect();
-        let mut influence = Self { shape, lines, nodes, solid, felt: Vec::new() };
+        let mut influence = Self { shape, lines, nodes, solid, strains: Vec::new() };
         let mut entries: Vec<Triplet<usize, usize, f64>> = Vec::new();
         for i in 0..counts[0] - 1 {
             for j in 0..counts[1] - 1 {
@@ -171,12 +171,12 @@ impl Influence {
             SparseColMat::<usize, f64>::try_new_from_triplets(6 * count, 6 * count, &entries).ok()?;
         let mut sides = Mat::<f64>::zeros(6 * count, gauges.len());
         for (g, gauge) in gauges.iter().enumerate() {
-            for (dof, value) in influence.feels(gauge, build) {
+            for (dof, value) in influence.strain_row(gauge, build) {
                 sides[(dof, g)] += value;
             }
         }
         let answer = matrix.sp_cholesky(Side::Lower).ok()?.solve(&sides);
-        influence.felt = (0..gauges.len())
+        influence.strains = (0..gauges.len())
             .map(|g| (0..count).map(|n| Vector3::from_fn(|i, _| answer[(6 * n + i, g)])).collect())
             .collect();
         Some(influence)
@@ -215,7 +215,7 @@ impl Influence {
     }
 
     /// Strain of a gauge as a sum over displacements.
-    fn feels(&self, gauge: &Gauge, build: &Build<'_>) -> Vec<(usize, f64)> {
+    fn strain_row(&self, gauge: &Gauge, build: &Build<'_>) -> Vec<(usize, f64)> {
         let (sin, cos) = gauge.angle.sin_cos();
         let mut found = Vec::new();
         for p in [-0.35, -0.1, 0.1, 0.35] {
@@ -253,7 +253,7 @@ impl Influence {
     /// Strain of each gauge by a force of 1 N along each axis, over a round patch of this radius \[m\] with a parabolic pressure.
     pub fn of_patch(&self, at: [f64; 2], radius: f64) -> Vec<Vector3<f64>> {
         let mut total = 0.0;
-        let mut sums = vec![Vector3::zeros(); self.felt.len()];
+        let mut sums = vec![Vector3::zeros(); self.strains.len()];
         for ring in 0..4 {
             let r = (f64::from(ring) + 0.5) / 4.0;
             let around = 4 + 4 * ring;
@@ -265,8 +265,8 @@ impl Influence {
                 let weight = (1.0 - r * r) * r / f64::from(around);
                 total += weight;
                 for (corner, share) in corners.into_iter().zip(Facet::shares(natural)) {
-                    for (sum, felt) in sums.iter_mut().zip(&self.felt) {
-                        *sum += felt[corner] * (weight * share);
+                    for (sum, strains) in sums.iter_mut().zip(&self.strains) {
+                        *sum += strains[corner] * (weight * share);
                     }
                 }
             }
@@ -295,11 +295,11 @@ mod tests {
         };
         let gauge = |x: f64| Gauge { at: [x, 0.0], angle: 0.0, size: [1e-4, 1e-4], across: 0.0 };
         let influence = Influence::new(shape, &build, &[gauge(-0.0499), gauge(0.0)]).unwrap();
-        let felt = influence.of_patch([0.0, 0.0], 0.002);
+        let strains = influence.of_patch([0.0, 0.0], 0.002);
         let moment = 0.1 / 8.0 * (1.0 - 4.0 * 0.0001 / 0.1);
         let strain = moment / (1e9 * 0.01 * f64::powi(0.002, 2) / 6.0);
         // A force inwards pulls the inner face in the middle and presses it at the ends.
-        approx::assert_relative_eq!(-felt[0].z, -strain, max_relative = 0.02);
-        approx::assert_relative_eq!(-felt[1].z, strain, max_relative = 0.05);
+        approx::assert_relative_eq!(-strains[0].z, -strain, max_relative = 0.02);
+        approx::assert_relative_eq!(-strains[1].z, strain, max_relative = 0.05);
     }
 }

@@ -1,4 +1,4 @@
-//! Worlds of elements that read the mean pressure in a soft elastic layer over a rigid base.
+//! Reference devices of elements that read the mean pressure in a soft elastic layer over a rigid base.
 //!
 //! The field: waves by finite elements across the depth ([`depth`]), summed as a doubly periodic Fourier series ([`field`]).
 //! The tip: Sneddon's sphere with a thickness correction ([`tip`]); under it the pressure flattens with the contact's size, and the
@@ -25,7 +25,7 @@ use tip::Tip;
 
 /// \[m\] of depth below an element within which its table holds.
 const AROUND: f64 = 0.0025;
-/// \[m\] along the surface beyond which nothing is felt.
+/// \[m\] along the surface beyond which a press changes no reading.
 const REACH: f64 = 0.045;
 
 /// \[m\] deviation of a cavity's reach.
@@ -113,7 +113,7 @@ impl LayerDevice {
             return Err(wrong("surface", "is not flat"));
         };
         if skin.medium.get("edge").and_then(|e| e.as_str()) == Some("free") {
-            return Err(wrong("medium.edge", "is \"free\", and layer worlds go on: take \"wide\""));
+            return Err(wrong("medium.edge", "is \"free\", and layers here go on beyond it: take \"wide\""));
         }
         let drawn = crate::number(skin, "thickness")?;
         let mut elements: Vec<Point3<f64>> =

@@ -1,4 +1,4 @@
-//! Worlds of strain gauges on the inner side of a thin curved wall with openings that is clamped at both ends.
+//! Reference devices of strain gauges on the inner side of a thin curved wall with openings that is clamped at both ends.
 //!
 //! Flat rectangular facets ([`plate`]: Adini, Clough and Melosh's plate, Pian and Sumihara's membrane) and reciprocity ([`panel`]);
 //! a touch presses with a parabola over a round patch. Causes have laws of their own ([`causes`]).
@@ -187,15 +187,15 @@ impl Panel {
         [at.x, self.radius * at.y.atan2(at.z)]
     }
 
-    /// Adds what one contact leaves in every gauge, `felt` being what a unit force at its place does.
-    fn add(&self, contact: &Indentation, felt: &[Vector3<f64>], out: &mut [f64]) {
+    /// Adds what one contact leaves in every gauge; `influence` is what a unit force at its place does.
+    fn add(&self, contact: &Indentation, influence: &[Vector3<f64>], out: &mut [f64]) {
         let (sin, cos) = contact.position.y.atan2(contact.position.z).sin_cos();
         let normal = Vector3::new(0.0, sin, cos);
         let tangent = Vector3::new(0.0, cos, -sin);
         let pressing = -contact.force.dot(&normal);
         let mut force = contact.force + (Vector3::x() * self.askew[0] + tangent * self.askew[1]) * pressing;
         force *= (1.0 + force.norm() / 10.0).powf(-self.stretching);
-        out.iter_mut().zip(felt).for_each(|(value, felt)| *value += felt.dot(&force));
+        out.iter_mut().zip(influence).for_each(|(value, influence)| *value += influence.dot(&force));
     }
 }
 
@@ -211,8 +211,8 @@ impl ForwardModel for Panel {
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
         out.fill(0.0);
         for contact in &stimulus.contacts {
-            let felt = self.influence.of_patch(self.unroll(&contact.position), self.patch);
-            self.add(contact, &felt, out);
+            let influence = self.influence.of_patch(self.unroll(&contact.position), self.patch);
+            self.add(contact, &influence, out);
         }
         Ok(())
     }
@@ -251,14 +251,14 @@ impl ReferenceDevice for ShellDevice {
                     let drag = friction * pressing * pressing.max(1e-3).powf(-1.0 / 9.0);
                     contact.force += speed / (speed.norm() + 5e-4) * drag;
                 }
-                let felt = match &last {
-                    Some((at, felt)) if *at == contact.position => felt.clone(),
+                let influence = match &last {
+                    Some((at, influence)) if *at == contact.position => influence.clone(),
                     _ => {
                         self.panel.influence.of_patch(self.panel.unroll(&contact.position), self.panel.patch)
                     }
                 };
-                self.panel.add(&contact, &felt, row);
-                last = Some((contact.position, felt));
+                self.panel.add(&contact, &influence, row);
+                last = Some((contact.position, influence));
             }
             before = now;
         }

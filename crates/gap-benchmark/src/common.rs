@@ -40,7 +40,7 @@ pub(crate) const CROSSTALK: CauseInfo = CauseInfo::new(
 
 pub(crate) const MAINS_HUM: CauseInfo = CauseInfo::new(
     "mains-hum",
-    "hum of the mains, aliased by the sampling, other on each channel",
+    "interference of the mains, aliased by the sampling, other on each channel",
     "49.93 Hz at 100 frames a second",
     ("amplitude", "Pa", 4000.0),
     false,
@@ -67,7 +67,7 @@ pub(crate) const CABLE_TUG: CauseInfo = CauseInfo::new(
 
 pub(crate) const WEARING: CauseInfo = CauseInfo::new(
     "wearing",
-    "readings fade with the number of presses that a channel has felt",
+    "readings fade with the number of presses near a channel",
     "fatigue, exp(-n / n0)",
     ("loss", "1", 0.9),
     false,

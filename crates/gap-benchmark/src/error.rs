@@ -10,7 +10,7 @@ use dermis_testbed::TestbedError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BenchmarkError {
-    /// No world is like this skin.
+    /// No reference device is like this skin.
     #[error("skin `{skin}`: field `{field}`: {reason}")]
     Skin {
         /// Name of the skin.
@@ -20,10 +20,10 @@ pub enum BenchmarkError {
         /// What is wrong with it, and what would be right.
         reason: String,
     },
-    /// A cause is asked for that no reference device knows.
-    #[error("`{id}` is no cause of such a world; it has {known}")]
+    /// A requested cause is known to no reference device.
+    #[error("`{id}` is no cause of such a reference device; it has {known}")]
     Cause {
-        /// As it was asked for.
+        /// As it was requested.
         id: String,
         /// What there is.
         known: String,

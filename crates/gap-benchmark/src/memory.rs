@@ -102,7 +102,7 @@ pub(crate) fn gains(causes: &Causes, script: &Script, channels: usize, readings:
     });
     let (start, wear) = (causes.size("warming-up"), causes.size("wearing"));
     let large = scale(readings);
-    let mut felt = vec![0.0f64; channels];
+    let mut press_counts = vec![0.0f64; channels];
     let mut pressed = vec![false; channels];
     for (row, instant) in readings.chunks_mut(channels).zip(&script.instants) {
         // Half of it is gone after 90 s, the rest goes more slowly.
@@ -118,9 +118,9 @@ pub(crate) fn gains(causes: &Causes, script: &Script, channels: usize, readings:
             }
             if wear > 0.0 {
                 let now = clean.abs() > 0.2 * large;
-                felt[c] += f64::from(u8::from(now && !pressed[c]));
+                press_counts[c] += f64::from(u8::from(now && !pressed[c]));
                 pressed[c] = now;
-                *value *= 1.0 - wear * (1.0 - (-felt[c] / 15.0).exp());
+                *value *= 1.0 - wear * (1.0 - (-press_counts[c] / 15.0).exp());
             }
         }
     }

@@ -2,8 +2,8 @@
 //!
 //! A [`ReferenceDevice`] is a skin that is pressed as a rig would press it ([`Script`]), computed by other means than the models that
 //! the tool works with: another discretisation, other laws of contact, material and electronics, taken from the literature and
-//! not from any model of this workspace. What makes it differ from its design, its [`Cause`]s, is withheld: a [`pack`] of
-//! recordings is published with the hash of each ground truth, and [`score`]d after the tool has written its reports.
+//! not from any model of this workspace. What makes it differ from its design, its [`Cause`]s, is withheld: a benchmark [`set`]
+//! of recordings is published with the hash of each ground truth, and [`score`]d after the tool has written its reports.
 //!
 //! No crate but the program and tests of the check may import this one, and the tool never (`cargo xtask layers`).
 
@@ -117,7 +117,7 @@ pub enum Region {
     },
 }
 
-/// Where a cause of this skin's world sits; `None` where it does not sit in one place.
+/// Where a cause of this skin's reference device sits; `None` where it does not sit in one place.
 #[must_use]
 pub fn region(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
     let channels = skin.channels();
@@ -172,7 +172,7 @@ fn unlike(skin: &SkinDescription) -> BenchmarkError {
     BenchmarkError::skin(
         skin,
         "surface",
-        "no world is like it: there are flat layers that read in Pa, and clamped panels that read strain",
+        "no reference device is like it: there are flat layers that read in Pa, and clamped panels that read strain",
     )
 }
 

@@ -68,7 +68,7 @@ impl Kind {
     }
 }
 
-/// A cause, told to whoever opens the ground truth.
+/// A cause, as the ground truth describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WithheldCause {
     /// The cause itself.
@@ -93,19 +93,19 @@ pub struct GroundTruth {
     pub case: String,
     /// What the case counts as: by the causes that reach the least gap, so that it is a control where none does.
     pub kind: Kind,
-    /// Random, so that the hash tells nothing.
+    /// Random, so that the hash gives nothing away.
     pub salt: String,
     /// Seed of the whole set.
     pub seed: u64,
     /// Causes at work.
     pub causes: Vec<WithheldCause>,
-    /// Gap that was asked for, in multiples of `floor`; 0 for controls.
+    /// Requested gap, in multiples of `floor`; 0 for controls.
     pub gap: f64,
     /// Noise, in multiples of the skin's.
     pub noise: f64,
     /// Fraction of variance that noise and practical margin make up.
     pub floor: f64,
-    /// Fraction of variance that the causes move, noise-free: validated, not asked for.
+    /// Fraction of variance that the causes move, noise-free: measured, not requested.
     pub unexplained: f64,
     /// The same of each cause alone, in their order.
     pub alone: Vec<f64>,

@@ -71,7 +71,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
     ),
     CauseInfo::new(
         "strain-across",
-        "gauges feel a share of the strain across",
+        "gauges measure a share of the strain across",
         "transverse sensitivity of foils",
         ("share", "1", 0.6),
         true,
@@ -112,7 +112,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
     ),
     CauseInfo::new(
         "walking-zero",
-        "zeros walk at random",
+        "zeros follow a random walk",
         "glue and moisture; Brownian motion",
         ("deviation-after-100-s", "1", 3e-4),
         false,
