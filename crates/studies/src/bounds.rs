@@ -294,7 +294,10 @@ fn study_options(line: &Line, least: f64) -> StudyOptions {
     let largest = if largest.is_finite() { largest } else { 10.0 * least };
     let values =
         (0..VALUES).map(|i| least * (largest / least).powf(f64::from(i) / f64::from(VALUES - 1))).collect();
-    let pitch = line.span() / (line.taxels().len() - 1).max(1) as f64;
+    // Many channels may have one foot.
+    let mut feet: Vec<f64> = line.taxels().iter().map(|t| t.foot).collect();
+    feet.dedup();
+    let pitch = line.span() / (feet.len() - 1).max(1) as f64;
     StudyOptions { least, values, forces, map_forces, step: pitch / 13.0, testbed: Testbed::THESIS }
 }
 
