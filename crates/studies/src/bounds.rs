@@ -206,17 +206,7 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
     let surface = skin.surface();
     let (mut maps, mut boxes, mut pairs) = (Vec::new(), Vec::new(), Vec::new());
     if let Some(model) = &model {
-        for (i, &force) in options.force.iter().enumerate() {
-            // The study of the surface takes shear for known: its boxes follow from derivatives without it.
-            if unknowns == Unknowns::Normal {
-                let (map, bands) = over_surface_and_bands(model.as_ref(), force, options.diameter, unknowns)?;
-                maps.push(map);
-                boxes.push(bands);
-            } else {
-                maps.push(over_surface(model.as_ref(), force, options.diameter, unknowns)?);
-            }
-            progress.at(0.3 * (i + 1) as f64 / options.force.len() as f64);
-        }
+        (maps, boxes) = over_all_forces(model.as_ref(), options, unknowns, progress)?;
         pairs = pairs_of(model.as_ref(), middle, options.diameter, unknowns)?;
     }
     let feet = feet(&skin, &surface);
@@ -263,6 +253,28 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
         trends,
         notes,
     })
+}
+
+/// Bounds all over the skin by force; and the boxes of the strongest bands where the same derivatives give them: the study of the
+/// surface takes shear for known.
+fn over_all_forces(
+    model: &dyn ForwardModel,
+    options: &Request,
+    unknowns: Unknowns,
+    progress: &dyn Progress,
+) -> Result<(Vec<SurfaceBound>, Vec<Vec<BandBox>>)> {
+    let (mut maps, mut boxes) = (Vec::new(), Vec::new());
+    for (i, &force) in options.force.iter().enumerate() {
+        if unknowns == Unknowns::Normal {
+            let (map, bands) = over_surface_and_bands(model, force, options.diameter, unknowns)?;
+            maps.push(map);
+            boxes.push(bands);
+        } else {
+            maps.push(over_surface(model, force, options.diameter, unknowns)?);
+        }
+        progress.at(0.3 * (i + 1) as f64 / options.force.len() as f64);
+    }
+    Ok((maps, boxes))
 }
 
 /// Points of the surface above each channel's taxel.
