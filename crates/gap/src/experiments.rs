@@ -68,6 +68,8 @@ pub fn rank(
     forces.sort_by(f64::total_cmp);
     let force = forces[forces.len() * 3 / 4];
     let middle = held[held.len() / 2];
+    // Presses to come are simulated as they will be read; trust in a model goes with what touches make of it.
+    let zero = simulator.zero_level(&Recording::default()).unwrap_or_default();
     let mut found = Vec::new();
     for menu in menu(simulator, middle, force) {
         let Some((recording, samples)) = carried_out(simulator, &menu) else { continue };
@@ -85,8 +87,9 @@ pub fn rank(
                     .enumerate()
                     .map(|(i, (x, y))| {
                         let (x, y) = (f64::from(*x), f64::from(*y));
-                        let sigma = noise[i % noise.len()];
-                        (x - y).powi(2) / (sigma * sigma + (TRUST * x).powi(2))
+                        let channel = i % noise.len();
+                        let signal = zero.signal(channel, x);
+                        (x - y).powi(2) / (noise[channel].powi(2) + (TRUST * signal).powi(2))
                     })
                     .sum();
                 // What is wrong with a model is wrong in all frames of a press alike.

@@ -9,18 +9,22 @@
 //! [`PeakFinder`] needs no forward model: contacts as the peaks of a displacement map that something else has found.
 
 mod calibrate;
+mod contact;
 mod corrected;
 mod dictionary;
 mod fit;
 mod inverter;
 mod pairs;
 mod peaks;
+mod settings;
 mod sparse;
 #[cfg(test)]
 mod testing;
 
 pub use calibrate::{Calibration, CalibrationError};
+pub use contact::{Found, Reading, Solution};
 pub use corrected::{Corrected, Correction, CorrectionSettings, Press};
-pub use inverter::{ForcePrior, Found, Inverter, InverterError, Reading, Search, Settings, Solution};
+pub use inverter::Inverter;
 pub use peaks::{Peak, PeakFinder, PeakSettings, suppress};
+pub use settings::{ForcePrior, InverterError, Search, Settings};
 pub use sparse::SparseSettings;

@@ -2,8 +2,10 @@
 
 use dermis_model::Indentation;
 
+use crate::contact::Reading;
 use crate::dictionary::SHAPE;
-use crate::inverter::{Inverter, InverterError, Reading};
+use crate::inverter::Inverter;
+use crate::settings::InverterError;
 
 /// Rounds of coordinate descent at most.
 const ROUNDS: usize = 400;

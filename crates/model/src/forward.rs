@@ -122,8 +122,9 @@ pub trait ForwardModel: Send + Sync {
         false
     }
 
-    /// Whether steps of [`start`](Self::start) depend on the frames before them. A model that says `true` is stepped through every
-    /// frame of a recording, one that says `false` only through the frames that are asked for.
+    /// Whether steps of [`start`](Self::start) depend on the frames before them by design: a foam that creeps, say. The diagnosis
+    /// steps such a model through every frame of a recording, and any other only through the frames that it compares. Effects that
+    /// remember need no answer here: [`EffectInfo::stateful`](dermis_skin::EffectInfo::stateful) gives it.
     fn remembers(&self) -> bool {
         false
     }

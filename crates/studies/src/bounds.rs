@@ -206,17 +206,7 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
     let surface = skin.surface();
     let (mut maps, mut boxes, mut pairs) = (Vec::new(), Vec::new(), Vec::new());
     if let Some(model) = &model {
-        for (i, &force) in options.force.iter().enumerate() {
-            // The study of the surface takes shear for known: its boxes follow from derivatives without it.
-            if unknowns == Unknowns::Normal {
-                let (map, bands) = over_surface_and_bands(model.as_ref(), force, options.diameter, unknowns)?;
-                maps.push(map);
-                boxes.push(bands);
-            } else {
-                maps.push(over_surface(model.as_ref(), force, options.diameter, unknowns)?);
-            }
-            progress.at(0.3 * (i + 1) as f64 / options.force.len() as f64);
-        }
+        (maps, boxes) = over_all_forces(model.as_ref(), options, unknowns, progress)?;
         pairs = pairs_of(model.as_ref(), middle, options.diameter, unknowns)?;
     }
     let feet = feet(&skin, &surface);
@@ -265,6 +255,28 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
     })
 }
 
+/// Bounds all over the skin by force; and the boxes of the strongest bands where the same derivatives give them: the study of the
+/// surface takes shear for known.
+fn over_all_forces(
+    model: &dyn ForwardModel,
+    options: &Request,
+    unknowns: Unknowns,
+    progress: &dyn Progress,
+) -> Result<(Vec<SurfaceBound>, Vec<Vec<BandBox>>)> {
+    let (mut maps, mut boxes) = (Vec::new(), Vec::new());
+    for (i, &force) in options.force.iter().enumerate() {
+        if unknowns == Unknowns::Normal {
+            let (map, bands) = over_surface_and_bands(model, force, options.diameter, unknowns)?;
+            maps.push(map);
+            boxes.push(bands);
+        } else {
+            maps.push(over_surface(model, force, options.diameter, unknowns)?);
+        }
+        progress.at(0.3 * (i + 1) as f64 / options.force.len() as f64);
+    }
+    Ok((maps, boxes))
+}
+
 /// Points of the surface above each channel's taxel.
 #[must_use]
 pub fn feet(skin: &SkinDescription, surface: &Surface) -> Vec<Point3<f64>> {
@@ -294,7 +306,10 @@ fn study_options(line: &Line, least: f64) -> StudyOptions {
     let largest = if largest.is_finite() { largest } else { 10.0 * least };
     let values =
         (0..VALUES).map(|i| least * (largest / least).powf(f64::from(i) / f64::from(VALUES - 1))).collect();
-    let pitch = line.span() / (line.taxels().len() - 1).max(1) as f64;
+    // Many channels may have one foot.
+    let mut feet: Vec<f64> = line.taxels().iter().map(|t| t.foot).collect();
+    feet.dedup();
+    let pitch = line.span() / (feet.len() - 1).max(1) as f64;
     StudyOptions { least, values, forces, map_forces, step: pitch / 13.0, testbed: Testbed::THESIS }
 }
 

@@ -1,4 +1,9 @@
 //! The Cramér–Rao bound of the contacts that one frame shows.
+//!
+//! Problem: which error of place and force must every estimator without bias make? Method: inverse of the Fisher information (S. M. Kay,
+//! *Fundamentals of Statistical Signal Processing* I, 3.9) by the singular values of the whitened derivatives. Assumptions: Gaussian
+//! noise of constant variance, independent from channel to channel; one frame. Cost: one Jacobian of the model, and a decomposition of
+//! channels × unknowns.
 
 use dermis_model::{Differences, ForwardModel, Stimulus, Unknown, Unknowns, Untouched};
 use nalgebra::DMatrix;

@@ -1,4 +1,10 @@
 //! Taxels along a line: where their isolines meet, and how exactly.
+//!
+//! Problem: how far may a contact on a line be off where every channel reads its value within one deviation of its noise? Method:
+//! intersection of the bands around isolines (thesis chapter 5, equations 5.7 to 5.10), exactly by their corners, and to first order
+//! by their slopes (5.14). Assumptions: one contact, on the line, that presses along the normal; isolines are straight between the
+//! places of the line. Cost: a crossing searches outwards from a place, some tens of table reads; all pairs of channels at one place go
+//! with the square of their number.
 
 use dermis_skin::Surface;
 use nalgebra::Point3;

@@ -1,4 +1,7 @@
 //! A line along a surface.
+//!
+//! Problem: a row of taxels on a curved skin. Method: equal steps straight ahead, each projected onto the surface and turned with its
+//! normal (a discrete geodesic). Assumptions: the step is small against the surface's radius. Cost: one projection a step.
 
 use dermis_skin::Surface;
 use nalgebra::{Point3, Vector3};

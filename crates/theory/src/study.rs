@@ -1,4 +1,9 @@
 //! Everything that the isolines along a line say of a skin, as figures and files need it.
+//!
+//! Problem: how exactly can the taxels of a row locate a contact, by force and by place? Method: isolines of each taxel with their fits
+//! (5.16), deviations from fits, from exact corners and as Cramér–Rao bound, and the super-resolution factors that follow from their
+//! means (5.20, 5.21). Assumptions: those of [`Line`] and of [`Isoline`]. Cost: linear in channels, places and forces, but for the
+//! maps, which overlap the bands of all pairs of channels: hence [`MOST_STUDIED`] and [`MOST_BANDS`].
 
 use std::collections::BTreeSet;
 

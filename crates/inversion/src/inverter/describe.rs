@@ -1,0 +1,159 @@
+//! Minima as contacts with their errors.
+//!
+//! A contact that the readings locate has the covariance (JᵀJ)⁻¹ of least squares, scaled by what the minimum leaves beyond noise. One
+//! whose place is all but open is answered by its posterior mean over the dictionary: places are equally likely by their area, the
+//! force at each is Gaussian and cut off at 0. That costs one product with the dictionary.
+
+use dermis_model::{Unknowns, tangents};
+use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
+
+use super::Inverter;
+use crate::contact::Found;
+use crate::fit::{Datum, Minimum};
+use crate::settings::ForcePrior;
+
+impl Inverter {
+    pub(super) fn describe(&self, minimum: &Minimum, data: &[Datum]) -> Vec<Found> {
+        let per_contact = self.settings.unknowns.count();
+        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let freedom = counted.saturating_sub(per_contact * minimum.contacts.len());
+        // Where model and readings differ by more than noise, the error is more than noise makes.
+        let inflation = if freedom > 0 { (minimum.chi2 / freedom as f64).max(1.0) } else { 1.0 };
+        minimum
+            .contacts
+            .iter()
+            .enumerate()
+            .map(|(i, contact)| {
+                let (position, normal) = self.model.0.surface().project(&contact.position);
+                let block = minimum.covariance.as_ref().map(|c| {
+                    c.view((i * per_contact, i * per_contact), (per_contact, per_contact)).into_owned()
+                });
+                let (place, force) = covariances(self.settings.unknowns, &normal, block.as_ref());
+                Found {
+                    position,
+                    normal,
+                    force: contact.force,
+                    position_covariance: place * inflation,
+                    force_covariance: force * inflation,
+                }
+            })
+            .collect()
+    }
+
+    /// Mean and covariance of one contact over all places and forces, each as likely as any other before the reading.
+    pub(super) fn mean(&self, data: &[Datum], sharp: &Found) -> Found {
+        let levels = &self.dictionary.forces;
+        let mut terms: Vec<(f64, f64, f64, usize)> = Vec::with_capacity(self.dictionary.places.len());
+        let mut least = f64::INFINITY;
+        for place in 0..self.dictionary.places.len() {
+            // The level whose force comes out nearest to itself.
+            let mut chosen: Option<(f64, f64, f64, f64)> = None;
+            for (level, force) in levels.iter().enumerate() {
+                let (mut dot, mut square, mut whole) = (0.0, 0.0, 0.0);
+                let response = self.dictionary.response(place, level);
+                for (value, datum) in response.iter().zip(data) {
+                    let Datum::Exact(reading, weight) = *datum else { continue };
+                    let v = f64::from(*value) * weight / force;
+                    dot += v * reading * weight;
+                    square += v * v;
+                    whole += (reading * weight).powi(2);
+                }
+                if square <= 0.0 {
+                    continue;
+                }
+                let found = dot / square;
+                let off = (found.max(1e-6) / force).ln().abs();
+                if chosen.is_none_or(|(o, ..)| off < o) {
+                    chosen = Some((off, found, square, whole - dot * dot / square));
+                }
+            }
+            if let Some((_, found, square, chi2)) = chosen {
+                least = least.min(chi2);
+                terms.push((found, square, chi2, place));
+            }
+        }
+        let (mut total, mut force, mut force_square) = (0.0, 0.0, 0.0);
+        let (mut place, mut second) = (Vector3::zeros(), Matrix3::zeros());
+        for (found, square, chi2, index) in terms {
+            let spot = &self.dictionary.places[index];
+            // The force is Gaussian about `found`, cut off at 0 (and, far away, at the largest).
+            let deviation = 1.0 / square.sqrt();
+            let (mass, mean, variance) = truncated(found, deviation);
+            let mass = match self.settings.force_prior {
+                ForcePrior::Uniform => mass,
+                ForcePrior::Log if found > self.settings.force_max + 2.0 * deviation => continue,
+                ForcePrior::Log => mass / mean.max(1e-9),
+            };
+            let weight = spot.area * mass * deviation * (-(chi2 - least) / 2.0).exp();
+            total += weight;
+            force += weight * mean;
+            force_square += weight * (variance + mean * mean);
+            place += spot.position.coords * weight;
+            second += spot.position.coords * spot.position.coords.transpose() * weight;
+        }
+        if !(total > 0.0 && total.is_finite()) {
+            return sharp.clone();
+        }
+        let mean = place / total;
+        let (position, normal) = self.model.0.surface().project(&Point3::from(mean));
+        let pressing = (force / total).min(self.settings.force_max * 1.5);
+        let variance = (force_square / total - pressing * pressing).max(0.0);
+        // Presses of the dictionary are straight: a shear that is looked for is as open as the sharp answer says.
+        let across = Matrix3::identity() - normal * normal.transpose();
+        let shear = match self.settings.unknowns {
+            Unknowns::Full => across * sharp.force_covariance * across,
+            _ => Matrix3::zeros(),
+        };
+        Found {
+            position,
+            normal,
+            force: -normal * pressing,
+            position_covariance: second / total - mean * mean.transpose(),
+            force_covariance: normal * normal.transpose() * variance + shear,
+        }
+    }
+}
+
+/// Covariances of place and force in the frame of the link from those of the unknowns; unknown where `block` is.
+fn covariances(
+    unknowns: Unknowns,
+    normal: &Vector3<f64>,
+    block: Option<&DMatrix<f64>>,
+) -> (Matrix3<f64>, Matrix3<f64>) {
+    let Some(block) = block else {
+        return (
+            Matrix3::from_diagonal_element(f64::INFINITY),
+            Matrix3::from_diagonal_element(f64::INFINITY),
+        );
+    };
+    let [first, second] = tangents(normal);
+    let (along, forces): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = match unknowns {
+        Unknowns::Line => (vec![first], vec![-normal]),
+        Unknowns::Normal => (vec![first, second], vec![-normal]),
+        Unknowns::Full => (vec![first, second], vec![-normal, first, second]),
+    };
+    let spread = |axes: &[Vector3<f64>], from: usize| {
+        let mut all = Matrix3::zeros();
+        for (i, a) in axes.iter().enumerate() {
+            for (j, b) in axes.iter().enumerate() {
+                all += a * b.transpose() * block[(from + i, from + j)];
+            }
+        }
+        all
+    };
+    (spread(&along, 0), spread(&forces, along.len()))
+}
+
+/// Mass, mean and variance of a Gaussian that is cut off below 0.
+fn truncated(mean: f64, deviation: f64) -> (f64, f64, f64) {
+    let z = mean / deviation;
+    let mass = 0.5 * libm::erfc(-z / std::f64::consts::SQRT_2);
+    if mass < 1e-12 {
+        // Far below 0 the rest is exponential.
+        let scale = deviation / z.abs();
+        return (mass, scale, scale * scale);
+    }
+    let ratio = (-z * z / 2.0).exp() / (std::f64::consts::TAU.sqrt() * mass);
+    let variance = deviation * deviation * (1.0 - ratio * (z + ratio));
+    (mass, mean + deviation * ratio, variance.max(0.0))
+}

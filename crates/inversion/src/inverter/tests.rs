@@ -1,0 +1,249 @@
+use dermis_model::Stimulus;
+use dermis_theory::cramer_rao;
+use nalgebra::Vector3;
+use proptest::prelude::*;
+use rand::Rng;
+
+use super::*;
+use crate::testing::{Shifted, Toy, press, random};
+
+fn inverter(noise: f64, change: impl FnOnce(&mut Settings)) -> (Inverter, Arc<Toy>) {
+    let model = Arc::new(Toy::grid(noise));
+    let mut settings = Settings::new(0.004, 2.0);
+    change(&mut settings);
+    let shared: Arc<dyn ForwardModel> = Arc::clone(&model) as _;
+    (Inverter::new(shared, settings).unwrap(), model)
+}
+
+#[test]
+fn one_contact_is_found_to_its_bound() {
+    let (inverter, model) = inverter(20.0, |_| ());
+    let mut random = random(1);
+    for force in [0.2, 1.0] {
+        let (mut error, mut bound, mut expected) = (0.0, 0.0, 0.0);
+        let tries = 300;
+        for _ in 0..tries {
+            let truth = press(random.random_range(-0.012..0.012), random.random_range(-0.012..0.012), force);
+            let stimulus = Stimulus { contacts: vec![truth.clone()], ..Stimulus::default() };
+            let solution = inverter.solve(&model.read(&stimulus.contacts, &mut random), None).unwrap();
+            let [found] = solution.contacts.as_slice() else { panic!("{solution:?}") };
+            error += (found.position - truth.position).norm_squared();
+            expected += found.deviation().powi(2);
+            bound += cramer_rao(model.as_ref(), &stimulus, Unknowns::Normal).unwrap()[0].position.powi(2);
+        }
+        let (error, bound, expected) = (error.sqrt(), bound.sqrt(), expected.sqrt());
+        assert!((0.9..1.1).contains(&(error / bound)), "{force} N: {error} is not {bound}");
+        assert!((0.85..1.2).contains(&(expected / bound)), "{force} N: {expected} is said, {bound} is true");
+    }
+}
+
+#[test]
+fn a_weak_contact_is_answered_by_its_mean() {
+    // The strongest taxel stands 4 noise deviations out at best.
+    let (inverter, model) = inverter(20.0, |_| ());
+    let mut random = random(2);
+    let (mut error, mut said, mut bound) = (0.0, 0.0, 0.0);
+    for _ in 0..400 {
+        let truth = press(random.random_range(-0.017..0.017), random.random_range(-0.017..0.017), 0.012);
+        let stimulus = Stimulus { contacts: vec![truth.clone()], ..Stimulus::default() };
+        let solution = inverter.solve(&model.read(&stimulus.contacts, &mut random), None).unwrap();
+        error += (solution.contacts[0].position - truth.position).norm_squared();
+        said += solution.contacts[0].deviation().powi(2);
+        let unbiased = cramer_rao(model.as_ref(), &stimulus, Unknowns::Normal).unwrap();
+        bound += unbiased[0].position.powi(2);
+    }
+    let (error, said, bound) = (error.sqrt(), said.sqrt(), bound.sqrt());
+    assert!(error < bound, "knowing the surface helps: {error}, unbiased {bound}");
+    assert!((0.7..1.4).contains(&(said / error)), "{said} is said, {error} is true");
+}
+
+#[test]
+fn pairs_are_found_among_all_pairs() {
+    let (inverter, model) = inverter(1e-3, |s| s.contacts = 3);
+    let mut random = random(8);
+    for _ in 0..20 {
+        let mut at = || random.random_range(-0.014..0.014);
+        let (a, b) = (press(at(), at(), 1.0), press(at(), at(), 0.7));
+        if (a.position - b.position).norm() < 0.008 {
+            continue;
+        }
+        let truth = [a, b];
+        let readings = model.read(&truth, &mut random);
+        let found = inverter.search(&readings).unwrap().contacts;
+        assert_eq!(found.len(), 2, "{truth:?} {found:?}");
+        for t in &truth {
+            let nearest = found.iter().map(|f| (f.position - t.position).norm()).fold(1.0, f64::min);
+            assert!(nearest < 5e-4, "{truth:?} {found:?}");
+        }
+    }
+    let single = inverter.search(&model.read(&[press(0.003, 0.004, 0.8)], &mut random)).unwrap();
+    assert_eq!(single.contacts.len(), 1);
+    assert!(inverter.search(&[Reading::Exact(0.0)]).is_err());
+}
+
+#[test]
+fn a_model_that_reads_something_untouched_finds_the_same_contacts() {
+    let settings = Settings { contacts: 2, ..Settings::new(0.004, 2.0) };
+    let plain = Inverter::new(Arc::new(Toy::grid(20.0)), settings.clone()).unwrap();
+    let shifted = Inverter::new(Arc::new(Shifted(Toy::grid(20.0), 3e4)), settings).unwrap();
+    // What a skin publishes: readings minus untouched ones.
+    let truth = [press(0.007, 0.005, 1.0), press(-0.008, -0.006, 0.7)];
+    let readings = Toy::grid(20.0).read(&truth, &mut random(14));
+    let light = Toy::grid(20.0).read(&[press(0.003, 0.001, 0.012)], &mut random(15));
+    let same = |of: &dyn Fn(&Inverter) -> Solution| {
+        let (a, b) = (of(&plain), of(&shifted));
+        assert_eq!(a.contacts.len(), b.contacts.len());
+        assert!(!a.contacts.is_empty());
+        for (a, b) in a.contacts.iter().zip(&b.contacts) {
+            // Both end where a step gains less than 1e-4 of a unit of chi².
+            assert!((a.position - b.position).norm() < 0.02 * a.deviation(), "{a:?} {b:?}");
+            assert!((a.force - b.force).norm() < 1e-3 * a.force.norm(), "{a:?} {b:?}");
+        }
+    };
+    same(&|inverter| inverter.solve(&readings, None).unwrap());
+    same(&|inverter| inverter.search(&readings).unwrap());
+    same(&|inverter| inverter.refine(&readings, &truth).unwrap());
+    same(&|inverter| inverter.solve(&light, None).unwrap());
+    let (a, b) = (plain.evidence(&light), shifted.evidence(&light));
+    assert!((a.0 - b.0).abs() < 1e-3 * a.0 && (a.1 - b.1).abs() < 1e-3 * a.1, "{a:?} {b:?}");
+    let mut signal = vec![f64::NAN; 25];
+    shifted.signal(&[], &mut signal).unwrap();
+    assert_eq!(signal, [0.0; 25]);
+}
+
+#[test]
+fn contacts_that_last_are_followed() {
+    let (inverter, model) = inverter(1e-3, |s| s.contacts = 2);
+    let mut random = random(11);
+    let at = |share: f64| [press(0.007, 0.005, 1.0 + share), press(-0.008 + 0.002 * share, -0.006, 0.7)];
+    let mut before = inverter.search(&model.read(&at(0.0), &mut random)).unwrap().contacts;
+    let mut followed = 0;
+    for k in 1..=50 {
+        let truth = at(f64::from(k) / 50.0);
+        let readings = model.read(&truth, &mut random);
+        let answer = inverter.follow(&readings, &before).unwrap();
+        followed += usize::from(answer.is_some());
+        before = answer.unwrap_or_else(|| inverter.search(&readings).unwrap()).contacts;
+        for t in &truth {
+            let nearest = before.iter().map(|f| (f.position - t.position).norm()).fold(1.0, f64::min);
+            assert!(nearest < 5e-4, "{k}: {before:?}");
+        }
+    }
+    assert!(followed >= 40, "{followed} of 50 frames");
+    // One of them ends, a third begins, all end: what was there before is no answer.
+    let one = model.read(&at(1.0)[..1], &mut random);
+    assert_eq!(inverter.follow(&one, &before).unwrap(), None);
+    let mut third = at(1.0).to_vec();
+    third.push(press(0.012, -0.012, 0.8));
+    assert_eq!(inverter.follow(&model.read(&third, &mut random), &before).unwrap(), None);
+    assert_eq!(inverter.follow(&model.read(&[], &mut random), &before).unwrap(), None);
+    assert_eq!(inverter.follow(&one, &[]).unwrap(), None);
+    assert!(inverter.follow(&one[1..], &before).is_err());
+}
+
+#[test]
+fn light_presses_are_undetectable_and_strong_ones_are_not() {
+    let (inverter, _) = inverter(20.0, |_| ());
+    assert!(inverter.unfelt(1e-4, 30.0) > 0.99 && inverter.unfelt(2.0, 30.0) < 0.01);
+    let some = inverter.unfelt(0.03, 30.0);
+    assert!((0.01..0.99).contains(&some), "{some}");
+}
+
+#[test]
+fn several_contacts_are_told_apart() {
+    let (inverter, model) = inverter(20.0, |s| s.contacts = 3);
+    let mut random = random(3);
+    let (mut right, tries) = (0, 150);
+    for k in 0..tries {
+        let count = 1 + k % 3;
+        let mut truth: Vec<Indentation> = Vec::new();
+        while truth.len() < count {
+            let p = press(
+                random.random_range(-0.015..0.015),
+                random.random_range(-0.015..0.015),
+                random.random_range(0.3..1.5),
+            );
+            if truth.iter().all(|t| (t.position - p.position).norm() > 0.011) {
+                truth.push(p);
+            }
+        }
+        let solution = inverter.solve(&model.read(&truth, &mut random), None).unwrap();
+        let near =
+            |t: &Indentation| solution.contacts.iter().any(|f| (f.position - t.position).norm() < 0.001);
+        right += usize::from(solution.contacts.len() == count && truth.iter().all(near));
+    }
+    assert!(right * 100 >= tries * 95, "{right} of {tries}");
+}
+
+#[test]
+fn noise_makes_no_second_contact() {
+    let (inverter, model) = inverter(20.0, |s| s.contacts = 3);
+    let mut random = random(4);
+    for _ in 0..200 {
+        let truth = [press(random.random_range(-0.017..0.017), random.random_range(-0.017..0.017), 1.0)];
+        assert_eq!(inverter.solve(&model.read(&truth, &mut random), None).unwrap().contacts.len(), 1);
+    }
+}
+
+#[test]
+fn shear_is_found_where_it_is_looked_for() {
+    let (inverter, model) = inverter(20.0, |s| s.unknowns = Unknowns::Full);
+    let mut truth = press(0.003, -0.002, 1.0);
+    truth.force = Vector3::new(0.3, -0.2, -1.0);
+    let found = inverter.solve(&model.read(std::slice::from_ref(&truth), &mut random(5)), None).unwrap();
+    let found = &found.contacts[0];
+    let sigma = found.force_covariance.diagonal().map(f64::sqrt);
+    for k in 0..3 {
+        assert!((found.force[k] - truth.force[k]).abs() < 5.0 * sigma[k] && sigma[k] < 0.05, "{found:?}");
+    }
+    assert!((found.position - truth.position).norm() < 5.0 * found.deviation());
+}
+
+#[test]
+fn channels_at_the_end_of_their_range_and_missing_ones_are_no_lies() {
+    let (inverter, model) = inverter(20.0, |_| ());
+    let truth = press(0.0005, 0.001, 1.2);
+    let mut readings = model.read(std::slice::from_ref(&truth), &mut random(6));
+    // The one below the press is cut off at 3 kPa, two neighbours are gone.
+    readings[12] = Reading::AtLeast(3000.0);
+    readings[11] = Reading::Missing;
+    readings[18] = Reading::Exact(f64::NAN);
+    let solution = inverter.solve(&readings, None).unwrap();
+    assert!((solution.contacts[0].position - truth.position).norm() < 5.0 * solution.contacts[0].deviation());
+    assert_eq!(solution.freedom, 20);
+    let missing = vec![Reading::Missing; 25];
+    assert!(inverter.solve(&missing, None).unwrap().contacts.is_empty());
+    insta::assert_snapshot!(inverter.solve(&missing[1..], None).unwrap_err(), @"24 readings where the model has 25 channels");
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let refused = |change: fn(&mut Settings)| {
+        let mut settings = Settings::new(0.004, 2.0);
+        change(&mut settings);
+        Inverter::new(Arc::new(Toy::grid(20.0)), settings).unwrap_err().to_string()
+    };
+    insta::assert_snapshot!(refused(|s| s.contacts = 0), @"`contacts` is 0 and must be 1 to 10");
+    insta::assert_snapshot!(refused(|s| s.force_max = f64::NAN), @"`force_max` is NaN and must be a positive number");
+    insta::assert_snapshot!(refused(|s| s.gains = vec![1.0; 3]), @"`gains` is 3 long and must be one number for each of 25 channels");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn every_reading_has_an_answer_on_the_surface(
+        values in proptest::collection::vec(-1e5..1e5f64, 25), kinds in proptest::collection::vec(0..4u8, 25),
+    ) {
+        let (inverter, model) = inverter(20.0, |s| s.contacts = 2);
+        let readings: Vec<Reading> = values.iter().zip(&kinds).map(|(v, k)| match k {
+            0 => Reading::AtLeast(*v),
+            1 => Reading::AtMost(*v),
+            2 => Reading::Missing,
+            _ => Reading::Exact(*v),
+        }).collect();
+        for found in inverter.solve(&readings, None).unwrap().contacts {
+            prop_assert!(model.surface().distance(&found.position) < 1e-9);
+            prop_assert!(found.normal_force() > 0.0 && found.normal_force() <= 3.0 + 1e-9);
+        }
+    }
+}
