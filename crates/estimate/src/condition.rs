@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use dermis_skin::{
-    ChannelFlags, Condition, Frame, ImageGrid, ImageGridError, SkinDescription, Stamp, TareState, ZeroTracker,
+    ChannelFlags, Condition, Frame, ImageGrid, ImageGridError, SkinDescription, TareState, ZeroTracker,
 };
 
 mod health;

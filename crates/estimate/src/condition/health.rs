@@ -199,7 +199,7 @@ impl Watch {
 
 /// Least probability that the next reading of a healthy channel differs from this one, where the noise-free value
 /// sits in the middle of a quantisation step of `step` noise deviations: 2 (1 − Φ(step/2)).
-fn change_probability(step: f64) -> f64 {
+pub(super) fn change_probability(step: f64) -> f64 {
     erfc(step / (2.0 * std::f64::consts::SQRT_2)).max(1e-12)
 }
 

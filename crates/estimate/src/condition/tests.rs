@@ -1,3 +1,6 @@
+use dermis_skin::Stamp;
+
+use super::health::change_probability;
 use super::*;
 use crate::testing::{Noise, skin_with};
 
@@ -367,7 +370,7 @@ fn every_recorded_press_is_felt_and_ends() {
         return;
     };
     let skin = SkinDescription::from_toml(
-        include_str!("../../../launch/skins/eflesh.toml"),
+        include_str!("../../../../launch/skins/eflesh.toml"),
         "launch/skins/eflesh.toml",
     )
     .unwrap();
