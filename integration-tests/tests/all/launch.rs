@@ -271,7 +271,7 @@ fn the_demo_runs_from_anywhere_and_keeps_levels() {
         Launch::open(tempfile::tempdir().unwrap(), &file, &["robot:=launched", "namespace:=left"]);
     let connected = launch.wait("left/baro_grid", "connected to ");
     assert_eq!(connected["level"], "INFO");
-    assert_eq!(connected["target"], "dermis_perception::node");
+    assert!(connected["target"].as_str().unwrap().starts_with("dermis_perception::node"), "{connected}");
     let seen = contacts_from("/left/contacts");
     until("contacts arrive", || *seen.1.lock().unwrap() > 10);
     launch.peer.interrupt();
