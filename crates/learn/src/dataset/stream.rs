@@ -117,6 +117,8 @@ struct Reading<'a> {
     read: usize,
     /// Frames that were read before it was their turn, by their place in time.
     early: BTreeMap<usize, Frame>,
+    /// Topic of the images that are read, where any are.
+    image_topic: Option<&'a str>,
     /// Images that were read and belong to no frame so far.
     images: BTreeMap<Stamp, Image>,
 }
@@ -124,20 +126,21 @@ struct Reading<'a> {
 impl<'a> Reading<'a> {
     fn open(path: &'a Path, of: &'a BagFrames, images: bool) -> Result<Self, LearnError> {
         let images = of.images.as_ref().filter(|_| images);
+        let image_topic = images.map(String::as_str);
         let mut filter = Filter::default()
             .types([TaxelFrame::TYPE_NAME].into_iter().chain(images.map(|_| ImageMsg::TYPE_NAME)));
         if let Some(topic) = &of.topic {
             filter = filter.topics([topic].into_iter().chain(images).cloned());
         }
         let messages = BagReader::open(path)?.messages_where(filter);
-        Ok(Self { path, of, messages, read: 0, early: BTreeMap::new(), images: BTreeMap::new() })
+        Ok(Self { path, of, messages, read: 0, early: BTreeMap::new(), image_topic, images: BTreeMap::new() })
     }
 
     /// Reads one message; `false` at the end of the bag.
     fn advance(&mut self) -> Result<bool, LearnError> {
         let Some(message) = self.messages.next().transpose()? else { return Ok(false) };
         if *message.type_name == *ImageMsg::TYPE_NAME {
-            if self.of.images.as_ref().is_some_and(|topic| **topic == *message.topic) {
+            if self.image_topic.is_some_and(|topic| *topic == *message.topic) {
                 let image: ImageMsg = message.decode()?;
                 let unknown =
                     || LearnError::Image { bag: self.path.to_owned(), encoding: image.encoding.clone() };
@@ -223,7 +226,7 @@ impl<'a> Samples<'a> {
                 if frame.stamp != info.stamp {
                     return Err(reading.changed());
                 }
-                if reading.of.images.is_some() {
+                if reading.image_topic.is_some() {
                     frame.image = reading.image(frame.stamp)?;
                 }
                 frame

@@ -443,3 +443,56 @@ fn what_is_streamed_is_what_is_held() {
     let said = streamed.gather(&[id(7)]).unwrap_err().to_string().replace(&path.display().to_string(), "BAG");
     insta::assert_snapshot!(said, @"bag BAG has changed since it was first read: leave it alone until this command ends");
 }
+
+#[test]
+fn images_meet_their_frames_in_whatever_order_they_were_recorded() {
+    use dermis_skin::{Image, ImageGrid, PixelFormat};
+    let skin = skin();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bag");
+    let mut writer = BagWriter::create(&path).unwrap();
+    // Bright on the left, dark on the right, and brighter there by the number of the frame.
+    let seen = |k: i64| Image::new(2, 1, PixelFormat::Mono8, vec![100, k as u8]).unwrap();
+    for k in 0..40_i64 {
+        let stamp = BEGIN + k * STEP;
+        let mut frame = Frame::new(stamp, k as u64, vec![100.0 + k as f32, 50.0]);
+        frame.image = Some(seen(k));
+        let image = skin.image_message(&frame).unwrap();
+        // Frame 7 has no image beside it, and one of its stamp is another skin's.
+        let topic = if k == 7 { "/other/image" } else { "/pad/image" };
+        let later = if k % 2 == 0 { -STEP / 4 } else { 3 * STEP };
+        writer.write(topic, &image, stamp + later).unwrap();
+        writer.write("/pad/taxels", &skin.frame_message(&frame), stamp).unwrap();
+        let contacts = if k < 20 { vec![] } else { vec![(0.0, 1.0)] };
+        writer.write("/pad/ground_truth", &truth(k * STEP, 0, &contacts), stamp).unwrap();
+    }
+    writer.finish().unwrap();
+    let grid = ImageGrid { planes: 1, rows: 1, columns: 2 };
+    for memory in [0, MEMORY] {
+        let options = DatasetOptions { memory, ..DatasetOptions::default() };
+        let data = Dataset::from_bags(&[&path], &skin, &options).unwrap();
+        let all: Vec<Sample> = data.stream_images(0, Some(grid)).unwrap().collect::<Result<_, _>>().unwrap();
+        assert_eq!(all.len(), 40);
+        for (k, sample) in all.iter().enumerate() {
+            assert_eq!(sample.frame.values[0], 100.0 + k as f32);
+            let image = (k != 7).then(|| seen(k as i64));
+            assert_eq!(sample.frame.image, image, "frame {k}");
+            let dark = sample.image[1];
+            assert!(
+                if k == 7 { dark.is_nan() } else { (dark - k as f32 / 255.0).abs() < 1e-6 },
+                "frame {k}: {dark}"
+            );
+        }
+        // The zero of the image is from the untouched frames, and rests while something touches.
+        let [left, right] = [all[39].image_tared[0], all[39].image_tared[1]];
+        assert!(left.abs() < 1e-6 && right > 20.0 / 255.0, "{left} {right}");
+        assert_eq!(all[39].numbers(Baseline::Tared, true), [left, right]);
+        let without: Vec<Sample> = data.stream(0).unwrap().collect::<Result<_, _>>().unwrap();
+        assert!(without.iter().all(|s| s.frame.image.is_none() && s.image.is_empty()));
+        let refused = data.stream_images(0, Some(ImageGrid { columns: 3, ..grid })).unwrap().next().unwrap();
+        insta::assert_snapshot!(
+            refused.unwrap_err().to_string().replace(&path.display().to_string(), "BAG"),
+            @"bag BAG: an image of 2 x 1 pixels and 1 colours does not divide into 3 x 1 blocks of 1 colours (columns x rows); choose a size that divides it (`features.image`)"
+        );
+    }
+}
