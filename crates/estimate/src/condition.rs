@@ -6,6 +6,8 @@ use dermis_skin::{
     ChannelFlags, Condition, Frame, ImageGrid, ImageGridError, SkinDescription, TareState, ZeroTracker,
 };
 
+use crate::finder::ConditionedFrame;
+
 mod health;
 mod rest;
 #[cfg(test)]
@@ -65,6 +67,21 @@ pub struct Conditioned {
     pub image: Vec<f32>,
     /// The same less its zero; NaN where that is not known.
     pub image_signal: Vec<f32>,
+}
+
+impl Conditioned {
+    /// As models and finders take it.
+    #[must_use]
+    pub fn frame(&self) -> ConditionedFrame<'_> {
+        ConditionedFrame {
+            stamp: self.reading.stamp,
+            reading: &self.reading.values,
+            signal: &self.signal.values,
+            flags: &self.signal.flags,
+            image: &self.image,
+            image_signal: &self.image_signal,
+        }
+    }
 }
 
 /// Cleans the frames of one skin, in order.

@@ -48,9 +48,13 @@ fn device(folder: &Path, skin: &str, name: &str, effects: &[&str]) -> PathBuf {
         repeats = 2
     "#;
     std::fs::write(&plan, text).unwrap();
-    let bag = folder.join(name);
+    recorded(skin, &plan, folder.join(name), effects)
+}
+
+/// Records a plan on a simulated device with these effects.
+fn recorded(skin: &str, plan: &Path, bag: PathBuf, effects: &[&str]) -> PathBuf {
     let mut command = dermis(&["collect", skin, "--json", "--plan"]);
-    command.arg(&plan).arg("--out").arg(&bag);
+    command.arg(plan).arg("--out").arg(&bag);
     effects.iter().for_each(|e| {
         command.args(["--effect", e]);
     });
@@ -219,14 +223,7 @@ fn weak(folder: &Path, name: &str, steps: &str, effects: &[&str]) -> PathBuf {
         "#
     );
     std::fs::write(&plan, text).unwrap();
-    let bag = folder.join(name);
-    let mut command = dermis(&["collect", LINE, "--json", "--plan"]);
-    command.arg(&plan).arg("--out").arg(&bag);
-    effects.iter().for_each(|e| {
-        command.args(["--effect", e]);
-    });
-    finish(&mut command);
-    bag
+    recorded(LINE, &plan, folder.join(name), effects)
 }
 
 /// Real recordings: each claim has its class and its interval, and the cause that is known, the oil, is no other than one that

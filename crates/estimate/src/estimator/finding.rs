@@ -26,36 +26,28 @@ impl SkinEstimator {
         let cleaned = &self.cleaned;
         for pipeline in &mut self.pipelines {
             pipeline.fresh = false;
-            let stamp = cleaned.reading.stamp;
-            if pipeline.features.config().image.is_some() {
-                let numbers = match pipeline.baseline {
-                    Baseline::Raw => &cleaned.image,
-                    Baseline::Tared => &cleaned.image_signal,
-                };
-                pipeline.features.push(stamp, numbers).map_err(|e| e.to_string())?;
+            let config = pipeline.features.config();
+            // A model that was told which channels are missing knows better what to make of it, and an image has no channels.
+            let as_it_is =
+                self.guessed.is_empty() || config.missing == Missing::Mask || config.image.is_some();
+            if as_it_is {
+                pipeline.take(&cleaned.frame()).map_err(|e| e.to_string())?;
                 continue;
             }
-            let values = match pipeline.baseline {
-                Baseline::Raw => &cleaned.reading.values,
-                Baseline::Tared => &cleaned.signal.values,
+            let (values, zero) = match pipeline.baseline {
+                Baseline::Raw => (&cleaned.reading.values, self.conditioner.zero()),
+                Baseline::Tared => (&cleaned.signal.values, None),
             };
-            // A model that was told which channels are missing knows better what to make of it.
-            let pushed = if self.guessed.is_empty() || pipeline.features.config().missing == Missing::Mask {
-                pipeline.features.push(stamp, values)
-            } else {
-                let zero = self.conditioner.zero().filter(|_| pipeline.baseline == Baseline::Raw);
-                let whole: Vec<f32> = values
-                    .iter()
-                    .zip(&self.guessed)
-                    .enumerate()
-                    .map(|(i, (value, guessed))| match value.is_nan() {
-                        true => (guessed + zero.map_or(0.0, |zero| zero[i])) as f32,
-                        false => *value,
-                    })
-                    .collect();
-                pipeline.features.push(stamp, &whole)
-            };
-            pushed.map_err(|e| e.to_string())?;
+            let whole: Vec<f32> = values
+                .iter()
+                .zip(&self.guessed)
+                .enumerate()
+                .map(|(i, (value, guessed))| match value.is_nan() {
+                    true => (guessed + zero.map_or(0.0, |zero| zero[i])) as f32,
+                    false => *value,
+                })
+                .collect();
+            pipeline.features.push(cleaned.reading.stamp, &whole).map_err(|e| e.to_string())?;
         }
         Ok(())
     }

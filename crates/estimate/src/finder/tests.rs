@@ -360,24 +360,10 @@ fn a_regression_that_fails_says_so() {
     insta::assert_snapshot!(told(found(&mut finder, &[0.0; 3])), @"a regression was given 3 channels where its skin has 4");
 }
 
-/// The latest frame of an estimator, and what it found.
-fn latest(estimator: &SkinEstimator) -> (Frame, Frame) {
-    (estimator.conditioned().reading.clone(), estimator.conditioned().signal.clone())
-}
-
 /// Whether a finder gives the very contacts that the estimator of a node gave.
 #[track_caller]
 fn assert_same(estimator: &SkinEstimator, finder: &mut dyn ContactFinder, contacts: &[Contact]) {
-    let (reading, signal) = latest(estimator);
-    let frame = ConditionedFrame {
-        stamp: signal.stamp,
-        reading: &reading.values,
-        signal: &signal.values,
-        flags: &signal.flags,
-        image: &[],
-        image_signal: &[],
-    };
-    let found = finder.find(&frame).unwrap();
+    let found = finder.find(&estimator.conditioned().frame()).unwrap();
     assert_eq!(found.len(), contacts.len());
     for (found, contact) in found.iter().zip(contacts) {
         assert_eq!((found.position, found.force), (contact.position, contact.force));
