@@ -6,9 +6,9 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
 use dermis_bag::{BagOptions, BagReader, Compression, Filter};
-
-use crate::quantity::{duration, size};
-use crate::record::{Incomplete, Level};
+use dermis_operate::OperateError;
+use dermis_operate::quantity::{duration, size};
+use dermis_operate::record::Level;
 
 /// Turns a recording into a labelled bag.
 #[derive(Args)]
@@ -181,7 +181,7 @@ fn check(options: &Check) -> Result<()> {
                     none if none.is_empty() => "its recorder did not count what it lost".to_owned(),
                     missing => missing,
                 };
-                return Err(Incomplete(missing).into());
+                return Err(OperateError::Incomplete(missing).into());
             }
             return Ok(());
         }

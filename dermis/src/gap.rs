@@ -118,7 +118,7 @@ fn diagnose(request: &diagnosis::Request) -> Result<Diagnosis> {
     let progress = ProgressBar::new(0)
         .with_style(ProgressStyle::with_template("{msg} {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.set_message("simulating effects");
-    let stop = crate::collect::stop_on_interrupt()?;
+    let stop = crate::interrupt::stop_on_interrupt()?;
     let found = diagnosis::diagnose(request, &families(), progress.clone(), stop)?;
     progress.finish_and_clear();
     Ok(found)

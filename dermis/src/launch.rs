@@ -6,8 +6,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser};
-use dermis_launch::{Host, LogOptions, NodeRequest, Plan, Refusal};
+use dermis_launch::{Host, LogOptions, NodeRequest, Refusal};
 use dermis_node::Reach;
+use dermis_operate::launching;
 use dermis_perception::cli::NetworkArguments;
 use serde_json::Value;
 
@@ -64,7 +65,7 @@ pub async fn run(options: &Options, format: Format) -> Result<()> {
         .tempdir()
         .context("no temporary folder for the launch")?;
     let mut plan = dermis_launch::load(&options.file, &options.arguments, tmp.path(), &host)?;
-    hand_over(&options.network, &mut plan)?;
+    launching::hand_over(&options.network.choice(), &mut plan)?;
     if options.check {
         if options.json {
             println!("{:#}", plan.json());
@@ -102,29 +103,6 @@ pub async fn run(options: &Options, format: Format) -> Result<()> {
     Ok(())
 }
 
-/// What the command line says of the network wins over what the file says, for every process but those whose own command
-/// line says it.
-fn hand_over(network: &NetworkArguments, plan: &mut Plan) -> Result<()> {
-    let (flag, value) = match (network.network, &network.zenoh_config) {
-        (None, None) => return Ok(()),
-        (Some(reach), _) => ("--network", reach.to_string()),
-        (None, Some(file)) => {
-            let file =
-                file.canonicalize().with_context(|| format!("zenoh configuration {}", file.display()))?;
-            ("--zenoh-config", file.display().to_string())
-        }
-    };
-    for process in &mut plan.processes {
-        process.set_network(network.network.is_some(), &value);
-        let says_so =
-            |argument: &String| argument.starts_with("--network") || argument.starts_with("--zenoh-config");
-        if process.config.is_some() && !process.arguments.iter().any(says_so) {
-            process.arguments.extend([flag.to_owned(), value.clone()]);
-        }
-    }
-    Ok(())
-}
-
 /// This program, as launch files know it.
 struct Dermis {
     program: PathBuf,
@@ -151,17 +129,10 @@ impl Host for Dermis {
     }
 
     fn node(&self, request: &NodeRequest<'_>) -> Result<Value, Vec<Refusal>> {
-        let family = sensors().get(request.kind).ok_or_else(|| {
-            let known = sensors().names();
-            vec![Refusal {
-                field: "node".to_owned(),
-                reason: format!("there is no node `{}`; there is {}", request.kind, known.join(", ")),
-            }]
-        })?;
-        crate::nodes::config(family, request)
+        launching::config(request, sensors())
     }
 
     fn together(&self, nodes: &[(&str, &Value)]) -> Vec<(usize, Refusal)> {
-        crate::nodes::together(nodes)
+        launching::together(nodes)
     }
 }

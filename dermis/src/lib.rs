@@ -25,8 +25,8 @@ mod doctor;
 mod effects;
 mod evaluate;
 mod export;
-mod foreign;
 mod gap;
+mod interrupt;
 mod launch;
 mod log;
 mod manual;
@@ -34,14 +34,12 @@ mod nodes;
 mod output;
 mod placement;
 mod play;
-mod quantity;
 mod real2sim;
 mod record;
 mod refine;
 mod registry;
 mod schema;
 mod skins;
-mod stats;
 mod steps;
 mod sweep;
 mod table;
@@ -53,6 +51,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use dermis_io::pipe::ReaderGone;
+use dermis_operate::OperateError;
 use dermis_sensor::Registry;
 
 #[derive(Parser)]
@@ -218,7 +217,8 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Err(error) => {
             report(&error, format);
             // What was asked for is there, but not all of it.
-            if error.is::<record::Incomplete>() { ExitCode::from(3) } else { ExitCode::FAILURE }
+            let incomplete = matches!(error.downcast_ref(), Some(OperateError::Incomplete(_)));
+            if incomplete { ExitCode::from(3) } else { ExitCode::FAILURE }
         }
     };
     limit.finish();

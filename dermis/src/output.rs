@@ -1,9 +1,12 @@
 //! Where findings go: standard output, and a folder of files.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Args;
+use dermis_io::pipe::ReaderGone;
+use dermis_operate::{OperateError, Progress};
 use serde::Serialize;
 
 /// How findings are printed, and where their files go.
@@ -35,4 +38,22 @@ pub fn print(json: bool, findings: &impl Serialize, text: &str) -> Result<()> {
         print!("{text}");
     }
     Ok(())
+}
+
+/// Sentences on standard error, where they do not mix with what is printed.
+pub struct StandardError;
+
+impl Progress for StandardError {
+    fn note(&self, sentence: &str) {
+        eprintln!("{sentence}");
+    }
+}
+
+/// What came of showing something. Where nobody reads the output any more, the program still ends as it does by Ctrl-C, so that its
+/// device and its files go, too.
+pub fn shown<T>(done: Result<T, OperateError>) -> Result<T> {
+    done.map_err(|error| match error {
+        OperateError::Io(error) if error.kind() == ErrorKind::BrokenPipe => ReaderGone.into(),
+        other => other.into(),
+    })
 }

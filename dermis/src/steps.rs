@@ -24,7 +24,7 @@ impl Steps {
 
     /// A bar of this look; Ctrl-C ends the study early.
     pub fn stoppable(template: &str) -> Result<Self> {
-        Ok(Self { stop: crate::collect::stop_on_interrupt()?, ..Self::new(template)? })
+        Ok(Self { stop: crate::interrupt::stop_on_interrupt()?, ..Self::new(template)? })
     }
 
     /// Takes the bar away.

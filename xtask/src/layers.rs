@@ -30,7 +30,8 @@ fn room(folder: &str, name: &str) -> Option<Room> {
         ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(4, true),
         ("crates", "dermis-sensor") => room(5, true),
         ("crates", "dermis-estimate") => room(6, true),
-        ("crates", "dermis-studies") => room(8, true),
+        // Experiments, and what people do with running skins: neither needs the other.
+        ("crates", "dermis-studies" | "dermis-operate") => room(8, true),
         ("crates", "dermis-report") => room(9, true),
         ("crates", _) => room(7, false),
         _ => None,
@@ -215,6 +216,18 @@ mod tests {
         assert_eq!(violations(&metadata(("crates/learn", "dermis-learn"), benchmark)).unwrap().len(), 1);
         let physics = ("crates/mechanics", "dermis-mechanics");
         assert_eq!(violations(&metadata(benchmark, physics)).unwrap().len(), 1);
+    }
+
+    #[test]
+    fn studies_and_operation_are_apart() {
+        let (studies, operate) = (("crates/studies", "dermis-studies"), ("crates/operate", "dermis-operate"));
+        for (from, to) in [(studies, operate), (operate, studies)] {
+            assert_eq!(violations(&metadata(from, to)).unwrap().len(), 1, "{from:?} imports {to:?}");
+        }
+        for to in [("crates/perception", "dermis-perception"), ("crates/testbed", "dermis-testbed")] {
+            assert!(violations(&metadata(operate, to)).unwrap().is_empty(), "{to:?}");
+            assert_eq!(violations(&metadata(to, operate)).unwrap().len(), 1, "{to:?}");
+        }
     }
 
     #[test]

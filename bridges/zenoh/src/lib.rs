@@ -37,8 +37,10 @@
 //! ```
 
 mod claims;
-pub mod commands;
 mod queries;
+
+/// Commands to a skin, which queries are sent on as.
+pub use dermis_perception::remote as commands;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};

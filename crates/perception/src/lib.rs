@@ -12,6 +12,7 @@ mod config;
 mod folders;
 pub mod messages;
 mod node;
+pub mod remote;
 
 use dermis_node::Backend;
 use dermis_sensor::Sensor;

@@ -105,7 +105,7 @@ pub fn run(options: &Options) -> Result<()> {
     let progress = ProgressBar::new(order.count() as u64)
         .with_style(ProgressStyle::with_template("cases {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.tick();
-    let stop = crate::collect::stop_on_interrupt()?;
+    let stop = crate::interrupt::stop_on_interrupt()?;
     let manifest = set::generate(&text, &order, &options.out, &options.secret, |done| {
         progress.set_position(done as u64);
         !stop.load(Ordering::Acquire)

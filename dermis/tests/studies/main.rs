@@ -1,6 +1,10 @@
-//! Studies on the sensor families of this program: what they find, and what is said of it.
+//! Studies on the sensor families of this program: what they find, and what is said of it; and whether the files that ship fit
+//! each other.
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
 mod bounds;
+mod schemas;
+mod shipped;
 mod sweep;
 mod trends;
 
@@ -18,4 +22,12 @@ fn path(skin: &str) -> std::path::PathBuf {
 
 fn load(skin: &str) -> SkinDescription {
     SkinDescription::load(path(skin)).expect("a skin that ships")
+}
+
+/// What this program does with these arguments.
+fn program(arguments: &[&str]) -> std::process::Output {
+    std::process::Command::new(env!("CARGO_BIN_EXE_dermis"))
+        .args(arguments)
+        .output()
+        .expect("the program starts")
 }

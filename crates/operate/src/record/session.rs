@@ -4,13 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
 use dermis_bag::{BagError, Recorded, Recorder, RecorderState, Topic, TopicSink};
 use dermis_node::backend::EndpointKind;
 use dermis_node::{Level, Node, PublicationCounter, Qos, Status, Subscription};
 
-use super::progress::Progress;
 use super::selection::{Selection, adapt, support_of};
+use crate::{OperateError, Progress};
 
 /// A topic that was asked for by name and is not published for so long is mentioned.
 const ABSENT: Duration = Duration::from_secs(3);
@@ -107,7 +106,7 @@ impl Session {
     }
 
     /// Takes up topics that appeared, and tells the recorder what was lost so far.
-    pub fn look_around(&mut self, progress: &Progress) {
+    pub fn look_around(&mut self, progress: &dyn Progress) {
         match self.node.topics() {
             Ok(topics) => self.take_up(topics, progress),
             Err(error) => self.say(progress, "the ROS graph", &error.to_string()),
@@ -119,7 +118,7 @@ impl Session {
         self.watch_absent(progress);
     }
 
-    fn take_up(&mut self, topics: Vec<(String, String)>, progress: &Progress) {
+    fn take_up(&mut self, topics: Vec<(String, String)>, progress: &dyn Progress) {
         let mut by_name: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for (name, type_name) in topics {
             by_name.entry(name).or_default().push(type_name);
@@ -131,33 +130,33 @@ impl Session {
                 continue;
             }
             if let Err(why) = self.take(&name, &types) {
-                self.say(progress, &name, &format!("{why:#}"));
+                self.say(progress, &name, &why.whole());
             }
         }
     }
 
-    fn say(&mut self, progress: &Progress, what: &str, why: &str) {
+    fn say(&mut self, progress: &dyn Progress, what: &str, why: &str) {
         if self.said.insert((what.to_owned(), why.to_owned())) {
-            progress.say(&format!("{what} is not recorded: {why}"));
+            progress.note(&format!("{what} is not recorded: {why}"));
         }
     }
 
     /// Says of topics that were asked for that nobody publishes them, and when somebody does.
-    fn watch_absent(&mut self, progress: &Progress) {
+    fn watch_absent(&mut self, progress: &dyn Progress) {
         if self.began.elapsed() < ABSENT {
             return;
         }
         for name in &self.selection.topics {
             let known = self.taken.contains_key(name) || self.said.iter().any(|(what, _)| what == name);
             if !known && self.absent.insert(name.clone()) {
-                progress.say(&format!("nobody publishes {name} yet: it is recorded once somebody does"));
+                progress.note(&format!("nobody publishes {name} yet: it is recorded once somebody does"));
             } else if known && self.absent.remove(name) {
-                progress.say(&format!("{name} is published now"));
+                progress.note(&format!("{name} is published now"));
             }
         }
     }
 
-    fn take(&mut self, name: &str, types: &[String]) -> Result<()> {
+    fn take(&mut self, name: &str, types: &[String]) -> Result<(), OperateError> {
         let mut offers = self.node.endpoints(name, EndpointKind::Publisher)?;
         offers.retain(|offer| !offer.own);
         let Some(first) = offers.first() else { return Ok(()) };
@@ -168,7 +167,7 @@ impl Session {
             return Ok(());
         }
         if types.len() > 1 {
-            anyhow::bail!("its publishers disagree on the type: {}", types.join(", "));
+            return Err(OperateError::TypesDisagree(types.join(", ")));
         }
         let support = support_of(first)?;
         let sink = self.recorder.topic(Topic::of_type(name, support, Some(offered)));

@@ -3,16 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-use anyhow::{Result, anyhow};
 use dermis_msgs::{CdrError, CdrErrorKind, TypeSupport};
 
+use crate::error::NoDefinition;
+
 /// The definition of a type from the ROS 2 that is sourced.
-pub fn definition(type_name: &str) -> Result<String> {
-    dermis_bag::definition_of(type_name).map_err(|missing| {
-        anyhow!(
-            "no definition of {missing} below AMENT_PREFIX_PATH: source the workspace that has its package"
-        )
-    })
+pub fn definition(type_name: &str) -> Result<String, NoDefinition> {
+    dermis_bag::definition_of(type_name).map_err(NoDefinition)
 }
 
 /// The support of such a type, made once for each type, hash and definition and kept until the program ends.

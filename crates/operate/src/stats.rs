@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use serde::Serialize;
+
 /// Collects numbers and answers percentiles; NaN is ignored.
 #[derive(Debug, Clone)]
 pub struct Samples {
@@ -17,6 +19,7 @@ impl Default for Samples {
 
 impl Samples {
     /// Keeps the last `most` numbers only.
+    #[must_use]
     pub fn last(most: usize) -> Self {
         Self { values: VecDeque::new(), most: most.max(1) }
     }
@@ -32,11 +35,19 @@ impl Samples {
     }
 
     /// How many.
+    #[must_use]
     pub fn len(&self) -> usize {
         self.values.len()
     }
 
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.values.is_empty()
+    }
+
     /// Nearest-rank percentile, `p` in 0..=100; NaN where there are no numbers.
+    #[must_use]
     pub fn percentile(&self, p: f64) -> f64 {
         if self.values.is_empty() {
             return f64::NAN;
@@ -46,6 +57,24 @@ impl Samples {
         // The order of arrival stays as it is.
         let mut values: Vec<f64> = self.values.iter().copied().collect();
         *values.select_nth_unstable_by(index, f64::total_cmp).1
+    }
+}
+
+/// Percentiles of a quantity; NaN where there are no numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// The median.
+    pub p50: f64,
+    /// 90 % are no larger.
+    pub p90: f64,
+    /// 99 % are no larger.
+    pub p99: f64,
+}
+
+impl From<&Samples> for Spread {
+    fn from(samples: &Samples) -> Self {
+        let [p50, p90, p99] = [50.0, 90.0, 99.0].map(|p| samples.percentile(p));
+        Self { p50, p90, p99 }
     }
 }
 

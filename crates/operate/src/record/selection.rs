@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use anyhow::{Context, Result};
 use dermis_bag::BagQos;
 use dermis_msgs::msg::{SkinGeometry, TaxelFrame};
 use dermis_msgs::{Message as _, TypeSupport, type_support};
@@ -10,7 +9,8 @@ use dermis_node::backend::EndpointInfo;
 use dermis_node::{Durability, History, Node, Qos, Reliability};
 use regex::Regex;
 
-use super::Options;
+use super::Request;
+use crate::{OperateError, foreign};
 
 /// Messages that a queue of ROS 2 holds for us, where it cannot be without a bound.
 const DEPTH: usize = 1000;
@@ -27,16 +27,16 @@ pub struct Selection {
 }
 
 impl Selection {
-    pub fn new(options: &Options, node: &Node) -> Result<Self> {
-        let topics = options.topics.iter().map(|topic| node.resolve_name(topic)).collect::<Result<_, _>>()?;
-        let some = !options.topics.is_empty() || !options.regex.is_empty() || !options.types.is_empty();
+    pub fn new(request: &Request, node: &Node) -> Result<Self, OperateError> {
+        let topics = request.topics.iter().map(|topic| node.resolve_name(topic)).collect::<Result<_, _>>()?;
+        let some = !request.topics.is_empty() || !request.regex.is_empty() || !request.types.is_empty();
         Ok(Self {
             topics,
-            regex: options.regex.clone(),
-            types: options.types.clone(),
-            exclude: options.exclude.clone(),
-            all: options.all || !some,
-            hidden: options.include_hidden,
+            regex: request.regex.clone(),
+            types: request.types.clone(),
+            exclude: request.exclude.clone(),
+            all: request.all || !some,
+            hidden: request.include_hidden,
         })
     }
 
@@ -104,21 +104,22 @@ pub fn adapt(offers: &[EndpointInfo], backend: &str) -> (Qos, BagQos) {
 
 /// What is known of the type of a publisher: built in, or by its hash from the graph and its definition from the ROS 2
 /// that is sourced.
-pub fn support_of(offer: &EndpointInfo) -> Result<&'static TypeSupport> {
+pub fn support_of(offer: &EndpointInfo) -> Result<&'static TypeSupport, OperateError> {
     let built_in = type_support(&offer.type_name);
     let Some(hash) = &offer.type_hash else {
-        return built_in.with_context(|| {
-            format!("type {} is not known here, and the graph has no hash of it", offer.type_name)
-        });
+        return built_in
+            .ok_or_else(|| OperateError::UnknownType { type_name: offer.type_name.clone(), place: "graph" });
     };
     if let Some(support) = built_in.filter(|support| support.hash == hash) {
         return Ok(support);
     }
-    let other = if built_in.is_some() { "another version of " } else { "" };
-    let definition = crate::foreign::definition(&offer.type_name).with_context(|| {
-        format!("{} publishes {other}{}, which is not known here", offer.node, offer.type_name)
+    let definition = foreign::definition(&offer.type_name).map_err(|source| OperateError::ForeignType {
+        node: offer.node.clone(),
+        other: if built_in.is_some() { "another version of " } else { "" },
+        type_name: offer.type_name.clone(),
+        source,
     })?;
-    Ok(crate::foreign::support(&offer.type_name, hash, &definition))
+    Ok(foreign::support(&offer.type_name, hash, &definition))
 }
 
 #[cfg(test)]
