@@ -1,7 +1,7 @@
 use dermis_fixtures::Analytic;
 use dermis_model::Stimulus;
 use dermis_theory::cramer_rao;
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 use rand::Rng;
 
@@ -148,6 +148,48 @@ fn light_presses_are_undetectable_and_strong_ones_are_not() {
     assert!(inverter.unfelt(1e-4, 30.0) > 0.99 && inverter.unfelt(2.0, 30.0) < 0.01);
     let some = inverter.unfelt(0.03, 30.0);
     assert!((0.01..0.99).contains(&some), "{some}");
+}
+
+/// A grid whose places at x > 0 stand for nine times the area of those at x < 0, in all as much as before. Taxels at x > 0 have this
+/// gain.
+fn lopsided(gain: f64) -> Analytic {
+    let mut model = grid(20.0);
+    for (point, area) in model.surface.points.iter().zip(&mut model.surface.areas) {
+        *area *= if point.x > 1e-9 {
+            1.8
+        } else if point.x < -1e-9 {
+            0.2
+        } else {
+            1.0
+        };
+    }
+    model.elements.iter_mut().filter(|e| e.at.x > 0.001).for_each(|e| e.gain = gain);
+    model
+}
+
+#[test]
+fn places_count_with_their_area() {
+    let inverter = |model: Analytic| Inverter::new(Arc::new(model), Settings::new(0.004, 2.0)).unwrap();
+    // Where the taxels of one half are deaf, 0.1 N cannot be detected in much of that half, and everywhere in the other one.
+    let mut deaf = lopsided(0.0);
+    let uneven = inverter(lopsided(0.0)).unfelt(0.1, 30.0);
+    deaf.surface = grid(20.0).surface;
+    let even = inverter(deaf).unfelt(0.1, 30.0);
+    assert!((0.2..0.3).contains(&even), "{even}");
+    approx::assert_relative_eq!(uneven / even, 1.8, max_relative = 0.01);
+    // Readings that say nothing leave the mean of all places: ∫|x| = 8.7 mm or so, of which (1.8 − 0.2) / 2 is left.
+    let data = vec![Datum::Exact(0.0, 1.0 / 20.0); 25];
+    let sharp = Found {
+        position: Point3::origin(),
+        normal: Vector3::z(),
+        force: -Vector3::z(),
+        position_covariance: nalgebra::Matrix3::identity(),
+        force_covariance: nalgebra::Matrix3::identity(),
+    };
+    let mean = |model: Analytic| inverter(model).mean(&data, &sharp).position;
+    let (even, uneven) = (mean(grid(20.0)), mean(lopsided(1.0)));
+    assert!(even.x.abs() < 1e-4, "{even}");
+    assert!((6.5e-3..7.5e-3).contains(&uneven.x) && uneven.y.abs() < 1e-4, "{uneven}");
 }
 
 #[test]
