@@ -366,7 +366,7 @@ mod tests {
     use super::*;
     use crate::recording::{Moment, Zero};
     use crate::samples::SampleOptions;
-    use crate::testing::{EFFECTS, Small, gains, recorded, skin};
+    use crate::testing::{EFFECTS, gains, recorded, skin, small};
 
     /// Twelve presses in two sessions, of two tips, with everything that a recording can have.
     fn whole() -> Recording {
@@ -451,7 +451,7 @@ mod tests {
         let skin = skin();
         for zero in [Zero::AsRead, Zero::Press] {
             let compared = |rest: f64| {
-                let make = |skin: &SkinDescription| Small::make(skin, rest);
+                let make = |skin: &SkinDescription| small(skin, rest);
                 let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
                 let mut recording = recorded(&simulator, &[gains()]);
                 recording.tare(zero);

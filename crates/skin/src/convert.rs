@@ -240,18 +240,7 @@ impl DisplacementMap {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const PAD: &str = r#"
-        schema = "dermis-skin/1"
-        name = "pad"
-        sensor = "taxels"
-        frame_id = "pad_link"
-        unit = "Pa"
-        rate = 100.0
-        noise = 20.0
-        surface = { type = "rectangle", size = [0.02, 0.01], spacing = 0.005 }
-        taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", position = [0.01, 0.0, -0.005] }]
-    "#;
+    use crate::testing::PAD;
 
     #[test]
     fn a_frame_of_other_channels_is_told_apart() {

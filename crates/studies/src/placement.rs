@@ -276,10 +276,9 @@ pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Resu
     let surface = skin.surface();
     let proposed = families.of(&skin)?.candidates(&skin)?;
     let held = candidates::held(&skin.surface, &surface);
-    let spacing = (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt();
     let rule = Feasibility {
         neighbours: options.neighbours,
-        edge: options.edge.unwrap_or(EDGE * spacing),
+        edge: options.edge.unwrap_or(EDGE * point_spacing(&surface)),
         held,
         margin: options.margin,
     };
@@ -424,6 +423,11 @@ fn choose(
     Ok(())
 }
 
+/// \[m\] between neighbouring points of a surface, as if each had the same square of its area to itself.
+pub(crate) fn point_spacing(surface: &Surface) -> f64 {
+    (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt()
+}
+
 /// Places to press: points of the surface away from its supports, as many as are asked for.
 fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Place> {
     let verdicts = feasible(surface, &surface.points, rule);
@@ -492,3 +496,6 @@ pub fn rim(skin: &SkinDescription, surface: &Surface, points: &[Point3<f64>]) ->
     let away = flat.iter().map(|p| (p.0 - first.0).min(last.0 - p.0).min(p.1 - first.1).min(last.1 - p.1));
     away.sum::<f64>() / points.len().max(1) as f64 * 1e-3
 }
+
+#[cfg(test)]
+mod tests;

@@ -328,11 +328,11 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal, Uniform};
 
     use super::*;
-    use crate::testing::{Shifted, Toy};
+    use crate::testing::{read, row, shifted};
 
     #[test]
     fn a_reading_is_found_again_by_its_force() {
-        let model = Toy::row(6);
+        let model = row(6);
         let points = [Point3::new(0.001, 0.0, 0.0), Point3::new(0.003, 0.0, 0.0)];
         let responses = Responses::of_model(&model, &points, &force_ladder(2.0, 30), 0.004).unwrap();
         for place in 0..2 {
@@ -363,12 +363,12 @@ mod tests {
         // An untouched reading above a value would be an isoline of no force at all.
         let points = [Point3::new(0.001, 0.0, 0.0), Point3::new(0.003, 0.0, 0.0)];
         let forces = force_ladder(2.0, 30);
-        let plain = Responses::of_model(&Toy::row(6), &points, &forces, 0.004).unwrap();
-        let shifted = Responses::of_model(&Shifted::new(Toy::row(6)), &points, &forces, 0.004).unwrap();
-        assert_eq!(shifted.reading(0, 2, 0.0), 0.0);
+        let plain = Responses::of_model(&row(6), &points, &forces, 0.004).unwrap();
+        let resting = Responses::of_model(&shifted(row(6)), &points, &forces, 0.004).unwrap();
+        assert_eq!(resting.reading(0, 2, 0.0), 0.0);
         for place in 0..2 {
             for channel in 0..6 {
-                let [a, b] = [&plain, &shifted].map(|r| r.force_for(place, channel, 20.0).unwrap());
+                let [a, b] = [&plain, &resting].map(|r| r.force_for(place, channel, 20.0).unwrap());
                 assert_relative_eq!(a, b, max_relative = 1e-9);
             }
         }
@@ -377,14 +377,14 @@ mod tests {
     #[test]
     fn presses_give_what_the_model_does() {
         // Presses at random places of a row, each with noise.
-        let model = Toy::row(6);
+        let model = row(6);
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         let (place, force) = (Uniform::new(-0.018, 0.018).unwrap(), Uniform::new(0.01, 1.5).unwrap());
         let presses: Vec<Press> = (0..6000)
             .map(|_| {
                 let position = Point3::new(place.sample(&mut random), 0.0, 0.0);
                 let force = force.sample(&mut random);
-                let readings = model.read(&position, force).into_iter().map(|v| {
+                let readings = read(&model, &position, force).into_iter().map(|v| {
                     let noise: f64 = StandardNormal.sample(&mut random);
                     v + model.noise()[0] * noise
                 });
@@ -433,7 +433,7 @@ mod tests {
 
     #[test]
     fn forces_ascend_from_nothing() {
-        let error = Responses::of_model(&Toy::row(2), &[], &[0.1, 0.2], 0.004).unwrap_err();
+        let error = Responses::of_model(&row(2), &[], &[0.1, 0.2], 0.004).unwrap_err();
         insta::assert_snapshot!(error, @"forces of a table must ascend from 0");
     }
 }

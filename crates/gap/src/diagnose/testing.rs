@@ -12,7 +12,7 @@ use crate::select::{Member, Pick, Selection, Tier};
 use crate::signatures::Signatures;
 use crate::simulate::Simulator;
 use crate::statistics::{Column, Gram, Statistics};
-use crate::testing::{EFFECTS, Small, recorded, skin};
+use crate::testing::{EFFECTS, recorded, skin, small};
 use crate::whitening;
 
 /// A device beside its design, up to the measured gap.
@@ -26,7 +26,7 @@ pub(super) struct Case {
 
 /// Runs `test` on the small skin's simulator.
 pub(super) fn with_simulator<T>(test: impl FnOnce(&Simulator<'_>) -> T) -> T {
-    let (skin, make) = (skin(), |skin: &SkinDescription| Small::make(skin, 0.0));
+    let (skin, make) = (skin(), |skin: &SkinDescription| small(skin, 0.0));
     test(&Simulator { skin: &skin, effects: EFFECTS, make: &make })
 }
 

@@ -1,30 +1,18 @@
 use std::sync::Mutex;
 
+use dermis_fixtures::SkinFile;
 use dermis_learn::Run;
 use dermis_skin::Frame;
 
 use super::*;
 use crate::Unwatched;
 
-const SKIN: &str = r#"
-    schema = "dermis-skin/1"
-    name = "pad"
-    sensor = "taxels"
-    frame_id = "pad_link"
-    unit = "Pa"
-    rate = 100.0
-    noise = 2.0
-    surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
-    taxels = [
-        { name = "left", position = [-0.005, 0.0, -0.005] },
-        { name = "right", position = [0.005, 0.0, -0.005] },
-    ]
-    [condition]
-    tare_duration = 0.03
-"#;
-
 fn skin() -> SkinDescription {
-    SkinDescription::from_toml(SKIN, "pad.toml").unwrap()
+    SkinFile::new("pad")
+        .set("noise", "2.0")
+        .taxels([("left", [-0.005, 0.0, -0.005]), ("right", [0.005, 0.0, -0.005])])
+        .tables("[condition]\ntare_duration = 0.03\n")
+        .read()
 }
 
 /// One contact at x \[m\], or none.
