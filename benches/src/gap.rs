@@ -108,6 +108,12 @@ const EFFECTS: &[EffectInfo] = &[
     ),
 ];
 
+/// The factor that the effect `gains` draws for a taxel.
+fn drawn_gain(effect: &Effect, taxel: usize) -> f64 {
+    let spread = effect.strength * EFFECTS[0].value(effect, "spread");
+    1.0 + spread * stream(effect, taxel).random_range(-1.0..=1.0)
+}
+
 fn stream(effect: &Effect, taxel: usize) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(effect.seed.unwrap_or(0));
     rng.set_stream(1 + taxel as u64);
@@ -156,7 +162,7 @@ impl Fabric {
             match info.name {
                 "gains" => {
                     for (t, gain) in fabric.gains.iter_mut().enumerate() {
-                        *gain *= 1.0 + value("spread") * stream(effect, t).random_range(-1.0..=1.0);
+                        *gain *= drawn_gain(effect, t);
                     }
                 }
                 "misplacement" => {
@@ -356,10 +362,8 @@ pub fn run(options: &Options) -> Result<Value> {
     let found = diagnose(&simulator, &recording, &how, &Memory::default())?;
     let seconds = begun.elapsed().as_secs_f64();
     let report = found.report;
-    // How well the gain of every channel is told.
-    let truth: Vec<f64> = (0..recording.channels)
-        .map(|t| 1.0 + 0.1 * stream(&effects[0], t).random_range(-1.0..=1.0))
-        .collect();
+    // How well the gain of every channel is told: against what the device was given.
+    let truth: Vec<f64> = (0..recording.channels).map(|t| drawn_gain(&effects[0], t)).collect();
     let told = found.corrected.effects.iter().find(|e| e.name == "channel-gain");
     let errors: Option<Vec<f64>> = told.map(|told| {
         let of = |t: &dermis_skin::Taxel| told.parameters.get(&t.name).copied().unwrap_or(1.0);
@@ -392,4 +396,28 @@ pub fn run(options: &Options) -> Result<Value> {
 /// What the first diagnosis took longer.
 fn seconds_of_signatures(first: f64, after: f64) -> f64 {
     (first - after).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_true_gains_are_those_of_the_device() {
+        let mut skin = fabric(4).unwrap();
+        let gains = Effect::new("gains").with("spread", 0.4).seed(5);
+        let plain = Fabric::make(&skin).unwrap();
+        skin.effects = vec![gains.clone()];
+        let device = Fabric::make(&skin).unwrap();
+        let contact = Indentation::sphere(Point3::origin(), Vector3::new(0.0, 0.0, -1.0), 0.004);
+        let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
+        let [mut as_designed, mut read] = [vec![0.0; 16], vec![0.0; 16]];
+        plain.response(&stimulus, &mut as_designed).unwrap();
+        device.response(&stimulus, &mut read).unwrap();
+        let largest = (0..16).map(|t| (drawn_gain(&gains, t) - 1.0).abs()).fold(0.0, f64::max);
+        assert!(largest > 0.2 && largest <= 0.4, "{largest}");
+        for (t, (read, designed)) in read.iter().zip(&as_designed).enumerate() {
+            assert!((read - drawn_gain(&gains, t) * designed).abs() < 1e-9, "taxel {t}");
+        }
+    }
 }

@@ -108,6 +108,11 @@ pub fn run(options: &Options) -> Result<Value> {
             Some(row["frames_per_second_and_core"].as_f64()? / p["frames_per_second_and_core"].as_f64()?)
         });
         row["ratio"] = json!(ratio);
+        // Most nodes are not run flat out: at this rate each has costs that do not grow with frames.
+        let at_rate = peer
+            .as_ref()
+            .and_then(|p| Some(p["latency"]["cores"].as_f64()? / row["latency"]["cores"].as_f64()?));
+        row["ratio_at_rate"] = json!(at_rate);
     }
     table(&rows, options);
     let of = |name: &str| rows.iter().find(|r| r["name"] == name).cloned().unwrap_or(Value::Null);
@@ -341,16 +346,26 @@ impl Pace {
 fn table(rows: &[Value], options: &Options) {
     let number = |v: &Value, digits: usize| v.as_f64().map_or("-".into(), |x| format!("{x:.digits$}"));
     eprintln!(
-        "\n{:<30} {:>14} {:>8} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
-        "node", "frames/s/core", "ratio", "CPU us", "p50 ms", "p99 ms", "p99.9 ms", "lost", "cores"
+        "\n{:<30} {:>14} {:>8} {:>13} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
+        "node",
+        "frames/s/core",
+        "ratio",
+        "ratio at rate",
+        "CPU us",
+        "p50 ms",
+        "p99 ms",
+        "p99.9 ms",
+        "lost",
+        "cores"
     );
     for row in rows {
         let l = &row["latency"];
         eprintln!(
-            "{:<30} {:>14} {:>8} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
+            "{:<30} {:>14} {:>8} {:>13} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
             row["name"].as_str().unwrap_or(""),
             number(&row["frames_per_second_and_core"], 0),
             number(&row["ratio"], 1),
+            number(&row["ratio_at_rate"], 1),
             number(&row["cpu_us_per_frame"], 1),
             number(&l["p50_ms"], 3),
             number(&l["p99_ms"], 3),

@@ -1,16 +1,17 @@
 //! Measurements behind `targets.toml`; each prints one line of JSON at the end.
 
-use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::Subcommand;
 use serde_json::{Value, json};
 
 use crate::run::{cargo, output, run as execute, target_dir};
 use crate::test::{BUILD, WITHOUT_ROS};
+
+mod limb;
 
 /// What can be measured.
 #[derive(Subcommand)]
@@ -60,8 +61,8 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Localisation => recorded(root, "position", "spatial_resolution")?,
         Measurement::Accuracy => accuracy(root)?,
         Measurement::Realism => realism(root)?,
-        Measurement::Limb => limb(root)?,
-        Measurement::Real2sim => real2sim(root)?,
+        Measurement::Limb => limb::limb(root)?,
+        Measurement::Real2sim => limb::real2sim(root)?,
         Measurement::Start => start(root)?,
         Measurement::Gap => gap(root)?,
         Measurement::Restart => restart(root)?,
@@ -139,40 +140,40 @@ fn accuracy(root: &Path) -> Result<Value> {
             "--out".as_ref(),
             bag.as_os_str(),
         ]))?;
-        let evaluate = |bins: &str, in_range: bool| -> Result<Value> {
+        let evaluate = |bins: &str| -> Result<Value> {
             evaluation(
                 Command::new(&dermis)
                     .arg("evaluate")
-                    .args(in_range.then_some("--in-range"))
+                    .arg("--in-range")
                     .args(["--skin".as_ref(), skin.as_os_str()])
                     .args(["--model".as_ref(), root.join(format!("models/baro-{name}")).as_os_str()])
                     .args(["--bins", bins, "--json"])
                     .arg(&bag),
             )
         };
-        let (whole, binned) = (evaluate("0.2", true)?, evaluate(BINS, true)?);
-        // Saturation is an effect of the device: its cost stands apart.
-        let saturated = evaluate("0.2", false)?;
-        let above = |quantity: &str| whole["by_force"][quantity][0]["rms"].as_f64();
-        let rms = |bins: &Value, from: &Value| {
-            bins.as_array().into_iter().flatten().find(|b| b["from"] == *from).and_then(|b| b["rms"].as_f64())
-        };
-        let ratios: Vec<f64> = binned["bound"]["position"]
+        let (whole, binned) = (evaluate("0.2")?, evaluate(BINS)?);
+        // Saturation is an effect of the device: what it costs shows in the figures with everything.
+        let everything = &whole["with_everything"];
+        let above = |of: &Value, quantity: &str| of["by_force"][quantity][0]["rms"].as_f64();
+        // Of the very frames that are bounded.
+        let against = beside_bound(&binned, 1, "position");
+        let ratios: Vec<f64> = against["by_force"]
             .as_array()
             .into_iter()
             .flatten()
-            .filter_map(|bin| {
-                Some(rms(&binned["by_force"]["position"], &bin["from"])? / bin["rms"].as_f64()?)
-            })
+            .filter_map(|bin| bin["ratio_of_rms"].as_f64())
             .collect();
         let component = |axis: &str| whole["figures"][format!("force_{axis}_median")].as_f64();
         all.insert(
             name.to_owned(),
             json!({
-                "position_rms_mm": above("position").map(|v| v * 1e3),
-                "position_rms_with_saturation_mm":
-                    saturated["by_force"]["position"][0]["rms"].as_f64().map(|v| v * 1e3),
-                "force_rms_n": above("force.normal"),
+                "position_rms_with_everything_mm": above(everything, "position").map(|v| v * 1e3),
+                "force_rms_with_everything_n": above(everything, "force.normal"),
+                "left_out": whole["left_out"],
+                "position_rms_mm": above(&whole, "position").map(|v| v * 1e3),
+                "not_found": whole["not_found"],
+                "position_found_rms_mm": whole["figures"]["position_found_rms"].as_f64().map(|v| v * 1e3),
+                "force_rms_n": above(&whole, "force.normal"),
                 "worst_ratio_to_bound": ratios.iter().copied().fold(f64::NAN, f64::max),
                 "position_median_mm": whole["figures"]["position_median"].as_f64().map(|v| v * 1e3),
                 "force_median_n": whole["figures"]["force_median"].as_f64(),
@@ -180,6 +181,8 @@ fn accuracy(root: &Path) -> Result<Value> {
                 "count_right": whole["count_right"],
                 "position": binned["by_force"]["position"],
                 "bound": binned["bound"]["position"],
+                "against_bound": binned["against_bound"],
+                "without_bound": binned["bound"]["left_out"],
                 "several": { "position": binned["by_force"]["position of 2"], "of_3": binned["by_force"]["position of 3"] },
             }),
         );
@@ -187,103 +190,18 @@ fn accuracy(root: &Path) -> Result<Value> {
     Ok(Value::Object(all))
 }
 
+/// Errors beside the bounds of their own frames, of so many contacts and this quantity.
+fn beside_bound<'a>(found: &'a Value, contacts: u64, quantity: &str) -> &'a Value {
+    let fits = |a: &&Value| a["contacts"] == contacts && a["quantity"] == quantity;
+    found["against_bound"].as_array().into_iter().flatten().find(fits).unwrap_or(&Value::Null)
+}
+
 /// What measures the limb: only the program itself.
 const PROGRAM: [&str; 4] = ["build", "--release", "--package", "dermis"];
-/// The limb's skin, and a file of its effects as a command takes it.
+/// The limb's skin.
 const LIMB: &str = "launch/skins/hapdef-shin.toml";
-const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
 
-/// A bag of the limb under a plan, made anew only where the skin, the plan or what makes the device differ have changed since.
-fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) -> Result<PathBuf> {
-    let plan = root.join(format!("launch/plans/hapdef-shin-{plan}.toml"));
-    let mut hasher = std::hash::DefaultHasher::new();
-    for file in [&root.join(LIMB), &plan, &root.join(LIMB_EFFECTS)] {
-        std::fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?.hash(&mut hasher);
-    }
-    device.hash(&mut hasher);
-    let folder = root.join(".dermis/measure/bags");
-    std::fs::create_dir_all(&folder)?;
-    let bag = folder.join(format!("limb-{:016x}", hasher.finish()));
-    if !bag.exists() {
-        // Under another name until it is whole: an interrupted one has metadata, too.
-        let partial = bag.with_extension("partial");
-        if partial.exists() {
-            std::fs::remove_dir_all(&partial)?;
-        }
-        let mut collect = Command::new(dermis);
-        collect.arg("collect").arg(LIMB).arg("--plan").arg(&plan).args(device).arg("--json");
-        let report = evaluation(collect.arg("--out").arg(&partial).current_dir(root))?;
-        if report["interrupted"] != false {
-            bail!("collecting {} was interrupted: run the measurement again", plan.display());
-        }
-        std::fs::rename(&partial, &bag)?;
-    }
-    Ok(bag)
-}
-
-/// Evaluates the limb's bundle in the bins of force of the thesis' Table 2.2.
-fn limb(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let dermis = target_dir(root).join("release/dermis");
-    let devices: [(&str, &[&str]); 3] = [
-        ("designed", &[]),
-        ("one dead gauge", &["--effect", "dead-gauge=1", "--seed", "3"]),
-        ("default effects", &["--effects", LIMB_EFFECTS, "--seed", "7"]),
-    ];
-    let mut all = serde_json::Map::new();
-    for (name, device) in devices {
-        let bag = limb_bag(root, &dermis, "evaluate", device)?;
-        let mut evaluate = Command::new(&dermis);
-        evaluate.arg("evaluate").args(["--skin", LIMB, "--model", "models/hapdef-shin"]).current_dir(root);
-        if device.is_empty() {
-            evaluate.arg("--beside").arg(limb_bag(root, &dermis, "train", device)?);
-        }
-        let found =
-            evaluation(evaluate.args(["--bins", "0.5,4.9,9.8,19.6,34.3", "--in-range", "--json"]).arg(bag))?;
-        let mm = |key: &str| found["figures"][key].as_f64().map(|v| v * 1e3);
-        let beside: serde_json::Map<String, Value> = found["beside"]
-            .as_array()
-            .into_iter()
-            .flatten()
-            .filter_map(|other| {
-                let by = &other["evaluation"]["by_force"];
-                let row = json!({
-                    "settings": other["settings"], "position": by["position"], "force": by["force.normal"],
-                });
-                Some((other["method"].as_str()?.to_owned(), row))
-            })
-            .collect();
-        all.insert(
-            name.to_owned(),
-            json!({
-                "position_mean_mm": mm("position_mean"),
-                "position_median_mm": mm("position_median"),
-                "force_mean_n": found["figures"]["force_normal_mean"],
-                "missed": found["missed"],
-                "position": found["by_force"]["position"],
-                "force": found["by_force"]["force.normal"],
-                "bound": found["bound"],
-                "beside": beside,
-            }),
-        );
-    }
-    let mean = |device: &str| all[device]["position_mean_mm"].as_f64();
-    let cost = mean("one dead gauge").zip(mean("designed")).map(|(dead, whole)| dead - whole);
-    all.insert("dead_gauge_costs_mm".to_owned(), json!(cost));
-    // The least of how many times further off the best other way is, over the bins.
-    let errors = |row: &Value| -> Vec<f64> {
-        row["position"].as_array().into_iter().flatten().take(4).filter_map(|b| b["mean"].as_f64()).collect()
-    };
-    let ours = errors(&all["designed"]);
-    let margin = all["designed"]["beside"].as_object().into_iter().flatten().flat_map(|(_, row)| {
-        errors(row).into_iter().zip(&ours).map(|(other, own)| other / own).collect::<Vec<_>>()
-    });
-    let margin = margin.fold(f64::INFINITY, f64::min);
-    all.insert("margin".to_owned(), json!(margin));
-    Ok(Value::Object(all))
-}
-
-/// Learns from single contacts of one device with the default effects, and compares all ways on its doubles.
+/// Diagnoses packs with withheld causes.
 fn gap(root: &Path) -> Result<Value> {
     execute(cargo(root).args(PROGRAM))?;
     let dermis = target_dir(root).join("release/dermis");
@@ -313,51 +231,6 @@ fn restart(root: &Path) -> Result<Value> {
     execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
     let bench = target_dir(root).join("release/dermis-bench");
     evaluation(Command::new(bench).arg("restart").current_dir(root))
-}
-
-fn real2sim(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let dermis = target_dir(root).join("release/dermis");
-    let dir = scratch(root, "real2sim")?;
-    let device = ["--effects", LIMB_EFFECTS, "--seed", "7"];
-    let (train, doubles) =
-        (limb_bag(root, &dermis, "train", &device)?, limb_bag(root, &dermis, "doubles", &device)?);
-    let bundle = dir.join("hapdef-shin-real2sim");
-    let mut learn = Command::new(&dermis);
-    learn.args(["real2sim", "train", "--skin", LIMB, "--settings", "launch/real2sim/hapdef-shin.toml"]);
-    execute(learn.arg("--out").arg(&bundle).arg(&train).current_dir(root))?;
-    let mut compare = Command::new(&dermis);
-    compare.args(["real2sim", "compare", "--skin", LIMB, "--model"]).arg(&bundle).arg("--train").arg(&train);
-    compare.args(["--most", "250", "--learn", "12000", "--vectors", "1500", "--json"]);
-    let found = evaluation(compare.arg(&doubles).current_dir(root))?;
-    let rows = |method: &str| -> Value {
-        let of = found["rows"].as_array().into_iter().flatten().filter(|row| row["method"] == method);
-        let (mut frames, mut place, mut force) = (0.0, 0.0, 0.0);
-        let mut all = serde_json::Map::new();
-        for row in of {
-            if let Some(kind) = row["kind"].as_str() {
-                let number = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
-                if kind != "single" {
-                    frames += number("frames");
-                    place += number("frames") * number("position_mean");
-                    force += number("frames") * number("force_mean");
-                }
-                all.insert(
-                    kind.to_owned(),
-                    json!({ "position_mean_mm": number("position_mean") * 1e3, "force_mean_n": number("force_mean"),
-                            "count_right": row["count_right"], "frames": row["frames"] }),
-                );
-            }
-        }
-        let double = json!({ "position_mean_mm": place / frames * 1e3, "force_mean_n": force / frames });
-        all.insert("double".to_owned(), double);
-        Value::Object(all)
-    };
-    Ok(json!({
-        "corrected": rows("corrected model, all pairs"),
-        "hapdefx": rows("hapdef-shin-real2sim: peaks"),
-        "asks": found["asks"],
-    }))
 }
 
 /// Table 5.2 of the thesis: RMS errors [mm] of its networks on real sensors, in the bins of [`BINS`].
@@ -487,6 +360,9 @@ fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
     };
     Ok(if what == "position" {
         json!({
+            "press_not_found": worst("press", "not_found", 1.0),
+            "press_found_mean_mm": worst("press", "position_found_mean", 1e3),
+            "other_run_not_found": worst("other run", "not_found", 1.0),
             "press_mean_mm": worst("press", "position_mean", 1e3),
             "press_rms_mm": worst("press", "position_rms", 1e3),
             "location_mean_mm": worst("location", "position_mean", 1e3),
@@ -496,6 +372,7 @@ fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
         })
     } else {
         json!({
+            "time_not_found": worst("time", "not_found", 1.0),
             "time_rms_n": worst("time", "force_normal_rms", 1.0),
             "other_run_rms_n": worst("other run", "force_normal_rms", 1.0),
             "rows": rows,

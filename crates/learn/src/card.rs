@@ -124,9 +124,16 @@ pub fn measured(manifest: &mut Manifest, evaluation: &Evaluation) {
         Some(evaluation.maps.get(name)?.touched.rms? / (numbers as f64).sqrt())
     };
     for spec in &mut manifest.output.values {
-        let sigma = evaluation.quantities.get(&spec.name).map(|s| s.rms).or_else(|| of_map(&spec.name));
+        // A node publishes what it found.
+        let found = format!("{} found", spec.name);
+        let quantities = &evaluation.quantities;
+        let sigma = quantities
+            .get(&found)
+            .or_else(|| quantities.get(&spec.name))
+            .map(|s| s.rms)
+            .or_else(|| of_map(&spec.name));
         spec.sigma = sigma.filter(|s| *s > 0.0);
-        if let Some(bins) = evaluation.by_force.get(&spec.name) {
+        if let Some(bins) = evaluation.by_force.get(&found).or_else(|| evaluation.by_force.get(&spec.name)) {
             spec.sigma_by_force = sigma_bins(bins);
         }
     }

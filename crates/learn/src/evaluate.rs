@@ -3,16 +3,21 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use dermis_skin::{Contact, Estimate, Estimator, ForceComponents};
+use dermis_skin::Estimator;
 use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
+use crate::bounds::{AgainstBound, FrameBounds};
 use crate::dataset::{Dataset, SampleId};
-use crate::metrics::{Answer, Bin, COUNTED_FROM, FORCE_BINS, MapErrors, MapPart, MapScorer, Scores, Summary};
-use crate::target::Maps;
+use crate::metrics::{
+    Bin, COUNTED_FROM, ContactError, FORCE_BINS, MapErrors, MapPart, MapScorer, Scores, Summary,
+};
 
+mod collect;
 mod requirement;
 
+pub use collect::Evaluator;
+pub(crate) use collect::centre;
 pub use requirement::{Requirement, Verdict, Verdicts};
 
 /// Errors of an estimator on labelled frames.
@@ -22,7 +27,8 @@ pub struct Evaluation {
     pub data: String,
     /// Frames that were compared.
     pub frames: usize,
-    /// Touched frames for which the estimator had no answer, e.g. because its zero was not known yet.
+    /// Touched frames for which the estimator had no answer, e.g. because its zero was not known yet. They are not among `frames`,
+    /// but in the errors: as frames in which nothing was found.
     pub unanswered: usize,
     /// How often the zero was taken anew because the ground truth said that nothing touches.
     #[serde(default)]
@@ -36,13 +42,23 @@ pub struct Evaluation {
     /// Share of frames whose number of contacts was right, by true number; where every contact presses clearly.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub count_right: BTreeMap<usize, f64>,
-    /// Errors by quantity.
+    /// Share of all true contacts for which nothing was found; they count in the errors as far away as the middle of the surface, and
+    /// as a force of 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_found: Option<f64>,
+    /// Errors by quantity; `… found` are those of contacts that were found, where not all were.
     pub quantities: BTreeMap<String, Summary>,
     /// Errors by quantity and true normal force.
     pub by_force: BTreeMap<String, Vec<Bin>>,
     /// Errors of maps over the surface, by name: `map.normal`, `map.force`, `map.displacement`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub maps: BTreeMap<String, MapErrors>,
+    /// Errors and bounds of the very same contacts, by number of contacts and quantity; empty where no bound is known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub against_bound: Vec<AgainstBound>,
+    /// Errors of every true contact, for what is computed of single frames.
+    #[serde(skip)]
+    pub contacts: Vec<ContactError>,
 }
 
 impl Evaluation {
@@ -63,10 +79,20 @@ impl Evaluation {
             missed: scores.missed(),
             false_contacts: scores.false_contacts(),
             count_right: scores.count_right(),
+            not_found: share_not_found(scores.contacts()),
             quantities: scores.summaries(1),
             by_force: scores.by_force(&FORCE_BINS),
             maps: BTreeMap::new(),
+            against_bound: Vec::new(),
+            contacts: scores.contacts().to_vec(),
         }
+    }
+
+    /// The same beside the bounds of its frames, by force in bins of these edges \[N\].
+    #[must_use]
+    pub fn against(mut self, bounds: &FrameBounds, edges: &[f64]) -> Self {
+        self.against_bound = bounds.against(&self.contacts, edges);
+        self
     }
 
     /// The same with errors of maps.
@@ -76,13 +102,17 @@ impl Evaluation {
     }
 
     /// Every figure that a [`Requirement`] can name, in SI units: `position_rms`, `position_mean`,
-    /// `position_median`, `position_p95`, `position_max`, the same of `position_x` …, `force_normal` …, and
-    /// `missed`, `false_contacts`, `unanswered`, `count_right_of_1` … as shares. Of maps `map_normal_rms`, `map_normal_relative`,
+    /// `position_median`, `position_p95`, `position_max`, the same of `position_x` …, `force_normal` …, of what was found
+    /// (`position_found_rms`, `force_normal_found_rms` …), and `not_found`, `missed`, `false_contacts`, `unanswered`, `count_right_of_1` … as shares. Of maps `map_normal_rms`, `map_normal_relative`,
     /// `map_normal_total_force` on touched frames, `map_normal_untouched_rms` … on the others, `map_normal_unanswered` of both.
     #[must_use]
     pub fn figures(&self) -> BTreeMap<String, f64> {
         let mut all = BTreeMap::new();
-        for (name, s) in &self.quantities {
+        // Where everything was found, both are the same.
+        let found = |name: &&str| !self.quantities.contains_key(&format!("{name} found"));
+        let also = ["position", "force.normal"].into_iter().filter(found);
+        let also = also.filter_map(|name| Some((format!("{name} found"), self.quantities.get(name)?)));
+        for (name, s) in self.quantities.iter().map(|(name, s)| (name.clone(), s)).chain(also) {
             let name = name.replace(['.', ' '], "_");
             for (suffix, value) in
                 [("rms", s.rms), ("mean", s.mean), ("median", s.median), ("p95", s.p95), ("max", s.max)]
@@ -90,7 +120,8 @@ impl Evaluation {
                 all.insert(format!("{name}_{suffix}"), value);
             }
         }
-        let shares = [("missed", self.missed), ("false_contacts", self.false_contacts)];
+        let shares =
+            [("missed", self.missed), ("false_contacts", self.false_contacts), ("not_found", self.not_found)];
         all.extend(shares.into_iter().filter_map(|(name, v)| Some((name.to_owned(), v?))));
         for (number, share) in &self.count_right {
             all.insert(format!("count_right_of_{number}"), *share);
@@ -119,6 +150,11 @@ impl Evaluation {
     pub fn to_json(&self) -> serde_json::Value {
         serde_json::to_value(self).unwrap_or_default()
     }
+}
+
+fn share_not_found(contacts: &[ContactError]) -> Option<f64> {
+    let lost = contacts.iter().filter(|c| !c.found).count();
+    (!contacts.is_empty()).then(|| lost as f64 / contacts.len() as f64)
 }
 
 /// Millimetres and newtons: for people.
@@ -192,10 +228,11 @@ impl fmt::Display for Evaluation {
             writeln!(f, "  intervals: whole {what} resampled ({})", s.groups)?;
         }
         for (name, bins) in &self.by_force {
-            if bins.len() < 2 || (name != "position" && name != "force.normal") {
+            let shown_names = ["position", "position found", "force.normal", "force.normal found"];
+            if bins.len() < 2 || !shown_names.contains(&name.as_str()) {
                 continue;
             }
-            let (unit, shown_unit) = if name == "position" { ("m", "mm") } else { ("N", "N") };
+            let (unit, shown_unit) = if name.starts_with("position") { ("m", "mm") } else { ("N", "N") };
             write!(f, "  {name} RMS [{shown_unit}] by force [N]:")?;
             for bin in bins {
                 match bin.to {
@@ -206,6 +243,14 @@ impl fmt::Display for Evaluation {
             writeln!(f)?;
         }
         write_maps(f, &self.maps)?;
+        if let Some(lost) = self.not_found.filter(|lost| *lost > 0.0) {
+            writeln!(
+                f,
+                "  contacts that were not found, {:.2} %, count as far away as the middle of the surface and as a force of 0; rows \
+                 `found` leave them out",
+                lost * 100.0
+            )?;
+        }
         if let Some(missed) = self.missed {
             write!(f, "  missed contacts {:.2} %", missed * 100.0)?;
             if let Some(wrong) = self.false_contacts {
@@ -224,120 +269,10 @@ impl fmt::Display for Evaluation {
     }
 }
 
-/// Compares estimates with the truth one by one, for callers that get their estimates elsewhere, e.g. from a bus.
-#[derive(Default)]
-pub struct Evaluator {
-    answers: Vec<(usize, crate::Truth, Vec<Contact>)>,
-    maps: Option<MapScorer>,
-    edges: Option<Vec<f64>>,
-    unanswered: usize,
-    tares: usize,
-}
-
-impl Evaluator {
-    /// Nothing yet.
-    #[must_use]
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// Reports errors by force in these bins in place of [`FORCE_BINS`]; `edges` \[N\] ascend, the last bin is open.
-    #[must_use]
-    pub fn by_force(mut self, edges: &[f64]) -> Self {
-        self.edges = Some(edges.to_vec());
-        self
-    }
-
-    /// Compares maps over the surface with these, too.
-    #[must_use]
-    pub fn with_maps(mut self, maps: Maps) -> Self {
-        self.maps = Some(MapScorer::new(maps));
-        self
-    }
-
-    /// Takes the maps of one estimate, besides what [`push`](Self::push) takes of it; none count as unanswered.
-    ///
-    /// # Errors
-    ///
-    /// [`LearnError::Training`] where the forward model fails on the true map.
-    pub fn push_maps(&mut self, truth: &crate::Truth, estimate: &Estimate) -> Result<(), LearnError> {
-        self.maps.as_mut().map_or(Ok(()), |maps| maps.push_estimate(truth, estimate))
-    }
-
-    /// Takes one estimate. Where one contact is true, of several found the one with the largest normal force counts, then
-    /// that of the largest confidence; where several are true, each is compared with the one that is found for it. `run`
-    /// tells presses of different runs apart.
-    pub fn push(&mut self, run: usize, truth: &crate::Truth, estimate: &Estimate) {
-        self.answers.push((run, truth.clone(), estimate.contacts.clone()));
-    }
-
-    /// Counts a frame for which there is no answer.
-    pub fn unanswered(&mut self) {
-        self.unanswered += 1;
-    }
-
-    /// Counts a zero that was taken anew.
-    pub fn tared(&mut self) {
-        self.tares += 1;
-    }
-
-    /// Sums up.
-    #[must_use]
-    pub fn finish(self, data: impl Into<String>) -> Evaluation {
-        // What the model gives shows in its contacts; only then does "no contact" mean "no force".
-        let gives = |components: &[ForceComponents]| {
-            self.answers
-                .iter()
-                .any(|(_, _, found)| found.iter().any(|c| components.contains(&c.force_components)))
-        };
-        let full = gives(&[ForceComponents::Full]);
-        let normal = full || gives(&[ForceComponents::Normal]);
-        // On a curved skin the height says where a contact is, too.
-        let places =
-            || self.answers.iter().flat_map(|(_, truth, _)| truth.contacts.iter().map(|c| c.position.z));
-        let (low, high) = places().fold((f64::INFINITY, -f64::INFINITY), |(l, h), z| (l.min(z), h.max(z)));
-        let curved = high - low > 1e-6;
-        let strength = |c: &Contact| {
-            let force = c.normal_force();
-            (if force.is_nan() { 0.0 } else { force }, c.confidence)
-        };
-        let mut scores = Scores::new();
-        for (run, truth, found) in &self.answers {
-            scores.push_contacts(*run, truth, found);
-            let contact = found.iter().max_by(|a, b| {
-                let ((fa, ca), (fb, cb)) = (strength(a), strength(b));
-                fa.total_cmp(&fb).then(ca.total_cmp(&cb))
-            });
-            let mut answer = Answer { contact: Some(contact.is_some()), depth: curved, ..Answer::default() };
-            if let Some(c) = contact {
-                let p = c.position;
-                answer.position = (p.x.is_finite() && p.y.is_finite()).then_some([p.x, p.y, p.z]);
-                if c.force_components != ForceComponents::None {
-                    answer.normal_force = Some(c.normal_force()).filter(|f| f.is_finite());
-                }
-                answer.force = (c.force_components == ForceComponents::Full)
-                    .then_some([c.force.x, c.force.y, c.force.z]);
-            } else {
-                answer.normal_force = normal.then_some(0.0);
-                answer.force = full.then_some([0.0; 3]);
-            }
-            scores.push(*run, truth, &answer);
-        }
-        let mut evaluation = Evaluation::of(&scores, data, self.answers.len(), self.unanswered, self.tares);
-        if let Some(edges) = &self.edges {
-            evaluation.by_force = scores.by_force(edges);
-        }
-        match self.maps {
-            Some(maps) => evaluation.with_maps(maps),
-            None => evaluation,
-        }
-    }
-}
-
 /// Feeds every frame of a data set to an estimator, in order and as the device gave them, and compares what comes
 /// out with the truth; on `only` (e.g. the held-out part of a split), or on all labelled frames. The estimator is
 /// reset before each run, and told to take its zero anew where the data set says so ([`Sample::tare`]). Touched
-/// frames before the first zero count as unanswered.
+/// frames before the first zero count as unanswered: as frames in which nothing was found.
 ///
 /// [`Sample::tare`]: crate::Sample::tare
 ///
@@ -350,7 +285,7 @@ pub fn evaluate(
     only: Option<&[SampleId]>,
     name: impl Into<String>,
 ) -> Result<Evaluation, LearnError> {
-    evaluate_by(Evaluator::new().by_force(&FORCE_BINS), estimator, data, only, name)
+    evaluate_by(Evaluator::of(data).by_force(&FORCE_BINS), estimator, data, only, name)
 }
 
 /// As [`evaluate`], with errors by force in other bins ([`Evaluator::by_force`]) or with errors of maps
@@ -366,31 +301,7 @@ pub fn evaluate_by(
     only: Option<&[SampleId]>,
     name: impl Into<String>,
 ) -> Result<Evaluation, LearnError> {
-    let only: Option<BTreeSet<SampleId>> = only.map(|ids| ids.iter().copied().collect());
-    for (run, r) in data.runs().iter().enumerate() {
-        estimator.reset();
-        for (sample, s) in data.stream_images(run, None)?.enumerate() {
-            let s = s?;
-            if s.tare {
-                estimator.tare();
-                evaluator.tared();
-            }
-            let estimate = estimator
-                .estimate(&s.frame)
-                .map_err(|source| LearnError::Estimate { bag: r.path.clone(), source })?;
-            let Some(truth) = &s.truth else { continue };
-            if only.as_ref().is_some_and(|ids| !ids.contains(&SampleId { run, sample })) {
-                continue;
-            }
-            if !s.tared.iter().all(|v| v.is_nan()) {
-                evaluator.push(run, truth, &estimate);
-                evaluator.push_maps(truth, &estimate)?;
-            } else if truth.touched() {
-                evaluator.unanswered();
-                evaluator.push_maps(truth, &Estimate::default())?;
-            }
-        }
-    }
+    evaluator.run(estimator, data, only)?;
     Ok(evaluator.finish(name))
 }
 
@@ -411,7 +322,7 @@ pub fn evaluate_parts(
     let press = |id: &SampleId| Some((id.run, data.sample(*id)?.truth.as_ref()?.press));
     let presses: BTreeSet<(usize, u64)> = asked.iter().flatten().filter_map(press).collect();
     let mut evaluators: Vec<Evaluator> =
-        parts.iter().map(|_| Evaluator::new().by_force(&FORCE_BINS)).collect();
+        parts.iter().map(|_| Evaluator::of(data).by_force(&FORCE_BINS)).collect();
     let total = data.runs().iter().map(|r| r.samples.len()).sum::<usize>().max(1) as f64;
     let mut done = 0u32;
     for (run, r) in data.runs().iter().enumerate() {
@@ -435,13 +346,14 @@ pub fn evaluate_parts(
                 .map_err(|source| LearnError::Estimate { bag: r.path.clone(), source })?;
             let Some(truth) = &s.truth else { continue };
             for (ids, evaluator) in asked.iter().zip(&mut evaluators) {
-                if !ids.contains(&SampleId { run, sample }) {
+                let id = SampleId { run, sample };
+                if !ids.contains(&id) {
                     continue;
                 }
                 if !s.tared.iter().all(|v| v.is_nan()) {
-                    evaluator.push(run, truth, &estimate);
+                    evaluator.push(id, truth, &estimate);
                 } else if truth.touched() {
-                    evaluator.unanswered();
+                    evaluator.unanswered(id, truth);
                 }
             }
         }

@@ -7,8 +7,8 @@ use dermis_inference::{Baseline, FeatureConfig, Model, Outputs};
 
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId};
-use crate::evaluate::Evaluation;
-use crate::metrics::{Answer, MapScorer, Scores};
+use crate::evaluate::{Evaluation, centre};
+use crate::metrics::{Answer, MapScorer, Rule, Scores};
 use crate::plot::Point;
 use crate::target::Maps;
 
@@ -34,7 +34,14 @@ impl GraphEvaluator<'_> {
         name: String,
     ) -> Result<(Evaluation, Vec<Point>), LearnError> {
         let wanted = |id: &SampleId| only.is_none_or(|only| only.contains(id));
-        let mut scores = Scores::new();
+        let values = &self.outputs.config().values;
+        let gives = |name: &str| values.iter().any(|v| v.name == name);
+        let mut scores = Scores::new(Rule {
+            centre: centre(&data.skin().surface()),
+            position: gives("position.x") && gives("position.y"),
+            normal_force: gives("force.normal"),
+            depth: gives("position.z"),
+        });
         let mut maps = MapScorer::new(maps);
         let (mut points, mut raw, mut frames) = (Vec::new(), Vec::new(), 0);
         let mut answered = BTreeSet::new();
@@ -45,7 +52,7 @@ impl GraphEvaluator<'_> {
             self.model.run(row, &mut raw)?;
             self.outputs.decode(&raw)?;
             let answer = self.answer();
-            scores.push(id.run, truth, &answer);
+            scores.push(id, truth, &answer);
             maps.push(truth, |map| self.outputs.values(map.name()).map(Cow::Borrowed))?;
             points.push(Point::new(truth, &answer));
             answered.insert(id);
@@ -53,10 +60,11 @@ impl GraphEvaluator<'_> {
             Ok(())
         })?;
         let mut unanswered = 0;
-        for (_, _, truth) in
+        for (id, _, truth) in
             data.labelled().filter(|(id, _, t)| wanted(id) && t.touched() && !answered.contains(id))
         {
             unanswered += 1;
+            scores.unanswered(id, truth);
             maps.push(truth, |_| None)?;
         }
         let tares = data.runs().iter().flat_map(|r| &r.samples).filter(|s| s.tare).count();

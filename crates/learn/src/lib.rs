@@ -39,7 +39,10 @@ mod split;
 pub mod target;
 pub mod train;
 
-pub use bounds::{Bounds, bounds};
+pub use bounds::{
+    AgainstBound, Bounds, FrameBounds, MOST as MOST_BOUNDED, OfSeveral, Ratio, RatioBin, Unbounded,
+    frame_bounds,
+};
 pub use dataset::{Dataset, DatasetOptions, FrameInfo, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;
 pub use evaluate::{
@@ -48,7 +51,8 @@ pub use evaluate::{
 pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
 pub use metrics::{
-    Answer, Bin, COUNTED_FROM, FORCE_BINS, MapErrors, MapPart, MapScores, MapSummary, Scores, Summary, bins,
+    Answer, Bin, COUNTED_FROM, ContactError, FORCE_BINS, MapErrors, MapPart, MapScores, MapSummary, Rule,
+    Scores, Summary, bins,
 };
 pub use recordings::{Recorded, superpose};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -1,28 +1,35 @@
-//! Errors per quantity and force: one implementation for training, evaluation and reports.
+//! Errors per quantity and force: one implementation for training, evaluation, comparisons and reports.
+//!
+//! Problem: errors of estimators, and of an estimator and its bound, can be compared only where the same frames count. Rule: every
+//! touched frame that was asked counts. A contact that is not found, or whose frame has no answer, counts in number, as a force of 0,
+//! and in position as the distance to [`Rule::centre`], the middle of the surface. That is the answer with the least mean square
+//! error of who knows nothing but the surface (the mean of a uniform prior; compare the reference of R²). Beside each figure with
+//! everything stands the figure of what was found, under its name and ` found`. Of several contacts each true one is held against the
+//! one that is found for it; a contact too many counts in number only. [`AgainstBound`](crate::AgainstBound) divides by the bound.
+//! Assumptions: none of the errors' distribution; intervals resample whole locations. Cost: one pass, and a sort for each quantity.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use pathfinding::matrix::Matrix;
 use pathfinding::prelude::kuhn_munkres_min;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use dermis_skin::Contact;
+use nalgebra::Point3;
 
-use crate::dataset::{Truth, TruthContact};
+use crate::dataset::{SampleId, Truth, TruthContact};
 
 mod maps;
+mod statistics;
 
 pub(crate) use maps::MapScorer;
 pub use maps::{MapErrors, MapPart, MapScores, MapSummary};
+pub(crate) use statistics::median;
+use statistics::summarise;
 
 /// \[N\] edges of the bins of normal force that errors are reported by; the last bin is open.
 pub const FORCE_BINS: [f64; 9] = [0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
-
-const RESAMPLES: usize = 1000;
-const LOW: f64 = 0.025;
-const HIGH: f64 = 0.975;
 
 /// What is estimated of one frame, in SI units and in the frame of the skin's link; `None` where the model gives
 /// no such quantity.
@@ -87,6 +94,9 @@ pub struct Bin {
     /// Mean of the error's magnitude; 0 in cards of dermis 0.1.0 before it was kept.
     #[serde(default)]
     pub mean: f64,
+    /// Median of the error's magnitude; absent in files of before it was kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub median: Option<f64>,
 }
 
 /// \[N\] from which on every contact must press for their number to be judged.
@@ -97,29 +107,39 @@ pub(crate) fn bin_of(force: f64) -> usize {
     FORCE_BINS.iter().filter(|from| force >= **from).count().max(1) - 1
 }
 
+/// Which bin of these ascending edges \[N\] a true normal force \[N\] falls into; the last bin is open. `None` for what lies below the
+/// first edge, and for an unknown force.
+pub(crate) fn bin_in(edges: &[f64], force: f64) -> Option<usize> {
+    if !force.is_finite() {
+        return None;
+    }
+    // What a noisy force cell says of the lightest press may be below 0.
+    let force = if edges.first() == Some(&0.0) { force.max(0.0) } else { force };
+    edges.iter().filter(|from| force >= **from).count().checked_sub(1)
+}
+
 /// Root mean squares of values by the true normal force \[N\] of each, of pairs of force and value; empty bins and values of
 /// unknown force are left out. `edges` \[N\] ascend; what lies below the first is left out, the last bin is open.
 pub fn bins(edges: &[f64], values: impl Iterator<Item = (f64, f64)>) -> Vec<Bin> {
-    let mut sums = vec![(0_usize, 0.0, 0.0); edges.len()];
-    for (force, value) in values.filter(|(force, _)| force.is_finite()) {
-        // What a noisy force cell says of the lightest press may be below 0.
-        let force = if edges.first() == Some(&0.0) { force.max(0.0) } else { force };
-        let Some(index) = edges.iter().filter(|from| force >= **from).count().checked_sub(1) else {
-            continue;
-        };
-        let (samples, squares, magnitudes) = &mut sums[index];
-        *samples += 1;
-        *squares += value * value;
-        *magnitudes += value.abs();
+    let mut all: Vec<Vec<f64>> = vec![Vec::new(); edges.len()];
+    for (force, value) in values {
+        if let Some(index) = bin_in(edges, force) {
+            all[index].push(value.abs());
+        }
     }
-    let bin = |(i, (samples, squares, magnitudes)): (usize, (usize, f64, f64))| Bin {
-        from: edges[i],
-        to: edges.get(i + 1).copied(),
-        samples,
-        rms: (squares / samples as f64).sqrt(),
-        mean: magnitudes / samples as f64,
+    let bin = |(i, mut values): (usize, Vec<f64>)| {
+        let samples = values.len();
+        let squares: f64 = values.iter().map(|v| v * v).sum();
+        Bin {
+            from: edges[i],
+            to: edges.get(i + 1).copied(),
+            samples,
+            rms: (squares / samples as f64).sqrt(),
+            mean: values.iter().sum::<f64>() / samples as f64,
+            median: Some(median(&mut values)),
+        }
     };
-    sums.into_iter().enumerate().filter(|(_, (samples, ..))| *samples > 0).map(bin).collect()
+    all.into_iter().enumerate().filter(|(_, values)| !values.is_empty()).map(bin).collect()
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -129,11 +149,45 @@ struct Error {
     force: f64,
     location: u64,
     press: u64,
+    /// Whether the contact was found; otherwise `value` is what the rule says.
+    found: bool,
+}
+
+/// Error of one true contact; NaN what is unknown or not given.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContactError {
+    /// Frame.
+    pub id: SampleId,
+    /// Index among the true contacts of the frame, and how many these are.
+    pub contact: [usize; 2],
+    /// \[N\] true normal force.
+    pub force: f64,
+    /// \[m\] distance.
+    pub position: f64,
+    /// \[N\] estimate − truth.
+    pub normal_force: f64,
+    /// Whether the contact was found; otherwise both errors are what the rule says.
+    pub found: bool,
+}
+
+/// What counts for a contact that was not found.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Rule {
+    /// \[m\] middle of the surface; without one, what was not found has no position.
+    pub centre: Option<Point3<f64>>,
+    /// Whether the estimator gives positions: one of forces only misses no place.
+    pub position: bool,
+    /// Whether it gives normal forces.
+    pub normal_force: bool,
+    /// Whether z counts in distances.
+    pub depth: bool,
 }
 
 /// Collects errors sample by sample.
 #[derive(Debug, Clone, Default)]
 pub struct Scores {
+    rule: Rule,
+    contacts: Vec<ContactError>,
     errors: BTreeMap<&'static str, Vec<Error>>,
     touched: usize,
     missed: usize,
@@ -153,15 +207,37 @@ const OF_SEVERAL: [(&str, &str); 3] = [
 impl Scores {
     /// Nothing yet.
     #[must_use]
-    pub fn new() -> Self {
-        Self::default()
+    pub fn new(rule: Rule) -> Self {
+        Self { rule, ..Self::default() }
     }
 
-    /// Compares one answer with the truth. `run` tells presses of different runs apart.
+    fn add(
+        &mut self,
+        name: &'static str,
+        (id, truth): (SampleId, &Truth),
+        force: f64,
+        value: f64,
+        found: bool,
+    ) {
+        if value.is_finite() {
+            let press = ((id.run as u64) << 40) ^ truth.press;
+            let error = Error { value, force, location: u64::from(truth.location), press, found };
+            self.errors.entry(name).or_default().push(error);
+        }
+    }
+
+    /// \[m\] by how much a contact that was not found counts; NaN where there is no rule.
+    fn missed_by(&self, contact: &TruthContact, depth: bool) -> f64 {
+        let Some(centre) = self.rule.centre.filter(|_| self.rule.position) else { return f64::NAN };
+        let away = contact.position - centre;
+        if depth { away.norm() } else { away.xy().norm() }
+    }
+
+    /// Compares one answer with the truth.
     ///
     /// Force errors of an untouched skin are kept apart under `force.normal untouched`. A contact that was missed
-    /// counts as a force of 0 and has no position.
-    pub fn push(&mut self, run: usize, truth: &Truth, answer: &Answer) {
+    /// counts as a force of 0 and as far away as [`Rule::centre`]; `position.x` … are of contacts that were found.
+    pub fn push(&mut self, id: SampleId, truth: &Truth, answer: &Answer) {
         if let Some(contact) = answer.contact {
             let (all, wrong) = if truth.touched() {
                 (&mut self.touched, &mut self.missed)
@@ -171,59 +247,94 @@ impl Scores {
             *all += 1;
             *wrong += usize::from(contact != truth.touched());
         }
-        let press = ((run as u64) << 40) ^ truth.press;
-        let mut add = |name: &'static str, value: f64| {
-            self.errors.entry(name).or_default().push(Error {
-                value,
-                force: truth.single().and_then(TruthContact::normal_force).unwrap_or(f64::NAN),
-                location: u64::from(truth.location),
-                press,
-            });
-        };
-        if let Some(force) = answer.normal_force
-            && let Some(known) = truth.value("force.normal")
-        {
-            add(if truth.touched() { "force.normal" } else { "force.normal untouched" }, force - known);
-        }
+        self.score(id, truth, answer);
+    }
+
+    /// Counts a touched frame for which there is no answer: as one in which nothing was found, but for the share of missed contacts.
+    pub fn unanswered(&mut self, id: SampleId, truth: &Truth) {
         if !truth.touched() {
             return;
         }
+        let nothing = Answer {
+            contact: Some(false),
+            depth: self.rule.depth,
+            normal_force: self.rule.normal_force.then_some(0.0),
+            ..Answer::default()
+        };
+        self.score(id, truth, &nothing);
+        self.push_contacts(id, truth, &[]);
+    }
+
+    fn score(&mut self, id: SampleId, truth: &Truth, answer: &Answer) {
+        let of = (id, truth);
+        let single = truth.single();
+        let true_force = single.and_then(TruthContact::normal_force).unwrap_or(f64::NAN);
+        // Nothing is said of a contact that is said not to be.
+        let silent = answer.contact == Some(false);
+        let normal_force = answer.normal_force.map(|f| if silent { 0.0 } else { f });
+        let given = answer.position.filter(|_| !silent);
+        let found = !silent && (given.is_some() || !self.rule.position);
+        let mut error = ContactError {
+            id,
+            contact: [0, 1],
+            force: true_force,
+            position: f64::NAN,
+            normal_force: f64::NAN,
+            found,
+        };
+        if let Some(force) = normal_force
+            && let Some(known) = truth.value("force.normal")
+        {
+            let name = if truth.touched() { "force.normal" } else { "force.normal untouched" };
+            error.normal_force = force - known;
+            self.add(name, of, true_force, error.normal_force, found || !truth.touched());
+        }
+        let Some(contact) = single else { return };
         if let Some(force) = answer.force {
+            let force = if silent { [0.0; 3] } else { force };
             let mut squares = Some(0.0);
             for (name, value) in ["force.x", "force.y", "force.z"].into_iter().zip(force) {
                 let known = truth.value(name);
                 if let Some(known) = known {
-                    add(name, value - known);
+                    self.add(name, of, true_force, value - known, found);
                 }
                 squares = squares.zip(known).map(|(s, known): (f64, f64)| s + (value - known).powi(2));
             }
             if let Some(squares) = squares {
-                add("force", squares.sqrt());
+                self.add("force", of, true_force, squares.sqrt(), found);
             }
         }
-        if let Some(position) = answer.position {
-            let names = ["position.x", "position.y", "position.z"];
-            let known = names.map(|n| truth.value(n));
-            let axes = if answer.depth { 3 } else { 2 };
-            let mut squares = Some(0.0);
-            for ((name, known), value) in names.into_iter().zip(known).zip(position).take(axes) {
-                if let Some(known) = known {
-                    add(name, value - known);
-                    squares = squares.map(|s: f64| s + (value - known).powi(2));
-                } else {
-                    squares = None;
-                }
-            }
-            if let Some(squares) = squares {
-                add("position", squares.sqrt());
-            }
+        if let Some(position) = given {
+            error.position = self.score_position(of, true_force, position, answer.depth);
+        } else {
+            error.position = self.missed_by(contact, answer.depth);
+            self.add("position", of, true_force, error.position, false);
         }
+        self.contacts.push(error);
+    }
+
+    /// The distance between a position that was given and the true one, NaN where that is unknown.
+    fn score_position(&mut self, of: (SampleId, &Truth), force: f64, position: [f64; 3], depth: bool) -> f64 {
+        let names = ["position.x", "position.y", "position.z"];
+        let known = names.map(|n| of.1.value(n));
+        let mut squares = 0.0;
+        for ((name, known), value) in
+            names.into_iter().zip(known).zip(position).take(if depth { 3 } else { 2 })
+        {
+            if let Some(known) = known {
+                self.add(name, of, force, value - known, true);
+            }
+            squares += known.map_or(f64::NAN, |known| (value - known).powi(2));
+        }
+        self.add("position", of, force, squares.sqrt(), true);
+        squares.sqrt()
     }
 
     /// Compares the contacts that were found with those of the truth: their number, and where there are several, each true
-    /// one with the one that is found for it (the assignment whose distances add up to least).
-    pub fn push_contacts(&mut self, run: usize, truth: &Truth, found: &[Contact]) {
-        if !truth.touched() || found.is_empty() {
+    /// one with the one that is found for it (the assignment whose distances add up to least). A true one for which none is found
+    /// counts as a force of 0 and as far away as [`Rule::centre`].
+    pub fn push_contacts(&mut self, id: SampleId, truth: &Truth, found: &[Contact]) {
+        if !truth.touched() {
             return;
         }
         let clear = |c: &TruthContact| c.normal_force().is_none_or(|f| f >= COUNTED_FROM);
@@ -233,19 +344,25 @@ impl Scores {
             *right += usize::from(found.len() == truth.contacts.len());
         }
         let Some(names) = truth.contacts.len().checked_sub(2).map(|i| OF_SEVERAL[i.min(2)]) else { return };
-        let press = ((run as u64) << 40) ^ truth.press;
-        for (true_one, index) in truth.contacts.iter().zip(assign(truth, found)) {
-            let Some(answer) = index.map(|i| &found[i]) else { continue };
+        for (n, (true_one, index)) in truth.contacts.iter().zip(assign(truth, found)).enumerate() {
+            let answer = index.map(|i| &found[i]);
             let force = true_one.normal_force().unwrap_or(f64::NAN);
-            let mut add = |name: &'static str, value: f64| {
-                if value.is_finite() {
-                    let error = Error { value, force, location: u64::from(truth.location), press };
-                    self.errors.entry(name).or_default().push(error);
-                }
-            };
-            add(names.0, (answer.position - true_one.position).norm());
-            add(names.1, answer.normal_force() - force);
+            let position = answer
+                .map_or_else(|| self.missed_by(true_one, true), |a| (a.position - true_one.position).norm());
+            let missed = if self.rule.normal_force { -force } else { f64::NAN };
+            let normal_force = answer.map_or(missed, |a| a.normal_force() - force);
+            self.add(names.0, (id, truth), force, position, answer.is_some());
+            self.add(names.1, (id, truth), force, normal_force, answer.is_some());
+            let contact = [n, truth.contacts.len()];
+            let found = answer.is_some();
+            self.contacts.push(ContactError { id, contact, force, position, normal_force, found });
         }
+    }
+
+    /// Errors of every true contact.
+    #[must_use]
+    pub fn contacts(&self) -> &[ContactError] {
+        &self.contacts
     }
 
     /// Share of frames whose number of contacts was found right, by true number; frames in which a contact presses with
@@ -259,23 +376,31 @@ impl Scores {
     }
 
     /// Every quantity that was compared: `position` (distance), `position.x` …, `force.normal`,
-    /// `force.normal untouched`, `force.x` …, `force` (length of the difference).
+    /// `force.normal untouched`, `force.x` …, `force` (length of the difference), `position of 2` …. Where a contact was not found,
+    /// also those of what was found: `position found`, `force.normal found` ….
     #[must_use]
     pub fn summaries(&self, seed: u64) -> BTreeMap<String, Summary> {
-        self.errors.iter().map(|(name, errors)| ((*name).to_owned(), summarise(name, errors, seed))).collect()
+        self.named().map(|(name, errors)| (name.clone(), summarise(&name, &errors, seed))).collect()
     }
 
     /// Errors by true normal force, for quantities whose samples have one; empty bins are left out.
     #[must_use]
     pub fn by_force(&self, edges: &[f64]) -> BTreeMap<String, Vec<Bin>> {
-        let mut all = BTreeMap::new();
-        for (name, errors) in &self.errors {
+        let binned = |(name, errors): (String, Cow<'_, [Error]>)| {
             let bins = bins(edges, errors.iter().map(|e| (e.force, e.value)));
-            if !bins.is_empty() {
-                all.insert((*name).to_owned(), bins);
-            }
-        }
-        all
+            (!bins.is_empty()).then_some((name, bins))
+        };
+        self.named().filter_map(binned).collect()
+    }
+
+    /// All errors by name, and those of what was found, where that is not everything.
+    fn named(&self) -> impl Iterator<Item = (String, Cow<'_, [Error]>)> {
+        self.errors.iter().flat_map(|(name, errors)| {
+            let found: Vec<Error> = errors.iter().filter(|e| e.found).copied().collect();
+            let some = found.len() < errors.len() && !found.is_empty();
+            let all = ((*name).to_owned(), Cow::Borrowed(errors.as_slice()));
+            [Some(all), some.then(|| (format!("{name} found"), Cow::Owned(found)))].into_iter().flatten()
+        })
     }
 
     /// Share of touched samples that were taken for untouched; `None` where the question never arose.
@@ -321,90 +446,6 @@ fn assign(truth: &Truth, found: &[Contact]) -> Vec<Option<usize>> {
 
 /// \[pm\] Largest distance between two contacts that counts: 10 km, of which sums cannot overflow.
 const FARTHEST: i64 = 10_000_000_000_000_000;
-
-fn summarise(name: &str, errors: &[Error], seed: u64) -> Summary {
-    let count = errors.len() as f64;
-    let rms = (errors.iter().map(|e| e.value * e.value).sum::<f64>() / count).sqrt();
-    let mean = errors.iter().map(|e| e.value.abs()).sum::<f64>() / count;
-    let mut sorted: Vec<f64> = errors.iter().map(|e| e.value.abs()).collect();
-    sorted.sort_by(f64::total_cmp);
-    let bias = (name.contains('.') && !name.starts_with("position of"))
-        .then(|| errors.iter().map(|e| e.value).sum::<f64>() / count);
-
-    let mut groups = Group::collect(errors, |e| e.location);
-    let mut grouped_by = "location";
-    if groups.len() < 3 {
-        (groups, grouped_by) = (Group::collect(errors, |e| e.press), "press");
-    }
-    let intervals = (groups.len() >= 3).then(|| bootstrap(&groups, seed));
-    Summary {
-        unit: if name.starts_with("position") { "m" } else { "N" }.into(),
-        samples: errors.len(),
-        rms,
-        mean,
-        median: percentile(&sorted, 0.5),
-        p95: percentile(&sorted, 0.95),
-        max: sorted.last().copied().unwrap_or(f64::NAN),
-        bias,
-        rms_interval: intervals.map(|(rms, _)| rms),
-        mean_interval: intervals.map(|(_, mean)| mean),
-        groups: groups.len(),
-        grouped_by: grouped_by.into(),
-    }
-}
-
-/// Sums over one location or press.
-#[derive(Debug, Clone, Copy, Default)]
-struct Group {
-    count: f64,
-    squares: f64,
-    magnitudes: f64,
-}
-
-impl Group {
-    fn collect(errors: &[Error], key: impl Fn(&Error) -> u64) -> Vec<Self> {
-        let mut groups: BTreeMap<u64, Self> = BTreeMap::new();
-        for e in errors {
-            let group = groups.entry(key(e)).or_default();
-            group.count += 1.0;
-            group.squares += e.value * e.value;
-            group.magnitudes += e.value.abs();
-        }
-        groups.into_values().collect()
-    }
-}
-
-/// 95 % intervals of root mean square and mean magnitude: whole groups are drawn with replacement, since samples of
-/// one location are not independent (Efron & Tibshirani, An Introduction to the Bootstrap, chapter 8).
-fn bootstrap(groups: &[Group], seed: u64) -> ([f64; 2], [f64; 2]) {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let (mut rms, mut mean) = (Vec::with_capacity(RESAMPLES), Vec::with_capacity(RESAMPLES));
-    for _ in 0..RESAMPLES {
-        let mut sum = Group::default();
-        for _ in groups {
-            let drawn = groups[rng.random_range(0..groups.len())];
-            sum.count += drawn.count;
-            sum.squares += drawn.squares;
-            sum.magnitudes += drawn.magnitudes;
-        }
-        rms.push((sum.squares / sum.count).sqrt());
-        mean.push(sum.magnitudes / sum.count);
-    }
-    let interval = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        [percentile(&values, LOW), percentile(&values, HIGH)]
-    };
-    (interval(rms), interval(mean))
-}
-
-/// Linear between the order statistics; NaN of nothing.
-fn percentile(sorted: &[f64], share: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
-    let at = share * last as f64;
-    let below = at.floor() as usize;
-    let above = (below + 1).min(last);
-    sorted[below] + (at - below as f64) * (sorted[above] - sorted[below])
-}
 
 #[cfg(test)]
 mod tests;

@@ -368,7 +368,7 @@ mod tests {
             Point { position: None, force: Some((0.0, 0.0)) },
         ];
         let mut report = Report::new("a < b".into());
-        report.section("held out", &Evaluation::of(&Scores::new(), "x", 3, 0, 0), &points);
+        report.section("held out", &Evaluation::of(&Scores::default(), "x", 3, 0, 0), &points);
         let html = report.html();
         assert_eq!(html.matches("<svg").count(), 2);
         assert_eq!(html.matches("<circle").count(), 5);

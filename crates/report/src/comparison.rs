@@ -19,6 +19,12 @@ pub fn text(findings: &Findings) -> Result<String> {
         "{}: {} readings at {} places that nothing was trained on\n",
         skin.name, record["readings"], record["places"]
     );
+    for left_out in &findings.left_out {
+        let _ = writeln!(out, "{left_out}");
+    }
+    out.push_str(
+        "a contact that is not found counts as far away as the middle of the surface, and as a force of 0\n",
+    );
     let bins: Vec<f64> =
         record["bins_n"].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
     for (quantity, bound, unit, factor) in
@@ -30,10 +36,10 @@ pub fn text(findings: &Findings) -> Result<String> {
             let _ = write!(out, "{head:>10}");
         }
         let _ = writeln!(out, "{:>10}{:>10}", "all", "missed");
-        let cells = |found: &Value| -> String {
+        let cells = |found: &Value, figure: &str| -> String {
             bins.iter().fold(String::new(), |mut line, from| {
                 let bin = found.as_array().into_iter().flatten().find(|b| b["from"].as_f64() == Some(*from));
-                let rms = bin.and_then(|b| b["rms"].as_f64());
+                let rms = bin.and_then(|b| b[figure].as_f64());
                 let _ = match rms {
                     Some(rms) => write!(line, "{:>10.4}", rms * factor),
                     None => write!(line, "{:>10}", "-"),
@@ -45,16 +51,33 @@ pub fn text(findings: &Findings) -> Result<String> {
             let evaluation = &method["evaluation"];
             let name = method["name"].as_str().unwrap_or_default();
             let all = evaluation["quantities"][quantity]["rms"].as_f64().unwrap_or(f64::NAN) * factor;
-            let missed = evaluation["missed"].as_f64().unwrap_or(0.0) * 100.0;
+            let missed = evaluation["not_found"].as_f64().unwrap_or(0.0) * 100.0;
             let _ = writeln!(
                 out,
                 "{name:<38}{}{all:>10.4}{missed:>8.1} %",
-                cells(&evaluation["by_force"][quantity])
+                cells(&evaluation["by_force"][quantity], "rms")
             );
+            let found = format!("{quantity} found");
+            if let Some(rms) = evaluation["quantities"][&found]["rms"].as_f64() {
+                let cells = cells(&evaluation["by_force"][&found], "rms");
+                let _ = writeln!(out, "{:<38}{cells}{:>10.4}", "  of contacts that were found", rms * factor);
+            }
         }
         if !record["bound"].is_null() {
-            let _ = writeln!(out, "{:<38}{}", "Cramér–Rao bound", cells(&record["bound"][bound]));
+            let _ = writeln!(out, "{:<38}{}", "Cramér–Rao bound", cells(&record["bound"][bound], "rms"));
+            let _ = writeln!(out, "{:<38}{}", "  its median", cells(&record["bound"][bound], "median"));
         }
+    }
+    for (name, evaluation) in &findings.methods {
+        if !evaluation.against_bound.is_empty() {
+            let _ = writeln!(out, "\n{name}");
+        }
+        for against in &evaluation.against_bound {
+            let _ = write!(out, "{against}");
+        }
+    }
+    if let Some(bound) = &findings.bound {
+        let _ = write!(out, "{}", bound.left_out);
     }
     Ok(out)
 }

@@ -2,22 +2,34 @@
 
 use std::fmt::Write as _;
 
-use dermis_learn::{Bin, Bounds, Evaluation};
+use dermis_learn::{Bin, Evaluation, Ratio};
 use dermis_studies::evaluation::{Beside, Findings};
 
 /// For people.
 #[must_use]
 pub fn text(findings: &Findings) -> String {
-    let Findings { evaluation, bound, others, verdicts } = findings;
-    let mut out = evaluation.to_string();
+    let Findings { everything, evaluation, bound, own, others, verdicts } = findings;
+    let mut out = String::new();
+    if let Some((everything, left_out)) = everything {
+        let _ = writeln!(out, "{everything}{}", against(everything));
+        for left_out in left_out {
+            let _ = writeln!(out, "{left_out}");
+        }
+    }
+    let _ = write!(out, "{evaluation}");
     if let Some(bound) = bound {
-        let _ = write!(out, "{bound}");
+        let _ = write!(out, "{bound}{}", against(evaluation));
     }
     if !others.is_empty() {
-        let _ = writeln!(out, "{}", table(evaluation, others, bound.as_ref()));
+        let _ = writeln!(out, "{}", table(own.as_ref().unwrap_or(evaluation), others));
     }
     let _ = write!(out, "{verdicts}");
     out
+}
+
+/// Errors beside their bounds.
+fn against(evaluation: &Evaluation) -> String {
+    evaluation.against_bound.iter().map(ToString::to_string).collect()
 }
 
 /// Mean and standard deviation of the magnitudes of errors.
@@ -26,8 +38,9 @@ fn spread(bin: &Bin, factor: f64) -> String {
     format!("{:.2} ±{:.2}", bin.mean * factor, deviation * factor)
 }
 
-/// Errors by force, side by side: means and standard deviations, and below them the bound, which is of the root mean square.
-fn table(own: &Evaluation, others: &[Beside], bound: Option<&Bounds>) -> String {
+/// Errors by force on the same frames, side by side: means and standard deviations, and below them the bound of these frames as root
+/// mean square and median.
+fn table(own: &Evaluation, others: &[Beside]) -> String {
     let mut out = String::new();
     for (quantity, title, factor) in
         [("position", "position error [mm]", 1e3), ("force.normal", "force error [N]", 1.0)]
@@ -50,22 +63,26 @@ fn table(own: &Evaluation, others: &[Beside], bound: Option<&Bounds>) -> String 
             }
             let _ = writeln!(out);
         }
-        let of = bound.map(|b| if quantity == "position" { &b.position } else { &b.normal_force });
-        let Some(of) = of.filter(|of| !of.is_empty()) else { continue };
-        let _ = write!(out, "  {:<22}", "bound, RMS");
-        for bin in bins {
-            let same = of.iter().find(|b| b.from == bin.from);
-            let cell = same.map_or_else(|| "-".to_owned(), |b| format!("{:.2}", b.rms * factor));
-            let _ = write!(out, "{cell:>18}");
+        let same = own.against_bound.iter().find(|a| a.contacts == 1 && a.quantity == quantity);
+        let Some(of) = same else { continue };
+        for (name, median) in [("bound, RMS", false), ("bound, median", true)] {
+            let figure = |r: &Ratio| if median { r.bound_median } else { r.bound_rms };
+            let _ = write!(out, "  {name:<22}");
+            for bin in bins {
+                let same = of.by_force.iter().find(|b| b.from == bin.from);
+                let cell =
+                    same.map_or_else(|| "-".to_owned(), |b| format!("{:.2}", figure(&b.ratio) * factor));
+                let _ = write!(out, "{cell:>18}");
+            }
+            let _ = writeln!(out);
         }
-        let _ = writeln!(out);
     }
     out
 }
 
 #[cfg(test)]
 mod tests {
-    use dermis_learn::{Evaluator, Truth, TruthContact};
+    use dermis_learn::{Evaluator, SampleId, Truth, TruthContact};
     use dermis_skin::{Contact, Estimate, ForceComponents};
     use nalgebra::{Point3, Vector3};
     use serde_json::Value;
@@ -92,7 +109,8 @@ mod tests {
             let mut contact = Contact::at(at + Vector3::x() * metres * force, Vector3::z());
             contact.force = Vector3::new(0.0, 0.0, -force - newtons);
             contact.force_components = ForceComponents::Normal;
-            evaluator.push(0, &truth, &Estimate { contacts: vec![contact], ..Estimate::default() });
+            let id = SampleId { run: 0, sample: location as usize };
+            evaluator.push(id, &truth, &Estimate { contacts: vec![contact], ..Estimate::default() });
         }
         evaluator.finish("made up")
     }
@@ -101,7 +119,7 @@ mod tests {
     fn people_read_every_way_by_force() {
         let others =
             [Beside { method: "support vectors", settings: Value::Null, evaluation: evaluation(0.001, 0.5) }];
-        insta::assert_snapshot!(table(&evaluation(0.0002, 0.1), &others, None), @r#"
+        insta::assert_snapshot!(table(&evaluation(0.0002, 0.1), &others), @r#"
 position error [mm]            0.5–4.9 N         4.9–9.8 N
 support vectors               2.00 ±0.00        7.00 ±0.00
 the model                     0.40 ±0.00        1.40 ±0.00

@@ -117,9 +117,12 @@ pub fn comparison(findings: &compare::Findings) -> String {
     let compare::Findings { request, skin, rows, frames, asks, .. } = findings;
     let bins = &request.bins;
     let mut out = format!("{}: ways to contacts on recordings that nothing was learned from\n", skin.name);
-    if !request.rigid {
-        out.push_str("left out: contacts where the surface gives way by less than a tenth of its median\n");
+    for left_out in &findings.left_out {
+        let _ = writeln!(out, "{left_out}");
     }
+    out.push_str(
+        "a contact that is not found counts as far away as the middle of the surface, and as a force of 0\n",
+    );
     for kind in Kind::ALL {
         let found: Vec<&compare::Row> = rows.iter().filter(|r| r.kind == kind.name()).collect();
         if found.is_empty() {
@@ -140,18 +143,29 @@ pub fn comparison(findings: &compare::Findings) -> String {
             "number ok %"
         );
         for r in found {
-            let right = r.count_right.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
-            let _ = writeln!(
-                out,
-                "{:<38}{:>10.2}{:>10.2}{:>10.2}{:>10.2}{:>10.2}{:>10.1}{right:>12}",
-                r.method,
-                r.position_mean * 1e3,
-                r.position_rms * 1e3,
-                r.position_median * 1e3,
-                r.force_mean,
-                r.force_rms,
-                r.lost * 100.0
-            );
+            let mut line = |name: &str, e: &compare::Errors| {
+                let right = e.count_right.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
+                let _ = writeln!(
+                    out,
+                    "{name:<38}{:>10.2}{:>10.2}{:>10.2}{:>10.2}{:>10.2}{:>10.1}{right:>12}",
+                    e.position_mean * 1e3,
+                    e.position_rms * 1e3,
+                    e.position_median * 1e3,
+                    e.force_mean,
+                    e.force_rms,
+                    e.lost * 100.0
+                );
+            };
+            match &r.with_everything {
+                Some(everything) => {
+                    line(&r.method, everything);
+                    line("  where the surface gives way", &r.errors);
+                }
+                None => line(&r.method, &r.errors),
+            }
+            if let Some(found) = &r.found {
+                line("  of these, contacts that were found", found);
+            }
         }
     }
     for (quantity, of_bound, unit, factor) in
@@ -181,10 +195,22 @@ pub fn comparison(findings: &compare::Findings) -> String {
         }
         if let Some(bound) = &findings.bound {
             let cells = if of_bound == "position" { &bound.position } else { &bound.normal_force };
-            line("Cramér–Rao bound of the design", &|from| {
-                cells.iter().find(|b| b.from.to_bits() == from.to_bits()).map(|b| b.rms)
-            });
+            let at = |from: f64| cells.iter().find(|b| b.from.to_bits() == from.to_bits());
+            line("Cramér–Rao bound of the design", &|from| at(from).map(|b| b.rms));
+            line("  its median", &|from| at(from).and_then(|b| b.median));
         }
+    }
+    for r in rows {
+        let Some(evaluation) = r.evaluation.as_ref().filter(|e| !e.against_bound.is_empty()) else {
+            continue;
+        };
+        let _ = writeln!(out, "\n{}, {}", r.method, r.kind.replace('_', " "));
+        for against in &evaluation.against_bound {
+            let _ = write!(out, "{against}");
+        }
+    }
+    if let Some(bound) = &findings.bound {
+        let _ = write!(out, "{}", bound.left_out);
     }
     let _ = writeln!(out);
     for ask in asks {

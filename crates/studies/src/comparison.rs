@@ -16,7 +16,9 @@ use dermis_estimate::finder::{InversionFinder, NetworkFinder, RegressionFinder, 
 use dermis_estimate::{ConditionedFrame, ContactFinder, FindError, inverter};
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
 use dermis_learn::cli::Labels;
-use dermis_learn::{Bounds, Dataset, Evaluation, Evaluator, Sample, SampleId, Truth, TruthContact, bounds};
+use dermis_learn::{
+    Bounds, Dataset, Evaluation, Evaluator, Sample, SampleId, Truth, TruthContact, frame_bounds,
+};
 use dermis_model::ForwardModel;
 use dermis_regress::Rows;
 use dermis_skin::{Contact, Estimate, ForceComponents, SkinDescription, Surface};
@@ -26,7 +28,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use crate::evaluation::{split_of, unknowns};
-use crate::{Families, Progress, called, conditioned};
+use crate::{Families, LeftOut, Progress, called, conditioned};
 
 /// What to compare on what.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -81,8 +83,10 @@ pub struct Findings {
     pub bins: Vec<f64>,
     /// Name of each estimator and what it made of them.
     pub methods: Vec<(String, Evaluation)>,
-    /// What any estimator without bias could reach.
+    /// What any estimator without bias could reach on these very readings.
     pub bound: Option<Bounds>,
+    /// Held-out touched readings that were not compared, and why.
+    pub left_out: Vec<LeftOut>,
 }
 
 impl Serialize for Findings {
@@ -91,7 +95,7 @@ impl Serialize for Findings {
             "skin": self.skin.name, "readings": self.readings, "places": self.places, "bins_n": self.bins,
             "methods":
                 self.methods.iter().map(|(name, e)| json!({ "name": name, "evaluation": e })).collect::<Vec<_>>(),
-            "bound": self.bound,
+            "bound": self.bound, "left_out": self.left_out,
         })
         .serialize(serializer)
     }
@@ -138,18 +142,23 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         truth.and_then(Truth::single).and_then(TruthContact::normal_force).is_some_and(|f| f >= least)
     };
     let all: Vec<SampleId> = split.test.iter().copied().filter(clear).collect();
-    let test: Vec<SampleId> = all.iter().copied().step_by(all.len().div_ceil(options.most).max(1)).collect();
+    let test: Vec<SampleId> =
+        all.iter().copied().step_by(all.len().div_ceil(options.most.max(1)).max(1)).collect();
     if test.is_empty() {
         bail!("nothing of one contact of {least} N or more was held out of these bags");
     }
     let finders = methods(options, &skin, &forward, &data, &split.train, progress)?;
     progress.begin("answering");
-    let rows = answer(finders, &data, &test, &options.bins, progress)?;
-    let bound = rows
-        .first()
-        .map(|(_, first)| bounds(forward.as_ref(), &data, Some(&test), unknowns(&data, first), &options.bins))
-        .transpose()?
-        .flatten();
+    let mut rows = answer(finders, &data, &test, &options.bins, progress)?;
+    let bound = match rows.first() {
+        None => None,
+        Some((_, first)) => {
+            let bounds = frame_bounds(forward.as_ref(), &data, Some(&test), unknowns(&data, first))?;
+            rows = rows.into_iter().map(|(name, e)| (name, e.against(&bounds, &options.bins))).collect();
+            bounds.summary(&options.bins)
+        }
+    };
+    let left_out = left_out(&data, &split.test, (&all, &test), least);
     let places: BTreeSet<u32> =
         test.iter().filter_map(|id| Some(data.sample(*id)?.truth.as_ref()?.location)).collect();
     Ok(Findings {
@@ -159,7 +168,27 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         bins: options.bins.clone(),
         methods: rows,
         bound,
+        left_out,
     })
+}
+
+/// Why touched readings that were held out are not among those that are compared: `clear` ones of one contact, `test` of these.
+fn left_out(
+    data: &Dataset,
+    held_out: &[SampleId],
+    (clear, test): (&[SampleId], &[SampleId]),
+    least: f64,
+) -> Vec<LeftOut> {
+    let truths = || held_out.iter().filter_map(|id| data.sample(*id)?.truth.as_ref()).filter(|t| t.touched());
+    let (touched, single) = (truths().count(), truths().filter(|t| t.single().is_some()).count());
+    LeftOut::list(
+        touched,
+        &[
+            (touched - single, "several contacts at once".to_owned()),
+            (single - clear.len(), format!("a contact of less than {least} N, or of unknown force")),
+            (clear.len() - test.len(), "only every n-th reading is compared (`--most`)".to_owned()),
+        ],
+    )
 }
 
 type Named = (String, Box<dyn ContactFinder>);
@@ -174,7 +203,7 @@ fn answer(
     progress: &dyn Progress,
 ) -> Result<Vec<(String, Evaluation)>> {
     let wanted: BTreeSet<SampleId> = asked.iter().copied().collect();
-    let mut evaluators: Vec<Evaluator> = finders.iter().map(|_| Evaluator::new().by_force(bins)).collect();
+    let mut evaluators: Vec<Evaluator> = finders.iter().map(|_| Evaluator::of(data).by_force(bins)).collect();
     let image = finders.iter().find_map(|(_, finder)| finder.image());
     if finders.iter().filter_map(|(_, finder)| finder.image()).any(|other| Some(other) != image) {
         bail!("these bundles take images of different sizes; compare them one after the other");
@@ -191,7 +220,8 @@ fn answer(
                 finders.iter_mut().for_each(|(_, finder)| finder.reset());
             }
             let frame = conditioned(&read);
-            let truth = read.truth.as_ref().filter(|_| wanted.contains(&SampleId { run, sample }));
+            let id = SampleId { run, sample };
+            let truth = read.truth.as_ref().filter(|_| wanted.contains(&id));
             for ((_, finder), evaluator) in finders.iter_mut().zip(&mut evaluators) {
                 let Some(truth) = truth else {
                     finder.pass(&frame)?;
@@ -201,7 +231,7 @@ fn answer(
                     Err(FindError::History(_)) => Vec::new(),
                     found => found?,
                 };
-                evaluator.push(run, truth, &Estimate { contacts, ..Estimate::default() });
+                evaluator.push(id, truth, &Estimate { contacts, ..Estimate::default() });
             }
             done += usize::from(truth.is_some());
             progress.at(done as f64 / wanted.len() as f64);

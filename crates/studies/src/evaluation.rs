@@ -12,15 +12,15 @@ use clap::Args;
 use dermis_learn::cli::Labels;
 use dermis_learn::target::Maps;
 use dermis_learn::{
-    Bounds, Dataset, Evaluation, Evaluator, Requirement, SampleId, SplitConfig, SplitKind, Verdicts, bounds,
-    evaluate_by,
+    Bounds, Dataset, Evaluation, Evaluator, Requirement, SampleId, SplitConfig, SplitKind, Verdicts,
+    frame_bounds,
 };
-use dermis_model::Unknowns;
+use dermis_model::{ForwardModel, Unknowns};
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
-use crate::{Families, Progress};
+use crate::{Families, LeftOut, Progress};
 
 pub use beside::Beside;
 
@@ -47,7 +47,8 @@ pub struct Request {
     /// bag says that nothing touches for long enough.
     #[arg(long)]
     pub unattended: bool,
-    /// Only frames in which every channel is within its range: what saturation costs is left out.
+    /// Besides the figures with everything, those of frames in which every channel is within its range: what saturation costs is left
+    /// out of these, and requirements are held against them.
     #[arg(long)]
     pub in_range: bool,
     /// How the bags are read.
@@ -104,10 +105,14 @@ mod written {
 
 /// Everything that was found.
 pub struct Findings {
-    /// Errors.
+    /// Errors with every frame, where `evaluation` leaves some out, and what it leaves out.
+    pub everything: Option<(Evaluation, Vec<LeftOut>)>,
+    /// Errors of what was asked for.
     pub evaluation: Evaluation,
     /// What any estimator without bias could reach on the same contacts.
     pub bound: Option<Bounds>,
+    /// Errors on the frames that the other ways answer, too.
+    pub own: Option<Evaluation>,
     /// What other ways make of the same frames.
     pub others: Vec<Beside>,
     /// Which requirements are met.
@@ -121,8 +126,13 @@ impl Serialize for Findings {
             object.insert("figures".to_owned(), json!(self.evaluation.figures()));
             object.insert("requirements".to_owned(), json!(self.verdicts));
             object.insert("bound".to_owned(), json!(self.bound));
+            if let Some((everything, left_out)) = &self.everything {
+                object.insert("with_everything".to_owned(), json!(everything));
+                object.insert("left_out".to_owned(), json!(left_out));
+            }
             if !self.others.is_empty() {
                 object.insert("beside".to_owned(), json!(self.others));
+                object.insert("own_beside".to_owned(), json!(self.own));
             }
         }
         value.serialize(serializer)
@@ -148,35 +158,73 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
         (false, Some(kind)) => Some(SplitConfig { kind, ..SplitConfig::default() }),
         (false, None) => None,
     };
-    let mut test = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
-    if options.in_range {
-        let whole = |id: &SampleId| data.sample(*id).is_some_and(|s| s.flags.iter().all(|f| f.is_ok()));
-        let all = || data.labelled().map(|(id, ..)| id).collect();
-        let mut kept = test.unwrap_or_else(all);
-        kept.retain(whole);
-        test = Some(kept);
-    }
+    let asked = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
+    let kept = options.in_range.then(|| in_range(&data, asked.as_deref()));
     let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
     let model = families.model(&skin).ok();
     // Maps that nobody can know here are not compared.
     let maps = Maps::new(&skin, model.clone(), &[])?;
-    let evaluator = Evaluator::new().by_force(&options.bins).with_maps(maps);
-    let evaluation = evaluate_by(evaluator, estimator.as_mut(), &data, test.as_deref(), name)?;
-    let bound = match &model {
-        None => None,
-        Some(model) => {
-            let unknowns = unknowns(&data, &evaluation);
-            bounds(model.as_ref(), &data, test.as_deref(), unknowns, &options.bins)?
-        }
-    };
+    let mut evaluator = Evaluator::of(&data).by_force(&options.bins).with_maps(maps);
+    if let Some((kept, _)) = &kept {
+        evaluator = evaluator.maps_of(kept);
+    }
+    evaluator.run(estimator.as_mut(), &data, asked.as_deref())?;
+    let mut own = None;
     let others = if options.beside.is_empty() {
         Vec::new()
     } else {
-        let labels = &options.labels;
-        beside::beside(&skin, &options.beside, labels, &data, test.as_deref(), &options.bins, progress)?
+        let only = kept.as_ref().map(|(kept, _)| kept.as_slice()).or(asked.as_deref());
+        let (ids, others) =
+            beside::beside(&skin, &options.beside, &options.labels, &data, only, &options.bins, progress)?;
+        let same = evaluator.restricted(&ids).finish("the model, on the same frames");
+        own = Some(bounded(same, model.as_deref(), &data, Some(&ids), &options.bins)?.0);
+        others
+    };
+    let (everything, evaluation, bound) = match kept {
+        None => {
+            let (evaluation, bound) =
+                bounded(evaluator.finish(name), model.as_deref(), &data, asked.as_deref(), &options.bins)?;
+            (None, evaluation, bound)
+        }
+        Some((kept, left_out)) => {
+            let part = evaluator.restricted(&kept).with_maps_of(&mut evaluator);
+            let part = part.finish(format!("{name}, every channel within its range"));
+            let of = |e, ids| bounded(e, model.as_deref(), &data, ids, &options.bins);
+            let (all, _) = of(evaluator.finish(name), asked.as_deref())?;
+            let (evaluation, bound) = of(part, Some(&kept))?;
+            (Some((all, left_out)), evaluation, bound)
+        }
     };
     let verdicts = Verdicts::of(&options.require, &evaluation);
-    Ok(Findings { evaluation, bound, others, verdicts })
+    Ok(Findings { everything, evaluation, bound, own, others, verdicts })
+}
+
+/// Frames in which every channel is within its range, and what of the touched ones is not among them.
+fn in_range(data: &Dataset, asked: Option<&[SampleId]>) -> (Vec<SampleId>, Vec<LeftOut>) {
+    let mut kept: Vec<SampleId> =
+        asked.map_or_else(|| data.labelled().map(|(id, ..)| id).collect(), <[SampleId]>::to_vec);
+    let touched = |ids: &[SampleId]| {
+        let truth = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref());
+        ids.iter().filter_map(truth).filter(|t| t.touched()).count()
+    };
+    let all = touched(&kept);
+    kept.retain(|id| data.sample(*id).is_some_and(|s| s.flags.iter().all(|f| f.is_ok())));
+    let lost = all - touched(&kept);
+    let left_out = LeftOut::list(all, &[(lost, "a channel is out of its range".to_owned())]);
+    (kept, left_out)
+}
+
+/// An evaluation beside the bounds of its frames, which are `ids` or all, and the bounds alone.
+fn bounded(
+    evaluation: Evaluation,
+    model: Option<&dyn ForwardModel>,
+    data: &Dataset,
+    ids: Option<&[SampleId]>,
+    bins: &[f64],
+) -> Result<(Evaluation, Option<Bounds>)> {
+    let Some(model) = model else { return Ok((evaluation, None)) };
+    let bounds = frame_bounds(model, data, ids, unknowns(data, &evaluation))?;
+    Ok((evaluation.against(&bounds, bins), bounds.summary(bins)))
 }
 
 /// What was unknown to who was evaluated.

@@ -27,6 +27,7 @@ use dermis_learn::Sample;
 use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
 use dermis_skin::{Estimator, ModelError, SkinDescription};
+use serde::Serialize;
 
 /// The sensor families that studies ask for models, estimators and candidates.
 #[derive(Debug, Clone, Copy)]
@@ -87,6 +88,35 @@ pub fn of_file(path: &Path, error: ModelError) -> anyhow::Error {
             anyhow!("skin file {}: field `{field}`: {reason}", path.display())
         }
         other => other.into(),
+    }
+}
+
+/// Frames that a figure leaves out, and why; the figure with everything stands before it where there is one.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LeftOut {
+    /// Frames.
+    pub frames: usize,
+    /// Share of all touched frames.
+    pub share: f64,
+    /// Why.
+    pub reason: String,
+}
+
+impl LeftOut {
+    /// Those of `all` frames that there are, by reason.
+    fn list(all: usize, reasons: &[(usize, String)]) -> Vec<Self> {
+        let of = |(frames, reason): &(usize, String)| Self {
+            frames: *frames,
+            share: *frames as f64 / all.max(1) as f64,
+            reason: reason.clone(),
+        };
+        reasons.iter().filter(|(frames, _)| *frames > 0).map(of).collect()
+    }
+}
+
+impl std::fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "left out, {:.1} % of the touched frames: {}", self.share * 100.0, self.reason)
     }
 }
 

@@ -1,8 +1,9 @@
-use dermis_skin::{EstimateError, Frame};
+use dermis_skin::{Contact, Estimate, EstimateError, ForceComponents, Frame};
 use nalgebra::{Point3, Vector3};
 
 use super::*;
 use crate::dataset::tests::presses;
+use crate::target::Maps;
 
 /// Reads position and force off the two channels of the made-up skin, whose zero is 1000; 0.5 mm off in x.
 struct Known;
@@ -106,7 +107,7 @@ fn people_read_errors_of_maps() {
     let of = |unit: &str, touched, untouched| MapErrors { unit: unit.into(), touched, untouched };
     let mut depths = of("m", part(40, 0), part(0, 0));
     depths.touched = MapPart { rms: Some(12.5e-6), total_force: None, ..depths.touched };
-    let mut evaluation = Evaluation::of(&Scores::new(), "made up", 42, 0, 0);
+    let mut evaluation = Evaluation::of(&Scores::default(), "made up", 42, 0, 0);
     evaluation.maps.insert("map.displacement".into(), depths);
     evaluation.maps.insert("map.normal".into(), of("N", part(40, 3), part(2, 0)));
     insta::assert_snapshot!(evaluation, @r"
@@ -117,6 +118,51 @@ fn people_read_errors_of_maps() {
       map.normal touched            mN      12.300        34.1 %           0.210       40           3
       map.normal untouched          mN      12.300             -           0.210        2           0
     ");
+}
+
+/// As [`Known`], but it finds nothing beyond 5 mm.
+struct Shy;
+
+impl Estimator for Shy {
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
+        let mut estimate = Known.estimate(frame)?;
+        estimate.contacts.retain(|c| c.position.x < 0.0055 + 1e-9);
+        Ok(estimate)
+    }
+
+    fn reset(&mut self) {}
+}
+
+#[test]
+fn what_is_not_found_counts() {
+    let data = presses(10, 2);
+    let result = evaluate(&mut Shy, &data, None, "shy").unwrap();
+    // Places are 0 to 9 mm: 6 to 9 mm are not found. The middle of the surface is the origin.
+    assert_eq!((result.missed, result.not_found), (Some(0.4), Some(0.4)));
+    let [all, found] = ["position", "position found"].map(|name| &result.quantities[name]);
+    assert_eq!((all.samples, found.samples), (40, 24));
+    approx::assert_relative_eq!(found.rms, 0.0005, max_relative = 1e-3);
+    let squares: f64 = [6.0_f64, 7.0, 8.0, 9.0].iter().map(|mm| mm * mm).sum::<f64>() + 6.0 * 0.25;
+    approx::assert_relative_eq!(all.rms, (squares / 10.0).sqrt() * 1e-3, max_relative = 1e-3);
+    let figures = result.figures();
+    assert_eq!((figures["position_found_rms"], figures["not_found"]), (found.rms, 0.4));
+    assert!(result.to_string().contains("contacts that were not found, 40.00 %, count as far away as"));
+    // Where everything is found, both figures are the same.
+    let figures = evaluate(&mut Known, &data, None, "known").unwrap().figures();
+    assert_eq!(figures["position_found_rms"], figures["position_rms"]);
+    assert_eq!(figures["not_found"], 0.0);
+}
+
+#[test]
+fn a_part_of_the_answers_is_summed_up_alone() {
+    let data = presses(10, 2);
+    let mut evaluator = Evaluator::of(&data);
+    evaluator.run(&mut Shy, &data, None).unwrap();
+    let touched: Vec<SampleId> =
+        data.labelled().filter(|(_, _, t)| t.touched()).map(|(id, ..)| id).take(4).collect();
+    let part = evaluator.restricted(&touched).finish("part");
+    assert_eq!((part.frames, part.not_found), (4, Some(0.0)));
+    assert_eq!(evaluator.finish("all").not_found, Some(0.4));
 }
 
 #[test]

@@ -1,6 +1,12 @@
 use super::*;
 use crate::dataset::tests::contact;
 
+const ID: SampleId = SampleId { run: 0, sample: 0 };
+
+/// The middle of the surface is 3 mm and 4 mm from the origin.
+const RULE: Rule =
+    Rule { centre: Some(Point3::new(0.003, 0.004, 0.1)), position: true, normal_force: true, depth: false };
+
 fn truth(location: u32, contacts: Vec<TruthContact>) -> Truth {
     Truth { press: u64::from(location), location, idle: false, contacts }
 }
@@ -16,11 +22,11 @@ fn at(x: f64, y: f64, force: f64) -> Answer {
 
 #[test]
 fn figures_are_those_computed_by_hand() {
-    let mut scores = Scores::new();
+    let mut scores = Scores::new(RULE);
     // Distances 5, 0 and 1 mm; force errors +1, -2 and 0 N.
-    scores.push(0, &truth(1, vec![contact(0.0, 0.0, 1.0)]), &at(0.003, -0.004, 2.0));
-    scores.push(0, &truth(2, vec![contact(0.01, 0.0, 3.0)]), &at(0.01, 0.0, 1.0));
-    scores.push(0, &truth(3, vec![contact(0.0, 0.01, 3.5)]), &at(0.0, 0.011, 3.5));
+    scores.push(ID, &truth(1, vec![contact(0.0, 0.0, 1.0)]), &at(0.003, -0.004, 2.0));
+    scores.push(ID, &truth(2, vec![contact(0.01, 0.0, 3.0)]), &at(0.01, 0.0, 1.0));
+    scores.push(ID, &truth(3, vec![contact(0.0, 0.01, 3.5)]), &at(0.0, 0.011, 3.5));
     let s = scores.summaries(1);
     let position = &s["position"];
     approx::assert_relative_eq!(position.rms, (26e-6_f64 / 3.0).sqrt(), max_relative = 1e-9);
@@ -44,17 +50,71 @@ fn figures_are_those_computed_by_hand() {
 
 #[test]
 fn missed_and_false_contacts_are_counted() {
-    let mut scores = Scores::new();
+    let mut scores = Scores::new(RULE);
     let none = Answer { contact: Some(false), normal_force: Some(0.0), ..Answer::default() };
-    scores.push(0, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &none);
-    scores.push(0, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &at(0.0, 0.0, 2.0));
-    scores.push(0, &truth(1, vec![]), &at(0.0, 0.0, 0.5));
+    scores.push(ID, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &none);
+    scores.push(ID, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &at(0.0, 0.0, 2.0));
+    scores.push(ID, &truth(1, vec![]), &at(0.0, 0.0, 0.5));
     assert_eq!((scores.missed(), scores.false_contacts()), (Some(0.5), Some(1.0)));
     let s = scores.summaries(1);
-    assert_eq!((s["position"].samples, s["force.normal"].samples), (1, 2));
+    assert_eq!((s["position"].samples, s["force.normal"].samples), (2, 2));
+    // The one that was missed is 5 mm from the middle of the surface; what was found is told apart.
+    approx::assert_relative_eq!(s["position"].rms, 0.005 / 2.0_f64.sqrt(), max_relative = 1e-9);
+    assert_eq!((s["position found"].samples, s["position found"].rms), (1, 0.0));
+    assert_eq!((s["force.normal found"].samples, s["force.normal found"].rms), (1, 0.0));
     approx::assert_relative_eq!(s["force.normal"].rms, 2.0_f64.sqrt(), max_relative = 1e-9);
     approx::assert_relative_eq!(s["force.normal untouched"].rms, 0.5, max_relative = 1e-9);
     assert_eq!(s["force.normal"].rms_interval, None);
+}
+
+#[test]
+fn frames_without_an_answer_count_in_number_and_position() {
+    let mut scores = Scores::new(RULE);
+    let pair = truth(1, vec![contact(0.0, 0.0, 2.0), contact(0.006, 0.0, 3.0)]);
+    scores.unanswered(ID, &truth(2, vec![contact(0.0, 0.0, 2.0)]));
+    scores.unanswered(ID, &pair);
+    let mut found = Contact::at(Point3::new(0.006, 0.001, 0.0), nalgebra::Vector3::z());
+    found.force = nalgebra::Vector3::new(0.0, 0.0, -3.5);
+    found.force_components = dermis_skin::ForceComponents::Normal;
+    scores.push_contacts(ID, &pair, &[found]);
+    scores.push_contacts(ID, &pair, &[]);
+    // Of untouched skin nothing can be missed.
+    scores.unanswered(ID, &truth(3, vec![]));
+    assert_eq!(scores.count_right(), BTreeMap::from([(1, 0.0), (2, 0.0)]));
+    let s = scores.summaries(1);
+    assert_eq!((s["position"].samples, s["position of 2"].samples), (1, 6));
+    assert_eq!((s["position of 2 found"].samples, s["force.normal of 2"].samples), (1, 6));
+    approx::assert_relative_eq!(s["position of 2 found"].rms, 0.001, max_relative = 1e-9);
+    approx::assert_relative_eq!(s["force.normal of 2 found"].bias.unwrap(), 0.5, max_relative = 1e-9);
+    // Three are missed of 2 N, and two of 3 N; the middle of the surface is 0.1 m above.
+    let forces: f64 = [2.0, 2.0, 2.0, 3.0, 3.0].iter().sum();
+    approx::assert_relative_eq!(s["force.normal of 2"].mean, (forces + 0.5) / 6.0, max_relative = 1e-9);
+    let far = (0.003_f64.powi(2) + 0.004_f64.powi(2) + 0.1_f64.powi(2)).sqrt();
+    approx::assert_relative_eq!(s["position of 2"].max, far, max_relative = 1e-9);
+    let lost = scores.contacts().iter().filter(|c| !c.found).count();
+    assert_eq!((scores.contacts().len(), lost), (7, 6));
+}
+
+#[test]
+fn who_gives_no_position_misses_none() {
+    let mut scores = Scores::new(Rule { position: false, ..RULE });
+    let force = Answer { normal_force: Some(1.5), ..Answer::default() };
+    scores.push(ID, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &force);
+    let none = Answer { contact: Some(false), normal_force: Some(1.5), ..Answer::default() };
+    scores.push(ID, &truth(1, vec![contact(0.0, 0.0, 2.0)]), &none);
+    let s = scores.summaries(1);
+    assert!(!s.contains_key("position"));
+    // What is said not to touch has no force.
+    approx::assert_relative_eq!(s["force.normal"].mean, 1.25, max_relative = 1e-9);
+    assert_eq!(s["force.normal found"].samples, 1);
+}
+
+#[test]
+fn infinite_bounds_have_a_median() {
+    assert_eq!(median(&mut [f64::INFINITY, 1.0, 2.0]), 2.0);
+    assert_eq!(median(&mut [f64::INFINITY; 4]), f64::INFINITY);
+    let binned = bins(&[0.0], [(1.0, f64::INFINITY), (1.0, -3.0), (1.0, 1.0)].into_iter());
+    assert_eq!((binned[0].rms, binned[0].median), (f64::INFINITY, Some(3.0)));
 }
 
 proptest::proptest! {
@@ -81,7 +141,7 @@ proptest::proptest! {
         let truth = truth(1, true_ones.iter().map(|(x, y)| contact(*x, *y, 1.0)).collect());
         let contacts: Vec<Contact> = found
             .iter()
-            .map(|(x, y)| Contact::at(nalgebra::Point3::new(*x, *y, 0.0), nalgebra::Vector3::z()))
+            .map(|(x, y)| Contact::at(Point3::new(*x, *y, 0.0), nalgebra::Vector3::z()))
             .collect();
         let assigned = assign(&truth, &contacts);
         let sum: f64 = assigned
@@ -100,11 +160,11 @@ proptest::proptest! {
 #[test]
 fn intervals_widen_where_samples_repeat_a_location() {
     let spread = |locations: u32| {
-        let mut scores = Scores::new();
+        let mut scores = Scores::new(RULE);
         for i in 0..400_u32 {
             let location = i % locations;
             let error = f64::from(location * 7919 % 101) * 1e-5;
-            scores.push(0, &truth(location, vec![contact(0.0, 0.0, 1.0)]), &at(error, 0.0, 1.0));
+            scores.push(ID, &truth(location, vec![contact(0.0, 0.0, 1.0)]), &at(error, 0.0, 1.0));
         }
         let [low, high] = scores.summaries(3)["position"].mean_interval.unwrap();
         high - low

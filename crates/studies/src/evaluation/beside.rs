@@ -7,7 +7,7 @@ use dermis_estimate::ContactFinder;
 use dermis_estimate::finder::RegressionFinder;
 use dermis_learn::cli::Labels;
 use dermis_learn::real2sim::Recorded;
-use dermis_learn::{Dataset, Evaluation, Evaluator, SampleId};
+use dermis_learn::{Dataset, Evaluation, Evaluator, MOST_BOUNDED, SampleId};
 use dermis_skin::{Estimate, SkinDescription};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -19,8 +19,8 @@ use crate::{Progress, conditioned};
 /// Recorded readings that neighbours and the network learn from at most, and support vectors.
 const LEARNED: usize = 12_000;
 const VECTORS: usize = 2500;
-/// Readings that every way is asked at most: more of them change the last digit.
-const ASKED: usize = 12_000;
+/// Readings that every way is asked at most: as many as are held against their bound.
+const ASKED: usize = MOST_BOUNDED;
 
 /// What another way makes of the same recordings.
 #[derive(Debug, Serialize)]
@@ -33,7 +33,8 @@ pub struct Beside {
     pub evaluation: Evaluation,
 }
 
-/// Learns from `bags`, and answers the touched frames of one contact of `data` (of these `only`).
+/// Learns from `bags`, and answers the touched frames of one contact of `data` (of these `only`), of many every n-th: which, and what
+/// every way made of them.
 pub(super) fn beside(
     skin: &SkinDescription,
     bags: &[PathBuf],
@@ -42,7 +43,7 @@ pub(super) fn beside(
     only: Option<&[SampleId]>,
     bins: &[f64],
     progress: &dyn Progress,
-) -> Result<Vec<Beside>> {
+) -> Result<(Vec<SampleId>, Vec<Beside>)> {
     let learned = Dataset::from_bags(bags, skin, &labels.options()?)?;
     let single: Vec<SampleId> =
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
@@ -71,14 +72,15 @@ pub(super) fn beside(
     let mut asked = data.gather(&asked)?;
     asked.retain(|(_, sample)| sample.tared.iter().any(|v| v.is_finite()));
     let every = asked.len().div_ceil(ASKED).max(1);
+    let asked: Vec<_> = asked.into_iter().step_by(every).collect();
     let mut found = Vec::new();
     let mut measure = |method: &'static str, settings: Value, mut finder: RegressionFinder| -> Result<()> {
         progress.begin(&format!("{method}: answering"));
-        let mut evaluator = Evaluator::new().by_force(bins);
-        for (id, sample) in asked.iter().step_by(every) {
+        let mut evaluator = Evaluator::of(data).by_force(bins);
+        for (id, sample) in &asked {
             let Some(truth) = sample.truth.as_ref() else { continue };
             let contacts = finder.find(&conditioned(sample))?;
-            evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
+            evaluator.push(*id, truth, &Estimate { contacts, ..Estimate::default() });
         }
         found.push(Beside { method, settings, evaluation: evaluator.finish(method) });
         Ok(())
@@ -93,5 +95,5 @@ pub(super) fn beside(
     progress.begin("feed-forward network: learning");
     let network = regressions::network(skin, &learn)?;
     measure("feed-forward network", json!({ "learned": learn.len() }), network)?;
-    Ok(found)
+    Ok((asked.iter().map(|(id, _)| *id).collect(), found))
 }

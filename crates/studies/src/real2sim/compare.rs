@@ -2,27 +2,28 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use dermis_estimate::ContactFinder;
 use dermis_estimate::finder::MapFinder;
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
 use dermis_learn::cli::Labels;
-use dermis_learn::real2sim::{Compliance, matched};
-use dermis_learn::{Bounds, Dataset, Evaluation, Evaluator, SampleId, Truth, TruthContact, bounds};
+use dermis_learn::real2sim::Compliance;
+use dermis_learn::{Bounds, Dataset, SampleId, Truth, TruthContact, frame_bounds};
 use dermis_model::Unknowns;
-use dermis_skin::{Estimate, SkinDescription};
+use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 
 use super::nominal;
 use super::train::parts;
-use crate::{Families, Progress, conditioned};
+use crate::{Families, LeftOut, Progress, conditioned};
 
+mod judge;
 mod methods;
 
+use judge::{Asked, Judge};
+pub use judge::{Errors, Row};
 use methods::prepare;
 
 /// What to compare on what.
@@ -134,36 +135,6 @@ impl Kind {
     }
 }
 
-/// What a method made of one kind of frames.
-#[derive(Debug, Clone, Serialize)]
-pub struct Row {
-    /// Its name.
-    pub method: String,
-    /// [`Kind::name`].
-    pub kind: &'static str,
-    /// Frames that it answered.
-    pub frames: usize,
-    /// Share of frames with the right number of contacts; absent for a method that always says one.
-    pub count_right: Option<f64>,
-    /// \[m\] mean distance, of true contacts for which one was found.
-    pub position_mean: f64,
-    /// \[m\] root mean square.
-    pub position_rms: f64,
-    /// \[m\] median.
-    pub position_median: f64,
-    /// \[N\] mean error of the pressing force of the same.
-    pub force_mean: f64,
-    /// \[N\] root mean square.
-    pub force_rms: f64,
-    /// Share of true contacts for which none was found.
-    pub lost: f64,
-    /// \[s\] a frame.
-    pub seconds: f64,
-    /// Errors by force, for one contact.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub evaluation: Option<Evaluation>,
-}
-
 /// One frame to look at.
 pub struct Shown {
     /// \[m\] of every point of the surface.
@@ -188,8 +159,10 @@ pub struct Findings {
     pub frames: BTreeMap<Kind, usize>,
     /// One for each method and kind.
     pub rows: Vec<Row>,
-    /// What any estimator without bias could reach on one contact.
+    /// What any estimator without bias could reach on the contacts that are compared, of one and of two.
     pub bound: Option<Bounds>,
+    /// Touched frames that are not compared, and why.
+    pub left_out: Vec<LeftOut>,
     /// Figures that are asked for.
     pub asks: Vec<Ask>,
     /// The first bundle's map of two contacts far apart.
@@ -205,7 +178,7 @@ impl Serialize for Findings {
             "share_that_gives_way": self.gives_way,
             "learned": { "data_hash": self.learned.0, "notes": self.learned.1 },
             "tested": { "data_hash": self.tested, "frames": frames },
-            "rows": self.rows, "bound": self.bound, "asks": self.asks,
+            "rows": self.rows, "bound": self.bound, "left_out": self.left_out, "asks": self.asks,
         })
         .serialize(serializer)
     }
@@ -222,7 +195,8 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     let learned = Dataset::from_bags(&options.train, &skin, &labels)?;
     let data = Dataset::from_bags(&options.bags, &skin, &labels)?;
     let compliance = Compliance::of(model.as_ref(), 0.010)?;
-    let test = frames(&data, options, &compliance)?;
+    let asked = Asked::of(&data, options, &compliance)?;
+    let test = &asked.all;
     if test.values().all(Vec::is_empty) {
         bail!("these bags hold no frame of one or two contacts of {} N or more each", options.least);
     }
@@ -230,15 +204,23 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
     let (learn, choose) = parts(&learned, &all);
     let prepared = prepare(options, &skin, &model, &compliance, &learned, (&learn, &choose), progress)?;
+    let compared: Vec<SampleId> = test
+        .values()
+        .flatten()
+        .filter(|id| asked.kept.as_ref().is_none_or(|k| k.contains(id)))
+        .copied()
+        .collect();
+    let bounds = frame_bounds(model.as_ref(), &data, Some(&compared), Unknowns::Normal)?;
+    let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: asked.kept.as_ref() };
     let mut rows = Vec::new();
     let mut shown: Option<Shown> = None;
     for (name, mut method) in prepared.methods {
         progress.begin(&name);
-        for (kind, ids) in &test {
+        for (kind, ids) in test {
             if ids.is_empty() || (method.single() && *kind != Kind::Single) {
                 continue;
             }
-            rows.push(row(&name, method.as_mut(), *kind, &data, ids, &options.bins, progress)?);
+            rows.push(judge.row(&name, method.as_mut(), (*kind, ids), progress)?);
         }
     }
     // A frame to look at: the first bundle's map of two contacts far apart.
@@ -252,12 +234,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
             shown = Some(Shown { map, contacts });
         }
     }
-    let singles = test.get(&Kind::Single).map(Vec::as_slice).unwrap_or_default();
-    let bound = if singles.is_empty() {
-        None
-    } else {
-        bounds(model.as_ref(), &data, Some(singles), Unknowns::Normal, &options.bins)?
-    };
+    let bound = bounds.summary(&options.bins);
     let asks = asks(&rows);
     Ok(Findings {
         request: options.clone(),
@@ -268,96 +245,9 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         frames: test.iter().map(|(kind, ids)| (*kind, ids.len())).collect(),
         rows,
         bound,
+        left_out: asked.left_out,
         asks,
         shown,
-    })
-}
-
-/// Touched frames of one and two contacts, evenly thinned.
-fn frames(
-    data: &Dataset,
-    options: &Request,
-    compliance: &Compliance,
-) -> Result<BTreeMap<Kind, Vec<SampleId>>> {
-    let mut all: BTreeMap<Kind, Vec<SampleId>> = BTreeMap::new();
-    let heavy = |c: &TruthContact| {
-        c.normal_force().is_some_and(|f| f >= options.least)
-            && (options.rigid || compliance.gives_way(&c.position))
-    };
-    for run in 0..data.runs().len() {
-        for (sample, read) in data.stream(run)?.enumerate() {
-            let read = read?;
-            if let Some(truth) = &read.truth
-                && let Some(kind) = Kind::of(truth)
-                && truth.contacts.iter().all(heavy)
-                && read.tared.iter().any(|v| v.is_finite())
-            {
-                all.entry(kind).or_default().push(SampleId { run, sample });
-            }
-        }
-    }
-    for ids in all.values_mut() {
-        let step = ids.len().div_ceil(options.most.max(1)).max(1);
-        *ids = ids.iter().copied().step_by(step).collect();
-    }
-    Ok(all)
-}
-
-fn row(
-    name: &str,
-    method: &mut dyn ContactFinder,
-    kind: Kind,
-    data: &Dataset,
-    ids: &[SampleId],
-    bins: &[f64],
-    progress: &dyn Progress,
-) -> Result<Row> {
-    let mut evaluator = Evaluator::new().by_force(bins);
-    let (mut distances, mut forces) = (Vec::new(), Vec::new());
-    let (mut right, mut wanted) = (0usize, 0usize);
-    let read = data.gather(ids)?;
-    let started = Instant::now();
-    for (n, (id, sample)) in read.iter().enumerate() {
-        let Some(truth) = sample.truth.as_ref() else { continue };
-        // These frames do not follow each other.
-        method.reset();
-        let contacts = method.find(&conditioned(sample))?;
-        progress.at((n + 1) as f64 / ids.len() as f64);
-        wanted += truth.contacts.len();
-        right += usize::from(contacts.len() == truth.contacts.len());
-        let true_ones: Vec<dermis_model::Indentation> = truth
-            .contacts
-            .iter()
-            .map(|c| dermis_model::Indentation::sphere(c.position, c.force, c.diameter))
-            .collect();
-        for (t, index) in matched(&true_ones, &contacts, f64::INFINITY).into_iter().enumerate() {
-            let Some(found) = index.map(|i| &contacts[i]) else { continue };
-            distances.push((found.position - truth.contacts[t].position).norm());
-            if let Some(force) = truth.contacts[t].normal_force() {
-                forces.push((found.normal_force() - force).abs());
-            }
-        }
-        evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
-    }
-    let seconds = started.elapsed().as_secs_f64() / ids.len().max(1) as f64;
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
-    let rms =
-        |values: &[f64]| (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt();
-    let mut sorted = distances.clone();
-    sorted.sort_by(f64::total_cmp);
-    Ok(Row {
-        method: name.to_owned(),
-        kind: kind.name(),
-        frames: ids.len(),
-        count_right: (!method.single()).then(|| right as f64 / ids.len().max(1) as f64),
-        position_mean: mean(&distances),
-        position_rms: rms(&distances),
-        position_median: sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN),
-        force_mean: mean(&forces),
-        force_rms: rms(&forces),
-        lost: 1.0 - distances.len() as f64 / wanted.max(1) as f64,
-        seconds,
-        evaluation: (kind == Kind::Single).then(|| evaluator.finish(name.to_owned())),
     })
 }
 
@@ -385,15 +275,16 @@ fn asks(rows: &[Row]) -> Vec<Ask> {
         }
     }
     let of = |method: &str, kinds: &[Kind]| -> Option<[f64; 3]> {
-        let found: Vec<&Row> = rows
+        let found: Vec<&Errors> = rows
             .iter()
-            .filter(|r| {
-                r.method == method && kinds.iter().any(|k| k.name() == r.kind) && r.count_right.is_some()
-            })
+            .filter(|r| r.method == method && kinds.iter().any(|k| k.name() == r.kind))
+            .map(|r| &r.errors)
+            .filter(|e| e.count_right.is_some())
             .collect();
         let frames = found.iter().map(|r| r.frames).sum::<usize>() as f64;
-        let mean =
-            |value: fn(&Row) -> f64| found.iter().map(|r| value(r) * r.frames as f64).sum::<f64>() / frames;
+        let mean = |value: fn(&Errors) -> f64| {
+            found.iter().map(|r| value(r) * r.frames as f64).sum::<f64>() / frames
+        };
         (frames > 0.0).then(|| {
             [mean(|r| r.position_mean), mean(|r| r.force_mean), mean(|r| r.count_right.unwrap_or(0.0))]
         })
@@ -439,9 +330,7 @@ mod tests {
     use super::*;
 
     fn row(method: &str, kind: Kind, place: f64, force: f64, right: Option<f64>) -> Row {
-        Row {
-            method: method.into(),
-            kind: kind.name(),
+        let errors = Errors {
             frames: 10,
             count_right: right,
             position_mean: place,
@@ -450,6 +339,13 @@ mod tests {
             force_mean: force,
             force_rms: force,
             lost: 0.0,
+        };
+        Row {
+            method: method.into(),
+            kind: kind.name(),
+            with_everything: None,
+            errors,
+            found: None,
             seconds: 0.0,
             evaluation: None,
         }

@@ -96,7 +96,7 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
     progress.begin("held-out contacts");
     let evaluation = {
         let mut reader = pipeline.contacts(model.surface(), runtime)?;
-        let mut evaluator = Evaluator::new().with_maps(Maps::new(&skin, Some(Arc::clone(&model)), &[])?);
+        let mut evaluator = Evaluator::of(&data).with_maps(Maps::new(&skin, Some(Arc::clone(&model)), &[])?);
         for (id, sample) in data.gather(&split.test)? {
             let Some(truth) = sample.truth.as_ref().filter(|t| t.touched()) else { continue };
             let heavy =
@@ -112,7 +112,7 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
                 displacement_map: Some(DisplacementMap { indices: None, displacements }),
                 ..Estimate::default()
             };
-            evaluator.push(id.run, truth, &estimate);
+            evaluator.push(id, truth, &estimate);
             evaluator.push_maps(truth, &estimate)?;
         }
         evaluator.finish(settings.split.describe())

@@ -40,7 +40,7 @@ fn a_trained_bundle_answers_as_it_was_measured() {
     let request = Request { others: &others, ..request(&data, &config, &out) };
     let outcome = run(&request, &AtomicBool::new(false), &|_| {}).unwrap();
     let figures = outcome.held_out.figures();
-    assert!(figures["position_rms"] < 5e-4, "{}", outcome.held_out);
+    assert!(figures["position_found_rms"] < 5e-4, "{}", outcome.held_out);
     assert!(figures["force_normal_rms"] < 0.3, "{}", outcome.held_out);
     assert!(figures["missed"] < 0.05 && figures["false_contacts"] < 0.05, "{}", outcome.held_out);
     assert_eq!(outcome.others.len(), 1);

@@ -1,0 +1,98 @@
+//! Bounds, and errors beside them, as text.
+
+use std::fmt;
+
+use super::{AgainstBound, Bounds, Ratio, Unbounded};
+use crate::metrics::Bin;
+
+impl fmt::Display for Bounds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut line = |name: &str, contacts: &str, bins: &[Bin]| -> fmt::Result {
+            let (unit, factor) = if name == "position" { ("mm", 1e3) } else { ("N", 1.0) };
+            if bins.is_empty() {
+                return Ok(());
+            }
+            write!(f, "  {name}{contacts} Cramér–Rao bound, RMS (median) [{unit}] by force [N]:")?;
+            for bin in bins {
+                let to = bin.to.map_or_else(|| "+".to_owned(), |to| format!("-{to}"));
+                write!(f, "  {}{to}: {:.3}", bin.from, bin.rms * factor)?;
+                if let Some(median) = bin.median {
+                    write!(f, " ({:.3})", median * factor)?;
+                }
+            }
+            writeln!(f)
+        };
+        line("position", "", &self.position)?;
+        line("force.normal", "", &self.normal_force)?;
+        for (number, several) in &self.several {
+            line("position", &format!(" of {number}"), &several.position)?;
+            line("force.normal", &format!(" of {number}"), &several.normal_force)?;
+        }
+        write!(f, "{}", self.left_out)
+    }
+}
+
+impl fmt::Display for Unbounded {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let share = |frames: usize| frames as f64 / self.touched.max(1) as f64 * 100.0;
+        for (frames, why) in [
+            (self.thinned, "only every n-th frame is bounded"),
+            (self.unknown, "place, force or tip of a contact is not known"),
+            (self.refused, "the model has no answer, as where a noisy force cell says that a contact pulls"),
+            (self.undetermined, "the channels do not determine the contact, the bound is infinite"),
+        ] {
+            if frames > 0 {
+                writeln!(
+                    f,
+                    "  not held against a bound, {:.1} % of the touched frames: {why}",
+                    share(frames)
+                )?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl AgainstBound {
+    /// Rows of a table for people, in millimetres and newtons: name of the bin, and figures.
+    fn rows(&self) -> impl Iterator<Item = (String, &Ratio)> {
+        let name =
+            |from: f64, to: Option<f64>| to.map_or(format!("{from}+ N"), |to| format!("{from}-{to} N"));
+        let bins = self.by_force.iter().map(move |b| (name(b.from, b.to), &b.ratio));
+        let all = std::iter::once(("all".to_owned(), &self.all));
+        all.chain(bins).flat_map(|(name, ratio)| {
+            let found = ratio.found.as_deref().map(|found| (format!("{name}, found"), found));
+            std::iter::once((name, ratio)).chain(found)
+        })
+    }
+}
+
+impl fmt::Display for AgainstBound {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (unit, factor) = if self.unit == "m" { ("mm", 1e3) } else { (self.unit.as_str(), 1.0) };
+        let of =
+            if self.contacts == 1 { "one contact".to_owned() } else { format!("{} contacts", self.contacts) };
+        writeln!(f, "  {} [{unit}] beside its Cramér–Rao bound, the same frames of {of}", self.quantity)?;
+        writeln!(
+            f,
+            "  {:<22}{:>9}{:>11}{:>10}{:>9}{:>9}{:>9}{:>8}{:>14}",
+            "", "contacts", "not found", "error RMS", "bound", "ratio", "median", "bound", "median ratio"
+        )?;
+        for (name, r) in self.rows() {
+            let [error, bound, median, of] = [r.error_rms, r.bound_rms, r.error_median, r.bound_median];
+            writeln!(
+                f,
+                "  {name:<22}{:>9}{:>9.2} %{:>10.3}{:>9.3}{:>9.2}{:>9.3}{:>8.3}{:>14.2}",
+                r.samples,
+                r.not_found * 100.0,
+                error * factor,
+                bound * factor,
+                r.ratio_of_rms,
+                median * factor,
+                of * factor,
+                r.median_ratio
+            )?;
+        }
+        Ok(())
+    }
+}

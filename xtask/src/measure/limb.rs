@@ -1,0 +1,168 @@
+//! Measurements of the limb with strain gauges.
+
+use std::hash::{Hash, Hasher};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+use serde_json::{Value, json};
+
+use super::{LIMB, PROGRAM, evaluation, scratch};
+use crate::run::{cargo, run as execute, target_dir};
+
+/// A file of the limb's effects as a command takes it.
+const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
+
+/// A bag of the limb under a plan, made anew only where the skin, the plan or what makes the device differ have changed since.
+fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) -> Result<PathBuf> {
+    let plan = root.join(format!("launch/plans/hapdef-shin-{plan}.toml"));
+    let mut hasher = std::hash::DefaultHasher::new();
+    for file in [&root.join(LIMB), &plan, &root.join(LIMB_EFFECTS)] {
+        std::fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?.hash(&mut hasher);
+    }
+    device.hash(&mut hasher);
+    let folder = root.join(".dermis/measure/bags");
+    std::fs::create_dir_all(&folder)?;
+    let bag = folder.join(format!("limb-{:016x}", hasher.finish()));
+    if !bag.exists() {
+        // Under another name until it is whole: an interrupted one has metadata, too.
+        let partial = bag.with_extension("partial");
+        if partial.exists() {
+            std::fs::remove_dir_all(&partial)?;
+        }
+        let mut collect = Command::new(dermis);
+        collect.arg("collect").arg(LIMB).arg("--plan").arg(&plan).args(device).arg("--json");
+        let report = evaluation(collect.arg("--out").arg(&partial).current_dir(root))?;
+        if report["interrupted"] != false {
+            bail!("collecting {} was interrupted: run the measurement again", plan.display());
+        }
+        std::fs::rename(&partial, &bag)?;
+    }
+    Ok(bag)
+}
+
+/// Evaluates the limb's bundle in the bins of force of the thesis' Table 2.2.
+pub(super) fn limb(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(PROGRAM))?;
+    let dermis = target_dir(root).join("release/dermis");
+    let devices: [(&str, &[&str]); 3] = [
+        ("designed", &[]),
+        ("one dead gauge", &["--effect", "dead-gauge=1", "--seed", "3"]),
+        ("default effects", &["--effects", LIMB_EFFECTS, "--seed", "7"]),
+    ];
+    let mut all = serde_json::Map::new();
+    for (name, device) in devices {
+        let bag = limb_bag(root, &dermis, "evaluate", device)?;
+        let mut evaluate = Command::new(&dermis);
+        evaluate.arg("evaluate").args(["--skin", LIMB, "--model", "models/hapdef-shin"]).current_dir(root);
+        if device.is_empty() {
+            evaluate.arg("--beside").arg(limb_bag(root, &dermis, "train", device)?);
+        }
+        let found =
+            evaluation(evaluate.args(["--bins", "0.5,4.9,9.8,19.6,34.3", "--in-range", "--json"]).arg(bag))?;
+        let mm = |key: &str| found["figures"][key].as_f64().map(|v| v * 1e3);
+        let beside: serde_json::Map<String, Value> = found["beside"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .filter_map(|other| {
+                let (of, by) = (&other["evaluation"], &other["evaluation"]["by_force"]);
+                let row = json!({
+                    "settings": other["settings"], "position": by["position"], "force": by["force.normal"],
+                    "not_found": of["not_found"],
+                });
+                Some((other["method"].as_str()?.to_owned(), row))
+            })
+            .collect();
+        all.insert(
+            name.to_owned(),
+            json!({
+                "position_mean_mm": mm("position_mean"),
+                "position_median_mm": mm("position_median"),
+                "force_mean_n": found["figures"]["force_normal_mean"],
+                "missed": found["missed"],
+                "not_found": found["not_found"],
+                "left_out": found["left_out"],
+                "with_everything": {
+                    "position": found["with_everything"]["by_force"]["position"],
+                    "force": found["with_everything"]["by_force"]["force.normal"],
+                    "against_bound": found["with_everything"]["against_bound"],
+                },
+                "position": found["by_force"]["position"],
+                "position_found": found["by_force"]["position found"],
+                "force": found["by_force"]["force.normal"],
+                "bound": found["bound"],
+                "against_bound": found["against_bound"],
+                // On the very frames that the other ways answer.
+                "same_frames": {
+                    "position": found["own_beside"]["by_force"]["position"],
+                    "force": found["own_beside"]["by_force"]["force.normal"],
+                    "against_bound": found["own_beside"]["against_bound"],
+                },
+                "beside": beside,
+            }),
+        );
+    }
+    let mean = |device: &str| all[device]["position_mean_mm"].as_f64();
+    let cost = mean("one dead gauge").zip(mean("designed")).map(|(dead, whole)| dead - whole);
+    all.insert("dead_gauge_costs_mm".to_owned(), json!(cost));
+    // The least of how many times further off the best other way is, over the bins.
+    let errors = |row: &Value| -> Vec<f64> {
+        row["position"].as_array().into_iter().flatten().take(4).filter_map(|b| b["mean"].as_f64()).collect()
+    };
+    let ours = errors(&all["designed"]["same_frames"]);
+    let margin = all["designed"]["beside"].as_object().into_iter().flatten().flat_map(|(_, row)| {
+        errors(row).into_iter().zip(&ours).map(|(other, own)| other / own).collect::<Vec<_>>()
+    });
+    let margin = margin.fold(f64::INFINITY, f64::min);
+    all.insert("margin".to_owned(), json!(margin));
+    Ok(Value::Object(all))
+}
+
+/// Learns from single contacts of one device with the default effects, and compares all ways on its doubles.
+pub(super) fn real2sim(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(PROGRAM))?;
+    let dermis = target_dir(root).join("release/dermis");
+    let dir = scratch(root, "real2sim")?;
+    let device = ["--effects", LIMB_EFFECTS, "--seed", "7"];
+    let (train, doubles) =
+        (limb_bag(root, &dermis, "train", &device)?, limb_bag(root, &dermis, "doubles", &device)?);
+    let bundle = dir.join("hapdef-shin-real2sim");
+    let mut learn = Command::new(&dermis);
+    learn.args(["real2sim", "train", "--skin", LIMB, "--settings", "launch/real2sim/hapdef-shin.toml"]);
+    execute(learn.arg("--out").arg(&bundle).arg(&train).current_dir(root))?;
+    let mut compare = Command::new(&dermis);
+    compare.args(["real2sim", "compare", "--skin", LIMB, "--model"]).arg(&bundle).arg("--train").arg(&train);
+    compare.args(["--most", "250", "--learn", "12000", "--vectors", "1500", "--json"]);
+    let found = evaluation(compare.arg(&doubles).current_dir(root))?;
+    let rows = |method: &str| -> Value {
+        let of = found["rows"].as_array().into_iter().flatten().filter(|row| row["method"] == method);
+        let (mut frames, mut place, mut force) = (0.0, 0.0, 0.0);
+        let mut all = serde_json::Map::new();
+        for row in of {
+            if let Some(kind) = row["kind"].as_str() {
+                let number = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+                if kind != "single" {
+                    frames += number("frames");
+                    place += number("frames") * number("position_mean");
+                    force += number("frames") * number("force_mean");
+                }
+                all.insert(
+                    kind.to_owned(),
+                    json!({ "position_mean_mm": number("position_mean") * 1e3, "force_mean_n": number("force_mean"),
+                            "count_right": row["count_right"], "frames": row["frames"], "lost": row["lost"],
+                            "with_everything": row["with_everything"], "found": row["found"] }),
+                );
+            }
+        }
+        let double = json!({ "position_mean_mm": place / frames * 1e3, "force_mean_n": force / frames });
+        all.insert("double".to_owned(), double);
+        Value::Object(all)
+    };
+    Ok(json!({
+        "corrected": rows("corrected model, all pairs"),
+        "hapdefx": rows("hapdef-shin-real2sim: peaks"),
+        "left_out": found["left_out"],
+        "asks": found["asks"],
+    }))
+}
