@@ -1,7 +1,9 @@
 //! Thin elastic shells: plates, pieces of cylinders, grids of beams, whatever is made of flat triangles.
 //!
-//! - [`ShellMesh`]: points of the middle surface and the triangles between them; [`Quads`] makes them;
-//! - [`Section`]: material and thickness, the same everywhere or one a triangle; [`Support`]: what holds a node;
+//! - [`ShellMesh`]: points of the middle surface and the triangles between them; [`Quads`] makes them, [`ShellMesh::graded`]
+//!   refines them where stress is steep;
+//! - [`Section`]: material and thickness, the same everywhere or one a triangle, and the [`PlateTheory`] by which it bends;
+//!   [`Support`]: what holds a node;
 //! - [`Shell`]: the assembled shell, its stiffness factored once: any number of loads, adjoints and Green's columns;
 //! - [`Gauge`]: a strain gauge's rectangle, and its reading as a linear function of the displacements;
 //! - [`Corotational`]: the same triangles under rotations that are not small, by Newton's method.
@@ -45,6 +47,8 @@ mod element;
 mod gauge;
 mod green;
 mod mesh;
+mod refine;
+mod section;
 
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
@@ -55,74 +59,15 @@ pub use gauge::{Face, Gauge, Reading};
 pub(crate) use gauge::{Foot, Footprint};
 pub use green::Green;
 pub use mesh::{Quads, ShellMesh};
+pub use refine::Refined;
+pub use section::{Orthotropy, PlateTheory, Section};
 
 use crate::MechanicsError;
-use crate::error::positive;
 use crate::fem::sparse::{BLOCK, Factor, HELD, Symmetric};
 use element::Element;
 
 /// Freedoms of a node.
 const FREEDOMS: usize = 6;
-
-/// Material and thickness of a piece of the shell.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Section {
-    /// \[Pa\]; along the direction of the orthotropy where there is one.
-    pub young_modulus: f64,
-    /// Strain across over strain along, at least 0 and below 0.5.
-    pub poisson_ratio: f64,
-    /// \[m\].
-    pub thickness: f64,
-    /// A material that is stiffer along one direction, as printed ones are.
-    pub orthotropy: Option<Orthotropy>,
-}
-
-/// How a material differs along and across.
-///
-/// The shear modulus is √(E₁E₂) / (2 (1 + √(ν₁₂ν₂₁))) (M. T. Huber's estimate for orthotropic plates), which is the
-/// isotropic one for a ratio of 1.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Orthotropy {
-    /// Young's modulus across over the one along: E₂/E₁.
-    pub ratio: f64,
-    /// Direction of E₁ in the frame of the mesh, of any length; each triangle takes its part in the triangle's plane.
-    pub direction: Vector3<f64>,
-}
-
-impl Section {
-    /// A section of the same stiffness in all directions: Young's modulus \[Pa\], Poisson's ratio, thickness \[m\].
-    #[must_use]
-    pub const fn isotropic(young_modulus: f64, poisson_ratio: f64, thickness: f64) -> Self {
-        Self { young_modulus, poisson_ratio, thickness, orthotropy: None }
-    }
-
-    fn check(&self) -> Result<(), MechanicsError> {
-        positive("Young's modulus [Pa]", self.young_modulus)?;
-        positive("thickness of the shell [m]", self.thickness)?;
-        let value = self.poisson_ratio;
-        if !(0.0..0.5).contains(&value) {
-            return Err(MechanicsError::Value {
-                quantity: "Poisson's ratio of the shell",
-                value,
-                expected: "at least 0 and below 0.5",
-            });
-        }
-        if let Some(print) = &self.orthotropy {
-            positive("ratio of Young's moduli across and along", print.ratio)?;
-            positive("length of the direction of the material", print.direction.norm())?;
-            // Where this is not so, energy would be negative.
-            let mixed = value * value * print.ratio;
-            if mixed >= 1.0 {
-                return Err(MechanicsError::Value {
-                    quantity: "product of Poisson's ratios of the shell",
-                    value: mixed,
-                    expected: "below 1",
-                });
-            }
-        }
-        Ok(())
-    }
-}
 
 /// What holds a node. Several for one node add up.
 #[derive(Debug, Clone, PartialEq)]

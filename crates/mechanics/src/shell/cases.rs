@@ -1,5 +1,5 @@
 //! Shells whose answers are known: plates, the roof, the pinched cylinder and hemisphere, a strip with a gauge, a disc that is bent
-//! as far as it is thick.
+//! as far as it is thick, a short beam that shears, a narrow one that twists.
 //!
 //! Lengths of H2 to H4 have no unit in their sources; they are taken as metres.
 
@@ -7,7 +7,9 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use nalgebra::{Point3, Vector3};
 
-use super::{Action, Corotational, Deformation, Face, Gauge, Quads, Section, Shell, ShellMesh, Support};
+use super::{
+    Action, Corotational, Deformation, Face, Gauge, PlateTheory, Quads, Section, Shell, ShellMesh, Support,
+};
 use crate::{Case, MechanicsError};
 
 /// Freedoms that are none in a plane of symmetry: normal to x, y and z.
@@ -17,7 +19,7 @@ const MIRROR_Z: [bool; 6] = [false, false, true, true, true, false];
 /// A rigid wall normal to x that lets the shell slide and turn through it.
 const DIAPHRAGM: [bool; 6] = [false, true, true, false, false, false];
 
-/// H1 to H6, in that order.
+/// H1 to H8, in that order.
 ///
 /// # Errors
 ///
@@ -29,6 +31,8 @@ pub fn shell_cases() -> Result<Vec<Case>, MechanicsError> {
     cases.push(hemisphere(32)?);
     cases.extend(strip()?);
     cases.extend(disc()?);
+    cases.push(short_beam()?);
+    cases.push(twisted_beam()?);
     Ok(cases)
 }
 
@@ -300,6 +304,69 @@ fn disc() -> Result<Vec<Case>, MechanicsError> {
             )
         })
         .collect())
+}
+
+/// H7: a cantilever three times as long as thick, which Kirchhoff's theory has 6 % too stiff.
+fn short_beam() -> Result<Case, MechanicsError> {
+    let (length, width, thickness, young) = (0.006, 0.010, 0.002, 1.8e9);
+    let mesh = Quads::grid(12, 20, |x, y| Point3::new(length * x, width * y, 0.0)).split();
+    let clamped: Vec<Support> =
+        (0..mesh.points.len()).filter(|&n| mesh.points[n].x < 1e-9).map(Support::clamped).collect();
+    let load = along_end(&mesh, length, |n| Action::force(n, Vector3::z()));
+    let section = Section::isotropic(young, 0.0, thickness).by(PlateTheory::ReissnerMindlin);
+    let corner = node_at(&mesh, Point3::new(length, 0.0, 0.0))?;
+    let got = Shell::new(mesh, &[section], &clamped)?.solve(&[load])?[0].displacement(corner).z;
+    let area = width * thickness;
+    let exact = 4.0 * length.powi(3) / (young * width * thickness.powi(3))
+        + length / (5.0 / 6.0 * young / 2.0 * area);
+    Ok(Case::relative(
+        "H7",
+        "cantilever of 6 mm by 2 mm, 1 N at its end: displacement, by Reissner and Mindlin",
+        "S. Timoshenko's beam, FL³/(3EI) + FL/(κGA), κ = 5/6",
+        "m",
+        [got, exact],
+        0.002,
+    ))
+}
+
+/// H8: a strip four times as wide as thick, twisted; by Kirchhoff's theory it would be 19 % stiffer.
+fn twisted_beam() -> Result<Case, MechanicsError> {
+    let (length, width, thickness, young, poisson) = (0.048, 0.008, 0.002, 1.7e9, 0.394);
+    let mesh = Quads::grid(96, 16, |x, y| Point3::new(length * x, width * (y - 0.5), 0.0)).split();
+    let mesh = mesh.graded(|p| p).mesh;
+    let clamped: Vec<Support> =
+        (0..mesh.points.len()).filter(|&n| mesh.points[n].x < 1e-9).map(Support::clamped).collect();
+    let load = along_end(&mesh, length, |n| Action::moment(n, Vector3::x()));
+    // Away from both ends, where the section may not warp or is pushed.
+    let places = [length / 3.0, length * (2.0 / 3.0)];
+    let [first, last] = places.map(|x| node_at(&mesh, Point3::new(x, 0.0, 0.0)));
+    let (first, last) = (first?, last?);
+    let section = Section::isotropic(young, poisson, thickness).by(PlateTheory::ReissnerMindlin);
+    let moved = Shell::new(mesh, &[section], &clamped)?.solve(&[load])?.remove(0);
+    let twist = (moved.rotation(last).x - moved.rotation(first).x) / (places[1] - places[0]);
+    let shear_modulus = young / (2.0 * (1.0 + poisson));
+    Ok(Case::relative(
+        "H8",
+        "strip of 8 mm by 2 mm under 1 N·m about its length: twist of its middle third, by Reissner and Mindlin",
+        "Saint-Venant, T/(0.2808 G b h³) (S. Timoshenko, J. N. Goodier, Theory of Elasticity, § 109)",
+        "1/m",
+        [twist, 1.0 / (0.2808 * shear_modulus * width * thickness.powi(3))],
+        0.01,
+    ))
+}
+
+/// One of what `each` makes, shared out evenly over the end at x = `length`.
+fn along_end(mesh: &ShellMesh, length: f64, each: impl Fn(usize) -> Action) -> Action {
+    let mut end: Vec<usize> = (0..mesh.points.len()).filter(|&n| mesh.points[n].x > length - 1e-9).collect();
+    end.sort_by(|&a, &b| mesh.points[a].y.total_cmp(&mesh.points[b].y));
+    let y = |k: usize| mesh.points[end[k]].y;
+    let last = end.len() - 1;
+    let parts: Vec<(f64, Action)> = end
+        .iter()
+        .enumerate()
+        .map(|(k, &n)| ((y((k + 1).min(last)) - y(k.saturating_sub(1))) / 2.0 / (y(last) - y(0)), each(n)))
+        .collect();
+    Action::sum(parts.iter().map(|(share, part)| (*share, part)))
 }
 
 #[cfg(test)]

@@ -1,7 +1,10 @@
-//! The flat triangle: bending by discrete Kirchhoff theory, membrane with drilling rotations.
+//! The flat triangle: bending by discrete Kirchhoff or Mindlin theory, membrane with drilling rotations.
 //!
-//! - Bending: DKT. J.-L. Batoz, K.-J. Bathe, L.-W. Ho, *A study of three-node triangular plate bending elements*, Int. J.
-//!   Numer. Meth. Engng 15 (1980) 1771-1812.
+//! - Bending without shear across the thickness: DKT. J.-L. Batoz, K.-J. Bathe, L.-W. Ho, *A study of three-node triangular
+//!   plate bending elements*, Int. J. Numer. Meth. Engng 15 (1980) 1771-1812.
+//! - Bending with it: DKMT. I. Katili, *A new discrete Kirchhoff-Mindlin element based on Mindlin-Reissner plate theory and
+//!   assumed shear strain fields, part I: an extended DKT element for thick-plate bending analysis*, Int. J. Numer. Meth. Engng
+//!   36 (1993) 1859-1883. It is DKT where the thickness is small against the sides, and does not lock.
 //! - Membrane: the optimal triangle of the ANDES template. C. A. Felippa, *A study of optimal membrane triangles with
 //!   drilling freedoms*, Comput. Methods Appl. Mech. Engrg. 192 (2003) 2125-2168.
 //!
@@ -10,7 +13,7 @@
 
 use nalgebra::{Matrix3, Point3, RowSVector, RowVector3, SMatrix, Vector3};
 
-use super::Section;
+use super::{PlateTheory, Section};
 use crate::MechanicsError;
 
 /// Strains (ε_x, ε_y, γ_xy) or curvatures of the 18 displacements of a triangle.
@@ -22,6 +25,8 @@ pub(super) type Row = RowSVector<f64, 18>;
 
 /// Middles of the sides: a rule that is exact for squares of linear strains.
 const MIDDLES: [[f64; 3]; 3] = [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]];
+/// Share of the thickness that carries a shear force: E. Reissner's 5/6 for stress that is a parabola over the thickness.
+const SHEAR_CORRECTION: f64 = 5.0 / 6.0;
 /// Lumping of the drilling rotations into the mean strain (α_b).
 const LUMPING: f64 = 1.5;
 /// The optimal triangle's natural strains of the corners' rotations (β₁ … β₉).
@@ -45,10 +50,50 @@ pub(super) struct Element {
     pub thickness: f64,
     /// \[Pa\] stress of strain.
     elasticity: Matrix3<f64>,
+    /// From each corner to the next.
+    sides: [Side; 3],
+    /// \[N/m\] shear force over shear strain across the thickness; `None` where normals stay normal.
+    shear_stiffness: Option<f64>,
     /// Mean membrane strain.
     mean: Strains,
     /// Membrane strain that varies: one term for each area coordinate.
     varying: [Strains; 3],
+}
+
+/// A side of a triangle.
+#[derive(Debug, Clone)]
+struct Side {
+    /// Corners.
+    from: usize,
+    to: usize,
+    /// Unit, from one to the other.
+    along: [f64; 2],
+    /// \[m\].
+    length: f64,
+    /// Stiffness in bending over that in shear, Katili's φ = 12 D / (κ G h L²); 0 in Kirchhoff's theory.
+    shear: f64,
+}
+
+impl Side {
+    /// The three sides of a triangle whose shear stiffness \[N/m\] is `shear`.
+    fn around(
+        corners: &[[f64; 2]; 3],
+        elasticity: &Matrix3<f64>,
+        thickness: f64,
+        shear: Option<f64>,
+    ) -> [Self; 3] {
+        [0, 1, 2].map(|from| {
+            let to = (from + 1) % 3;
+            let (x, y) = (corners[to][0] - corners[from][0], corners[to][1] - corners[from][1]);
+            let length = x.hypot(y);
+            let (c, s) = (x / length, y / length);
+            // Stress along the side of a strain along it alone.
+            let strain = Vector3::new(c * c, s * s, 2.0 * c * s);
+            let bending = strain.dot(&(elasticity * strain)) * thickness.powi(3);
+            let shear = shear.map_or(0.0, |shear| bending / (shear * length * length));
+            Self { from, to, along: [c, s], length, shear }
+        })
+    }
 }
 
 /// Stress of strain \[Pa\] in the triangle's frame, and ν² as the optimal triangle needs it.
@@ -56,7 +101,7 @@ fn elasticity(section: &Section, local_from_link: &Matrix3<f64>) -> Option<(Matr
     let (young, poisson) = (section.young_modulus, section.poisson_ratio);
     let Some(print) = &section.orthotropy else {
         let plane = young / (1.0 - poisson * poisson);
-        let shear = young / (2.0 * (1.0 + poisson));
+        let shear = section.shear_modulus();
         let matrix = Matrix3::new(plane, plane * poisson, 0.0, plane * poisson, plane, 0.0, 0.0, 0.0, shear);
         return Some((matrix, poisson * poisson));
     };
@@ -71,7 +116,7 @@ fn elasticity(section: &Section, local_from_link: &Matrix3<f64>) -> Option<(Matr
     let poisson_squared = poisson * poisson * print.ratio;
     let unit = 1.0 - poisson_squared;
     let mixed = poisson * across / unit;
-    let shear = (young * across).sqrt() / (2.0 * (1.0 + poisson_squared.sqrt()));
+    let shear = section.shear_modulus();
     let own = Matrix3::new(young / unit, mixed, 0.0, mixed, across / unit, 0.0, 0.0, 0.0, shear);
     // Strain in the axes of the material from that in the triangle's.
     let turn =
@@ -102,7 +147,23 @@ impl Element {
             .ok_or(wrong("is normal to the direction of its material"))?;
         let area = normal.norm() / 2.0;
         let (mean, varying) = membrane(&corners, area, poisson_squared);
-        Ok(Self { local_from_link, corners, area, thickness: section.thickness, elasticity, mean, varying })
+        let thickness = section.thickness;
+        let shear_stiffness = match section.theory {
+            PlateTheory::KirchhoffLove => None,
+            PlateTheory::ReissnerMindlin => Some(SHEAR_CORRECTION * section.shear_modulus() * thickness),
+        };
+        let sides = Side::around(&corners, &elasticity, thickness, shear_stiffness);
+        Ok(Self {
+            local_from_link,
+            corners,
+            area,
+            thickness,
+            elasticity,
+            sides,
+            shear_stiffness,
+            mean,
+            varying,
+        })
     }
 
     /// Strain of the middle surface at area coordinates `at`.
@@ -110,49 +171,72 @@ impl Element {
         self.mean + self.varying[0] * at[0] + self.varying[1] * at[1] + self.varying[2] * at[2]
     }
 
+    /// By how much the rotation of the normal in the middle of each side, along that side, exceeds the mean of its ends: Katili's
+    /// Δβ. It makes the mean shear strain along the side the one that the side's own bending asks for.
+    fn side_rotations(&self) -> [Row; 3] {
+        self.sides.each_ref().map(|side| {
+            let [c, s] = side.along;
+            let mut row = Row::zeros();
+            for (corner, sign) in [(side.from, -1.0), (side.to, 1.0)] {
+                row[6 * corner + W] = sign;
+                // Rotations of the normal, β_x = θ_y and β_y = −θ_x.
+                row[6 * corner + ROTATION] = -s * side.length / 2.0;
+                row[6 * corner + ROTATION + 1] = c * side.length / 2.0;
+            }
+            row * (-1.5 / (side.length * (1.0 + side.shear)))
+        })
+    }
+
+    /// Slopes of the area coordinates along x and y \[1/m\].
+    fn slopes(&self) -> [[f64; 2]; 3] {
+        let corner = |i: usize| self.corners[i % 3];
+        [0, 1, 2].map(|i| {
+            let ([xj, yj], [xm, ym]) = (corner(i + 1), corner(i + 2));
+            [(yj - ym) / (2.0 * self.area), (xm - xj) / (2.0 * self.area)]
+        })
+    }
+
     /// Curvature \[1/m\] at area coordinates `at`: strain a metre along the normal.
     pub fn bending(&self, at: [f64; 3]) -> Strains {
-        let [[x1, y1], [x2, y2], [x3, y3]] = self.corners;
-        let side = |x: f64, y: f64| {
-            let l = x * x + y * y;
-            [
-                -x / l,
-                0.75 * x * y / l,
-                (0.25 * x * x - 0.5 * y * y) / l,
-                -y / l,
-                (0.25 * y * y - 0.5 * x * x) / l,
-            ]
-        };
-        // Sides 2-3, 3-1 and 1-2.
-        let sides = [side(x2 - x3, y2 - y3), side(x3 - x1, y3 - y1), side(x1 - x2, y1 - y2)];
-        let [l, xi, eta] = at;
-        // Slopes, along ξ and along η, of the quadratic shape functions of the corners and of the sides.
-        let corner = [[1.0 - 4.0 * l; 2], [4.0 * xi - 1.0, 0.0], [0.0, 4.0 * eta - 1.0]];
-        let middle = [[4.0 * eta, 4.0 * xi], [-4.0 * eta, 4.0 * (l - eta)], [4.0 * (l - xi), -4.0 * xi]];
-        let double = 2.0 * self.area;
-        let [xi_x, xi_y] = [(y3 - y1) / double, (x1 - x3) / double];
-        let [eta_x, eta_y] = [(y1 - y2) / double, (x2 - x1) / double];
+        let slopes = self.slopes();
         let mut b = Strains::zeros();
-        for (k, corner) in corner.iter().enumerate() {
-            // Sides that leave this corner and that arrive at it, going round.
-            let (after, before) = ((k + 2) % 3, (k + 1) % 3);
-            let ([a6, b6, c6, d6, e6], [a5, b5, c5, d5, e5]) = (sides[after], sides[before]);
-            let slope = |of_corner: f64, of_before: f64, of_after: f64, axis: usize| {
-                of_corner * corner[axis] + of_before * middle[before][axis] + of_after * middle[after][axis]
-            };
-            // Rotations of the normal, β_x and β_y, of w, θ_x, θ_y.
-            let along_x = [[0.0, -1.5 * a5, 1.5 * a6], [0.0, b5, b6], [1.0, -c5, -c6]];
-            let along_y = [[0.0, -1.5 * d5, 1.5 * d6], [-1.0, e5, e6], [0.0, -b5, -b6]];
-            for (j, (hx, hy)) in along_x.iter().zip(&along_y).enumerate() {
-                let [hx_xi, hx_eta] = [0, 1].map(|axis| slope(hx[0], hx[1], hx[2], axis));
-                let [hy_xi, hy_eta] = [0, 1].map(|axis| slope(hy[0], hy[1], hy[2], axis));
-                let column = 6 * k + if j == 0 { W } else { ROTATION + j - 1 };
-                b[(0, column)] = hx_xi * xi_x + hx_eta * eta_x;
-                b[(1, column)] = hy_xi * xi_y + hy_eta * eta_y;
-                b[(2, column)] = hx_xi * xi_y + hx_eta * eta_y + hy_xi * xi_x + hy_eta * eta_x;
-            }
+        for (corner, [x, y]) in slopes.into_iter().enumerate() {
+            let (theta_x, theta_y) = (6 * corner + ROTATION, 6 * corner + ROTATION + 1);
+            b[(0, theta_y)] = x;
+            b[(1, theta_x)] = -y;
+            b[(2, theta_y)] = y;
+            b[(2, theta_x)] = -x;
+        }
+        for (side, row) in self.sides.iter().zip(self.side_rotations()) {
+            // Slopes of 4 L_i L_j, which is 1 in the middle of the side and 0 on the others.
+            let [x, y] = [0, 1]
+                .map(|k| 4.0 * (slopes[side.from][k] * at[side.to] + slopes[side.to][k] * at[side.from]));
+            let [c, s] = side.along;
+            b += Vector3::new(x * c, y * s, y * c + x * s) * row;
         }
         b
+    }
+
+    /// Shear strain across the thickness (γ_xz, γ_yz) at area coordinates `at`: linear, and along each side the one that
+    /// belongs to its rotation. None in Kirchhoff's theory.
+    fn shear(&self, at: [f64; 3]) -> SMatrix<f64, 2, 18> {
+        let along_side: [Row; 3] = {
+            let rotations = self.side_rotations();
+            std::array::from_fn(|k| rotations[k] * (-2.0 / 3.0 * self.sides[k].shear))
+        };
+        let mut out = SMatrix::<f64, 2, 18>::zeros();
+        for (corner, share) in at.into_iter().enumerate() {
+            // Sides that leave this corner and that arrive at it, going round.
+            let (after, before) = (corner, (corner + 2) % 3);
+            let ([ca, sa], [cb, sb]) = (self.sides[after].along, self.sides[before].along);
+            let turn = ca * sb - sa * cb;
+            let (a, b) = (along_side[after] * (share / turn), along_side[before] * (share / turn));
+            let mut x = out.row_mut(0);
+            x += a * sb - b * sa;
+            let mut y = out.row_mut(1);
+            y += b * ca - a * cb;
+        }
+        out
     }
 
     /// Stiffness in the triangle's frame.
@@ -164,6 +248,10 @@ impl Element {
             let weight = self.area / 3.0;
             k += m.transpose() * (self.elasticity * (h * weight)) * m;
             k += b.transpose() * (self.elasticity * (h * h * h / 12.0 * weight)) * b;
+            if let Some(shear) = self.shear_stiffness {
+                let g = self.shear(at);
+                k += g.transpose() * g * (shear * weight);
+            }
         }
         // Exactly, so that it is factored as what it is.
         (k + k.transpose()) / 2.0
@@ -275,9 +363,54 @@ mod tests {
         [plain.clone(), Section { orthotropy, ..plain }]
     }
 
+    const THEORIES: [PlateTheory; 2] = [PlateTheory::KirchhoffLove, PlateTheory::ReissnerMindlin];
+
+    /// φ falls with the square of the thickness, and DKMT becomes DKT.
+    #[test]
+    fn a_thin_triangle_bends_the_same_by_both_theories() {
+        for section in sections() {
+            let of = |thickness: f64| {
+                let section = Section { thickness, ..section.clone() };
+                let [thin, shearing] = THEORIES.map(|theory| element(&section.clone().by(theory)).0);
+                let at = [0.2, 0.5, 0.3];
+                (shearing.bending(at) - thin.bending(at)).norm() / thin.bending(at).norm()
+            };
+            let (thick, thinner) = (of(0.2), of(0.02));
+            assert!(thick > 0.01, "{thick}");
+            assert!((thick / thinner / 100.0 - 1.0).abs() < 0.15, "{thick} {thinner}");
+        }
+    }
+
+    /// Bent to a parabola, a plate does not shear, and has the same energy by both theories.
+    #[test]
+    fn constant_curvature_does_not_shear() {
+        let points = [Point3::new(0.1, 0.2, 0.0), Point3::new(1.3, 0.1, 0.0), Point3::new(0.4, 1.1, 0.0)];
+        let (a, b, c) = (0.7, -0.3, 0.4);
+        let mut u = nalgebra::SVector::<f64, 18>::zeros();
+        for (n, p) in points.iter().enumerate() {
+            u[6 * n + 2] = a * p.x * p.x + b * p.y * p.y + c * p.x * p.y;
+            // θ_x = ∂w/∂y, θ_y = −∂w/∂x.
+            u[6 * n + 3] = 2.0 * b * p.y + c * p.x;
+            u[6 * n + 4] = -2.0 * a * p.x - c * p.y;
+        }
+        let energies = THEORIES.map(|theory| {
+            let section = sections()[0].clone().by(theory);
+            let element = Element::new(0, points, &section).unwrap();
+            // To the triangle's frame, of which every block is a vector.
+            let mut own = u;
+            for block in 0..6 {
+                let part = element.local_from_link * u.fixed_rows::<3>(3 * block);
+                own.fixed_rows_mut::<3>(3 * block).copy_from(&part);
+            }
+            assert!((element.shear([0.3, 0.3, 0.4]) * own).norm() < 1e-12);
+            (element.stiffness() * own).dot(&own)
+        });
+        assert!((energies[0] / energies[1] - 1.0).abs() < 1e-12, "{energies:?}");
+    }
+
     #[test]
     fn stiffness_knows_six_rigid_motions_and_no_other() {
-        for section in sections() {
+        for section in sections().into_iter().flat_map(|s| THEORIES.map(|theory| s.clone().by(theory))) {
             let (element, points) = element(&section);
             let k = element.stiffness_in_link();
             for motion in 0..6 {

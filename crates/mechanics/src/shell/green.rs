@@ -57,9 +57,26 @@ impl Shell {
                 expected: nodes,
             });
         }
+        self.normal_green_of_first(normals)
+    }
+
+    /// The same between the first nodes only, as many as there are normals: those that a mesh had before it was refined.
+    ///
+    /// # Errors
+    ///
+    /// [`MechanicsError::Count`] where there are more normals than nodes.
+    pub fn normal_green_of_first(&self, normals: &[Vector3<f64>]) -> Result<Green, MechanicsError> {
+        let nodes = normals.len();
+        if nodes > self.mesh.points.len() {
+            return Err(MechanicsError::Count {
+                what: "normals of the shell",
+                got: nodes,
+                expected: self.mesh.points.len(),
+            });
+        }
         let mut values = vec![0.0f32; nodes * nodes];
         let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        let work = Mutex::new(values.chunks_mut(BLOCK * nodes).enumerate());
+        let work = Mutex::new(values.chunks_mut((BLOCK * nodes).max(1)).enumerate());
         let size = self.unknowns();
         // Where the normal displacement of each node is found among the unknowns.
         let parts = |node: usize| {
