@@ -124,8 +124,23 @@ impl Method {
         groups: &[usize],
         tuning: &Tuning,
     ) -> Result<(Settings, f64), RegressError> {
+        Self::tuned_among(self.grid(), inputs, targets, groups, tuning)
+    }
+
+    /// The same among given settings.
+    ///
+    /// # Errors
+    ///
+    /// As [`tuned`](Self::tuned), and where there are no settings.
+    pub fn tuned_among(
+        among: impl IntoIterator<Item = Settings>,
+        inputs: Rows<'_>,
+        targets: Rows<'_>,
+        groups: &[usize],
+        tuning: &Tuning,
+    ) -> Result<(Settings, f64), RegressError> {
         let mut best: Option<(Settings, f64)> = None;
-        for settings in self.grid() {
+        for settings in among {
             // A noise that is too small for these rows is no candidate.
             let Ok(error) = settings.validated(inputs, targets, groups, tuning) else { continue };
             if best.is_none_or(|(_, least)| error < least) {
