@@ -226,9 +226,9 @@ mod tests {
     fn every_regression_finds_a_press_between_those_it_learned_from() {
         let skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
         let mut learned = Learned::new(&skin, ForceComponents::Full);
-        for i in 0..41_u32 {
-            for force in [0.4, 0.7, 1.0, 1.5, 2.0] {
-                let x = (f64::from(i) - 20.0) * 2.5e-4;
+        for i in 0..21_u32 {
+            for force in [0.5, 1.0, 1.5, 2.0] {
+                let x = (f64::from(i) - 10.0) * 5e-4;
                 let row = read(x, force).map(|v| v / 2.0);
                 learned.push(&row, Point3::new(x, 0.0, 0.0), &Vector3::new(0.1, 0.0, -force), force, i);
             }
@@ -246,11 +246,11 @@ mod tests {
         for method in Method::ALL {
             let (mut finder, settings) = tuned(method, &skin, &learned, most).unwrap();
             let found = finder.find(&frame(&signal)).unwrap().remove(0);
-            // Presses lie 0.25 mm and half a newton apart.
-            assert!((found.position.x - 0.0013).abs() < 5e-4, "{method:?}: {} {settings}", found.position);
+            // Presses lie 0.5 mm and half a newton apart.
+            assert!((found.position.x - 0.0013).abs() < 8e-4, "{method:?}: {} {settings}", found.position);
             assert!((found.force.z + 1.2).abs() < 0.4, "{method:?}: {} {settings}", found.force);
             assert_eq!(found.force_components, ForceComponents::Full);
-            assert_eq!(settings["learned"], 205);
+            assert_eq!(settings["learned"], 84);
         }
         let none = Learned::new(&skin, ForceComponents::Full);
         assert!(tuned(Method::Vectors, &skin, &none, most).is_err());
