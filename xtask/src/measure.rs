@@ -24,6 +24,8 @@ pub enum Measurement {
     /// Normal force on the same kind of skin: import, train on the first part of a trial, evaluate on its end and on
     /// the other trial.
     Force,
+    /// Shear along the stroke on a stack of two boards of that skin: import, train on the first part of the trial, evaluate on its end.
+    Shear,
     /// Position and force by the model bundles that ship for the simulated barometer skins, on places and forces that
     /// they were not trained on, against the Cramér–Rao bound.
     Accuracy,
@@ -67,6 +69,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Gap => gap(root)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
+        Measurement::Shear => recorded(root, "shear", "shear_force")?,
     };
     println!("{value}");
     Ok(())
@@ -315,7 +318,8 @@ fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
         bags.push(bag);
     }
     let config = root.join(format!("launch/train/eflesh-{what}.toml"));
-    let skin = root.join("launch/skins/eflesh.toml");
+    let skin = if what == "shear" { "eflesh-shear" } else { "eflesh" };
+    let skin = root.join(format!("launch/skins/{skin}.toml"));
     // The figures that the authors state hold out presses (or the end of a trial); ours hold out locations too.
     let splits: &[&str] = if what == "position" { &["press", "location"] } else { &["time"] };
     let mut rows = Vec::new();
@@ -373,6 +377,7 @@ fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
     } else {
         json!({
             "time_not_found": worst("time", "not_found", 1.0),
+            "time_force_x_rms_n": worst("time", "force_x_rms", 1.0),
             "time_rms_n": worst("time", "force_normal_rms", 1.0),
             "other_run_rms_n": worst("other run", "force_normal_rms", 1.0),
             "rows": rows,

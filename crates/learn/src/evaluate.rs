@@ -208,6 +208,13 @@ impl fmt::Display for Evaluation {
             "  {:<24}{:>4}{:>9}{:>20}{:>9}{:>9}{:>9}{:>9}",
             "", "", "RMS", "95 % interval", "mean", "median", "p95", "frames"
         )?;
+        if self.quantities.is_empty() && self.maps.is_empty() {
+            writeln!(
+                f,
+                "  nothing could be compared: no quantity that the model gives is known in these frames; `dermis train --check` says \
+                 what a bag knows"
+            )?;
+        }
         for (name, s) in &self.quantities {
             let unit = if s.unit == "m" { "mm" } else { s.unit.as_str() };
             let interval = s.rms_interval.map_or_else(String::new, |[low, high]| {

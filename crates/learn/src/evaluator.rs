@@ -12,6 +12,8 @@ use crate::metrics::{Answer, MapScorer, Rule, Scores};
 use crate::plot::Point;
 use crate::target::Maps;
 
+const FORCES: [&str; 3] = ["force.x", "force.y", "force.z"];
+
 /// Runs the finished graph.
 pub(crate) struct GraphEvaluator<'a> {
     /// The graph.
@@ -40,6 +42,7 @@ impl GraphEvaluator<'_> {
             centre: centre(&data.skin().surface()),
             position: gives("position.x") && gives("position.y"),
             normal_force: gives("force.normal"),
+            force: FORCES.map(gives),
             depth: gives("position.z"),
         });
         let mut maps = MapScorer::new(maps);
@@ -75,10 +78,11 @@ impl GraphEvaluator<'_> {
         let get = |name: &str| self.outputs.get(name);
         let position = get("position.x").zip(get("position.y"));
         let depth = get("position.z");
+        let force = FORCES.map(get);
         Answer {
             position: position.map(|(x, y)| [x, y, depth.unwrap_or(0.0)]),
             depth: depth.is_some(),
-            force: self.outputs.force(),
+            force: force.iter().any(Option::is_some).then(|| force.map(|f| f.unwrap_or(f64::NAN))),
             normal_force: self.outputs.normal_force(),
             contact: self.outputs.contact().map(|p| p > 0.5),
         }

@@ -39,7 +39,7 @@ pub struct Answer {
     pub position: Option<[f64; 3]>,
     /// Whether `position` has a z that the model gives, instead of one that follows from the surface.
     pub depth: bool,
-    /// \[N\] exerted on the skin.
+    /// \[N\] exerted on the skin; NaN what of it is not given.
     pub force: Option<[f64; 3]>,
     /// \[N\] pressing.
     pub normal_force: Option<f64>,
@@ -179,6 +179,8 @@ pub struct Rule {
     pub position: bool,
     /// Whether it gives normal forces.
     pub normal_force: bool,
+    /// Which components of forces it gives.
+    pub force: [bool; 3],
     /// Whether z counts in distances.
     pub depth: bool,
 }
@@ -259,6 +261,7 @@ impl Scores {
             contact: Some(false),
             depth: self.rule.depth,
             normal_force: self.rule.normal_force.then_some(0.0),
+            force: Some([0.0; 3]),
             ..Answer::default()
         };
         self.score(id, truth, &nothing);
@@ -291,7 +294,9 @@ impl Scores {
         }
         let Some(contact) = single else { return };
         if let Some(force) = answer.force {
-            let force = if silent { [0.0; 3] } else { force };
+            // No contact is no force, of what would be given.
+            let none = self.rule.force.map(|given| if given { 0.0 } else { f64::NAN });
+            let force = if silent { none } else { force };
             let mut squares = Some(0.0);
             for (name, value) in ["force.x", "force.y", "force.z"].into_iter().zip(force) {
                 let known = truth.value(name);

@@ -5,10 +5,12 @@
 //! [`ZeroTracker`](dermis_skin::ZeroTracker) and become inputs in [`Features`](dermis_inference::Features).
 
 mod checkpoint;
+mod choose;
 pub mod command;
 mod config;
 #[cfg(feature = "train")]
 pub mod conv;
+mod kernels;
 mod measure;
 mod network;
 mod prepare;
@@ -16,8 +18,10 @@ mod run;
 #[cfg(feature = "train")]
 mod run_conv;
 
+pub use choose::{Choice, Judged};
 pub use config::{
-    Activation, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig,
+    Activation, Candidate, ConvConfig, FeatureChoice, InputForm, ModelChoice, NetworkConfig, Scaling,
+    TrainConfig, TrainingConfig,
 };
 pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};

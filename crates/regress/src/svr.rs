@@ -7,7 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{RegressError, Rows, Standard};
+use crate::{Kernel, KernelExpansion, RegressError, Rows, Standard};
 
 /// Settings. Inputs and targets are standardised before, so that they mean the same for every skin.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -211,6 +211,20 @@ impl Svr {
         &self.standard.mean
     }
 
+    /// What a graph needs to compute it.
+    #[must_use]
+    pub fn into_expansion(self) -> KernelExpansion {
+        let bias = self.bias.iter().zip(&self.centre).map(|(b, c)| b * self.scale + c).collect();
+        KernelExpansion {
+            standard: self.standard,
+            kernel: Kernel::Gaussian,
+            gamma: self.gamma,
+            supports: self.supports,
+            weights: self.weights.into_iter().flatten().map(|w| w * self.scale).collect(),
+            bias,
+        }
+    }
+
     /// The answer to one row, one number an output.
     ///
     /// # Errors
@@ -236,7 +250,7 @@ impl Svr {
 }
 
 /// Mean of every column, and the largest of their spreads.
-fn common(targets: &Rows<'_>) -> (Vec<f64>, f64) {
+pub(crate) fn common(targets: &Rows<'_>) -> (Vec<f64>, f64) {
     let standard = Standard::of(targets);
     let spread = |k: usize| {
         let mean = standard.mean[k];
@@ -313,6 +327,9 @@ mod tests {
             assert!((out[0] - f64::sin(x)).abs() < 0.02 && (out[1] - 7.0).abs() < 0.03, "{x}: {out:?}");
         }
         assert!(svr.supports() < 60 && svr.predict(&[1.0, 2.0]).is_err());
+        let answer = svr.predict(&[2.5]).unwrap();
+        let expanded = svr.into_expansion().predict(&[2.5]).unwrap();
+        assert!(answer.iter().zip(&expanded).all(|(a, b)| (a - b).abs() < 1e-12), "{answer:?} {expanded:?}");
     }
 
     #[test]

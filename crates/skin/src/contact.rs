@@ -10,7 +10,7 @@ pub enum ForceComponents {
     None,
     /// Only the one along the normal; the others are 0.
     Normal,
-    /// All three.
+    /// Each for itself; one that is not measured, as where a load cell has one axis, is NaN.
     Full,
 }
 
@@ -60,7 +60,9 @@ impl Contact {
     /// Pressing force \[N\], positive when the skin is pushed in; NaN where the force is not measured.
     #[must_use]
     pub fn normal_force(&self) -> f64 {
-        -self.force.dot(&self.normal)
+        // A component across the normal may be unknown, and NaN · 0 is NaN.
+        let along = self.force.iter().zip(&self.normal).filter(|(_, n)| **n != 0.0);
+        -along.map(|(f, n)| f * n).sum::<f64>()
     }
 }
 

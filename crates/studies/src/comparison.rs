@@ -1,7 +1,7 @@
 //! Estimators side by side on the same held-out readings, with the bound beside them.
 //!
-//! Networks of bundles, the same refined on the forward model, nearest neighbours in units of the noise, and the thesis'
-//! numeric solution by isolines answer the same frames of one contact; the Cramér–Rao bound says what is possible. All but the
+//! Networks of bundles, the same refined on the forward model, nearest neighbours in units of the noise, regressions that take what our
+//! networks take (`regressions`), and the thesis' numeric solution by isolines answer the same frames of one contact; the Cramér–Rao bound says what is possible. All but the
 //! isolines are the finders of `dermis-estimate`, which the node's estimator is made of; none judges whether something touches.
 //!
 //! Cost: one pass over the bags for all of them; neighbours look at every reading of the training part for every answer.
@@ -20,7 +20,7 @@ use dermis_learn::{
     Bounds, Dataset, Evaluation, Evaluator, Sample, SampleId, Truth, TruthContact, frame_bounds,
 };
 use dermis_model::ForwardModel;
-use dermis_regress::Rows;
+use dermis_regress::{Method, Rows};
 use dermis_skin::{Contact, Estimate, ForceComponents, SkinDescription, Surface};
 use dermis_theory::{IsolineSolver, Press, SolverOptions};
 use nalgebra::{Point3, Vector3};
@@ -28,6 +28,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use crate::evaluation::{split_of, unknowns};
+use crate::regressions::{self, Learned as Presses, Most};
 use crate::{Families, LeftOut, Progress, called, conditioned};
 
 /// What to compare on what.
@@ -40,9 +41,15 @@ pub struct Request {
     /// Model bundle; several are compared. What was held out of the first one's training is what all are compared on.
     #[arg(long, required = true)]
     pub model: Vec<PathBuf>,
-    /// Neighbours of the nearest-neighbour estimator.
+    /// Neighbours of the nearest-neighbour estimator in units of the noise.
     #[arg(long, default_value_t = Request::default().neighbours)]
     pub neighbours: usize,
+    /// Readings that extra trees and tuned neighbours learn from at most; of more, every n-th is taken.
+    #[arg(long, default_value_t = Request::default().learn)]
+    pub learn: usize,
+    /// Readings that support vectors and a Gaussian process learn from at most; 0 leaves all four out.
+    #[arg(long, default_value_t = Request::default().vectors)]
+    pub vectors: usize,
     /// Readings that are compared at most; of more, every n-th is taken.
     #[arg(long, default_value_t = Request::default().most)]
     pub most: usize,
@@ -63,6 +70,8 @@ impl Default for Request {
             skin: PathBuf::new(),
             model: Vec::new(),
             neighbours: 5,
+            learn: 30_000,
+            vectors: 2500,
             most: 6000,
             bins: vec![0.02, 0.14, 0.2, 0.4, 0.6, 0.9, 1.2],
             labels: Labels::default(),
@@ -274,6 +283,24 @@ fn methods(
             "{name}: left out, for the training part holds no single contact of known place and force"
         )),
     }
+    if options.vectors > 0 {
+        let presses = presses(skin, &learned, components, options.bins.first().copied().unwrap_or_default());
+        if presses.len() == 0 {
+            progress
+                .note("regressions are left out: the training part holds no single contact of known force");
+        } else {
+            for method in Method::ALL {
+                progress.begin(&format!("{}: learning", method.in_words()));
+                let most = Most { all: options.learn, kernels: options.vectors };
+                let (finder, _) = regressions::tuned(method, skin, &presses, most)?;
+                let name = match method {
+                    Method::Neighbours => "tuned nearest neighbours, direction and log-norm",
+                    _ => method.in_words(),
+                };
+                methods.push((name.to_owned(), Box::new(finder)));
+            }
+        }
+    }
     let solver = Arc::new(isolines(skin, &learned)?);
     for taxels in [solver.needed(), solver.needed() + 1] {
         let method = Isolines { solver: Arc::clone(&solver), taxels, surface: skin.surface() };
@@ -285,6 +312,30 @@ fn methods(
 /// Single contacts of samples, with what was read of them.
 fn single(learned: &[(SampleId, Sample)]) -> impl Iterator<Item = (&Sample, &TruthContact)> {
     learned.iter().filter_map(|(_, sample)| Some((sample, sample.truth.as_ref()?.single()?)))
+}
+
+/// What regressions learn from: readings of one contact that presses with `least` \[N\] or more, of known place and force.
+fn presses(
+    skin: &SkinDescription,
+    learned: &[(SampleId, Sample)],
+    components: ForceComponents,
+    least: f64,
+) -> Presses {
+    let noise = skin.channel_noise();
+    let mut presses = Presses::new(skin, components);
+    for (sample, contact) in single(learned) {
+        let Some(force) = contact.normal_force().filter(|f| *f >= least) else { continue };
+        let whole = components != ForceComponents::Full || contact.components == ForceComponents::Full;
+        if !whole || !contact.position.iter().all(|v| v.is_finite()) {
+            continue;
+        }
+        let whitened = sample.tared.iter().zip(&noise);
+        let row: Vec<f64> =
+            whitened.map(|(v, n)| if v.is_finite() { f64::from(*v) / n } else { 0.0 }).collect();
+        let location = sample.truth.as_ref().map_or(0, |t| t.location);
+        presses.push(&row, contact.position, &contact.force, force, location);
+    }
+    presses
 }
 
 /// Mean of the contacts whose readings are nearest in units of the noise, weighted by the inverse of their distance; `None`

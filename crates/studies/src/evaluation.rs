@@ -61,8 +61,8 @@ pub struct Request {
     #[arg(long)]
     #[serde(with = "written")]
     pub require: Vec<Requirement>,
-    /// Labelled bag with single contacts that support vectors, nearest neighbours and a feed-forward network learn from, to be
-    /// measured beside the model on frames of one contact, by force; may be repeated.
+    /// Labelled bag with single contacts that support vectors, nearest neighbours, extra trees, a Gaussian process and a feed-forward
+    /// network learn from, to be measured beside the model on frames of one contact, by force; may be repeated.
     #[arg(long)]
     pub beside: Vec<PathBuf>,
     /// Labelled bags.

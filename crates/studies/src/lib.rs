@@ -14,6 +14,7 @@ pub mod gap;
 pub mod placement;
 pub mod real2sim;
 pub mod refinement;
+mod regressions;
 pub mod sweep;
 pub mod variation;
 

@@ -5,7 +5,6 @@
 //! likelihood on the forward model, sparse recovery, and regressions.
 
 pub mod compare;
-pub(crate) mod regressions;
 pub mod table;
 pub mod train;
 

@@ -72,6 +72,29 @@ fn recorded_frames_become_contacts_over_ros() {
     online_equals_offline(&skin, &skin_file, &bag, &model, &split);
 }
 
+/// A load cell with one axis: what is known of the force is learned, measured and told.
+#[test]
+fn a_recording_that_knows_one_component_of_the_force_is_learned() {
+    let Some(data) = recordings("eflesh/shear_force") else { return };
+    let scratch = tempfile::tempdir().unwrap();
+    let [bag, model] = ["bag", "model"].map(|n| scratch.path().join(n));
+    let run = std::fs::read_dir(&data).unwrap().next().unwrap().unwrap().path();
+    dermis(&["import"], &[("", &run), ("--out", &bag)]);
+    let [skin, config] =
+        ["launch/skins/eflesh-shear.toml", "launch/train/eflesh-shear.toml"].map(|f| root().join(f));
+    let told = dermis(
+        &["train", "--epochs", "40", "--members", "1"],
+        &[("--config", &config), ("--skin", &skin), ("--out", &model), ("", &bag)],
+    );
+    assert!(told.contains("force.x"), "{told}");
+    // Strokes reach 18 N; regressions of others reach 0.3 N.
+    let held_out = dermis(
+        &["evaluate", "--held-out", "--json", "--require", "force_x_rms<=1.5"],
+        &[("--skin", &skin), ("--model", &model), ("", &bag)],
+    );
+    println!("held-out strokes: {}", held_out.trim());
+}
+
 /// Feeds the node, which nobody tells when to tare, and an estimator in this process alike.
 fn online_equals_offline(
     skin: &SkinDescription,

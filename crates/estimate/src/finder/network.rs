@@ -33,16 +33,13 @@ pub(crate) fn regressed(
         _ => (Point3::from(Vector3::repeat(f64::NAN)), Vector3::repeat(f64::NAN)),
     };
     let mut contact = Contact::at(position, normal);
-    let full = match (get("force.x"), get("force.y"), get("force.z")) {
-        (Some(x), Some(y), Some(z)) => Some(Vector3::new(x, y, z)),
-        _ => None,
-    };
     let pressing = get("force.normal").or_else(|| get("force.z").filter(|_| flat).map(|z| -z));
-    let magnitude = if let Some(force) = full {
+    let magnitude = if let Some(force) = vector(&get, flat) {
         contact.force = force;
         contact.force_components = ForceComponents::Full;
-        let along = -force.dot(&normal);
-        let along = if along.is_nan() { force.norm() } else { along };
+        let along = contact.normal_force();
+        let known = force.iter().filter(|v| v.is_finite()).map(|v| v * v).sum::<f64>().sqrt();
+        let along = if along.is_nan() { known } else { along };
         contact.force_covariance = Matrix3::from_diagonal(&Vector3::new(
             sigma("force.x", along).powi(2),
             sigma("force.y", along).powi(2),
@@ -69,6 +66,20 @@ pub(crate) fn regressed(
         ));
     }
     Regressed { contact, magnitude }
+}
+
+/// The force that model outputs give by components, NaN for those that they do not. `None` where it is known along the normal only:
+/// that is a normal force.
+fn vector(get: impl Fn(&str) -> Option<f64>, flat: bool) -> Option<Vector3<f64>> {
+    let [x, y, z] = ["force.x", "force.y", "force.z"].map(&get);
+    let pressing = get("force.normal");
+    // On a flat skin the normal force is the third component.
+    let third = z.or_else(|| pressing.filter(|_| flat).map(|pressing| -pressing));
+    let some = x.is_some() || y.is_some();
+    let all = x.is_some() && y.is_some() && z.is_some();
+    let by_components = if flat { some } else { all || ((some || z.is_some()) && pressing.is_none()) };
+    let or_unknown = |v: Option<f64>| v.unwrap_or(f64::NAN);
+    by_components.then(|| Vector3::new(or_unknown(x), or_unknown(y), or_unknown(third)))
 }
 
 /// Whether the skin's outside is a plane.
@@ -119,5 +130,34 @@ impl ContactFinder for NetworkFinder {
 
     fn single(&self) -> bool {
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn force_of(given: &[(&str, f64)], flat: bool) -> Contact {
+        let surface = Surface::from_spec(&SurfaceSpec::Rectangle { size: [0.02, 0.02], spacing: 0.005 });
+        let get = |name: &str| given.iter().find(|(n, _)| *n == name).map(|(_, v)| *v);
+        let sigma = |name: &str, _: f64| if get(name).is_some() { 0.5 } else { f64::NAN };
+        regressed(get, sigma, &surface, flat).contact
+    }
+
+    #[test]
+    fn a_force_of_which_one_component_is_known_is_partly_nan() {
+        let shear = force_of(&[("force.x", -3.0)], true);
+        assert_eq!((shear.force_components, shear.force.x), (ForceComponents::Full, -3.0));
+        assert!(shear.force.y.is_nan() && shear.force.z.is_nan() && shear.normal_force().is_nan());
+        assert_eq!(shear.force_covariance[(0, 0)], 0.25);
+        assert!(shear.force_covariance[(1, 1)].is_nan());
+        // The normal force is the third component of a flat skin.
+        let two = force_of(&[("force.x", -3.0), ("force.normal", 2.0)], true);
+        assert_eq!((two.force.x, two.force.z, two.normal_force()), (-3.0, -2.0, 2.0));
+        let normal = force_of(&[("force.z", -2.0)], true);
+        assert_eq!((normal.force_components, normal.normal_force()), (ForceComponents::Normal, 2.0));
+        let full = force_of(&[("force.x", 1.0), ("force.y", 0.0), ("force.z", -2.0)], false);
+        assert_eq!((full.force_components, full.force.z), (ForceComponents::Full, -2.0));
+        assert_eq!(force_of(&[("contact", 0.9)], true).force_components, ForceComponents::None);
     }
 }

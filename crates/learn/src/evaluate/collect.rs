@@ -163,13 +163,18 @@ impl Evaluator {
     }
 
     /// What is given shows in the contacts; only then does "no contact" mean "no force". Who never found anything is asked for all.
-    fn rule(&self) -> (Rule, bool) {
+    fn rule(&self) -> Rule {
         let found = || self.answers.iter().filter_map(|(.., found)| found.as_ref()).flatten();
         let gives =
             |components: &[ForceComponents]| found().any(|c| components.contains(&c.force_components));
         let full = gives(&[ForceComponents::Full]);
         let nothing = found().next().is_none();
-        let normal_force = nothing || full || gives(&[ForceComponents::Normal]);
+        let normal = found().any(|c| c.normal_force().is_finite());
+        let normal_force = nothing || (full && normal) || gives(&[ForceComponents::Normal]);
+        let component = |i: usize| {
+            nothing || found().any(|c| c.force_components == ForceComponents::Full && c.force[i].is_finite())
+        };
+        let force = [0, 1, 2].map(component);
         let position = nothing || found().any(|c| c.position.x.is_finite() && c.position.y.is_finite());
         // On a curved skin the height says where a contact is, too.
         let places =
@@ -181,13 +186,13 @@ impl Evaluator {
         let middle =
             (count > 0).then(|| Point3::from(known().map(|p| p.coords).sum::<Vector3<f64>>() / count as f64));
         let centre = self.centre.or(middle);
-        (Rule { centre, position, normal_force, depth: high - low > 1e-6 }, full)
+        Rule { centre, position, normal_force, force, depth: high - low > 1e-6 }
     }
 
     /// Sums up.
     #[must_use]
     pub fn finish(self, data: impl Into<String>) -> Evaluation {
-        let (rule, full) = self.rule();
+        let rule = self.rule();
         let strength = |c: &Contact| {
             let force = c.normal_force();
             (if force.is_nan() { 0.0 } else { force }, c.confidence)
@@ -218,7 +223,7 @@ impl Evaluator {
                     .then_some([c.force.x, c.force.y, c.force.z]);
             } else {
                 answer.normal_force = rule.normal_force.then_some(0.0);
-                answer.force = full.then_some([0.0; 3]);
+                answer.force = Some([0.0; 3]);
             }
             scores.push(*id, truth, &answer);
         }

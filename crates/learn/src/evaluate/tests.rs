@@ -153,6 +153,54 @@ fn what_is_not_found_counts() {
     assert_eq!(figures["not_found"], 0.0);
 }
 
+/// Gives the force along x only, as a model of a recording whose load cell has one axis does.
+struct Shear;
+
+impl Estimator for Shear {
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
+        let mut estimate = Known.estimate(frame)?;
+        for contact in &mut estimate.contacts {
+            contact.position = Point3::new(f64::NAN, f64::NAN, f64::NAN);
+            contact.force = Vector3::new(0.25, f64::NAN, f64::NAN);
+            contact.force_components = ForceComponents::Full;
+        }
+        Ok(estimate)
+    }
+
+    fn reset(&mut self) {}
+}
+
+#[test]
+fn one_component_of_a_force_is_a_figure() {
+    let result = evaluate(&mut Shear, &presses(10, 2), None, "shear").unwrap();
+    // The presses have no shear.
+    assert_eq!(result.quantities.keys().collect::<Vec<_>>(), ["force.x"]);
+    assert_eq!((result.quantities["force.x"].samples, result.figures()["force_x_rms"]), (40, 0.25));
+}
+
+/// Says that something touches, and nothing of it.
+struct Blunt;
+
+impl Estimator for Blunt {
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
+        let mut estimate = Shear.estimate(frame)?;
+        for contact in &mut estimate.contacts {
+            contact.force_components = ForceComponents::None;
+        }
+        Ok(estimate)
+    }
+
+    fn reset(&mut self) {}
+}
+
+#[test]
+fn an_empty_table_has_a_sentence() {
+    let result = evaluate(&mut Blunt, &presses(10, 2), None, "blunt").unwrap();
+    assert!(result.quantities.is_empty());
+    let text = result.to_string();
+    assert!(text.contains("nothing could be compared: no quantity that the model gives is known"), "{text}");
+}
+
 #[test]
 fn a_part_of_the_answers_is_summed_up_alone() {
     let data = presses(10, 2);

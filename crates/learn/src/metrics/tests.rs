@@ -4,8 +4,13 @@ use crate::dataset::tests::contact;
 const ID: SampleId = SampleId { run: 0, sample: 0 };
 
 /// The middle of the surface is 3 mm and 4 mm from the origin.
-const RULE: Rule =
-    Rule { centre: Some(Point3::new(0.003, 0.004, 0.1)), position: true, normal_force: true, depth: false };
+const RULE: Rule = Rule {
+    centre: Some(Point3::new(0.003, 0.004, 0.1)),
+    position: true,
+    normal_force: true,
+    force: [true; 3],
+    depth: false,
+};
 
 fn truth(location: u32, contacts: Vec<TruthContact>) -> Truth {
     Truth { press: u64::from(location), location, idle: false, contacts }
@@ -107,6 +112,25 @@ fn who_gives_no_position_misses_none() {
     // What is said not to touch has no force.
     approx::assert_relative_eq!(s["force.normal"].mean, 1.25, max_relative = 1e-9);
     assert_eq!(s["force.normal found"].samples, 1);
+}
+
+#[test]
+fn a_force_of_which_one_component_is_known_is_compared() {
+    let mut scores = Scores::new(Rule { position: false, force: [true, false, false], ..RULE });
+    // The load cell measures along x only.
+    let mut known = contact(f64::NAN, f64::NAN, 1.0);
+    known.force = nalgebra::Vector3::new(-3.0, f64::NAN, f64::NAN);
+    let answer = Answer { force: Some([-2.5, f64::NAN, f64::NAN]), contact: Some(true), ..Answer::default() };
+    scores.push(ID, &truth(1, vec![known.clone()]), &answer);
+    // What was missed is a force of 0 along x, and says nothing across.
+    scores.push(
+        ID,
+        &truth(1, vec![known]),
+        &Answer { contact: Some(false), force: Some([0.0; 3]), ..answer },
+    );
+    let s = scores.summaries(1);
+    assert_eq!(s.keys().collect::<Vec<_>>(), ["force.x"]);
+    approx::assert_relative_eq!(s["force.x"].mean, f64::midpoint(0.5, 3.0), max_relative = 1e-12);
 }
 
 #[test]

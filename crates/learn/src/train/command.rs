@@ -221,9 +221,13 @@ fn report(options: &Options, out: &Path, outcome: &Outcome) -> Result<(), LearnE
             "held_out": outcome.held_out.to_json(),
             "other_runs": others,
             "requirements": verdicts,
+            "choice": outcome.choice,
         });
         println!("{result}");
     } else {
+        if let Some(choice) = &outcome.choice {
+            print!("{choice}");
+        }
         print!("held out: {}", outcome.held_out);
         for (_, evaluation) in &outcome.others {
             print!("{evaluation}");

@@ -245,20 +245,25 @@ impl Mlp {
         let outputs = first.sizes[first.sizes.len() - 1];
         let input = g.input("input", &[1, preparation.width()]);
         let input = preparation.to_graph(&mut g, &input);
+        if let Some(mean) = Self::mean_to_graph(members, &mut g, &input) {
+            g.output("output", &mean, &[1, outputs]);
+        }
+        g.finish()
+    }
+
+    /// The mean of several networks of one interface as operators; `None` of none.
+    pub(super) fn mean_to_graph(members: &[Self], g: &mut GraphBuilder, input: &Value) -> Option<Value> {
         let mut mean: Option<Value> = None;
         let share = 1.0 / members.len() as f32;
         for (m, member) in members.iter().enumerate() {
             // The mean is taken in the last layer's weights.
-            let x = member.to_graph(&mut g, &input, &m.to_string(), share);
+            let x = member.to_graph(g, input, &m.to_string(), share);
             mean = Some(match mean {
                 Some(sum) => g.add(&sum, &x),
                 None => x,
             });
         }
-        if let Some(mean) = mean {
-            g.output("output", &mean, &[1, outputs]);
-        }
-        g.finish()
+        mean
     }
 }
 

@@ -14,7 +14,8 @@ use serde_json::json;
 use sha2::{Digest, Sha256};
 
 use super::checkpoint;
-use super::config::TrainConfig;
+use super::choose::{self, Choice, Table};
+use super::config::{Candidate, TrainConfig};
 use super::measure::{measure_features, measure_outputs};
 use super::network::{Batch, Mlp, Progress, State, advance, seed_of};
 use super::prepare::Preparation;
@@ -61,6 +62,8 @@ pub struct Outcome {
     pub samples: usize,
     /// \[s\] that fitting took.
     pub seconds: f64,
+    /// Which regressors were judged, and which kept; of a configuration that names several.
+    pub choice: Option<Choice>,
 }
 
 /// Folder in which the state of an unfinished bundle lies.
@@ -99,7 +102,7 @@ pub fn run(
     let decoder = Outputs::new(specs.clone())?;
     let job = Job { request, split: &split, features: &features, outputs: &outputs, decoder: &decoder };
     let started = Instant::now();
-    let Trained { graph, interface, samples } = match &config.network.conv {
+    let Trained { graph, interface, samples, choice } = match &config.network.conv {
         None => fit_dense(&job, &mut maps, stop, told)?,
         Some(conv) => fit_conv(&job, conv, maps, stop, told)?,
     };
@@ -125,6 +128,7 @@ pub fn run(
         others: others.iter().map(|(name, e, _)| (name.clone(), e.clone())).collect(),
         samples,
         seconds,
+        choice,
     };
     let mut report = Report::new(format!("Model for skin {}", data.skin().name));
     report.data(data, Some(&config.split))?;
@@ -156,6 +160,7 @@ pub(super) struct Trained {
     pub(super) interface: Interface,
     /// Samples that it was fitted to.
     pub(super) samples: usize,
+    pub(super) choice: Option<Choice>,
 }
 
 impl Job<'_> {
@@ -198,11 +203,13 @@ fn fit_dense(
     let mut batch =
         Batch { outputs: columns.len(), logit: columns.last() == Some(&"contact"), ..Batch::default() };
     let mut balance = Balance::default();
+    let mut ids = Vec::new();
     data.each_input(job.features, config.baseline, |id, row| {
         let truth = data.sample(id).and_then(|s| s.truth.as_ref());
         let Some(truth) = truth.filter(|_| !held_out.contains(&id)) else { return Ok(()) };
         let targets = job.targets(truth, maps)?;
         if targets.iter().any(|t| !t.is_nan()) {
+            ids.push(id);
             batch.inputs.extend_from_slice(row);
             batch.targets.extend(targets);
             batch.weights.extend(job.weights(truth, &columns));
@@ -221,10 +228,31 @@ fn fit_dense(
     batch.inputs = preparation.apply(&batch.inputs);
     batch.width = preparation.columns();
     let signature = signature(data, config)?;
-    let networks = fit_all(job.request, &batch, &signature, stop, told)?;
-    let graph = Mlp::to_onnx(&networks, &preparation, "dermis")
-        .map_err(|e| LearnError::Training { reason: format!("the graph cannot be written: {e}") })?;
-    Ok(Trained { graph, interface: Interface::flat(width, columns.len()), samples: batch.len() })
+    let written = |e| LearnError::Training { reason: format!("the graph cannot be written: {e}") };
+    let interface = Interface::flat(width, columns.len());
+    let samples = batch.len();
+    if config.model.candidates.as_slice() == [Candidate::Network] {
+        let networks = fit_all(job.request, &batch, &signature, stop, told)?;
+        let graph = Mlp::to_onnx(&networks, &preparation, "dermis").map_err(written)?;
+        return Ok(Trained { graph, interface, samples, choice: None });
+    }
+    let table = Table::new(data, &batch, &ids, &columns, config)?;
+    let Some(choice) = table.choose(config, stop)? else {
+        let path = partial(job.request.out);
+        return Err(LearnError::Interrupted { epoch: 0, epochs: config.training.epochs, path });
+    };
+    let networks = if choose::needs_network(&choice) {
+        fit_all(job.request, &batch, &signature, stop, told)?
+    } else {
+        Vec::new()
+    };
+    let kernels = table
+        .groups()
+        .iter()
+        .map(|group| Ok((group.clone(), table.kept(group, &choice, config.model.most)?)))
+        .collect::<Result<Vec<_>, LearnError>>()?;
+    let graph = choose::to_onnx(&networks, &kernels, &preparation, columns.len()).map_err(written)?;
+    Ok(Trained { graph, interface, samples, choice: Some(choice) })
 }
 
 #[cfg(feature = "train")]
@@ -474,7 +502,9 @@ fn write_bundle(
         ),
         ("fit_seconds", json!(outcome.seconds)),
     ];
-    writer.card.extend(card.into_iter().map(|(key, value)| (key.to_owned(), value)));
+    let choice = outcome.choice.as_ref().map(|choice| ("choice", json!(choice)));
+    let card = card.into_iter().chain(choice);
+    writer.card.extend(card.map(|(key, value)| (key.to_owned(), value)));
     writer.write(request.out, graph)?;
     Ok(())
 }

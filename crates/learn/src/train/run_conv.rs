@@ -218,5 +218,10 @@ pub(super) fn fit_conv(
             Form::Map(shape) => port(&head.name, &shape),
         })
         .collect();
-    Ok(Trained { graph, interface: Interface::of(&[port("input", &conv.grid)], &outputs), samples })
+    Ok(Trained {
+        graph,
+        interface: Interface::of(&[port("input", &conv.grid)], &outputs),
+        samples,
+        choice: None,
+    })
 }

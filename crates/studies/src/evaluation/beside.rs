@@ -8,17 +8,17 @@ use dermis_estimate::finder::RegressionFinder;
 use dermis_learn::cli::Labels;
 use dermis_learn::real2sim::Recorded;
 use dermis_learn::{Dataset, Evaluation, Evaluator, MOST_BOUNDED, SampleId};
+use dermis_regress::Method;
 use dermis_skin::{Estimate, SkinDescription};
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 
-use crate::real2sim::regressions;
-use crate::real2sim::train::parts;
+use crate::regressions::{self, Learned as Presses, Most};
 use crate::{Progress, conditioned};
 
-/// Recorded readings that neighbours and the network learn from at most, and support vectors.
-const LEARNED: usize = 12_000;
-const VECTORS: usize = 2500;
+/// Recorded readings that neighbours and trees learn from at most, support vectors and Gaussian processes, and the network.
+const MOST: Most = Most { all: 30_000, kernels: 2500 };
+const NETWORK: usize = 12_000;
 /// Readings that every way is asked at most: as many as are held against their bound.
 const ASKED: usize = MOST_BOUNDED;
 
@@ -27,7 +27,7 @@ const ASKED: usize = MOST_BOUNDED;
 pub struct Beside {
     /// Its name.
     pub method: &'static str,
-    /// Settings that were chosen on places that nothing was learned from.
+    /// Settings that were chosen on places that nothing was learned from, for place and force, and how many frames it learned from.
     pub settings: Value,
     /// Its errors.
     pub evaluation: Evaluation,
@@ -47,11 +47,9 @@ pub(super) fn beside(
     let learned = Dataset::from_bags(bags, skin, &labels.options()?)?;
     let single: Vec<SampleId> =
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
-    let (learn, choose) = parts(&learned, &single);
     let least = bins.first().copied().unwrap_or_default();
-    let of = |ids: &[SampleId], most| Recorded::of(&learned, ids, least, most);
-    let (learn, choose) = (of(&learn, LEARNED)?, of(&choose, LEARNED / 4)?);
-    if learn.is_empty() || choose.is_empty() {
+    let recorded = Recorded::of(&learned, &single, least, MOST.all)?;
+    if recorded.is_empty() {
         bail!(
             "the bags of `--beside` hold no single contact of {least} N or more, of known place, force and tip"
         );
@@ -85,15 +83,14 @@ pub(super) fn beside(
         found.push(Beside { method, settings, evaluation: evaluator.finish(method) });
         Ok(())
     };
-    progress.begin("support vectors: learning");
-    let (vectors, settings) = regressions::tuned_vectors(skin, &learn, &choose, VECTORS)?;
-    let [x, y, z, force] = settings;
-    measure("support vectors", json!({ "x": x, "y": y, "z": z, "force": force }), vectors)?;
-    progress.begin("nearest neighbours: learning");
-    let (neighbours, count) = regressions::tuned_neighbours(skin, &learn, &choose)?;
-    measure("nearest neighbours", json!({ "count": count }), neighbours)?;
+    let presses = Presses::of(skin, &recorded);
+    for method in [Method::Vectors, Method::Neighbours, Method::Trees, Method::Gaussian] {
+        progress.begin(&format!("{}: learning", method.in_words()));
+        let (finder, settings) = regressions::tuned(method, skin, &presses, MOST)?;
+        measure(method.in_words(), settings, finder)?;
+    }
     progress.begin("feed-forward network: learning");
-    let network = regressions::network(skin, &learn)?;
-    measure("feed-forward network", json!({ "learned": learn.len() }), network)?;
+    let (network, settings) = regressions::network(skin, &presses, NETWORK)?;
+    measure("feed-forward network", settings, network)?;
     Ok((asked.iter().map(|(id, _)| *id).collect(), found))
 }

@@ -23,6 +23,7 @@ use super::{
 };
 
 const SKIN: &str = include_str!("../../../../launch/skins/eflesh.toml");
+const SHEAR_SKIN: &str = include_str!("../../../../launch/skins/eflesh-shear.toml");
 /// \[N\] of one gram-force.
 const GRAM_FORCE: f64 = 9.806_65e-3;
 /// \[gf\] above the load cell's reading at rest that counts as first contact: five of its steps of noise, 0.05 N.
@@ -265,15 +266,10 @@ pub fn eflesh(
 }
 
 fn skin(kind: Kind) -> Result<Skin, ImportError> {
-    let mut skin = Skin::described(SKIN, "eflesh.toml")?;
-    if kind == Kind::Shear {
-        // Where the second board lies is not published.
-        skin.name = "eflesh-shear".into();
-        skin.channels =
-            (0..10).flat_map(|chip| ["x", "y", "z"].map(|axis| format!("m{chip}.{axis}"))).collect();
-        skin.description = None;
+    match kind {
+        Kind::Spatial | Kind::Normal => Skin::described(SKIN, "eflesh.toml"),
+        Kind::Shear => Skin::described(SHEAR_SKIN, "eflesh-shear.toml"),
     }
-    Ok(skin)
 }
 
 fn tesla(microtesla: &[f64]) -> Vec<f32> {
@@ -432,7 +428,10 @@ fn facts(kind: Kind, has_baselines: bool, locations: &Locations, presses: u64, w
         }
         Kind::Shear => {
             assumed.push("the stroke goes along -x of the skin: its direction is not published".into());
-            missing.push("where on the pad the indenter holds, the force across the stroke, and where the second board lies".into());
+            assumed.push(
+                "the second board lies 10 mm below the first, which nothing but pictures depend on".into(),
+            );
+            missing.push("where on the pad the indenter holds, the force across the stroke and along the normal, and where the second board lies".into());
         }
     }
     if has_baselines {

@@ -160,10 +160,14 @@ fn eflesh_shear_force() {
     assert_row(&rows[0].0.values, &[3_393.000_244_140_625, -991.200_012_207_031_2]);
     let contact = &rows[360].1.contacts[0];
     assert!(close(contact.force.x, -1813.99 * 9.806_65e-3, 1e-9) && contact.force.z.is_nan());
-    // Without a description only the names of the channels are known.
     let mut geometry = imported.bag.read::<dermis_msgs::msg::SkinGeometry>("skin_geometry").unwrap();
     let geometry = geometry.next().unwrap().unwrap().message;
-    assert_eq!((geometry.channels.len(), geometry.points.len()), (30, 0));
+    let skin =
+        SkinDescription::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../launch/skins/eflesh-shear.toml"))
+            .unwrap();
+    assert_eq!((geometry.skin.as_str(), geometry.channels.len()), ("eflesh-shear", 30));
+    assert_eq!(geometry.points.len(), skin.surface().points.len());
+    assert!(geometry.channels.iter().zip(skin.channels()).all(|(a, b)| *a == b.name));
 }
 
 #[test]
@@ -462,6 +466,7 @@ fn mistakes_in_a_time_series_are_named() {
 fn the_skins_are_those_of_the_importers() {
     for (file, text) in [
         ("eflesh.toml", include_str!("../../../../launch/skins/eflesh.toml")),
+        ("eflesh-shear.toml", include_str!("../../../../launch/skins/eflesh-shear.toml")),
         ("tactile-fsi-line.toml", include_str!("../../../../launch/skins/tactile-fsi-line.toml")),
         ("tactile-fsi-pad.toml", include_str!("../../../../launch/skins/tactile-fsi-pad.toml")),
     ] {

@@ -11,11 +11,12 @@ use dermis_learn::real2sim::{Compliance, Recorded, superpose};
 use dermis_learn::refine::Learned;
 use dermis_learn::{Dataset, SampleId, refine};
 use dermis_model::{ForwardModel, Unknowns};
+use dermis_regress::Method;
 use dermis_skin::SkinDescription;
 use serde_json::{Value, json};
 
-use super::super::regressions;
 use super::{FAR, Request};
+use crate::regressions::{self, Learned as Presses, Most};
 use crate::{Progress, called};
 
 /// A way to contacts, with its name.
@@ -60,11 +61,16 @@ pub(super) fn prepare(
     }
 
     progress.begin("regressions");
-    let vectors = regressions::vectors(skin, &recorded, options.vectors)?;
-    methods.push(("support vectors".into(), Box::new(vectors)));
-    methods.push(("6 nearest neighbours".into(), Box::new(regressions::neighbours(skin, &recorded)?)));
-    methods.push(("feed-forward network".into(), Box::new(regressions::network(skin, &recorded)?)));
+    let presses = Presses::of(skin, &recorded);
+    let most = Most { all: options.learn, kernels: options.vectors };
     let mut notes = tuned.notes;
+    for method in [Method::Vectors, Method::Neighbours, Method::Trees, Method::Gaussian] {
+        let (finder, settings) = regressions::tuned(method, skin, &presses, most)?;
+        methods.push((method.in_words().into(), Box::new(finder)));
+        notes[method.in_words()] = settings;
+    }
+    let (network, _) = regressions::network(skin, &presses, most.all)?;
+    methods.push(("feed-forward network".into(), Box::new(network)));
     notes["recorded"] = json!(recorded.len());
     Ok(Prepared { methods, notes })
 }
