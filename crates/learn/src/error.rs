@@ -15,6 +15,9 @@ pub enum LearnError {
     /// A bag cannot be read.
     #[error(transparent)]
     Bag(#[from] BagError),
+    /// A picture of a report cannot be drawn.
+    #[error(transparent)]
+    Figure(#[from] dermis_figures::DrawError),
     /// A bag that is not what it was when it was first read.
     #[error("bag {bag} has changed since it was first read: leave it alone until this command ends")]
     Changed {

@@ -269,7 +269,7 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
             card.insert("split".into(), json!(split));
         }
         report.data(data, split.as_ref())?;
-        report.section(&format!("Measured on: {}", evaluation.data), evaluation, points);
+        report.section(&format!("Measured on: {}", evaluation.data), evaluation, points)?;
     }
     card.insert("origin".into(), json!({
         "file": request.onnx.file_name().map(|n| n.to_string_lossy()),

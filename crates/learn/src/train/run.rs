@@ -128,9 +128,9 @@ pub fn run(
     };
     let mut report = Report::new(format!("Model for skin {}", data.skin().name));
     report.data(data, Some(&config.split))?;
-    report.section(&format!("Held out: {}", config.split.describe()), &outcome.held_out, &points);
+    report.section(&format!("Held out: {}", config.split.describe()), &outcome.held_out, &points)?;
     for (name, evaluation, points) in &others {
-        report.section(&format!("Other run: {name}"), evaluation, points);
+        report.section(&format!("Other run: {name}"), evaluation, points)?;
     }
     write_bundle(request, &split, features, specs, (&graph, interface), &outcome)?;
     let path = request.out.join("report.html");
