@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`record`] | records what nodes publish into a bag |
 //! | [`play`] | publishes what a bag holds |
+//! | [`slice`] | copies a part of a bag |
 //! | [`watch`] | follows the contacts of every skin in the ROS graph |
 //! | [`device`] | puts a modelled or a recorded skin behind a pseudo-terminal |
 //! | [`collect`] | has the virtual testbed press a modelled skin and writes a labelled bag |
@@ -24,6 +25,7 @@ pub mod launching;
 pub mod play;
 pub mod quantity;
 pub mod record;
+pub mod slice;
 mod stats;
 mod touch;
 pub mod watch;
