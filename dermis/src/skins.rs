@@ -20,7 +20,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
-    family.check(&skin).map_err(|error| dermis_studies::of_file(&options.skin, error))?;
+    family.check(&skin).map_err(|error| error.in_file(&options.skin))?;
     let surface = skin.surface();
     let area: f64 = surface.areas.iter().sum();
     let model = family.model(&skin);

@@ -36,7 +36,7 @@ use std::time::Duration;
 
 use dermis_model::ForwardModel;
 use dermis_sensor::Registry;
-use dermis_skin::{ModelError, SkinDescription, SkinError};
+use dermis_skin::SkinDescription;
 
 pub use error::OperateError;
 pub use stats::{Samples, Spread};
@@ -58,10 +58,5 @@ fn model_of_file(
     skin: &SkinDescription,
     sensors: &Registry,
 ) -> Result<Arc<dyn ForwardModel>, OperateError> {
-    sensors.of(skin)?.model(skin).map_err(|error| match error {
-        ModelError::Description { field, reason, .. } => {
-            SkinError::Impossible { file: path.display().to_string(), field, reason }.into()
-        }
-        other => other.into(),
-    })
+    Ok(sensors.of(skin)?.model(skin).map_err(|error| error.in_file(path))?)
 }

@@ -20,13 +20,13 @@ pub mod variation;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use dermis_estimate::ConditionedFrame;
 use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_learn::Sample;
 use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
-use dermis_skin::{Estimator, ModelError, SkinDescription};
+use dermis_skin::{Estimator, SkinDescription};
 
 /// The sensor families that studies ask for models, estimators and candidates.
 #[derive(Debug, Clone, Copy)]
@@ -65,7 +65,7 @@ impl Families {
     ///
     /// As [`model`](Self::model).
     pub fn model_of_file(&self, path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
-        self.of(skin)?.model(skin).map_err(|error| of_file(path, error))
+        Ok(self.of(skin)?.model(skin).map_err(|error| error.in_file(path))?)
     }
 
     /// The estimator that the family's node runs with these model bundles.
@@ -76,17 +76,6 @@ impl Families {
     pub fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>> {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         Ok(dermis_estimate::estimator(self.of(skin)?, skin, bundles, &[], runtime)?)
-    }
-}
-
-/// What a family says of a skin, with the name of the file.
-#[must_use]
-pub fn of_file(path: &Path, error: ModelError) -> anyhow::Error {
-    match error {
-        ModelError::Description { field, reason, .. } => {
-            anyhow!("skin file {}: field `{field}`: {reason}", path.display())
-        }
-        other => other.into(),
     }
 }
 
