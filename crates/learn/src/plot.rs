@@ -76,9 +76,10 @@ impl Report {
         if !forces.is_empty() {
             pictures.push(scatter(forces)?);
         }
-        let caption = "Left: a line from each true position to its estimate. Right: forces; a perfect estimate lies on the line.";
         if !pictures.is_empty() {
-            self.body.push_str(&figure(&pictures, if pictures.len() == 2 { caption } else { "" }));
+            let caption =
+                "Estimates against the ground truth: positions and normal forces, as far as there are any.";
+            self.body.push_str(&figure(&pictures, caption));
         }
         Ok(())
     }
