@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use crate::evaluation::{split_of, unknowns};
-use crate::{Families, Progress, called, conditioned};
+use crate::{Families, Progress, called};
 
 /// What to compare on what.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -190,7 +190,7 @@ fn answer(
                 // A history with two zeros would hold a step.
                 finders.iter_mut().for_each(|(_, finder)| finder.reset());
             }
-            let frame = conditioned(&read);
+            let frame = read.conditioned();
             let truth = read.truth.as_ref().filter(|_| wanted.contains(&SampleId { run, sample }));
             for ((_, finder), evaluator) in finders.iter_mut().zip(&mut evaluators) {
                 let Some(truth) = truth else {

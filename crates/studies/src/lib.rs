@@ -21,9 +21,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
-use dermis_estimate::ConditionedFrame;
 use dermis_inference::{Runtime, RuntimeConfig};
-use dermis_learn::Sample;
 use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
 use dermis_skin::{Estimator, ModelError, SkinDescription};
@@ -87,18 +85,6 @@ pub fn of_file(path: &Path, error: ModelError) -> anyhow::Error {
             anyhow!("skin file {}: field `{field}`: {reason}", path.display())
         }
         other => other.into(),
-    }
-}
-
-/// A sample of a data set, as finders take it.
-fn conditioned(sample: &Sample) -> ConditionedFrame<'_> {
-    ConditionedFrame {
-        stamp: sample.frame.stamp,
-        reading: &sample.frame.values,
-        signal: &sample.tared,
-        flags: &sample.frame.flags,
-        image: &sample.image,
-        image_signal: &sample.image_tared,
     }
 }
 
