@@ -1,4 +1,5 @@
-//! Ways to one and two contacts, side by side on the same recordings.
+//! Ways to one and two contacts, side by side on the same recordings. The frames that are asked do not follow each other, so each is
+//! taken by itself; a node follows contacts from frame to frame.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
