@@ -148,8 +148,8 @@ pub(crate) struct Pipeline {
     pub(crate) peaks: Option<MapContacts>,
     /// Refines what it says on the skin's forward model.
     pub(crate) inverter: Option<Inverter>,
-    /// \[N\] and the share of the surface where so light a press is not felt, by that model.
-    pub(crate) unfelt: Option<(f64, f64)>,
+    /// \[N\] and the share of the surface where so light a press cannot be detected, by that model.
+    pub(crate) undetectable_fraction: Option<(f64, f64)>,
     /// That model knows how far the surface gives way.
     pub(crate) displaces: bool,
     /// It has been asked before, which may take seconds the first time: whether it has answered.
@@ -185,7 +185,7 @@ impl Pipeline {
             force_range: None,
             peaks: None,
             inverter: None,
-            unfelt: None,
+            undetectable_fraction: None,
             displaces: false,
             answered: None,
             raw: Vec::new(),
@@ -237,8 +237,8 @@ impl Pipeline {
         let mut points = vec![0.0; model.surface().points.len()];
         let displaces = matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true));
         let force = LIGHT * inverter.settings().force_max;
-        let unfelt = Some((force, inverter.unfelt(force, inverter.settings().presence)));
-        Ok(Self { inverter: Some(inverter), unfelt, displaces, ..pipeline })
+        let fraction = Some((force, inverter.undetectable_fraction(force, inverter.settings().presence)));
+        Ok(Self { inverter: Some(inverter), undetectable_fraction: fraction, displaces, ..pipeline })
     }
 
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {

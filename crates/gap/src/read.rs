@@ -199,7 +199,7 @@ fn named_otherwise(
     place: &str,
     recording: &mut Recording,
 ) -> Result<(), GapError> {
-    let Some(reason) = skin.unlike(frame, &sender.layouts) else { return Ok(()) };
+    let Some(reason) = skin.layout_mismatch(frame, &sender.layouts) else { return Ok(()) };
     let Some(layout) = sender.layouts.get(&frame.layout_id) else {
         return Err(GapError::Recording {
             place: place.to_owned(),

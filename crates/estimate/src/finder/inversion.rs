@@ -5,14 +5,14 @@
 //! finder [follows](InversionFinder::following) contacts from frame to frame as a node does. Cost: that of the inverter, a
 //! millisecond or so for one contact, tens of them for all pairs of places; who follows pays for the frames that it passes, too.
 
-use dermis_inversion::{Found, Inverter, InverterError, Reading, Solution, SparseSettings};
+use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Solution, SparseSettings};
 use dermis_model::Indentation;
 use dermis_skin::{Contact, ForceComponents};
 
 use super::{ConditionedFrame, ContactFinder, FindError, readings};
 
 /// What an inverter found, as a contact.
-pub(crate) fn inverted(found: &Found, components: ForceComponents) -> Contact {
+pub(crate) fn inverted(found: &ContactEstimate, components: ForceComponents) -> Contact {
     let mut contact = Contact::at(found.position, found.normal);
     contact.force = found.force;
     contact.force_components = components;
@@ -27,7 +27,7 @@ pub(crate) fn solve(
     inverter: &Inverter,
     readings: &[Reading],
     learned: &[Contact],
-    before: &[Found],
+    before: &[ContactEstimate],
 ) -> Result<Solution, InverterError> {
     if inverter.settings().in_pairs() {
         return match inverter.follow(readings, before)? {
@@ -77,7 +77,7 @@ impl Start {
 #[derive(Debug, Default)]
 struct Followed {
     /// The contacts of the last frame that had any.
-    before: Vec<Found>,
+    before: Vec<ContactEstimate>,
     /// Something touched in the last frame.
     present: bool,
 }
@@ -110,25 +110,29 @@ impl InversionFinder {
     fn watch(&mut self, readings: &[Reading]) {
         let Some(followed) = &mut self.followed else { return };
         let settings = self.inverter.settings();
-        followed.present = settings.shows(self.inverter.evidence(readings), followed.present);
+        followed.present = settings.exceeds_threshold(self.inverter.evidence(readings), followed.present);
         if !followed.present {
             followed.before.clear();
         }
     }
 
     /// The contacts before, where they are followed.
-    fn before(&self) -> &[Found] {
+    fn before(&self) -> &[ContactEstimate] {
         self.followed.as_ref().map_or(&[], |followed| &followed.before)
     }
 
-    fn remember(&mut self, found: &[Found]) {
+    fn remember(&mut self, found: &[ContactEstimate]) {
         if let Some(followed) = &mut self.followed {
             followed.before = found.to_vec();
         }
     }
 
     /// Fits contacts to readings, all together.
-    fn refine(&self, readings: &[Reading], starts: &[Indentation]) -> Result<Vec<Found>, InverterError> {
+    fn refine(
+        &self,
+        readings: &[Reading],
+        starts: &[Indentation],
+    ) -> Result<Vec<ContactEstimate>, InverterError> {
         if starts.is_empty() {
             return Ok(Vec::new());
         }
@@ -256,7 +260,7 @@ mod tests {
         let node = inverter(Search::Pairs);
         let readings: Vec<_> = readings(&second, &WELL).collect();
         let followed = node.follow(&readings, &before).unwrap().unwrap().contacts;
-        let places = |found: &[Found]| found.iter().map(|f| f.position).collect::<Vec<_>>();
+        let places = |found: &[ContactEstimate]| found.iter().map(|f| f.position).collect::<Vec<_>>();
         assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), places(&followed));
         assert_eq!(places(finder.before()), places(&followed));
         // Contacts that ended are not where the next ones begin.
