@@ -43,7 +43,7 @@ pub struct Request {
     pub skin: PathBuf,
     /// How; may be repeated.
     #[arg(long, value_enum, default_value = "all")]
-    pub method: Vec<Way>,
+    pub method: Vec<MethodChoice>,
     /// Elements.
     #[arg(long, default_value_t = Request::default().budget, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub budget: u32,
@@ -87,7 +87,7 @@ impl Default for Request {
     fn default() -> Self {
         Self {
             skin: PathBuf::new(),
-            method: vec![Way::All],
+            method: vec![MethodChoice::All],
             budget: 10,
             force: Vec::new(),
             diameter: 0.01,
@@ -107,7 +107,7 @@ impl Default for Request {
 /// A method, or all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Way {
+pub enum MethodChoice {
     /// Greedy selection by support vector regression.
     GreedySvr,
     /// Pivoted QR of principal components.
@@ -122,7 +122,7 @@ pub enum Way {
     All,
 }
 
-impl Way {
+impl MethodChoice {
     fn methods(self) -> Vec<Method> {
         match self {
             Self::GreedySvr => vec![Method::GreedySvr],

@@ -151,7 +151,7 @@ impl SkinEstimator {
         };
         let settings = inverter.settings();
         let solution = match self.solution.take() {
-            // ContactEstimate when it was asked what the missing channels would read.
+            // Found when it was asked what the missing channels would read.
             Some(solution) => Ok(solution),
             None => solve(inverter, &self.readings, &learned, &self.before),
         };
