@@ -25,6 +25,8 @@ fn room(folder: &str, name: &str) -> Option<Room> {
         // Drawing knows nothing of skins.
         ("crates", "dermis-skin" | "dermis-figures") => room(1, true),
         ("crates", "dermis-model") => room(2, true),
+        // Skins and models of tests: whoever tests on them lies above skin and model, or takes their text only.
+        ("crates", "dermis-fixtures") => room(3, true),
         // What bundles say of it, inference reads.
         ("crates", "dermis-inversion") => room(3, true),
         ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(4, true),

@@ -5,14 +5,15 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use dermis_fixtures::{Analytic, SkinFile};
 use dermis_inference::onnx::GraphBuilder;
 use dermis_inference::{
     Baseline, Bundle, BundleWriter, FeatureConfig, Link, Manifest, OutputConfig, OutputSpec, Runtime,
     RuntimeConfig, Taps, TrainingSection,
 };
 use dermis_inversion::Settings;
-use dermis_model::{ForwardModel, Indentation, Stimulus};
-use dermis_skin::{Estimator, Family, Frame, ModelError, SkinDescription, Surface};
+use dermis_model::{ForwardModel, Indentation};
+use dermis_skin::{Estimator, Family, Frame, ModelError, SkinDescription};
 use nalgebra::Point3;
 
 use crate::{Models, SetupError, SkinEstimator};
@@ -43,7 +44,7 @@ impl Sensor for Pad {
     }
 }
 
-/// A family whose forward model is a [`Membrane`].
+/// A family whose forward model is a [`membrane`].
 pub const STRETCHED: &dyn Sensor = &Stretched;
 
 struct Stretched;
@@ -60,110 +61,44 @@ impl Sensor for Stretched {
     }
 
     fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
-        Ok(Arc::new(Membrane::new(skin)))
+        Ok(Arc::new(membrane(skin)))
     }
 }
 
-/// A soft skin: presses are felt, and push its surface in, as bells about them.
-pub struct Membrane {
-    surface: Surface,
-    elements: Vec<Point3<f64>>,
-    noise: Vec<f64>,
-}
+/// \[m\] standard deviation of a bell.
+const WIDTH: f64 = 0.006;
+/// \[Pa/N\] of a [`membrane`] right above an element.
+pub const GAIN: f64 = 2000.0;
+/// \[m/N\] of a [`membrane`] right under a press.
+pub const COMPLIANCE: f64 = 1e-3;
 
-impl Membrane {
-    /// \[m\] standard deviation of a bell.
-    const WIDTH: f64 = 0.006;
-    /// \[Pa/N\] right above an element.
-    pub const GAIN: f64 = 2000.0;
-    /// \[m/N\] right under a press.
-    pub const GIVES: f64 = 1e-3;
-
-    pub fn new(skin: &SkinDescription) -> Self {
-        Self {
-            surface: skin.surface(),
-            elements: skin.taxels.iter().map(|t| Point3::new(t.position[0], t.position[1], 0.0)).collect(),
-            noise: skin.channel_noise(),
-        }
-    }
-
-    fn bell(stimulus: &Stimulus, at: &Point3<f64>) -> f64 {
-        let of = |c: &Indentation| {
-            -c.force.z * (-(c.position - at).norm_squared() / (2.0 * Self::WIDTH * Self::WIDTH)).exp()
-        };
-        stimulus.contacts.iter().map(of).sum()
-    }
-}
-
-impl ForwardModel for Membrane {
-    fn channels(&self) -> usize {
-        self.elements.len()
-    }
-
-    fn surface(&self) -> &Surface {
-        &self.surface
-    }
-
-    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        for (value, element) in out.iter_mut().zip(&self.elements) {
-            *value = Self::GAIN * Self::bell(stimulus, element);
-        }
-        Ok(())
-    }
-
-    fn noise(&self) -> &[f64] {
-        &self.noise
-    }
-
-    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
-        for (value, point) in out.iter_mut().zip(&self.surface.points) {
-            *value = Self::GIVES * Self::bell(stimulus, point);
-        }
-        Ok(true)
-    }
+/// A soft skin: its elements read presses, and its surface is pushed in, as bells about them.
+pub fn membrane(skin: &SkinDescription) -> Analytic {
+    let bell = |c: &Indentation, at: &Point3<f64>| {
+        -c.force.z * (-(c.position - at).norm_squared() / (2.0 * WIDTH * WIDTH)).exp()
+    };
+    let on_surface = |at: &Point3<f64>| Point3::new(at.x, at.y, 0.0);
+    Analytic::of_skin(skin, move |c, at| GAIN * bell(c, &on_surface(at)))
+        .displaced(move |c, at| COMPLIANCE * bell(c, at))
 }
 
 /// A pad of 3×3 elements, 8 mm apart.
 pub fn nine() -> SkinDescription {
     let at = |i: usize| [i % 3, i / 3].map(|k| (k as f64 - 1.0) * 0.008);
-    let taxels: Vec<String> = (0..9)
-        .map(|i| format!("{{ name = \"t{i}\", position = [{:.3}, {:.3}, -0.005] }}", at(i)[0], at(i)[1]))
-        .collect();
-    skin_with(&format!(
-        "surface = {{ type = \"rectangle\", size = [0.024, 0.024], spacing = 0.002 }}\ntaxels = [{}]",
-        taxels.join(", ")
-    ))
+    SkinFile::four_barometers()
+        .rectangle([0.024, 0.024], 0.002)
+        .taxels((0..9).map(|i| (format!("t{i}"), [at(i)[0], at(i)[1], -0.005])))
+        .read()
 }
 
-/// A 2×2 pad of barometers: 20 Pa of noise, 50 to 110 kPa, 100 Hz. Lines of `extra` replace or add top-level keys.
+/// [`SkinFile::four_barometers`], of which lines of `extra` replace or add top-level keys.
 pub fn skin_with(extra: &str) -> SkinDescription {
-    SkinDescription::from_toml(&skin_text(extra), "pad.toml").unwrap()
+    SkinFile::four_barometers().lines(extra).read()
 }
 
 /// The file of [`skin_with`].
 pub fn skin_text(extra: &str) -> String {
-    let mut keys: Vec<String> = [
-        "schema = \"dermis-skin/1\"",
-        "name = \"pad\"",
-        "sensor = \"pad\"",
-        "frame_id = \"pad_link\"",
-        "unit = \"Pa\"",
-        "rate = 100.0",
-        "noise = 20.0",
-        "range = [50000.0, 110000.0]",
-        "surface = { type = \"rectangle\", size = [0.02, 0.02], spacing = 0.005 }",
-        "taxels = [\
-         { name = \"t0\", position = [-0.005, -0.005, -0.005] }, { name = \"t1\", position = [0.005, -0.005, -0.005] }, \
-         { name = \"t2\", position = [-0.005, 0.005, -0.005] }, { name = \"t3\", position = [0.005, 0.005, -0.005] }]",
-    ]
-    .map(String::from)
-    .to_vec();
-    for line in extra.lines().map(str::trim).filter(|l| !l.is_empty()) {
-        let key = line.split('=').next().unwrap_or_default().trim();
-        keys.retain(|k| k.split('=').next().unwrap_or_default().trim() != key);
-        keys.push(line.to_owned());
-    }
-    keys.join("\n")
+    SkinFile::four_barometers().lines(extra).to_string()
 }
 
 /// Standard normal numbers, the same in every run (xorshift and Box–Muller).

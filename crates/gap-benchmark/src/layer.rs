@@ -295,11 +295,7 @@ impl ReferenceDevice for LayerDevice {
             crate::add_noise(&self.skin.noise, (seed, factor), &mut readings);
         }
         memory::converter(&self.causes, script, channels, &mut readings);
-        for row in readings.chunks_mut(channels) {
-            for (value, range) in row.iter_mut().zip(&self.skin.range) {
-                *value = range.map_or(*value, |[low, high]| value.clamp(low, high));
-            }
-        }
+        memory::limit(&self.skin.range, &mut readings);
         Ok(readings)
     }
 }

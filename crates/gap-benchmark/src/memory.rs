@@ -284,6 +284,15 @@ pub(crate) fn converter(causes: &Causes, script: &Script, channels: usize, readi
     }
 }
 
+/// Holds the readings of each channel within its range, where it has one.
+pub(crate) fn limit(ranges: &[Option<[f64; 2]>], readings: &mut [f64]) {
+    for row in readings.chunks_mut(ranges.len()) {
+        for (value, range) in row.iter_mut().zip(ranges) {
+            *value = range.map_or(*value, |[low, high]| value.clamp(low, high));
+        }
+    }
+}
+
 /// Adds Gaussian noise, `factor` times that of each channel.
 pub(crate) fn add_noise(noise: &[f64], (seed, factor): (u64, f64), readings: &mut [f64]) {
     let mut rng = <rand_chacha::ChaCha8Rng as rand::SeedableRng>::seed_from_u64(seed);

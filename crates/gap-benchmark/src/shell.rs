@@ -275,11 +275,7 @@ impl ReferenceDevice for ShellDevice {
             crate::add_noise(&self.panel.noise, (seed, factor), &mut readings);
         }
         memory::converter(&self.causes, script, channels, &mut readings);
-        for row in readings.chunks_mut(channels) {
-            for (value, range) in row.iter_mut().zip(&self.panel.range) {
-                *value = range.map_or(*value, |[low, high]| value.clamp(low, high));
-            }
-        }
+        memory::limit(&self.panel.range, &mut readings);
         Ok(readings)
     }
 }

@@ -169,18 +169,18 @@ impl Simulator<'_> {
         let all: Box<dyn Iterator<Item = usize>> =
             if whole { Box::new(0..last) } else { Box::new(frames.iter().copied()) };
         for frame in all {
-            let moment = &recording.moments[frame];
-            if run != Some(moment.run) {
+            let label = &recording.labels[frame];
+            if run != Some(label.run) {
                 state = model.start(0);
-                run = Some(moment.run);
+                run = Some(label.run);
             }
-            let Some(stimulus) = &moment.stimulus else {
+            let Some(stimulus) = &label.stimulus else {
                 // Nothing is known of it, and no row asks for it.
                 continue;
             };
             let mut real = stimulus.clone();
-            state.apply_to_stimulus(moment.time, &mut real);
-            state.step(moment.time, &real, &mut read).map_err(|source| GapError::Model {
+            state.apply_to_stimulus(label.time, &mut real);
+            state.step(label.time, &real, &mut read).map_err(|source| GapError::Model {
                 what: format!("{}, frame {frame}", recording.name),
                 source,
             })?;
@@ -252,23 +252,23 @@ fn describe(skin: &SkinDescription, nominal: &SkinDescription) -> String {
 
 #[cfg(test)]
 mod tests {
-    use dermis_model::{DeviceState, Memory, Stepped, Stimulus};
-    use dermis_skin::{ModelError, Surface};
+    use dermis_fixtures::Analytic;
+    use dermis_model::{Memory, Stimulus};
 
     use super::*;
-    use crate::testing::{EFFECTS, Small, gains, presses, skin};
+    use crate::testing::{EFFECTS, gains, presses, skin, small};
 
     fn along(zero: Zero) -> Recording {
         let mut recording = Recording { zero, ..Recording::new("presses", 3) };
-        presses().into_iter().for_each(|moment| recording.push(moment, &[]));
+        presses().into_iter().for_each(|label| recording.push(label, &[]));
         recording
     }
 
     #[test]
     fn a_tared_recording_is_simulated_by_signals() {
         let skin = skin();
-        let plain = |skin: &SkinDescription| Small::make(skin, 0.0);
-        let resting = |skin: &SkinDescription| Small::make(skin, 700.0);
+        let plain = |skin: &SkinDescription| small(skin, 0.0);
+        let resting = |skin: &SkinDescription| small(skin, 700.0);
         let of = |make| Simulator { skin: &skin, effects: EFFECTS, make };
         let (plain, resting) = (of(&plain), of(&resting));
         let frames: Vec<usize> = (0..600).step_by(7).collect();
@@ -295,10 +295,10 @@ mod tests {
         let mut channels = skin.channels().to_vec();
         channels.iter_mut().for_each(|channel| channel.range = Some([0.0, 1000.0]));
         skin.set_channels(channels);
-        let make = |skin: &SkinDescription| Small::make(skin, 990.0);
+        let make = |skin: &SkinDescription| small(skin, 990.0);
         let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
         let recording = along(Zero::Start);
-        let frames: Vec<usize> = (0..recording.moments.len()).collect();
+        let frames: Vec<usize> = (0..recording.labels.len()).collect();
         let read = simulator.readings(&skin, &recording, &frames).unwrap();
         // The first channel rests at 990 of 1000 Pa: no signal is more than 10.
         let most = read.iter().step_by(3).copied().fold(0.0f32, f32::max);
@@ -308,8 +308,6 @@ mod tests {
     }
 
     /// Reads how many frames it has seen.
-    struct Counts(Surface);
-
     struct Count(f64);
 
     impl Memory for Count {
@@ -319,37 +317,13 @@ mod tests {
         }
     }
 
-    impl ForwardModel for Counts {
-        fn channels(&self) -> usize {
-            3
-        }
-
-        fn surface(&self) -> &Surface {
-            &self.0
-        }
-
-        fn response(&self, _: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-            out.fill(0.0);
-            Ok(())
-        }
-
-        fn noise(&self) -> &[f64] {
-            &[5.0; 3]
-        }
-
-        fn remembers(&self) -> bool {
-            true
-        }
-
-        fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
-            Box::new(Stepped::new(self, Count(0.0)))
-        }
-    }
-
     #[test]
     fn a_model_that_remembers_is_stepped_through_every_frame() {
         let skin = skin();
-        let make = |skin: &SkinDescription| Ok(Arc::new(Counts(skin.surface())) as Arc<dyn ForwardModel>);
+        let make = |skin: &SkinDescription| {
+            let model = Analytic::of_skin(skin, |_, _| 0.0).that_remembers(|| Count(0.0));
+            Ok(Arc::new(model) as Arc<dyn ForwardModel>)
+        };
         let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
         let read = simulator.readings(&skin, &along(Zero::AsRead), &[3, 10]).unwrap();
         assert_eq!(read, [4.0, 4.0, 4.0, 11.0, 11.0, 11.0]);

@@ -5,26 +5,19 @@
 use std::path::Path;
 
 use dermis_bag::{BagQos, BagWriter};
+use dermis_fixtures::SkinFile;
 use dermis_gap::{GapError, Phase, Recording};
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3};
 use dermis_msgs::msg::{Indentation, IndentationContact, SkinGeometry, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
 use dermis_skin::{Frame, SkinDescription};
 
-const SKIN: &str = r#"
-schema = "dermis-skin/1"
-name = "pad"
-sensor = "taxels"
-frame_id = "pad_link"
-unit = "Pa"
-rate = 100.0
-noise = 1.0
-surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
-taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", position = [0.005, 0.0, -0.005] }]
-"#;
+fn pad() -> SkinFile {
+    SkinFile::new("pad")
+}
 
 fn skin() -> SkinDescription {
-    SkinDescription::from_toml(SKIN, "pad.toml").unwrap()
+    pad().read()
 }
 
 /// Twenty presses of ten frames; `scale` of the ground truth's lengths, `sign` of its forces.
@@ -79,16 +72,16 @@ fn read(scale: f64, sign: f64) -> Recording {
 #[test]
 fn frames_and_ground_truth_are_joined() {
     let recording = read(1.0, 1.0);
-    assert_eq!((recording.moments.len(), recording.contacts(), recording.channels), (200, 20, 2));
+    assert_eq!((recording.labels.len(), recording.contacts(), recording.channels), (200, 20, 2));
     assert_eq!(recording.sessions, ["first"]);
     assert!(recording.problems.is_empty(), "{:?}", recording.problems);
-    let moment = &recording.moments[33];
-    assert_eq!((moment.press, moment.location, moment.phase), (4, 4, Phase::Hold));
-    assert!((moment.time - 0.33).abs() < 1e-9 && moment.temperature == 294.0);
-    let contact = &moment.stimulus.as_ref().unwrap().contacts[0];
+    let label = &recording.labels[33];
+    assert_eq!((label.press, label.location, label.phase), (4, 4, Phase::Hold));
+    assert!((label.time - 0.33).abs() < 1e-9 && label.temperature == 294.0);
+    let contact = &label.stimulus.as_ref().unwrap().contacts[0];
     assert_eq!((contact.position.x, contact.force.z, contact.diameter()), (0.003, -1.0, 0.004));
     assert_eq!(recording.frame(33), [33.0, -33.0]);
-    assert_eq!(recording.moments[31].phase, Phase::Idle);
+    assert_eq!(recording.labels[31].phase, Phase::Idle);
 }
 
 #[test]
@@ -106,21 +99,20 @@ fn bags_of_other_skins_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("bag");
     bag(&path, &skin(), 1.0, 1.0);
-    let refused = |from: &str, to: &str| {
-        let other = SkinDescription::from_toml(&SKIN.replace(from, to), "other.toml").unwrap();
-        let error = dermis_gap::read(&[&path], &other, None, None).unwrap_err();
+    let refused = |other: SkinFile| {
+        let error = dermis_gap::read(&[&path], &other.read(), None, None).unwrap_err();
         assert!(matches!(error, GapError::Recording { .. }));
         error.to_string().replace(&path.display().to_string(), "BAG")
     };
-    insta::assert_snapshot!(refused("\"pad\"", "\"palm\""), @"BAG: holds no frames of skin `palm`; it has those of `pad` (/taxels); `--skin-instance` names one, `dermis bag info` lists them");
-    insta::assert_snapshot!(refused("\"Pa\"", "\"kPa\""), @r#"BAG: its readings are in "Pa" where skin `pad` is in "kPa""#);
-    insta::assert_snapshot!(refused(", { name = \"b\", position = [0.005, 0.0, -0.005] }", ""), @"BAG: its frames have 2 channels where skin `pad` has 1: pass the description that it was recorded with");
+    insta::assert_snapshot!(refused(pad().set("name", "\"palm\"")), @"BAG: holds no frames of skin `palm`; it has those of `pad` (/taxels); `--skin-instance` names one, `dermis bag info` lists them");
+    insta::assert_snapshot!(refused(pad().set("unit", "\"kPa\"")), @r#"BAG: its readings are in "Pa" where skin `pad` is in "kPa""#);
+    insta::assert_snapshot!(refused(pad().taxels([("a", [-0.005, 0.0, -0.005])])), @"BAG: its frames have 2 channels where skin `pad` has 1: pass the description that it was recorded with");
 }
 
 #[test]
 fn frames_of_other_channels_are_refused() {
     let dir = tempfile::tempdir().unwrap();
-    let other = SkinDescription::from_toml(&SKIN.replace("\"b\"", "\"c\""), "other.toml").unwrap();
+    let other = pad().taxels([("a", [-0.005, 0.0, -0.005]), ("c", [0.005, 0.0, -0.005])]).read();
     let refused = |name: &str, skins: [&SkinDescription; 2]| {
         let path = dir.path().join(name);
         let mut writer = BagWriter::create(&path).unwrap();

@@ -165,21 +165,20 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
-    use crate::testing::{Toy, press, random};
+    use crate::testing::{grid, press, random};
 
     /// Presses all over the toy, whose device has these gains and an error of its own in proportion to the signal; labels
     /// are off by what a stage and a force cell are off by.
     fn recording(gains: &[f64], error: f64) -> Vec<(Stimulus, Vec<f32>)> {
-        let model = Toy::grid(20.0);
+        let model = grid(20.0);
         let mut random = random(7);
         (0..400)
             .map(|_| {
                 let (x, y) = (random.random_range(-0.015..0.015), random.random_range(-0.015..0.015));
                 let force: f64 = random.random_range(0.1..1.5);
                 let stimulus = Stimulus { contacts: vec![press(x, y, force)], ..Stimulus::default() };
-                let mut signal = vec![0.0; 25];
-                model.response(&stimulus, &mut signal).unwrap();
-                let signal = signal
+                let signal = model
+                    .read(&stimulus.contacts)
                     .iter()
                     .zip(gains)
                     .map(|(v, gain)| {
@@ -195,7 +194,7 @@ mod tests {
 
     fn measured(recording: &[(Stimulus, Vec<f32>)]) -> Calibration {
         let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
-        Calibration::measure(&Toy::grid(20.0), Unknowns::Normal, frames).unwrap()
+        Calibration::measure(&grid(20.0), Unknowns::Normal, frames).unwrap()
     }
 
     #[test]
@@ -221,7 +220,7 @@ mod tests {
             signal[3] = f32::NAN;
         }
         let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
-        let error = Calibration::measure(&Toy::grid(20.0), Unknowns::Normal, frames).unwrap_err();
+        let error = Calibration::measure(&grid(20.0), Unknowns::Normal, frames).unwrap_err();
         insta::assert_snapshot!(error, @"channel 3 was never pressed hard enough to measure its gain; press over all of the skin");
     }
 }

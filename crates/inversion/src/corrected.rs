@@ -332,21 +332,22 @@ impl DeviceState for CorrectedState<'_> {
 
 #[cfg(test)]
 mod tests {
+    use dermis_fixtures::Analytic;
     use rand::Rng;
 
     use super::*;
-    use crate::testing::{Toy, press, random};
+    use crate::testing::{grid, press, random, read};
     use crate::{Inverter, Reading, Settings};
 
     /// Readings of a device whose taxels sit up to 0.4 mm elsewhere and are off in gain.
-    fn device(noise: f64) -> Toy {
+    fn device(noise: f64) -> Analytic {
         let mut random = random(5);
-        let mut toy = Toy::grid(noise);
-        toy.change(|at, gain| {
-            at.0 += random.random_range(-4e-4..4e-4);
-            at.1 += random.random_range(-4e-4..4e-4);
-            *gain = random.random_range(0.9..1.1);
-        });
+        let mut toy = grid(noise);
+        for element in &mut toy.elements {
+            element.at.x += random.random_range(-4e-4..4e-4);
+            element.at.y += random.random_range(-4e-4..4e-4);
+            element.gain = random.random_range(0.9..1.1);
+        }
         toy
     }
 
@@ -378,7 +379,7 @@ mod tests {
 
     #[test]
     fn presses_correct_a_model() {
-        let (model, device) = (Arc::new(Toy::grid(1e-3)), device(1e-3));
+        let (model, device) = (Arc::new(grid(1e-3)), device(1e-3));
         let mut random = random(2);
         let mut at = |from: f64| random.random_range(-from..from);
         let contacts: Vec<Indentation> =
@@ -387,7 +388,7 @@ mod tests {
         let signals: Vec<Vec<f32>> = contacts
             .iter()
             .map(|c| {
-                let read = device.read(std::slice::from_ref(c), &mut noise);
+                let read = read(&device, std::slice::from_ref(c), &mut noise);
                 read.iter().map(|r| if let Reading::Exact(v) = r { *v as f32 } else { f32::NAN }).collect()
             })
             .collect();
@@ -409,7 +410,7 @@ mod tests {
         let error = |model: Arc<dyn ForwardModel>| -> f64 {
             let inverter = Inverter::new(model, settings.clone()).unwrap();
             let truth = [press(0.007, 0.005, 1.0), press(-0.008, -0.006, 0.8)];
-            let readings = device.read(&truth, &mut crate::testing::random(9));
+            let readings = read(&device, &truth, &mut crate::testing::random(9));
             let found = inverter.solve(&readings, None).unwrap().contacts;
             truth
                 .iter()
@@ -422,7 +423,7 @@ mod tests {
 
     #[test]
     fn a_correction_of_another_skin_is_refused() {
-        let model = Arc::new(Toy::grid(1e-3));
+        let model = Arc::new(grid(1e-3));
         let mut correction =
             Correction::fit(model.as_ref(), &[], &[1.0; 25], &CorrectionSettings::default()).unwrap();
         assert!(Corrected::new(model.clone(), correction.clone()).is_ok());
@@ -437,7 +438,7 @@ mod tests {
         let signals: Vec<Vec<f32>> = vec![vec![0.1; 25]; 2];
         let presses: Vec<Press<'_>> = presses.iter().zip(signals.iter().map(Vec::as_slice)).collect();
         let settings = CorrectionSettings { length: 0.004, powers: 1, ..CorrectionSettings::default() };
-        let good = Correction::fit(&Toy::grid(1e-3), &presses, &[1.0; 25], &settings).unwrap();
+        let good = Correction::fit(&grid(1e-3), &presses, &[1.0; 25], &settings).unwrap();
         assert!(good.check(25).is_ok());
         let refused = |change: fn(&mut Correction)| {
             let mut bad = good.clone();

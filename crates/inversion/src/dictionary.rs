@@ -128,3 +128,40 @@ fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Place> {
     }
     places
 }
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::SurfaceSpec;
+
+    use super::*;
+
+    /// Two rows of nine points 1 mm apart, each with an area of its own.
+    fn uneven() -> Surface {
+        let spec = SurfaceSpec::Rectangle { size: [0.008, 0.001], spacing: 0.001 };
+        let mut surface = Surface::from_spec(&spec);
+        surface.areas.iter_mut().enumerate().for_each(|(i, area)| *area = (i + 1) as f64 * 1e-6);
+        surface
+    }
+
+    #[test]
+    fn a_place_stands_for_the_area_of_the_points_nearest_to_it() {
+        let surface = uneven();
+        assert_eq!(surface.points.len(), 18);
+        // Every point is a place.
+        let all = thin(&surface, None, 0.0005);
+        assert_eq!(all.iter().map(|p| p.area).collect::<Vec<_>>(), surface.areas);
+        // On the line both rows fall together, and places lie three points apart; no point is as near to one place as to another.
+        let places = thin(&surface, Some(0.0), 0.0025);
+        assert_eq!(places.len(), 3);
+        let at = |x: f64| Point3::new(x, 0.0, 0.0);
+        for (number, place) in places.iter().enumerate() {
+            let nearest = |p: &Point3<f64>| {
+                let far = |k: &usize| (places[*k].position - at(p.x)).norm();
+                (0..3).min_by(|a, b| far(a).total_cmp(&far(b))) == Some(number)
+            };
+            let points = surface.points.iter().zip(&surface.areas);
+            let area: f64 = points.filter(|(p, _)| nearest(p)).map(|(_, area)| area).sum();
+            approx::assert_relative_eq!(place.area, area, max_relative = 1e-12);
+        }
+    }
+}

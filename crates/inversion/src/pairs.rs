@@ -117,10 +117,10 @@ fn press(position: Point3<f64>, normal: Vector3<f64>, force: f64, diameter: f64)
 
 #[cfg(test)]
 mod tests {
-    use dermis_model::{ForwardModel, Stimulus};
+    use dermis_model::ForwardModel;
 
     use super::*;
-    use crate::testing::Toy;
+    use crate::testing::{grid, press};
 
     const DIAMETER: f64 = 0.004;
     const FORCE_MAX: f64 = 3.0;
@@ -128,14 +128,12 @@ mod tests {
 
     /// The best pairs for what presses of these forces \[N\] at two places read together, as if a force could pull.
     fn best(forces: [f64; 2]) -> Vec<[Indentation; 2]> {
-        let toy = Toy::grid(1.0);
+        let toy = grid(1.0);
         let gains = vec![1.0; toy.channels()];
         let dictionary = Dictionary::new(&toy, (None, None), 0.002, DIAMETER, FORCE_MAX, &gains).unwrap();
         let mut sum = vec![0.0; toy.channels()];
         for (x, force) in [-0.008, 0.008].into_iter().zip(forces) {
-            let mut out = vec![0.0; toy.channels()];
-            let contact = crate::testing::press(x, 0.0, force.abs());
-            toy.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out).unwrap();
+            let out = toy.read(&[press(x, 0.0, force.abs())]);
             sum.iter_mut().zip(&out).for_each(|(s, o)| *s += force.signum() * o);
         }
         let data: Vec<Datum> = sum.into_iter().map(|v| Datum::Exact(v, 1.0)).collect();

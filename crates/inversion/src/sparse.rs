@@ -141,13 +141,13 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use dermis_model::{ForwardModel, Stimulus};
+    use dermis_fixtures::Analytic;
 
-    use crate::testing::{Stiffening, Toy, press, random};
+    use crate::testing::{grid, press, random, read, stiffening_grid};
     use crate::{Inverter, Settings};
 
-    fn inverter(noise: f64) -> (Inverter, Arc<Toy>) {
-        let model = Arc::new(Toy::grid(noise));
+    fn inverter(noise: f64) -> (Inverter, Arc<Analytic>) {
+        let model = Arc::new(grid(noise));
         let mut settings = Settings::new(0.004, 2.0);
         settings.contacts = 4;
         (Inverter::new(Arc::clone(&model) as _, settings).unwrap(), model)
@@ -157,7 +157,7 @@ mod tests {
     fn contacts_that_stand_apart_are_recovered() {
         let (inverter, model) = inverter(1e-3);
         let truth = [press(0.008, 0.006, 1.0), press(-0.009, -0.004, 0.6)];
-        let readings = model.read(&truth, &mut random(1));
+        let readings = read(&model, &truth, &mut random(1));
         let settings = SparseSettings { radius: 0.006, ..SparseSettings::default() };
         let found = inverter.sparse(&readings, &settings).unwrap();
         assert_eq!(found.len(), 2, "{found:?}");
@@ -174,14 +174,12 @@ mod tests {
 
     #[test]
     fn where_signals_do_not_add_up_the_answer_is_refined_on_the_model() {
-        let model = Arc::new(Stiffening(Toy::grid(1e-3)));
+        let model = Arc::new(stiffening_grid(1e-3));
         let mut settings = Settings::new(0.004, 2.0);
         settings.contacts = 4;
         let inverter = Inverter::new(Arc::clone(&model) as _, settings).unwrap();
         let truth = [press(0.008, 0.006, 1.0), press(-0.009, -0.004, 0.6)];
-        let mut read = vec![0.0; 25];
-        model.response(&Stimulus { contacts: truth.to_vec(), ..Stimulus::default() }, &mut read).unwrap();
-        let readings: Vec<Reading> = read.into_iter().map(Reading::Exact).collect();
+        let readings: Vec<Reading> = model.read(&truth).into_iter().map(Reading::Exact).collect();
         let settings = SparseSettings { radius: 0.006, ..SparseSettings::default() };
         let found = inverter.sparse(&readings, &settings).unwrap();
         assert_eq!(found.len(), 2, "{found:?}");

@@ -116,42 +116,25 @@ pub(crate) fn stimulus(truth: &Truth) -> Option<Stimulus> {
 
 #[cfg(test)]
 mod tests {
-    use dermis_skin::{ModelError, Surface};
+    use dermis_fixtures::Analytic;
 
     use super::*;
     use crate::FORCE_BINS;
     use crate::dataset::tests::presses;
 
     /// Both channels of the made-up skin: one tells x by the force, the other the force.
-    struct Made(Surface);
-
-    impl ForwardModel for Made {
-        fn channels(&self) -> usize {
-            2
-        }
-
-        fn surface(&self) -> &Surface {
-            &self.0
-        }
-
-        fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-            out.fill(0.0);
-            for c in &stimulus.contacts {
-                out[0] += c.position.x * 1e4;
-                out[1] += -c.force.z * 20.0;
-            }
-            Ok(())
-        }
-
-        fn noise(&self) -> &[f64] {
-            &[0.5, 0.5]
-        }
+    fn made(skin: &dermis_skin::SkinDescription) -> Analytic {
+        let places = skin.taxels.iter().map(dermis_skin::Taxel::point);
+        Analytic::of_contacts(skin.surface(), places, 0.5, |c, _, out| {
+            out[0] += c.position.x * 1e4;
+            out[1] += -c.force.z * 20.0;
+        })
     }
 
     #[test]
     fn every_touched_sample_counts_in_its_bin() {
         let data = presses(10, 2);
-        let model = Made(data.skin().surface());
+        let model = made(data.skin());
         let bounds = bounds(&model, &data, None, Unknowns::Normal, &FORCE_BINS).unwrap().unwrap();
         assert_eq!(bounds.samples, 40);
         assert_eq!(bounds.normal_force.iter().map(|b| b.samples).sum::<usize>(), 40);

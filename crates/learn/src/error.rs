@@ -108,6 +108,12 @@ pub enum LearnError {
         /// What the estimator said.
         source: EstimateError,
     },
+    /// A model that does not fit the skin.
+    #[error(transparent)]
+    Setup(Box<dermis_estimate::SetupError>),
+    /// A model has no answer to a frame.
+    #[error(transparent)]
+    Find(#[from] dermis_estimate::FindError),
     /// A file cannot be read or written.
     #[error("{path} cannot be {action}: {source}")]
     Io {

@@ -241,7 +241,7 @@ fn shares(surface: &Surface, at: &Point3<f64>, radius: f64) -> Vec<(usize, f64)>
 
 #[cfg(test)]
 mod tests {
-    use dermis_skin::ModelError;
+    use dermis_fixtures::Analytic;
 
     use super::*;
     use crate::dataset::tests::{contact, skin};
@@ -259,39 +259,15 @@ mod tests {
     }
 
     /// Gives way in proportion to the force, at the nearest point only.
-    struct Soft(Surface);
-
-    impl ForwardModel for Soft {
-        fn channels(&self) -> usize {
-            2
-        }
-
-        fn surface(&self) -> &Surface {
-            &self.0
-        }
-
-        fn response(&self, _: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-            out.fill(0.0);
-            Ok(())
-        }
-
-        fn noise(&self) -> &[f64] {
-            &[1.0, 1.0]
-        }
-
-        fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+    fn soft(skin: &SkinDescription) -> Analytic {
+        Analytic::of_skin(skin, |_, _| 0.0).on_spring(25e3, 1.0).displaced_by(|surface, stimulus, out| {
             out.fill(0.0);
             for contact in &stimulus.contacts {
-                for (i, share) in shares(&self.0, &contact.position, 0.0) {
+                for (i, share) in shares(surface, &contact.position, 0.0) {
                     out[i] -= 1e-3 * share * contact.force.z;
                 }
             }
-            Ok(true)
-        }
-
-        fn depth_at(&self, _: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-            Some(force * 0.01 * diameter)
-        }
+        })
     }
 
     #[test]
@@ -328,7 +304,7 @@ mod tests {
     #[test]
     fn a_patch_grows_with_the_depth_and_the_nearest_point_stands_in_for_a_small_one() {
         let skin = fine();
-        let model: Arc<dyn ForwardModel> = Arc::new(Soft(skin.surface()));
+        let model: Arc<dyn ForwardModel> = Arc::new(soft(&skin));
         let mut maps = Maps::new(&skin, Some(model), &MapTarget::ALL).unwrap();
         let mut touched = |newtons: f64| {
             let mut map = Vec::new();
@@ -344,7 +320,7 @@ mod tests {
     #[test]
     fn displacements_are_those_of_the_model_and_unknown_forces_make_no_map() {
         let skin = skin();
-        let model: Arc<dyn ForwardModel> = Arc::new(Soft(skin.surface()));
+        let model: Arc<dyn ForwardModel> = Arc::new(soft(&skin));
         let mut maps = Maps::new(&skin, Some(model), &[MapTarget::Displacement]).unwrap();
         let mut map = Vec::new();
         maps.append(MapTarget::Displacement, &truth(vec![contact(0.0, 0.0, 3.0)]), &mut map).unwrap();

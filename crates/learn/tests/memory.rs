@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use dermis_bag::BagWriter;
+use dermis_fixtures::SkinFile;
 use dermis_inference::{Baseline, FeatureConfig};
 use dermis_learn::{Dataset, DatasetOptions};
 use dermis_msgs::builtin_interfaces::msg::Time;
@@ -46,16 +47,14 @@ const BEGIN: i64 = 1_700_000_000_000_000_000;
 const LABELLED: usize = 60;
 
 fn skin() -> SkinDescription {
-    let taxels: Vec<String> = (0..CHANNELS)
-        .map(|i| format!("{{ name = \"t{i}\", position = [{}, 0.0, -0.005] }}", i as f64 * 1e-4))
-        .collect();
-    let text = format!(
-        "schema = \"dermis-skin/1\"\nname = \"wide\"\nsensor = \"taxels\"\nframe_id = \"wide_link\"\nunit = \"Pa\"\n\
-         rate = 100.0\nnoise = 1.0\nsurface = {{ type = \"rectangle\", size = [0.02, 0.02], spacing = 0.005 }}\n\
-         taxels = [{}]\n[condition]\ntare_duration = 0.03\n",
-        taxels.join(", ")
-    );
-    SkinDescription::from_toml(&text, "wide.toml").unwrap()
+    SkinFile::new("wide")
+        .taxels((0..CHANNELS).map(|i| (format!("t{i}"), [i as f64 * 1e-4, 0.0, -0.005])))
+        .tables(
+            "[condition]
+tare_duration = 0.03
+",
+        )
+        .read()
 }
 
 fn bag(dir: &Path, skin: &SkinDescription, frames: usize) -> PathBuf {

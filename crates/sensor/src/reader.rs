@@ -160,37 +160,12 @@ impl Decoder for FrameReader {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use dermis_fixtures::SkinFile;
     use dermis_transport::framing::{NativeEncoder, NativeFormat};
 
-    /// A 2×2 pad of barometers: 20 Pa of noise, 50 to 110 kPa, 100 Hz. Lines of `extra` replace or add top-level keys.
+    /// [`SkinFile::four_barometers`], of which lines of `extra` replace or add top-level keys.
     fn skin_with(extra: &str) -> SkinDescription {
-        SkinDescription::from_toml(&skin_text(extra), "pad.toml").unwrap()
-    }
-
-    /// The file of [`skin_with`].
-    fn skin_text(extra: &str) -> String {
-        let mut keys: Vec<String> = [
-            "schema = \"dermis-skin/1\"",
-            "name = \"pad\"",
-            "sensor = \"pad\"",
-            "frame_id = \"pad_link\"",
-            "unit = \"Pa\"",
-            "rate = 100.0",
-            "noise = 20.0",
-            "range = [50000.0, 110000.0]",
-            "surface = { type = \"rectangle\", size = [0.02, 0.02], spacing = 0.005 }",
-            "taxels = [\
-             { name = \"t0\", position = [-0.005, -0.005, -0.005] }, { name = \"t1\", position = [0.005, -0.005, -0.005] }, \
-             { name = \"t2\", position = [-0.005, 0.005, -0.005] }, { name = \"t3\", position = [0.005, 0.005, -0.005] }]",
-        ]
-        .map(String::from)
-        .to_vec();
-        for line in extra.lines().map(str::trim).filter(|l| !l.is_empty()) {
-            let key = line.split('=').next().unwrap_or_default().trim();
-            keys.retain(|k| k.split('=').next().unwrap_or_default().trim() != key);
-            keys.push(line.to_owned());
-        }
-        keys.join("\n")
+        SkinFile::four_barometers().lines(extra).read()
     }
 
     #[test]

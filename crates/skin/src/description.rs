@@ -304,18 +304,7 @@ fn position(text: &str, span: Option<std::ops::Range<usize>>) -> String {
 mod tests {
     use super::parts::up;
     use super::*;
-
-    const PAD: &str = r#"
-schema = "dermis-skin/1"
-name = "pad"
-sensor = "taxels"
-frame_id = "pad_link"
-unit = "Pa"
-rate = 100.0
-noise = 20.0
-surface = { type = "rectangle", size = [0.02, 0.01], spacing = 0.005 }
-taxels = [{ name = "t0", position = [0.0, 0.0, -0.005] }, { name = "t1", position = [0.005, 0.0, -0.005] }]
-"#;
+    use crate::testing::PAD;
 
     fn refused(from: &str, to: &str) -> String {
         assert!(PAD.contains(from));

@@ -53,6 +53,8 @@ mod mesh;
 mod panel;
 mod phase;
 mod surface;
+#[cfg(test)]
+mod testing;
 mod traits;
 mod zero;
 

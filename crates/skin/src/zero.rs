@@ -360,23 +360,10 @@ fn seconds(from: Stamp, to: Stamp) -> f64 {
 mod tests {
     use super::*;
     use crate::ChannelFlags;
+    use crate::testing::PAD;
 
     fn skin() -> SkinDescription {
-        SkinDescription::from_toml(
-            r#"
-            schema = "dermis-skin/1"
-            name = "pad"
-            sensor = "taxels"
-            frame_id = "pad_link"
-            unit = "Pa"
-            rate = 100.0
-            noise = 2.0
-            surface = { type = "rectangle", size = [0.02, 0.01], spacing = 0.005 }
-            taxels = [{ name = "a", position = [0.0, 0.0, -0.005] }, { name = "b", position = [0.005, 0.0, -0.005] }]
-            "#,
-            "pad.toml",
-        )
-        .unwrap()
+        SkinDescription::from_toml(&PAD.replace("noise = 20.0", "noise = 2.0"), "pad.toml").unwrap()
     }
 
     fn at(k: u64, values: [f32; 2]) -> Frame {

@@ -322,7 +322,7 @@ fn surface_study(
     (maps, known_boxes): (&[SurfaceBound], &[Vec<BandBox>]),
 ) -> Result<SurfaceStudy> {
     let forces = force_ladder(source.force_max(), 30);
-    let spacing = (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt();
+    let spacing = crate::placement::point_spacing(surface);
     let responses: Responses =
         source.responses(surface, &surface.points, &forces, options.diameter, 1.5 * spacing)?;
     let minimum_force: Vec<Option<f64>> =

@@ -22,7 +22,7 @@ use serde_json::json;
 
 use crate::{Families, Progress};
 
-pub use beside::Beside;
+pub use beside::BaselineComparison;
 
 /// \[m\] of width below which presses lie on a line.
 const LINE: f64 = 1e-3;
@@ -109,7 +109,7 @@ pub struct Findings {
     /// What any estimator without bias could reach on the same contacts.
     pub bound: Option<Bounds>,
     /// What other ways make of the same frames.
-    pub others: Vec<Beside>,
+    pub others: Vec<BaselineComparison>,
     /// Which requirements are met.
     pub verdicts: Verdicts,
 }

@@ -21,9 +21,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Result;
-use dermis_estimate::ConditionedFrame;
 use dermis_inference::{Runtime, RuntimeConfig};
-use dermis_learn::Sample;
 use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
 use dermis_skin::{Estimator, SkinDescription};
@@ -76,18 +74,6 @@ impl Families {
     pub fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>> {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         Ok(dermis_estimate::estimator(self.of(skin)?, skin, bundles, &[], runtime)?)
-    }
-}
-
-/// A sample of a data set, as finders take it.
-fn conditioned(sample: &Sample) -> ConditionedFrame<'_> {
-    ConditionedFrame {
-        stamp: sample.frame.stamp,
-        reading: &sample.frame.values,
-        signal: &sample.tared,
-        flags: &sample.frame.flags,
-        image: &sample.image,
-        image_signal: &sample.image_tared,
     }
 }
 

@@ -43,7 +43,7 @@ pub struct Request {
     pub skin: PathBuf,
     /// How; may be repeated.
     #[arg(long, value_enum, default_value = "all")]
-    pub method: Vec<Way>,
+    pub method: Vec<MethodChoice>,
     /// Elements.
     #[arg(long, default_value_t = Request::default().budget, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub budget: u32,
@@ -87,7 +87,7 @@ impl Default for Request {
     fn default() -> Self {
         Self {
             skin: PathBuf::new(),
-            method: vec![Way::All],
+            method: vec![MethodChoice::All],
             budget: 10,
             force: Vec::new(),
             diameter: 0.01,
@@ -107,7 +107,7 @@ impl Default for Request {
 /// A method, or all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Way {
+pub enum MethodChoice {
     /// Greedy selection by support vector regression.
     GreedySvr,
     /// Pivoted QR of principal components.
@@ -122,7 +122,7 @@ pub enum Way {
     All,
 }
 
-impl Way {
+impl MethodChoice {
     fn methods(self) -> Vec<Method> {
         match self {
             Self::GreedySvr => vec![Method::GreedySvr],
@@ -276,10 +276,9 @@ pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Resu
     let surface = skin.surface();
     let proposed = families.of(&skin)?.candidates(&skin)?;
     let held = candidates::held(&skin.surface, &surface);
-    let spacing = (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt();
     let rule = Feasibility {
         neighbours: options.neighbours,
-        edge: options.edge.unwrap_or(EDGE * spacing),
+        edge: options.edge.unwrap_or(EDGE * point_spacing(&surface)),
         held,
         margin: options.margin,
     };
@@ -424,6 +423,11 @@ fn choose(
     Ok(())
 }
 
+/// \[m\] between neighbouring points of a surface, as if each had the same square of its area to itself.
+pub(crate) fn point_spacing(surface: &Surface) -> f64 {
+    (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt()
+}
+
 /// Places to press: points of the surface away from its supports, as many as are asked for.
 fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Place> {
     let verdicts = feasible(surface, &surface.points, rule);
@@ -492,3 +496,6 @@ pub fn rim(skin: &SkinDescription, surface: &Surface, points: &[Point3<f64>]) ->
     let away = flat.iter().map(|p| (p.0 - first.0).min(last.0 - p.0).min(p.1 - first.1).min(last.1 - p.1));
     away.sum::<f64>() / points.len().max(1) as f64 * 1e-3
 }
+
+#[cfg(test)]
+mod tests;

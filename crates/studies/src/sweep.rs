@@ -302,3 +302,41 @@ fn elasticity(variants: &[Variant]) -> Elasticity {
         factor: of(|f| f.factor),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use dermis_fixtures::{Analytic, SkinFile};
+
+    use super::*;
+
+    #[test]
+    fn points_of_a_skin_count_with_their_area() {
+        let skin = SkinFile::four_barometers().rectangle([0.02, 0.02], 0.0025).read();
+        let mut model = Analytic::of_skin(&skin, |c, taxel| {
+            -2000.0 * c.force.z * (-(c.position - taxel).xy().norm_squared() / 7.2e-5).exp()
+        });
+        // One half reads less, and is three quarters of the skin.
+        model.elements.iter_mut().filter(|e| e.at.x > 0.0).for_each(|e| e.gain = 0.3);
+        for (point, area) in model.surface.points.iter().zip(&mut model.surface.areas) {
+            *area *= if point.x > 0.0 { 3.0 } else { 1.0 };
+        }
+        let request = Request { force: 0.5, diameter: 0.004, line: false, ..Request::default() };
+        let found = figures(&skin, &model, &request).unwrap();
+        let map = over_surface(&model, 0.5, 0.004, Unknowns::Normal).unwrap();
+        let all: f64 = model.surface.areas.iter().sum();
+        let of = |areas: &dyn Fn(usize) -> f64| {
+            let rms = |k: usize| {
+                let (mut sum, mut weights) = (0.0, 0.0);
+                for (i, bound) in map.bounds.iter().enumerate() {
+                    sum += areas(i) * bound.along[k].powi(2);
+                    weights += areas(i);
+                }
+                (sum / weights).sqrt()
+            };
+            all / (4.0 * std::f64::consts::PI * rms(0) * rms(1))
+        };
+        let weighed = of(&|i| model.surface.areas[i]);
+        approx::assert_relative_eq!(found.factor, weighed, max_relative = 1e-9);
+        assert!((weighed / of(&|_| 1.0) - 1.0).abs() > 0.02, "the areas make no difference: {weighed}");
+    }
+}

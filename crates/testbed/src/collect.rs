@@ -18,7 +18,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::{Moment, Plan, Sampler, TestbedError, Timeline};
+use crate::{GroundTruth, Plan, Sampler, TestbedError, Timeline};
 use resume::Begun;
 
 /// How a plan is carried out and labelled.
@@ -258,7 +258,7 @@ impl Truth {
         }
     }
 
-    fn blur(&mut self, moment: &mut Moment, surface: &Surface) {
+    fn blur(&mut self, moment: &mut GroundTruth, surface: &Surface) {
         if self.press != Some(moment.press) {
             self.press = Some(moment.press);
             self.offset =
@@ -281,7 +281,9 @@ impl Truth {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{self, Bumps};
+    use dermis_fixtures::Analytic;
+
+    use crate::testing::{self, bumps, shared_bumps};
     use dermis_bag::BagReader;
     use dermis_model::{DeviceState, ForwardModel, Stepped, Stimulus, Wrapper};
     use dermis_skin::{ChannelFlags, ModelError};
@@ -303,7 +305,7 @@ mod tests {
     fn a_bag_holds_what_the_model_reads_and_what_was_done() {
         let dir = tempfile::tempdir().unwrap();
         let skin = testing::skin(200.0);
-        let model = Bumps::shared(&skin);
+        let model = shared_bumps(&skin);
         let bag = dir.path().join("bag");
         let report = collect(&model, &skin, &testing::plan(), &bag, &options()).unwrap();
         assert!(!report.interrupted);
@@ -369,7 +371,7 @@ mod tests {
     #[test]
     fn a_reading_beyond_the_range_is_cut_and_flagged() {
         let skin = testing::skin(100.0);
-        let model = Bumps::shared(&skin);
+        let model = shared_bumps(&skin);
         let mut sampler = Sampler::new(model.as_ref(), &skin, 1).unwrap();
         let contact = dermis_model::Indentation::sphere(
             nalgebra::Point3::origin(),
@@ -385,7 +387,7 @@ mod tests {
 
     /// Raises the stop flag in the middle of its work, as a signal handler does.
     struct Interrupted {
-        inner: Bumps,
+        inner: Analytic,
         left: std::sync::atomic::AtomicI64,
         stop: Arc<AtomicBool>,
     }
@@ -414,11 +416,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let skin = testing::skin(200.0);
         let options = options();
-        let model: Arc<dyn ForwardModel> = Arc::new(Interrupted {
-            inner: Bumps::new(&skin),
-            left: 300.into(),
-            stop: Arc::clone(&options.stop),
-        });
+        let model: Arc<dyn ForwardModel> =
+            Arc::new(Interrupted { inner: bumps(&skin), left: 300.into(), stop: Arc::clone(&options.stop) });
         let bag = dir.path().join("bag");
         let report = collect(&model, &skin, &testing::plan(), &bag, &options).unwrap();
         assert!(report.interrupted);
@@ -439,7 +438,7 @@ mod tests {
         let skin = testing::skin(200.0);
         let (whole, bag) = (dir.path().join("whole"), dir.path().join("bag"));
         let plan = testing::plan();
-        let model = Bumps::shared(&skin);
+        let model = shared_bumps(&skin);
         let all = collect(&model, &skin, &plan, &whole, &options()).unwrap();
 
         // Stopped twice, the second time while it goes through what is there already; then again a little further.
@@ -447,7 +446,7 @@ mod tests {
         for left in [300, 100, 700] {
             let options = CollectOptions { resume: true, ..options() };
             let stopping: Arc<dyn ForwardModel> = Arc::new(Interrupted {
-                inner: Bumps::new(&skin),
+                inner: bumps(&skin),
                 left: left.into(),
                 stop: Arc::clone(&options.stop),
             });
@@ -474,7 +473,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let skin = testing::skin(200.0);
         let (whole, bag) = (dir.path().join("whole"), dir.path().join("bag"));
-        let model = Bumps::shared(&skin);
+        let model = shared_bumps(&skin);
         collect(&model, &skin, &testing::plan(), &whole, &options()).unwrap();
         let file = std::fs::read(whole.join("whole_0.mcap")).unwrap();
         // As what is left after power was lost: with and without what an earlier attempt to go on had set aside.
@@ -500,7 +499,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let skin = testing::skin(200.0);
         let (whole, bag) = (dir.path().join("whole"), dir.path().join("bag"));
-        let model = Bumps::shared(&skin);
+        let model = shared_bumps(&skin);
         collect(&model, &skin, &testing::plan(), &whole, &options()).unwrap();
         let file = std::fs::read(whole.join("whole_0.mcap")).unwrap();
         std::fs::create_dir(&bag).unwrap();
@@ -524,9 +523,9 @@ mod tests {
     fn a_model_without_an_answer_ends_the_collection_with_a_whole_bag() {
         let dir = tempfile::tempdir().unwrap();
         let skin = testing::skin(200.0);
-        let mut bumps = Bumps::new(&skin);
-        bumps.limit = 0.3;
-        let model: Arc<dyn ForwardModel> = Arc::new(bumps);
+        let mut model = bumps(&skin);
+        model.limit = 0.3;
+        let model: Arc<dyn ForwardModel> = Arc::new(model);
         let bag = dir.path().join("bag");
         let error = collect(&model, &skin, &testing::plan(), &bag, &options()).unwrap_err().to_string();
         assert!(error.starts_with("press ") && error.ends_with("N are too much"), "{error}");
@@ -537,9 +536,10 @@ mod tests {
     fn a_model_of_another_skin_is_refused() {
         let dir = tempfile::tempdir().unwrap();
         let skin = testing::skin(200.0);
-        let mut bumps = Bumps::new(&skin);
-        bumps.drop_channel();
-        let model: Arc<dyn ForwardModel> = Arc::new(bumps);
+        let mut model = bumps(&skin);
+        model.elements.pop();
+        model.noise.pop();
+        let model: Arc<dyn ForwardModel> = Arc::new(model);
         let error = collect(&model, &skin, &testing::plan(), dir.path().join("bag"), &options()).unwrap_err();
         insta::assert_snapshot!(error, @"the model has 2 channels where skin `pad` has 3: they describe different skins");
     }

@@ -2,112 +2,45 @@
 
 use std::sync::Arc;
 
-use dermis_model::{DeviceState, ForwardModel, Indentation, Memory, Stepped, Stimulus};
-use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
-use nalgebra::Point3;
+use dermis_fixtures::{Analytic, SkinFile};
+use dermis_model::{ForwardModel, Indentation, Memory, Stimulus};
+use dermis_skin::{SkinDescription, Surface, SurfaceSpec};
 
 /// Three channels on a pad of 30 mm by 20 mm.
 pub(crate) fn skin(rate: f64) -> SkinDescription {
-    let text = format!(
-        r#"
-        schema = "dermis-skin/1"
-        name = "pad"
-        sensor = "bumps"
-        kind = "simulated"
-        frame_id = "pad_link"
-        unit = "Pa"
-        rate = {rate:?}
-        noise = 2.0
-        range = [-1000.0, 900.0]
-        surface = {{ type = "rectangle", size = [0.03, 0.02], spacing = 0.001 }}
-        taxels = [
-            {{ name = "left", position = [-0.01, 0.0, -0.005] }},
-            {{ name = "middle", position = [0.0, 0.0, -0.005] }},
-            {{ name = "right", position = [0.01, 0.0, -0.005] }},
-        ]
-        "#
-    );
-    SkinDescription::from_toml(&text, "pad.toml").unwrap()
+    SkinFile::new("pad")
+        .set("sensor", "\"bumps\"")
+        .set("kind", "\"simulated\"")
+        .set("rate", format!("{rate:?}"))
+        .set("noise", "2.0")
+        .set("range", "[-1000.0, 900.0]")
+        .rectangle([0.03, 0.02], 0.001)
+        .taxels([
+            ("left", [-0.01, 0.0, -0.005]),
+            ("middle", [0.0, 0.0, -0.005]),
+            ("right", [0.01, 0.0, -0.005]),
+        ])
+        .read()
 }
 
-/// Reads 1 kPa per newton straight above a channel, less further away.
-pub(crate) struct Bumps {
-    surface: Surface,
-    noise: Vec<f64>,
-    centres: Vec<Point3<f64>>,
-    /// Contacts with more force than this are an error.
-    pub(crate) limit: f64,
-    /// Whether it knows how deep tips sink in.
-    pub(crate) deep: bool,
+/// Reads 1 kPa per newton straight above a channel, less further away. Tips sink into a spring of 500 N/m that is 5 mm long, and
+/// drag what moves.
+pub(crate) fn bumps(skin: &SkinDescription) -> Analytic {
+    Analytic::of_skin(skin, |contact, centre| {
+        let offset = contact.position - centre;
+        1000.0 * contact.force.norm() * (-(offset.x.powi(2) + offset.y.powi(2)) / 5e-5).exp()
+    })
+    .on_spring(500.0, 0.005)
+    .with_memory(Dragged::default)
 }
 
-impl Bumps {
-    pub(crate) fn new(skin: &SkinDescription) -> Self {
-        let centres = skin.taxels.iter().map(dermis_skin::Taxel::point).collect();
-        Self {
-            surface: skin.surface(),
-            noise: skin.channel_noise(),
-            centres,
-            limit: f64::INFINITY,
-            deep: true,
-        }
-    }
-
-    /// On another surface.
-    pub(crate) fn on(surface: &SurfaceSpec) -> Arc<dyn ForwardModel> {
-        Arc::new(Self { surface: Surface::from_spec(surface), ..Self::new(&skin(100.0)) })
-    }
-
-    pub(crate) fn drop_channel(&mut self) {
-        self.noise.pop();
-        self.centres.pop();
-    }
-
-    pub(crate) fn shared(skin: &SkinDescription) -> Arc<dyn ForwardModel> {
-        Arc::new(Self::new(skin))
-    }
+/// [`bumps`] on another surface.
+pub(crate) fn bumps_on(surface: &SurfaceSpec) -> Arc<dyn ForwardModel> {
+    Arc::new(bumps(&skin(100.0)).under(Surface::from_spec(surface)))
 }
 
-impl ForwardModel for Bumps {
-    fn channels(&self) -> usize {
-        self.noise.len()
-    }
-
-    fn surface(&self) -> &Surface {
-        &self.surface
-    }
-
-    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        out.fill(0.0);
-        for (index, contact) in stimulus.contacts.iter().enumerate() {
-            let force = contact.force.norm();
-            if force > self.limit {
-                return Err(ModelError::Stimulus { index, reason: format!("{force} N are too much") });
-            }
-            for (o, centre) in out.iter_mut().zip(&self.centres) {
-                let offset = contact.position - centre;
-                *o += 1000.0 * force * (-(offset.x.powi(2) + offset.y.powi(2)) / 5e-5).exp();
-            }
-        }
-        Ok(())
-    }
-
-    fn noise(&self) -> &[f64] {
-        &self.noise
-    }
-
-    /// A spring of 500 N/m, 5 mm long.
-    fn force_at(&self, _: &Point3<f64>, _: f64, depth: f64) -> Option<f64> {
-        (self.deep && depth <= 0.005).then_some(500.0 * depth)
-    }
-
-    fn depth_at(&self, _: &Point3<f64>, _: f64, force: f64) -> Option<f64> {
-        (self.deep && force <= 2.5).then_some(force / 500.0)
-    }
-
-    fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
-        Box::new(Stepped::new(self, Dragged::default()))
-    }
+pub(crate) fn shared_bumps(skin: &SkinDescription) -> Arc<dyn ForwardModel> {
+    Arc::new(bumps(skin))
 }
 
 /// Drags what moves, and never forgets: each frame reads 0.0001 more, so that a frame left out shows.

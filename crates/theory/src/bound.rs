@@ -178,17 +178,18 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
+    use dermis_fixtures::Analytic;
     use dermis_model::Indentation;
 
     use super::*;
     use crate::over_surface_and_bands;
-    use crate::testing::{DEPTH, Shifted, Toy};
+    use crate::testing::{DEPTH, grid, row, shifted, toy};
 
     fn press(x: f64, y: f64, newtons: f64) -> Indentation {
         Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -newtons), 0.004)
     }
 
-    fn one(model: &Toy, contact: Indentation) -> ContactBound {
+    fn one(model: &Analytic, contact: Indentation) -> ContactBound {
         let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
         cramer_rao(model, &stimulus, Unknowns::Normal).unwrap()[0]
     }
@@ -196,9 +197,10 @@ mod tests {
     #[test]
     fn it_is_what_a_known_case_gives() {
         // Above the middle of the grid position and force decouple by symmetry; the derivatives are written down.
-        let model = Toy::grid();
+        let model = grid();
         let (force, mut by_x, mut by_force) = (0.7, 0.0, 0.0);
-        for (x, y) in &model.taxels {
+        for element in &model.elements {
+            let (x, y) = (element.at.x, element.at.y);
             let r = x * x + y * y + DEPTH * DEPTH;
             by_x += (force * DEPTH * 2.0 * x / (r * r) / 2.0).powi(2);
             by_force += (DEPTH / r / 2.0).powi(2);
@@ -212,16 +214,11 @@ mod tests {
     #[test]
     fn least_squares_reaches_it_where_the_noise_is_small() {
         // Gauss–Newton from the truth, on a thousand noisy frames.
-        let mut model = Toy::grid();
+        let mut model = grid();
         model.noise.fill(0.05);
         let (truth, steps) = ([0.002, -0.003, 0.8], 4);
         let bound = one(&model, press(truth[0], truth[1], truth[2]));
-        let read = |p: &[f64; 3]| {
-            let mut out = vec![0.0; 9];
-            let stimulus = Stimulus { contacts: vec![press(p[0], p[1], p[2])], ..Stimulus::default() };
-            model.response(&stimulus, &mut out).unwrap();
-            out
-        };
+        let read = |p: &[f64; 3]| model.read(&[press(p[0], p[1], p[2])]);
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(3);
         let (mut position, mut force) = (0.0, 0.0);
         let frames = 1000;
@@ -259,7 +256,7 @@ mod tests {
     fn bands_of_the_strongest_hold_what_the_bound_does() {
         let stimulus = |x, y| Stimulus { contacts: vec![press(x, y, 0.7)], ..Stimulus::default() };
         // On a line the box is the closed form: F = S (h + d²/h), as of two taxels.
-        let row = Toy::row(2);
+        let row = row(2);
         let found = strongest_bands(&row, &stimulus(0.001, 0.0), Unknowns::Line).unwrap();
         let (d1, d2) = (0.001 + 0.00325, 0.001 - 0.00325);
         let c = |d: f64| DEPTH + d * d / DEPTH;
@@ -268,7 +265,7 @@ mod tests {
         approx::assert_relative_eq!(found.along[0], exact, max_relative = 1e-4);
         assert_eq!(found.along[1], 0.0);
         // On a surface three bands close, and their box is wider than what the best use of them leaves.
-        let three = Toy::new(&[(0.0, 0.004), (-0.004, -0.003), (0.004, -0.003)]);
+        let three = toy(&[(0.0, 0.004), (-0.004, -0.003), (0.004, -0.003)]);
         let contact = stimulus(0.0005, 0.0003);
         let found = strongest_bands(&three, &contact, Unknowns::Normal).unwrap();
         let bound = cramer_rao(&three, &contact, Unknowns::Normal).unwrap()[0];
@@ -286,10 +283,10 @@ mod tests {
 
     #[test]
     fn a_model_that_reads_something_untouched_has_the_same_bounds() {
-        let (plain, shifted) = (Toy::grid(), Shifted::new(Toy::grid()));
+        let (plain, resting) = (grid(), shifted(grid()));
         for at in [(0.0005, 0.0003), (0.006, 0.0075)] {
             let contact = Stimulus { contacts: vec![press(at.0, at.1, 0.7)], ..Stimulus::default() };
-            let (a, b) = (&plain as &dyn ForwardModel, &shifted as &dyn ForwardModel);
+            let (a, b) = (&plain as &dyn ForwardModel, &resting as &dyn ForwardModel);
             let bound = |model| cramer_rao(model, &contact, Unknowns::Normal).unwrap()[0];
             approx::assert_relative_eq!(bound(a).position, bound(b).position, max_relative = 1e-6);
             // The channels whose signal is largest, not those whose reading is.
@@ -304,7 +301,7 @@ mod tests {
 
     #[test]
     fn boxes_over_a_surface_are_those_of_each_point() {
-        let model = Shifted::new(Toy::grid());
+        let model = shifted(grid());
         let (map, boxes) = over_surface_and_bands(&model, 0.7, 0.004, Unknowns::Normal).unwrap();
         assert_eq!(map, crate::over_surface(&model, 0.7, 0.004, Unknowns::Normal).unwrap());
         for (at, found) in model.surface().points.iter().zip(&boxes) {
@@ -316,32 +313,31 @@ mod tests {
     #[test]
     fn what_no_channel_tells_is_unbounded() {
         // Two taxels on a line cannot tell to which side of it a touch lies, nor three unknowns at all.
-        let bound = one(&Toy::new(&[(-0.004, 0.0), (0.004, 0.0)]), press(0.001, 0.0, 0.5));
+        let bound = one(&toy(&[(-0.004, 0.0), (0.004, 0.0)]), press(0.001, 0.0, 0.5));
         assert!(bound.position.is_infinite());
         // Where it is known to lie on the line, they can.
-        let row = Toy::new(&[(-0.004, 0.0), (0.004, 0.0)]);
+        let row = toy(&[(-0.004, 0.0), (0.004, 0.0)]);
         let stimulus = Stimulus { contacts: vec![press(0.001, 0.0, 0.5)], ..Stimulus::default() };
         let line = cramer_rao(&row, &stimulus, Unknowns::Line).unwrap()[0];
         assert!(line.position.is_finite() && line.normal_force.is_finite());
         // A touch without force is nowhere.
-        let bound = one(&Toy::grid(), press(0.001, 0.002, 0.0));
+        let bound = one(&grid(), press(0.001, 0.002, 0.0));
         assert!(bound.position.is_infinite() && bound.normal_force.is_finite());
         // Shear along y moves no taxel of this skin.
         let stimulus = Stimulus { contacts: vec![press(0.001, 0.002, 0.5)], ..Stimulus::default() };
-        let full = cramer_rao(&Toy::grid(), &stimulus, Unknowns::Full).unwrap()[0];
+        let full = cramer_rao(&grid(), &stimulus, Unknowns::Full).unwrap()[0];
         assert!(full.shear.unwrap().is_infinite() && full.position.is_finite());
     }
 
     #[test]
     fn at_the_edge_it_looks_inwards() {
-        let (edge, near) =
-            (one(&Toy::grid(), press(0.02, 0.0, 0.5)), one(&Toy::grid(), press(0.0199, 0.0, 0.5)));
+        let (edge, near) = (one(&grid(), press(0.02, 0.0, 0.5)), one(&grid(), press(0.0199, 0.0, 0.5)));
         approx::assert_relative_eq!(edge.position, near.position, max_relative = 0.05);
     }
 
     #[test]
     fn a_channel_without_noise_is_refused() {
-        let mut model = Toy::grid();
+        let mut model = grid();
         model.noise[4] = 0.0;
         let error = cramer_rao(&model, &Stimulus::default(), Unknowns::Normal).unwrap_err();
         insta::assert_snapshot!(error, @"channel 4: its noise is 0 and must be a positive number; set `noise` in the skin description");
@@ -350,7 +346,7 @@ mod tests {
     proptest! {
         #[test]
         fn more_unknowns_never_help(x in -0.015..0.015f64, y in -0.015..0.015f64, f in 0.05..2.0f64) {
-            let model = Toy::grid();
+            let model = grid();
             let alone = one(&model, press(x, y, f));
             let pair = Stimulus { contacts: vec![press(x, y, f), press(-y, x + 0.001, f)], ..Stimulus::default() };
             let both = cramer_rao(&model, &pair, Unknowns::Normal).unwrap()[0];
@@ -360,12 +356,12 @@ mod tests {
 
         #[test]
         fn it_scales_as_it_must(x in -0.015..0.015f64, y in -0.015..0.015f64, f in 0.05..2.0f64) {
-            let model = Toy::grid();
+            let model = grid();
             let (a, b) = (one(&model, press(x, y, f)), one(&model, press(x, y, 2.0 * f)));
             // The field is linear in the force: twice the force halves the error of the position.
             prop_assert!((a.position / b.position - 2.0).abs() < 1e-3);
             prop_assert!((a.normal_force / b.normal_force - 1.0).abs() < 1e-3);
-            let mut louder = Toy::grid();
+            let mut louder = grid();
             louder.noise.fill(6.0);
             let c = one(&louder, press(x, y, f));
             prop_assert!((c.position / a.position - 3.0).abs() < 1e-6);

@@ -188,7 +188,7 @@ mod tests {
 
     use super::*;
     use crate::force_ladder;
-    use crate::testing::{DEPTH, Toy};
+    use crate::testing::{DEPTH, row};
 
     fn made(g: f64, lambda: f64, alpha: f64) -> Isoline {
         let points = (-60..=60).map(|i| {
@@ -211,7 +211,7 @@ mod tests {
     #[test]
     fn the_toys_isolines_are_parabolas() {
         // F · h / (d² + h²) = S, so that I(d) = S (h + d²/h).
-        let model = Toy::row(3);
+        let model = row(3);
         let points: Vec<Point3<f64>> =
             (-40..=40).map(|i| Point3::new(f64::from(i) * 2e-4, 0.0, 0.0)).collect();
         let responses = Responses::of_model(&model, &points, &force_ladder(2.0, 40), 0.004).unwrap();

@@ -207,6 +207,23 @@ mod tests {
     }
 
     #[test]
+    fn points_of_a_surface_count_with_their_area() {
+        let mut model = crate::testing::grid();
+        let even = over_surface(&model, 0.7, 0.004, Unknowns::Normal).unwrap();
+        for (point, area) in model.surface.points.iter().zip(&mut model.surface.areas) {
+            *area *= if point.x.hypot(point.y) > 0.015 { 5.0 } else { 1.0 };
+        }
+        let uneven = over_surface(&model, 0.7, 0.004, Unknowns::Normal).unwrap();
+        assert_eq!(even.bounds, uneven.bounds);
+        let all: f64 = model.surface.areas.iter().sum();
+        let weighed = uneven.bounds.iter().zip(&model.surface.areas);
+        let square: f64 = weighed.map(|(bound, area)| bound.position.powi(2) * area / all).sum();
+        approx::assert_relative_eq!(uneven.position.rms, square.sqrt(), max_relative = 1e-9);
+        // Outside of the taxels contacts are located worse, and now they are most of the skin.
+        assert!(uneven.position.rms > 1.1 * even.position.rms, "{uneven:?} {even:?}");
+    }
+
+    #[test]
     fn impossible_presses_are_refused() {
         assert!(positive("force [N]", f64::NAN).is_err() && positive("force [N]", 0.0).is_err());
         insta::assert_snapshot!(positive("force [N]", -1.0).unwrap_err(), @"force [N] is -1 and must be positive");

@@ -2,10 +2,9 @@
 //!
 //! `DERMIS_RECORD=1 cargo nextest run -p dermis-barodome recorded` records them anew.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use dermis_model::suite::{along, as_recorded, cases};
+use dermis_model::suite::Effects;
 use dermis_model::{Indentation, Stimulus};
 use dermis_skin::SkinDescription;
 use nalgebra::{Point3, Vector3};
@@ -59,15 +58,13 @@ fn stimuli() -> Vec<Stimulus> {
 
 #[test]
 fn readings_are_those_that_were_recorded() {
-    let mut skin = SkinDescription::from_toml(PAD, "pad.toml").unwrap();
-    let mut found = BTreeMap::new();
-    for effects in cases(dermis_barodome::effects::EFFECTS, &skin) {
-        let name = effects.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(" + ");
+    let skin = |effects| {
+        let mut skin = SkinDescription::from_toml(PAD, "pad.toml").unwrap();
         skin.effects = effects;
-        let all = along(dermis_barodome::model(&skin).unwrap().as_ref(), &stimuli(), FRAME);
-        let frames: Vec<&[f64]> = all.chunks(skin.channels().len()).collect();
-        let kept = [6, 20, 34, 37, 45, 59, 60].into_iter().flat_map(|i: usize| frames[i]);
-        found.insert(name, kept.copied().collect());
-    }
-    as_recorded(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recorded.toml"), &found);
+        skin
+    };
+    let device = |skin: &SkinDescription| dermis_barodome::model(skin);
+    let effects =
+        Effects { known: dermis_barodome::effects::EFFECTS, skin: &skin, device: &device, frame: FRAME };
+    effects.are_as_recorded(&stimuli(), &Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recorded.toml"));
 }

@@ -2,7 +2,7 @@ use super::maps::{REACH, spread};
 use super::*;
 use crate::models::MAP_NORMAL;
 use crate::testing::{
-    Membrane, Out, STRETCHED, TestBundle, load, load_for, nine, skin_with, tared_estimator,
+    COMPLIANCE, Out, STRETCHED, TestBundle, load, load_for, membrane, nine, skin_with, tared_estimator,
 };
 use dermis_inference::{Bundle, MAP_DISPLACEMENT};
 use dermis_inversion::Settings;
@@ -253,7 +253,7 @@ fn pressed(
     });
     let stimulus = Stimulus { contacts: contacts.into_iter().collect(), ..Stimulus::default() };
     let mut signal = [0.0; 9];
-    Membrane::new(&nine()).response(&stimulus, &mut signal).unwrap();
+    membrane(&nine()).response(&stimulus, &mut signal).unwrap();
     let wiggle = |i: usize| [6.0, -6.0, -6.0, 6.0][(k as usize + i) % 4];
     let value = |(i, s): (usize, &f64)| {
         if broken.contains(&i) { f32::NAN } else { IDLE + *s as f32 + wiggle(i) }
@@ -327,7 +327,7 @@ fn maps_are_made_of_refined_contacts_where_somebody_asks() {
     }
     let displacements = touched.displacement_map.unwrap().displacements;
     let most = displacements.iter().copied().fold(0.0, f32::max);
-    assert!((f64::from(most) - 2.0 * Membrane::GIVES).abs() < 1e-4, "{most} m inwards");
+    assert!((f64::from(most) - 2.0 * COMPLIANCE).abs() < 1e-4, "{most} m inwards");
 
     // Made ready elsewhere, so that no frame waits for it.
     let begun = std::time::Instant::now();
@@ -349,7 +349,7 @@ fn both(k: u64, presses: &[([f64; 2], f64)]) -> Frame {
     });
     let mut signal = [0.0; 9];
     let stimulus = Stimulus { contacts: contacts.collect(), ..Stimulus::default() };
-    Membrane::new(&nine()).response(&stimulus, &mut signal).unwrap();
+    membrane(&nine()).response(&stimulus, &mut signal).unwrap();
     let wiggle = |i: usize| [6.0, -6.0, -6.0, 6.0][(k as usize + i) % 4];
     let values = signal.iter().enumerate().map(|(i, s)| IDLE + *s as f32 + wiggle(i)).collect();
     Frame::new(k as i64 * 10_000_000, k, values)
@@ -391,7 +391,7 @@ fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
             let under = surface.points.iter().zip(&depth).filter(|(p, _)| (*p - place).norm() < 2e-3);
             under.fold(0.0, |most, (_, d)| f64::from(*d).max(most))
         };
-        assert!(at(a) > 0.8 * Membrane::GIVES && at(b) > 0.3 * Membrane::GIVES);
+        assert!(at(a) > 0.8 * COMPLIANCE && at(b) > 0.3 * COMPLIANCE);
     }
     // One that ends leaves the other alone; a frame that is passed over changes nothing.
     estimator.pass(&both(100, &[(a, 1.0), (b, 2.0)])).unwrap();
@@ -399,7 +399,11 @@ fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
     let left = estimator.estimate(&both(101, &[(b, 2.0)])).unwrap().contacts;
     assert!(left.len() == 1 && near(&left[0], b) && left[0].track_id == 2, "{left:?}");
     assert!(estimator.estimate(&both(102, &[])).unwrap().contacts.is_empty());
-    assert!(estimator.unfelt().is_some_and(|(force, share)| force > 0.0 && (0.0..1.0).contains(&share)));
+    assert!(
+        estimator
+            .undetectable_fraction()
+            .is_some_and(|(force, share)| force > 0.0 && (0.0..1.0).contains(&share))
+    );
 }
 
 #[test]

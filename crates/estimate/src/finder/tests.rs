@@ -12,7 +12,7 @@ use dermis_skin::{Estimator, ForceComponents, Frame, SkinDescription};
 use nalgebra::{Point3, Vector3};
 
 use super::*;
-use crate::testing::{Membrane, STRETCHED, TestBundle, load_for, nine, skin_with, tared_estimator};
+use crate::testing::{STRETCHED, TestBundle, load_for, membrane, nine, skin_with, tared_estimator};
 use crate::{SetupError, SkinEstimator};
 
 const MS: Stamp = 1_000_000;
@@ -38,7 +38,7 @@ fn nine_read(presses: &[([f64; 2], f64)]) -> Vec<f32> {
     };
     let stimulus = Stimulus { contacts: presses.iter().map(press).collect(), ..Stimulus::default() };
     let mut signal = [0.0; 9];
-    Membrane::new(&nine()).response(&stimulus, &mut signal).unwrap();
+    membrane(&nine()).response(&stimulus, &mut signal).unwrap();
     signal.iter().map(|v| *v as f32).collect()
 }
 
@@ -236,7 +236,7 @@ fn fixed(presses: &[([f64; 2], f64)]) -> Box<Fixed> {
 fn inversion(start: Start) -> InversionFinder {
     let mut settings = Settings::new(0.004, 5.0);
     (settings.contacts, settings.distance) = (2, 0.006);
-    InversionFinder::new(Inverter::new(Arc::new(Membrane::new(&nine())), settings).unwrap(), start)
+    InversionFinder::new(Inverter::new(Arc::new(membrane(&nine())), settings).unwrap(), start)
 }
 
 /// Every way to begin; those that ask others are told of places some millimetres off.

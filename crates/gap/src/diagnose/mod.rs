@@ -189,13 +189,13 @@ mod tests {
     use super::*;
     use crate::recording::Zero;
     use crate::report::Verdict;
-    use crate::testing::{EFFECTS, Small, gains, recorded, skin};
+    use crate::testing::{EFFECTS, gains, recorded, skin, small};
 
     #[test]
     fn a_tared_skin_that_reads_something_untouched_gets_the_same_diagnosis() {
         let skin = skin();
         let said = |rest: f64| {
-            let make = |skin: &SkinDescription| Small::make(skin, rest);
+            let make = |skin: &SkinDescription| small(skin, rest);
             let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
             let mut recording = recorded(&simulator, &[gains()]);
             recording.tare(Zero::Press);

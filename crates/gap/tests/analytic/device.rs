@@ -1,14 +1,13 @@
 //! Recordings of devices that are made by other laws than the model.
 
-use dermis_gap::{Moment, Phase, Recording};
+use dermis_gap::{FrameLabel, Phase, Recording};
 use dermis_model::{Indentation, Stimulus};
-use dermis_skin::SkinDescription;
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::model::SKIN;
+use crate::model::skin;
 
 /// Time, phase, location, press, place, force and the rest of one frame of a device.
 type Instant = (f64, Phase, u64, u32, Point3<f64>, f64, f64);
@@ -55,7 +54,7 @@ pub(crate) fn device() -> Device {
 
 /// Presses at random places: load, hold, unload, rest; what the device reads.
 pub(crate) fn recorded(device: &Device, presses: usize, repeats: usize, seed: u64) -> Recording {
-    let skin = SkinDescription::from_toml(SKIN, "toy.toml").unwrap();
+    let skin = skin();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut recording = Recording::new("toy device", 6);
     recording.sessions.push("one".to_owned());
@@ -150,7 +149,7 @@ pub(crate) fn recorded(device: &Device, presses: usize, repeats: usize, seed: u6
         };
         let stimulus = Some(Stimulus { contacts, ..Stimulus::default() });
         recording.push(
-            Moment { time: t, run: 0, press, location, phase, stimulus, temperature: f64::NAN },
+            FrameLabel { time: t, run: 0, press, location, phase, stimulus, temperature: f64::NAN },
             &values,
         );
     }

@@ -12,7 +12,7 @@ use dermis_skin::{ModelError, SkinDescription};
 use nalgebra::{Point3, Vector3};
 
 use device::{Device, device, recorded};
-use model::{EFFECTS, SKIN, Toy};
+use model::{EFFECTS, skin, toy};
 use schema::fits;
 
 fn options() -> Options {
@@ -20,8 +20,8 @@ fn options() -> Options {
 }
 
 fn diagnosed(recording: &Recording) -> Report {
-    let skin = SkinDescription::from_toml(SKIN, "toy.toml").unwrap();
-    let make = |skin: &SkinDescription| Toy::make(skin);
+    let skin = skin();
+    let make = |skin: &SkinDescription| toy(skin);
     let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
     diagnose(&simulator, recording, &options(), &Memory::default()).unwrap().report
 }
@@ -180,7 +180,7 @@ fn some() -> Recording {
 #[test]
 fn a_clock_that_runs_backwards_is_named() {
     let mut recording = some();
-    recording.moments[500].time -= 3.0;
+    recording.labels[500].time -= 3.0;
     let report = diagnosed(&recording);
     assert_eq!(report.verdict, Verdict::UnusableRecording);
     assert!(problem(&report, "clock").contains("frame 500 by 2.980 s"), "{}", report.sentence);
@@ -213,8 +213,8 @@ fn channels_in_another_order_are_put_right_and_named() {
 #[test]
 fn ground_truth_in_a_mirrored_frame_is_named() {
     let mut recording = some();
-    for moment in &mut recording.moments {
-        for contact in moment.stimulus.iter_mut().flat_map(|s| &mut s.contacts) {
+    for label in &mut recording.labels {
+        for contact in label.stimulus.iter_mut().flat_map(|s| &mut s.contacts) {
             contact.position.x = -contact.position.x;
         }
     }
@@ -276,8 +276,8 @@ fn what_is_missing_says_what_it_blocks() {
 
 #[test]
 fn signatures_are_kept_on_the_disk() {
-    let skin = SkinDescription::from_toml(SKIN, "toy.toml").unwrap();
-    let make = |skin: &SkinDescription| Toy::make(skin);
+    let skin = skin();
+    let make = |skin: &SkinDescription| toy(skin);
     let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
     let dir = tempfile::tempdir().unwrap();
     let options = Options { cache: Some(dir.path().join("kept")), ..options() };
@@ -293,21 +293,21 @@ fn signatures_are_kept_on_the_disk() {
 
 #[test]
 fn the_corrected_skin_reads_what_the_diagnosis_says() {
-    let skin = SkinDescription::from_toml(SKIN, "toy.toml").unwrap();
-    let make = |skin: &SkinDescription| Toy::make(skin);
+    let skin = skin();
+    let make = |skin: &SkinDescription| toy(skin);
     let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
     let found = diagnose(&simulator, &some(), &options(), &Memory::default()).unwrap();
     let text = dermis_gap::skin_text(&found.corrected).unwrap();
     let read = SkinDescription::from_toml(&text, "corrected.toml").unwrap();
     assert_eq!(read.effects, found.report.corrected);
     let model = dermis_gap::device(&read, |inner: &SkinDescription| {
-        Toy::make(inner).map_err(|reason| ModelError::Description {
+        toy(inner).map_err(|reason| ModelError::Description {
             skin: "toy".into(),
             field: String::new(),
             reason,
         })
     });
-    let (model, nominal) = (model.unwrap(), Toy::make(&skin).unwrap());
+    let (model, nominal) = (model.unwrap(), toy(&skin).unwrap());
     let press = Indentation::sphere(Point3::new(-0.009, -0.005, 0.0), Vector3::new(0.0, 0.0, -1.0), 0.004);
     let stimulus = Stimulus { contacts: vec![press], ..Stimulus::default() };
     let (mut corrected, mut plain) = ([0.0; 6], [0.0; 6]);

@@ -2,33 +2,29 @@
 
 use std::sync::Arc;
 
-use dermis_model::{DeviceState, ForwardModel, Memory, Stepped, Stimulus};
-use dermis_skin::{Effect, EffectInfo, ModelError, ParameterInfo, SkinDescription, Surface};
-use nalgebra::Point3;
+use dermis_fixtures::{Analytic, CreepAndDrift, SkinFile};
+use dermis_model::ForwardModel;
+use dermis_skin::{Effect, EffectInfo, ParameterInfo, SkinDescription};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
-pub(crate) const SKIN: &str = r#"
-schema = "dermis-skin/1"
-name = "toy"
-sensor = "toy"
-frame_id = "toy_link"
-unit = "Pa"
-rate = 50.0
-noise = 5.0
-surface = { type = "rectangle", size = [0.030, 0.020], spacing = 0.002 }
-taxels = [
-    { name = "a", position = [-0.009, -0.005, -0.005] },
-    { name = "b", position = [0.000, -0.005, -0.005] },
-    { name = "c", position = [0.009, -0.005, -0.005] },
-    { name = "d", position = [-0.009, 0.005, -0.005] },
-    { name = "e", position = [0.000, 0.005, -0.005] },
-    { name = "f", position = [0.009, 0.005, -0.005] },
-]
-[medium]
-spread = 1.0
-"#;
+pub(crate) fn skin() -> SkinDescription {
+    SkinFile::new("toy")
+        .set("sensor", "\"toy\"")
+        .set("rate", "50.0")
+        .set("noise", "5.0")
+        .rectangle([0.030, 0.020], 0.002)
+        .taxels([
+            ("a", [-0.009, -0.005, -0.005]),
+            ("b", [0.000, -0.005, -0.005]),
+            ("c", [0.009, -0.005, -0.005]),
+            ("d", [-0.009, 0.005, -0.005]),
+            ("e", [0.000, 0.005, -0.005]),
+            ("f", [0.009, 0.005, -0.005]),
+        ])
+        .tables("[medium]\nspread = 1.0\n")
+        .read()
+}
 
 pub(crate) const fn parameter(
     name: &'static str,
@@ -92,103 +88,33 @@ pub(crate) fn stream(effect: &Effect, taxel: usize) -> ChaCha8Rng {
 }
 
 /// Point loads on a half space, as the tool knows them.
-pub(crate) struct Toy {
-    surface: Surface,
-    taxels: Vec<Point3<f64>>,
-    gains: Vec<f64>,
-    spread: f64,
-    rise: f64,
-    noise: Vec<f64>,
-    way: Way,
-}
-
-#[derive(Clone, Default)]
-pub(crate) struct Way {
-    creep: Option<(f64, f64)>,
-    weather: Option<(f64, ChaCha8Rng, f64)>,
-    state: Vec<f64>,
-    last: Option<f64>,
-}
-
-impl Toy {
-    pub(crate) fn make(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, String> {
-        Effect::check(&skin.effects, EFFECTS, &skin.name).map_err(|e| e.to_string())?;
-        let mut toy = Self {
-            surface: skin.surface(),
-            taxels: skin.taxels.iter().map(dermis_skin::Taxel::point).collect(),
-            gains: vec![1.0; skin.taxels.len()],
-            spread: skin.medium.get("spread").and_then(toml::Value::as_float).unwrap_or(1.0),
-            rise: 0.0,
-            noise: skin.channel_noise(),
-            way: Way::default(),
-        };
-        for effect in skin.effects.iter().filter(|e| e.strength > 0.0) {
-            let info = EFFECTS.iter().find(|i| i.name == effect.name).ok_or("unknown effect")?;
-            let value = |name: &str| effect.strength * info.value(effect, name);
-            match info.name {
-                "gains" => {
-                    for (t, gain) in toy.gains.iter_mut().enumerate() {
-                        *gain = 1.0 + value("spread") * stream(effect, t).random_range(-1.0..=1.0);
-                    }
-                }
-                "misplacement" => {
-                    for (t, place) in toy.taxels.iter_mut().enumerate() {
-                        let mut rng = stream(effect, t);
-                        for axis in 0..3 {
-                            place[axis] += value("by") * rng.random_range(-1.0..=1.0);
-                        }
-                    }
-                }
-                "stiffening" => toy.rise = value("rise"),
-                "creep" => toy.way.creep = Some((value("share"), info.value(effect, "time"))),
-                _ => toy.way.weather = Some((value("deviation"), stream(effect, 0), f64::NAN)),
-            }
+pub(crate) fn toy(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, String> {
+    Effect::check(&skin.effects, EFFECTS, &skin.name).map_err(|e| e.to_string())?;
+    let spread = skin.medium.get("spread").and_then(toml::Value::as_float).unwrap_or(1.0);
+    let of = |name: &str| {
+        let effect = skin.effects.iter().find(|e| e.name == name && e.strength > 0.0)?;
+        Some((effect, EFFECTS.iter().find(|info| info.name == name)?))
+    };
+    let value =
+        |(effect, info): (&Effect, &EffectInfo), name: &str| effect.strength * info.value(effect, name);
+    let rise = of("stiffening").map_or(0.0, |found| value(found, "rise"));
+    let mut model = Analytic::of_skin(skin, move |c, t| {
+        let force = -c.force.z * (1.0 + rise * (-c.force.z));
+        let (along, deep) = ((c.position - t).xy().norm_squared() * spread, t.z * t.z);
+        0.5 * force * -t.z * deep / (along + deep).powf(2.5)
+    });
+    for (t, element) in model.elements.iter_mut().enumerate() {
+        if let Some(gains) = of("gains") {
+            element.gain = 1.0 + value(gains, "spread") * stream(gains.0, t).random_range(-1.0..=1.0);
         }
-        toy.way.state = vec![0.0; toy.taxels.len()];
-        Ok(Arc::new(toy))
-    }
-}
-
-impl ForwardModel for Toy {
-    fn channels(&self) -> usize {
-        self.taxels.len()
-    }
-    fn surface(&self) -> &Surface {
-        &self.surface
-    }
-    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        out.fill(0.0);
-        for c in &stimulus.contacts {
-            let force = -c.force.z * (1.0 + self.rise * (-c.force.z));
-            for ((o, t), gain) in out.iter_mut().zip(&self.taxels).zip(&self.gains) {
-                let (along, deep) = ((c.position - t).xy().norm_squared() * self.spread, t.z * t.z);
-                *o += gain * 0.5 * force * -t.z * deep / (along + deep).powf(2.5);
-            }
-        }
-        Ok(())
-    }
-    fn noise(&self) -> &[f64] {
-        &self.noise
-    }
-    fn start(&self, _: u64) -> Box<dyn DeviceState + '_> {
-        Box::new(Stepped::new(self, self.way.clone()))
-    }
-}
-
-impl Memory for Way {
-    fn apply_transducer(&mut self, time: f64, _: &Stimulus, readings: &mut [f64]) {
-        let dt = time - self.last.unwrap_or(time);
-        self.last = Some(time);
-        if let Some((share, tau)) = self.creep {
-            for (r, s) in readings.iter_mut().zip(&mut self.state) {
-                *s += (*r - *s) * -(-dt / tau).exp_m1();
-                *r -= share * *s;
-            }
-        }
-        if let Some((deviation, rng, value)) = &mut self.weather {
-            let draw: f64 = rng.sample(StandardNormal);
-            *value = if value.is_nan() { draw } else { *value + draw * (2.0 * dt / 600.0).sqrt() };
-            readings.iter_mut().for_each(|r| *r += *deviation * *value);
+        if let Some(off) = of("misplacement") {
+            let mut rng = stream(off.0, t);
+            (0..3).for_each(|axis| element.at[axis] += value(off, "by") * rng.random_range(-1.0..=1.0));
         }
     }
+    let memory = CreepAndDrift::new(
+        of("creep").map(|creep| (value(creep, "share"), creep.1.value(creep.0, "time"))),
+        of("weather").map(|air| (value(air, "deviation"), stream(air.0, 0))),
+    );
+    Ok(Arc::new(model.with_memory(move || memory.clone())))
 }

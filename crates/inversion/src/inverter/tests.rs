@@ -1,14 +1,15 @@
+use dermis_fixtures::Analytic;
 use dermis_model::Stimulus;
 use dermis_theory::cramer_rao;
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 use rand::Rng;
 
 use super::*;
-use crate::testing::{Shifted, Toy, press, random};
+use crate::testing::{grid, press, random, read};
 
-fn inverter(noise: f64, change: impl FnOnce(&mut Settings)) -> (Inverter, Arc<Toy>) {
-    let model = Arc::new(Toy::grid(noise));
+fn inverter(noise: f64, change: impl FnOnce(&mut Settings)) -> (Inverter, Arc<Analytic>) {
+    let model = Arc::new(grid(noise));
     let mut settings = Settings::new(0.004, 2.0);
     change(&mut settings);
     let shared: Arc<dyn ForwardModel> = Arc::clone(&model) as _;
@@ -25,7 +26,7 @@ fn one_contact_is_found_to_its_bound() {
         for _ in 0..tries {
             let truth = press(random.random_range(-0.012..0.012), random.random_range(-0.012..0.012), force);
             let stimulus = Stimulus { contacts: vec![truth.clone()], ..Stimulus::default() };
-            let solution = inverter.solve(&model.read(&stimulus.contacts, &mut random), None).unwrap();
+            let solution = inverter.solve(&read(&model, &stimulus.contacts, &mut random), None).unwrap();
             let [found] = solution.contacts.as_slice() else { panic!("{solution:?}") };
             error += (found.position - truth.position).norm_squared();
             expected += found.deviation().powi(2);
@@ -46,7 +47,7 @@ fn a_weak_contact_is_answered_by_its_mean() {
     for _ in 0..400 {
         let truth = press(random.random_range(-0.017..0.017), random.random_range(-0.017..0.017), 0.012);
         let stimulus = Stimulus { contacts: vec![truth.clone()], ..Stimulus::default() };
-        let solution = inverter.solve(&model.read(&stimulus.contacts, &mut random), None).unwrap();
+        let solution = inverter.solve(&read(&model, &stimulus.contacts, &mut random), None).unwrap();
         error += (solution.contacts[0].position - truth.position).norm_squared();
         said += solution.contacts[0].deviation().powi(2);
         let unbiased = cramer_rao(model.as_ref(), &stimulus, Unknowns::Normal).unwrap();
@@ -68,7 +69,7 @@ fn pairs_are_found_among_all_pairs() {
             continue;
         }
         let truth = [a, b];
-        let readings = model.read(&truth, &mut random);
+        let readings = read(&model, &truth, &mut random);
         let found = inverter.search(&readings).unwrap().contacts;
         assert_eq!(found.len(), 2, "{truth:?} {found:?}");
         for t in &truth {
@@ -76,7 +77,7 @@ fn pairs_are_found_among_all_pairs() {
             assert!(nearest < 5e-4, "{truth:?} {found:?}");
         }
     }
-    let single = inverter.search(&model.read(&[press(0.003, 0.004, 0.8)], &mut random)).unwrap();
+    let single = inverter.search(&read(&model, &[press(0.003, 0.004, 0.8)], &mut random)).unwrap();
     assert_eq!(single.contacts.len(), 1);
     assert!(inverter.search(&[Reading::Exact(0.0)]).is_err());
 }
@@ -84,12 +85,12 @@ fn pairs_are_found_among_all_pairs() {
 #[test]
 fn a_model_that_reads_something_untouched_finds_the_same_contacts() {
     let settings = Settings { contacts: 2, ..Settings::new(0.004, 2.0) };
-    let plain = Inverter::new(Arc::new(Toy::grid(20.0)), settings.clone()).unwrap();
-    let shifted = Inverter::new(Arc::new(Shifted(Toy::grid(20.0), 3e4)), settings).unwrap();
+    let plain = Inverter::new(Arc::new(grid(20.0)), settings.clone()).unwrap();
+    let shifted = Inverter::new(Arc::new(grid(20.0).resting_at(|_| 3e4)), settings).unwrap();
     // What a skin publishes: readings minus untouched ones.
     let truth = [press(0.007, 0.005, 1.0), press(-0.008, -0.006, 0.7)];
-    let readings = Toy::grid(20.0).read(&truth, &mut random(14));
-    let light = Toy::grid(20.0).read(&[press(0.003, 0.001, 0.012)], &mut random(15));
+    let readings = read(&grid(20.0), &truth, &mut random(14));
+    let light = read(&grid(20.0), &[press(0.003, 0.001, 0.012)], &mut random(15));
     let same = |of: &dyn Fn(&Inverter) -> Solution| {
         let (a, b) = (of(&plain), of(&shifted));
         assert_eq!(a.contacts.len(), b.contacts.len());
@@ -116,11 +117,11 @@ fn contacts_that_last_are_followed() {
     let (inverter, model) = inverter(1e-3, |s| s.contacts = 2);
     let mut random = random(11);
     let at = |share: f64| [press(0.007, 0.005, 1.0 + share), press(-0.008 + 0.002 * share, -0.006, 0.7)];
-    let mut before = inverter.search(&model.read(&at(0.0), &mut random)).unwrap().contacts;
+    let mut before = inverter.search(&read(&model, &at(0.0), &mut random)).unwrap().contacts;
     let mut followed = 0;
     for k in 1..=50 {
         let truth = at(f64::from(k) / 50.0);
-        let readings = model.read(&truth, &mut random);
+        let readings = read(&model, &truth, &mut random);
         let answer = inverter.follow(&readings, &before).unwrap();
         followed += usize::from(answer.is_some());
         before = answer.unwrap_or_else(|| inverter.search(&readings).unwrap()).contacts;
@@ -131,12 +132,12 @@ fn contacts_that_last_are_followed() {
     }
     assert!(followed >= 40, "{followed} of 50 frames");
     // One of them ends, a third begins, all end: what was there before is no answer.
-    let one = model.read(&at(1.0)[..1], &mut random);
+    let one = read(&model, &at(1.0)[..1], &mut random);
     assert_eq!(inverter.follow(&one, &before).unwrap(), None);
     let mut third = at(1.0).to_vec();
     third.push(press(0.012, -0.012, 0.8));
-    assert_eq!(inverter.follow(&model.read(&third, &mut random), &before).unwrap(), None);
-    assert_eq!(inverter.follow(&model.read(&[], &mut random), &before).unwrap(), None);
+    assert_eq!(inverter.follow(&read(&model, &third, &mut random), &before).unwrap(), None);
+    assert_eq!(inverter.follow(&read(&model, &[], &mut random), &before).unwrap(), None);
     assert_eq!(inverter.follow(&one, &[]).unwrap(), None);
     assert!(inverter.follow(&one[1..], &before).is_err());
 }
@@ -144,9 +145,53 @@ fn contacts_that_last_are_followed() {
 #[test]
 fn light_presses_are_undetectable_and_strong_ones_are_not() {
     let (inverter, _) = inverter(20.0, |_| ());
-    assert!(inverter.unfelt(1e-4, 30.0) > 0.99 && inverter.unfelt(2.0, 30.0) < 0.01);
-    let some = inverter.unfelt(0.03, 30.0);
+    assert!(
+        inverter.undetectable_fraction(1e-4, 30.0) > 0.99 && inverter.undetectable_fraction(2.0, 30.0) < 0.01
+    );
+    let some = inverter.undetectable_fraction(0.03, 30.0);
     assert!((0.01..0.99).contains(&some), "{some}");
+}
+
+/// A grid whose places at x > 0 stand for nine times the area of those at x < 0, in all as much as before. Taxels at x > 0 have this
+/// gain.
+fn lopsided(gain: f64) -> Analytic {
+    let mut model = grid(20.0);
+    for (point, area) in model.surface.points.iter().zip(&mut model.surface.areas) {
+        *area *= if point.x > 1e-9 {
+            1.8
+        } else if point.x < -1e-9 {
+            0.2
+        } else {
+            1.0
+        };
+    }
+    model.elements.iter_mut().filter(|e| e.at.x > 0.001).for_each(|e| e.gain = gain);
+    model
+}
+
+#[test]
+fn places_count_with_their_area() {
+    let inverter = |model: Analytic| Inverter::new(Arc::new(model), Settings::new(0.004, 2.0)).unwrap();
+    // Where the taxels of one half are deaf, 0.1 N cannot be detected in much of that half, and everywhere in the other one.
+    let mut deaf = lopsided(0.0);
+    let uneven = inverter(lopsided(0.0)).undetectable_fraction(0.1, 30.0);
+    deaf.surface = grid(20.0).surface;
+    let even = inverter(deaf).undetectable_fraction(0.1, 30.0);
+    assert!((0.2..0.3).contains(&even), "{even}");
+    approx::assert_relative_eq!(uneven / even, 1.8, max_relative = 0.01);
+    // Readings that say nothing leave the mean of all places: ∫|x| = 8.7 mm or so, of which (1.8 − 0.2) / 2 is left.
+    let data = vec![Datum::Exact(0.0, 1.0 / 20.0); 25];
+    let sharp = ContactEstimate {
+        position: Point3::origin(),
+        normal: Vector3::z(),
+        force: -Vector3::z(),
+        position_covariance: nalgebra::Matrix3::identity(),
+        force_covariance: nalgebra::Matrix3::identity(),
+    };
+    let mean = |model: Analytic| inverter(model).mean(&data, &sharp).position;
+    let (even, uneven) = (mean(grid(20.0)), mean(lopsided(1.0)));
+    assert!(even.x.abs() < 1e-4, "{even}");
+    assert!((6.5e-3..7.5e-3).contains(&uneven.x) && uneven.y.abs() < 1e-4, "{uneven}");
 }
 
 #[test]
@@ -167,7 +212,7 @@ fn several_contacts_are_told_apart() {
                 truth.push(p);
             }
         }
-        let solution = inverter.solve(&model.read(&truth, &mut random), None).unwrap();
+        let solution = inverter.solve(&read(&model, &truth, &mut random), None).unwrap();
         let near =
             |t: &Indentation| solution.contacts.iter().any(|f| (f.position - t.position).norm() < 0.001);
         right += usize::from(solution.contacts.len() == count && truth.iter().all(near));
@@ -181,7 +226,7 @@ fn noise_makes_no_second_contact() {
     let mut random = random(4);
     for _ in 0..200 {
         let truth = [press(random.random_range(-0.017..0.017), random.random_range(-0.017..0.017), 1.0)];
-        assert_eq!(inverter.solve(&model.read(&truth, &mut random), None).unwrap().contacts.len(), 1);
+        assert_eq!(inverter.solve(&read(&model, &truth, &mut random), None).unwrap().contacts.len(), 1);
     }
 }
 
@@ -190,7 +235,7 @@ fn shear_is_found_where_it_is_looked_for() {
     let (inverter, model) = inverter(20.0, |s| s.unknowns = Unknowns::Full);
     let mut truth = press(0.003, -0.002, 1.0);
     truth.force = Vector3::new(0.3, -0.2, -1.0);
-    let found = inverter.solve(&model.read(std::slice::from_ref(&truth), &mut random(5)), None).unwrap();
+    let found = inverter.solve(&read(&model, std::slice::from_ref(&truth), &mut random(5)), None).unwrap();
     let found = &found.contacts[0];
     let sigma = found.force_covariance.diagonal().map(f64::sqrt);
     for k in 0..3 {
@@ -203,7 +248,7 @@ fn shear_is_found_where_it_is_looked_for() {
 fn channels_at_the_end_of_their_range_and_missing_ones_are_no_lies() {
     let (inverter, model) = inverter(20.0, |_| ());
     let truth = press(0.0005, 0.001, 1.2);
-    let mut readings = model.read(std::slice::from_ref(&truth), &mut random(6));
+    let mut readings = read(&model, std::slice::from_ref(&truth), &mut random(6));
     // The one below the press is cut off at 3 kPa, two neighbours are gone.
     readings[12] = Reading::AtLeast(3000.0);
     readings[11] = Reading::Missing;
@@ -221,7 +266,7 @@ fn what_cannot_be_is_refused() {
     let refused = |change: fn(&mut Settings)| {
         let mut settings = Settings::new(0.004, 2.0);
         change(&mut settings);
-        Inverter::new(Arc::new(Toy::grid(20.0)), settings).unwrap_err().to_string()
+        Inverter::new(Arc::new(grid(20.0)), settings).unwrap_err().to_string()
     };
     insta::assert_snapshot!(refused(|s| s.contacts = 0), @"`contacts` is 0 and must be 1 to 10");
     insta::assert_snapshot!(refused(|s| s.force_max = f64::NAN), @"`force_max` is NaN and must be a positive number");

@@ -1,4 +1,5 @@
 use dermis_bag::BagWriter;
+use dermis_fixtures::SkinFile;
 use dermis_msgs::msg::{Contact as ContactMsg, Indentation, SkinGeometry, TaxelFrame};
 use dermis_skin::{ForceComponents, Frame, Stamp};
 use nalgebra::{Point3, Vector3};
@@ -13,25 +14,14 @@ use super::*;
 
 pub(crate) const STEP: i64 = 10_000_000;
 
-const SKIN: &str = r#"
-    schema = "dermis-skin/1"
-    name = "pad"
-    sensor = "taxels"
-    frame_id = "pad_link"
-    unit = "Pa"
-    rate = 100.0
-    noise = 1.0
-    surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
-    taxels = [
-        { name = "left", position = [-0.005, 0.0, -0.005] },
-        { name = "right", position = [0.005, 0.0, -0.005] },
-    ]
-    [condition]
-    tare_duration = 0.03
-"#;
+fn file() -> SkinFile {
+    SkinFile::new("pad")
+        .taxels([("left", [-0.005, 0.0, -0.005]), ("right", [0.005, 0.0, -0.005])])
+        .tables("[condition]\ntare_duration = 0.03\n")
+}
 
 pub(crate) fn skin() -> SkinDescription {
-    SkinDescription::from_toml(SKIN, "pad.toml").unwrap()
+    file().read()
 }
 
 pub(crate) fn contact(x: f64, y: f64, newtons: f64) -> TruthContact {
@@ -192,8 +182,9 @@ fn what_a_bag_lacks_is_said() {
     insta::assert_snapshot!(told(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm` (/pad/taxels): there is nothing to learn from; `--skin-instance` names a device of this type, `dermis bag info` lists them");
     insta::assert_snapshot!(told(std::slice::from_ref(&good), &[truth(STEP * 5, 0, &[])]), @"bag BAG: none of 1 frames has ground truth within 0.01 s of its stamp: frames reach from 0 to 0.00 s, the ground truth from 0.05 to 0.05 s after the first frame: check that both were stamped by the same clock");
     // Skins of the same shape whose channels are not ours; the bag's geometry names them.
-    let like =
-        |from: &str, to: &str| SkinDescription::from_toml(&SKIN.replace(from, to), "pad.toml").unwrap();
+    let like = |from: &str, to: &str| {
+        SkinDescription::from_toml(&file().to_string().replace(from, to), "pad.toml").unwrap()
+    };
     let swapped = like("\"left\"", "\"x\"");
     let told_of = |other: &SkinDescription| {
         let path = dir.path().join("bag");

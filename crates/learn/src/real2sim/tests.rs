@@ -1,8 +1,9 @@
 use std::sync::Arc;
 
+use dermis_fixtures::{Analytic, SkinFile};
 use dermis_inference::{Interface, Model, Runtime, RuntimeChoice, RuntimeConfig};
-use dermis_model::{ForwardModel, Indentation, Stimulus};
-use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
+use dermis_model::{ForwardModel, Indentation};
+use dermis_skin::{SkinDescription, Surface, SurfaceSpec};
 use nalgebra::Point3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -11,84 +12,50 @@ use rand_distr::StandardNormal;
 use super::*;
 use crate::train::{NetworkConfig, TrainingConfig};
 
-/// A made-up sheet on springs: it gives way in a bump about each contact, and its elements feel a wider one.
-struct Sheet {
-    surface: Surface,
-    elements: Vec<(f64, f64)>,
-    gains: Vec<f64>,
-    noise: Vec<f64>,
-}
-
 const BUMP: f64 = 0.008;
 const FELT: f64 = 0.020;
 
-impl Sheet {
-    fn new(off: f64) -> Self {
-        let spec = SurfaceSpec::Rectangle { size: [0.10, 0.06], spacing: 0.004 };
-        let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut by = |size: f64| size * rng.random_range(-1.0..1.0);
-        let elements = (0..15)
-            .map(|i| {
-                let (x, y) = (f64::from(i % 5) - 2.0, f64::from(i / 5) - 1.0);
-                (x * 0.022 + by(off * 1e-3), y * 0.022 + by(off * 1e-3))
-            })
-            .collect();
-        let gains = (0..15).map(|_| 1.0 + by(0.1 * off)).collect();
-        Self { surface: Surface::from_spec(&spec), elements, gains, noise: vec![1e-3; 15] }
-    }
+/// Bump of this width at a distance whose square is given.
+fn bump(square: f64, width: f64) -> f64 {
+    (-square / (2.0 * width * width)).exp()
 }
 
-impl ForwardModel for Sheet {
-    fn channels(&self) -> usize {
-        self.elements.len()
-    }
+/// A made-up sheet that is stiff: its elements feel a bump about each contact. `off` is how far gains (times 0.1) and places
+/// \[mm\] are off.
+fn stiff_sheet(off: f64) -> Analytic {
+    let spec = SurfaceSpec::Rectangle { size: [0.10, 0.06], spacing: 0.004 };
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut by = |size: f64| size * rng.random_range(-1.0..1.0);
+    let mut at = |i: u32| {
+        let (x, y) = (f64::from(i % 5) - 2.0, f64::from(i / 5) - 1.0);
+        Point3::new(x * 0.022 + by(off * 1e-3), y * 0.022 + by(off * 1e-3), 0.0)
+    };
+    let places: Vec<_> = (0..15).map(&mut at).collect();
+    let gains: Vec<_> = (0..15).map(|_| 1.0 + by(0.1 * off)).collect();
+    let mut sheet = Analytic::new(Surface::from_spec(&spec), places, 1e-3, |c, element| {
+        -c.force.z * bump((c.position - element).xy().norm_squared(), FELT)
+    });
+    sheet.elements.iter_mut().zip(gains).for_each(|(element, gain)| element.gain = gain);
+    sheet.resting_at(|_| 0.5)
+}
 
-    fn surface(&self) -> &Surface {
-        &self.surface
-    }
-
-    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        out.fill(0.5);
-        for c in &stimulus.contacts {
-            for ((o, (x, y)), gain) in out.iter_mut().zip(&self.elements).zip(&self.gains) {
-                let square = (c.position.x - x).powi(2) + (c.position.y - y).powi(2);
-                *o -= gain * c.force.z * (-square / (2.0 * FELT * FELT)).exp();
-            }
-        }
-        Ok(())
-    }
-
-    fn noise(&self) -> &[f64] {
-        &self.noise
-    }
-
-    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
-        out.fill(0.0);
-        for c in &stimulus.contacts {
-            for (o, p) in out.iter_mut().zip(&self.surface.points) {
-                let square = (c.position - p).norm_squared();
-                // Softer towards one end.
-                *o -= 1e-4 * c.force.z * (1.0 + 5.0 * c.position.x) * (-square / (2.0 * BUMP * BUMP)).exp();
-            }
-        }
-        Ok(true)
-    }
+/// The same sheet on springs: it gives way in a bump about each contact, and is softer towards one end.
+fn sheet(off: f64) -> Analytic {
+    stiff_sheet(off).displaced(|c, point| {
+        let soft = 1.0 + 5.0 * c.position.x;
+        -1e-4 * c.force.z * soft * bump((c.position - point).norm_squared(), BUMP)
+    })
 }
 
 fn skin() -> SkinDescription {
-    let taxels: Vec<String> = Sheet::new(0.0)
-        .elements
-        .iter()
-        .enumerate()
-        .map(|(i, (x, y))| format!("{{ name = \"e{i}\", position = [{x}, {y}, 0.0] }}"))
-        .collect();
-    let text = format!(
-        "schema = \"dermis-skin/1\"\nname = \"sheet\"\nsensor = \"sheet\"\nframe_id = \"sheet\"\nunit = \"1\"\n\
-         rate = 100.0\nnoise = 1e-3\nsurface = {{ type = \"rectangle\", size = [0.10, 0.06], spacing = 0.004 }}\n\
-         taxels = [{}]\n",
-        taxels.join(", ")
-    );
-    SkinDescription::from_toml(&text, "sheet.toml").unwrap()
+    let places = sheet(0.0).places();
+    SkinFile::new("sheet")
+        .set("sensor", "\"sheet\"")
+        .set("unit", "\"1\"")
+        .set("noise", "1e-3")
+        .rectangle([0.10, 0.06], 0.004)
+        .taxels(places.iter().enumerate().map(|(i, at)| (format!("e{i}"), [at.x, at.y, 0.0])))
+        .read()
 }
 
 fn scenes(model: &dyn ForwardModel) -> Scenes {
@@ -97,18 +64,18 @@ fn scenes(model: &dyn ForwardModel) -> Scenes {
     Scenes::new(model, &settings).unwrap()
 }
 
-fn recorded(device: &Sheet, count: usize, seed: u64) -> Vec<Recorded> {
+fn recorded(device: &Analytic, count: usize, seed: u64) -> Vec<Recorded> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut out = vec![0.0; device.channels()];
     (0..count)
         .map(|i| {
             let at = |half: f64, rng: &mut ChaCha8Rng| rng.random_range(-half..half);
             let position = Point3::new(at(0.05, &mut rng), at(0.03, &mut rng), 0.0);
             let force = nalgebra::Vector3::new(0.0, 0.0, -rng.random_range(1.0..10.0));
             let contact = Indentation::sphere(position, force, 0.01);
-            let stimulus = Stimulus { contacts: vec![contact.clone()], ..Stimulus::default() };
-            device.response(&stimulus, &mut out).unwrap();
-            let signal = out.iter().map(|v| (v - 0.5 + 1e-3 * rng.sample::<f64, _>(StandardNormal)) as f32);
+            let signal = device
+                .read(std::slice::from_ref(&contact))
+                .into_iter()
+                .map(|v| (v - 0.5 + 1e-3 * rng.sample::<f64, _>(StandardNormal)) as f32);
             Recorded { contact, signal: signal.collect(), location: i as u32 }
         })
         .collect()
@@ -120,7 +87,7 @@ fn runtime() -> &'static Runtime {
 
 #[test]
 fn places_are_parted_and_scenes_drawn_alike() {
-    let model = Sheet::new(0.0);
+    let model = sheet(0.0);
     let scenes = scenes(&model);
     let key = |p: &Point3<f64>| format!("{:?}", p.coords);
     let places = |part| -> std::collections::BTreeSet<String> {
@@ -141,30 +108,15 @@ fn places_are_parted_and_scenes_drawn_alike() {
 
 #[test]
 fn a_skin_without_displacements_is_refused() {
-    struct Stiff(Sheet);
-    impl ForwardModel for Stiff {
-        fn channels(&self) -> usize {
-            self.0.channels()
-        }
-        fn surface(&self) -> &Surface {
-            self.0.surface()
-        }
-        fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-            self.0.response(stimulus, out)
-        }
-        fn noise(&self) -> &[f64] {
-            self.0.noise()
-        }
-    }
-    let refused = Scenes::new(&Stiff(Sheet::new(0.0)), &SceneSettings::default()).unwrap_err();
+    let refused = Scenes::new(&stiff_sheet(0.0), &SceneSettings::default()).unwrap_err();
     insta::assert_snapshot!(refused, @"training: the forward model of this skin knows no displacements, which real2sim goes by; it is for skins whose surface bends");
     let none = SceneSettings { force: [3.0, 3.0], ..SceneSettings::default() };
-    insta::assert_snapshot!(Scenes::new(&Sheet::new(0.0), &none).unwrap_err(), @"training: scenes of 3 to 3 N, a tip of 0.01 m and a distance of 0.012 m cannot be simulated: all must be positive, and the range of forces not empty");
+    insta::assert_snapshot!(Scenes::new(&sheet(0.0), &none).unwrap_err(), @"training: scenes of 3 to 3 N, a tip of 0.01 m and a distance of 0.012 m cannot be simulated: all must be positive, and the range of forces not empty");
 }
 
 #[test]
 fn weighted_maps_peak_at_a_single_contact() {
-    let model = Sheet::new(0.0);
+    let model = sheet(0.0);
     let weights = Compliance::of(&model, 0.01).unwrap().weights();
     let surface = model.surface();
     assert_eq!(weights.len(), surface.points.len());
@@ -175,7 +127,7 @@ fn weighted_maps_peak_at_a_single_contact() {
 
 #[test]
 fn the_table_has_every_cell_and_learned_numbers_are_the_best_known() {
-    let model: Arc<dyn ForwardModel> = Arc::new(Sheet::new(0.0));
+    let model: Arc<dyn ForwardModel> = Arc::new(sheet(0.0));
     let sensors = VirtualSensors::displacements(model.as_ref(), &skin(), 6);
     assert_eq!(sensors.count(), 90);
     let settings = TableSettings {
@@ -199,8 +151,8 @@ fn the_table_has_every_cell_and_learned_numbers_are_the_best_known() {
 
 #[test]
 fn several_contacts_of_a_device_are_found_and_the_graph_says_the_same() {
-    let model: Arc<dyn ForwardModel> = Arc::new(Sheet::new(0.0));
-    let device = Sheet::new(1.0);
+    let model: Arc<dyn ForwardModel> = Arc::new(sheet(0.0));
+    let device = sheet(1.0);
     let sensors = VirtualSensors::channels(Arc::clone(&model)).unwrap();
     let training = |epochs| TrainingConfig { epochs, learning_rate: 3e-3, ..TrainingConfig::default() };
     let settings = PipelineSettings {

@@ -104,12 +104,9 @@ pub fn run(
         Some(conv) => fit_conv(&job, conv, maps, stop, told)?,
     };
     let seconds = started.elapsed().as_secs_f64();
-    let mut evaluator = GraphEvaluator {
-        model: Model::load(request.runtime, &graph, &interface)?,
-        outputs: decoder,
-        features: &features,
-        baseline: config.baseline,
-    };
+    let model = Model::load(request.runtime, &graph, &interface)?;
+    let input = (&features, config.baseline);
+    let mut evaluator = GraphEvaluator::new(request.out, (model, decoder), input, data.skin())?;
     let true_maps = || Maps::new(data.skin(), request.model.clone(), &config.maps());
     let (evaluation, points) =
         evaluator.evaluate(data, Some(&held_out), true_maps()?, config.split.describe())?;

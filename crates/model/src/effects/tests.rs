@@ -1,5 +1,6 @@
 use std::sync::Arc;
 
+use dermis_fixtures::SkinFile;
 use dermis_skin::{Effect, ModelError, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 
@@ -9,18 +10,6 @@ use crate::{
     NEUTRAL_TEMPERATURE, SignatureSample, Stage, Stepped, Stimulus, Wrapper, common_effect, device,
     full_scale,
 };
-
-const SKIN: &str = r#"
-schema = "dermis-skin/1"
-name = "pad"
-sensor = "taxels"
-frame_id = "pad_link"
-unit = "Pa"
-rate = 100.0
-noise = 1.0
-surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
-taxels = [{ name = "a", position = [-0.005, 0.0, -0.005] }, { name = "b", position = [0.005, 0.0, -0.005] }]
-"#;
 
 /// Reads force over distance.
 struct Plain {
@@ -61,7 +50,7 @@ impl ForwardModel for Plain {
 }
 
 fn made(effects: Vec<Effect>) -> Result<Arc<dyn ForwardModel>, ModelError> {
-    let mut skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+    let mut skin = SkinFile::new("pad").read();
     skin.effects = effects;
     device(&skin, |inner| {
         assert!(inner.effects.iter().all(|e| e.name == "inner"));
@@ -243,7 +232,7 @@ fn every_named_parameter_has_a_sense_and_survives_a_file() {
             assert!(nested && inside && !p.what.is_empty(), "{}.{}", info.name, p.name);
             assert_eq!(info.unit_of(p.name), p.unit);
         }
-        let mut skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+        let mut skin = SkinFile::new("pad").read();
         skin.effects = vec![switched_on(info)];
         let text = toml::to_string(&skin).unwrap();
         assert_eq!(SkinDescription::from_toml(&text, "written").unwrap().effects, skin.effects);
@@ -284,11 +273,11 @@ impl Wrapper for Remembering {
 
 #[test]
 fn electronics_come_after_what_the_medium_remembers() {
-    let mut skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+    let mut skin = SkinFile::new("pad").read();
     // Far beyond the vertex: what came out could never be taken back.
     skin.effects =
         vec![Effect::new("channel-curvature").with("a", -3.0), Effect::new("channel-offset").with("a", 7.0)];
-    let nominal = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+    let nominal = SkinFile::new("pad").read();
     let plain = |inner: &SkinDescription| -> Arc<dyn ForwardModel> {
         Arc::new(Plain {
             surface: inner.surface(),
@@ -330,7 +319,7 @@ fn acts_come_in_the_order_of_the_signal() {
 
 #[test]
 fn a_signature_is_the_slope_of_its_effect() {
-    let mut skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+    let mut skin = SkinFile::new("pad").read();
     let stimulus = Stimulus { temperature: 299.0, ..press(0.001, 1.3) };
     let nominal = read(vec![], &stimulus)[0];
     let full = full_scale(&skin.channels()[0], skin.noise);
@@ -352,7 +341,7 @@ fn a_signature_is_the_slope_of_its_effect() {
 
 #[test]
 fn what_is_not_straight_does_not_turn_back() {
-    let skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+    let skin = SkinFile::new("pad").read();
     for curvature in [-3.0, -0.4, 0.4, 3.0] {
         let full = full_scale(&skin.channels()[0], skin.noise);
         let effect = Effect::new("channel-curvature").with("a", curvature);
@@ -413,7 +402,7 @@ fn wrappers_forward_everything() {
     let probe = Probe::default();
     forwards_everything(&probe, &[0.25, 0.5], true);
     forwards_everything(&WithNoise::new(&probe, vec![3.0, 4.0]), &[3.0, 4.0], true);
-    let mut skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+    let mut skin = SkinFile::new("pad").read();
     // Interference of 0 Hz and phase 0 is there, and adds nothing.
     let silent = Effect::new("interference").with("amplitude", 3.0).with("frequency", 0.0);
     skin.effects = vec![silent];

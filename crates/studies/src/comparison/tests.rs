@@ -1,30 +1,18 @@
 use std::sync::Mutex;
 
+use dermis_fixtures::SkinFile;
 use dermis_learn::Run;
 use dermis_skin::Frame;
 
 use super::*;
 use crate::Unwatched;
 
-const SKIN: &str = r#"
-    schema = "dermis-skin/1"
-    name = "pad"
-    sensor = "taxels"
-    frame_id = "pad_link"
-    unit = "Pa"
-    rate = 100.0
-    noise = 2.0
-    surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
-    taxels = [
-        { name = "left", position = [-0.005, 0.0, -0.005] },
-        { name = "right", position = [0.005, 0.0, -0.005] },
-    ]
-    [condition]
-    tare_duration = 0.03
-"#;
-
 fn skin() -> SkinDescription {
-    SkinDescription::from_toml(SKIN, "pad.toml").unwrap()
+    SkinFile::new("pad")
+        .set("noise", "2.0")
+        .taxels([("left", [-0.005, 0.0, -0.005]), ("right", [0.005, 0.0, -0.005])])
+        .tables("[condition]\ntare_duration = 0.03\n")
+        .read()
 }
 
 /// One contact at x \[m\], or none.
@@ -126,7 +114,7 @@ fn neighbours_answer_with_the_contacts_whose_readings_are_nearest() {
     let ask = |count, components, values: [f32; 2]| {
         let mut finder = neighbours(count, &skin(), &learned, components).unwrap().unwrap();
         let (_, sample) = sample(values, 0.0, Vector3::zeros());
-        finder.find(&conditioned(&sample)).unwrap().remove(0)
+        finder.find(&sample.conditioned()).unwrap().remove(0)
     };
     let near = ask(1, ForceComponents::Normal, [10.0, 90.0]);
     assert!((near.position - Point3::new(0.005, 0.0, 0.0)).norm() < 1e-12);

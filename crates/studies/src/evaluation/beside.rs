@@ -12,9 +12,9 @@ use dermis_skin::{Estimate, SkinDescription};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use crate::Progress;
 use crate::real2sim::regressions;
 use crate::real2sim::train::parts;
-use crate::{Progress, conditioned};
 
 /// Recorded readings that neighbours and the network learn from at most, and support vectors.
 const LEARNED: usize = 12_000;
@@ -24,7 +24,7 @@ const ASKED: usize = 12_000;
 
 /// What another way makes of the same recordings.
 #[derive(Debug, Serialize)]
-pub struct Beside {
+pub struct BaselineComparison {
     /// Its name.
     pub method: &'static str,
     /// Settings that were chosen on places that nothing was learned from.
@@ -42,7 +42,7 @@ pub(super) fn beside(
     only: Option<&[SampleId]>,
     bins: &[f64],
     progress: &dyn Progress,
-) -> Result<Vec<Beside>> {
+) -> Result<Vec<BaselineComparison>> {
     let learned = Dataset::from_bags(bags, skin, &labels.options()?)?;
     let single: Vec<SampleId> =
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
@@ -77,10 +77,10 @@ pub(super) fn beside(
         let mut evaluator = Evaluator::new().by_force(bins);
         for (id, sample) in asked.iter().step_by(every) {
             let Some(truth) = sample.truth.as_ref() else { continue };
-            let contacts = finder.find(&conditioned(sample))?;
+            let contacts = finder.find(&sample.conditioned())?;
             evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
         }
-        found.push(Beside { method, settings, evaluation: evaluator.finish(method) });
+        found.push(BaselineComparison { method, settings, evaluation: evaluator.finish(method) });
         Ok(())
     };
     progress.begin("support vectors: learning");

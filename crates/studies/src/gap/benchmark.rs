@@ -68,11 +68,11 @@ pub enum Findings {
     /// Nothing was opened: the folder of the reports of each pack, and the hash of their list.
     Sealed(Vec<(PathBuf, String)>),
     /// The scores.
-    Scored(Box<Scored>),
+    Scored(Box<BenchmarkScores>),
 }
 
 /// Scores of opened packs.
-pub struct Scored {
+pub struct BenchmarkScores {
     /// Which tool, command and packs.
     pub head: Value,
     /// Name of the skin.
@@ -85,7 +85,7 @@ pub struct Scored {
     pub cases: Value,
 }
 
-impl Scored {
+impl BenchmarkScores {
     /// Without the single cases.
     #[must_use]
     pub fn summary(&self) -> Value {
@@ -93,7 +93,7 @@ impl Scored {
     }
 }
 
-impl Serialize for Scored {
+impl Serialize for BenchmarkScores {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut whole = self.summary();
         whole["cases"] = self.cases.clone();
@@ -185,7 +185,7 @@ pub fn run(
                 "unexplained": s.unexplained, "causes": s.causes, "answer": c.answer })
         })
         .collect();
-    Ok(Findings::Scored(Box::new(Scored { head, skin: skin.name, card, baselines, cases })))
+    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: skin.name, card, baselines, cases })))
 }
 
 /// A case whose secret is open.

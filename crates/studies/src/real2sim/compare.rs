@@ -1,4 +1,5 @@
-//! Ways to one and two contacts, side by side on the same recordings.
+//! Ways to one and two contacts, side by side on the same recordings. The frames that are asked do not follow each other, so each is
+//! taken by itself; a node follows contacts from frame to frame.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -19,7 +20,7 @@ use serde_json::{Value, json};
 
 use super::nominal;
 use super::train::parts;
-use crate::{Families, Progress, conditioned};
+use crate::{Families, Progress};
 
 mod methods;
 
@@ -165,7 +166,7 @@ pub struct Row {
 }
 
 /// One frame to look at.
-pub struct Shown {
+pub struct ShownFrame {
     /// \[m\] of every point of the surface.
     pub map: Vec<f64>,
     /// What truly touched.
@@ -191,9 +192,9 @@ pub struct Findings {
     /// What any estimator without bias could reach on one contact.
     pub bound: Option<Bounds>,
     /// Figures that are asked for.
-    pub asks: Vec<Ask>,
+    pub asks: Vec<TargetFigure>,
     /// The first bundle's map of two contacts far apart.
-    pub shown: Option<Shown>,
+    pub shown: Option<ShownFrame>,
 }
 
 impl Serialize for Findings {
@@ -231,7 +232,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     let (learn, choose) = parts(&learned, &all);
     let prepared = prepare(options, &skin, &model, &compliance, &learned, (&learn, &choose), progress)?;
     let mut rows = Vec::new();
-    let mut shown: Option<Shown> = None;
+    let mut shown: Option<ShownFrame> = None;
     for (name, mut method) in prepared.methods {
         progress.begin(&name);
         for (kind, ids) in &test {
@@ -247,9 +248,9 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         let mut peaks = MapFinder::new(&Bundle::load(path, &skin)?, &skin, runtime)?;
         if let Some((_, sample)) = data.gather(&[*id])?.first() {
-            let map = peaks.map(&conditioned(sample))?.to_vec();
+            let map = peaks.map(&sample.conditioned())?.to_vec();
             let contacts = sample.truth.as_ref().map(|t| t.contacts.clone()).unwrap_or_default();
-            shown = Some(Shown { map, contacts });
+            shown = Some(ShownFrame { map, contacts });
         }
     }
     let singles = test.get(&Kind::Single).map(Vec::as_slice).unwrap_or_default();
@@ -321,7 +322,7 @@ fn row(
         let Some(truth) = sample.truth.as_ref() else { continue };
         // These frames do not follow each other.
         method.reset();
-        let contacts = method.find(&conditioned(sample))?;
+        let contacts = method.find(&sample.conditioned())?;
         progress.at((n + 1) as f64 / ids.len() as f64);
         wanted += truth.contacts.len();
         right += usize::from(contacts.len() == truth.contacts.len());
@@ -363,7 +364,7 @@ fn row(
 
 /// One figure that is asked for.
 #[derive(Debug, Clone, Serialize)]
-pub struct Ask {
+pub struct TargetFigure {
     /// Which figure.
     pub what: &'static str,
     /// What it should be.
@@ -377,7 +378,7 @@ pub struct Ask {
 }
 
 /// The asks of this study: mean errors of one contact, of two (all distances), and the number of contacts.
-fn asks(rows: &[Row]) -> Vec<Ask> {
+fn asks(rows: &[Row]) -> Vec<TargetFigure> {
     let mut methods: Vec<&str> = Vec::new();
     for row in rows {
         if !methods.contains(&row.method.as_str()) {
@@ -409,7 +410,7 @@ fn asks(rows: &[Row]) -> Vec<Ask> {
             .filter_map(|m| of(m, kinds).map(|[p, f, _]| (*m, p, f)))
             .min_by(|a, b| (a.1 / place).max(a.2 / force).total_cmp(&(b.1 / place).max(b.2 / force)));
         if let Some((method, p, f)) = best {
-            all.push(Ask {
+            all.push(TargetFigure {
                 what,
                 asked: format!("{:.0} mm, {force} N", place * 1e3),
                 method: method.to_owned(),
@@ -423,7 +424,7 @@ fn asks(rows: &[Row]) -> Vec<Ask> {
         .filter_map(|m| of(m, &[Kind::Far]).map(|[.., right]| (*m, right)))
         .max_by(|a, b| a.1.total_cmp(&b.1));
     if let Some((method, right)) = best {
-        all.push(Ask {
+        all.push(TargetFigure {
             what: "number of contacts, two far apart",
             asked: "90 %".into(),
             method: method.to_owned(),

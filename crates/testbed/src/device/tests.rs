@@ -12,7 +12,9 @@ use dermis_transport::{Event, Source, SourceOptions, SourceUrl};
 
 use super::script::{ROUNDS, Script, lock};
 use super::*;
-use crate::testing::{self, Bumps};
+use dermis_fixtures::SkinFile;
+
+use crate::testing::{self, shared_bumps};
 use crate::{CollectOptions, Plan, collect};
 
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -82,7 +84,7 @@ fn check_readings(device: &VirtualDevice, model: &Arc<dyn ForwardModel>, frames:
 #[test]
 fn bytes_decode_to_what_the_model_reads() {
     let skin = testing::skin(500.0);
-    let model = Bumps::shared(&skin);
+    let model = shared_bumps(&skin);
     let device = VirtualDevice::start(Arc::clone(&model), &skin, &testing::plan(), 9, &Outlet::Pty).unwrap();
     let mut reader = Reader::open(device.url());
     assert!(reader.read(300));
@@ -107,7 +109,7 @@ fn bytes_decode_to_what_the_model_reads() {
 #[test]
 fn rounds_go_on_for_ever_and_differ() {
     let skin = testing::skin(100.0);
-    let script = Script::new(testing::plan(), Bumps::shared(&skin), 5).unwrap();
+    let script = Script::new(testing::plan(), shared_bumps(&skin), 5).unwrap();
     let length = lock(&script.rounds).last[0].1.duration();
     let first = script.at(0.25).unwrap().unwrap();
     let mut t = 0.25;
@@ -117,15 +119,14 @@ fn rounds_go_on_for_ever_and_differ() {
     }
     assert_eq!(lock(&script.rounds).last.len(), ROUNDS);
     assert_eq!(script.at(0.25).unwrap(), None, "what is forgotten is not made up");
-    let fresh = Script::new(testing::plan(), Bumps::shared(&skin), 5).unwrap();
+    let fresh = Script::new(testing::plan(), shared_bumps(&skin), 5).unwrap();
     assert_eq!(fresh.at(0.25).unwrap().unwrap(), first);
 }
 
 #[test]
 fn the_truth_holds_what_effects_do_to_what_touches() {
     let skin = testing::skin(100.0);
-    let device =
-        VirtualDevice::start(Bumps::shared(&skin), &skin, &testing::plan(), 1, &Outlet::Pty).unwrap();
+    let device = VirtualDevice::start(shared_bumps(&skin), &skin, &testing::plan(), 1, &Outlet::Pty).unwrap();
     let (mut still, mut dragged) = (0, 0);
     for i in 0..3000 {
         let moment = device.truth(device.script.start + i64::from(i) * 5_000_000).unwrap();
@@ -147,8 +148,7 @@ fn the_truth_holds_what_effects_do_to_what_touches() {
 #[test]
 fn nobody_has_to_read() {
     let skin = testing::skin(2000.0);
-    let device =
-        VirtualDevice::start(Bumps::shared(&skin), &skin, &testing::plan(), 1, &Outlet::Pty).unwrap();
+    let device = VirtualDevice::start(shared_bumps(&skin), &skin, &testing::plan(), 1, &Outlet::Pty).unwrap();
     wait_for("a full line", || device.stats().dropped > 10);
     assert!(device.running());
     drop(device);
@@ -157,7 +157,7 @@ fn nobody_has_to_read() {
 #[test]
 fn tcp_serves_one_client_after_another() {
     let skin = testing::skin(500.0);
-    let model = Bumps::shared(&skin);
+    let model = shared_bumps(&skin);
     let outlet = Outlet::Tcp("127.0.0.1:0".parse().unwrap());
     let device = VirtualDevice::start(Arc::clone(&model), &skin, &testing::plan(), 2, &outlet).unwrap();
     for _ in 0..2 {
@@ -173,7 +173,7 @@ fn a_link_comes_and_goes_with_the_device() {
     let link = dir.path().join("pad");
     let skin = testing::skin(100.0);
     let outlet = Outlet::PtyLink(link.clone());
-    let device = VirtualDevice::start(Bumps::shared(&skin), &skin, &testing::plan(), 1, &outlet).unwrap();
+    let device = VirtualDevice::start(shared_bumps(&skin), &skin, &testing::plan(), 1, &outlet).unwrap();
     assert_eq!(device.url(), format!("pty://{}", link.display()));
     assert!(Reader::open(device.url()).read(5));
     device.stop().unwrap();
@@ -204,7 +204,7 @@ fn a_recording_is_sent_bit_by_bit() {
     let bag = dir.path().join("bag");
     let skin = testing::skin(200.0);
     let report =
-        collect(&Bumps::shared(&skin), &skin, &testing::plan(), &bag, &CollectOptions::default()).unwrap();
+        collect(&shared_bumps(&skin), &skin, &testing::plan(), &bag, &CollectOptions::default()).unwrap();
     let options = ReplayOptions { speed: f64::INFINITY, ..ReplayOptions::default() };
     let device = ReplayDevice::start(&bag, &skin, &options).unwrap();
     let mut reader = Reader::open(device.url());
@@ -226,7 +226,7 @@ fn a_recording_keeps_its_pace() {
     let skin = testing::skin(100.0);
     let plan = testing::PLAN.split("[[steps]]").take(2).collect::<Vec<_>>().join("[[steps]]");
     let plan = Plan::from_toml(&plan, "idle.toml").unwrap();
-    collect(&Bumps::shared(&skin), &skin, &plan, &bag, &CollectOptions::default()).unwrap();
+    collect(&shared_bumps(&skin), &skin, &plan, &bag, &CollectOptions::default()).unwrap();
     let begin = Instant::now();
     let device =
         ReplayDevice::start(&bag, &skin, &ReplayOptions { speed: 0.5, ..ReplayOptions::default() }).unwrap();
@@ -240,7 +240,7 @@ fn a_replay_that_nobody_reads_can_be_stopped() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("bag");
     let skin = testing::skin(200.0);
-    collect(&Bumps::shared(&skin), &skin, &testing::plan(), &bag, &CollectOptions::default()).unwrap();
+    collect(&shared_bumps(&skin), &skin, &testing::plan(), &bag, &CollectOptions::default()).unwrap();
     let options = ReplayOptions { speed: f64::INFINITY, ..ReplayOptions::default() };
     let device = ReplayDevice::start(&bag, &skin, &options).unwrap();
     let mut sent = 0;
@@ -254,19 +254,9 @@ fn recordings_of_other_skins_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("bag");
     let skin = testing::skin(200.0);
-    collect(&Bumps::shared(&skin), &skin, &testing::plan(), &bag, &CollectOptions::default()).unwrap();
-    let text = r#"
-        schema = "dermis-skin/1"
-        name = "other"
-        sensor = "bumps"
-        frame_id = "other_link"
-        unit = "Pa"
-        rate = 100.0
-        noise = 2.0
-        surface = { type = "rectangle", size = [0.03, 0.02], spacing = 0.001 }
-        taxels = [{ name = "only", position = [0.0, 0.0, -0.005] }]
-    "#;
-    let other = SkinDescription::from_toml(text, "other.toml").unwrap();
+    collect(&shared_bumps(&skin), &skin, &testing::plan(), &bag, &CollectOptions::default()).unwrap();
+    let other =
+        SkinFile::new("other").set("sensor", "\"bumps\"").taxels([("only", [0.0, 0.0, -0.005])]).read();
     let refused = |skin: &SkinDescription, options: &ReplayOptions| {
         let error = ReplayDevice::start(&bag, skin, options).unwrap_err().to_string();
         error.replace(&bag.display().to_string(), "BAG")

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::Touch;
 use super::sites::Sites;
-use crate::plan::{ForceDistribution, Level, Manner, Plan};
+use crate::plan::{ForceDistribution, Level, Plan, PressProfile};
 
 /// Random choices of one timeline.
 pub(super) struct Draw<'a> {
@@ -45,8 +45,8 @@ impl<'a> Draw<'a> {
         })
     }
 
-    pub(super) fn diameter(&mut self, manner: &Manner) -> f64 {
-        let of = if manner.diameter.is_empty() { &self.plan.diameter } else { &manner.diameter };
+    pub(super) fn diameter(&mut self, profile: &PressProfile) -> f64 {
+        let of = if profile.diameter.is_empty() { &self.plan.diameter } else { &profile.diameter };
         match of[..] {
             [diameter] => diameter,
             _ => of[self.more.random_range(0..of.len())],
@@ -59,12 +59,12 @@ impl<'a> Draw<'a> {
         at: Point3<f64>,
         level: Level<f64>,
         diameter: f64,
-        manner: &Manner,
+        profile: &PressProfile,
     ) -> Touch {
         let mut shear = Vector3::zeros();
-        if let Some([low, high]) = manner.shear {
+        if let Some([low, high]) = profile.shear {
             let ratio = self.more.random_range(low..=high);
-            let turn = match manner.shear_direction {
+            let turn = match profile.shear_direction {
                 Some(direction) => direction,
                 None => self.more.random_range(0.0..std::f64::consts::TAU),
             };

@@ -7,7 +7,7 @@ use super::*;
 use crate::plan::Plan;
 use crate::testing;
 
-fn moments(timeline: &Timeline) -> Vec<Moment> {
+fn moments(timeline: &Timeline) -> Vec<GroundTruth> {
     let steps = (timeline.duration() * 1000.0) as u32;
     (0..=steps).map(|i| timeline.at(f64::from(i) / 1000.0)).collect()
 }
@@ -15,9 +15,9 @@ fn moments(timeline: &Timeline) -> Vec<Moment> {
 #[test]
 fn a_press_goes_through_its_phases_and_its_force_does_not_jump() {
     let skin = testing::skin(100.0);
-    let timeline = Timeline::new(&testing::plan(), &testing::Bumps::shared(&skin), 3).unwrap();
-    let force = |m: &Moment| m.stimulus.contacts.iter().map(|c| -c.force.z).fold(0.0, f64::max);
-    let mut last = Moment::default();
+    let timeline = Timeline::new(&testing::plan(), &testing::shared_bumps(&skin), 3).unwrap();
+    let force = |m: &GroundTruth| m.stimulus.contacts.iter().map(|c| -c.force.z).fold(0.0, f64::max);
+    let mut last = GroundTruth::default();
     for moment in moments(&timeline) {
         if moment.press == last.press && moment.phase != last.phase {
             let expected = match last.phase {
@@ -40,14 +40,14 @@ fn a_press_goes_through_its_phases_and_its_force_does_not_jump() {
         );
         last = moment;
     }
-    assert_eq!(timeline.at(-1.0), Moment::default());
+    assert_eq!(timeline.at(-1.0), GroundTruth::default());
     assert_eq!(timeline.at(timeline.duration() + 1e6).phase, Phase::Idle);
 }
 
 #[test]
 fn the_plan_is_carried_out_in_full() {
     let skin = testing::skin(100.0);
-    let timeline = Timeline::new(&testing::plan(), &testing::Bumps::shared(&skin), 3).unwrap();
+    let timeline = Timeline::new(&testing::plan(), &testing::shared_bumps(&skin), 3).unwrap();
     // 26 mm by 16 mm within the margin: points at 0, 8, 16, 24 by 0, 8, 16 mm.
     let grid = 4 * 3;
     assert_eq!(timeline.presses(), 4 * 2 + grid * 2 * 2 + 3 + 3);
@@ -74,7 +74,7 @@ fn what_does_not_fit_is_refused() {
     let skin = testing::skin(100.0);
     let plan_error = |text: &str| {
         let plan = Plan::from_toml(text, "plan.toml").unwrap();
-        Timeline::new(&plan, &testing::Bumps::shared(&skin), 1).unwrap_err().to_string()
+        Timeline::new(&plan, &testing::shared_bumps(&skin), 1).unwrap_err().to_string()
     };
     let refused = |from: &str, to: &str| plan_error(&testing::PLAN.replace(from, to));
     let no_time = r#"
@@ -102,7 +102,7 @@ fn carried_out(steps: &str) -> Result<Timeline, String> {
         "#
     );
     let plan = Plan::from_toml(&text, "some.toml").map_err(|e| e.to_string())?;
-    let model = testing::Bumps::shared(&testing::skin(100.0));
+    let model = testing::shared_bumps(&testing::skin(100.0));
     Timeline::new(&plan, &model, 1).map_err(|e| e.to_string())
 }
 
@@ -114,7 +114,7 @@ fn a_plan_may_name_a_tip_that_is_no_sphere_and_gravity() {
     let text = format!("{head}gravity = [0.0, 0.0, -9.81]\n{steps}");
     let read = |text: &str| Plan::from_toml(text, "some.toml").map_err(|e| e.to_string());
     let plan = read(&text).unwrap();
-    let model = testing::Bumps::shared(&testing::skin(100.0));
+    let model = testing::shared_bumps(&testing::skin(100.0));
     let timeline = Timeline::new(&plan, &model, 1).unwrap();
     let mut pressed = 0;
     for moment in moments(&timeline) {
@@ -164,8 +164,8 @@ fn depths_take_the_force_that_the_model_knows() {
     assert!(deepest > 0.0015, "{deepest}");
     let refused = |from: &str, to: &str| carried_out(&steps.replace(from, to)).unwrap_err();
     insta::assert_snapshot!(refused("0.002]", "0.02]"), @"plan some.toml: field `steps[0].depth`: 0.009491 m at (-0.003716, -0.005006, 0.000000) m is deeper than a tip of 0.004 m can be pressed into this skin");
-    let mut bumps = testing::Bumps::new(&testing::skin(100.0));
-    bumps.deep = false;
+    let mut bumps = testing::bumps(&testing::skin(100.0));
+    bumps.spring = None;
     let model: Arc<dyn ForwardModel> = Arc::new(bumps);
     let text = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}");
     let plan = Plan::from_toml(&text, "some.toml").unwrap();
@@ -245,7 +245,7 @@ fn a_grid_has_the_pitch_that_was_asked_for() {
     let on_a_dome = |pitch: &str| {
         let plan = Plan::from_toml(&text.replace("[0.0007, 0.004]", pitch), "some.toml").unwrap();
         let dome = SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 };
-        Timeline::new(&plan, &testing::Bumps::on(&dome), 1).map_err(|e| e.to_string())
+        Timeline::new(&plan, &testing::bumps_on(&dome), 1).map_err(|e| e.to_string())
     };
     insta::assert_snapshot!(on_a_dome("[0.0007, 0.004]").unwrap_err(), @"plan some.toml: field `steps[0].pitch`: is of two numbers, which a flat skin has only");
     insta::assert_snapshot!(on_a_dome("0.0005").unwrap_err(), @"plan some.toml: field `steps[0].pitch`: is 0.0005 m, and the points of this curved surface are 0.002023 m apart: take a wider pitch, or a finer `surface.spacing` in the skin description");
@@ -272,7 +272,7 @@ fn shear_lies_in_a_curved_surface_too() {
         shear_direction = 0.0
     "#;
     let dome = SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 };
-    let (model, plan) = (testing::Bumps::on(&dome), Plan::from_toml(text, "sheared.toml").unwrap());
+    let (model, plan) = (testing::bumps_on(&dome), Plan::from_toml(text, "sheared.toml").unwrap());
     let timeline = Timeline::new(&plan, &model, 1).unwrap();
     let mut largest = 0.0f64;
     for i in 0..(timeline.duration() * 100.0) as u32 {
@@ -308,7 +308,7 @@ proptest! {
         } else {
             SurfaceSpec::Rectangle { size: [0.03, 0.02], spacing: 0.002 }
         };
-        let model = testing::Bumps::on(&spec);
+        let model = testing::bumps_on(&spec);
         let surface = model.surface();
         let timeline = Timeline::new(&testing::plan(), &model, seed).unwrap();
         let again = Timeline::new(&testing::plan(), &model, seed).unwrap();

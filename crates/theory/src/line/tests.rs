@@ -1,19 +1,19 @@
 use approx::assert_relative_eq;
+use dermis_fixtures::Analytic;
 use dermis_model::{ForwardModel, Unknowns};
 use nalgebra::Vector3;
 
 use super::*;
 use crate::normalised::TwoTaxels;
-use crate::testing::{Dome, Ideal, Toy};
+use crate::testing::{IDEAL_DISTANCE, dome, ideal, row, toy};
 use crate::{cramer_rao, force_ladder};
 
-fn row(step: f64, noise: f64) -> (Line, Toy) {
-    let mut model = Toy::row(6);
+fn toy_row(step: f64, noise: f64) -> (Line, Analytic) {
+    let mut model = row(6);
     model.noise.fill(noise);
     let path = Path::across(model.surface(), &Point3::origin(), &Vector3::x(), step).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(3.0, 30), 0.004).unwrap();
-    let feet: Vec<_> = model.taxels.iter().map(|(x, y)| Point3::new(*x, *y, 0.0)).collect();
-    (Line::new(responses, &path, model.surface(), &feet, 0.001).unwrap(), model)
+    (Line::new(responses, &path, model.surface(), &model.places(), 0.001).unwrap(), model)
 }
 
 /// Place at x.
@@ -23,7 +23,7 @@ fn at(line: &Line, x: f64) -> usize {
 
 #[test]
 fn taxels_lie_in_order() {
-    let (line, _) = row(0.0005, 2.0);
+    let (line, _) = toy_row(0.0005, 2.0);
     assert_relative_eq!(line.span(), 0.0325, max_relative = 1e-6);
     assert_eq!(line.pair(0.02).map(|t| t.channel), [2, 3]);
     assert_eq!(line.pair(0.0).map(|t| t.channel), [0, 1]);
@@ -40,7 +40,7 @@ fn corners_tend_to_the_closed_form_and_to_the_slopes_of_the_toy() {
     let m = |d: f64| 2.0 * (force / c(d)) * d / h;
     let exact = |sigma: f64| sigma * (c(d1) + c(d2)) / (m(d1) - m(d2)).abs();
     for sigma in [1.0, 0.25] {
-        let (line, _) = row(0.00005, sigma);
+        let (line, _) = toy_row(0.00005, sigma);
         let place = at(&line, x);
         let corners = line.corners(place, force, [2, 3]).unwrap();
         let first = line.first_order(place, force, [2, 3]).unwrap();
@@ -51,24 +51,23 @@ fn corners_tend_to_the_closed_form_and_to_the_slopes_of_the_toy() {
 }
 
 /// The thesis' setting, with `count` taxels.
-fn ideal(count: usize, alpha: f64, sigma: f64) -> (Line, Ideal) {
-    let model = Ideal::new(count, alpha, sigma);
+fn ideal_line(count: usize, alpha: f64, sigma: f64) -> (Line, Analytic) {
+    let model = ideal(count, alpha, sigma);
     let path = Path::across(model.surface(), &Point3::origin(), &Vector3::x(), 0.00005).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(20.0, 60), 0.004).unwrap();
-    let feet: Vec<_> = model.feet.iter().map(|x| Point3::new(*x, 0.0, 0.0)).collect();
-    (Line::new(responses, &path, model.surface(), &feet, 0.001).unwrap(), model)
+    (Line::new(responses, &path, model.surface(), &model.places(), 0.001).unwrap(), model)
 }
 
 #[test]
 fn a_line_of_two_is_the_normalised_setting() {
     for alpha in [1.5, 2.0, 3.0] {
-        let (line, model) = ideal(2, alpha, 0.02);
+        let (line, model) = ideal_line(2, alpha, 0.02);
         let two = TwoTaxels::normalised(alpha).unwrap();
         for x in [-0.002, 0.0, 0.001, 0.004] {
             let place = at(&line, x);
-            let contact = (line.responses().points()[place].x - model.feet[0]) / model.distance;
+            let contact = (line.responses().points()[place].x - model.elements[0].at.x) / IDEAL_DISTANCE;
             let (found, expected) = (line.corners(place, 2.0, [0, 1]).unwrap(), two.corners(contact, 0.02));
-            assert_relative_eq!(found.position / model.distance, expected.position, max_relative = 5e-3);
+            assert_relative_eq!(found.position / IDEAL_DISTANCE, expected.position, max_relative = 5e-3);
             assert_relative_eq!(found.force, expected.force, max_relative = 1e-2);
         }
     }
@@ -77,7 +76,7 @@ fn a_line_of_two_is_the_normalised_setting() {
 #[test]
 fn taxels_further_away_locate_better_where_the_noise_is_the_same_force() {
     // Fig. 5.4: each band of a pair twice as far apart is crossed twice as steeply.
-    let (line, _) = ideal(4, 2.0, 0.02);
+    let (line, _) = ideal_line(4, 2.0, 0.02);
     let place = at(&line, 0.0005);
     let of = |channels: &[usize]| line.corners_of_all(place, 6.0, channels).unwrap().position;
     let (two, three, four) = (of(&[1, 2]), of(&[1, 2, 3]), of(&[0, 1, 2, 3]));
@@ -92,7 +91,7 @@ fn taxels_further_away_locate_better_where_the_noise_is_the_same_force() {
 
 #[test]
 fn fits_of_parabolas_give_the_same() {
-    let (line, _) = row(0.0001, 1.0);
+    let (line, _) = toy_row(0.0001, 1.0);
     let values: Vec<f64> = (1..=20).map(|i| f64::from(i) * 10.0).collect();
     let pair = line.pair(0.021);
     let fits = pair.map(|t| line.fits(&t, &values));
@@ -105,7 +104,7 @@ fn fits_of_parabolas_give_the_same() {
 
 #[test]
 fn more_taxels_locate_no_worse() {
-    let (line, model) = row(0.0001, 2.0);
+    let (line, model) = toy_row(0.0001, 2.0);
     for x in [-0.006, 0.0, 0.0013] {
         let place = at(&line, x);
         let pair = line.pair(line.arc()[place]).map(|t| t.channel);
@@ -132,7 +131,7 @@ fn equal_taxels_average() {
     // √n: four at each place of two.
     let model = |n: usize| {
         let feet: Vec<_> = (0..n).flat_map(|_| [(-0.00325, 0.0), (0.00325, 0.0)]).collect();
-        Toy::new(&feet)
+        toy(&feet)
     };
     let bound = |n| {
         let contact = dermis_model::Indentation::sphere(
@@ -148,7 +147,7 @@ fn equal_taxels_average() {
 
 #[test]
 fn less_force_is_needed_between_taxels() {
-    let (line, _) = row(0.0005, 2.0);
+    let (line, _) = toy_row(0.0005, 2.0);
     let least = |x: f64| line.responses().minimum_force(at(&line, x), 50.0, 2).unwrap();
     assert!(least(0.0) < least(0.00325), "{} {}", least(0.0), least(0.00325));
     // Ever more taxels need ever more force.
@@ -158,7 +157,7 @@ fn less_force_is_needed_between_taxels() {
 
 #[test]
 fn two_contacts_are_told_apart_where_each_has_taxels_of_its_own() {
-    let (line, _) = row(0.0005, 2.0);
+    let (line, _) = toy_row(0.0005, 2.0);
     let (a, b) = (at(&line, -0.0130), at(&line, 0.0130));
     assert!(line.told_apart((a, 0.3), (b, 0.3), 25.0, 2));
     assert!(!line.told_apart((a, 0.3), (at(&line, -0.0065), 0.3), 25.0, 2));
@@ -171,11 +170,11 @@ fn two_contacts_are_told_apart_where_each_has_taxels_of_its_own() {
 
 #[test]
 fn distances_on_a_dome_are_those_along_it() {
-    let model = Dome::new();
+    let model = dome();
     let tip = Point3::new(0.0, 0.0, 0.026);
     let path = Path::across(model.surface(), &tip, &Vector3::x(), 0.0004).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(2.0, 20), 0.004).unwrap();
-    let line = Line::new(responses, &path, model.surface(), &model.feet, 0.001).unwrap();
+    let line = Line::new(responses, &path, model.surface(), &model.places(), 0.001).unwrap();
     // Tip, upper and lower taxels on both sides.
     assert_eq!(line.taxels().len(), 5);
     let tip = line.taxels()[2];
@@ -193,10 +192,10 @@ fn distances_on_a_dome_are_those_along_it() {
 
 #[test]
 fn a_ring_has_no_ends() {
-    let model = Dome::new();
+    let model = dome();
     let path = Path::across(model.surface(), &Point3::new(0.01, 0.0, 0.016), &Vector3::y(), 0.0002).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(3.0, 20), 0.004).unwrap();
-    let line = Line::new(responses, &path, model.surface(), &model.feet, 0.001).unwrap();
+    let line = Line::new(responses, &path, model.surface(), &model.places(), 0.001).unwrap();
     // Six taxels, the same everywhere between two of them, also where the path begins and ends.
     assert_eq!(line.taxels().len(), 6);
     assert_relative_eq!(line.span(), std::f64::consts::TAU * 0.01, max_relative = 1e-2);
@@ -221,7 +220,7 @@ fn a_ring_has_no_ends() {
 
 #[test]
 fn one_taxel_is_no_line() {
-    let model = Toy::row(1);
+    let model = row(1);
     let path = Path::across(model.surface(), &Point3::origin(), &Vector3::x(), 0.001).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(1.0, 5), 0.004).unwrap();
     let error = Line::new(responses, &path, model.surface(), &[Point3::origin()], 0.001).unwrap_err();

@@ -1,3 +1,4 @@
+use dermis_fixtures::Analytic;
 use dermis_model::Unknowns;
 use proptest::prelude::*;
 use rand::SeedableRng;
@@ -5,11 +6,11 @@ use rand_distr::{Distribution, StandardNormal, Uniform};
 
 use super::*;
 use crate::over_surface;
-use crate::testing::{Dome, Ideal, Row, Toy, read};
+use crate::testing::{dome, grid, ideal, read, row, thesis_row};
 
 /// Root mean square of the position error \[m\] of noisy frames at random places, and how many are not solved.
 fn errors(
-    model: &dyn ForwardModel,
+    model: &Analytic,
     solver: &IsolineSolver,
     places: &[Point3<f64>],
     force: f64,
@@ -48,7 +49,7 @@ fn on_grid(count: u32) -> Vec<Point3<f64>> {
 
 #[test]
 fn without_noise_the_contact_is_found() {
-    let model = Toy::row(6);
+    let model = row(6);
     let solver =
         IsolineSolver::line_of_model(&model, &Point3::origin(), &Vector3::x(), &SolverOptions::line())
             .unwrap();
@@ -56,7 +57,7 @@ fn without_noise_the_contact_is_found() {
         let (rms, missed) = errors(&model, &solver, &on_line(50), 0.7, taxels, 0.0);
         assert!(rms < 5e-6 && missed == 0, "{taxels}: {rms}, {missed} missed");
     }
-    let found = solver.solve(&model.read(&Point3::new(0.004, 0.0, 0.0), 0.5), 3).unwrap();
+    let found = solver.solve(&read(&model, &Point3::new(0.004, 0.0, 0.0), 0.5), 3).unwrap();
     assert!(found.crossed && (found.force - 0.5).abs() < 1e-3 && found.channels[0] == 3, "{found:?}");
     // One taxel is not enough, nor is noise.
     assert!(solver.solve(&[0.0, 0.0, 50.0, 3.0, f64::NAN, 0.0], 2).is_none());
@@ -64,7 +65,7 @@ fn without_noise_the_contact_is_found() {
 
 #[test]
 fn on_a_surface_three_or_four_find_it() {
-    let model = Toy::grid();
+    let model = grid();
     let spec = SurfaceSpec::Rectangle { size: [0.04, 0.04], spacing: 0.005 };
     let solver = IsolineSolver::surface_of_model(&model, &spec, &SolverOptions::surface()).unwrap();
     for taxels in [3, 4] {
@@ -76,7 +77,7 @@ fn on_a_surface_three_or_four_find_it() {
 
 #[test]
 fn on_a_dome_three_find_it() {
-    let model = Dome::new();
+    let model = dome();
     let spec = SurfaceSpec::Dome { radius: 0.010, cylinder: 0.016, spacing: 0.001 };
     let options = SolverOptions { step: 1e-3, ..SolverOptions::surface() };
     let solver = IsolineSolver::surface_of_model(&model, &spec, &options).unwrap();
@@ -98,8 +99,7 @@ fn row_solver(model: &dyn ForwardModel, averaging: Averaging) -> IsolineSolver {
 #[test]
 fn three_taxels_beat_two_on_the_isolines_of_the_theory() {
     // Parabolas, one σ_S the same force everywhere, crossings averaged as the thesis does.
-    let mut model = Ideal::new(6, 2.0, 0.02);
-    model.noise.fill(0.02);
+    let model = ideal(6, 2.0, 0.02);
     let options = SolverOptions {
         averaging: Averaging::Plain,
         force_max: 40.0,
@@ -115,7 +115,7 @@ fn three_taxels_beat_two_on_the_isolines_of_the_theory() {
 
 #[test]
 fn three_taxels_beat_two_in_an_elastic_layer_where_crossings_are_weighted() {
-    let model = Row::new();
+    let model = thesis_row();
     let (plain, weighted) = (row_solver(&model, Averaging::Plain), row_solver(&model, Averaging::Weighted));
     let places = on_line(400);
     for force in [0.5, 1.05] {
@@ -131,10 +131,11 @@ fn three_taxels_beat_two_in_an_elastic_layer_where_crossings_are_weighted() {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(4);
     let (mut two, mut three) = (0.0, 0.0);
     for _ in 0..8 {
-        let mut device = Row::new();
-        for i in 0..6 {
+        let mut device = thesis_row();
+        for element in &mut device.elements {
             let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
-            (device.gains[i], device.shifts[i]) = ((0.1 * draw()).exp(), 3e-4 * draw());
+            element.gain = (0.1 * draw()).exp();
+            element.at.x += 3e-4 * draw();
         }
         two += errors(&device, &weighted, &places[..100], 0.5, 2, 20.0).0.powi(2);
         three += errors(&device, &weighted, &places[..100], 0.5, 3, 20.0).0.powi(2);
@@ -144,14 +145,14 @@ fn three_taxels_beat_two_in_an_elastic_layer_where_crossings_are_weighted() {
 
 #[test]
 fn presses_teach_it_as_the_model_does() {
-    let model = Toy::row(6);
+    let model = row(6);
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let (place, force) = (Uniform::new(-0.02, 0.02).unwrap(), Uniform::new(0.01, 1.5).unwrap());
     let presses: Vec<Press> = (0..5000)
         .map(|_| {
             let position = Point3::new(place.sample(&mut random), 0.0, 0.0);
             let force = force.sample(&mut random);
-            Press { position, force, readings: model.read(&position, force) }
+            Press { position, force, readings: read(&model, &position, force) }
         })
         .collect();
     let options = SolverOptions { step: 5e-4, force_max: 1.5, ..SolverOptions::line() };
@@ -172,7 +173,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
     fn no_frame_panics(values in proptest::collection::vec(any::<f64>(), 0..9), taxels in 0usize..9) {
-        let model = Toy::row(6);
+        let model = row(6);
         let options = SolverOptions { step: 1e-3, ..SolverOptions::line() };
         let solver = IsolineSolver::line_of_model(&model, &Point3::origin(), &Vector3::x(), &options).unwrap();
         let _ = solver.solve(&values, taxels);

@@ -206,7 +206,7 @@ impl Sensor for Slow {
         while !COMPUTED.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(5));
         }
-        Ok(Arc::new(dermis_estimate::testing::Membrane::new(skin)))
+        Ok(Arc::new(dermis_estimate::testing::membrane(skin)))
     }
 }
 
