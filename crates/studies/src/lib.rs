@@ -21,7 +21,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
+use dermis_estimate::ConditionedFrame;
 use dermis_inference::{Runtime, RuntimeConfig};
+use dermis_learn::Sample;
 use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
 use dermis_skin::{Estimator, ModelError, SkinDescription};
@@ -86,6 +88,11 @@ pub fn of_file(path: &Path, error: ModelError) -> anyhow::Error {
         }
         other => other.into(),
     }
+}
+
+/// A sample of a data set, as finders take it.
+fn conditioned(sample: &Sample) -> ConditionedFrame<'_> {
+    sample.conditioned()
 }
 
 /// What a bundle is called beside others: its folder.
