@@ -308,16 +308,20 @@ impl Evaluator {
                 let ((fa, ca), (fb, cb)) = (strength(a), strength(b));
                 fa.total_cmp(&fb).then(ca.total_cmp(&cb))
             });
-            let answer = match contact {
-                Some(contact) => Answer::of_contact(contact, curved),
-                None => Answer {
-                    normal_force: normal.then_some(0.0),
-                    force: full.then_some([0.0; 3]),
-                    depth: curved,
-                    ..Answer::default()
-                },
-            };
-            scores.push(*run, truth, &Answer { contact: Some(contact.is_some()), ..answer });
+            let mut answer = Answer { contact: Some(contact.is_some()), depth: curved, ..Answer::default() };
+            if let Some(c) = contact {
+                let p = c.position;
+                answer.position = (p.x.is_finite() && p.y.is_finite()).then_some([p.x, p.y, p.z]);
+                if c.force_components != ForceComponents::None {
+                    answer.normal_force = Some(c.normal_force()).filter(|f| f.is_finite());
+                }
+                answer.force = (c.force_components == ForceComponents::Full)
+                    .then_some([c.force.x, c.force.y, c.force.z]);
+            } else {
+                answer.normal_force = normal.then_some(0.0);
+                answer.force = full.then_some([0.0; 3]);
+            }
+            scores.push(*run, truth, &answer);
         }
         let mut evaluation = Evaluation::of(&scores, data, self.answers.len(), self.unanswered, self.tares);
         if let Some(edges) = &self.edges {

@@ -8,7 +8,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use dermis_skin::{Contact, ForceComponents};
+use dermis_skin::Contact;
 
 use crate::dataset::{Truth, TruthContact};
 
@@ -38,22 +38,6 @@ pub struct Answer {
     pub normal_force: Option<f64>,
     /// Whether something touches the skin.
     pub contact: Option<bool>,
-}
-
-impl Answer {
-    /// What is known of one contact that was found; `depth` as [`Answer::depth`]. It says nothing of a contact's presence.
-    #[must_use]
-    pub fn of_contact(contact: &Contact, depth: bool) -> Self {
-        let at = contact.position;
-        let known = contact.force_components != ForceComponents::None;
-        Self {
-            position: (at.x.is_finite() && at.y.is_finite()).then_some([at.x, at.y, at.z]),
-            depth,
-            force: (contact.force_components == ForceComponents::Full).then_some(contact.force.into()),
-            normal_force: known.then(|| contact.normal_force()).filter(|force| force.is_finite()),
-            contact: None,
-        }
-    }
 }
 
 /// Distribution of one error. For a position the error is a distance, for anything else a difference.

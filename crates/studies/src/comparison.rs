@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use crate::evaluation::{split_of, unknowns};
-use crate::{Families, Progress, called};
+use crate::{Families, Progress, called, conditioned};
 
 /// What to compare on what.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -191,7 +191,7 @@ fn answer(
                 // A history with two zeros would hold a step.
                 finders.iter_mut().for_each(|(_, finder)| finder.reset());
             }
-            let frame = read.conditioned();
+            let frame = conditioned(&read);
             let truth = read.truth.as_ref().filter(|_| wanted.contains(&SampleId { run, sample }));
             for ((_, finder), evaluator) in finders.iter_mut().zip(&mut evaluators) {
                 let Some(truth) = truth else {

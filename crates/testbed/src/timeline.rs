@@ -1,7 +1,7 @@
 //! A plan carried out on a surface: what touches it at every instant.
 //!
 //! [`Timeline::new`] draws what the plan leaves open and lays its presses one after the other (`schedule`, with the random
-//! choices of `draw` and the candidate locations of `sites`). [`Timeline::at`] interpolates within a press: force and
+//! choices of `draw` and the candidate locations of `candidates`). [`Timeline::at`] interpolates within a press: force and
 //! approach follow a raised cosine between the ends of its phases, so that no speed jumps.
 //! Assumptions: tips of one press act independently of each other; a slide runs at constant speed on a straight line that is
 //! projected to the surface.
@@ -17,9 +17,9 @@ use nalgebra::{Point3, Vector3};
 
 use crate::plan::{Level, PlanTip};
 
+mod candidates;
 mod draw;
 mod schedule;
-mod sites;
 #[cfg(test)]
 mod tests;
 

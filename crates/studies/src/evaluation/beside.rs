@@ -12,9 +12,9 @@ use dermis_skin::{Estimate, SkinDescription};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::Progress;
 use crate::real2sim::regressions;
 use crate::real2sim::train::parts;
+use crate::{Progress, conditioned};
 
 /// Recorded readings that neighbours and the network learn from at most, and support vectors.
 const LEARNED: usize = 12_000;
@@ -77,7 +77,7 @@ pub(super) fn beside(
         let mut evaluator = Evaluator::new().by_force(bins);
         for (id, sample) in asked.iter().step_by(every) {
             let Some(truth) = sample.truth.as_ref() else { continue };
-            let contacts = finder.find(&sample.conditioned())?;
+            let contacts = finder.find(&conditioned(sample))?;
             evaluator.push(id.run, truth, &Estimate { contacts, ..Estimate::default() });
         }
         found.push(BaselineComparison { method, settings, evaluation: evaluator.finish(method) });

@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 
 use super::nominal;
 use super::train::parts;
-use crate::{Families, Progress};
+use crate::{Families, Progress, conditioned};
 
 mod methods;
 
@@ -248,7 +248,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         let mut peaks = MapFinder::new(&Bundle::load(path, &skin)?, &skin, runtime)?;
         if let Some((_, sample)) = data.gather(&[*id])?.first() {
-            let map = peaks.map(&sample.conditioned())?.to_vec();
+            let map = peaks.map(&conditioned(sample))?.to_vec();
             let contacts = sample.truth.as_ref().map(|t| t.contacts.clone()).unwrap_or_default();
             shown = Some(ShownFrame { map, contacts });
         }
@@ -322,7 +322,7 @@ fn row(
         let Some(truth) = sample.truth.as_ref() else { continue };
         // These frames do not follow each other.
         method.reset();
-        let contacts = method.find(&sample.conditioned())?;
+        let contacts = method.find(&conditioned(sample))?;
         progress.at((n + 1) as f64 / ids.len() as f64);
         wanted += truth.contacts.len();
         right += usize::from(contacts.len() == truth.contacts.len());

@@ -11,8 +11,8 @@ use nalgebra::{Point3, Vector3};
 use rand::Rng;
 use rand::seq::SliceRandom;
 
+use super::candidates::CandidateLocations;
 use super::draw::{Draw, EFFORT};
-use super::sites::Sites;
 use super::{Key, Press, Timeline, Touch};
 use crate::TestbedError;
 use crate::plan::{Action, LONGEST, Level, Levels, Plan, PressProfile, Step};
@@ -28,7 +28,7 @@ impl Timeline {
     /// [`TestbedError::Plan`] where the plan does not fit the skin: no place keeps the margin, a place lies off the surface,
     /// contacts cannot keep their distance, or the model knows no force for a depth.
     pub fn new(plan: &Plan, model: &Arc<dyn ForwardModel>, seed: u64) -> Result<Self, TestbedError> {
-        let sites = Sites::new(model.surface(), plan.margin, plan.region);
+        let candidates = CandidateLocations::new(model.surface(), plan.margin, plan.region);
         let timeline = Self {
             presses: Vec::new(),
             duration: 0.0,
@@ -37,7 +37,7 @@ impl Timeline {
             tip: plan.tip,
             gravity: plan.gravity.unwrap_or_default().into(),
         };
-        let draw = Draw::new(plan, &sites, seed);
+        let draw = Draw::new(plan, &candidates, seed);
         let mut schedule = Schedule { timeline, draw, step: 0, location: 0 };
         for (i, step) in plan.steps.iter().enumerate() {
             schedule.step = i;
@@ -122,7 +122,7 @@ impl Schedule<'_> {
         let plan = self.draw.plan;
         let mut places = self
             .draw
-            .sites
+            .candidates
             .grid(pitch)
             .map_err(|reason| plan.wrong(format!("steps[{}].pitch", self.step), reason))?;
         if places.is_empty() {
@@ -145,17 +145,17 @@ impl Schedule<'_> {
         levels: &Levels,
         profile: &PressProfile,
     ) -> Result<(), TestbedError> {
-        let Draw { plan, sites, .. } = self.draw;
+        let Draw { plan, candidates, .. } = self.draw;
         let field = || format!("steps[{}].at[{index}]", self.step);
         let [x, y, z] = at;
         let at = Point3::from(at);
-        let off = sites.surface.distance(&at);
+        let off = candidates.surface.distance(&at);
         if off > OFF_SURFACE {
             let reason = format!("({x}, {y}, {z}) m lies {off:.6} m off the surface");
             return Err(plan.wrong(field(), reason));
         }
-        let (at, _) = sites.surface.project(&at);
-        if !sites.may_be_touched(&at) {
+        let (at, _) = candidates.surface.project(&at);
+        if !candidates.may_be_touched(&at) {
             let or = if plan.region.is_some() { ", or outside of `region`" } else { "" };
             let reason =
                 format!("({x}, {y}, {z}) m is nearer to the rim than the margin of {} m{or}", plan.margin);
