@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
-use dermis_gap::{Memory, Moment, Phase, Recording, Simulator, diagnose};
+use dermis_gap::{FrameLabel, Memory, Phase, Recording, Simulator, diagnose};
 use dermis_model::{DeviceState, ForwardModel, Indentation, Stepped, Stimulus};
 use dermis_skin::{Effect, EffectInfo, ModelError, ParameterInfo, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
@@ -304,7 +304,7 @@ fn recorded(skin: &SkinDescription, effects: Vec<Effect>, contacts: u64) -> Resu
         }
         let location = u32::try_from(location)?;
         let stimulus = Some(stimulus);
-        recording.push(Moment { time, run: 0, press, location, phase, stimulus, temperature }, &values);
+        recording.push(FrameLabel { time, run: 0, press, location, phase, stimulus, temperature }, &values);
         time += FRAME;
         Ok(())
     };
@@ -378,7 +378,7 @@ pub fn run(options: &Options) -> Result<Value> {
     Ok(json!({
         "contacts": options.contacts,
         "channels": recording.channels,
-        "frames": recording.moments.len(),
+        "frames": recording.labels.len(),
         "rows": report.data.samples,
         "first_s": first,
         "signatures_s": seconds_of_signatures(first, seconds),

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use dermis_figures::{Axes, COLOURS, Curve, Pen, column, curves};
 use dermis_msgs::msg::ContactArray;
 use dermis_node::{HirozBackend, History, Node, NodeOptions, Qos};
 use dermis_transport::now_ns;
@@ -264,54 +265,31 @@ fn failures(summary: &Value) -> Vec<String> {
 
 /// Memory and latency over the run, one below the other.
 fn plot(path: &Path, seconds: &[Second]) -> Result<()> {
-    use plotters::prelude::*;
-    let end = seconds.last().map_or(1.0, |s| s.t / 60.0);
     let names: Vec<&String> = seconds.last().map(|s| s.memory.keys().collect()).unwrap_or_default();
-    let root = SVGBackend::new(path, (900, 700)).into_drawing_area();
-    let draw = || -> Result<(), Box<dyn std::error::Error>> {
-        root.fill(&WHITE)?;
-        let (upper, lower) = root.split_vertically(350);
-        let most = seconds.iter().flat_map(|s| s.memory.values()).max().copied().unwrap_or(1) as f64 / 1024.0;
-        let mut memory = ChartBuilder::on(&upper)
-            .caption("Resident memory by process", ("sans-serif", 18))
-            .margin(12)
-            .x_label_area_size(36)
-            .y_label_area_size(56)
-            .build_cartesian_2d(0.0..end, 0.0..most * 1.1)?;
-        memory.configure_mesh().x_desc("min").y_desc("MiB").light_line_style(WHITE).draw()?;
-        for (i, name) in names.iter().enumerate() {
-            let colour = Palette99::pick(i).to_rgba();
-            let line =
-                seconds.iter().filter_map(|s| Some((s.t / 60.0, *s.memory.get(*name)? as f64 / 1024.0)));
-            memory
-                .draw_series(LineSeries::new(line, colour.stroke_width(1)))?
-                .label(name.as_str())
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], colour));
-        }
-        memory.configure_series_labels().border_style(BLACK.mix(0.2)).background_style(WHITE).draw()?;
-        let most = seconds.iter().map(|s| s.latency[1]).fold(0.1, f64::max);
-        let mut latency = ChartBuilder::on(&lower)
-            .caption("Latency from acquisition to a subscriber, each second", ("sans-serif", 18))
-            .margin(12)
-            .x_label_area_size(36)
-            .y_label_area_size(56)
-            .build_cartesian_2d(0.0..end, 0.0..most * 1.1)?;
-        latency.configure_mesh().x_desc("min").y_desc("ms").light_line_style(WHITE).draw()?;
-        for (i, name) in [(1, "99th percentile"), (0, "median")] {
-            let colour = Palette99::pick(i).to_rgba();
-            latency
-                .draw_series(LineSeries::new(
-                    seconds.iter().map(|s| (s.t / 60.0, s.latency[i])),
-                    colour.stroke_width(1),
-                ))?
-                .label(name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], colour));
-        }
-        latency.configure_series_labels().border_style(BLACK.mix(0.2)).background_style(WHITE).draw()?;
-        root.present()?;
-        Ok(())
+    let minutes = |s: &Second| s.t / 60.0;
+    let memory: Vec<Curve> = names
+        .iter()
+        .enumerate()
+        .map(|(i, name)| {
+            let points =
+                seconds.iter().filter_map(|s| Some((minutes(s), *s.memory.get(*name)? as f64 / 1024.0)));
+            // Colours come again after seven.
+            let pen = if i < COLOURS.len() { Pen::Line } else { Pen::Dashed };
+            Curve::new(name.as_str(), i, points.collect()).pen(pen)
+        })
+        .collect();
+    let latency: Vec<Curve> = [(1, "99th percentile"), (0, "median")]
+        .map(|(i, name)| Curve::new(name, i, seconds.iter().map(|s| (minutes(s), s.latency[i])).collect()))
+        .into();
+    let axes = |title: &str, y: &str, curves: &[Curve]| {
+        let most = curves.iter().flat_map(|c| &c.points).map(|p| p.1).fold(0.1, f64::max);
+        Axes { size: (900, 350), y_range: Some((0.0, most * 1.1)), ..Axes::new(title, "min", y) }
     };
-    draw().map_err(|e| anyhow::anyhow!("{} cannot be drawn: {e}", path.display()))
+    let pictures = [
+        curves(&axes("Resident memory by process", "MiB", &memory), &memory)?,
+        curves(&axes("Latency from acquisition to a subscriber, each second", "ms", &latency), &latency)?,
+    ];
+    std::fs::write(path, column(&pictures)).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 #[cfg(test)]

@@ -1,14 +1,13 @@
 //! Bags: importing recordings of others, looking into bags, mending and cutting them.
 
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
-use dermis_bag::{BagOptions, BagReader, Compression, Filter};
+use dermis_bag::{BagOptions, BagReader, Compression};
 use dermis_operate::OperateError;
-use dermis_operate::quantity::{duration, size};
 use dermis_operate::record::Level;
+use dermis_operate::slice::{self, open};
 
 /// Turns a recording into a labelled bag.
 #[derive(Args)]
@@ -95,39 +94,11 @@ pub struct Check {
 /// What to take over, and how to lay it out.
 #[derive(Args)]
 pub struct Slice {
-    /// Folder of a rosbag2 bag, or an .mcap file.
-    bag: PathBuf,
-    /// Folder of the new bag; must not exist yet.
-    #[arg(short, long, value_name = "DIR")]
-    out: PathBuf,
-    /// Only these topics, by their full name or its end.
-    #[arg(long, num_args = 1.., value_name = "TOPIC")]
-    topics: Vec<String>,
-    /// From here on: seconds after the start of the bag, or since 1970 (from 1000000000 on).
-    #[arg(long, value_name = "S")]
-    from: Option<f64>,
-    /// Before here, as --from.
-    #[arg(long, value_name = "S")]
-    to: Option<f64>,
-    /// Begin a new file after this many bytes, e.g. 1GiB.
-    #[arg(long, value_parser = size, value_name = "SIZE")]
-    split_size: Option<u64>,
-    /// Begin a new file after this time, e.g. 10min.
-    #[arg(long, value_parser = duration, value_name = "TIME")]
-    split_time: Option<Duration>,
-    /// Compression of the chunks.
-    #[arg(long, value_enum, default_value = "default")]
-    compression: Level,
-    /// Take what is whole of a bag whose recording was interrupted.
-    #[arg(long)]
-    recover: bool,
+    #[command(flatten)]
+    request: slice::Request,
     /// One JSON object.
     #[arg(long)]
     json: bool,
-}
-
-fn open(bag: &Path, recover: bool) -> Result<BagReader, dermis_bag::BagError> {
-    if recover { BagReader::recover(bag) } else { BagReader::open(bag) }
 }
 
 /// Does it, and prints what came of it.
@@ -136,7 +107,7 @@ pub fn run(command: &Bag) -> Result<()> {
         Bag::Info { bag, recover, json } => info(&open(bag, *recover)?, *json),
         Bag::Check(options) => check(options),
         Bag::Export(options) => crate::export::run(options),
-        Bag::Slice(options) => slice(options),
+        Bag::Slice(options) => print(&slice::slice(&options.request)?, options.json),
         Bag::Convert { bag, out, compression, recover, json } => {
             let layout = BagOptions::default().compression((*compression).into());
             print(&dermis_bag::convert(&open(bag, *recover)?, out, &layout)?, *json)
@@ -201,35 +172,4 @@ fn check(options: &Check) -> Result<()> {
         println!("the original lies in {}", original.display());
     }
     Ok(())
-}
-
-fn slice(options: &Slice) -> Result<()> {
-    let reader = open(&options.bag, options.recover)?;
-    let Some((start, _)) = reader.span() else {
-        bail!("{} has no messages", options.bag.display());
-    };
-    let mut filter = Filter::default();
-    if !options.topics.is_empty() {
-        let topics = options.topics.iter().map(|name| Ok(reader.topic(name)?.name.clone()));
-        filter = filter.topics(topics.collect::<Result<Vec<_>>>()?);
-    }
-    let time = |seconds: Option<f64>, none: i64| seconds.map_or(none, |seconds| moment(seconds, start));
-    let (from, to) = (time(options.from, i64::MIN), time(options.to, i64::MAX));
-    if from >= to {
-        bail!("--from must lie before --to");
-    }
-    let layout = BagOptions::default()
-        .compression(options.compression.into())
-        .split_bytes(options.split_size)
-        .split_ns(options.split_time.and_then(|time| i64::try_from(time.as_nanos()).ok()));
-    let cut = [("sliced from".to_owned(), options.bag.display().to_string())];
-    let info = dermis_bag::copy(&reader, &options.out, filter.between(from, to), &layout, cut)?;
-    print(&info, options.json)
-}
-
-/// Nanoseconds since 1970 of a time that is given in seconds, after the start of a bag or since 1970. Bags of the first
-/// 31 years of that time don't exist, bags of 31 years neither.
-fn moment(seconds: f64, start: i64) -> i64 {
-    let nanos = (seconds * 1e9) as i64;
-    if seconds < 1e9 { start.saturating_add(nanos) } else { nanos }
 }

@@ -1,12 +1,11 @@
 //! Labelled bags as tables, for people who train elsewhere.
 
-use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
 use dermis_learn::cli::Labels;
-use dermis_learn::export::{ExportOptions, Format, export};
+use dermis_learn::export::{ExportOptions, Format, export_all};
 use dermis_learn::{Dataset, SplitConfig, SplitKind};
 use dermis_skin::SkinDescription;
 
@@ -58,13 +57,7 @@ pub fn run(options: &Options) -> Result<()> {
         ..SplitConfig::default()
     };
     let how = ExportOptions { formats: options.format.clone(), tared: options.tared, split };
-    let (mut names, mut files) = (BTreeSet::new(), Vec::new());
-    for (i, run) in data.runs().iter().enumerate() {
-        let name = run.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        // Bags of different folders may have one name.
-        let name = if names.insert(name.clone()) { name } else { format!("{name}-{}", i + 1) };
-        files.extend(export(&data, i, &options.out, &name, &how)?);
-    }
+    let files = export_all(&data, &options.out, &how)?;
     let frames: usize = data.runs().iter().map(|r| r.samples.len()).sum();
     let labelled = data.labelled().count();
     if options.json {

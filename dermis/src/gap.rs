@@ -207,7 +207,7 @@ fn check(options: &Check) -> Result<()> {
             ("scores.json", pretty(&whole)?),
             ("summary.json", pretty(&scored.summary())?),
             ("summary.md", markdown.clone()),
-            ("summary.svg", report::svg(&scored.skin, &scored.card, &scored.baselines)),
+            ("summary.svg", report::svg(&scored.skin, &scored.card, &scored.baselines)?),
         ],
     )?;
     output::print(options.json, &whole, &markdown)

@@ -346,6 +346,11 @@ mod tests {
             &["--skin", "a", "--real", "b"],
             &serde_json::json!({ "diagnose": gap }),
         );
+        let made = serde_json::json!({ "skin": "a", "seed": 3, "secret": "s", "out": "o" });
+        let words = ["--skin", "a", "--seed", "3", "--secret", "s", "--out", "o"];
+        same::<gap::generation::Request>(&words, &made);
+        let pressed = serde_json::json!({ "skin": "a", "plan": "p", "out": "o" });
+        same::<dermis_operate::collect::Request>(&["a", "--plan", "p", "--out", "o"], &pressed);
         let packs = serde_json::json!({ "pack": ["p"], "out": "o" });
         same::<gap::benchmark::Request>(&["--pack", "p", "--out", "o"], &packs);
         let compared = serde_json::json!({ "skin": "a", "train": ["t"], "bags": ["b"] });

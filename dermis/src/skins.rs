@@ -4,7 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use dermis_report::skin as report;
 use dermis_skin::SkinDescription;
+
+use crate::output;
 
 /// Which file.
 #[derive(Args)]
@@ -20,41 +23,8 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     let skin = SkinDescription::load(&options.skin)?;
     let family = crate::registry::family(&skin)?;
-    family.check(&skin).map_err(|error| dermis_studies::of_file(&options.skin, error))?;
-    let surface = skin.surface();
-    let area: f64 = surface.areas.iter().sum();
+    family.check(&skin).map_err(|error| error.in_file(&options.skin))?;
     let model = family.model(&skin);
-    if options.json {
-        println!(
-            "{}",
-            serde_json::json!({
-                "name": skin.name, "sensor": skin.sensor, "hash": skin.hash(), "unit": skin.unit,
-                "taxels": skin.taxels.len(), "channels": skin.channels().len(), "rate_hz": skin.rate,
-                "surface_points": surface.points.len(), "area_m2": area,
-                "forward_model": model.as_ref().err().map_or("yes".to_owned(), ToString::to_string),
-            })
-        );
-        return Ok(());
-    }
-    println!("{}: {}", skin.name, skin.description);
-    println!("  sensor family  {}", skin.sensor);
-    println!(
-        "  taxels         {} with {} channels in {}, {} frames/s",
-        skin.taxels.len(),
-        skin.channels().len(),
-        skin.unit,
-        skin.rate
-    );
-    println!(
-        "  surface        {:.2} cm² in {} points, frame {}",
-        area * 1e4,
-        surface.points.len(),
-        skin.frame_id
-    );
-    match model {
-        Ok(_) => println!("  forward model  yes: it can be simulated"),
-        Err(e) => println!("  forward model  none: {e}"),
-    }
-    println!("  hash           {}", skin.hash());
-    Ok(())
+    let summary = report::Summary::new(&skin, model.as_ref().err());
+    output::print(options.json, &serde_json::to_value(&summary)?, &report::text(&summary))
 }

@@ -7,7 +7,7 @@ mod maps;
 mod tests;
 
 use dermis_inference::Baseline;
-use dermis_inversion::{Found, Reading, Solution};
+use dermis_inversion::{ContactEstimate, Reading, Solution};
 use dermis_skin::{
     Condition, Estimate, EstimateError, Estimator, Frame, SkinDescription, Surface, TareState,
 };
@@ -88,7 +88,7 @@ pub struct SkinEstimator {
     /// What a forward model that searches in pairs found in the latest frame, where it was asked.
     solution: Option<Solution>,
     /// The contacts that it found in the latest frame that had any.
-    before: Vec<Found>,
+    before: Vec<ContactEstimate>,
     /// The latest signal, as an inverter takes it.
     readings: Vec<Reading>,
     /// What a forward model makes of the channels that have no reading out of those that have one; empty where none is
@@ -258,11 +258,11 @@ impl SkinEstimator {
             || self.pipelines.iter().any(|p| p.peaks.is_some() || p.inverter.is_some())
     }
 
-    /// A light force \[N\], and the share of the surface where a press of it is not felt, by the forward model that refines;
+    /// A light force \[N\], and the share of the surface where a press of it cannot be detected, by the forward model that refines;
     /// `None` where none does. There, nothing is reported although something may touch.
     #[must_use]
-    pub fn unfelt(&self) -> Option<(f64, f64)> {
-        self.pipelines.iter().find_map(|p| p.unfelt)
+    pub fn undetectable_fraction(&self) -> Option<(f64, f64)> {
+        self.pipelines.iter().find_map(|p| p.undetectable_fraction)
     }
 
     /// Maps that can be had with the loaded models.

@@ -22,7 +22,7 @@ pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
 pub use contacts::{TaxelShares, Tracker};
 pub use estimator::{Maps, Quality, SkinEstimator, Verdict};
 pub use finder::{ConditionedFrame, ContactFinder, FindError};
-pub use models::{Models, SetupError, inverter};
+pub use models::{Models, SetupError, UnpackedModel, inverter};
 
 /// Frame → contacts, and the maps that a model gives by itself, with these bundles; `masked` names channels to leave out.
 ///

@@ -119,6 +119,20 @@ pub fn inverter(
     Ok(Some(inverter))
 }
 
+/// A model that is no bundle yet: one that was just trained, or that somebody else made.
+pub struct UnpackedModel {
+    /// Where it lies or will lie, for whoever reads an error.
+    pub path: PathBuf,
+    /// The graph.
+    pub model: Model,
+    /// What its output means.
+    pub outputs: Outputs,
+    /// How frames become its input.
+    pub features: Features,
+    /// Which readings it takes.
+    pub baseline: Baseline,
+}
+
 /// One loaded bundle.
 pub(crate) struct Pipeline {
     pub(crate) path: PathBuf,
@@ -134,8 +148,8 @@ pub(crate) struct Pipeline {
     pub(crate) peaks: Option<MapContacts>,
     /// Refines what it says on the skin's forward model.
     pub(crate) inverter: Option<Inverter>,
-    /// \[N\] and the share of the surface where so light a press is not felt, by that model.
-    pub(crate) unfelt: Option<(f64, f64)>,
+    /// \[N\] and the share of the surface where so light a press cannot be detected, by that model.
+    pub(crate) undetectable_fraction: Option<(f64, f64)>,
     /// That model knows how far the surface gives way.
     pub(crate) displaces: bool,
     /// It has been asked before, which may take seconds the first time: whether it has answered.
@@ -143,32 +157,21 @@ pub(crate) struct Pipeline {
 }
 
 impl Pipeline {
-    /// A bundle on a surface, without the forward model that it may ask for.
-    pub(crate) fn of(bundle: &Bundle, surface: &Surface, runtime: &Runtime) -> Result<Self, SetupError> {
-        let pipeline = Self {
-            peaks: MapContacts::of(bundle, surface, runtime)?,
-            inverter: None,
-            unfelt: None,
-            displaces: false,
-            answered: None,
-            path: bundle.path().to_owned(),
-            name: bundle.manifest().name.clone(),
-            baseline: bundle.manifest().baseline,
-            force_range: bundle.manifest().force_range,
-            features: bundle.features(),
-            model: bundle.session(runtime)?,
-            raw: Vec::new(),
-            outputs: bundle.outputs(),
-            fresh: false,
-        };
+    /// A model on its own: what it takes and gives, and where it lies for whoever reads an error.
+    fn of_model(
+        path: PathBuf,
+        (features, baseline): (Features, Baseline),
+        (model, outputs): (Model, Outputs),
+        surface: &Surface,
+    ) -> Result<Self, SetupError> {
         let points = surface.points.len();
         for (output, expected) in [(MAP_NORMAL, points), (MAP_FORCE, 3 * points), (MAP_DISPLACEMENT, points)]
         {
-            if let Some(values) = pipeline.outputs.values(output)
+            if let Some(values) = outputs.values(output)
                 && values.len() != expected
             {
                 return Err(SetupError::Output {
-                    path: pipeline.path,
+                    path,
                     output: output.into(),
                     reason: format!(
                         "has {} numbers where the surface needs {expected}; was `surface.spacing` changed?",
@@ -177,7 +180,39 @@ impl Pipeline {
                 });
             }
         }
-        let weights = bundle.manifest().peaks.as_ref().map_or(0, |peaks| peaks.weights.len());
+        Ok(Self {
+            name: String::new(),
+            force_range: None,
+            peaks: None,
+            inverter: None,
+            undetectable_fraction: None,
+            displaces: false,
+            answered: None,
+            raw: Vec::new(),
+            fresh: false,
+            path,
+            baseline,
+            features,
+            model,
+            outputs,
+        })
+    }
+
+    /// A model that is no bundle yet, on a surface.
+    pub(crate) fn unpacked(unpacked: UnpackedModel, surface: &Surface) -> Result<Self, SetupError> {
+        let UnpackedModel { path, model, outputs, features, baseline } = unpacked;
+        Self::of_model(path, (features, baseline), (model, outputs), surface)
+    }
+
+    /// A bundle on a surface, without the forward model that it may ask for.
+    pub(crate) fn of(bundle: &Bundle, surface: &Surface, runtime: &Runtime) -> Result<Self, SetupError> {
+        let manifest = bundle.manifest();
+        let peaks = MapContacts::of(bundle, surface, runtime)?;
+        let input = (bundle.features(), manifest.baseline);
+        let output = (bundle.session(runtime)?, bundle.outputs());
+        let pipeline = Self::of_model(bundle.path().to_owned(), input, output, surface)?;
+        let points = surface.points.len();
+        let weights = manifest.peaks.as_ref().map_or(0, |peaks| peaks.weights.len());
         if weights != 0 && weights != points {
             return Err(SetupError::Output {
                 path: pipeline.path,
@@ -187,7 +222,7 @@ impl Pipeline {
                 ),
             });
         }
-        Ok(pipeline)
+        Ok(Self { name: manifest.name.clone(), force_range: manifest.force_range, peaks, ..pipeline })
     }
 
     fn new(
@@ -202,8 +237,8 @@ impl Pipeline {
         let mut points = vec![0.0; model.surface().points.len()];
         let displaces = matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true));
         let force = LIGHT * inverter.settings().force_max;
-        let unfelt = Some((force, inverter.unfelt(force, inverter.settings().presence)));
-        Ok(Self { inverter: Some(inverter), unfelt, displaces, ..pipeline })
+        let fraction = Some((force, inverter.undetectable_fraction(force, inverter.settings().presence)));
+        Ok(Self { inverter: Some(inverter), undetectable_fraction: fraction, displaces, ..pipeline })
     }
 
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {

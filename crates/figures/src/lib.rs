@@ -1,17 +1,25 @@
-//! Figures as SVG text: curves, maps over two axes, maps of a surface; and the pages that hold them.
+//! Figures as SVG text: curves, clouds of points, bars, matrices, maps over two axes, maps of a surface; and the pages that hold
+//! them.
 //!
 //! The one place of this workspace where figures for people are drawn.
 
+mod axis;
+mod bars;
+mod points;
 mod scale;
 mod surface;
 
 use plotters::coord::Shift;
-use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint};
+use plotters::coord::cartesian::Cartesian2d;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 pub use plotters::style::RGBColor;
 
+pub use axis::short;
+use axis::{Scaled, place, range, tick, tick_text};
+pub use bars::{Bar, bars, histogram, matrix};
+pub use points::{Dots, Segment, dots, segments};
 use scale::{BAR, Scale};
 pub use surface::{surface, surface_within};
 
@@ -93,40 +101,21 @@ impl Axes {
         Self { title: title.into(), x: x.into(), y: y.into(), ..Self::default() }
     }
 
+    /// The same axes with one scale for both, so that distances are true, over all of these points.
+    #[must_use]
+    pub fn equal(self, points: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
+        let (x0, x1) = range(points.clone().map(|p| p.0), None, false);
+        let (y0, y1) = range(points.map(|p| p.1), None, false);
+        let half = f64::max(x1 - x0, y1 - y0) / 2.0;
+        let around = |low: f64, high: f64| {
+            let middle = f64::midpoint(low, high);
+            Some((middle - half, middle + half))
+        };
+        Self { x_range: around(x0, x1), y_range: around(y0, y1), size: surface::SIZE, ..self }
+    }
+
     fn size(&self) -> (u32, u32) {
         if self.size.0 == 0 { (520, 340) } else { self.size }
-    }
-}
-
-/// An axis that knows its ticks.
-#[derive(Clone)]
-struct Scaled {
-    low: f64,
-    high: f64,
-    ticks: Vec<f64>,
-}
-
-impl Scaled {
-    fn new(low: f64, high: f64, log: bool) -> Self {
-        Self { low, high, ticks: ticks(low, high, log) }
-    }
-}
-
-impl Ranged for Scaled {
-    type FormatOption = DefaultFormatting;
-    type ValueType = f64;
-
-    fn map(&self, value: &f64, limit: (i32, i32)) -> i32 {
-        let share = (value - self.low) / (self.high - self.low);
-        limit.0 + (f64::from(limit.1 - limit.0) * share).round() as i32
-    }
-
-    fn key_points<Hint: KeyPointHint>(&self, _hint: Hint) -> Vec<f64> {
-        self.ticks.clone()
-    }
-
-    fn range(&self) -> std::ops::Range<f64> {
-        self.low..self.high
     }
 }
 
@@ -152,87 +141,6 @@ fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Result<(), Failure>) ->
     Ok(text)
 }
 
-/// Value → where it is drawn: its logarithm on a logarithmic axis.
-fn place(value: f64, log: bool) -> f64 {
-    if log { value.log10() } else { value }
-}
-
-/// A number as a tick shows it: three digits that say something.
-#[must_use]
-pub fn short(value: f64) -> String {
-    if value == 0.0 {
-        return "0".to_owned();
-    }
-    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 6) as usize;
-    let text = format!("{value:.digits$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-}
-
-/// Round numbers between two places of an axis.
-fn ticks(low: f64, high: f64, log: bool) -> Vec<f64> {
-    let round = |step: f64| -> Vec<f64> {
-        let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);
-        (first..=last).map(|i| i as f64 * step).collect()
-    };
-    let span = high - low;
-    if !(span.is_finite() && span > 0.0) {
-        return vec![low];
-    }
-    if log {
-        let parts: &[f64] = match span {
-            s if s < 1.2 => &[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0],
-            s if s < 2.5 => &[1.0, 2.0, 5.0],
-            s if s < 4.5 => &[1.0, 3.0],
-            _ => &[1.0],
-        };
-        let decades = low.floor() as i32..=high.ceil() as i32;
-        let found: Vec<f64> = decades
-            .flat_map(|d| parts.iter().map(move |p| f64::from(d) + p.log10()))
-            .filter(|v| (low..=high).contains(v))
-            .collect();
-        // Within less than a half of a decade even steps say more.
-        if span > 0.35 && found.len() > 2 {
-            return found;
-        }
-        let (from, to) = (10f64.powf(low), 10f64.powf(high));
-        return ticks(from, to, false).into_iter().filter(|v| *v > 0.0).map(f64::log10).collect();
-    }
-    let rough = 10f64.powf((span / 6.0).log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * rough).find(|s| span / s <= 7.5);
-    round(step.unwrap_or(span))
-}
-
-fn tick(value: f64, log: bool) -> String {
-    if log && value < -3.9 {
-        format!("{:.0e}", 10f64.powf(value))
-    } else if log {
-        let shown = 10f64.powf(value);
-        let digits = (1 - shown.log10().floor() as i32).clamp(0, 9) as usize;
-        let text = format!("{shown:.digits$}");
-        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-    } else if value.abs() < 1e-12 {
-        "0".to_owned()
-    } else {
-        short(value)
-    }
-}
-
-/// From the least to the largest of values that can be shown, with some room.
-fn range(values: impl Iterator<Item = f64>, given: Option<(f64, f64)>, log: bool) -> (f64, f64) {
-    if let Some((low, high)) = given {
-        return (place(low, log), place(high, log));
-    }
-    let shown = values.map(|v| place(v, log)).filter(|v| v.is_finite());
-    let (low, high) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-    if !(low.is_finite() && high.is_finite()) {
-        return (0.0, 1.0);
-    }
-    let room = ((high - low) * 0.04).max(high.abs().max(1e-9) * 1e-3);
-    // A quantity that cannot be negative starts at 0 where that is near.
-    let low = if !log && low >= 0.0 && low < 0.3 * high { 0.0 } else { low - room };
-    (low, high + room)
-}
-
 /// Curves in one pair of axes; the legend stands beside them.
 ///
 /// # Errors
@@ -240,14 +148,19 @@ fn range(values: impl Iterator<Item = f64>, given: Option<(f64, f64)>, log: bool
 /// Where the figure cannot be drawn.
 pub fn curves(axes: &Axes, curves: &[Curve]) -> Result<String> {
     let (width, height) = axes.size();
-    let longest = curves.iter().map(|c| c.name.chars().count()).max().unwrap_or(0);
-    // A letter of 12 pixels is some 6.6 wide.
-    let beside = if longest == 0 { 0 } else { 44 + (6.6 * longest as f64) as u32 };
-    svg((width + beside, height), |root| {
+    let legend = beside(curves);
+    svg((width + legend, height), |root| {
         let (left, right) = root.split_horizontally(width);
         draw_curves(&left, axes, curves)?;
-        if beside > 0 { draw_legend(&right, curves) } else { Ok(()) }
+        if legend > 0 { draw_legend(&right, curves) } else { Ok(()) }
     })
+}
+
+/// \[pixels\] that the legend of these curves takes; 0 where none has a name.
+fn beside(curves: &[Curve]) -> u32 {
+    let longest = curves.iter().map(|c| c.name.chars().count()).max().unwrap_or(0);
+    // A letter of 12 pixels is some 6.6 wide.
+    if longest == 0 { 0 } else { 44 + (6.6 * longest as f64) as u32 }
 }
 
 /// One line for each curve that has a name.
@@ -280,25 +193,46 @@ fn label(at: Pos) -> TextStyle<'static> {
     TextStyle::from(("sans-serif", 12)).pos(at)
 }
 
-fn draw_curves(root: &Area<'_>, axes: &Axes, curves: &[Curve]) -> Result<(), Failure> {
-    let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0.is_finite() && p.1.is_finite());
-    let (x0, x1) = range(all().map(|p| p.0), axes.x_range, axes.log_x);
-    let (y0, y1) = range(all().map(|p| p.1), axes.y_range, axes.log_y);
+/// Axes that stand, for places of their values: logarithms on a logarithmic axis.
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Scaled, Scaled>>;
+
+/// Title, axes and their labels, from the first to the second place; with `mesh` also lines at the ticks.
+fn frame<'a, 'b>(
+    root: &'a Area<'b>,
+    axes: &Axes,
+    x: (f64, f64),
+    y: (f64, f64),
+    mesh: bool,
+) -> Result<Chart<'a, 'b>, Failure> {
     let mut chart = ChartBuilder::on(root)
         .caption(&axes.title, ("sans-serif", 15))
         .margin(10)
         .x_label_area_size(38)
         .y_label_area_size(54)
-        .build_cartesian_2d(Scaled::new(x0, x1, axes.log_x), Scaled::new(y0, y1, axes.log_y))?;
-    chart
-        .configure_mesh()
-        .x_desc(&axes.x)
-        .y_desc(&axes.y)
-        .x_label_formatter(&|v| tick(*v, axes.log_x))
-        .y_label_formatter(&|v| tick(*v, axes.log_y))
-        .light_line_style(WHITE)
-        .bold_line_style(RGBColor(230, 230, 230))
-        .draw()?;
+        .build_cartesian_2d(Scaled::new(x.0, x.1, axes.log_x), Scaled::new(y.0, y.1, axes.log_y))?;
+    let (label_x, label_y) = (|v: &f64| tick(*v, axes.log_x), |v: &f64| tick(*v, axes.log_y));
+    let mut style = chart.configure_mesh();
+    style.x_desc(&axes.x).y_desc(&axes.y).x_label_formatter(&label_x).y_label_formatter(&label_y);
+    if mesh {
+        style.light_line_style(WHITE).bold_line_style(RGBColor(230, 230, 230)).draw()?;
+    } else {
+        style.disable_mesh().draw()?;
+    }
+    Ok(chart)
+}
+
+fn draw_curves(root: &Area<'_>, axes: &Axes, curves: &[Curve]) -> Result<(), Failure> {
+    let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0.is_finite() && p.1.is_finite());
+    let (x0, x1) = range(all().map(|p| p.0), axes.x_range, axes.log_x);
+    let (y0, y1) = range(all().map(|p| p.1), axes.y_range, axes.log_y);
+    let mut chart = frame(root, axes, (x0, x1), (y0, y1), true)?;
+    draw_series(&mut chart, axes, curves)
+}
+
+/// Curves in axes that are there.
+fn draw_series(chart: &mut Chart<'_, '_>, axes: &Axes, curves: &[Curve]) -> Result<(), Failure> {
+    let y_spec = chart.y_range();
+    let (y0, y1) = (y_spec.start, y_spec.end);
     for curve in curves {
         let colour = curve.colour;
         let shown: Vec<(f64, f64)> =
@@ -349,20 +283,7 @@ pub fn heat(
         let (left, right) = root.split_horizontally(width);
         let ends = |e: &[f64]| (e.first().copied().unwrap_or(0.0), e.last().copied().unwrap_or(1.0));
         let ((x0, x1), (y0, y1)) = (ends(&xs), ends(&ys));
-        let mut chart = ChartBuilder::on(&left)
-            .caption(&axes.title, ("sans-serif", 15))
-            .margin(10)
-            .x_label_area_size(38)
-            .y_label_area_size(54)
-            .build_cartesian_2d(Scaled::new(x0, x1, axes.log_x), Scaled::new(y0, y1, axes.log_y))?;
-        chart
-            .configure_mesh()
-            .disable_mesh()
-            .x_desc(&axes.x)
-            .y_desc(&axes.y)
-            .x_label_formatter(&|v| tick(*v, axes.log_x))
-            .y_label_formatter(&|v| tick(*v, axes.log_y))
-            .draw()?;
+        let mut chart = frame(&left, axes, (x0, x1), (y0, y1), false)?;
         for (j, row) in values.iter().enumerate() {
             chart.draw_series(row.iter().enumerate().filter_map(|(i, value)| {
                 let value = value.filter(|v| v.is_finite())?;
@@ -380,6 +301,26 @@ pub fn heat(
         }
         scale.bar(&right, name)
     })
+}
+
+/// Pictures one below the other, as one.
+#[must_use]
+pub fn column(pictures: &[String]) -> String {
+    let size = |picture: &str, name: &str| -> u32 {
+        let tag = picture.split('>').next().unwrap_or_default();
+        let value = tag.split_once(&format!(" {name}=\"")).and_then(|(_, rest)| rest.split('"').next());
+        value.and_then(|value| value.parse().ok()).unwrap_or(0)
+    };
+    let (mut width, mut height, mut all) = (0, 0, String::new());
+    for picture in pictures {
+        all += &picture.replacen("<svg ", &format!("<svg y=\"{height}\" "), 1);
+        width = width.max(size(picture, "width"));
+        height += size(picture, "height");
+    }
+    format!(
+        "<svg width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" xmlns=\"http://www.w3.org/2000/svg\">\n\
+         <rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>\n{all}</svg>\n"
+    )
 }
 
 /// A whole page of sections.
@@ -409,18 +350,8 @@ pub fn escape(text: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
-
-    #[test]
-    fn ticks_are_short() {
-        let of = |v: f64| tick(v, false);
-        assert_eq!([of(0.0), of(0.05), of(12.0), of(1234.5)], ["0", "0.05", "12", "1234"]);
-        assert_eq!(ticks(0.0, 1.04, false), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
-        let log: Vec<String> = ticks(-1.1, 1.2, true).iter().map(|v| tick(*v, true)).collect();
-        assert_eq!(log, ["0.1", "0.2", "0.5", "1", "2", "5", "10"]);
-        assert_eq!([tick(-2.0, true), tick(2.0, true), tick(-1.5, true)], ["0.01", "100", "0.032"]);
-    }
 
     #[test]
     fn whatever_is_not_a_number_is_left_out() {
@@ -440,12 +371,26 @@ mod tests {
     }
 
     /// Attribute of every element of a name, as a number.
-    fn numbers(svg: &str, element: &str, attribute: &str) -> Vec<f64> {
+    pub(crate) fn numbers(svg: &str, element: &str, attribute: &str) -> Vec<f64> {
         let of = |text: &str| -> Option<f64> {
             let tag = format!(" {}", text.split('>').next()?);
             tag.split_once(&format!(" {attribute}=\""))?.1.split('"').next()?.parse().ok()
         };
         svg.split(&format!("<{element} ")).skip(1).filter_map(of).collect()
+    }
+
+    #[test]
+    fn pictures_of_a_column_do_not_overlap() {
+        let line = Curve::new("", 0, vec![(0.0, 0.0), (1.0, 1.0)]);
+        let wide = Axes { size: (900, 350), ..Axes::new("first", "x", "y") };
+        let pictures = [
+            curves(&wide, std::slice::from_ref(&line)),
+            curves(&Axes::new("second", "x", "y"), std::slice::from_ref(&line)),
+        ];
+        let all = column(&pictures.map(Result::unwrap));
+        assert_eq!(numbers(&all, "svg", "width"), [900.0, 900.0, 520.0]);
+        assert_eq!(numbers(&all, "svg", "height"), [690.0, 350.0, 340.0]);
+        assert_eq!(numbers(&all, "svg", "y"), [0.0, 350.0]);
     }
 
     #[test]

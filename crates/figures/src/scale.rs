@@ -8,7 +8,8 @@ use plotters::prelude::*;
 use plotters::style::FontTransform;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use crate::{Failure, label, place, tick, ticks};
+use crate::axis::{place, tick, ticks};
+use crate::{Failure, label};
 
 /// \[pixels\] beside the axes.
 pub(crate) const BAR: u32 = 96;

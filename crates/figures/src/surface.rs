@@ -3,13 +3,10 @@
 use plotters::prelude::*;
 
 use crate::scale::{BAR, Scale};
-use crate::{Axes, Result, Scaled, svg, tick};
+use crate::{Axes, Result, frame, svg};
 
 /// \[pixels\] of the axes.
-const SIZE: (u32, u32) = (430, 430);
-/// \[pixels\] of the axes' labels: to the left and below.
-const LABELS: (u32, u32) = (54, 38);
-const MARGIN: u32 = 10;
+pub(crate) const SIZE: (u32, u32) = (430, 430);
 /// \[pixels\] that cells are rounded to.
 const GRAIN: u32 = 3;
 /// Distances between points that a cell reaches: half of the diagonal of a square, and a little.
@@ -95,20 +92,7 @@ fn draw(
     let span = points.iter().flat_map(|p| [p.0.abs(), p.1.abs()]).fold(1e-4, f64::max) * 1.06;
     svg((width + BAR, height), |root| {
         let (left, right) = root.split_horizontally(width);
-        let mut chart = ChartBuilder::on(&left)
-            .caption(&axes.title, ("sans-serif", 15))
-            .margin(MARGIN)
-            .x_label_area_size(LABELS.1)
-            .y_label_area_size(LABELS.0)
-            .build_cartesian_2d(Scaled::new(-span, span, false), Scaled::new(-span, span, false))?;
-        chart
-            .configure_mesh()
-            .disable_mesh()
-            .x_desc(&axes.x)
-            .y_desc(&axes.y)
-            .x_label_formatter(&|v| tick(*v, false))
-            .y_label_formatter(&|v| tick(*v, false))
-            .draw()?;
+        let mut chart = frame(&left, axes, (-span, span), (-span, span), false)?;
         let (wide, high) = chart.plotting_area().dim_in_pixel();
         let count = ((wide / GRAIN).max(1) as usize, (high / GRAIN).max(1) as usize);
         let edge = |i: usize, of: usize| span * (2.0 * i as f64 / of as f64 - 1.0);

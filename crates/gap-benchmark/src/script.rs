@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use dermis_model::{ForwardModel, Stimulus};
-use dermis_testbed::{Moment, Phase, Plan, Timeline};
+use dermis_testbed::{GroundTruth, Phase, Plan, Timeline};
 
 use crate::BenchmarkError;
 
@@ -43,7 +43,7 @@ pub struct Instant {
     /// Session, from 0.
     pub session: usize,
     /// What is done, as the rig knows it.
-    pub moment: Moment,
+    pub moment: GroundTruth,
 }
 
 impl Instant {
@@ -128,7 +128,7 @@ impl Script {
         let mut session = 0;
         let rest = |script: &mut Self, time: &mut f64, session: usize, press: u64| {
             for _ in 0..(QUIET / step) as usize {
-                let moment = Moment { press, phase: Phase::Idle, ..Moment::default() };
+                let moment = GroundTruth { press, phase: Phase::Idle, ..GroundTruth::default() };
                 script.instants.push(Instant { time: *time, session, moment });
                 *time += step;
             }

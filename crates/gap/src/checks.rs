@@ -41,16 +41,15 @@ pub fn missing(recording: &Recording, samples: &Samples, repeats: usize) -> Vec<
             "whether the gap is the same after the skin was mounted or switched on again",
         );
     }
-    let kelvin: Vec<f64> =
-        recording.moments.iter().map(|m| m.temperature).filter(|t| t.is_finite()).collect();
+    let kelvin: Vec<f64> = recording.labels.iter().map(|m| m.temperature).filter(|t| t.is_finite()).collect();
     let (low, high) =
         kelvin.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(*t), h.max(*t)));
-    if kelvin.len() * 2 < recording.moments.len() {
+    if kelvin.len() * 2 < recording.labels.len() {
         lacks("the temperature", "whether zero or gain follow it");
     } else if high - low < KELVIN {
         lacks("a temperature that changes", "whether zero or gain follow it");
     }
-    let idle = recording.moments.iter().filter(|m| m.phase == Phase::Idle).count();
+    let idle = recording.labels.iter().filter(|m| m.phase == Phase::Idle).count();
     if idle < 50 {
         lacks(
             "windows without contact, at least half a second each",
@@ -77,7 +76,7 @@ pub fn missing(recording: &Recording, samples: &Samples, repeats: usize) -> Vec<
 /// Says what is wrong with readings whatever was done.
 pub fn readings(recording: &Recording, skin: &SkinDescription, samples: &Samples) -> Vec<Problem> {
     let mut found = Vec::new();
-    let n = recording.moments.len();
+    let n = recording.labels.len();
     let contacts = recording.contacts();
     if contacts < FEWEST_PRESSES {
         found.push(Problem::fatal(
@@ -106,7 +105,7 @@ pub fn readings(recording: &Recording, skin: &SkinDescription, samples: &Samples
         }
         let name = &channel.name;
         if gaps > 0 {
-            let from = recording.moments[at].time;
+            let from = recording.labels[at].time;
             let share = 100.0 * gaps as f64 / n as f64;
             let what = format!(
                 "channel {name} gives no number in {gaps} frames ({share:.1} %), the longest stretch is {longest} frames from \
@@ -283,11 +282,11 @@ pub fn agreement(
         let mut other = Recording {
             name: recording.name.clone(),
             channels: recording.channels,
-            moments: recording.moments.clone(),
+            labels: recording.labels.clone(),
             zero: recording.zero,
             ..Recording::default()
         };
-        for m in &mut other.moments {
+        for m in &mut other.labels {
             for contact in m.stimulus.iter_mut().flat_map(|s| &mut s.contacts) {
                 let (p, f) = (contact.position, contact.force);
                 let (x, y) = if exchange { (p.y, p.x) } else { (p.x, p.y) };
@@ -364,7 +363,7 @@ mod tests {
     use nalgebra::{Point3, Vector3};
 
     use super::*;
-    use crate::recording::{Moment, Zero};
+    use crate::recording::{FrameLabel, Zero};
     use crate::samples::SampleOptions;
     use crate::testing::{EFFECTS, gains, recorded, skin, small};
 
@@ -388,7 +387,7 @@ mod tests {
             }
             let temperature = 293.0 + f64::from(i) * 1e-3;
             recording.push(
-                Moment {
+                FrameLabel {
                     time: f64::from(i) * 0.01,
                     run: 0,
                     press,
@@ -421,7 +420,7 @@ mod tests {
             }),
             ["a second session"]
         );
-        let each = |change: fn(&mut Moment)| lacks(10, |r| r.moments.iter_mut().for_each(change));
+        let each = |change: fn(&mut FrameLabel)| lacks(10, |r| r.labels.iter_mut().for_each(change));
         assert_eq!(each(|m| m.temperature = f64::NAN), ["the temperature"]);
         assert_eq!(each(|m| m.temperature = 293.0), ["a temperature that changes"]);
         assert_eq!(
@@ -439,7 +438,7 @@ mod tests {
         // Presses of half a second, and no pause that is longer than a frame.
         assert_eq!(each(|m| m.time *= 0.25), ["presses that are held for a second or more"]);
         let busy = lacks(10, |r| {
-            for m in r.moments.iter_mut().filter(|m| m.phase == Phase::Idle) {
+            for m in r.labels.iter_mut().filter(|m| m.phase == Phase::Idle) {
                 m.phase = Phase::Approach;
             }
         });

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::algebra::normal;
 use crate::constants::experiments::{LISTED, SETTLED, TRUST};
-use crate::recording::{Moment, Recording};
+use crate::recording::{FrameLabel, Recording};
 use crate::samples::{Sample, Samples};
 
 use crate::simulate::Simulator;
@@ -213,9 +213,16 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Sam
         ..Stimulus::default()
     };
     let mut add = |time: f64, phase: Phase, stimulus: Stimulus, press: u64| {
-        let moment =
-            Moment { time, run: 0, press, location: 1, phase, temperature: 293.15, stimulus: Some(stimulus) };
-        recording.push(moment, &nothing);
+        let label = FrameLabel {
+            time,
+            run: 0,
+            press,
+            location: 1,
+            phase,
+            temperature: 293.15,
+            stimulus: Some(stimulus),
+        };
+        recording.push(label, &nothing);
     };
     while time < menu.warm {
         add(time, Phase::Idle, untouched(f64::NAN), 0);
@@ -251,7 +258,7 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Sam
             time += if t > 2.0 + press.load { 10.0 * step } else { step };
         }
     }
-    let samples = recording.moments.iter().enumerate().map(|(frame, m)| Sample {
+    let samples = recording.labels.iter().enumerate().map(|(frame, m)| Sample {
         frame,
         group: 0,
         press: 0,

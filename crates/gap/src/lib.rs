@@ -56,7 +56,7 @@ pub use error::GapError;
 pub use experiments::Experiment;
 pub use noise::Gap;
 pub use read::read;
-pub use recording::{Moment, Problem, Recording, Zero};
+pub use recording::{FrameLabel, Problem, Recording, Zero};
 pub use report::*;
 pub use samples::{Sample, SampleOptions, Samples};
 pub use select::{SelectOptions, Tier};

@@ -24,9 +24,9 @@ pub struct Interference {
 pub fn find(recording: &Recording, rate: f64) -> Option<Interference> {
     let mut stretches: Vec<usize> = Vec::new();
     let mut since = 0;
-    for (i, moment) in recording.moments.iter().enumerate() {
-        let goes_on = i > 0 && recording.moments[i - 1].run == moment.run;
-        since = match (moment.phase.touched() || moment.stimulus.is_none(), goes_on) {
+    for (i, label) in recording.labels.iter().enumerate() {
+        let goes_on = i > 0 && recording.labels[i - 1].run == label.run;
+        since = match (label.phase.touched() || label.stimulus.is_none(), goes_on) {
             (true, _) => 0,
             (false, true) => since + 1,
             (false, false) => 1,
@@ -143,7 +143,7 @@ fn detrend(values: &mut [f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Moment;
+    use crate::FrameLabel;
     use dermis_model::Stimulus;
     use dermis_skin::Phase;
 
@@ -154,7 +154,7 @@ mod tests {
             let mut noise = 1u32;
             for i in 0..2000_u32 {
                 let t = f64::from(i) / 80.0;
-                let moment = Moment {
+                let label = FrameLabel {
                     time: t,
                     run: 0,
                     press: 0,
@@ -165,7 +165,7 @@ mod tests {
                 };
                 noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 let jitter = f64::from(noise >> 8) / f64::from(1u32 << 24) - 0.5;
-                recording.push(moment, &[(4.0 * (TAU * frequency * t).sin() + jitter) as f32]);
+                recording.push(label, &[(4.0 * (TAU * frequency * t).sin() + jitter) as f32]);
             }
             let interference = find(&recording, 80.0).unwrap();
             approx::assert_abs_diff_eq!(interference.frequency, shows, epsilon = 0.1);

@@ -21,16 +21,16 @@ pub fn deviations(recording: &Recording, skin: &SkinDescription) -> Vec<f64> {
         .map(|k| {
             let mut steps: Vec<f64> = Vec::new();
             let mut finite = 0;
-            for i in 0..recording.moments.len().saturating_sub(1) {
+            for i in 0..recording.labels.len().saturating_sub(1) {
                 let (a, b) = (recording.frame(i)[k], recording.frame(i + 1)[k]);
                 finite += usize::from(a.is_finite());
-                let (m, n) = (&recording.moments[i], &recording.moments[i + 1]);
+                let (m, n) = (&recording.labels[i], &recording.labels[i + 1]);
                 let still = !m.phase.touched() && !n.phase.touched() && m.run == n.run;
                 if still && a.is_finite() && b.is_finite() && steps.len() < FRAMES {
                     steps.push(f64::from((b - a).abs()));
                 }
             }
-            if finite * 2 < recording.moments.len() {
+            if finite * 2 < recording.labels.len() {
                 return f64::INFINITY;
             }
             let floor = declared.get(k).copied().unwrap_or(skin.noise);
@@ -124,8 +124,8 @@ pub fn measure(
                 let (p, q) = (&samples.list[i], &samples.list[j]);
                 let near = p.position.iter().zip(q.position).all(|(a, b)| (a - b).abs() < SAME_PLACE);
                 let alike = (p.force - q.force).abs() < SAME_FORCE * p.force.max(0.05);
-                let moment = (p.since - q.since).abs() < 0.2 * p.since.abs().max(0.05);
-                if p.press != q.press && near && alike && moment && p.diameter == q.diameter {
+                let label = (p.since - q.since).abs() < 0.2 * p.since.abs().max(0.05);
+                if p.press != q.press && near && alike && label && p.diameter == q.diameter {
                     // A difference in force is no noise: what it makes is taken out to first order.
                     let ratio = (p.force / q.force.max(1e-9)) as f32;
                     let differ: f64 =

@@ -12,7 +12,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::GapError;
 use crate::constants::reading::{HELD, OFF_SURFACE};
-use crate::recording::{Moment, Problem, Recording};
+use crate::recording::{FrameLabel, Problem, Recording};
 
 /// One frame as a bag gives it.
 struct Raw {
@@ -136,7 +136,7 @@ fn own(
     }
     // Frames stay in the order in which they were recorded, so that a clock that runs backwards shows; truth is looked up.
     truths.sort_by_key(|t| t.header.stamp.as_nanos());
-    let run = recording.moments.last().map_or(0, |m| m.run + 1);
+    let run = recording.labels.last().map_or(0, |m| m.run + 1);
     // A bag may hold several sessions, and several bags sessions of one name.
     let first_session = recording.sessions.len();
     for truth in &truths {
@@ -156,7 +156,7 @@ fn own(
         let near = near.into_iter().flatten().filter_map(|i| truths.get(i));
         let away = |t: &&Indentation| t.header.stamp.as_nanos().saturating_sub(frame.stamp).saturating_abs();
         let truth = near.min_by_key(away).filter(|t| away(t) <= tolerance);
-        let mut moment = Moment {
+        let mut label = FrameLabel {
             time: frame.stamp.saturating_sub(begin) as f64 * 1e-9,
             run,
             press: 0,
@@ -171,20 +171,20 @@ fn own(
                 let name = if truth.session.is_empty() { &place } else { &truth.session };
                 let within = recording.sessions[first_session..].iter().position(|s| s == name);
                 session = first_session + within.unwrap_or(0);
-                moment.press = truth.press;
-                moment.location = truth.location;
-                moment.phase = phase(truth.phase, !truth.contacts.is_empty());
+                label.press = truth.press;
+                label.location = truth.location;
+                label.phase = phase(truth.phase, !truth.contacts.is_empty());
                 if truth.temperature.is_finite() {
-                    moment.temperature = f64::from(truth.temperature);
+                    label.temperature = f64::from(truth.temperature);
                 }
                 let contacts = truth.contacts.iter().map(|c| {
                     let position = Point3::new(c.position.x, c.position.y, c.position.z);
                     Touch::sphere(position, Vector3::new(c.force.x, c.force.y, c.force.z), c.diameter)
                 });
-                moment.stimulus = stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
+                label.stimulus = stimulus(contacts.collect(), label.temperature, &surface, &mut doubts);
             }
         }
-        recording.push(moment, &frame.values);
+        recording.push(label, &frame.values);
         recording.session.push(session as u32);
     }
     doubts.report(&place, recording);
@@ -199,7 +199,7 @@ fn named_otherwise(
     place: &str,
     recording: &mut Recording,
 ) -> Result<(), GapError> {
-    let Some(reason) = skin.unlike(frame, &sender.layouts) else { return Ok(()) };
+    let Some(reason) = skin.layout_mismatch(frame, &sender.layouts) else { return Ok(()) };
     let Some(layout) = sender.layouts.get(&frame.layout_id) else {
         return Err(GapError::Recording {
             place: place.to_owned(),
@@ -361,10 +361,10 @@ fn mapped(
         recording.sessions.push(read.session.clone());
         let begin = read.samples.first().map_or(0, |s| s.stamp);
         let mut doubts = Doubts::default();
-        let first = recording.moments.len();
+        let first = recording.labels.len();
         for sample in data.stream(run)? {
             let sample = sample?;
-            let mut moment = Moment {
+            let mut label = FrameLabel {
                 time: (sample.frame.stamp - begin) as f64 * 1e-9,
                 run: run as u32,
                 press: 0,
@@ -376,8 +376,8 @@ fn mapped(
             match &sample.truth {
                 None => doubts.unknown += 1,
                 Some(truth) => {
-                    (moment.press, moment.location) = (truth.press, truth.location);
-                    moment.phase = match (truth.touched(), truth.idle) {
+                    (label.press, label.location) = (truth.press, truth.location);
+                    label.phase = match (truth.touched(), truth.idle) {
                         (true, _) => Phase::Hold,
                         (false, true) => Phase::Idle,
                         (false, false) => Phase::Approach,
@@ -388,28 +388,28 @@ fn mapped(
                         let force = if full { c.force } else { -c.normal * pressing };
                         Touch::sphere(c.position, force, c.diameter)
                     });
-                    moment.stimulus = stimulus(contacts.collect(), moment.temperature, &surface, &mut doubts);
+                    label.stimulus = stimulus(contacts.collect(), label.temperature, &surface, &mut doubts);
                 }
             }
             let values: Vec<f32> = sample.frame.values.clone();
-            recording.push(moment, &values);
+            recording.push(label, &values);
         }
-        by_force(&mut recording.moments[first..]);
+        by_force(&mut recording.labels[first..]);
         doubts.report(&read.path.display().to_string(), recording);
     }
     Ok(())
 }
 
 /// Distinguishes loading, holding and unloading by the change of the force.
-fn by_force(moments: &mut [Moment]) {
-    let force: Vec<f64> = moments.iter().map(Moment::force).collect();
-    for i in 0..moments.len() {
-        if !moments[i].phase.touched() {
+fn by_force(labels: &mut [FrameLabel]) {
+    let force: Vec<f64> = labels.iter().map(FrameLabel::force).collect();
+    for i in 0..labels.len() {
+        if !labels[i].phase.touched() {
             continue;
         }
         let (a, b) = (force[i.saturating_sub(2)], force[(i + 2).min(force.len() - 1)]);
         let change = (b - a) / force[i].max(1e-9);
-        moments[i].phase = if change > 4.0 * HELD {
+        labels[i].phase = if change > 4.0 * HELD {
             Phase::Load
         } else if change < -4.0 * HELD {
             Phase::Unload

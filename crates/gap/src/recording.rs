@@ -6,9 +6,9 @@ use sha2::{Digest, Sha256};
 
 use crate::constants::reading::{ZERO_AT_START, ZERO_BEFORE_PRESS};
 
-/// One instant of a recording.
+/// What is known of one frame of a recording besides its readings.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Moment {
+pub struct FrameLabel {
     /// \[s\] since its run began.
     pub time: f64,
     /// Which run: the device is switched on anew at the beginning of each.
@@ -25,7 +25,7 @@ pub struct Moment {
     pub temperature: f64,
 }
 
-impl Moment {
+impl FrameLabel {
     /// \[N\] total of what presses; 0 where nothing touches or nobody knows.
     #[must_use]
     pub fn force(&self) -> f64 {
@@ -77,12 +77,12 @@ pub struct Recording {
     /// Channels of every frame.
     pub channels: usize,
     /// What was done.
-    pub moments: Vec<Moment>,
-    /// What was read, `channels` numbers a moment, in the unit of the skin; NaN where a channel gave none.
+    pub labels: Vec<FrameLabel>,
+    /// What was read, `channels` numbers a frame, in the unit of the skin; NaN where a channel gave none.
     pub readings: Vec<f32>,
     /// Names of sessions: readings of one share mounting, zero and temperature history.
     pub sessions: Vec<String>,
-    /// Which session each moment belongs to; empty where runs and sessions are the same.
+    /// Which session each frame belongs to; empty where runs and sessions are the same.
     pub session: Vec<u32>,
     /// What was noticed on reading it.
     pub problems: Vec<Problem>,
@@ -98,8 +98,8 @@ impl Recording {
     }
 
     /// Adds a frame. Missing readings are NaN, superfluous ones are dropped.
-    pub fn push(&mut self, moment: Moment, readings: &[f32]) {
-        self.moments.push(moment);
+    pub fn push(&mut self, label: FrameLabel, readings: &[f32]) {
+        self.labels.push(label);
         let whole = readings.iter().copied().chain(std::iter::repeat(f32::NAN));
         self.readings.extend(whole.take(self.channels));
     }
@@ -107,7 +107,7 @@ impl Recording {
     /// Place in [`sessions`](Self::sessions) of a frame's session.
     #[must_use]
     pub fn session_of(&self, frame: usize) -> u32 {
-        self.session.get(frame).or(self.moments.get(frame).map(|m| &m.run)).copied().unwrap_or(0)
+        self.session.get(frame).or(self.labels.get(frame).map(|m| &m.run)).copied().unwrap_or(0)
     }
 
     /// Readings of one frame.
@@ -120,7 +120,7 @@ impl Recording {
     #[must_use]
     pub fn contacts(&self) -> usize {
         let mut found: Vec<(u32, u64)> =
-            self.moments.iter().filter(|m| m.phase.touched()).map(|m| (m.run, m.press)).collect();
+            self.labels.iter().filter(|m| m.phase.touched()).map(|m| (m.run, m.press)).collect();
         found.sort_unstable();
         found.dedup();
         found.len()
@@ -130,7 +130,7 @@ impl Recording {
     #[must_use]
     pub fn stimulus_hash(&self) -> String {
         let mut hasher = Sha256::new();
-        for m in &self.moments {
+        for m in &self.labels {
             hasher.update(m.time.to_le_bytes());
             hasher.update(m.run.to_le_bytes());
             hasher.update(m.press.to_le_bytes());
@@ -164,26 +164,26 @@ impl Recording {
         }
         let n = self.channels;
         let mut begin = 0;
-        while begin < self.moments.len() {
-            let run = self.moments[begin].run;
-            let end = begin + self.moments[begin..].iter().take_while(|m| m.run == run).count();
-            let free = |i: usize| self.moments[i].phase == Phase::Idle;
+        while begin < self.labels.len() {
+            let run = self.labels[begin].run;
+            let end = begin + self.labels[begin..].iter().take_while(|m| m.run == run).count();
+            let free = |i: usize| self.labels[i].phase == Phase::Idle;
             // Each block of frames, and the untouched ones that its zero comes from.
             let mut blocks: Vec<(usize, Vec<usize>)> = Vec::new();
             match zero {
                 Zero::AsRead => return,
                 Zero::Start => {
-                    let first = (begin..end).find(|i| free(*i)).map_or(f64::NAN, |i| self.moments[i].time);
+                    let first = (begin..end).find(|i| free(*i)).map_or(f64::NAN, |i| self.labels[i].time);
                     let early =
-                        (begin..end).filter(|i| free(*i) && self.moments[*i].time - first <= ZERO_AT_START);
+                        (begin..end).filter(|i| free(*i) && self.labels[*i].time - first <= ZERO_AT_START);
                     blocks.push((begin, early.collect()));
                 }
                 Zero::Press => {
                     for i in begin + 1..end {
                         if !free(i) && free(i - 1) {
-                            let since = self.moments[i].time - ZERO_BEFORE_PRESS;
+                            let since = self.labels[i].time - ZERO_BEFORE_PRESS;
                             let rest = (begin..i).rev().take_while(|j| free(*j));
-                            let rest = rest.take_while(|j| self.moments[*j].time >= since).collect();
+                            let rest = rest.take_while(|j| self.labels[*j].time >= since).collect();
                             // What comes before the first press has no zero but its.
                             blocks.push((if blocks.is_empty() { begin } else { i }, rest));
                         }
@@ -216,7 +216,7 @@ impl Recording {
     /// Says where the clock runs backwards: at such a place nobody knows which readings belong to which stimulus.
     pub(crate) fn clock(&self) -> Option<Problem> {
         let (mut back, mut stood, mut first) = (0usize, 0usize, None);
-        for (i, pair) in self.moments.windows(2).enumerate() {
+        for (i, pair) in self.labels.windows(2).enumerate() {
             if pair[0].run != pair[1].run {
                 continue;
             }
@@ -238,7 +238,7 @@ impl Recording {
                 ),
             ));
         }
-        (stood * 100 > self.moments.len()).then(|| {
+        (stood * 100 > self.labels.len()).then(|| {
             Problem::note(
                 "clock",
                 format!("{}: {stood} frames have the stamp of the frame before them", self.name),
@@ -292,7 +292,7 @@ mod tests {
         for i in 0..400_u32 {
             let (press, within) = (u64::from(i / 200) + 1, i % 200);
             let touched = (150..180).contains(&within);
-            let moment = Moment {
+            let label = FrameLabel {
                 time: f64::from(i) * 0.01,
                 run: 0,
                 press,
@@ -302,7 +302,7 @@ mod tests {
                 temperature: f64::NAN,
             };
             let value = 9.0 + press as f32 + if touched { 5.0 } else { 0.0 };
-            recording.push(moment, &[value]);
+            recording.push(label, &[value]);
         }
         recording.tare(zero);
         [10, 160, 190, 360].map(|i| recording.readings[i]).to_vec()
@@ -316,7 +316,7 @@ mod tests {
             let mut stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
             change(&mut stimulus);
             let mut recording = Recording::new("one", 1);
-            let moment = Moment {
+            let label = FrameLabel {
                 time: 0.0,
                 run: 0,
                 press: 1,
@@ -325,7 +325,7 @@ mod tests {
                 stimulus: Some(stimulus),
                 temperature: f64::NAN,
             };
-            recording.push(moment, &[1.0]);
+            recording.push(label, &[1.0]);
             recording.stimulus_hash()
         };
         let turned = |by: f64| UnitQuaternion::from_euler_angles(0.0, 0.0, by);

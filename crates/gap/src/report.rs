@@ -90,7 +90,7 @@ pub struct Value {
 
 /// A candidate that cannot be distinguished from a named effect.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Alike {
+pub struct Alternative {
     /// Name of the effect.
     pub name: String,
     /// Reduction of the held-out error by it instead, in shares of the readings' variance.
@@ -124,7 +124,7 @@ pub struct NamedEffect {
     /// One sentence.
     pub what: String,
     /// All candidates that cannot be distinguished, the label first. The class is the answer.
-    pub class: Vec<Alike>,
+    pub class: Vec<Alternative>,
     /// More general effects that contain it.
     pub covers: Vec<String>,
     /// How it stands against the model discrepancy; `loose` means: this effect, or that discrepancy.
@@ -149,7 +149,7 @@ pub struct NamedEffect {
 
 /// An effect that alone would explain some of the gap. It is not named by that.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Suspect {
+pub struct UnconfirmedEffect {
     /// Name of the effect.
     pub name: String,
     /// Reduction of the held-out error, in shares of the readings' variance.
@@ -233,7 +233,7 @@ pub struct Report {
     pub effects: Vec<NamedEffect>,
     /// Effects that explain most when they come alone, whether they are named or not, the strongest first: where to look where no
     /// effect is named.
-    pub suspects: Vec<Suspect>,
+    pub suspects: Vec<UnconfirmedEffect>,
     /// How far all of them reduce it.
     #[serde(alias = "closure")]
     pub residual_reduction: Option<ResidualReduction>,

@@ -16,7 +16,7 @@ use crate::recording::Recording;
 /// One frame that is compared.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
-    /// Index in [`Recording::moments`].
+    /// Index in [`Recording::labels`].
     pub frame: usize,
     /// Frames of one group are never parted: those of one place.
     pub group: usize,
@@ -96,23 +96,23 @@ impl Samples {
         let mut presses: Vec<Vec<usize>> = Vec::new();
         let mut idle = Vec::new();
         let mut last = None;
-        for (i, moment) in recording.moments.iter().enumerate() {
-            if moment.stimulus.is_none() {
+        for (i, label) in recording.labels.iter().enumerate() {
+            if label.stimulus.is_none() {
                 continue;
             }
-            if moment.phase == Phase::Idle || facts[i].since.is_nan() {
+            if label.phase == Phase::Idle || facts[i].since.is_nan() {
                 idle.push(i);
                 continue;
             }
-            if last != Some((moment.run, moment.press)) {
+            if last != Some((label.run, label.press)) {
                 presses.push(Vec::new());
-                last = Some((moment.run, moment.press));
+                last = Some((label.run, label.press));
             }
             if let Some(press) = presses.last_mut() {
                 press.push(i);
             }
         }
-        presses.retain(|p| p.iter().any(|&i| recording.moments[i].phase.touched()));
+        presses.retain(|p| p.iter().any(|&i| recording.labels[i].phase.touched()));
         let whole = |i: usize| recording.frame(i).iter().zip(usable).all(|(v, u)| v.is_finite() || !u);
         let budget = (options.readings / recording.channels.max(1)).max(64);
         // Some eight frames of a press say all of it; where there are too many presses, every so many are taken.
@@ -135,7 +135,7 @@ impl Samples {
             others.step_by((presses.len() - presses.len().div_ceil(keep)).div_ceil(budget).max(1))
         {
             let held: Vec<usize> =
-                press.iter().copied().filter(|i| recording.moments[*i].phase == Phase::Hold).collect();
+                press.iter().copied().filter(|i| recording.labels[*i].phase == Phase::Hold).collect();
             if let Some(&frame) = held.get(held.len() / 2).filter(|frame| whole(**frame)) {
                 chosen.push((frame, number, false));
                 single_frame_samples += 1;
@@ -158,7 +158,7 @@ impl Samples {
         let mut places: BTreeMap<(u32, u32), usize> = BTreeMap::new();
         for (frame, number, _) in &chosen {
             if *number != usize::MAX {
-                let m = &recording.moments[*frame];
+                let m = &recording.labels[*frame];
                 let next = places.len();
                 places.entry((m.run, place(m.location, m.press))).or_insert(next);
             }
@@ -173,32 +173,32 @@ impl Samples {
         let mut idle_seen = 0;
         let mut samples: Vec<Sample> = Vec::with_capacity(chosen.len());
         for (frame, number, paired) in chosen {
-            let moment = &recording.moments[frame];
+            let label = &recording.labels[frame];
             let group = if number == usize::MAX {
                 let stretch = idle_seen * stretches / idle_samples.max(1);
                 idle_seen += 1;
                 touched + stretch
             } else {
-                let index = places[&(moment.run, place(moment.location, moment.press))];
+                let index = places[&(label.run, place(label.location, label.press))];
                 order[index] % touched.max(1)
             };
-            let first = moment.stimulus.as_ref().and_then(|s| s.contacts.first());
+            let first = label.stimulus.as_ref().and_then(|s| s.contacts.first());
             samples.push(Sample {
                 frame,
                 group,
                 press: number,
-                location: (moment.run, moment.location),
+                location: (label.run, label.location),
                 session: recording.session_of(frame),
-                phase: moment.phase,
-                force: moment.force(),
+                phase: label.phase,
+                force: label.force(),
                 since: facts[frame].since,
-                time: moment.time,
+                time: label.time,
                 before: facts[frame].before,
                 speed: facts[frame].speed,
-                temperature: moment.temperature,
+                temperature: label.temperature,
                 position: first.map_or([f64::NAN; 3], |c| c.position.coords.into()),
                 diameter: first.map_or(f64::NAN, dermis_model::Indentation::diameter),
-                contacts: moment.stimulus.as_ref().map_or(0, |s| s.contacts.len()),
+                contacts: label.stimulus.as_ref().map_or(0, |s| s.contacts.len()),
                 paired,
             });
         }
@@ -245,10 +245,10 @@ struct Facts {
 }
 
 fn facts(recording: &Recording) -> Vec<Facts> {
-    let mut found = Vec::with_capacity(recording.moments.len());
+    let mut found = Vec::with_capacity(recording.labels.len());
     let mut largest: BTreeMap<(u32, u32), f64> = BTreeMap::new();
     let (mut began, mut run, mut was): (f64, Option<u32>, bool) = (f64::NAN, None, false);
-    for (i, m) in recording.moments.iter().enumerate() {
+    for (i, m) in recording.labels.iter().enumerate() {
         if run != Some(m.run) {
             (began, run, was) = (f64::NAN, Some(m.run), false);
         }
@@ -259,7 +259,7 @@ fn facts(recording: &Recording) -> Vec<Facts> {
         was = now;
         let force = m.force();
         let before = largest.entry((m.run, place(m.location, m.press))).or_insert(0.0);
-        let neighbour = |j: usize| recording.moments.get(j).filter(|n| n.run == m.run);
+        let neighbour = |j: usize| recording.labels.get(j).filter(|n| n.run == m.run);
         let ago = i.checked_sub(1).and_then(neighbour);
         let next = neighbour(i + 1);
         let speed = match (ago, next) {
@@ -281,7 +281,7 @@ fn facts(recording: &Recording) -> Vec<Facts> {
 
 /// The frames of a press that say all of it, and whether the next one is its twin.
 fn of_press(recording: &Recording, press: &[usize], facts: &[Facts]) -> Vec<(usize, bool)> {
-    let phase = |i: &usize| recording.moments[*i].phase;
+    let phase = |i: &usize| recording.labels[*i].phase;
     let of = |wanted: Phase| -> Vec<usize> {
         press.iter().copied().filter(|i| phase(i) == wanted && !facts[*i].since.is_nan()).collect()
     };

@@ -169,18 +169,18 @@ impl Simulator<'_> {
         let all: Box<dyn Iterator<Item = usize>> =
             if whole { Box::new(0..last) } else { Box::new(frames.iter().copied()) };
         for frame in all {
-            let moment = &recording.moments[frame];
-            if run != Some(moment.run) {
+            let label = &recording.labels[frame];
+            if run != Some(label.run) {
                 state = model.start(0);
-                run = Some(moment.run);
+                run = Some(label.run);
             }
-            let Some(stimulus) = &moment.stimulus else {
+            let Some(stimulus) = &label.stimulus else {
                 // Nothing is known of it, and no row asks for it.
                 continue;
             };
             let mut real = stimulus.clone();
-            state.apply_to_stimulus(moment.time, &mut real);
-            state.step(moment.time, &real, &mut read).map_err(|source| GapError::Model {
+            state.apply_to_stimulus(label.time, &mut real);
+            state.step(label.time, &real, &mut read).map_err(|source| GapError::Model {
                 what: format!("{}, frame {frame}", recording.name),
                 source,
             })?;
@@ -260,7 +260,7 @@ mod tests {
 
     fn along(zero: Zero) -> Recording {
         let mut recording = Recording { zero, ..Recording::new("presses", 3) };
-        presses().into_iter().for_each(|moment| recording.push(moment, &[]));
+        presses().into_iter().for_each(|label| recording.push(label, &[]));
         recording
     }
 
@@ -298,7 +298,7 @@ mod tests {
         let make = |skin: &SkinDescription| small(skin, 990.0);
         let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
         let recording = along(Zero::Start);
-        let frames: Vec<usize> = (0..recording.moments.len()).collect();
+        let frames: Vec<usize> = (0..recording.labels.len()).collect();
         let read = simulator.readings(&skin, &recording, &frames).unwrap();
         // The first channel rests at 990 of 1000 Pa: no signal is more than 10.
         let most = read.iter().step_by(3).copied().fold(0.0f32, f32::max);

@@ -10,7 +10,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::recording::{Moment, Recording};
+use crate::recording::{FrameLabel, Recording};
 use crate::simulate::Simulator;
 
 /// The medium gives way less the harder it is pressed.
@@ -61,9 +61,9 @@ pub(crate) fn small(skin: &SkinDescription, rest: f64) -> Result<Arc<dyn Forward
 }
 
 /// 120 presses of 0.2 to 1 N at as many places, each between untouched frames, without readings.
-pub(crate) fn presses() -> Vec<Moment> {
+pub(crate) fn presses() -> Vec<FrameLabel> {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
-    let mut moments = Vec::new();
+    let mut labels = Vec::new();
     for press in 0..120_u32 {
         let at = Point3::new(rng.random_range(-0.013..0.013), rng.random_range(-0.008..0.008), 0.0);
         let force: f64 = rng.random_range(0.2..1.0);
@@ -82,7 +82,7 @@ pub(crate) fn presses() -> Vec<Moment> {
             };
             let contact = Indentation::sphere(at, Vector3::new(0.0, 0.0, -force * share), 0.004);
             let contacts = if share > 0.0 { vec![contact] } else { Vec::new() };
-            moments.push(Moment {
+            labels.push(FrameLabel {
                 time: f64::from(press * 60 + i) * 0.02,
                 run: 0,
                 press: u64::from(press) + 1,
@@ -93,21 +93,21 @@ pub(crate) fn presses() -> Vec<Moment> {
             });
         }
     }
-    moments
+    labels
 }
 
 /// What a device with these effects reads along [`presses`], with noise.
 pub(crate) fn recorded(simulator: &Simulator<'_>, effects: &[Effect]) -> Recording {
     let mut bare = Recording::new("small", 3);
-    presses().into_iter().for_each(|moment| bare.push(moment, &[]));
-    let frames: Vec<usize> = (0..bare.moments.len()).collect();
+    presses().into_iter().for_each(|label| bare.push(label, &[]));
+    let frames: Vec<usize> = (0..bare.labels.len()).collect();
     let read = simulator.readings(&simulator.with(effects), &bare, &frames).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let mut recording = Recording::new("small", 3);
     recording.sessions.push("one".to_owned());
-    for (moment, read) in bare.moments.into_iter().zip(read.chunks_exact(3)) {
+    for (label, read) in bare.labels.into_iter().zip(read.chunks_exact(3)) {
         let noisy: Vec<f32> = read.iter().map(|v| v + 5.0 * rng.sample::<f32, _>(StandardNormal)).collect();
-        recording.push(moment, &noisy);
+        recording.push(label, &noisy);
     }
     recording
 }

@@ -72,16 +72,16 @@ fn read(scale: f64, sign: f64) -> Recording {
 #[test]
 fn frames_and_ground_truth_are_joined() {
     let recording = read(1.0, 1.0);
-    assert_eq!((recording.moments.len(), recording.contacts(), recording.channels), (200, 20, 2));
+    assert_eq!((recording.labels.len(), recording.contacts(), recording.channels), (200, 20, 2));
     assert_eq!(recording.sessions, ["first"]);
     assert!(recording.problems.is_empty(), "{:?}", recording.problems);
-    let moment = &recording.moments[33];
-    assert_eq!((moment.press, moment.location, moment.phase), (4, 4, Phase::Hold));
-    assert!((moment.time - 0.33).abs() < 1e-9 && moment.temperature == 294.0);
-    let contact = &moment.stimulus.as_ref().unwrap().contacts[0];
+    let label = &recording.labels[33];
+    assert_eq!((label.press, label.location, label.phase), (4, 4, Phase::Hold));
+    assert!((label.time - 0.33).abs() < 1e-9 && label.temperature == 294.0);
+    let contact = &label.stimulus.as_ref().unwrap().contacts[0];
     assert_eq!((contact.position.x, contact.force.z, contact.diameter()), (0.003, -1.0, 0.004));
     assert_eq!(recording.frame(33), [33.0, -33.0]);
-    assert_eq!(recording.moments[31].phase, Phase::Idle);
+    assert_eq!(recording.labels[31].phase, Phase::Idle);
 }
 
 #[test]

@@ -32,7 +32,7 @@ impl Reading {
 
 /// One contact that was found.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Found {
+pub struct ContactEstimate {
     /// \[m\] on the surface.
     pub position: Point3<f64>,
     /// Out of the surface there.
@@ -45,7 +45,7 @@ pub struct Found {
     pub force_covariance: Matrix3<f64>,
 }
 
-impl Found {
+impl ContactEstimate {
     /// \[N\] with which it presses.
     #[must_use]
     pub fn normal_force(&self) -> f64 {
@@ -63,7 +63,7 @@ impl Found {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
     /// Strongest first; empty where nothing stands out of the noise.
-    pub contacts: Vec<Found>,
+    pub contacts: Vec<ContactEstimate>,
     /// Sum of squared deviations from the readings, in units of their noise.
     pub chi2: f64,
     /// Readings that count, less the numbers that were looked for.

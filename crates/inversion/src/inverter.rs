@@ -17,7 +17,7 @@ use std::sync::Arc;
 use dermis_model::{ForwardModel, Indentation, Unknowns, Untouched};
 use dermis_skin::Surface;
 
-use crate::contact::{Found, Reading, Solution};
+use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::dictionary::{Dictionary, SHAPE};
 use crate::fit::{Datum, Minimum, Problem};
 use crate::pairs::Pairs;
@@ -284,7 +284,11 @@ impl Inverter {
     /// # Errors
     ///
     /// [`InverterError::Channels`] for readings of another skin.
-    pub fn follow(&self, readings: &[Reading], before: &[Found]) -> Result<Option<Solution>, InverterError> {
+    pub fn follow(
+        &self,
+        readings: &[Reading],
+        before: &[ContactEstimate],
+    ) -> Result<Option<Solution>, InverterError> {
         self.check(readings)?;
         let s = &self.settings;
         let data = self.data(readings);
@@ -313,7 +317,7 @@ impl Inverter {
     }
 
     /// Whether a contact's place is all but open.
-    fn is_broad(&self, found: &Found) -> bool {
+    fn is_broad(&self, found: &ContactEstimate) -> bool {
         let deviation = found.deviation();
         deviation.is_nan() || deviation >= BROAD * self.spacing
     }
@@ -321,7 +325,7 @@ impl Inverter {
     /// Share of the surface where a press of `force` \[N\] lowers the sum of squared deviations by less than `evidence`, in
     /// units of the noise: where it cannot be detected.
     #[must_use]
-    pub fn unfelt(&self, force: f64, evidence: f64) -> f64 {
+    pub fn undetectable_fraction(&self, force: f64, evidence: f64) -> f64 {
         let unit = self.dictionary.forces[SHAPE];
         let (mut all, mut undetectable) = (0.0, 0.0);
         for (index, place) in self.dictionary.places.iter().enumerate() {

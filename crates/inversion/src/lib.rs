@@ -22,7 +22,7 @@ mod sparse;
 mod testing;
 
 pub use calibrate::{Calibration, CalibrationError};
-pub use contact::{Found, Reading, Solution};
+pub use contact::{ContactEstimate, Reading, Solution};
 pub use corrected::{Corrected, Correction, CorrectionSettings, Press};
 pub use inverter::Inverter;
 pub use peaks::{Peak, PeakFinder, PeakSettings, suppress};

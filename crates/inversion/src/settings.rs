@@ -33,7 +33,7 @@ pub struct Settings {
     #[serde(default = "evidence")]
     pub evidence: f64,
     /// By how much one contact must lower the sum of squared deviations, in units of the noise, for a skin to count as touched
-    /// whose level does not show it ([`Settings::shows`]). Drift that a zero lags behind looks like a light contact: untouched
+    /// whose level does not show it ([`Settings::exceeds_threshold`]). Drift that a zero lags behind looks like a light contact: untouched
     /// recordings of the device say how much of it there is.
     #[serde(default = "presence", skip_serializing_if = "is_presence")]
     pub presence: f64,
@@ -145,7 +145,7 @@ impl Settings {
     /// Whether this [evidence](Inverter::evidence) is that of a contact; `before`: whether that of the frame before was. One that is
     /// there lasts down to a share of [`presence`](Self::presence).
     #[must_use]
-    pub fn shows(&self, (gain, left): (f64, f64), before: bool) -> bool {
+    pub fn exceeds_threshold(&self, (gain, left): (f64, f64), before: bool) -> bool {
         gain > self.presence * if before { LASTS } else { 1.0 } && left < UNEXPLAINED
     }
 

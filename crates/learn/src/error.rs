@@ -15,6 +15,9 @@ pub enum LearnError {
     /// A bag cannot be read.
     #[error(transparent)]
     Bag(#[from] BagError),
+    /// A picture of a report cannot be drawn.
+    #[error(transparent)]
+    Figure(#[from] dermis_figures::DrawError),
     /// A bag that is not what it was when it was first read.
     #[error("bag {bag} has changed since it was first read: leave it alone until this command ends")]
     Changed {
@@ -105,6 +108,12 @@ pub enum LearnError {
         /// What the estimator said.
         source: EstimateError,
     },
+    /// A model that does not fit the skin.
+    #[error(transparent)]
+    Setup(Box<dermis_estimate::SetupError>),
+    /// A model has no answer to a frame.
+    #[error(transparent)]
+    Find(#[from] dermis_estimate::FindError),
     /// A file cannot be read or written.
     #[error("{path} cannot be {action}: {source}")]
     Io {

@@ -1,9 +1,17 @@
-//! What a graph makes of a data set, without the estimator of a sensor family around it.
+//! What a graph makes of a data set before it is a bundle.
+//!
+//! The graph answers through [`NetworkFinder`], as in a node and in comparisons: the same features, and contacts on the surface of
+//! the skin. What a node adds needs a bundle and several frames: presence by level and identities. So the figures of a bundle's
+//! card are those of its answers to labelled frames, and `dermis evaluate` adds what the node makes of them.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
+use std::path::Path;
 
-use dermis_inference::{Baseline, FeatureConfig, Model, Outputs};
+use dermis_estimate::finder::NetworkFinder;
+use dermis_estimate::{ContactFinder, FindError, UnpackedModel};
+use dermis_inference::{Baseline, FeatureConfig, Features, Model, Outputs};
+use dermis_skin::{Contact, ForceComponents, SkinDescription};
 
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId};
@@ -15,18 +23,24 @@ use crate::target::Maps;
 const FORCES: [&str; 3] = ["force.x", "force.y", "force.z"];
 
 /// Runs the finished graph.
-pub(crate) struct GraphEvaluator<'a> {
-    /// The graph.
-    pub(crate) model: Model,
-    /// What its output means.
-    pub(crate) outputs: Outputs,
-    /// How frames become its input.
-    pub(crate) features: &'a FeatureConfig,
-    /// Which readings it takes.
-    pub(crate) baseline: Baseline,
+pub(crate) struct GraphEvaluator {
+    finder: NetworkFinder,
 }
 
-impl GraphEvaluator<'_> {
+impl GraphEvaluator {
+    /// `model` lies at `path` or will; it takes `features` of readings with or without their zero, and its output means `outputs`.
+    pub(crate) fn new(
+        path: &Path,
+        (model, outputs): (Model, Outputs),
+        (features, baseline): (&FeatureConfig, Baseline),
+        skin: &SkinDescription,
+    ) -> Result<Self, LearnError> {
+        let features = Features::new(features.clone())?;
+        let model = UnpackedModel { path: path.to_owned(), model, outputs, features, baseline };
+        let finder = NetworkFinder::unpacked(model, skin).map_err(|e| LearnError::Setup(Box::new(e)))?;
+        Ok(Self { finder })
+    }
+
     /// Compares its answers with the truth, on `only` or on all labelled frames; its maps with those of `maps`.
     pub(crate) fn evaluate(
         &mut self,
@@ -36,7 +50,7 @@ impl GraphEvaluator<'_> {
         name: String,
     ) -> Result<(Evaluation, Vec<Point>), LearnError> {
         let wanted = |id: &SampleId| only.is_none_or(|only| only.contains(id));
-        let values = &self.outputs.config().values;
+        let values = &self.finder.outputs().config().values;
         let gives = |name: &str| values.iter().any(|v| v.name == name);
         let mut scores = Scores::new(Rule {
             centre: centre(&data.skin().surface()),
@@ -46,45 +60,66 @@ impl GraphEvaluator<'_> {
             depth: gives("position.z"),
         });
         let mut maps = MapScorer::new(maps);
-        let (mut points, mut raw, mut frames) = (Vec::new(), Vec::new(), 0);
-        let mut answered = BTreeSet::new();
-        data.each_input(self.features, self.baseline, |id, row| {
-            let Some(truth) = data.sample(id).and_then(|s| s.truth.as_ref()).filter(|_| wanted(&id)) else {
-                return Ok(());
-            };
-            self.model.run(row, &mut raw)?;
-            self.outputs.decode(&raw)?;
-            let answer = self.answer();
-            scores.push(id, truth, &answer);
-            maps.push(truth, |map| self.outputs.values(map.name()).map(Cow::Borrowed))?;
-            points.push(Point::new(truth, &answer));
-            answered.insert(id);
-            frames += 1;
-            Ok(())
-        })?;
-        let mut unanswered = 0;
-        for (id, _, truth) in
-            data.labelled().filter(|(id, _, t)| wanted(id) && t.touched() && !answered.contains(id))
-        {
-            unanswered += 1;
-            scores.unanswered(id, truth);
-            maps.push(truth, |_| None)?;
+        let (mut points, mut frames, mut unanswered, mut tares) = (Vec::new(), 0, 0, 0);
+        for run in 0..data.runs().len() {
+            self.finder.reset();
+            for (sample, read) in data.stream_for(run, self.finder.image())?.enumerate() {
+                let read = read?;
+                if read.tare {
+                    // As an estimator does: history seen with another zero would hold a step.
+                    self.finder.reset();
+                    tares += 1;
+                }
+                let frame = read.conditioned();
+                let id = SampleId { run, sample };
+                let asked = read.truth.as_ref().filter(|_| wanted(&id));
+                let Some(truth) = asked else {
+                    self.finder.pass(&frame)?;
+                    continue;
+                };
+                let contact = match self.finder.contact(&frame) {
+                    Err(FindError::History(_)) => {
+                        if truth.touched() {
+                            unanswered += 1;
+                            scores.unanswered(id, truth);
+                            maps.push(truth, |_| None)?;
+                        }
+                        continue;
+                    }
+                    found => found?,
+                };
+                let outputs = self.finder.outputs();
+                let answer = answer(&contact, outputs);
+                scores.push(id, truth, &answer);
+                maps.push(truth, |map| outputs.values(map.name()).map(Cow::Borrowed))?;
+                points.push(Point::new(truth, &answer));
+                frames += 1;
+            }
         }
-        let tares = data.runs().iter().flat_map(|r| &r.samples).filter(|s| s.tare).count();
         Ok((Evaluation::of(&scores, name, frames, unanswered, tares).with_maps(maps), points))
     }
+}
 
-    fn answer(&self) -> Answer {
-        let get = |name: &str| self.outputs.get(name);
-        let position = get("position.x").zip(get("position.y"));
-        let depth = get("position.z");
-        let force = FORCES.map(get);
-        Answer {
-            position: position.map(|(x, y)| [x, y, depth.unwrap_or(0.0)]),
-            depth: depth.is_some(),
-            force: force.iter().any(Option::is_some).then(|| force.map(|f| f.unwrap_or(f64::NAN))),
-            normal_force: self.outputs.normal_force(),
-            contact: self.outputs.contact().map(|p| p > 0.5),
-        }
+/// What is scored: the contact; and, as the model gives it, what a contact without a place on the surface cannot hold.
+fn answer(contact: &Contact, outputs: &Outputs) -> Answer {
+    let at = contact.position;
+    let depth = outputs.get("position.z");
+    let plain = || outputs.get("position.x").zip(outputs.get("position.y"));
+    let known = contact.force_components != ForceComponents::None;
+    let full = contact.force_components == ForceComponents::Full;
+    let placed = (at.x.is_finite() && at.y.is_finite()).then_some([at.x, at.y, at.z]);
+    let pressing = known.then(|| contact.normal_force()).filter(|force| force.is_finite());
+    Answer {
+        position: placed.or_else(|| plain().map(|(x, y)| [x, y, depth.unwrap_or(0.0)])),
+        depth: depth.is_some(),
+        force: full.then_some(contact.force.into()).or_else(|| known_forces(outputs)),
+        normal_force: pressing.or_else(|| outputs.normal_force()),
+        contact: outputs.contact().map(|p| p > 0.5),
     }
+}
+
+/// \[N\] the components that the model gives, NaN for the others; `None` where it gives none.
+fn known_forces(outputs: &Outputs) -> Option<[f64; 3]> {
+    let force = FORCES.map(|name| outputs.get(name));
+    force.iter().any(Option::is_some).then(|| force.map(|f| f.unwrap_or(f64::NAN)))
 }

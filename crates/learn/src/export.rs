@@ -18,6 +18,7 @@
 //!
 //! The same in JSON is in the file: key `dermis` of the Parquet metadata, `schema.json` in the NPZ.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -81,6 +82,22 @@ pub struct ExportOptions {
     pub tared: bool,
     /// Which rows are held out.
     pub split: SplitConfig,
+}
+
+/// Writes every run of a data set, called as its bag; the files that were written. Bags of different folders may have one name:
+/// the later one gets its number in the data set behind it.
+///
+/// # Errors
+///
+/// [`LearnError`] names the file that cannot be written.
+pub fn export_all(data: &Dataset, dir: &Path, options: &ExportOptions) -> Result<Vec<PathBuf>, LearnError> {
+    let (mut names, mut files) = (BTreeSet::new(), Vec::new());
+    for (i, run) in data.runs().iter().enumerate() {
+        let name = run.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = if names.insert(name.clone()) { name } else { format!("{name}-{}", i + 1) };
+        files.extend(export(data, i, dir, &name, options)?);
+    }
+    Ok(files)
 }
 
 /// Writes the run of a data set with this index as `DIR/STEM.parquet` and `DIR/STEM.npz`; the files that were written.

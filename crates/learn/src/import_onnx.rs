@@ -232,7 +232,7 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
 
     let decoder = Outputs::new(outputs.clone())?;
     let mut evaluator =
-        GraphEvaluator { model, outputs: decoder, features: &features, baseline: wiring.baseline };
+        GraphEvaluator::new(request.onnx, (model, decoder), (&features, wiring.baseline), skin)?;
     let mut measured = None;
     if let Some((data, split)) = request.data {
         let targets: Vec<&str> = request.outputs.iter().map(String::as_str).collect();
@@ -269,7 +269,7 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
             card.insert("split".into(), json!(split));
         }
         report.data(data, split.as_ref())?;
-        report.section(&format!("Measured on: {}", evaluation.data), evaluation, points);
+        report.section(&format!("Measured on: {}", evaluation.data), evaluation, points)?;
     }
     card.insert("origin".into(), json!({
         "file": request.onnx.file_name().map(|n| n.to_string_lossy()),

@@ -36,7 +36,7 @@ pub use settings::Settings;
 pub use table::{Cell, Table, TableSettings, table};
 
 /// Told how far long work has come: what is being done, and which share of it is done.
-pub type Told<'a> = &'a (dyn Fn(&str, f64) + Sync);
+pub type ProgressFn<'a> = &'a (dyn Fn(&str, f64) + Sync);
 
 #[cfg(test)]
 mod tests;

@@ -247,7 +247,7 @@ fn presence(settings: &Settings, seen: &[Option<(f64, f64)>]) -> f64 {
     loop {
         let (mut before, mut wrong) = (false, 0);
         for evidence in seen {
-            before = evidence.is_none_or(|evidence| tried.shows(evidence, before));
+            before = evidence.is_none_or(|evidence| tried.exceeds_threshold(evidence, before));
             wrong += usize::from(before && evidence.is_some());
         }
         // Beyond what any drift looks like, what untouched frames show is no drift.
@@ -307,7 +307,7 @@ mod tests {
         let wrong = |settings: &Settings| {
             let mut before = false;
             let felt = seen(40.0).into_iter().filter(|evidence| {
-                before = evidence.is_none_or(|evidence| settings.shows(evidence, before));
+                before = evidence.is_none_or(|evidence| settings.exceeds_threshold(evidence, before));
                 before && evidence.is_some()
             });
             felt.count()

@@ -15,7 +15,8 @@ use crate::effects::Chosen;
 use crate::{OperateError, model_of_file};
 
 /// What to press, and where to put it.
-#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Request {
     /// Skin description.
     pub skin: PathBuf,
@@ -24,7 +25,6 @@ pub struct Request {
     pub plan: PathBuf,
     /// What makes the device differ from its design.
     #[command(flatten)]
-    #[serde(default)]
     pub chosen: Chosen,
     /// Seed of everything random, the device's own effects included; the plan's where absent.
     #[arg(long)]
@@ -40,7 +40,6 @@ pub struct Request {
     pub start: Option<i64>,
     /// Go on with a bag that was interrupted, by whatever; the finished bag is the same as one that was not.
     #[arg(long)]
-    #[serde(default)]
     pub resume: bool,
     /// Folder of the bag to write; must not exist yet, but for --resume.
     #[arg(short, long)]

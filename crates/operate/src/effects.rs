@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 /// Effects of a simulated device on a command line, on top of those of its description.
 #[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct Chosen {
     /// File of effects, e.g. launch/effects/baro-default.toml; one of the same name replaces that of the description.
     #[arg(long, value_name = "FILE")]

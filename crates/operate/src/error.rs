@@ -52,6 +52,12 @@ pub enum OperateError {
     /// A bag without messages.
     #[error("{} has no messages to play", .0.display())]
     Empty(PathBuf),
+    /// A bag without messages, of which a part is wanted.
+    #[error("{} has no messages", .0.display())]
+    NothingToSlice(PathBuf),
+    /// A part that ends before it begins.
+    #[error("--from must lie before --to")]
+    FromAfterTo,
     /// Playing would begin after the end.
     #[error("--start-offset is beyond the end of {}, which is {seconds:.3} s long", .bag.display())]
     BeyondEnd {

@@ -103,29 +103,8 @@ pub fn config(request: &NodeRequest<'_>, sensors: &Registry) -> Result<Value, Ve
     config.domain_id = request.domain_id.or(config.domain_id);
     config.remap.extend_from_slice(request.remap);
     config.parameters.extend(request.parameters.iter().map(|(name, value)| (name.clone(), value.clone())));
-    let refusal = |error: RunError| {
-        let field = match &error {
-            RunError::Skin(_) | RunError::Medium { .. } | RunError::Sensor { .. } => "config.skin".to_owned(),
-            RunError::Source(_) => "config.source".to_owned(),
-            RunError::Instance(InstanceError::Name(_)) => "config.instance".to_owned(),
-            RunError::Instance(InstanceError::Frame(_)) => "config.frame_id".to_owned(),
-            RunError::Instance(_) => "config.mount".to_owned(),
-            RunError::FixedParameter { name, .. } => format!("parameters.{name}"),
-            RunError::ParameterValue { name, .. } | RunError::Node(NodeError::Parameter { name, .. }) => {
-                format!("parameters.{name}")
-            }
-            RunError::UnknownParameter { names, .. } => match names.split_once('`') {
-                Some(_) => "parameters".to_owned(),
-                None => format!("parameters.{names}"),
-            },
-            RunError::Node(NodeError::Remapping { .. }) => "remap".to_owned(),
-            _ => "config".to_owned(),
-        };
-        let hint =
-            reader(&error, sensors).map_or(String::new(), |command| format!("; write `node: {command}`"));
-        refuse(field, format!("{error}{hint}"))
-    };
-    let refusals: Vec<Refusal> = dermis_perception::check(sensor, &config).into_iter().map(refusal).collect();
+    let refusals: Vec<Refusal> =
+        dermis_perception::check(sensor, &config).into_iter().map(|error| refusal(&error, sensors)).collect();
     if !refusals.is_empty() {
         return Err(refusals);
     }
@@ -135,6 +114,29 @@ pub fn config(request: &NodeRequest<'_>, sensors: &Registry) -> Result<Value, Ve
         config.frame_id.get_or_insert(skin.frame_id);
     }
     serde_json::to_value(&config).map_err(|error| vec![refuse("config".into(), error.to_string())])
+}
+
+/// Where in the launch file that is wrong which the node would refuse.
+fn refusal(error: &RunError, sensors: &Registry) -> Refusal {
+    let field = match error {
+        RunError::Skin(_) | RunError::Medium { .. } | RunError::Sensor { .. } => "config.skin".to_owned(),
+        RunError::Source(_) => "config.source".to_owned(),
+        RunError::Instance(InstanceError::Name(_)) => "config.instance".to_owned(),
+        RunError::Instance(InstanceError::Frame(_)) => "config.frame_id".to_owned(),
+        RunError::Instance(_) => "config.mount".to_owned(),
+        RunError::FixedParameter { name, .. } => format!("parameters.{name}"),
+        RunError::ParameterValue { name, .. } | RunError::Node(NodeError::Parameter { name, .. }) => {
+            format!("parameters.{name}")
+        }
+        RunError::UnknownParameter { names, .. } => match names.split_once('`') {
+            Some(_) => "parameters".to_owned(),
+            None => format!("parameters.{names}"),
+        },
+        RunError::Node(NodeError::Remapping { .. }) => "remap".to_owned(),
+        _ => "config".to_owned(),
+    };
+    let hint = reader(error, sensors).map_or(String::new(), |command| format!("; write `node: {command}`"));
+    Refusal { field, reason: format!("{error}{hint}") }
 }
 
 /// Whether the devices of these nodes can be told apart: two of one name would be one skin to everybody who listens, and two of

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`record`] | records what nodes publish into a bag |
 //! | [`play`] | publishes what a bag holds |
+//! | [`slice`] | copies a part of a bag |
 //! | [`watch`] | follows the contacts of every skin in the ROS graph |
 //! | [`device`] | puts a modelled or a recorded skin behind a pseudo-terminal |
 //! | [`collect`] | has the virtual testbed press a modelled skin and writes a labelled bag |
@@ -24,6 +25,7 @@ pub mod launching;
 pub mod play;
 pub mod quantity;
 pub mod record;
+pub mod slice;
 mod stats;
 mod touch;
 pub mod watch;
@@ -34,7 +36,7 @@ use std::time::Duration;
 
 use dermis_model::ForwardModel;
 use dermis_sensor::Registry;
-use dermis_skin::{ModelError, SkinDescription, SkinError};
+use dermis_skin::SkinDescription;
 
 pub use error::OperateError;
 pub use stats::{Samples, Spread};
@@ -56,10 +58,5 @@ fn model_of_file(
     skin: &SkinDescription,
     sensors: &Registry,
 ) -> Result<Arc<dyn ForwardModel>, OperateError> {
-    sensors.of(skin)?.model(skin).map_err(|error| match error {
-        ModelError::Description { field, reason, .. } => {
-            SkinError::Impossible { file: path.display().to_string(), field, reason }.into()
-        }
-        other => other.into(),
-    })
+    Ok(sensors.of(skin)?.model(skin).map_err(|error| error.in_file(path))?)
 }

@@ -352,3 +352,72 @@ fn ignore_file_size_signal(watcher: &dyn Watcher) {
 fn node_name() -> String {
     format!("dermis_record_{}", std::process::id())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn findings(lost: Option<u64>, silent: &[(&str, &str)]) -> Findings {
+        let topic = TopicState {
+            name: "/a".to_owned(),
+            type_name: String::new(),
+            recorded: 90,
+            dropped: 0,
+            lost,
+            missing_frames: None,
+        };
+        let info = BagInfo {
+            path: "bag".into(),
+            files: 1,
+            bytes: 10,
+            span: None,
+            messages: 90,
+            topics: Vec::new(),
+            custom: BTreeMap::new(),
+            complete: true,
+        };
+        let state = RecorderState { messages: 90, topics: vec![topic], ..RecorderState::default() };
+        let silent = silent.iter().map(|(topic, why)| ((*topic).to_owned(), (*why).to_owned())).collect();
+        let recorded = Ok(Recorded { bag: info, state: state.clone() });
+        let part = Part { dir: "bag".into(), before: None, gap_s: None };
+        Findings::new(Ended { recorded, state, silent }, part, 2.0)
+    }
+
+    #[test]
+    fn a_recording_that_lacks_something_is_refused_with_a_sentence() {
+        let said = |found: Findings, complete| found.require(complete).err().map(|error| error.to_string());
+        assert_eq!(said(findings(Some(0), &[]), true), None);
+        assert_eq!(said(findings(Some(3), &[]), false), None);
+        let lossy = said(findings(Some(3), &[]), true).unwrap();
+        assert!(lossy.starts_with("the recording is not complete: ") && lossy.contains('3'), "{lossy}");
+        assert!(said(findings(None, &[]), true).is_some(), "whether something is missing is not known");
+        assert_eq!(
+            said(findings(Some(0), &[("/b", "nobody published it")]), false).unwrap(),
+            "nothing was recorded of what was asked for by name: /b (nobody published it)"
+        );
+    }
+
+    #[test]
+    fn the_record_has_the_keys_that_scripts_read() {
+        let found = findings(Some(0), &[]);
+        let record = serde_json::to_value(found.recording.unwrap()).unwrap();
+        let keys: Vec<&String> = record.as_object().unwrap().keys().collect();
+        assert_eq!(
+            keys,
+            [
+                "bag",
+                "dropped",
+                "files",
+                "goes_on_from",
+                "lost",
+                "messages",
+                "payload_bytes",
+                "seconds",
+                "silent",
+                "stored_bytes",
+                "topics",
+                "waited_for_room_s"
+            ]
+        );
+    }
+}

@@ -21,7 +21,7 @@ pub struct Touch {
     pub touched: u64,
     /// Arrays by status.
     pub statuses: [u64; 5],
-    /// From acquisition to arrival here; the last [`LATENCIES`].
+    /// From acquisition to arrival here; the last ten thousand.
     pub latency_ms: Samples,
     /// The last one.
     pub latest: Option<ContactArray>,

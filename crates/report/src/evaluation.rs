@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use dermis_learn::{Bin, Evaluation, Ratio};
-use dermis_studies::evaluation::{Beside, Findings};
+use dermis_studies::evaluation::{BaselineComparison, Findings};
 
 /// For people.
 #[must_use]
@@ -40,7 +40,7 @@ fn spread(bin: &Bin, factor: f64) -> String {
 
 /// Errors by force on the same frames, side by side: means and standard deviations, and below them the bound of these frames as root
 /// mean square and median.
-fn table(own: &Evaluation, others: &[Beside]) -> String {
+fn table(own: &Evaluation, others: &[BaselineComparison]) -> String {
     let mut out = String::new();
     for (quantity, title, factor) in
         [("position", "position error [mm]", 1e3), ("force.normal", "force error [N]", 1.0)]
@@ -118,7 +118,7 @@ mod tests {
     #[test]
     fn people_read_every_way_by_force() {
         let others =
-            [Beside { method: "support vectors", settings: Value::Null, evaluation: evaluation(0.001, 0.5) }];
+            [BaselineComparison { method: "support vectors", settings: Value::Null, evaluation: evaluation(0.001, 0.5) }];
         insta::assert_snapshot!(table(&evaluation(0.0002, 0.1), &others), @r#"
 position error [mm]            0.5–4.9 N         4.9–9.8 N
 support vectors               2.00 ±0.00        7.00 ±0.00

@@ -7,3 +7,19 @@ mod text;
 pub use page::html;
 pub use scorecard::{markdown, svg};
 pub use text::text;
+
+use dermis_studies::gap::generation;
+
+/// What a benchmark set holds, for people.
+#[must_use]
+pub fn generated(found: &generation::Findings) -> String {
+    format!(
+        "{}: {} cases of {} on {}, sha256 {}; secrets in {}\n",
+        found.pack.display(),
+        found.cases,
+        found.kind,
+        found.skin,
+        found.sha256,
+        found.secret.display()
+    )
+}

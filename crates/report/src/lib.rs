@@ -13,6 +13,7 @@ pub mod placement;
 pub mod real2sim;
 pub mod recording;
 pub mod refinement;
+pub mod skin;
 pub mod sweep;
 pub mod touch;
 pub mod validation;

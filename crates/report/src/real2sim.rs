@@ -245,7 +245,7 @@ pub fn comparison_page(findings: &compare::Findings, text: &str) -> Result<Strin
     if !all.is_empty() {
         pictures.push(curves(&axes, &all)?);
     }
-    if let Some(compare::Shown { map, contacts }) = shown {
+    if let Some(compare::ShownFrame { map, contacts }) = shown {
         let on = skin.surface();
         let points = flat(&on, skin);
         let around = |c: &TruthContact| {

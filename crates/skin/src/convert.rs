@@ -105,7 +105,11 @@ impl SkinDescription {
     /// not say which channels they are of. `known` are the layouts that were recorded or heard, by their
     /// [`id`](ChannelLayout::id): they name what differs.
     #[must_use]
-    pub fn unlike(&self, frame: &TaxelFrame, known: &BTreeMap<u32, ChannelLayout>) -> Option<String> {
+    pub fn layout_mismatch(
+        &self,
+        frame: &TaxelFrame,
+        known: &BTreeMap<u32, ChannelLayout>,
+    ) -> Option<String> {
         let (sequence, channels) = (frame.sequence, self.channels());
         if frame.values.len() != channels.len() {
             return Some(format!(
@@ -250,18 +254,18 @@ mod tests {
         let frame = |skin: &SkinDescription| skin.frame_message(&Frame::new(1, 7, vec![1.0, 2.0]));
         let layout = |skin: &SkinDescription| ChannelLayout::of(&skin.geometry_message(&skin.surface(), 1));
         let none = BTreeMap::new();
-        assert_eq!(skin.unlike(&frame(&skin), &none), None);
-        assert_eq!(skin.unlike(&TaxelFrame { layout_id: 0, ..frame(&skin) }, &none), None);
-        assert_eq!(skin.unlike(&frame(&of("pad_link", "other_link")), &none), None);
+        assert_eq!(skin.layout_mismatch(&frame(&skin), &none), None);
+        assert_eq!(skin.layout_mismatch(&TaxelFrame { layout_id: 0, ..frame(&skin) }, &none), None);
+        assert_eq!(skin.layout_mismatch(&frame(&of("pad_link", "other_link")), &none), None);
         assert_eq!(layout(&skin).id(), skin.layout_id());
 
         let (renamed, scaled) = (of("\"t1\"", "\"t2\""), of("\"Pa\"", "\"hPa\""));
         let known = [&renamed, &scaled].map(|skin| (skin.layout_id(), layout(skin))).into();
-        insta::assert_snapshot!(skin.unlike(&frame(&renamed), &known).unwrap(), @"frame 7: channel 1 is `t2` where the skin has `t1`");
-        insta::assert_snapshot!(skin.unlike(&frame(&renamed), &none).unwrap(), @"frame 7 has the channel layout 2c18c065 where the skin has 073593a6, and no geometry says which channels those are");
-        insta::assert_snapshot!(skin.unlike(&frame(&scaled), &known).unwrap(), @r#"frame 7 is in "hPa" where the skin is in "Pa""#);
+        insta::assert_snapshot!(skin.layout_mismatch(&frame(&renamed), &known).unwrap(), @"frame 7: channel 1 is `t2` where the skin has `t1`");
+        insta::assert_snapshot!(skin.layout_mismatch(&frame(&renamed), &none).unwrap(), @"frame 7 has the channel layout 2c18c065 where the skin has 073593a6, and no geometry says which channels those are");
+        insta::assert_snapshot!(skin.layout_mismatch(&frame(&scaled), &known).unwrap(), @r#"frame 7 is in "hPa" where the skin is in "Pa""#);
         let short = TaxelFrame { values: vec![1.0], ..frame(&skin) };
-        insta::assert_snapshot!(skin.unlike(&short, &known).unwrap(), @"frame 7 has 1 values where the skin has 2 channels");
+        insta::assert_snapshot!(skin.layout_mismatch(&short, &known).unwrap(), @"frame 7 has 1 values where the skin has 2 channels");
 
         // The number follows a unit that is written later.
         let mut written = skin.clone();

@@ -1,5 +1,7 @@
 //! Frame → contacts, and what models and estimators refuse.
 
+use std::path::{Path, PathBuf};
+
 use crate::{Estimate, Frame};
 
 /// Why a forward model has no answer.
@@ -24,9 +26,28 @@ pub enum ModelError {
         /// What is wrong with it.
         reason: String,
     },
+    /// The same of a skin description that was read from a file.
+    #[error("skin file {path}: field `{field}`: {reason}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Path of the field.
+        field: String,
+        /// What is wrong with it.
+        reason: String,
+    },
 }
 
 impl ModelError {
+    /// The same, of a skin description that was read from this file.
+    #[must_use]
+    pub fn in_file(self, path: &Path) -> Self {
+        match self {
+            Self::Description { field, reason, .. } => Self::File { path: path.to_owned(), field, reason },
+            other => other,
+        }
+    }
+
     /// Whether it is about the table `medium` of a skin description.
     #[must_use]
     pub fn is_of_medium(&self) -> bool {

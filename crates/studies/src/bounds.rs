@@ -151,7 +151,7 @@ pub struct Findings {
     /// The row that most taxels lie on.
     pub line: Option<LineStudy>,
     /// Shares of pairs on the line that the isolines tell apart, at each of the distances of `pairs`.
-    pub told_apart: Vec<f64>,
+    pub distinguishable: Vec<f64>,
     /// Isolines over the surface.
     pub surface: Option<SurfaceStudy>,
     /// How isolines change with the design and the tip.
@@ -210,14 +210,14 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
         pairs = pairs_of(model.as_ref(), middle, options.diameter, unknowns)?;
     }
     let feet = feet(&skin, &surface);
-    let mut told_apart = Vec::new();
+    let mut distinguishable = Vec::new();
     let line = match line(&source, &surface, &feet, options.diameter) {
         Ok(line) => {
             let study = line.study(&study_options(&line, least), |share| {
                 progress.at(0.3 + 0.4 * share);
             });
             let distances: Vec<f64> = pairs.iter().map(|p| p.distance).collect();
-            told_apart = line.told_apart_by_distance(middle, least, &distances);
+            distinguishable = line.distinguishable_by_distance(middle, least, &distances);
             Some(study)
         }
         Err(error) => {
@@ -248,7 +248,7 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
         maps,
         pairs,
         line,
-        told_apart,
+        distinguishable,
         surface: on_surface,
         trends,
         notes,
@@ -322,7 +322,7 @@ fn surface_study(
     (maps, known_boxes): (&[SurfaceBound], &[Vec<BandBox>]),
 ) -> Result<SurfaceStudy> {
     let forces = force_ladder(source.force_max(), 30);
-    let spacing = crate::placement::point_spacing(surface);
+    let spacing = crate::placement::candidates::point_spacing(surface);
     let responses: Responses =
         source.responses(surface, &surface.points, &forces, options.diameter, 1.5 * spacing)?;
     let minimum_force: Vec<Option<f64>> =

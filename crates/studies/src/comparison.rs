@@ -3,8 +3,9 @@
 //! Networks of bundles, the same refined on the forward model, nearest neighbours in units of the noise, regressions that take what our
 //! networks take (`regressions`), and the thesis' numeric solution by isolines answer the same frames of one contact; the Cramér–Rao bound says what is possible. All but the
 //! isolines are the finders of `dermis-estimate`, which the node's estimator is made of; none judges whether something touches.
+//! Bags are read in order, and a bundle whose forward model searches in pairs follows contacts from frame to frame as the node does.
 //!
-//! Cost: one pass over the bags for all of them; neighbours look at every reading of the training part for every answer.
+//! Cost: one pass over the bags for all of them, and what follows contacts also looks at the frames between those that are asked; neighbours look at every reading of the training part for every answer.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -29,7 +30,7 @@ use serde_json::json;
 
 use crate::evaluation::{split_of, unknowns};
 use crate::regressions::{self, Learned as Presses, Most};
-use crate::{Families, LeftOut, Progress, called, conditioned};
+use crate::{Families, LeftOut, Progress, called};
 
 /// What to compare on what.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -228,7 +229,7 @@ fn answer(
                 // A history with two zeros would hold a step.
                 finders.iter_mut().for_each(|(_, finder)| finder.reset());
             }
-            let frame = conditioned(&read);
+            let frame = read.conditioned();
             let id = SampleId { run, sample };
             let truth = read.truth.as_ref().filter(|_| wanted.contains(&id));
             for ((_, finder), evaluator) in finders.iter_mut().zip(&mut evaluators) {
@@ -271,7 +272,7 @@ fn methods(
         let network = || NetworkFinder::new(&bundle, skin, runtime);
         methods.push((format!("{name}: network"), Box::new(network()?)));
         if let Some(inverter) = inverter(&bundle, || Ok(Arc::clone(forward)))? {
-            let refined = InversionFinder::new(inverter, Start::Bundle(Box::new(network()?)));
+            let refined = InversionFinder::new(inverter, Start::Bundle(Box::new(network()?))).following();
             methods.push((format!("{name}: with forward model"), Box::new(refined)));
         }
     }

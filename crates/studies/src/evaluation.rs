@@ -22,7 +22,7 @@ use serde_json::json;
 
 use crate::{Families, LeftOut, Progress};
 
-pub use beside::Beside;
+pub use beside::BaselineComparison;
 
 /// \[m\] of width below which presses lie on a line.
 const LINE: f64 = 1e-3;
@@ -114,7 +114,7 @@ pub struct Findings {
     /// Errors on the frames that the other ways answer, too.
     pub own: Option<Evaluation>,
     /// What other ways make of the same frames.
-    pub others: Vec<Beside>,
+    pub others: Vec<BaselineComparison>,
     /// Which requirements are met.
     pub verdicts: Verdicts,
 }

@@ -4,4 +4,5 @@ mod baselines;
 pub mod benchmark;
 pub mod closing;
 pub mod diagnosis;
+pub mod generation;
 mod scorecard;

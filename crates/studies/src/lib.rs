@@ -21,13 +21,12 @@ pub mod variation;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Result, anyhow};
-use dermis_estimate::ConditionedFrame;
+use anyhow::Result;
 use dermis_inference::{Runtime, RuntimeConfig};
 use dermis_learn::Sample;
 use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
-use dermis_skin::{Estimator, ModelError, SkinDescription};
+use dermis_skin::{Estimator, SkinDescription};
 use serde::Serialize;
 
 /// The sensor families that studies ask for models, estimators and candidates.
@@ -67,7 +66,7 @@ impl Families {
     ///
     /// As [`model`](Self::model).
     pub fn model_of_file(&self, path: &Path, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>> {
-        self.of(skin)?.model(skin).map_err(|error| of_file(path, error))
+        Ok(self.of(skin)?.model(skin).map_err(|error| error.in_file(path))?)
     }
 
     /// The estimator that the family's node runs with these model bundles.
@@ -78,17 +77,6 @@ impl Families {
     pub fn estimator(&self, skin: &SkinDescription, bundles: &[PathBuf]) -> Result<Box<dyn Estimator>> {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         Ok(dermis_estimate::estimator(self.of(skin)?, skin, bundles, &[], runtime)?)
-    }
-}
-
-/// What a family says of a skin, with the name of the file.
-#[must_use]
-pub fn of_file(path: &Path, error: ModelError) -> anyhow::Error {
-    match error {
-        ModelError::Description { field, reason, .. } => {
-            anyhow!("skin file {}: field `{field}`: {reason}", path.display())
-        }
-        other => other.into(),
     }
 }
 
@@ -118,18 +106,6 @@ impl LeftOut {
 impl std::fmt::Display for LeftOut {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "left out, {:.1} % of the touched frames: {}", self.share * 100.0, self.reason)
-    }
-}
-
-/// A sample of a data set, as finders take it.
-fn conditioned(sample: &Sample) -> ConditionedFrame<'_> {
-    ConditionedFrame {
-        stamp: sample.frame.stamp,
-        reading: &sample.frame.values,
-        signal: &sample.tared,
-        flags: &sample.frame.flags,
-        image: &sample.image,
-        image_signal: &sample.image_tared,
     }
 }
 

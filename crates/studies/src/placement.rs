@@ -6,7 +6,7 @@
 //! also with elements that fail. Assumptions: noise as the skin says; forces as requested. Cost: one response for each place
 //! and force; the searches take from milliseconds (bound) to minutes (greedy regression).
 
-mod candidates;
+pub(crate) mod candidates;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -43,7 +43,7 @@ pub struct Request {
     pub skin: PathBuf,
     /// How; may be repeated.
     #[arg(long, value_enum, default_value = "all")]
-    pub method: Vec<Way>,
+    pub method: Vec<MethodChoice>,
     /// Elements.
     #[arg(long, default_value_t = Request::default().budget, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub budget: u32,
@@ -87,7 +87,7 @@ impl Default for Request {
     fn default() -> Self {
         Self {
             skin: PathBuf::new(),
-            method: vec![Way::All],
+            method: vec![MethodChoice::All],
             budget: 10,
             force: Vec::new(),
             diameter: 0.01,
@@ -107,7 +107,7 @@ impl Default for Request {
 /// A method, or all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Way {
+pub enum MethodChoice {
     /// Greedy selection by support vector regression.
     GreedySvr,
     /// Pivoted QR of principal components.
@@ -122,7 +122,7 @@ pub enum Way {
     All,
 }
 
-impl Way {
+impl MethodChoice {
     fn methods(self) -> Vec<Method> {
         match self {
             Self::GreedySvr => vec![Method::GreedySvr],
@@ -184,7 +184,7 @@ pub struct Findings {
     /// Places of all candidates on the surface, and whether they can be built.
     pub feet: Vec<(Point3<f64>, Verdict)>,
     /// Places of those that can, in the order of every index.
-    pub sites: Vec<Point3<f64>>,
+    pub candidate_locations: Vec<Point3<f64>>,
     /// How many candidates there are.
     pub counts: Counts,
     /// The candidates that tell the others.
@@ -217,7 +217,7 @@ fn summary(findings: &Findings) -> serde_json::Value {
         "candidates": findings.counts,
         "unexplained": findings.reduction.unexplained,
         "places": { "seen": findings.places[0], "held_out": findings.places[1], "searched": options.searched },
-        "rim_of_candidates": rim(&findings.skin, &findings.surface, &findings.sites),
+        "rim_of_candidates": rim(&findings.skin, &findings.surface, &findings.candidate_locations),
         "methods": findings.choices,
         "interrupted": findings.interrupted,
         "crlb_against_greedy_svr": against(&findings.choices),
@@ -278,7 +278,7 @@ pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Resu
     let held = candidates::held(&skin.surface, &surface);
     let rule = Feasibility {
         neighbours: options.neighbours,
-        edge: options.edge.unwrap_or(EDGE * point_spacing(&surface)),
+        edge: options.edge.unwrap_or(EDGE * candidates::point_spacing(&surface)),
         held,
         margin: options.margin,
     };
@@ -329,7 +329,7 @@ pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Resu
     let mut findings = Findings {
         request: options.clone(),
         feet: feet.into_iter().zip(verdicts).collect(),
-        sites,
+        candidate_locations: sites,
         counts,
         reduction,
         forces,
@@ -362,7 +362,8 @@ fn choose(
 ) -> Result<()> {
     let watch = |share: f64| bar.at(share);
     bar.begin("distances along the surface");
-    let Some(process) = GaussianField::new(&findings.surface, &findings.sites, SITES, &watch)? else {
+    let Some(process) = GaussianField::new(&findings.surface, &findings.candidate_locations, SITES, &watch)?
+    else {
         findings.interrupted = true;
         return Ok(());
     };
@@ -407,7 +408,7 @@ fn choose(
             .enumerate()
             .map(|(n, c)| Taxel { name: format!("g{n}"), ..taxels[*c].clone() })
             .collect();
-        let feet: Vec<Point3<f64>> = sets.last().iter().map(|c| findings.sites[*c]).collect();
+        let feet: Vec<Point3<f64>> = sets.last().iter().map(|c| findings.candidate_locations[*c]).collect();
         findings.choices.push(Choice {
             method,
             seconds,
@@ -421,11 +422,6 @@ fn choose(
         });
     }
     Ok(())
-}
-
-/// \[m\] between neighbouring points of a surface, as if each had the same square of its area to itself.
-pub(crate) fn point_spacing(surface: &Surface) -> f64 {
-    (surface.areas.iter().sum::<f64>() / surface.points.len() as f64).sqrt()
 }
 
 /// Places to press: points of the surface away from its supports, as many as are asked for.

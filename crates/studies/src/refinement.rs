@@ -38,17 +38,17 @@ pub struct Request {
     pub contacts: usize,
     /// What is looked for in each contact.
     #[arg(long, value_enum, default_value_t = Request::default().unknowns)]
-    pub unknowns: Looked,
+    pub unknowns: UnknownsChoice,
     /// How likely forces are before a reading; `log` for skins with places where nothing gives way.
     #[arg(long, value_enum, default_value_t = Request::default().force_prior)]
-    pub force_prior: Prior,
+    pub force_prior: ForcePriorChoice,
     /// Distance [m] that contacts are apart at least, where there are several.
     #[arg(long, default_value_t = Request::default().distance)]
     pub distance: f64,
     /// How several contacts are looked for: one after the other, or the first two among all pairs of places, for skins whose elements
     /// are few and feel half of the surface each.
     #[arg(long, value_enum, default_value_t = Request::default().search)]
-    pub search: How,
+    pub search: SearchChoice,
     /// Learn, from the recorded single contacts, how the device differs from its forward model as a function of place and force,
     /// and refine on the corrected model. Writes `correction.json` into the bundle.
     #[arg(long)]
@@ -70,10 +70,10 @@ impl Default for Request {
             skin: PathBuf::new(),
             model: PathBuf::new(),
             contacts: 1,
-            unknowns: Looked::Normal,
-            force_prior: Prior::Uniform,
+            unknowns: UnknownsChoice::Normal,
+            force_prior: ForcePriorChoice::Uniform,
             distance: 0.002,
-            search: How::Greedy,
+            search: SearchChoice::Greedy,
             correct: false,
             always: false,
             labels: Labels::default(),
@@ -85,7 +85,7 @@ impl Default for Request {
 /// [`Unknowns`], as the command line says it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Looked {
+pub enum UnknownsChoice {
     /// Place along x, pressing force.
     Line,
     /// Place on the surface, pressing force.
@@ -97,7 +97,7 @@ pub enum Looked {
 /// [`ForcePrior`], as the command line says it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Prior {
+pub enum ForcePriorChoice {
     /// Every force is as likely as any other.
     Uniform,
     /// Every ratio is as likely as any other.
@@ -107,37 +107,37 @@ pub enum Prior {
 /// [`Search`], as the command line says it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum How {
+pub enum SearchChoice {
     /// One after the other.
     Greedy,
     /// The first two among all pairs of places.
     Pairs,
 }
 
-impl From<How> for Search {
-    fn from(how: How) -> Self {
+impl From<SearchChoice> for Search {
+    fn from(how: SearchChoice) -> Self {
         match how {
-            How::Greedy => Self::Greedy,
-            How::Pairs => Self::Pairs,
+            SearchChoice::Greedy => Self::Greedy,
+            SearchChoice::Pairs => Self::Pairs,
         }
     }
 }
 
-impl From<Prior> for ForcePrior {
-    fn from(prior: Prior) -> Self {
+impl From<ForcePriorChoice> for ForcePrior {
+    fn from(prior: ForcePriorChoice) -> Self {
         match prior {
-            Prior::Uniform => Self::Uniform,
-            Prior::Log => Self::Log,
+            ForcePriorChoice::Uniform => Self::Uniform,
+            ForcePriorChoice::Log => Self::Log,
         }
     }
 }
 
-impl From<Looked> for Unknowns {
-    fn from(looked: Looked) -> Self {
+impl From<UnknownsChoice> for Unknowns {
+    fn from(looked: UnknownsChoice) -> Self {
         match looked {
-            Looked::Line => Self::Line,
-            Looked::Normal => Self::Normal,
-            Looked::Full => Self::Full,
+            UnknownsChoice::Line => Self::Line,
+            UnknownsChoice::Normal => Self::Normal,
+            UnknownsChoice::Full => Self::Full,
         }
     }
 }

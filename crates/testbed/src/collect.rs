@@ -18,7 +18,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::{Moment, Plan, Sampler, TestbedError, Timeline};
+use crate::{GroundTruth, Plan, Sampler, TestbedError, Timeline};
 use resume::Begun;
 
 /// How a plan is carried out and labelled.
@@ -258,7 +258,7 @@ impl Truth {
         }
     }
 
-    fn blur(&mut self, moment: &mut Moment, surface: &Surface) {
+    fn blur(&mut self, moment: &mut GroundTruth, surface: &Surface) {
         if self.press != Some(moment.press) {
             self.press = Some(moment.press);
             self.offset =

@@ -22,6 +22,6 @@ pub use collect::{CollectOptions, CollectReport, collect};
 pub use dermis_skin::Phase;
 pub use device::{DeviceStats, Outlet, ReplayDevice, ReplayOptions, VirtualDevice};
 pub use error::TestbedError;
-pub use plan::{Action, ForceDistribution, Level, Levels, Manner, Plan, PlanTip, Step, Timing};
+pub use plan::{Action, ForceDistribution, Level, Levels, Plan, PlanTip, PressProfile, Step, Timing};
 pub use sampler::Sampler;
-pub use timeline::{Moment, Timeline, Tip};
+pub use timeline::{GroundTruth, Timeline, Tip};

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::TestbedError;
 pub(crate) use limits::LONGEST;
-pub use step::{Action, Level, Levels, Manner, Step};
+pub use step::{Action, Level, Levels, PressProfile, Step};
 use step::{OneOrMore, StepFile};
 pub use tip::PlanTip;
 
@@ -426,29 +426,29 @@ impl Plan {
                     presses += u64::from(*count) * u64::from(*high);
                 }
             }
-            let manner = &step.manner;
-            if self.tip.is_some() && !manner.diameter.is_empty() {
+            let profile = &step.profile;
+            if self.tip.is_some() && !profile.diameter.is_empty() {
                 let reason = "stands in a plan whose `tip` is no sphere: leave it out";
                 return wrong(format!("steps[{i}].diameter"), reason.into());
             }
-            tips(&format!("steps[{i}].diameter"), &manner.diameter)?;
-            if let Some([low, high]) = manner.shear
+            tips(&format!("steps[{i}].diameter"), &profile.diameter)?;
+            if let Some([low, high]) = profile.shear
                 && !(low >= 0.0 && low <= high && high.is_finite())
             {
                 let reason = format!("[{low}, {high}] is not a range: 0 ≤ low ≤ high");
                 return wrong(format!("steps[{i}].shear"), reason);
             }
-            if let Some(direction) = manner.shear_direction {
+            if let Some(direction) = profile.shear_direction {
                 if !direction.is_finite() {
                     let reason = format!("is {direction} rad and must be a finite number");
                     return wrong(format!("steps[{i}].shear_direction"), reason);
                 }
-                if manner.shear.is_none() {
+                if profile.shear.is_none() {
                     let reason = "says where to without `shear`, which says how much".to_owned();
                     return wrong(format!("steps[{i}].shear_direction"), reason);
                 }
             }
-            if let Some(hold) = manner.hold {
+            if let Some(hold) = profile.hold {
                 durations(format!("steps[{i}].hold"), hold)?;
             }
         }

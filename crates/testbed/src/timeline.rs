@@ -1,7 +1,7 @@
 //! A plan carried out on a surface: what touches it at every instant.
 //!
 //! [`Timeline::new`] draws what the plan leaves open and lays its presses one after the other (`schedule`, with the random
-//! choices of `draw` and the candidate locations of `sites`). [`Timeline::at`] interpolates within a press: force and
+//! choices of `draw` and the candidate locations of `candidates`). [`Timeline::at`] interpolates within a press: force and
 //! approach follow a raised cosine between the ends of its phases, so that no speed jumps.
 //! Assumptions: tips of one press act independently of each other; a slide runs at constant speed on a straight line that is
 //! projected to the surface.
@@ -17,15 +17,15 @@ use nalgebra::{Point3, Vector3};
 
 use crate::plan::{Level, PlanTip};
 
+mod candidates;
 mod draw;
 mod schedule;
-mod sites;
 #[cfg(test)]
 mod tests;
 
 /// The testbed at one instant: the ground truth.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Moment {
+pub struct GroundTruth {
     /// What it is doing.
     pub phase: Phase,
     /// Counts presses from 1; 0 before the first.
@@ -54,7 +54,7 @@ pub struct Tip {
 /// \[m\] that an indenter keeps from the skin between two presses.
 const RETREAT: f64 = 0.01;
 
-impl Moment {
+impl GroundTruth {
     /// As the ground truth message of a labelled bag.
     #[must_use]
     pub fn message(
@@ -163,26 +163,26 @@ impl Timeline {
     }
 
     /// The first moment of full force; idle where nothing is ever touched.
-    pub(crate) fn first_touch(&self) -> Moment {
+    pub(crate) fn first_touch(&self) -> GroundTruth {
         let first = self.presses.iter().find_map(|p| p.keys.get(1).map(|key| p.start + key.end));
         first.map(|t| self.at(t)).unwrap_or_default()
     }
 
     /// Nothing touches.
-    fn idle_moment(&self) -> Moment {
+    fn idle_moment(&self) -> GroundTruth {
         let stimulus = Stimulus { gravity: self.gravity, ..Stimulus::default() };
-        Moment { stimulus, ..Moment::default() }
+        GroundTruth { stimulus, ..GroundTruth::default() }
     }
 
     /// What the testbed does at `t` \[s\]; idle before the start and after the end.
     #[must_use]
-    pub fn at(&self, t: f64) -> Moment {
+    pub fn at(&self, t: f64) -> GroundTruth {
         let index = self.presses.partition_point(|p| p.start <= t).saturating_sub(1);
         let Some(press) = self.presses.get(index).filter(|p| p.start <= t) else {
             return self.idle_moment();
         };
         let since = t - press.start;
-        let mut moment = Moment {
+        let mut moment = GroundTruth {
             press: press.number,
             location: press.location,
             repeat: press.repeat,

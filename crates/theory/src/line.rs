@@ -373,7 +373,7 @@ impl Line {
     /// Whether two contacts, each a place and a force \[N\], can be told apart by their isolines (thesis 5.3.3): each reaches
     /// `needed` taxels that the other one leaves below `least`, so that its triangulation is not spoilt.
     #[must_use]
-    pub fn told_apart(&self, a: (usize, f64), b: (usize, f64), least: f64, needed: usize) -> bool {
+    pub fn distinguishable(&self, a: (usize, f64), b: (usize, f64), least: f64, needed: usize) -> bool {
         each_has_own(&self.reached(a, least), &self.reached(b, least), needed)
     }
 
@@ -383,9 +383,9 @@ impl Line {
     }
 
     /// Share of the pairs of contacts of `force` \[N\] each, at each of these distances \[m\] along the line, that
-    /// [`told_apart`](Self::told_apart) can tell apart.
+    /// [`distinguishable`](Self::distinguishable) can tell apart.
     #[must_use]
-    pub fn told_apart_by_distance(&self, force: f64, least: f64, distances: &[f64]) -> Vec<f64> {
+    pub fn distinguishable_by_distance(&self, force: f64, least: f64, distances: &[f64]) -> Vec<f64> {
         let end = self.arc[self.arc.len() - 1];
         let farthest = self.around.map_or(end, |around| around / 2.0);
         let reached: Vec<Vec<bool>> =

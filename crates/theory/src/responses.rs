@@ -1,6 +1,11 @@
 //! What the channels of a skin read over places and forces: of a forward model, or of a recording.
 //!
-//! Readings here are signals: the zero of a recording is subtracted, and so are a model's own untouched readings.
+//! Readings here are signals: the zero of a recording is subtracted, and so are a model's own untouched readings. They are oriented:
+//! a channel whose strongest signal is negative (a foam whose voltage falls, a gauge that is compressed) counts with its sign turned
+//! ([`Responses::orientation`]), so that every channel rises where it is pressed most. The thesis' definition of an isoline, the force
+//! at a place that makes a channel read one value, then holds for both signs. Where a signal rises and falls again, the isoline is its
+//! first branch, the least of these forces: it is the one that bounds from which force on a contact can be located. What a channel
+//! reads on its weaker side (the negative wings of a barometer) has no isoline.
 
 use dermis_model::{ForwardModel, Indentation, Stimulus, Untouched, tangents};
 use dermis_skin::Surface;
@@ -33,9 +38,11 @@ pub struct Responses {
     points: Vec<Point3<f64>>,
     forces: Vec<f64>,
     channels: usize,
-    /// Of a place, of a channel, of a force.
+    /// Of a place, of a channel, of a force; oriented.
     values: Vec<f64>,
     noise: Vec<f64>,
+    /// Of a channel: 1, or −1 where its readings count with their sign turned.
+    orientation: Vec<f64>,
 }
 
 /// `count` forces from 0 to `most` \[N\], closer together where they are small.
@@ -92,7 +99,7 @@ impl Responses {
             }
         }
         let (points, forces, noise) = (points.to_vec(), forces.to_vec(), model.noise().to_vec());
-        Ok(Self { points, forces, channels, values, noise })
+        Ok(Self { points, forces, channels, values, noise, orientation: vec![1.0; channels] }.oriented())
     }
 
     /// What a recording says: at every place and force a local regression of the presses within `reach` \[m\] and one step
@@ -154,7 +161,46 @@ impl Responses {
             }
         }
         let (points, forces, noise) = (points.to_vec(), forces.to_vec(), noise.to_vec());
-        Ok(Self { points, forces, channels, values, noise })
+        Ok(Self { points, forces, channels, values, noise, orientation: vec![1.0; channels] }.oriented())
+    }
+
+    /// Turns the sign of every channel whose strongest reading is negative.
+    fn oriented(mut self) -> Self {
+        for channel in 0..self.channels {
+            let curves = (0..self.points.len()).flat_map(|place| self.curve(place, channel));
+            let known = curves.copied().filter(|value| value.is_finite());
+            let (low, high) = known.fold((0.0, 0.0), |(low, high): (f64, f64), v| (low.min(v), high.max(v)));
+            if -low > high {
+                self.turn(channel);
+            }
+        }
+        self
+    }
+
+    fn turn(&mut self, channel: usize) {
+        self.orientation[channel] = -self.orientation[channel];
+        let step = self.forces.len();
+        for curve in self.values.chunks_exact_mut(step).skip(channel).step_by(self.channels) {
+            curve.iter_mut().for_each(|value| *value = -*value);
+        }
+    }
+
+    /// The same, every channel oriented as in `other`, a table of like channels: for values that are compared between both.
+    #[must_use]
+    pub fn oriented_as(mut self, other: &Self) -> Self {
+        for channel in 0..self.channels.min(other.channels) {
+            if self.orientation[channel] != other.orientation[channel] {
+                self.turn(channel);
+            }
+        }
+        self
+    }
+
+    /// 1 for a channel whose readings count as they are, −1 for one whose strongest signal is negative: its readings here are those
+    /// of the device with their sign turned.
+    #[must_use]
+    pub fn orientation(&self, channel: usize) -> f64 {
+        self.orientation[channel]
     }
 
     /// \[m\] places.
@@ -181,14 +227,14 @@ impl Responses {
         &self.noise
     }
 
-    /// Readings of a channel at a place, one a force.
+    /// Oriented readings of a channel at a place, one a force.
     #[must_use]
     pub fn curve(&self, place: usize, channel: usize) -> &[f64] {
         let at = (place * self.channels + channel) * self.forces.len();
         &self.values[at..at + self.forces.len()]
     }
 
-    /// Reading of a channel at a place under `force` \[N\]; NaN where it is not known.
+    /// Oriented reading of a channel at a place under `force` \[N\]; NaN where it is not known.
     #[must_use]
     pub fn reading(&self, place: usize, channel: usize, force: f64) -> f64 {
         self.bracket(force).map_or(f64::NAN, |bracket| bracket.of(self.curve(place, channel)))
@@ -204,7 +250,7 @@ impl Responses {
         Some(Bracket { above, share })
     }
 
-    /// Force \[N\] at which a channel's reading at a place first rises to `value`: one point of a taxel value isoline.
+    /// Least force \[N\] at which a channel's oriented reading at a place rises to `value`: one point of a taxel value isoline.
     #[must_use]
     pub fn force_for(&self, place: usize, channel: usize, value: f64) -> Option<f64> {
         let curve = self.curve(place, channel);
@@ -322,118 +368,4 @@ pub fn noise_of_repeats<'a>(
 }
 
 #[cfg(test)]
-mod tests {
-    use approx::assert_relative_eq;
-    use rand::SeedableRng;
-    use rand_distr::{Distribution, StandardNormal, Uniform};
-
-    use super::*;
-    use crate::testing::{read, row, shifted};
-
-    #[test]
-    fn a_reading_is_found_again_by_its_force() {
-        let model = row(6);
-        let points = [Point3::new(0.001, 0.0, 0.0), Point3::new(0.003, 0.0, 0.0)];
-        let responses = Responses::of_model(&model, &points, &force_ladder(2.0, 30), 0.004).unwrap();
-        for place in 0..2 {
-            for channel in 0..6 {
-                for force in [0.03, 0.4, 1.7] {
-                    let value = responses.reading(place, channel, force);
-                    assert_relative_eq!(
-                        responses.force_for(place, channel, value).unwrap(),
-                        force,
-                        max_relative = 1e-9
-                    );
-                    // The toy is linear in the force: c is what it takes for one unit.
-                    let c = responses.slope(place, channel, value * 0.9).unwrap();
-                    assert_relative_eq!(c, force / value, max_relative = 1e-6);
-                }
-                assert_eq!(responses.force_for(place, channel, 1e9), None);
-            }
-        }
-        assert!(responses.reading(0, 0, 2.1).is_nan());
-        assert_relative_eq!(
-            responses.minimum_force(0, 10.0, 2).unwrap(),
-            responses.force_for(0, 3, 10.0).unwrap().max(responses.force_for(0, 2, 10.0).unwrap())
-        );
-    }
-
-    #[test]
-    fn isolines_are_those_of_signals() {
-        // An untouched reading above a value would be an isoline of no force at all.
-        let points = [Point3::new(0.001, 0.0, 0.0), Point3::new(0.003, 0.0, 0.0)];
-        let forces = force_ladder(2.0, 30);
-        let plain = Responses::of_model(&row(6), &points, &forces, 0.004).unwrap();
-        let resting = Responses::of_model(&shifted(row(6)), &points, &forces, 0.004).unwrap();
-        assert_eq!(resting.reading(0, 2, 0.0), 0.0);
-        for place in 0..2 {
-            for channel in 0..6 {
-                let [a, b] = [&plain, &resting].map(|r| r.force_for(place, channel, 20.0).unwrap());
-                assert_relative_eq!(a, b, max_relative = 1e-9);
-            }
-        }
-    }
-
-    #[test]
-    fn presses_give_what_the_model_does() {
-        // Presses at random places of a row, each with noise.
-        let model = row(6);
-        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
-        let (place, force) = (Uniform::new(-0.018, 0.018).unwrap(), Uniform::new(0.01, 1.5).unwrap());
-        let presses: Vec<Press> = (0..6000)
-            .map(|_| {
-                let position = Point3::new(place.sample(&mut random), 0.0, 0.0);
-                let force = force.sample(&mut random);
-                let readings = read(&model, &position, force).into_iter().map(|v| {
-                    let noise: f64 = StandardNormal.sample(&mut random);
-                    v + model.noise()[0] * noise
-                });
-                Press { position, force, readings: readings.collect() }
-            })
-            .collect();
-        let points: Vec<Point3<f64>> =
-            (-16..=16).map(|i| Point3::new(f64::from(i) * 1e-3, 0.0, 0.0)).collect();
-        let forces = force_ladder(1.4, 14);
-        let exact = Responses::of_model(&model, &points, &forces, 0.004).unwrap();
-        let found = Responses::of_presses(&presses, model.noise(), model.surface(), &points, &forces, 0.0015)
-            .unwrap();
-        let mut errors = Vec::new();
-        for place in 0..points.len() {
-            for channel in 0..6 {
-                for force in [0.3, 0.7, 1.3] {
-                    errors.push(found.reading(place, channel, force) - exact.reading(place, channel, force));
-                }
-            }
-        }
-        let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
-        // Some forty presses lie in a window: better than a single one by far.
-        assert!(rms < 0.5 * model.noise()[0], "{rms}");
-        assert!(
-            Responses::of_presses(&presses, &[2.0; 5], model.surface(), &points, &forces, 0.001).is_err()
-        );
-    }
-
-    #[test]
-    fn noise_is_told_from_drift() {
-        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
-        let mut stretch = |sigma: f64| -> Vec<Vec<f64>> {
-            (0..2000)
-                .map(|i| {
-                    let noise: f64 = StandardNormal.sample(&mut random);
-                    vec![sigma * noise + 0.05 * f64::from(i), if i == 7 { f64::NAN } else { 1.0 }]
-                })
-                .collect()
-        };
-        let stretches = [stretch(20.0), stretch(20.0)];
-        let found = noise_of_repeats(stretches.iter().map(Vec::as_slice), 2).unwrap();
-        assert_relative_eq!(found[0], 20.0, max_relative = 0.05);
-        assert_eq!(found[1], 0.0);
-        assert_eq!(noise_of_repeats([&stretches[0][..1]], 2), None);
-    }
-
-    #[test]
-    fn forces_ascend_from_nothing() {
-        let error = Responses::of_model(&row(2), &[], &[0.1, 0.2], 0.004).unwrap_err();
-        insta::assert_snapshot!(error, @"forces of a table must ascend from 0");
-    }
-}
+mod tests;

@@ -196,6 +196,10 @@ impl IsolineSolver {
     /// `None` where fewer than the needed channels read more than their noise: there is nothing to triangulate.
     #[must_use]
     pub fn solve(&self, values: &[f64], taxels: usize) -> Option<Solution> {
+        let oriented = |(channel, value): (usize, &f64)| value * self.responses.orientation(channel);
+        let values: Vec<f64> =
+            values.iter().take(self.responses.channels()).enumerate().map(oriented).collect();
+        let values = values.as_slice();
         let noise = self.responses.noise();
         let mut strongest: Vec<usize> = (0..self.responses.channels().min(values.len()))
             .filter(|c| values[*c] >= self.threshold * noise[*c])

@@ -1,8 +1,9 @@
 //! Whether the schemas that `dermis schema` prints say what the readers of the files say.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use dermis_skin::{Effect, SkinDescription};
 use dermis_testbed::Plan;
@@ -13,11 +14,16 @@ use crate::{SENSORS, program};
 /// Kinds of files that have a schema.
 const KINDS: [&str; 4] = ["skin", "launch", "plan", "effects"];
 
-/// What `dermis schema` prints.
+/// What `dermis schema` prints, asked once.
 fn text(kind: &str) -> String {
-    let printed = program(&["schema", kind]);
-    assert!(printed.status.success(), "{}", String::from_utf8_lossy(&printed.stderr));
-    String::from_utf8(printed.stdout).unwrap()
+    static PRINTED: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
+    let mut printed = PRINTED.lock().unwrap_or_else(PoisonError::into_inner);
+    let text = printed.entry(kind.to_owned()).or_insert_with(|| {
+        let done = program(&["schema", kind]);
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        String::from_utf8(done.stdout).unwrap()
+    });
+    text.clone()
 }
 
 fn root() -> PathBuf {

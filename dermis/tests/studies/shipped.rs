@@ -1,4 +1,4 @@
-//! Whether the plans, effects and demo that ship fit the skins that ship.
+//! Whether the plans and effects that ship fit the skins that ship.
 
 use std::path::{Path, PathBuf};
 

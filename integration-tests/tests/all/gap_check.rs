@@ -59,6 +59,7 @@ fn a_small_pack_is_diagnosed_sealed_and_scored() {
         let text = std::fs::read_to_string(out.join(name)).unwrap();
         assert!(text.contains(holds) && !text.contains(&*dir.path().to_string_lossy()), "{name}: {text}");
     }
+    crate::browser::looks_right(&out.join("summary.svg"));
 
     // A report that is changed once the secrets may have been seen is refused.
     let folder = std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().path()).find(|p| p.is_dir()).unwrap();

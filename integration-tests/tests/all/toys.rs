@@ -109,6 +109,9 @@ fn it_is_learned_measured_and_bounded() {
     let mut bounds = toys(&["bounds", FOAM, "--json", "--force", "10", "--diameter", "0.02"]);
     let bound = json(&finish(&mut bounds));
     assert_eq!((bound["channels"].as_u64(), bound["diameter_m"].as_f64()), (Some(784), Some(0.02)));
+    // The voltages of the foam fall where it is pressed: isolines hold for them, too.
+    let least = bound["surface"]["minimum_force_n"]["median"].as_f64();
+    assert!(least.is_some_and(|force| (1e-3..1.0).contains(&force)), "{}", bound["surface"]);
 }
 
 #[test]

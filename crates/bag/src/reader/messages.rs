@@ -17,7 +17,7 @@ use super::{BagMessage, Filter, Typed};
 use crate::BagError;
 use crate::error::say;
 use crate::guard::guarded;
-use crate::salvage::Salvage;
+use crate::recovery::Recovery;
 use crate::versions::{Units, upgrade_of};
 
 /// Messages of one file, with errors in our words.
@@ -32,7 +32,7 @@ pub(super) enum Reader {
     /// Ends at the first damage.
     Strict(Box<mcap::io::MessageReader<BufReader<File>>>),
     /// Skips damaged chunks.
-    Lenient(Box<Salvage>),
+    Lenient(Box<Recovery>),
 }
 
 impl FileMessages {
@@ -47,7 +47,7 @@ impl FileMessages {
         Ok(Self {
             file: Arc::clone(path),
             reader: if recover {
-                Reader::Lenient(Box::new(Salvage::new(file, length, summary)))
+                Reader::Lenient(Box::new(Recovery::new(file, length, summary)))
             } else {
                 Reader::Strict(Box::new(mcap::io::MessageReader::new_with_options(file, options)))
             },
@@ -64,7 +64,7 @@ impl Iterator for FileMessages {
         let path = || self.file.to_path_buf();
         let next = match &mut self.reader {
             Reader::Strict(reader) => guarded(|| reader.next()).transpose()?.and_then(|message| message),
-            Reader::Lenient(salvage) => salvage.next()?.map_err(McapError::Io),
+            Reader::Lenient(recovery) => recovery.next()?.map_err(McapError::Io),
         };
         match next {
             Ok(message) => {

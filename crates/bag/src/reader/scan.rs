@@ -129,8 +129,8 @@ impl Contents {
             self.messages += 1;
             self.widen(nanos(message.log_time), nanos(message.log_time));
         }
-        if let Reader::Lenient(salvage) = messages.reader {
-            self.note = salvage.note.or(self.note.take());
+        if let Reader::Lenient(recovery) = messages.reader {
+            self.note = recovery.note.or(self.note.take());
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! From model outputs to contacts.
 
 use dermis_inference::{Baseline, Missing};
-use dermis_inversion::{Found, InverterError, Reading};
+use dermis_inversion::{ContactEstimate, InverterError, Reading};
 use dermis_model::Indentation;
 use dermis_skin::Contact;
 
@@ -80,7 +80,8 @@ impl SkinEstimator {
     /// Whether a forward model explains the signal by a contact, light ones included that the level does not show.
     pub(super) fn explains(&mut self) -> bool {
         let Some(inverter) = self.pipelines.iter().find_map(|p| p.inverter.as_ref()) else { return false };
-        self.explained = inverter.settings().shows(inverter.evidence(&self.readings), self.explained);
+        self.explained =
+            inverter.settings().exceeds_threshold(inverter.evidence(&self.readings), self.explained);
         self.explained
     }
 
@@ -104,7 +105,7 @@ impl SkinEstimator {
         self.guessed.resize(self.readings.len(), 0.0);
         // Whatever it leaves: channels that drift are not those that are missing.
         let shows = self.cleaned.touched
-            || inverter.settings().shows((inverter.evidence(&self.readings).0, 0.0), true);
+            || inverter.settings().exceeds_threshold((inverter.evidence(&self.readings).0, 0.0), true);
         if shows {
             let solution = solve(inverter, &self.readings, &[], &self.before)?;
             let found = indentations(&solution.contacts, inverter.settings().diameter);
@@ -215,6 +216,6 @@ impl SkinEstimator {
     }
 }
 
-fn indentations(found: &[Found], diameter: f64) -> Vec<Indentation> {
+fn indentations(found: &[ContactEstimate], diameter: f64) -> Vec<Indentation> {
     found.iter().map(|f| Indentation::sphere(f.position, f.force, diameter)).collect()
 }

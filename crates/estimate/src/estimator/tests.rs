@@ -399,7 +399,11 @@ fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
     let left = estimator.estimate(&both(101, &[(b, 2.0)])).unwrap().contacts;
     assert!(left.len() == 1 && near(&left[0], b) && left[0].track_id == 2, "{left:?}");
     assert!(estimator.estimate(&both(102, &[])).unwrap().contacts.is_empty());
-    assert!(estimator.unfelt().is_some_and(|(force, share)| force > 0.0 && (0.0..1.0).contains(&share)));
+    assert!(
+        estimator
+            .undetectable_fraction()
+            .is_some_and(|(force, share)| force > 0.0 && (0.0..1.0).contains(&share))
+    );
 }
 
 #[test]

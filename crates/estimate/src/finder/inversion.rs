@@ -1,17 +1,18 @@
 //! Contacts of maximum likelihood on a forward model.
 //!
 //! Problem: places and forces of contacts whose readings, as the forward model has them, are those of a frame. Method: least
-//! squares in units of the noise ([`Inverter`]), begun in one of several ways ([`Start`]). Each frame is taken by itself. Cost:
-//! that of the inverter, a millisecond or so for one contact, tens of them for all pairs of places.
+//! squares in units of the noise ([`Inverter`]), begun in one of several ways ([`Start`]). Each frame is taken by itself, unless the
+//! finder [follows](InversionFinder::following) contacts from frame to frame as a node does. Cost: that of the inverter, a
+//! millisecond or so for one contact, tens of them for all pairs of places; who follows pays for the frames that it passes, too.
 
-use dermis_inversion::{Found, Inverter, InverterError, Reading, Solution, SparseSettings};
+use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Solution, SparseSettings};
 use dermis_model::Indentation;
 use dermis_skin::{Contact, ForceComponents};
 
 use super::{ConditionedFrame, ContactFinder, FindError, readings};
 
 /// What an inverter found, as a contact.
-pub(crate) fn inverted(found: &Found, components: ForceComponents) -> Contact {
+pub(crate) fn inverted(found: &ContactEstimate, components: ForceComponents) -> Contact {
     let mut contact = Contact::at(found.position, found.normal);
     contact.force = found.force;
     contact.force_components = components;
@@ -26,7 +27,7 @@ pub(crate) fn solve(
     inverter: &Inverter,
     readings: &[Reading],
     learned: &[Contact],
-    before: &[Found],
+    before: &[ContactEstimate],
 ) -> Result<Solution, InverterError> {
     if inverter.settings().in_pairs() {
         return match inverter.follow(readings, before)? {
@@ -72,21 +73,66 @@ impl Start {
     }
 }
 
+/// What a finder remembers of the frames before.
+#[derive(Debug, Default)]
+struct Followed {
+    /// The contacts of the last frame that had any.
+    before: Vec<ContactEstimate>,
+    /// Something touched in the last frame.
+    present: bool,
+}
+
 /// Maximum likelihood on a forward model.
 pub struct InversionFinder {
     inverter: Inverter,
     start: Start,
+    followed: Option<Followed>,
 }
 
 impl InversionFinder {
     /// A finder that begins there.
     #[must_use]
     pub fn new(inverter: Inverter, start: Start) -> Self {
-        Self { inverter, start }
+        Self { inverter, start, followed: None }
+    }
+
+    /// Follows contacts from frame to frame while they last, as a node does: frames must come in order and without gaps, those that
+    /// nobody asks about by [`pass`](ContactFinder::pass). It makes a difference with [`Start::Bundle`] where the settings ask for
+    /// [all pairs of places](dermis_inversion::Settings::in_pairs); all other searches take each frame by itself in a node, too.
+    #[must_use]
+    pub fn following(mut self) -> Self {
+        let follows = matches!(self.start, Start::Bundle(_)) && self.inverter.settings().in_pairs();
+        self.followed = follows.then(Followed::default);
+        self
+    }
+
+    /// Forgets the contacts before where nothing touches now.
+    fn watch(&mut self, readings: &[Reading]) {
+        let Some(followed) = &mut self.followed else { return };
+        let settings = self.inverter.settings();
+        followed.present = settings.exceeds_threshold(self.inverter.evidence(readings), followed.present);
+        if !followed.present {
+            followed.before.clear();
+        }
+    }
+
+    /// The contacts before, where they are followed.
+    fn before(&self) -> &[ContactEstimate] {
+        self.followed.as_ref().map_or(&[], |followed| &followed.before)
+    }
+
+    fn remember(&mut self, found: &[ContactEstimate]) {
+        if let Some(followed) = &mut self.followed {
+            followed.before = found.to_vec();
+        }
     }
 
     /// Fits contacts to readings, all together.
-    fn refine(&self, readings: &[Reading], starts: &[Indentation]) -> Result<Vec<Found>, InverterError> {
+    fn refine(
+        &self,
+        readings: &[Reading],
+        starts: &[Indentation],
+    ) -> Result<Vec<ContactEstimate>, InverterError> {
         if starts.is_empty() {
             return Ok(Vec::new());
         }
@@ -98,21 +144,16 @@ impl ContactFinder for InversionFinder {
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
         let readings: Vec<_> = readings(frame.signal, frame.flags).collect();
         let others = self.start.other().map(|finder| finder.find(frame)).transpose()?.unwrap_or_default();
+        self.watch(&readings);
         let inverter = &self.inverter;
         let components = inverter.settings().unknowns.force_components();
         let found = match &self.start {
             Start::Greedy => inverter.solve(&readings, None)?.contacts,
             Start::Pairs => inverter.search(&readings)?.contacts,
+            Start::Bundle(_) => solve(inverter, &readings, &others, self.before())?.contacts,
             Start::Refine(_) => {
                 let starts: Vec<_> = others.iter().map(|c| indentation(inverter, c)).collect();
                 self.refine(&readings, &starts)?
-            }
-            Start::Bundle(_) => {
-                let found = solve(inverter, &readings, &others, &[])?.contacts;
-                if found.is_empty() {
-                    return Ok(others);
-                }
-                found
             }
             Start::Sparse(settings) => self.refine(&readings, &inverter.sparse(&readings, settings)?)?,
             Start::SparseOnly(settings) => {
@@ -120,16 +161,34 @@ impl ContactFinder for InversionFinder {
                 return Ok(found.iter().map(|c| placed(inverter, c, components)).collect());
             }
         };
+        self.remember(&found);
+        if found.is_empty() && matches!(self.start, Start::Bundle(_)) {
+            return Ok(others);
+        }
         Ok(found.iter().map(|found| inverted(found, components)).collect())
     }
 
     fn pass(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {
-        self.start.other().map_or(Ok(()), |finder| finder.pass(frame))
+        self.start.other().map_or(Ok(()), |finder| finder.pass(frame))?;
+        if self.followed.is_none() {
+            return Ok(());
+        }
+        let readings: Vec<_> = readings(frame.signal, frame.flags).collect();
+        self.watch(&readings);
+        if self.followed.as_ref().is_some_and(|followed| followed.present) {
+            // A search in pairs does not ask the other finder.
+            let found = solve(&self.inverter, &readings, &[], self.before())?.contacts;
+            self.remember(&found);
+        }
+        Ok(())
     }
 
     fn reset(&mut self) {
         if let Some(finder) = self.start.other() {
             finder.reset();
+        }
+        if let Some(followed) = &mut self.followed {
+            *followed = Followed::default();
         }
     }
 }
@@ -141,4 +200,85 @@ fn placed(inverter: &Inverter, at: &Indentation, components: ForceComponents) ->
     contact.force = at.force;
     contact.force_components = components;
     contact
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use dermis_inversion::{Search, Settings};
+    use dermis_skin::ChannelFlags;
+    use nalgebra::{Point3, Vector3};
+
+    use super::*;
+    use crate::testing::{membrane, nine};
+
+    /// Finds nothing.
+    struct Nothing;
+
+    impl ContactFinder for Nothing {
+        fn find(&mut self, _: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
+            Ok(Vec::new())
+        }
+    }
+
+    fn inverter(search: Search) -> Inverter {
+        let mut settings = Settings::new(0.004, 5.0);
+        (settings.contacts, settings.distance, settings.search) = (2, 0.006, search);
+        Inverter::new(Arc::new(membrane(&nine())), settings).unwrap()
+    }
+
+    fn bundle(search: Search) -> InversionFinder {
+        InversionFinder::new(inverter(search), Start::Bundle(Box::new(Nothing)))
+    }
+
+    /// What the pad reads of two presses, the first of which is so far \[m\] on its way.
+    fn read(moved: f64) -> Vec<f32> {
+        let press = |x: f64, y: f64, force: f64| {
+            Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004)
+        };
+        let presses = [press(-0.007 + moved, -0.006, 1.0), press(0.006, 0.007, 1.2)];
+        membrane(&nine()).read(&presses).iter().map(|v| *v as f32).collect()
+    }
+
+    const WELL: [ChannelFlags; 9] = [ChannelFlags::OK; 9];
+
+    fn frame(signal: &[f32]) -> ConditionedFrame<'_> {
+        ConditionedFrame { stamp: 0, reading: signal, signal, flags: &WELL, image: &[], image_signal: &[] }
+    }
+
+    #[test]
+    fn a_finder_that_follows_begins_where_the_contacts_were() {
+        let (first, second, nothing) = (read(0.0), read(0.0005), vec![0.0; 9]);
+        let mut finder = bundle(Search::Pairs).following();
+        // One that nobody asked about counts.
+        finder.pass(&frame(&first)).unwrap();
+        assert_eq!(finder.before().len(), 2);
+        let before = finder.before().to_vec();
+        let contacts = finder.find(&frame(&second)).unwrap();
+        // What a node does with the second frame.
+        let node = inverter(Search::Pairs);
+        let readings: Vec<_> = readings(&second, &WELL).collect();
+        let followed = node.follow(&readings, &before).unwrap().unwrap().contacts;
+        let places = |found: &[ContactEstimate]| found.iter().map(|f| f.position).collect::<Vec<_>>();
+        assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), places(&followed));
+        assert_eq!(places(finder.before()), places(&followed));
+        // Contacts that ended are not where the next ones begin.
+        finder.pass(&frame(&nothing)).unwrap();
+        assert!(finder.before().is_empty());
+        finder.find(&frame(&first)).unwrap();
+        assert_eq!(finder.before().len(), 2);
+        finder.reset();
+        assert!(finder.before().is_empty());
+    }
+
+    #[test]
+    fn who_takes_each_frame_by_itself_remembers_nothing() {
+        let signal = read(0.0);
+        for mut finder in [bundle(Search::Pairs), bundle(Search::Greedy).following()] {
+            finder.pass(&frame(&signal)).unwrap();
+            assert_eq!(finder.find(&frame(&signal)).unwrap().len(), 2);
+            assert!(finder.before().is_empty());
+        }
+    }
 }

@@ -1,11 +1,11 @@
 //! One contact from a model that gives its position and force.
 
-use dermis_inference::{Bundle, Runtime};
+use dermis_inference::{Bundle, Outputs, Runtime};
 use dermis_skin::{Contact, ForceComponents, ImageGrid, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::{ConditionedFrame, ContactFinder, FindError};
-use crate::models::{Pipeline, SetupError};
+use crate::models::{Pipeline, SetupError, UnpackedModel};
 
 /// A contact as model outputs give it, and its pressing force \[N\] or, where no normal is known, the size of the force; NaN where
 /// no force is given.
@@ -104,15 +104,40 @@ impl NetworkFinder {
         let surface = skin.surface();
         Ok(Self { pipeline: Pipeline::of(bundle, &surface, runtime)?, surface, flat: is_flat(skin) })
     }
+
+    /// A finder on a skin by a model that is no bundle yet.
+    ///
+    /// # Errors
+    ///
+    /// [`SetupError::Output`] where a map of the model does not fit the surface.
+    pub fn unpacked(model: UnpackedModel, skin: &SkinDescription) -> Result<Self, SetupError> {
+        let surface = skin.surface();
+        Ok(Self { pipeline: Pipeline::unpacked(model, &surface)?, surface, flat: is_flat(skin) })
+    }
+
+    /// The contact of a frame whatever the model gives: its place is NaN where the model gives none.
+    ///
+    /// # Errors
+    ///
+    /// As [`find`](ContactFinder::find).
+    pub fn contact(&mut self, frame: &ConditionedFrame<'_>) -> Result<Contact, FindError> {
+        self.pipeline.answer(frame)?;
+        let outputs = &self.pipeline.outputs;
+        let sigma = |name: &str, force: f64| outputs.sigma(name, force).unwrap_or(f64::NAN);
+        Ok(regressed(|name| outputs.get(name), sigma, &self.surface, self.flat).contact)
+    }
+
+    /// What the model gave for the latest frame whose contact was asked for.
+    #[must_use]
+    pub fn outputs(&self) -> &Outputs {
+        &self.pipeline.outputs
+    }
 }
 
 impl ContactFinder for NetworkFinder {
     /// Nothing where the model gives no position.
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
-        self.pipeline.answer(frame)?;
-        let outputs = &self.pipeline.outputs;
-        let sigma = |name: &str, force: f64| outputs.sigma(name, force).unwrap_or(f64::NAN);
-        let contact = regressed(|name| outputs.get(name), sigma, &self.surface, self.flat).contact;
+        let contact = self.contact(frame)?;
         Ok(if contact.position.x.is_nan() { Vec::new() } else { vec![contact] })
     }
 

@@ -94,8 +94,9 @@ pub struct Answer {
     pub named: Vec<Named>,
     /// Names from the most to the least likely, for whoever counts the first three.
     pub ranking: Vec<String>,
-    /// Share of the gap that it says it closes, before and after it is tried.
-    pub closure: Option<[f64; 2]>,
+    /// Share of the residual that it says it removes, before and after it is tried.
+    #[serde(alias = "closure")]
+    pub residual_reduction: Option<[f64; 2]>,
     /// 90 % interval of the share that it says it closes.
     pub interval: Option<[f64; 2]>,
     /// Share of the gap that what it names closes in another recording of the same reference device, where that was tried.

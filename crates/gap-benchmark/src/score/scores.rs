@@ -60,13 +60,15 @@ pub struct Scores {
     pub covered: Share,
     /// Relative errors of parameters.
     pub parameter_errors: Vec<f64>,
-    /// Differences between predicted and achieved closure.
-    pub closure_errors: Vec<f64>,
-    /// Intervals of the closure that hold what was achieved.
-    pub closure_covered: Share,
-    /// Differences between predicted closure and that in another recording of the same reference device.
+    /// Differences between predicted and achieved reduction of the residual.
+    #[serde(rename = "closure_errors")]
+    pub reduction_errors: Vec<f64>,
+    /// Intervals of the reduction that hold what was achieved.
+    #[serde(rename = "closure_covered")]
+    pub reduction_covered: Share,
+    /// Differences between predicted reduction and that in another recording of the same reference device.
     pub elsewhere_errors: Vec<f64>,
-    /// Intervals of the closure that hold that in another recording.
+    /// Intervals of the reduction that hold that in another recording.
     pub elsewhere_covered: Share,
     /// Logarithms of the probability of the right answer, for single causes and those outside of the library.
     pub log_scores: Vec<f64>,
@@ -163,7 +165,7 @@ impl Scores {
         if truth.causes.len() == 1 {
             self.located(truth, answer, mapping);
         }
-        self.closure(answer);
+        self.residual_reduction(answer);
         self.parameters(truth, answer, mapping);
     }
 
@@ -216,12 +218,12 @@ impl Scores {
         self.located.add(yes(among(2) && region.unwrap_or(true)));
     }
 
-    fn closure(&mut self, answer: &Answer) {
-        let Some([predicted, achieved]) = answer.closure else { return };
-        self.closure_errors.push((predicted - achieved).abs());
+    fn residual_reduction(&mut self, answer: &Answer) {
+        let Some([predicted, achieved]) = answer.residual_reduction else { return };
+        self.reduction_errors.push((predicted - achieved).abs());
         let holds = |value: f64| answer.interval.map(|[low, high]| yes((low..=high).contains(&value)));
         if let Some(holds) = holds(achieved) {
-            self.closure_covered.add(holds);
+            self.reduction_covered.add(holds);
         }
         if let Some(elsewhere) = answer.elsewhere {
             self.elsewhere_errors.push((predicted - elsewhere).abs());
@@ -275,7 +277,7 @@ impl Scores {
             ("where: channel or place", self.region, None),
             ("where: axis (of two) and region", self.located, Some(AtLeast(0.90))),
             ("parameter intervals (90 %) that hold", self.covered, Some(Between(0.85, 0.95))),
-            ("closure intervals (90 %) that hold, held-out contacts", self.closure_covered, None),
+            ("closure intervals (90 %) that hold, held-out contacts", self.reduction_covered, None),
             (
                 "closure intervals (90 %) that hold, another recording",
                 self.elsewhere_covered,
@@ -294,7 +296,7 @@ impl Scores {
             of("median parameter error", &self.parameter_errors, most(0.10)),
             of(
                 "median difference of predicted and achieved closure, held-out contacts",
-                &self.closure_errors,
+                &self.reduction_errors,
                 most(0.03),
             ),
             of(

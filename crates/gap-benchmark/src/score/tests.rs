@@ -58,7 +58,7 @@ fn answers_are_scored_by_what_the_library_holds() {
     right.axes = vec!["force".to_owned(), "channel".to_owned()];
     right.channel = Some("g3".to_owned());
     right.named[0].parameters.insert("dead.loss".to_owned(), (0.6, Some([0.4, 0.55])));
-    right.closure = Some([0.9, 0.85]);
+    right.residual_reduction = Some([0.9, 0.85]);
     (right.interval, right.elsewhere) = (Some([0.8, 0.95]), Some(0.7));
     let mut unknown = Answer { gap: true, unknown: true, unexplained: Some(0.9), ..Answer::default() };
     unknown.peak = Some([0.02, 0.0, 0.0]);
@@ -72,7 +72,7 @@ fn answers_are_scored_by_what_the_library_holds() {
     assert_eq!((of(s.false_alarms), of(s.precision)), ((1.0, 2), (0.0, 1)));
     assert_eq!((of(s.axis), of(s.axis_of_two)), ((0.0, 2), (1.0, 2)));
     assert_eq!((of(s.region), of(s.located)), ((1.0, 2), (1.0, 2)));
-    assert_eq!((of(s.closure_covered), of(s.elsewhere_covered)), ((1.0, 1), (0.0, 1)));
+    assert_eq!((of(s.reduction_covered), of(s.elsewhere_covered)), ((1.0, 1), (0.0, 1)));
     assert!((median(&s.parameter_errors) - 0.2).abs() < 1e-9 && of(s.covered) == (1.0, 1));
     assert_eq!(scorecard.not_in_library, ["void"]);
     // Nine tenths to two names, one tenth to four answers.

@@ -14,8 +14,8 @@ use super::{announce, write};
 use crate::constants::Z90;
 use crate::effects;
 use crate::nonlinear_refinement::{self, Free, ModelDiscrepancy};
-use crate::report::{Alike, NamedEffect, Value};
-use crate::select::{Member, Pick, Selector, Tier};
+use crate::report::{Alternative, NamedEffect, Value};
+use crate::select::{AcceptedEffect, IndistinguishableEffect, Selector, Tier};
 use crate::statistics::{Column, Fit, Statistics};
 use crate::{GapError, whitening};
 
@@ -93,20 +93,20 @@ pub(super) fn refine(data: &Data<'_>, selected: &Selected, fixed: &[Effect]) -> 
 
 impl Refiner<'_> {
     /// Names one selected effect, fitted beside the others.
-    fn pick(&self, pick: &Pick, found: &mut Refined) -> Result<(), GapError> {
+    fn pick(&self, pick: &AcceptedEffect, found: &mut Refined) -> Result<(), GapError> {
         let candidates = &self.data.signatures.candidates;
         let set = self.selected.set();
         let fit = self.training.fit_all(&set, Tier::Loose);
         // What another one is named needs no second name.
         let taken = |c: usize| found.fits.iter().any(|of| of.iter().any(|t| t.candidate == c));
-        let mut members: Vec<&Member> = pick.class.iter().collect();
+        let mut members: Vec<&IndistinguishableEffect> = pick.class.iter().collect();
         members.retain(|m| m.candidate == pick.candidate || !taken(m.candidate));
         members.truncate(self.data.options.nonlinear_refinement.max(1));
         let (beside, unwritten) = self.others(pick, &fit, &found.fits);
         let readings = self.data.readings_without(&self.selected.columns, &fit, &unwritten);
         let alone = Refiner { data: Data { readings: &readings, ..self.data }, ..*self };
         let mut of = Vec::new();
-        let mut open: Vec<Member> = Vec::new();
+        let mut open: Vec<IndistinguishableEffect> = Vec::new();
         for member in members {
             let candidate = member.candidate;
             let model: Vec<usize> =
@@ -143,7 +143,12 @@ impl Refiner<'_> {
     }
 
     /// What a selected effect stands beside: the others with values, and columns of those that cannot be written.
-    fn others(&self, pick: &Pick, fit: &Fit, fits: &[Vec<FittedCandidate>]) -> (Vec<Effect>, Vec<usize>) {
+    fn others(
+        &self,
+        pick: &AcceptedEffect,
+        fit: &Fit,
+        fits: &[Vec<FittedCandidate>],
+    ) -> (Vec<Effect>, Vec<usize>) {
         let mut beside = self.fixed.to_vec();
         // What cannot be written is taken out of the readings as its signature says.
         let mut unwritten: Vec<usize> = Vec::new();
@@ -168,7 +173,12 @@ impl Refiner<'_> {
     }
 
     /// Candidates that cannot be simulated are where their signatures put them beside what is simulated in full.
-    fn score_open(&self, open: &mut [Member], named: usize, beside: &[Effect]) -> Result<(), GapError> {
+    fn score_open(
+        &self,
+        open: &mut [IndistinguishableEffect],
+        named: usize,
+        beside: &[Effect],
+    ) -> Result<(), GapError> {
         if open.is_empty() {
             return Ok(());
         }
@@ -226,7 +236,12 @@ impl Refiner<'_> {
     }
 
     /// Names an effect: the label may change, where the full simulator says so.
-    fn name(&self, pick: &Pick, fits: &mut Vec<FittedCandidate>, linear: &[Member]) -> NamedEffect {
+    fn name(
+        &self,
+        pick: &AcceptedEffect,
+        fits: &mut Vec<FittedCandidate>,
+        linear: &[IndistinguishableEffect],
+    ) -> NamedEffect {
         let candidates = &self.data.signatures.candidates;
         let statistics = &self.selected.statistics;
         let open = 2.0 * self.data.options.select.decisive_odds.ln();
@@ -258,7 +273,7 @@ impl Refiner<'_> {
             p_confuse: class.iter().skip(1).map(|c| c.2).fold(0.0, f64::max),
             class: class
                 .iter()
-                .map(|(c, gain, p, angle)| Alike {
+                .map(|(c, gain, p, angle)| Alternative {
                     name: candidates[*c].name.clone(),
                     gain: *gain,
                     p_confuse: *p,

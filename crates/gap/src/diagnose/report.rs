@@ -17,7 +17,8 @@ use crate::effects::{self, Covariate, Evidence};
 use crate::noise::Gap;
 use crate::recording::{Recording, hex};
 use crate::report::{
-    Alike, DataSummary, NamedEffect, Provenance, Report, SCHEMA, Suspect, Unknown, Value, Verdict,
+    Alternative, DataSummary, NamedEffect, Provenance, Report, SCHEMA, UnconfirmedEffect, Unknown, Value,
+    Verdict,
 };
 use crate::samples::Samples;
 use crate::select::{SelectOptions, Selection, Tier};
@@ -48,7 +49,7 @@ pub(super) fn begin(
             skin_hash: simulator.skin.hash(),
             unit: simulator.skin.unit.clone(),
             channels: recording.channels,
-            frames: recording.moments.len(),
+            frames: recording.labels.len(),
             presses: recording.contacts(),
             samples: samples.list.len(),
             places: [samples.groups - test, test],
@@ -364,12 +365,12 @@ fn verdict(
 }
 
 /// The best effects when they come alone.
-fn suspects(candidates: &[Candidate], selection: &Selection, floor: f64) -> Vec<Suspect> {
-    let mut found: Vec<Suspect> = candidates
+fn suspects(candidates: &[Candidate], selection: &Selection, floor: f64) -> Vec<UnconfirmedEffect> {
+    let mut found: Vec<UnconfirmedEffect> = candidates
         .iter()
         .zip(&selection.alone)
         .filter(|(_, [_, loose])| *loose >= floor)
-        .map(|(c, [strict, loose])| Suspect {
+        .map(|(c, [strict, loose])| UnconfirmedEffect {
             name: c.name.clone(),
             gain: *loose,
             beyond_discrepancy: *strict,
@@ -388,7 +389,8 @@ pub(super) fn known_effect(effect: &Effect, what: &str, unit: &str) -> NamedEffe
         unit: unit.to_owned(),
         interval: None,
     });
-    let member = Alike { name: effect.name.clone(), gain: 0.0, p_confuse: 0.0, angle: Some(0.0), rig: false };
+    let member =
+        Alternative { name: effect.name.clone(), gain: 0.0, p_confuse: 0.0, angle: Some(0.0), rig: false };
     NamedEffect {
         label: effect.name.clone(),
         what: what.to_owned(),

@@ -8,7 +8,7 @@ use super::select::Selected;
 use super::{Options, check, measure};
 use crate::recording::Recording;
 use crate::samples::Samples;
-use crate::select::{Member, Pick, Selection, Tier};
+use crate::select::{AcceptedEffect, IndistinguishableEffect, Selection, Tier};
 use crate::signatures::Signatures;
 use crate::simulate::Simulator;
 use crate::statistics::{Column, Gram, Statistics};
@@ -83,14 +83,14 @@ pub(super) fn chosen(data: &Data<'_>, names: &[&str], whitened: &[f32]) -> Selec
         (0..data.samples.groups).map(of).sum::<f64>() / data.scale(&weights)
     };
     let gain = library / names.len() as f64;
-    let picks = set.into_iter().map(|candidate| Pick {
+    let picks = set.into_iter().map(|candidate| AcceptedEffect {
         candidate,
         tier: Tier::Strict,
         gain,
         solo: gain,
         shapley: 1.0 / names.len() as f64,
         p: 0.0,
-        class: vec![Member { candidate, gain, score: 0.0, angle: 0.0 }],
+        class: vec![IndistinguishableEffect { candidate, gain, score: 0.0, angle: 0.0 }],
         covers: Vec::new(),
     });
     let selection = Selection { picks: picks.collect(), library, both: library, ..Selection::default() };

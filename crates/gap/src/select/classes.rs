@@ -1,18 +1,23 @@
 //! What cannot be told from an accepted effect, and each effect's share of what all explain.
 
-use super::{Member, Selector, Tier};
+use super::{IndistinguishableEffect, Selector, Tier};
 use crate::constants::select::COVERED;
 use crate::statistics::Fit;
 
 impl Selector<'_> {
     /// What cannot be told from `named`, and more general effects that contain it.
-    pub(super) fn class(&self, named: usize, others: &[usize], tier: Tier) -> (Vec<Member>, Vec<usize>) {
+    pub(super) fn class(
+        &self,
+        named: usize,
+        others: &[usize],
+        tier: Tier,
+    ) -> (Vec<IndistinguishableEffect>, Vec<usize>) {
         let with = |e: usize| -> Vec<usize> { others.iter().copied().chain([e]).collect() };
         let before = self.losses(others, tier);
         let gain = self.gain(&before, &self.losses(&with(named), tier));
         let (none, score) = (self.score(others), self.score(&with(named)));
         let fit = self.fit_all(&with(named), tier);
-        let mut members = vec![Member { candidate: named, gain, score, angle: 0.0 }];
+        let mut members = vec![IndistinguishableEffect { candidate: named, gain, score, angle: 0.0 }];
         let mut covers = Vec::new();
         for e in 0..self.candidates.len() {
             if e == named || others.contains(&e) {
@@ -31,7 +36,12 @@ impl Selector<'_> {
                 covers.push(e);
                 continue;
             }
-            members.push(Member { candidate: e, gain: other, score: own, angle: self.angle(named, e, &fit) });
+            members.push(IndistinguishableEffect {
+                candidate: e,
+                gain: other,
+                score: own,
+                angle: self.angle(named, e, &fit),
+            });
         }
         members[1..].sort_by(|a, b| a.score.total_cmp(&b.score));
         (members, covers)

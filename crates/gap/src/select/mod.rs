@@ -89,7 +89,7 @@ pub enum Tier {
 
 /// An effect that cannot be distinguished from the one that is named.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Member {
+pub struct IndistinguishableEffect {
     /// Index of the candidate.
     pub candidate: usize,
     /// Its gain in the place of the one that is named.
@@ -102,7 +102,7 @@ pub struct Member {
 
 /// An effect that is accepted.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Pick {
+pub struct AcceptedEffect {
     /// Index of the candidate that gives the name.
     pub candidate: usize,
     /// Tier.
@@ -116,7 +116,7 @@ pub struct Pick {
     /// Probability of such a statistic for the best of the library where signs are random.
     pub p: f64,
     /// All that cannot be distinguished, the named one first.
-    pub class: Vec<Member>,
+    pub class: Vec<IndistinguishableEffect>,
     /// More general effects that contain the named one.
     pub covers: Vec<usize>,
 }
@@ -125,7 +125,7 @@ pub struct Pick {
 #[derive(Debug, Clone, Default)]
 pub struct Selection {
     /// Accepted effects, the strongest first.
-    pub picks: Vec<Pick>,
+    pub picks: Vec<AcceptedEffect>,
     /// Reduction by the model discrepancy alone.
     pub discrepancy: f64,
     /// Reduction by the accepted effects alone.

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use super::{Pick, Selection, Selector, Tier};
+use super::{AcceptedEffect, Selection, Selector, Tier};
 use crate::constants::select::{BEYOND, BEYOND_TEST, CLEARLY, SURELY};
 
 /// The effect that makes the best model beside those that are accepted.
@@ -54,7 +54,7 @@ impl Selector<'_> {
             let tier = if loose && i + 1 == set.len() { Tier::Loose } else { Tier::Strict };
             let others: Vec<usize> = set.iter().copied().filter(|c| *c != candidate).collect();
             let (class, covers) = self.class(candidate, &others, tier);
-            found.picks.push(Pick {
+            found.picks.push(AcceptedEffect {
                 candidate,
                 tier,
                 gain: class.first().map_or(0.0, |m| m.gain),

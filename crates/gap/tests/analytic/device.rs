@@ -1,6 +1,6 @@
 //! Recordings of devices that are made by other laws than the model.
 
-use dermis_gap::{Moment, Phase, Recording};
+use dermis_gap::{FrameLabel, Phase, Recording};
 use dermis_model::{Indentation, Stimulus};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
@@ -149,7 +149,7 @@ pub(crate) fn recorded(device: &Device, presses: usize, repeats: usize, seed: u6
         };
         let stimulus = Some(Stimulus { contacts, ..Stimulus::default() });
         recording.push(
-            Moment { time: t, run: 0, press, location, phase, stimulus, temperature: f64::NAN },
+            FrameLabel { time: t, run: 0, press, location, phase, stimulus, temperature: f64::NAN },
             &values,
         );
     }

@@ -180,7 +180,7 @@ fn some() -> Recording {
 #[test]
 fn a_clock_that_runs_backwards_is_named() {
     let mut recording = some();
-    recording.moments[500].time -= 3.0;
+    recording.labels[500].time -= 3.0;
     let report = diagnosed(&recording);
     assert_eq!(report.verdict, Verdict::UnusableRecording);
     assert!(problem(&report, "clock").contains("frame 500 by 2.980 s"), "{}", report.sentence);
@@ -213,8 +213,8 @@ fn channels_in_another_order_are_put_right_and_named() {
 #[test]
 fn ground_truth_in_a_mirrored_frame_is_named() {
     let mut recording = some();
-    for moment in &mut recording.moments {
-        for contact in moment.stimulus.iter_mut().flat_map(|s| &mut s.contacts) {
+    for label in &mut recording.labels {
+        for contact in label.stimulus.iter_mut().flat_map(|s| &mut s.contacts) {
             contact.position.x = -contact.position.x;
         }
     }

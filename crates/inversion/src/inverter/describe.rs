@@ -8,12 +8,12 @@ use dermis_model::{Unknowns, tangents};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 
 use super::Inverter;
-use crate::contact::Found;
+use crate::contact::ContactEstimate;
 use crate::fit::{Datum, Minimum};
 use crate::settings::ForcePrior;
 
 impl Inverter {
-    pub(super) fn describe(&self, minimum: &Minimum, data: &[Datum]) -> Vec<Found> {
+    pub(super) fn describe(&self, minimum: &Minimum, data: &[Datum]) -> Vec<ContactEstimate> {
         let per_contact = self.settings.unknowns.count();
         let counted = data.iter().filter(|d| **d != Datum::None).count();
         let freedom = counted.saturating_sub(per_contact * minimum.contacts.len());
@@ -29,7 +29,7 @@ impl Inverter {
                     c.view((i * per_contact, i * per_contact), (per_contact, per_contact)).into_owned()
                 });
                 let (place, force) = covariances(self.settings.unknowns, &normal, block.as_ref());
-                Found {
+                ContactEstimate {
                     position,
                     normal,
                     force: contact.force,
@@ -41,7 +41,7 @@ impl Inverter {
     }
 
     /// Mean and covariance of one contact over all places and forces, each as likely as any other before the reading.
-    pub(super) fn mean(&self, data: &[Datum], sharp: &Found) -> Found {
+    pub(super) fn mean(&self, data: &[Datum], sharp: &ContactEstimate) -> ContactEstimate {
         let levels = &self.dictionary.forces;
         let mut terms: Vec<(f64, f64, f64, usize)> = Vec::with_capacity(self.dictionary.places.len());
         let mut least = f64::INFINITY;
@@ -104,7 +104,7 @@ impl Inverter {
             Unknowns::Full => across * sharp.force_covariance * across,
             _ => Matrix3::zeros(),
         };
-        Found {
+        ContactEstimate {
             position,
             normal,
             force: -normal * pressing,

@@ -145,8 +145,10 @@ fn contacts_that_last_are_followed() {
 #[test]
 fn light_presses_are_undetectable_and_strong_ones_are_not() {
     let (inverter, _) = inverter(20.0, |_| ());
-    assert!(inverter.unfelt(1e-4, 30.0) > 0.99 && inverter.unfelt(2.0, 30.0) < 0.01);
-    let some = inverter.unfelt(0.03, 30.0);
+    assert!(
+        inverter.undetectable_fraction(1e-4, 30.0) > 0.99 && inverter.undetectable_fraction(2.0, 30.0) < 0.01
+    );
+    let some = inverter.undetectable_fraction(0.03, 30.0);
     assert!((0.01..0.99).contains(&some), "{some}");
 }
 
@@ -172,14 +174,14 @@ fn places_count_with_their_area() {
     let inverter = |model: Analytic| Inverter::new(Arc::new(model), Settings::new(0.004, 2.0)).unwrap();
     // Where the taxels of one half are deaf, 0.1 N cannot be detected in much of that half, and everywhere in the other one.
     let mut deaf = lopsided(0.0);
-    let uneven = inverter(lopsided(0.0)).unfelt(0.1, 30.0);
+    let uneven = inverter(lopsided(0.0)).undetectable_fraction(0.1, 30.0);
     deaf.surface = grid(20.0).surface;
-    let even = inverter(deaf).unfelt(0.1, 30.0);
+    let even = inverter(deaf).undetectable_fraction(0.1, 30.0);
     assert!((0.2..0.3).contains(&even), "{even}");
     approx::assert_relative_eq!(uneven / even, 1.8, max_relative = 0.01);
     // Readings that say nothing leave the mean of all places: ∫|x| = 8.7 mm or so, of which (1.8 − 0.2) / 2 is left.
     let data = vec![Datum::Exact(0.0, 1.0 / 20.0); 25];
-    let sharp = Found {
+    let sharp = ContactEstimate {
         position: Point3::origin(),
         normal: Vector3::z(),
         force: -Vector3::z(),

@@ -41,7 +41,7 @@ struct Contents {
     /// Frames and ground truth without a stamp.
     unstamped: [u64; 2],
     /// First frame that is not as the skin's description says.
-    unlike: Option<String>,
+    mismatch: Option<String>,
 }
 
 impl Contents {
@@ -101,8 +101,8 @@ impl Contents {
                 } else if named.is_none_or(|topic| **topic == *message.topic) {
                     hasher.update(message.recorded());
                     *found.topics.entry(message.topic.to_string()).or_insert(0) += 1;
-                    if found.unlike.is_none() {
-                        found.unlike = skin.unlike(&frame, &layouts);
+                    if found.mismatch.is_none() {
+                        found.mismatch = skin.layout_mismatch(&frame, &layouts);
                     }
                     if frame.header.stamp.as_nanos() == 0 {
                         found.unstamped[0] += 1;
@@ -167,7 +167,7 @@ impl Contents {
                 "",
             );
         }
-        if let Some(reason) = &self.unlike {
+        if let Some(reason) = &self.mismatch {
             findings.fatal(
                 place,
                 reason.clone(),
@@ -209,7 +209,7 @@ impl Contents {
     }
 
     fn check_channels(&self, skin: &SkinDescription, place: &str, findings: &mut Findings) {
-        if self.frames.marks.len() < 10 || self.unlike.is_some() {
+        if self.frames.marks.len() < 10 || self.mismatch.is_some() {
             return;
         }
         let (mut silent, mut constant) = (Vec::new(), Vec::new());

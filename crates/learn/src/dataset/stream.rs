@@ -15,6 +15,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use dermis_bag::{BagReader, Filter, Messages};
+use dermis_estimate::ConditionedFrame;
 use dermis_inference::Baseline;
 use dermis_msgs::Message;
 use dermis_msgs::msg::TaxelFrame;
@@ -62,6 +63,19 @@ pub struct Sample {
 }
 
 impl Sample {
+    /// As contact finders take it.
+    #[must_use]
+    pub fn conditioned(&self) -> ConditionedFrame<'_> {
+        ConditionedFrame {
+            stamp: self.frame.stamp,
+            reading: &self.frame.values,
+            signal: &self.tared,
+            flags: &self.frame.flags,
+            image: &self.image,
+            image_signal: &self.image_tared,
+        }
+    }
+
     /// What a model takes of it: the channels or, where it takes images, the coarse image.
     #[must_use]
     pub fn numbers(&self, baseline: Baseline, image: bool) -> &[f32] {

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::regressor::scale;
 use super::{
-    Compliance, LinearMap, MapBasis, MapRegressor, NetMap, Part, Recorded, Scenes, Simulated, Told,
+    Compliance, LinearMap, MapBasis, MapRegressor, NetMap, Part, ProgressFn, Recorded, Scenes, Simulated,
     VirtualSensors, matched, simulate, superpose, tune,
 };
 use crate::LearnError;
@@ -237,7 +237,7 @@ pub fn train(
     (recorded, choose): (&[Recorded], &[Recorded]),
     settings: &PipelineSettings,
     runtime: &Runtime,
-    told: Told<'_>,
+    told: ProgressFn<'_>,
 ) -> Result<(Pipeline, Trained), LearnError> {
     settings.validate("settings")?;
     if recorded.is_empty() || choose.is_empty() {
@@ -416,7 +416,7 @@ fn basis(
     sensors: &VirtualSensors,
     scenes: &Scenes,
     settings: &PipelineSettings,
-    told: Told<'_>,
+    told: ProgressFn<'_>,
 ) -> Result<MapBasis, LearnError> {
     told("shapes of maps", 0.0);
     let mut maps = Vec::new();

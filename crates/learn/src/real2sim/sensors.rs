@@ -5,7 +5,7 @@ use std::sync::Arc;
 use dermis_model::{ForwardModel, Stimulus, Untouched};
 use dermis_skin::SkinDescription;
 
-use super::{MapBasis, Told};
+use super::{MapBasis, ProgressFn};
 use crate::LearnError;
 
 /// Sensors that only the simulation has.
@@ -128,7 +128,7 @@ pub fn simulate(
     sensors: &VirtualSensors,
     scenes: &[Stimulus],
     basis: Option<&MapBasis>,
-    told: Told<'_>,
+    told: ProgressFn<'_>,
 ) -> Result<Simulated, LearnError> {
     let wrong = |reason: String| LearnError::Training { reason };
     let points = model.surface().points.len();

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::regressor::scale;
 use super::{
-    LinearMap, MapBasis, MapRegressor, NearestMaps, NetMap, Part, Scenes, Told, VirtualSensors, simulate,
+    LinearMap, MapBasis, MapRegressor, NearestMaps, NetMap, Part, ProgressFn, Scenes, VirtualSensors,
+    simulate,
 };
 use crate::train::{NetworkConfig, TrainingConfig};
 use crate::{LearnError, MapScores, MapSummary};
@@ -129,10 +130,10 @@ pub fn table(
     sensors: &VirtualSensors,
     scenes: &Scenes,
     settings: &TableSettings,
-    told: Told<'_>,
+    told: ProgressFn<'_>,
 ) -> Result<Table, LearnError> {
     let points = model.surface().points.len();
-    let quiet: Told<'_> = &|_, _| {};
+    let quiet: ProgressFn<'_> = &|_, _| {};
     told("simulating contacts", 0.0);
     let mut start = Vec::new();
     for contacts in 1..=CONTACTS {

@@ -107,12 +107,9 @@ pub fn run(
         Some(conv) => fit_conv(&job, conv, maps, stop, told)?,
     };
     let seconds = started.elapsed().as_secs_f64();
-    let mut evaluator = GraphEvaluator {
-        model: Model::load(request.runtime, &graph, &interface)?,
-        outputs: decoder,
-        features: &features,
-        baseline: config.baseline,
-    };
+    let model = Model::load(request.runtime, &graph, &interface)?;
+    let input = (&features, config.baseline);
+    let mut evaluator = GraphEvaluator::new(request.out, (model, decoder), input, data.skin())?;
     let true_maps = || Maps::new(data.skin(), request.model.clone(), &config.maps());
     let (evaluation, points) =
         evaluator.evaluate(data, Some(&held_out), true_maps()?, config.split.describe())?;
@@ -132,9 +129,9 @@ pub fn run(
     };
     let mut report = Report::new(format!("Model for skin {}", data.skin().name));
     report.data(data, Some(&config.split))?;
-    report.section(&format!("Held out: {}", config.split.describe()), &outcome.held_out, &points);
+    report.section(&format!("Held out: {}", config.split.describe()), &outcome.held_out, &points)?;
     for (name, evaluation, points) in &others {
-        report.section(&format!("Other run: {name}"), evaluation, points);
+        report.section(&format!("Other run: {name}"), evaluation, points)?;
     }
     write_bundle(request, &split, features, specs, (&graph, interface), &outcome)?;
     let path = request.out.join("report.html");

@@ -166,7 +166,7 @@ fn estimation(status: &mut Status, core: &Core) {
     let verdict = estimator.verdict();
     status.value("level [noise deviations]", format!("{:.2}", verdict.level));
     status.value("touched", verdict.touched);
-    if let Some((force, share)) = estimator.unfelt() {
+    if let Some((force, share)) = estimator.undetectable_fraction() {
         status.value("not felt [% of surface]", format!("{:.1} (a press of {force:.2} N)", 100.0 * share));
     }
     status.value(

@@ -383,8 +383,8 @@ fn two_contacts(body: &mut String, findings: &Findings) -> Result<()> {
     let axes =
         Axes { log_y: true, ..Axes::new("two contacts across the middle", "distance [mm]", "position [mm]") };
     let mut pictures = vec![curves(&axes, &limits)?];
-    if findings.told_apart.len() == pairs.len() {
-        let share = pairs.iter().zip(&findings.told_apart).map(|(p, s)| (p.distance * 1e3, *s));
+    if findings.distinguishable.len() == pairs.len() {
+        let share = pairs.iter().zip(&findings.distinguishable).map(|(p, s)| (p.distance * 1e3, *s));
         let axes = Axes {
             y_range: Some((0.0, 1.0)),
             ..Axes::new("by isolines, anywhere on the row", "distance [mm]", "share of pairs told apart")

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use dermis_figures::{Axes, escape, figure, page, surface_within};
+use dermis_figures::{Axes, Bar, bars, escape, figure, page, surface_within};
 use dermis_gap::{Axis, Bin, Gap, Map, Report, Tier};
 
 use super::text::{percent, short, value};
@@ -29,11 +29,11 @@ pub fn html(report: &Report) -> Result<String> {
         let _ = writeln!(body, "<p><b>{kind}:</b> {}</p>", escape(&problem.what));
     }
     if let Some(gap) = &report.gap {
-        bar(&mut body, report, gap);
+        size(&mut body, report, gap)?;
     }
     maps(&mut body, report)?;
-    axes(&mut body, &report.axes);
-    effects(&mut body, report);
+    axes(&mut body, &report.axes)?;
+    effects(&mut body, report)?;
     confusions(&mut body, report);
     experiments(&mut body, report);
     tables(&mut body, report);
@@ -42,64 +42,18 @@ pub fn html(report: &Report) -> Result<String> {
     Ok(page(&format!("{}: the gap between model and recording", data.skin), &body))
 }
 
-/// One horizontal bar: label, share of the width, text at its end.
-fn bars(rows: &[(String, f64, [f64; 2], String)]) -> String {
-    let (width, high) = (420.0, 24);
-    let largest = rows.iter().flat_map(|r| [r.1, r.2[1]]).filter(|v| v.is_finite()).fold(1e-12, f64::max);
-    let x = |v: f64| 260.0 + width * (v / largest).clamp(0.0, 1.0);
-    let mut svg = format!(
-        "<svg viewBox=\"0 0 860 {}\" width=\"860\" font-family=\"sans-serif\" font-size=\"13\">",
-        rows.len() * high + 8
-    );
-    for (i, (label, value, [low, top], text)) in rows.iter().enumerate() {
-        let y = i * high + 4;
-        let _ = write!(
-            svg,
-            "<text x=\"250\" y=\"{}\" text-anchor=\"end\">{}</text><rect x=\"260\" y=\"{y}\" width=\"{:.1}\" height=\"16\" \
-             fill=\"#0072b2\"/>",
-            y + 13,
-            escape(label),
-            (x(*value) - 260.0).max(0.5)
-        );
-        if low.is_finite() && top.is_finite() {
-            let _ = write!(
-                svg,
-                "<line x1=\"{:.1}\" x2=\"{:.1}\" y1=\"{m}\" y2=\"{m}\" stroke=\"#222\" stroke-width=\"2\"/>",
-                x(*low),
-                x(*top),
-                m = y + 8
-            );
-        }
-        let _ = write!(
-            svg,
-            "<text x=\"{:.1}\" y=\"{}\">{}</text>",
-            x(value.max(*top).max(0.0)) + 6.0,
-            y + 13,
-            escape(text)
-        );
-    }
-    svg + "</svg>"
-}
-
-fn bar(body: &mut String, report: &Report, gap: &Gap) {
-    let none = [f64::NAN; 2];
-    let mut rows = vec![(
-        "before".to_owned(),
-        gap.fvu_before,
-        [gap.interval[0] + gap.floor, gap.interval[1] + gap.floor],
-        percent(gap.fvu_before),
-    )];
+/// How large the gap is.
+fn size(body: &mut String, report: &Report, gap: &Gap) -> Result<()> {
+    let share = |name: &str, value: f64| Bar::new(name, value, percent(value));
+    let interval = [gap.interval[0] + gap.floor, gap.interval[1] + gap.floor];
+    let mut rows = vec![share("before", gap.fvu_before).interval(interval)];
     if let (Some(held), Some(closure)) = (report.held_out, report.residual_reduction) {
         let open = held[0] - held[2];
         let left = |closed: f64| held[0] - closed * open;
-        rows.push((
-            "after, on contacts kept for the end".to_owned(),
-            held[1],
-            [left(closure.interval[1]), left(closure.interval[0])],
-            percent(held[1]),
-        ));
+        let interval = [left(closure.interval[1]), left(closure.interval[0])];
+        rows.push(share("after, on contacts kept for the end", held[1]).interval(interval));
     }
-    rows.push(("noise floor".to_owned(), gap.floor, none, percent(gap.floor)));
+    rows.push(share("noise floor", gap.floor));
     let _ = writeln!(body, "<h2>How large it is</h2>");
     let again = gap.irreproducible.map_or(String::new(), |share| {
         format!(
@@ -109,7 +63,7 @@ fn bar(body: &mut String, report: &Report, gap: &Gap) {
         )
     });
     body.push_str(&figure(
-        &[bars(&rows)],
+        &[bars("", &rows, None)?],
         &format!(
             "Unexplained share of the readings' variance, with intervals over places. Systematic is {} ({} to {}).{again}",
             percent(gap.systematic),
@@ -125,6 +79,7 @@ fn bar(body: &mut String, report: &Report, gap: &Gap) {
             escape(&missing.blocks)
         );
     }
+    Ok(())
 }
 
 /// A map laid flat along its two widest axes.
@@ -201,21 +156,26 @@ fn maps(body: &mut String, report: &Report) -> Result<()> {
     Ok(())
 }
 
-fn axes(body: &mut String, axes: &[Axis]) {
+fn axes(body: &mut String, axes: &[Axis]) -> Result<()> {
     if axes.is_empty() {
-        return;
+        return Ok(());
     }
-    let rows: Vec<_> =
-        axes.iter().map(|a| (a.title(), a.share.max(0.0), a.interval, percent(a.share))).collect();
+    let rows: Vec<Bar> = axes.iter().map(|a| along(a.title(), a)).collect();
     let _ = writeln!(body, "<h2>Along what it goes</h2>");
     body.push_str(&figure(
-        &[bars(&rows)],
+        &[bars("", &rows, None)?],
         "Share of the gap on held-out contacts that a mean and a factor for each bin and channel explain, beyond chance, or that lies in \
          other bins than readings do. Where effects are named, of what these make of it.",
     ));
+    Ok(())
 }
 
-fn effects(body: &mut String, report: &Report) {
+/// The share that goes along an axis.
+fn along(name: impl Into<String>, axis: &Axis) -> Bar {
+    Bar::new(name, axis.share.max(0.0), percent(axis.share)).interval(axis.interval)
+}
+
+fn effects(body: &mut String, report: &Report) -> Result<()> {
     let _ = writeln!(body, "<h2>What makes it</h2>");
     if report.effects.is_empty() {
         let _ = writeln!(body, "<p>No effect is named.</p>");
@@ -284,13 +244,10 @@ fn effects(body: &mut String, report: &Report) {
     );
     if !unknown.fingerprint.is_empty() {
         let _ = writeln!(body, "<h3>Fingerprint of the rest</h3>");
-        let rows: Vec<_> = unknown
-            .fingerprint
-            .iter()
-            .map(|a| (a.axis.clone(), a.share.max(0.0), a.interval, percent(a.share)))
-            .collect();
-        body.push_str(&figure(&[bars(&rows)], "Along what the rest goes."));
+        let rows: Vec<Bar> = unknown.fingerprint.iter().map(|a| along(a.axis.as_str(), a)).collect();
+        body.push_str(&figure(&[bars("", &rows, None)?], "Along what the rest goes."));
     }
+    Ok(())
 }
 
 fn confusions(body: &mut String, report: &Report) {

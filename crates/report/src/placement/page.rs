@@ -64,7 +64,8 @@ fn places(body: &mut String, findings: &Findings) -> Result<()> {
             findings.feet.iter().filter(|(_, v)| keep(*v)).map(|(p, _)| *p).collect();
         flat(findings, &kept).0
     };
-    let few: Vec<Point3<f64>> = findings.reduction.chosen.iter().map(|c| findings.sites[*c]).collect();
+    let few: Vec<Point3<f64>> =
+        findings.reduction.chosen.iter().map(|c| findings.candidate_locations[*c]).collect();
     let feasible = map(
         findings,
         "candidates".into(),
@@ -91,7 +92,8 @@ fn places(body: &mut String, findings: &Findings) -> Result<()> {
         .choices
         .iter()
         .map(|choice| {
-            let sites: Vec<Point3<f64>> = choice.sets.last().iter().map(|c| findings.sites[*c]).collect();
+            let sites: Vec<Point3<f64>> =
+                choice.sets.last().iter().map(|c| findings.candidate_locations[*c]).collect();
             let shown = Curve::new("", colour(choice.method), flat(findings, &sites).0).pen(Pen::Mark);
             let title = format!("{}, {}", choice.method.name(), seconds(choice.seconds));
             map(findings, title, vec![shown])

@@ -85,7 +85,7 @@ pub fn text(findings: &Findings) -> String {
             let _ = writeln!(out, "  {:<22}{}", "  not taught anew", of(false));
         }
     }
-    let all = mm(rim(&findings.skin, &findings.surface, &findings.sites));
+    let all = mm(rim(&findings.skin, &findings.surface, &findings.candidate_locations));
     let _ = writeln!(
         out,
         "\nsearch: CPU time; to rim: mean distance [mm] from it, {all} of all that can be built"
@@ -187,7 +187,7 @@ mod tests {
         Findings {
             request: Request::default(),
             feet: sites.iter().map(|p| (*p, Verdict::Feasible)).chain([(sites[0], Verdict::Edge)]).collect(),
-            sites,
+            candidate_locations: sites,
             counts: Counts { all: 26, edge: 1, held: 0, feasible: 25, reduced: 3 },
             reduction: Reduction { chosen: vec![3, 12, 20], unexplained: vec![(1, 0.4), (3, 0.008)] },
             forces: vec![0.42],

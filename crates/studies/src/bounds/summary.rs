@@ -44,7 +44,7 @@ pub fn summary(findings: &Findings) -> Value {
                 "bound": by_interval(line, |f| f.bound),
             },
             "super_resolution": line.factors,
-            "told_apart_by_isolines": findings.told_apart,
+            "told_apart_by_isolines": findings.distinguishable,
         })
     });
     let surface = findings

@@ -67,13 +67,14 @@ pub fn trends(
     let path = Path::across(surface, &foot, &direction, 5e-4)?;
     let at_foot = path.foot(&foot);
     let distances: Vec<f64> = path.arc.iter().map(|a| a - at_foot).collect();
+    let nominal = Responses::of_model(model.as_ref(), &[foot], &force_ladder(1.5, 24), diameter)?;
+    let value = nominal.reading(0, channel, FORCE);
     let curve = |model: &dyn ForwardModel, tip: f64, value: f64| -> Result<Vec<[f64; 2]>> {
         let responses = Responses::of_model(model, &path.points, &force_ladder(1.5, 24), tip)?;
+        let responses = responses.oriented_as(&nominal);
         let isoline = Isoline::of(&responses, &distances, channel, value);
         Ok(isoline.points.iter().map(|p| [p.distance, p.force]).collect())
     };
-    let nominal = Responses::of_model(model.as_ref(), &[foot], &force_ladder(1.5, 24), diameter)?;
-    let value = nominal.reading(0, channel, FORCE);
     let mut work = Vec::new();
     for parameter in [Parameter::Depth, Parameter::Thickness, Parameter::Poisson] {
         let Ok(at) = parameter.value(skin) else { continue };

@@ -116,7 +116,7 @@ fn neighbours_answer_with_the_contacts_whose_readings_are_nearest() {
     let ask = |count, components, values: [f32; 2]| {
         let mut finder = neighbours(count, &skin(), &learned, components).unwrap().unwrap();
         let (_, sample) = sample(values, 0.0, Vector3::zeros());
-        finder.find(&conditioned(&sample)).unwrap().remove(0)
+        finder.find(&sample.conditioned()).unwrap().remove(0)
     };
     let near = ask(1, ForceComponents::Normal, [10.0, 90.0]);
     assert!((near.position - Point3::new(0.005, 0.0, 0.0)).norm() < 1e-12);

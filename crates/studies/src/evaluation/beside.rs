@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::regressions::{self, Learned as Presses, Most};
-use crate::{Progress, conditioned};
+use crate::{Progress};
 
 /// Recorded readings that neighbours and trees learn from at most, support vectors and Gaussian processes, and the network.
 const MOST: Most = Most { all: 30_000, kernels: 2500 };
@@ -24,7 +24,7 @@ const ASKED: usize = MOST_BOUNDED;
 
 /// What another way makes of the same recordings.
 #[derive(Debug, Serialize)]
-pub struct Beside {
+pub struct BaselineComparison {
     /// Its name.
     pub method: &'static str,
     /// Settings that were chosen on places that nothing was learned from, for place and force, and how many frames it learned from.
@@ -43,7 +43,7 @@ pub(super) fn beside(
     only: Option<&[SampleId]>,
     bins: &[f64],
     progress: &dyn Progress,
-) -> Result<(Vec<SampleId>, Vec<Beside>)> {
+) -> Result<(Vec<SampleId>, Vec<BaselineComparison>)> {
     let learned = Dataset::from_bags(bags, skin, &labels.options()?)?;
     let single: Vec<SampleId> =
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
@@ -77,10 +77,10 @@ pub(super) fn beside(
         let mut evaluator = Evaluator::of(data).by_force(bins);
         for (id, sample) in &asked {
             let Some(truth) = sample.truth.as_ref() else { continue };
-            let contacts = finder.find(&conditioned(sample))?;
+            let contacts = finder.find(&sample.conditioned())?;
             evaluator.push(*id, truth, &Estimate { contacts, ..Estimate::default() });
         }
-        found.push(Beside { method, settings, evaluation: evaluator.finish(method) });
+        found.push(BaselineComparison { method, settings, evaluation: evaluator.finish(method) });
         Ok(())
     };
     let presses = Presses::of(skin, &recorded);

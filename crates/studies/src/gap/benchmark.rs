@@ -68,11 +68,11 @@ pub enum Findings {
     /// Nothing was opened: the folder of the reports of each pack, and the hash of their list.
     Sealed(Vec<(PathBuf, String)>),
     /// The scores.
-    Scored(Box<Scored>),
+    Scored(Box<BenchmarkScores>),
 }
 
 /// Scores of opened packs.
-pub struct Scored {
+pub struct BenchmarkScores {
     /// Which tool, command and packs.
     pub head: Value,
     /// Name of the skin.
@@ -85,7 +85,7 @@ pub struct Scored {
     pub cases: Value,
 }
 
-impl Scored {
+impl BenchmarkScores {
     /// Without the single cases.
     #[must_use]
     pub fn summary(&self) -> Value {
@@ -93,7 +93,7 @@ impl Scored {
     }
 }
 
-impl Serialize for Scored {
+impl Serialize for BenchmarkScores {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut whole = self.summary();
         whole["cases"] = self.cases.clone();
@@ -185,7 +185,7 @@ pub fn run(
                 "unexplained": s.unexplained, "causes": s.causes, "answer": c.answer })
         })
         .collect();
-    Ok(Findings::Scored(Box::new(Scored { head, skin: skin.name, card, baselines, cases })))
+    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: skin.name, card, baselines, cases })))
 }
 
 /// A case whose secret is open.
@@ -234,7 +234,7 @@ fn elsewhere(
     let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
     let simulator = Simulator { skin, effects: families.of(skin)?.effects(), make: &make };
     let sigma = skin.channel_noise();
-    let open: Vec<&mut Opened> = cases.iter_mut().filter(|c| c.answer.closure.is_some()).collect();
+    let open: Vec<&mut Opened> = cases.iter_mut().filter(|c| c.answer.residual_reduction.is_some()).collect();
     progress.begin("recording again");
     let (count, done) = (open.len().max(1), AtomicUsize::new(0));
     let one = |case: &Opened| -> Result<Option<f64>> {
@@ -406,7 +406,10 @@ fn answer(report: &Value) -> Answer {
     let mut answer = Answer {
         gap: matches!(verdict.as_str(), "named" | "named-and-unknown" | "unknown-systematic" | "unmeasured"),
         unknown: matches!(verdict.as_str(), "unknown-systematic" | "unmeasured" | "named-and-unknown"),
-        closure: reduction["predicted"].as_f64().zip(reduction["achieved"].as_f64()).map(<[f64; 2]>::from),
+        residual_reduction: reduction["predicted"]
+            .as_f64()
+            .zip(reduction["achieved"].as_f64())
+            .map(<[f64; 2]>::from),
         interval: pair(&reduction["interval"]),
         verdict: verdict.clone(),
         ..Answer::default()
@@ -465,7 +468,7 @@ mod tests {
         assert_eq!(answer.ranking, ["thickness", "base-bonding", "friction"]);
         assert!(answer.named[0].firm && !answer.named[1].firm);
         assert_eq!(answer.named[0].parameters["thickness.change"], (-0.001, Some([-0.002, 0.0])));
-        assert_eq!((answer.closure, answer.interval), (Some([0.9, 0.8]), Some([0.7, 0.95])));
+        assert_eq!((answer.residual_reduction, answer.interval), (Some([0.9, 0.8]), Some([0.7, 0.95])));
         assert!(!super::answer(&serde_json::json!({ "verdict": "no-gap-beyond-noise" })).gap);
     }
 }

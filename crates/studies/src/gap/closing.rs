@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::diagnosis;
-use crate::refinement::Looked;
+use crate::refinement::UnknownsChoice;
 
 /// What to close, and with which estimator to see it.
 #[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
@@ -27,7 +27,7 @@ pub struct Request {
     pub config: Option<PathBuf>,
     /// Refine both estimators on their forward models, too: what is looked for in each contact.
     #[arg(long, requires = "plan", value_enum)]
-    pub refine: Option<Looked>,
+    pub refine: Option<UnknownsChoice>,
     /// Held-out real bag that both estimators are measured on; the diagnosed one where absent.
     #[arg(long, value_name = "BAG")]
     pub held_out: Option<PathBuf>,

@@ -8,7 +8,7 @@ fn the_edge_of_a_skin_follows_the_area_of_its_points() {
         let spec = SurfaceSpec::Rectangle { size: [20.0 * pitch, 10.0 * pitch], spacing: pitch };
         let surface = Surface::from_spec(&spec);
         // 21 × 11 points on the area of 20 × 10 squares.
-        let spacing = point_spacing(&surface);
+        let spacing = candidates::point_spacing(&surface);
         assert!((spacing / pitch - (200.0f64 / 231.0).sqrt()).abs() < 1e-9, "{spacing}");
         let rule = Feasibility { neighbours: 9, edge: EDGE * spacing, ..Feasibility::default() };
         for (point, verdict) in surface.points.iter().zip(feasible(&surface, &surface.points, &rule)) {

@@ -1,4 +1,5 @@
-//! Ways to one and two contacts, side by side on the same recordings.
+//! Ways to one and two contacts, side by side on the same recordings. The frames that are asked do not follow each other, so each is
+//! taken by itself; a node follows contacts from frame to frame.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -17,7 +18,7 @@ use serde_json::{Value, json};
 
 use super::nominal;
 use super::train::parts;
-use crate::{Families, LeftOut, Progress, conditioned};
+use crate::{Families, LeftOut, Progress};
 
 mod judge;
 mod methods;
@@ -136,7 +137,7 @@ impl Kind {
 }
 
 /// One frame to look at.
-pub struct Shown {
+pub struct ShownFrame {
     /// \[m\] of every point of the surface.
     pub map: Vec<f64>,
     /// What truly touched.
@@ -164,9 +165,9 @@ pub struct Findings {
     /// Touched frames that are not compared, and why.
     pub left_out: Vec<LeftOut>,
     /// Figures that are asked for.
-    pub asks: Vec<Ask>,
+    pub asks: Vec<TargetFigure>,
     /// The first bundle's map of two contacts far apart.
-    pub shown: Option<Shown>,
+    pub shown: Option<ShownFrame>,
 }
 
 impl Serialize for Findings {
@@ -213,7 +214,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     let bounds = frame_bounds(model.as_ref(), &data, Some(&compared), Unknowns::Normal)?;
     let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: asked.kept.as_ref() };
     let mut rows = Vec::new();
-    let mut shown: Option<Shown> = None;
+    let mut shown: Option<ShownFrame> = None;
     for (name, mut method) in prepared.methods {
         progress.begin(&name);
         for (kind, ids) in test {
@@ -229,9 +230,9 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         let mut peaks = MapFinder::new(&Bundle::load(path, &skin)?, &skin, runtime)?;
         if let Some((_, sample)) = data.gather(&[*id])?.first() {
-            let map = peaks.map(&conditioned(sample))?.to_vec();
+            let map = peaks.map(&sample.conditioned())?.to_vec();
             let contacts = sample.truth.as_ref().map(|t| t.contacts.clone()).unwrap_or_default();
-            shown = Some(Shown { map, contacts });
+            shown = Some(ShownFrame { map, contacts });
         }
     }
     let bound = bounds.summary(&options.bins);
@@ -253,7 +254,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
 
 /// One figure that is asked for.
 #[derive(Debug, Clone, Serialize)]
-pub struct Ask {
+pub struct TargetFigure {
     /// Which figure.
     pub what: &'static str,
     /// What it should be.
@@ -267,7 +268,7 @@ pub struct Ask {
 }
 
 /// The asks of this study: mean errors of one contact, of two (all distances), and the number of contacts.
-fn asks(rows: &[Row]) -> Vec<Ask> {
+fn asks(rows: &[Row]) -> Vec<TargetFigure> {
     let mut methods: Vec<&str> = Vec::new();
     for row in rows {
         if !methods.contains(&row.method.as_str()) {
@@ -300,7 +301,7 @@ fn asks(rows: &[Row]) -> Vec<Ask> {
             .filter_map(|m| of(m, kinds).map(|[p, f, _]| (*m, p, f)))
             .min_by(|a, b| (a.1 / place).max(a.2 / force).total_cmp(&(b.1 / place).max(b.2 / force)));
         if let Some((method, p, f)) = best {
-            all.push(Ask {
+            all.push(TargetFigure {
                 what,
                 asked: format!("{:.0} mm, {force} N", place * 1e3),
                 method: method.to_owned(),
@@ -314,7 +315,7 @@ fn asks(rows: &[Row]) -> Vec<Ask> {
         .filter_map(|m| of(m, &[Kind::Far]).map(|[.., right]| (*m, right)))
         .max_by(|a, b| a.1.total_cmp(&b.1));
     if let Some((method, right)) = best {
-        all.push(Ask {
+        all.push(TargetFigure {
             what: "number of contacts, two far apart",
             asked: "90 %".into(),
             method: method.to_owned(),

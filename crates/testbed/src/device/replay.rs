@@ -148,7 +148,7 @@ impl ReplayDevice {
         let Some(first) = frames()?.next().transpose()?.map(|m| m.message) else {
             return Err(wrong("holds no frames".into()));
         };
-        if let Some(reason) = skin.unlike(&first, &sender.layouts) {
+        if let Some(reason) = skin.layout_mismatch(&first, &sender.layouts) {
             return Err(wrong(format!(
                 "its frames are of skin `{}`, and not as `{}` sends them: {reason}",
                 first.skin, skin.name

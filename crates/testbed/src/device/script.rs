@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use dermis_model::ForwardModel;
 use dermis_skin::Stamp;
 
-use crate::{Moment, Plan, TestbedError, Timeline};
+use crate::{GroundTruth, Plan, TestbedError, Timeline};
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // What a panicking thread left behind is still a list of timelines.
@@ -46,12 +46,12 @@ impl Script {
     }
 
     /// The first moment of full force.
-    pub(super) fn first_touch(&self) -> Moment {
+    pub(super) fn first_touch(&self) -> GroundTruth {
         lock(&self.rounds).last.front().map(|(_, timeline)| timeline.first_touch()).unwrap_or_default()
     }
 
     /// What happens `t` \[s\] after the start; `None` before it, and for rounds that are no longer kept.
-    pub(super) fn at(&self, t: f64) -> Result<Option<Moment>, TestbedError> {
+    pub(super) fn at(&self, t: f64) -> Result<Option<GroundTruth>, TestbedError> {
         let (begin, timeline) = {
             let mut rounds = lock(&self.rounds);
             while let Some((begin, last)) = rounds.last.back()

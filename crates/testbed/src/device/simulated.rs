@@ -14,7 +14,7 @@ use super::line::Line;
 use super::script::Script;
 use super::worker::{Worker, sleep_until};
 use super::{Counters, DeviceStats, Outlet, plain_encoder};
-use crate::{Moment, Plan, Sampler, TestbedError};
+use crate::{GroundTruth, Plan, Sampler, TestbedError};
 
 /// \[s\] between two checks for requests of the host.
 const LISTEN: f64 = 0.002;
@@ -123,7 +123,7 @@ impl VirtualDevice {
     /// What really touched the skin at `stamp`; `None` before the device was started, and for what happened so
     /// long ago that it is forgotten (four rounds of the plan).
     #[must_use]
-    pub fn truth(&self, stamp: Stamp) -> Option<Moment> {
+    pub fn truth(&self, stamp: Stamp) -> Option<GroundTruth> {
         let t = (stamp - self.script.start) as f64 * 1e-9;
         if t < 0.0 {
             return None;

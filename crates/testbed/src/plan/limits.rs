@@ -67,9 +67,9 @@ pub(super) fn check(plan: &Plan) -> Result<(), (String, String)> {
                 drawn(level)?;
             }
         }
-        limits(at("diameter"), &step.manner.diameter, LENGTH, "m")?;
-        limits(at("shear"), step.manner.shear.as_ref().map_or(&[], |s| s), [0.0, 1e3], "N/N")?;
-        let turn = step.manner.shear_direction.map_or(0.0, f64::abs);
+        limits(at("diameter"), &step.profile.diameter, LENGTH, "m")?;
+        limits(at("shear"), step.profile.shear.as_ref().map_or(&[], |s| s), [0.0, 1e3], "N/N")?;
+        let turn = step.profile.shear_direction.map_or(0.0, f64::abs);
         limits(at("shear_direction"), &[turn], [0.0, 1e3], "rad")?;
     }
     Ok(())

@@ -105,7 +105,7 @@ impl Levels {
 
 /// How the presses of a step are done, where it says more than the plan.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Manner {
+pub struct PressProfile {
     /// \[m\] of the indenter's spherical tip; of several, one is drawn for each place. The plan's where empty.
     pub diameter: Vec<f64>,
     /// Range of the ratio of tangential to normal force that the tip is moved sideways to, after it has held each level.
@@ -124,12 +124,12 @@ pub struct Step {
     /// What is done.
     pub action: Action,
     /// How its presses are done.
-    pub manner: Manner,
+    pub profile: PressProfile,
 }
 
 impl From<Action> for Step {
     fn from(action: Action) -> Self {
-        Self { action, manner: Manner::default() }
+        Self { action, profile: PressProfile::default() }
     }
 }
 
@@ -378,13 +378,13 @@ impl StepFile {
         if diameter.as_ref().is_some_and(Vec::is_empty) {
             return Err(("diameter", "is empty: a tip has a diameter".to_owned()));
         }
-        let manner = Manner {
+        let profile = PressProfile {
             diameter: diameter.unwrap_or_default(),
             shear: self.shear.map(OneOrTwo::both),
             shear_direction: self.shear_direction,
             hold: self.hold,
         };
-        Ok(Step { action, manner })
+        Ok(Step { action, profile })
     }
 }
 
@@ -428,7 +428,7 @@ impl From<Step> for StepFile {
                 Self { count, contacts, distance, force, depth, ..Self::of(Kind::Multi) }
             }
         };
-        let Manner { diameter, shear, shear_direction, hold } = step.manner;
+        let PressProfile { diameter, shear, shear_direction, hold } = step.profile;
         Self {
             diameter: OneOrMore::of(diameter),
             shear: shear.map(OneOrTwo::from),

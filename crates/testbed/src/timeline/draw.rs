@@ -7,8 +7,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::Touch;
-use super::sites::Sites;
-use crate::plan::{ForceDistribution, Level, Manner, Plan};
+use super::candidates::CandidateLocations;
+use crate::plan::{ForceDistribution, Level, Plan, PressProfile};
 
 /// Random choices of one timeline.
 pub(super) struct Draw<'a> {
@@ -16,7 +16,7 @@ pub(super) struct Draw<'a> {
     /// For what not every press draws, so that the others stay what they are without it.
     pub(super) more: ChaCha8Rng,
     pub(super) plan: &'a Plan,
-    pub(super) sites: &'a Sites<'a>,
+    pub(super) candidates: &'a CandidateLocations<'a>,
     /// Comparisons with edges of the rim and with other contacts, for all places that were tried.
     pub(super) tried: u64,
 }
@@ -28,10 +28,10 @@ pub(super) const EFFORT: u64 = 1_000_000_000;
 const TRIES: usize = 2000;
 
 impl<'a> Draw<'a> {
-    pub(super) fn new(plan: &'a Plan, sites: &'a Sites<'a>, seed: u64) -> Self {
+    pub(super) fn new(plan: &'a Plan, candidates: &'a CandidateLocations<'a>, seed: u64) -> Self {
         let mut more = ChaCha8Rng::seed_from_u64(seed);
         more.set_stream(1);
-        Self { rng: ChaCha8Rng::seed_from_u64(seed), more, plan, sites, tried: 0 }
+        Self { rng: ChaCha8Rng::seed_from_u64(seed), more, plan, candidates, tried: 0 }
     }
 
     pub(super) fn within(&mut self, [low, high]: [f64; 2]) -> f64 {
@@ -45,8 +45,8 @@ impl<'a> Draw<'a> {
         })
     }
 
-    pub(super) fn diameter(&mut self, manner: &Manner) -> f64 {
-        let of = if manner.diameter.is_empty() { &self.plan.diameter } else { &manner.diameter };
+    pub(super) fn diameter(&mut self, profile: &PressProfile) -> f64 {
+        let of = if profile.diameter.is_empty() { &self.plan.diameter } else { &profile.diameter };
         match of[..] {
             [diameter] => diameter,
             _ => of[self.more.random_range(0..of.len())],
@@ -59,16 +59,16 @@ impl<'a> Draw<'a> {
         at: Point3<f64>,
         level: Level<f64>,
         diameter: f64,
-        manner: &Manner,
+        profile: &PressProfile,
     ) -> Touch {
         let mut shear = Vector3::zeros();
-        if let Some([low, high]) = manner.shear {
+        if let Some([low, high]) = profile.shear {
             let ratio = self.more.random_range(low..=high);
-            let turn = match manner.shear_direction {
+            let turn = match profile.shear_direction {
                 Some(direction) => direction,
                 None => self.more.random_range(0.0..std::f64::consts::TAU),
             };
-            let (_, normal) = self.sites.surface.project(&at);
+            let (_, normal) = self.candidates.surface.project(&at);
             let from = [Vector3::x(), Vector3::y()]
                 .into_iter()
                 .find_map(|axis| (axis - normal * axis.dot(&normal)).try_normalize(1e-3));
@@ -82,9 +82,9 @@ impl<'a> Draw<'a> {
 
     pub(super) fn place(&mut self) -> Option<Point3<f64>> {
         (0..TRIES).find_map(|_| {
-            self.tried += 10 + self.sites.edges();
-            let p = self.sites.random(&mut self.rng);
-            self.sites.may_be_touched(&p).then_some(p)
+            self.tried += 10 + self.candidates.edges();
+            let p = self.candidates.random(&mut self.rng);
+            self.candidates.may_be_touched(&p).then_some(p)
         })
     }
 
@@ -93,15 +93,15 @@ impl<'a> Draw<'a> {
         for _ in 0..TRIES {
             let from = self.place()?;
             let long = self.within(length);
-            let (_, normal) = self.sites.surface.project(&from);
+            let (_, normal) = self.candidates.surface.project(&from);
             let direction = Vector3::from_fn(|_, _| self.rng.random_range(-1.0..1.0f64));
             let Some(along) = (direction - normal * direction.dot(&normal)).try_normalize(1e-3) else {
                 continue;
             };
-            let (to, _) = self.sites.surface.project(&(from + along * long));
-            self.tried += self.sites.edges();
+            let (to, _) = self.candidates.surface.project(&(from + along * long));
+            self.tried += self.candidates.edges();
             // One that the rim or the curvature cut short has another length than the one that was drawn.
-            if (to - from).norm() > 0.7 * long && self.sites.may_be_touched(&to) {
+            if (to - from).norm() > 0.7 * long && self.candidates.may_be_touched(&to) {
                 return Some((from, to));
             }
         }

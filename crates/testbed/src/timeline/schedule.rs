@@ -11,11 +11,11 @@ use nalgebra::{Point3, Vector3};
 use rand::Rng;
 use rand::seq::SliceRandom;
 
+use super::candidates::CandidateLocations;
 use super::draw::{Draw, EFFORT};
-use super::sites::Sites;
 use super::{Key, Press, Timeline, Touch};
 use crate::TestbedError;
-use crate::plan::{Action, LONGEST, Level, Levels, Manner, Plan, Step};
+use crate::plan::{Action, LONGEST, Level, Levels, Plan, PressProfile, Step};
 
 /// \[m\] off the surface that a named place may lie: rounding.
 const OFF_SURFACE: f64 = 1e-4;
@@ -28,7 +28,7 @@ impl Timeline {
     /// [`TestbedError::Plan`] where the plan does not fit the skin: no place keeps the margin, a place lies off the surface,
     /// contacts cannot keep their distance, or the model knows no force for a depth.
     pub fn new(plan: &Plan, model: &Arc<dyn ForwardModel>, seed: u64) -> Result<Self, TestbedError> {
-        let sites = Sites::new(model.surface(), plan.margin, plan.region);
+        let candidates = CandidateLocations::new(model.surface(), plan.margin, plan.region);
         let timeline = Self {
             presses: Vec::new(),
             duration: 0.0,
@@ -37,7 +37,7 @@ impl Timeline {
             tip: plan.tip,
             gravity: plan.gravity.unwrap_or_default().into(),
         };
-        let draw = Draw::new(plan, &sites, seed);
+        let draw = Draw::new(plan, &candidates, seed);
         let mut schedule = Schedule { timeline, draw, step: 0, location: 0 };
         for (i, step) in plan.steps.iter().enumerate() {
             schedule.step = i;
@@ -77,24 +77,24 @@ struct Schedule<'a> {
 
 impl Schedule<'_> {
     fn carry_out(&mut self, step: &Step) -> Result<(), TestbedError> {
-        let manner = &step.manner;
+        let profile = &step.profile;
         match &step.action {
             Action::Idle { duration } => {
                 self.timeline.idle(*duration);
                 Ok(())
             }
             Action::Presses { count, level, repeats } => {
-                (0..*count).try_for_each(|_| self.presses_at_one_place(level, *repeats, manner))
+                (0..*count).try_for_each(|_| self.presses_at_one_place(level, *repeats, profile))
             }
-            Action::Grid { pitch, levels } => self.grid(*pitch, levels, manner),
+            Action::Grid { pitch, levels } => self.grid(*pitch, levels, profile),
             Action::Places { at, levels } => {
-                at.iter().enumerate().try_for_each(|(j, at)| self.named_place(j, *at, levels, manner))
+                at.iter().enumerate().try_for_each(|(j, at)| self.named_place(j, *at, levels, profile))
             }
             Action::Slides { count, force, length, speed } => {
-                (0..*count).try_for_each(|_| self.slide(*force, *length, *speed, manner))
+                (0..*count).try_for_each(|_| self.slide(*force, *length, *speed, profile))
             }
             Action::Multi { count, contacts, distance, level } => {
-                (0..*count).try_for_each(|_| self.multi(*contacts, *distance, level, manner))
+                (0..*count).try_for_each(|_| self.multi(*contacts, *distance, level, profile))
             }
         }
     }
@@ -103,26 +103,26 @@ impl Schedule<'_> {
         &mut self,
         level: &Level<[f64; 2]>,
         repeats: u32,
-        manner: &Manner,
+        profile: &PressProfile,
     ) -> Result<(), TestbedError> {
         self.check_bounds()?;
         let at = self.draw.place().ok_or_else(|| self.too_narrow())?;
         self.location += 1;
-        let diameter = self.draw.diameter(manner);
+        let diameter = self.draw.diameter(profile);
         for repeat in 0..repeats {
             let level = self.draw.level(level);
-            let touch = self.draw.touch(at, level, diameter, manner);
+            let touch = self.draw.touch(at, level, diameter, profile);
             self.check_depth(&touch)?;
-            self.press(manner, repeat, vec![touch], None, &[1.0]);
+            self.press(profile, repeat, vec![touch], None, &[1.0]);
         }
         Ok(())
     }
 
-    fn grid(&mut self, pitch: [f64; 2], levels: &Levels, manner: &Manner) -> Result<(), TestbedError> {
+    fn grid(&mut self, pitch: [f64; 2], levels: &Levels, profile: &PressProfile) -> Result<(), TestbedError> {
         let plan = self.draw.plan;
         let mut places = self
             .draw
-            .sites
+            .candidates
             .grid(pitch)
             .map_err(|reason| plan.wrong(format!("steps[{}].pitch", self.step), reason))?;
         if places.is_empty() {
@@ -133,7 +133,7 @@ impl Schedule<'_> {
         for at in places {
             self.check_bounds()?;
             self.location += 1;
-            self.levels(at, levels, manner)?;
+            self.levels(at, levels, profile)?;
         }
         Ok(())
     }
@@ -143,40 +143,45 @@ impl Schedule<'_> {
         index: usize,
         at: [f64; 3],
         levels: &Levels,
-        manner: &Manner,
+        profile: &PressProfile,
     ) -> Result<(), TestbedError> {
-        let Draw { plan, sites, .. } = self.draw;
+        let Draw { plan, candidates, .. } = self.draw;
         let field = || format!("steps[{}].at[{index}]", self.step);
         let [x, y, z] = at;
         let at = Point3::from(at);
-        let off = sites.surface.distance(&at);
+        let off = candidates.surface.distance(&at);
         if off > OFF_SURFACE {
             let reason = format!("({x}, {y}, {z}) m lies {off:.6} m off the surface");
             return Err(plan.wrong(field(), reason));
         }
-        let (at, _) = sites.surface.project(&at);
-        if !sites.may_be_touched(&at) {
+        let (at, _) = candidates.surface.project(&at);
+        if !candidates.may_be_touched(&at) {
             let or = if plan.region.is_some() { ", or outside of `region`" } else { "" };
             let reason =
                 format!("({x}, {y}, {z}) m is nearer to the rim than the margin of {} m{or}", plan.margin);
             return Err(plan.wrong(field(), reason));
         }
         self.location += 1;
-        self.levels(at, levels, manner)
+        self.levels(at, levels, profile)
     }
 
     /// All presses at one place.
-    fn levels(&mut self, at: Point3<f64>, levels: &Levels, manner: &Manner) -> Result<(), TestbedError> {
-        let diameter = self.draw.diameter(manner);
+    fn levels(
+        &mut self,
+        at: Point3<f64>,
+        levels: &Levels,
+        profile: &PressProfile,
+    ) -> Result<(), TestbedError> {
+        let diameter = self.draw.diameter(profile);
         for repeat in 0..levels.repeats {
             let values = levels.values.value();
             let all: &[f64] = if levels.incremental { &values[values.len() - 1..] } else { values };
             for value in all {
-                let touch = self.draw.touch(at, levels.values.map(|_| *value), diameter, manner);
+                let touch = self.draw.touch(at, levels.values.map(|_| *value), diameter, profile);
                 self.check_depth(&touch)?;
-                let stairs: Vec<f64> =
+                let staircase: Vec<f64> =
                     if levels.incremental { values.iter().map(|v| v / value).collect() } else { vec![1.0] };
-                self.press(manner, repeat, vec![touch], None, &stairs);
+                self.press(profile, repeat, vec![touch], None, &staircase);
             }
         }
         Ok(())
@@ -187,7 +192,7 @@ impl Schedule<'_> {
         force: [f64; 2],
         length: [f64; 2],
         speed: [f64; 2],
-        manner: &Manner,
+        profile: &PressProfile,
     ) -> Result<(), TestbedError> {
         self.check_bounds()?;
         let (from, to) = self.draw.path(length).ok_or_else(|| {
@@ -197,9 +202,9 @@ impl Schedule<'_> {
         self.location += 1;
         let duration = (to - from).norm() / self.draw.within(speed);
         let level = self.draw.level(&Level::Force(force));
-        let diameter = self.draw.diameter(manner);
+        let diameter = self.draw.diameter(profile);
         let touch = Touch { from, to, level, diameter, shear: Vector3::zeros() };
-        self.press(manner, 0, vec![touch], Some(duration), &[1.0]);
+        self.press(profile, 0, vec![touch], Some(duration), &[1.0]);
         Ok(())
     }
 
@@ -208,7 +213,7 @@ impl Schedule<'_> {
         contacts: [u32; 2],
         distance: [f64; 2],
         level: &Level<[f64; 2]>,
-        manner: &Manner,
+        profile: &PressProfile,
     ) -> Result<(), TestbedError> {
         self.check_bounds()?;
         let wanted = self.draw.rng.random_range(contacts[0]..=contacts[1]) as usize;
@@ -219,30 +224,30 @@ impl Schedule<'_> {
             self.draw.plan.wrong(format!("steps[{}].distance", self.step), reason)
         })?;
         self.location += 1;
-        let diameter = self.draw.diameter(manner);
+        let diameter = self.draw.diameter(profile);
         let mut touches = Vec::with_capacity(at.len());
         for at in at {
             let level = self.draw.level(level);
-            let touch = self.draw.touch(at, level, diameter, manner);
+            let touch = self.draw.touch(at, level, diameter, profile);
             self.check_depth(&touch)?;
             touches.push(touch);
         }
-        self.press(manner, 0, touches, None, &[1.0]);
+        self.press(profile, 0, touches, None, &[1.0]);
         Ok(())
     }
 
-    /// A press at the last place that holds at each of `stairs`, in shares of its full level, the last of which is 1.
+    /// A press at the last place that holds at each of `staircase`, in shares of its full level, the last of which is 1.
     fn press(
         &mut self,
-        manner: &Manner,
+        profile: &PressProfile,
         repeat: u32,
         touches: Vec<Touch>,
         slide: Option<f64>,
-        stairs: &[f64],
+        staircase: &[f64],
     ) {
         let draw = &mut self.draw;
         let t = &draw.plan.timing;
-        let held = manner.hold.unwrap_or(t.hold);
+        let held = profile.hold.unwrap_or(t.hold);
         let [approach, load, hold, unload, gap] =
             [t.approach, t.load, held, t.unload, t.gap].map(|range| draw.within(range));
         let mut keys = Vec::with_capacity(4);
@@ -255,20 +260,20 @@ impl Schedule<'_> {
         };
         let sheared = touches.iter().any(|touch| touch.shear != Vector3::zeros());
         let mut key = Key { end: approach, phase: Phase::Load, level: 0.0, shear: 0.0, slide: 0.0 };
-        for (i, stair) in stairs.iter().enumerate() {
+        for (i, step) in staircase.iter().enumerate() {
             let [load, hold] = if i == 0 {
                 [load, hold]
             } else {
                 [t.load, held].map(|[low, high]| draw.more.random_range(low..=high))
             };
-            key = go(load, Key { phase: Phase::Load, level: *stair, ..key });
+            key = go(load, Key { phase: Phase::Load, level: *step, ..key });
             key = match slide {
                 Some(duration) => go(duration, Key { phase: Phase::Slide, slide: 1.0, ..key }),
                 None => go(hold, Key { phase: Phase::Hold, ..key }),
             };
             if sheared {
                 let [load, hold] = [t.load, held].map(|[low, high]| draw.more.random_range(low..=high));
-                key = go(load, Key { phase: Phase::Load, shear: *stair, ..key });
+                key = go(load, Key { phase: Phase::Load, shear: *step, ..key });
                 key = go(hold, Key { phase: Phase::Hold, ..key });
             }
         }

@@ -7,7 +7,7 @@ use super::*;
 use crate::plan::Plan;
 use crate::testing;
 
-fn moments(timeline: &Timeline) -> Vec<Moment> {
+fn moments(timeline: &Timeline) -> Vec<GroundTruth> {
     let steps = (timeline.duration() * 1000.0) as u32;
     (0..=steps).map(|i| timeline.at(f64::from(i) / 1000.0)).collect()
 }
@@ -16,8 +16,8 @@ fn moments(timeline: &Timeline) -> Vec<Moment> {
 fn a_press_goes_through_its_phases_and_its_force_does_not_jump() {
     let skin = testing::skin(100.0);
     let timeline = Timeline::new(&testing::plan(), &testing::shared_bumps(&skin), 3).unwrap();
-    let force = |m: &Moment| m.stimulus.contacts.iter().map(|c| -c.force.z).fold(0.0, f64::max);
-    let mut last = Moment::default();
+    let force = |m: &GroundTruth| m.stimulus.contacts.iter().map(|c| -c.force.z).fold(0.0, f64::max);
+    let mut last = GroundTruth::default();
     for moment in moments(&timeline) {
         if moment.press == last.press && moment.phase != last.phase {
             let expected = match last.phase {
@@ -40,7 +40,7 @@ fn a_press_goes_through_its_phases_and_its_force_does_not_jump() {
         );
         last = moment;
     }
-    assert_eq!(timeline.at(-1.0), Moment::default());
+    assert_eq!(timeline.at(-1.0), GroundTruth::default());
     assert_eq!(timeline.at(timeline.duration() + 1e6).phase, Phase::Idle);
 }
 

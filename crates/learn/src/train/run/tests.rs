@@ -1,3 +1,5 @@
+use dermis_estimate::ContactFinder;
+use dermis_estimate::finder::NetworkFinder;
 use dermis_inference::{Bundle, RuntimeChoice, RuntimeConfig};
 
 use super::*;
@@ -59,17 +61,17 @@ fn a_trained_bundle_answers_as_it_was_measured() {
     assert_eq!(card["samples"]["held_out"]["all"], held_out.len());
 
     // A node that loads the bundle gives what the card says.
-    let (mut features, mut outputs) = (bundle.features(), bundle.outputs());
-    let mut model = bundle.session(runtime()).unwrap();
-    let (mut squares, mut count, mut raw) = (0.0, 0.0, Vec::new());
+    let mut finder = NetworkFinder::new(&bundle, &skin(), runtime()).unwrap();
+    let (mut squares, mut count) = (0.0, 0.0);
     for (i, sample) in samples(&data).iter().enumerate() {
-        features.push(sample.frame.stamp, &sample.tared).unwrap();
         let known = sample.truth.as_ref().and_then(|t| t.value("position.x"));
-        if let Some(x) = known.filter(|_| held_out.contains(&SampleId { run: 0, sample: i })) {
-            model.run(features.input().unwrap(), &mut raw).unwrap();
-            outputs.decode(&raw).unwrap();
-            squares += (outputs.get("position.x").unwrap() - x).powi(2);
-            count += 1.0;
+        match known.filter(|_| held_out.contains(&SampleId { run: 0, sample: i })) {
+            Some(x) => {
+                let contacts = finder.find(&sample.conditioned()).unwrap();
+                squares += (contacts[0].position.x - x).powi(2);
+                count += 1.0;
+            }
+            None => finder.pass(&sample.conditioned()).unwrap(),
         }
     }
     approx::assert_relative_eq!(f64::sqrt(squares / count), figures["position_x_rms"], max_relative = 1e-6);

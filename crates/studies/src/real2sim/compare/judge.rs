@@ -11,7 +11,7 @@ use dermis_skin::Estimate;
 use serde::Serialize;
 
 use super::{Kind, Request};
-use crate::{LeftOut, Progress, conditioned};
+use crate::{LeftOut, Progress};
 
 /// Errors of a method on frames of one kind. A contact for which none was found counts in the errors as far away as the middle of the
 /// surface, and as a force of 0.
@@ -166,7 +166,7 @@ impl Judge<'_> {
             let Some(truth) = sample.truth.as_ref() else { continue };
             // These frames do not follow each other.
             method.reset();
-            let contacts = method.find(&conditioned(sample))?;
+            let contacts = method.find(&sample.conditioned())?;
             progress.at((n + 1) as f64 / ids.len() as f64);
             right.insert(*id, contacts.len() == truth.contacts.len());
             evaluator.push(*id, truth, &Estimate { contacts, ..Estimate::default() });

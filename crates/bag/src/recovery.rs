@@ -24,7 +24,7 @@ const HEAD: u64 = 9;
 
 /// Iterator over the messages of a file, record by record: a damaged chunk is passed over, and the file ends where its next
 /// record does not. It fails only where the system does.
-pub(crate) struct Salvage {
+pub(crate) struct Recovery {
     file: BufReader<File>,
     at: u64,
     length: u64,
@@ -37,7 +37,7 @@ pub(crate) struct Salvage {
     ended: bool,
 }
 
-impl Salvage {
+impl Recovery {
     /// From the start of a file of so many bytes on. Channels that its index names are known even where the chunk that declares
     /// them is damaged.
     pub(crate) fn new(file: BufReader<File>, length: u64, index: Option<Summary>) -> Self {
@@ -158,7 +158,7 @@ impl Salvage {
     }
 }
 
-impl Iterator for Salvage {
+impl Iterator for Recovery {
     type Item = io::Result<Message<'static>>;
 
     fn next(&mut self) -> Option<Self::Item> {

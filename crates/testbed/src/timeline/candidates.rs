@@ -9,7 +9,7 @@ use rand::Rng;
 use crate::plan::PRESSES_MAX;
 
 /// Where a surface can be touched.
-pub(super) struct Sites<'a> {
+pub(super) struct CandidateLocations<'a> {
     pub(super) surface: &'a Surface,
     /// Sum of the areas of the triangles up to and with each.
     cumulative: Vec<f64>,
@@ -19,7 +19,7 @@ pub(super) struct Sites<'a> {
     region: Option<[[f64; 3]; 2]>,
 }
 
-impl<'a> Sites<'a> {
+impl<'a> CandidateLocations<'a> {
     pub(super) fn new(surface: &'a Surface, margin: f64, region: Option<[[f64; 3]; 2]>) -> Self {
         let mut sum = 0.0;
         let mut uses: BTreeMap<[u32; 2], u32> = BTreeMap::new();

@@ -1,0 +1,177 @@
+//! Makes benchmark sets of the diagnosis: recordings with withheld causes, and the causes apart from them.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use dermis_gap_benchmark::set::{self, Manifest, SetSpec};
+use dermis_skin::SkinDescription;
+use serde::{Deserialize, Serialize};
+
+/// What is withheld.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// One cause that the literature lists.
+    Singles,
+    /// Two of them.
+    Pairs,
+    /// Three of them.
+    Triples,
+    /// None: another mesh and other laws only.
+    Controls,
+    /// A cause that no library holds.
+    OutOfLibrary,
+    /// A cause that the recording cannot tell from another.
+    Confounded,
+}
+
+impl From<Kind> for set::Kind {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::Singles => Self::Singles,
+            Kind::Pairs => Self::Pairs,
+            Kind::Triples => Self::Triples,
+            Kind::Controls => Self::Controls,
+            Kind::OutOfLibrary => Self::OutOfLibrary,
+            Kind::Confounded => Self::Confounded,
+        }
+    }
+}
+
+/// What to make.
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Request {
+    /// What is withheld; where absent, all kinds in the proportions of a full pack, mixed.
+    #[arg(long, value_enum)]
+    #[serde(default)]
+    pub kind: Option<Kind>,
+    /// Skin description.
+    #[arg(long)]
+    pub skin: PathBuf,
+    /// Number of cases, of one kind.
+    #[arg(long, requires = "kind")]
+    #[serde(default)]
+    pub count: Option<usize>,
+    /// Share of a full pack, which has 180 cases with one cause, 100 without, 60 with one that no library holds, 60 with two, 20
+    /// with three and 20 with one that the recording cannot tell: `full`, `small` (0.15) or a number.
+    #[arg(long, default_value = "full", value_parser = share)]
+    #[serde(default = "whole")]
+    pub share: f64,
+    /// Of everything random. Who knows it can make the secrets again: publish it after they are opened, not before.
+    #[arg(long)]
+    pub seed: u64,
+    /// Presses of each case, compared to the usual 150.
+    #[arg(long, default_value_t = 1.0, value_parser = size)]
+    #[serde(default = "whole")]
+    pub size: f64,
+    /// Folder of the secrets, apart from the pack; must not hold any yet.
+    #[arg(long, value_name = "DIR")]
+    pub secret: PathBuf,
+    /// Folder of the pack; must not hold one yet.
+    #[arg(short, long)]
+    pub out: PathBuf,
+}
+
+fn whole() -> f64 {
+    1.0
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text {
+        "full" => Ok(1.0),
+        "small" => Ok(0.15),
+        _ => match text.parse::<f64>() {
+            Ok(share) if share > 0.0 && share <= 100.0 => Ok(share),
+            _ => Err(format!("`{text}` is no share: write `full`, `small` or a number above 0, at most 100")),
+        },
+    }
+}
+
+fn size(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(size) if (0.05..=100.0).contains(&size) => Ok(size),
+        _ => Err(format!("`{text}` is no size: write a number from 0.05 to 100")),
+    }
+}
+
+impl Request {
+    /// How many cases of what.
+    #[must_use]
+    pub fn order(&self) -> SetSpec {
+        let mut order = SetSpec::mixed(self.share, self.seed, self.size);
+        if let Some(kind) = self.kind.map(set::Kind::from) {
+            order.cases.retain(|(of, _)| *of == kind);
+            if let (Some(count), [(_, cases)]) = (self.count, &mut order.cases[..]) {
+                *cases = count;
+            }
+        }
+        order
+    }
+}
+
+/// What was made.
+#[derive(Debug, Clone, Serialize)]
+pub struct Findings {
+    /// Folder of the set.
+    pub pack: PathBuf,
+    /// How many cases it has.
+    pub cases: usize,
+    /// Hash of the set.
+    pub sha256: String,
+    /// Folder of the ground truths.
+    #[serde(skip)]
+    pub secret: PathBuf,
+    /// What is withheld in all of them; `all kinds` where they are mixed.
+    #[serde(skip)]
+    pub kind: &'static str,
+    /// Name of the skin.
+    #[serde(skip)]
+    pub skin: String,
+}
+
+/// Makes a set. `done` is called with the number of finished cases and ends the work where it returns `false`; what is there by
+/// then is a valid, smaller set.
+///
+/// # Errors
+///
+/// Where the skin file cannot be used, or a folder is not empty or cannot be written.
+pub fn generate(request: &Request, done: impl FnMut(usize) -> bool) -> Result<Findings> {
+    let text = dermis_io::read_text(&request.skin, dermis_io::TEXT)
+        .with_context(|| format!("skin file {} cannot be read", request.skin.display()))?;
+    SkinDescription::from_toml(&text, &request.skin.display().to_string())?;
+    let manifest = set::generate(&text, &request.order(), &request.out, &request.secret, done)?;
+    Ok(Findings {
+        pack: request.out.clone(),
+        cases: manifest.cases.len(),
+        sha256: Manifest::hash(&request.out)?,
+        secret: request.secret.clone(),
+        kind: manifest.kind.map_or("all kinds", set::Kind::name),
+        skin: manifest.skin,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kind_has_as_many_cases_as_were_asked_for() {
+        let request = |kind, count| Request {
+            kind,
+            skin: PathBuf::new(),
+            count,
+            share: 0.15,
+            seed: 1,
+            size: 1.0,
+            secret: PathBuf::new(),
+            out: PathBuf::new(),
+        };
+        assert_eq!(request(Some(Kind::Pairs), Some(7)).order().count(), 7);
+        let mixed = request(None, None).order();
+        let pairs = request(Some(Kind::Pairs), None).order();
+        assert!(mixed.cases.len() > 1 && pairs.cases.len() == 1, "{} kinds", mixed.cases.len());
+        assert!(pairs.count() > 0 && pairs.count() < mixed.count());
+    }
+}
