@@ -21,7 +21,7 @@ mod shell;
 pub use block::block_cases;
 pub use dome::dome_cases;
 pub use layer::layer_cases;
-pub use shell::{Panel, panel_cases, panel_time, shell_cases};
+pub use shell::{Panel, Touch, panel_cases, panel_time, shell_cases, touch_readings};
 
 /// Debian's package, and what people are told to install.
 const INSTALL: &str = "install CalculiX (Debian and Ubuntu: apt-get install calculix-ccx)";

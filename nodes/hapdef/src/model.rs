@@ -1,6 +1,7 @@
 //! Forward model: what strain gauges on the inner side of a shell read when the outside is touched.
 //!
-//! A touch spreads its force over a patch of the shell. By reciprocity the strain of a gauge under every force is one solution of
+//! The shell is a thin one by Kirchhoff and Love, or one that shears across its thickness by Reissner and Mindlin
+//! (`medium.theory`). A touch spreads its force over a patch of the shell. By reciprocity the strain of a gauge under every force is one solution of
 //! the shell with the gauge's row as its load, so that after one factorisation and one solution a gauge, a touch costs a few
 //! products. Several touches add up; what a stiffer, deflected shell takes away (`geometric-stiffening`) is taken at each.
 
@@ -8,7 +9,7 @@ mod nodes;
 
 use std::sync::OnceLock;
 
-use dermis_mechanics::shell::{Action, Face, Gauge, Shell, ShellMesh, Support};
+use dermis_mechanics::shell::{Action, Face, Gauge, PlateTheory, Shell, ShellMesh, Support};
 use dermis_model::{DeviceState, ForwardModel, Indentation, Stepped, Stimulus};
 use dermis_skin::cache::{self, Bytes, Keep, Key};
 use dermis_skin::{ModelError, SkinDescription, Surface};
@@ -124,7 +125,7 @@ impl WithSimd for AddUp<'_> {
     }
 }
 
-/// The shell of these numbers.
+/// The shell of these numbers. Its first nodes lie under the points of the surface.
 pub(crate) fn shell(skin: &SkinDescription, parameters: &Parameters) -> Result<Shell, ModelError> {
     let surface = &parameters.surface;
     let points = surface.points.iter().zip(&surface.normals);
@@ -132,15 +133,36 @@ pub(crate) fn shell(skin: &SkinDescription, parameters: &Parameters) -> Result<S
         points: points.map(|(p, n)| parameters.middle(p, n)).collect(),
         triangles: surface.triangles.clone(),
     };
-    let share = 1.0 / parameters.held.len() as f64;
+    let refused = impossible(skin, "surface");
+    match parameters.theory {
+        PlateTheory::KirchhoffLove => {
+            let supports = supports(parameters, &parameters.held);
+            Shell::new(mesh, &parameters.sections, &supports).map_err(refused)
+        }
+        PlateTheory::ReissnerMindlin => {
+            let refined = mesh.graded(|p| {
+                let (outside, normal) = surface.project(&p);
+                parameters.middle(&outside, &normal)
+            });
+            let supports = supports(parameters, &refined.inherit(&parameters.held));
+            let sections = match &parameters.sections[..] {
+                [one] => vec![one.clone()],
+                each => refined.parents.iter().map(|t| each[*t as usize].clone()).collect(),
+            };
+            Shell::new(refined.mesh, &sections, &supports).map_err(refused)
+        }
+    }
+}
+
+fn supports(parameters: &Parameters, held: &[usize]) -> Vec<Support> {
+    let share = 1.0 / held.len() as f64;
     let support = |&node: &usize| match parameters.clamp {
         Clamp::Rigid => Support::clamped(node),
         Clamp::Springs { translation, rotation } => {
             Support::spring(node, translation * share, rotation * share)
         }
     };
-    let supports: Vec<Support> = parameters.held.iter().map(support).collect();
-    Shell::new(mesh, &parameters.sections, &supports).map_err(impossible(skin, "surface"))
+    held.iter().map(support).collect()
 }
 
 /// A gauge as mechanics knows it, across its axis where it is turned by a right angle.
@@ -192,8 +214,11 @@ fn strains(design: &Design) -> Result<Vec<f64>, ModelError> {
     let channels = gauges.len();
     let mut influence = vec![0.0; 3 * channels * parameters.surface.points.len()];
     for (channel, (found, gauge)) in influences.iter().zip(gauges).enumerate() {
-        for (node, all) in influence.chunks_exact_mut(3 * channels).enumerate() {
-            let per_force = found.displacement(node) * gauge.gain;
+        let nodes = influence.chunks_exact_mut(3 * channels).zip(&parameters.surface.normals);
+        for (node, (all, normal)) in nodes.enumerate() {
+            // What acts on the outside also turns the shell, where it acts along it.
+            let turned = found.rotation(node).cross(&(normal * parameters.arm()));
+            let per_force = (found.displacement(node) + turned) * gauge.gain;
             all[3 * channel..][..3].copy_from_slice(per_force.as_slice());
         }
     }
@@ -240,6 +265,12 @@ impl ShellModel {
         })
     }
 
+    /// \[m\] radius over which a touch presses in maps of displacement.
+    #[must_use]
+    pub fn patch(&self) -> f64 {
+        self.patch
+    }
+
     /// The shell itself; solved where that was not needed yet.
     ///
     /// # Errors
@@ -270,7 +301,7 @@ impl ShellModel {
         let Compliance { nodes, mut values, mut scales } = self.rigid();
         let mut sum = vec![0.0f32; nodes];
         let refused = impossible(&self.design.skin, "surface");
-        let green = self.shell()?.normal_green(&self.surface.normals).map_err(refused)?;
+        let green = self.shell()?.normal_green_of_first(&self.surface.normals).map_err(refused)?;
         let mut patch = Vec::new();
         for ((node, out), scale) in values.chunks_exact_mut(nodes).enumerate().zip(&mut scales) {
             let (p, n) = (self.surface.points[node], self.surface.normals[node]);

@@ -3,9 +3,10 @@
 //! CalculiX' own shell elements are expanded into solids, and what their rotations are held by changes the answer of the roof
 //! tenfold; 20-node hexahedra of reduced integration leave nothing to hold but displacements.
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::quadratic::{EDGES, FIRST_SIDE, LAST_SIDE, Quadratic, Share, serendipity};
 use super::{CalculixError, Load, Model, SOURCE};
@@ -166,29 +167,86 @@ struct Both {
 
 impl Both {
     fn new(panel: &Panel) -> Result<Self, CalculixError> {
-        let Section { young_modulus, poisson_ratio, thickness, .. } = *panel.section;
         let supports: Vec<Support> = panel.clamped.iter().map(|&n| Support::clamped(n)).collect();
         let shell = Shell::new(panel.quads.split(), std::slice::from_ref(panel.section), &supports)?;
         let normals = shell.mesh().normals();
-        let solid = extrude(panel.quads, &normals, thickness, |p| p);
-        let (forces, points) = press(&solid, shell.mesh(), &normals, panel)?;
-        let count = normals.len();
-        let mut clamped = vec![false; count];
-        for &n in panel.clamped {
-            clamped[n] = true;
-        }
-        let model = Model {
-            nodes: solid.nodes.clone(),
-            element: "C3D20R",
-            elements: solid.cells.clone(),
-            young_modulus,
-            poisson_ratio,
-            held: clamped_nodes(&solid, |n| clamped[n % count]),
-            sensors: Vec::new(),
-            loads: vec![Load { forces, ..Load::default() }],
-        };
+        let (solid, mut model) = solid_of(panel.quads, &normals, panel.section, panel.clamped);
+        let place = (&panel.centre, panel.patch);
+        let (forces, points) = press(&solid, shell.mesh(), &normals, place, |normal| -normal)?;
+        model.loads.push(Load { forces, ..Load::default() });
         Ok(Self { shell, normals, solid, model, points })
     }
+}
+
+/// A solid with one hexahedron through the thickness on each quadrilateral, and the model of it, without loads.
+fn solid_of(
+    quads: &Quads,
+    normals: &[Vector3<f64>],
+    section: &Section,
+    clamped: &[usize],
+) -> (Quadratic, Model) {
+    let solid = extrude(quads, normals, section.thickness, |p| p);
+    let count = normals.len();
+    let mut holds = vec![false; count];
+    for &n in clamped {
+        holds[n] = true;
+    }
+    let model = Model {
+        nodes: solid.nodes.clone(),
+        element: "C3D20R",
+        elements: solid.cells.clone(),
+        young_modulus: section.young_modulus,
+        poisson_ratio: section.poisson_ratio,
+        held: clamped_nodes(&solid, |n| holds[n % count]),
+        sensors: Vec::new(),
+        loads: Vec::new(),
+    };
+    (solid, model)
+}
+
+/// What touches the outer face of a shell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Touch {
+    /// \[m\] its middle.
+    pub centre: Point3<f64>,
+    /// \[m\] radius R of the patch that it presses on, as (1 − r²/R²)².
+    pub patch: f64,
+    /// \[N\].
+    pub force: Vector3<f64>,
+}
+
+/// What each of `gauges` reads of each of `touches` (one list a touch) on a solid over `quads` that is held at the points
+/// `clamped`, by 20-node hexahedra, one through the thickness.
+///
+/// Each gauge is a load and each touch a reading of its displacements: by reciprocity (E. Betti, 1872) the numbers are the
+/// same as the other way round, and as many touches as one likes cost a solution for each gauge.
+///
+/// # Errors
+///
+/// As [`panel_cases`].
+pub fn touch_readings(
+    quads: &Quads,
+    section: &Section,
+    clamped: &[usize],
+    gauges: &[Gauge],
+    touches: &[Touch],
+) -> Result<Vec<Vec<f64>>, CalculixError> {
+    let mesh = quads.split();
+    let normals = mesh.normals();
+    let (solid, mut model) = solid_of(quads, &normals, section, clamped);
+    for gauge in gauges {
+        let forces = side_strain(&solid, &mesh, &normals, gauge)?;
+        model.loads.push(Load { forces, ..Load::default() });
+    }
+    let answers = model.solve()?;
+    touches
+        .iter()
+        .map(|touch| {
+            let place = (&touch.centre, touch.patch);
+            let (forces, _) = press(&solid, &mesh, &normals, place, |_| touch.force)?;
+            Ok(answers.iter().map(|answer| weighed(&forces, &answer.displacements)).collect())
+        })
+        .collect()
 }
 
 /// How long CalculiX takes for the solid of `panel` under its load, `times` in a row.
@@ -231,8 +289,8 @@ fn compare(panel: &Panel) -> Result<Compared, CalculixError> {
         .gauges
         .iter()
         .map(|gauge| {
-            let reference = side_strain(&solid, solid_moved, mesh, &normals, gauge)?;
-            Ok([moved.dot(&shell.gauge(gauge)?.row), reference])
+            let row = side_strain(&solid, mesh, &normals, gauge)?;
+            Ok([moved.dot(&shell.gauge(gauge)?.row), weighed(&row, solid_moved)])
         })
         .collect::<Result<Vec<_>, CalculixError>>()?;
     let normal = normals[under];
@@ -281,54 +339,62 @@ fn clamped_nodes(solid: &Quadratic, clamped: impl Fn(usize) -> bool) -> Vec<(usi
 /// Nodal forces, and the points that they stand for.
 type Pressed = (Vec<(usize, Vector3<f64>)>, Vec<Share>);
 
-/// Nodal forces on the outer face, and the points that they stand for: 1 N in all, inwards, spread as (1 − r²/R²)².
+/// Nodal forces on the outer face, and the points that they stand for: `force` \[N\] in all, spread as (1 − r²/R²)² about
+/// `centre` \[m\] with a radius R of `patch` \[m\]. Where a part of the patch hangs over an edge, what is left is weighed so that
+/// its mean place stays the centre: the moment of the whole is that of the force.
 fn press(
     solid: &Quadratic,
     mesh: &ShellMesh,
     normals: &[Vector3<f64>],
-    panel: &Panel,
+    (centre, patch): (&Point3<f64>, f64),
+    force: impl Fn(&Vector3<f64>) -> Vector3<f64>,
 ) -> Result<Pressed, CalculixError> {
-    let Some(foot) = Foot::new(mesh, normals, &panel.centre) else {
+    let Some(foot) = Foot::new(mesh, normals, centre) else {
         return Err(CalculixError::Results("node"));
     };
-    let inwards = -foot.normal;
-    let from_axis = |p: &Point3<f64>| {
-        let way = p - foot.point;
-        (way - foot.normal * way.dot(&foot.normal)).norm()
+    let force = force(&foot.normal);
+    let [first, second] = dermis_model::tangents(&foot.normal);
+    // 1, and the place along the surface as a share of the radius.
+    let place = |p: &Point3<f64>| {
+        let way = (p - foot.point) / patch;
+        Vector3::new(1.0, way.dot(&first), way.dot(&second))
     };
-    let near = |cell: &usize| {
-        solid.cells[*cell].iter().any(|n| (solid.nodes[*n] - foot.point).norm() < 3.0 * panel.patch)
+    let share = |p: &Point3<f64>| (1.0 - place(p).yz().norm_squared()).max(0.0).powi(2);
+    let near =
+        |cell: &usize| solid.cells[*cell].iter().any(|n| (solid.nodes[*n] - foot.point).norm() < 3.0 * patch);
+    let spread = |weight: &dyn Fn(&Point3<f64>) -> f64| {
+        solid.spread((0..solid.cells.len()).filter(near), |p| force * (share(p) * weight(p)))
     };
-    let (forces, points) = solid.spread((0..solid.cells.len()).filter(near), |p| {
-        inwards * (1.0 - (from_axis(p) / panel.patch).powi(2)).max(0.0).powi(2)
+    let length = force.norm();
+    let moments = spread(&|_| 1.0).1.iter().fold(Matrix3::zeros(), |sum: Matrix3<f64>, (p, f)| {
+        sum + place(p) * place(p).transpose() * (f.norm() / length)
     });
-    let total: f64 = points.iter().map(|(_, f)| f.norm()).sum();
-    if total <= 0.0 {
-        let p = panel.centre;
-        return Err(MechanicsError::NoMaterial { x: p.x, y: p.y, z: p.z }.into());
-    }
+    let Some(weights) = moments.try_inverse().map(|inverse| inverse * Vector3::x()) else {
+        return Err(MechanicsError::NoMaterial { x: centre.x, y: centre.y, z: centre.z }.into());
+    };
+    let (forces, points) = spread(&|p| place(p).dot(&weights));
     let on = |f: &Vector3<f64>| f.norm() > 0.0;
     Ok((
-        forces.into_iter().filter(|(_, f)| on(f)).map(|(n, f)| (n, f / total)).collect(),
-        points.into_iter().filter(|(_, f)| on(f)).map(|(p, f)| (p, f / total)).collect(),
+        forces.into_iter().filter(|(_, f)| on(f)).collect(),
+        points.into_iter().filter(|(_, f)| on(f)).collect(),
     ))
 }
 
-/// Mean strain of a solid's face along a gauge, over what of its rectangle lies on material.
+/// Mean strain of a solid's face along a gauge, over what of its rectangle lies on material, as a linear function of how the
+/// nodes move: node and \[1/m\].
 fn side_strain(
     solid: &Quadratic,
-    moved: &[Vector3<f64>],
     mesh: &ShellMesh,
     normals: &[Vector3<f64>],
     gauge: &Gauge,
-) -> Result<f64, CalculixError> {
+) -> Result<Vec<(usize, Vector3<f64>)>, CalculixError> {
     let Footprint { foot, along, across, normal } = Footprint::new(mesh, normals, gauge)?;
     let side = match gauge.face {
         Face::Outer => LAST_SIDE,
         Face::Inner | Face::Middle => FIRST_SIDE,
     };
     let reach = gauge.length.hypot(gauge.width);
-    let (mut sum, mut area) = (0.0, 0.0);
+    let (mut row, mut area) = (BTreeMap::<usize, Vector3<f64>>::new(), 0.0);
     for cell in &solid.cells {
         let nodes = side.map(|n| cell[n]);
         if (solid.nodes[nodes[0]] - foot).norm() > 4.0 * reach {
@@ -337,15 +403,13 @@ fn side_strain(
         for i in 0..FINE {
             for j in 0..FINE {
                 let [x, y] = [i, j].map(|k| (2.0 * f64::from(k) + 1.0) / f64::from(FINE) - 1.0);
+                let shapes = serendipity(x, y);
                 let (mut at, mut a, mut b) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
-                let (mut ua, mut ub) = (Vector3::zeros(), Vector3::zeros());
-                for (n, [value, dx, dy]) in nodes.iter().zip(serendipity(x, y)) {
+                for (n, [value, dx, dy]) in nodes.iter().zip(shapes) {
                     let p = solid.nodes[*n].coords;
                     at += p * value;
                     a += p * dx;
                     b += p * dy;
-                    ua += moved[*n] * dx;
-                    ub += moved[*n] * dy;
                 }
                 let from = Point3::from(at) - foot;
                 let outward = a.cross(&b);
@@ -361,18 +425,25 @@ fn side_strain(
                 let t = (along - unit * along.dot(&unit)).normalize();
                 let share =
                     |p: &Vector3<f64>, q: &Vector3<f64>| t.cross(q).dot(&unit) / p.cross(q).dot(&unit);
-                let change = ua * share(&a, &b) + ub * share(&b, &a);
-                sum += change.dot(&t) * outward.norm();
+                let (along_a, along_b) = (share(&a, &b), share(&b, &a));
+                for (n, [_, dx, dy]) in nodes.iter().zip(shapes) {
+                    *row.entry(*n).or_default() += t * ((dx * along_a + dy * along_b) * outward.norm());
+                }
                 area += outward.norm();
             }
         }
     }
     if area > 0.0 {
-        Ok(sum / area)
+        Ok(row.into_iter().map(|(n, weight)| (n, weight / area)).collect())
     } else {
         let p = gauge.centre;
         Err(MechanicsError::NoMaterial { x: p.x, y: p.y, z: p.z }.into())
     }
+}
+
+/// What `weights` make of how nodes moved: a reading, or the work of forces.
+fn weighed(weights: &[(usize, Vector3<f64>)], moved: &[Vector3<f64>]) -> f64 {
+    weights.iter().map(|(n, weight)| weight.dot(&moved[*n])).sum()
 }
 
 /// The roof of Scordelis and Lo, a quarter of it, 8 by 8 cells: displacement of the free edge's middle.

@@ -10,9 +10,9 @@
 
 use std::collections::{HashMap, HashSet};
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
-use super::ShellMesh;
+use super::{Quads, ShellMesh};
 
 /// \[rad\] of material around a point of an edge from which on it counts as a corner that goes in.
 const CORNER: f64 = 1.15 * std::f64::consts::PI;
@@ -184,10 +184,33 @@ impl ShellMesh {
     }
 }
 
+impl Quads {
+    /// The surface with every quadrilateral split into four; `place` moves middles to where the surface is. Points of before
+    /// come first and stay.
+    #[must_use]
+    pub fn quartered(&self, place: impl Fn(Point3<f64>) -> Point3<f64>) -> Self {
+        let mut points = self.points.clone();
+        let mut middles: HashMap<Edge, u32> = HashMap::new();
+        let mut quads = Vec::with_capacity(4 * self.quads.len());
+        for &[a, b, c, d] in &self.quads {
+            let [e, f, g, h] = [edge(a, b), edge(b, c), edge(c, d), edge(d, a)].map(|side| {
+                *middles.entry(side).or_insert_with(|| {
+                    points.push(place(nalgebra::center(&points[side.0 as usize], &points[side.1 as usize])));
+                    points.len() as u32 - 1
+                })
+            });
+            let sum = [a, b, c, d].iter().fold(Vector3::zeros(), |sum, n| sum + points[*n as usize].coords);
+            points.push(place(Point3::from(sum / 4.0)));
+            let m = points.len() as u32 - 1;
+            quads.extend([[a, e, m, h], [e, b, f, m], [m, f, c, g], [h, m, g, d]]);
+        }
+        Self { points, quads }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shell::Quads;
 
     /// 60 mm by 60 mm with an opening of 20 mm by 20 mm in its middle.
     fn frame() -> ShellMesh {
@@ -265,6 +288,17 @@ mod tests {
         let expected: Vec<usize> = (0..points.len()).filter(|n| points[*n].x == 0.0).collect();
         assert!(expected.len() == 2 * held.len() - 1);
         assert_eq!(refined.inherit(&held), expected);
+    }
+
+    #[test]
+    fn quartered_quadrilaterals_make_up_the_whole() {
+        let quads = Quads::grid(4, 2, |x, y| Point3::new(0.04 * x, 0.01 * y + 0.02 * x * y, 0.0));
+        let finer = quads.quartered(|p| p);
+        assert_eq!((finer.points.len(), finer.quads.len()), (9 * 5, 8 * 4));
+        assert_eq!(finer.points[..quads.points.len()], quads.points[..]);
+        let area = |q: &Quads| q.split().areas().iter().sum::<f64>();
+        assert!((area(&finer) / area(&quads) - 1.0).abs() < 1e-12);
+        assert!(finer.split().normals().iter().all(|n| n.z > 0.999));
     }
 
     #[test]

@@ -82,6 +82,78 @@ fn a_touch_reads_as_the_shell_under_the_same_forces() {
     }
 }
 
+/// The coarser shin, computed by the theory that shears.
+fn shearing() -> ShellModel {
+    let mut skin = coarse();
+    skin.medium.insert("theory".into(), "reissner-mindlin".into());
+    ShellModel::new(&skin).unwrap()
+}
+
+#[test]
+fn a_shell_that_shears_is_touched_on_its_outside() {
+    let model = shearing();
+    let shell = model.shell().unwrap();
+    let surface = &model.surface;
+    // Refined, and the first nodes under the surface's points.
+    assert!(shell.mesh().points.len() > 2 * surface.points.len());
+    let thickness = 0.002;
+    for ((p, n), middle) in surface.points.iter().zip(&surface.normals).zip(&shell.mesh().points) {
+        assert!((p - n * (thickness / 2.0) - middle).norm() < 1e-12);
+    }
+    let (position, normal) = surface.project(&at(0.010, 0.0108));
+    let contact = Indentation::sphere(position, -normal * 12.0 + Vector3::x() * 5.0, 0.010);
+    let mut patch = Vec::new();
+    model.nodes.patch(surface, &position, &normal, 0.005, &mut patch);
+    let parts: Vec<(f64, Action)> = patch
+        .iter()
+        .flat_map(|&(n, w)| {
+            let arm = surface.normals[n] * (thickness / 2.0);
+            [(w, Action::force(n, contact.force)), (w, Action::moment(n, arm.cross(&contact.force)))]
+        })
+        .collect();
+    let load = Action::sum(parts.iter().map(|(w, part)| (*w, part)));
+    let direct = shell.solve(&[load]).unwrap().remove(0);
+    let parameters = Parameters::nominal(&coarse()).unwrap();
+    for (gauge, strain) in parameters.gauges.iter().zip(read(&model, vec![contact])) {
+        let row = shell.gauge(&rectangle(gauge, thickness, false)).unwrap().row;
+        assert_relative_eq!(direct.dot(&row), strain, max_relative = 1e-6, epsilon = 1e-12);
+    }
+}
+
+#[test]
+fn a_shell_that_shears_gives_way_more() {
+    let (thin, shearing) = (&MODEL, shearing());
+    let contacts = || vec![press(thin, at(0.010, 0.0108), 12.0)];
+    let norm = |all: &[f64]| all.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let strain = norm(&read(&shearing, contacts())) / norm(&read(thin, contacts()));
+    assert!((1.02..1.4).contains(&strain), "{strain}");
+    let depth = norm(&map(&shearing, contacts())) / norm(&map(thin, contacts()));
+    assert!((1.02..1.4).contains(&depth), "{depth}");
+}
+
+#[test]
+fn effects_that_differ_from_triangle_to_triangle_reach_its_pieces() {
+    let skin = |theory: &str| {
+        let mut skin = coarse();
+        skin.medium.insert("theory".into(), theory.into());
+        skin
+    };
+    let mut with = skin("reissner-mindlin");
+    with.effects = vec![dermis_skin::Effect::new("thickness-field")];
+    let [even, uneven] = [&skin("reissner-mindlin"), &with].map(|skin| ShellModel::new(skin).unwrap());
+    let contacts = || vec![press(&even, at(0.010, 0.0108), 12.0)];
+    let (a, b) = (read(&even, contacts()), read(&uneven, contacts()));
+    let change: f64 =
+        a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.iter().map(|a| a.abs()).sum::<f64>();
+    assert!((0.005..0.5).contains(&change), "{change}");
+}
+
+#[test]
+fn a_theory_that_is_none_is_refused() {
+    let wrong = refused("thickness = 0.002", "theory = \"thick\"\nthickness = 0.002");
+    assert!(wrong.contains("medium.theory") && wrong.contains("reissner-mindlin"), "{wrong}");
+}
+
 #[test]
 fn a_patch_carries_its_force_where_the_touch_is() {
     let surface = &MODEL.surface;
@@ -134,7 +206,7 @@ fn refusals_name_field_and_remedy() {
     insta::assert_snapshot!(refused("unit = \"1\"", "unit = \"V\""), @r#"skin `hapdef-shin`: field `unit`: is "V" where strain gauges read "1""#);
     insta::assert_snapshot!(refused("thickness = 0.002", "thickness = -0.002"), @"skin `hapdef-shin`: field `medium.thickness`: is -0.002 and must be a positive number");
     insta::assert_snapshot!(refused("poisson_ratio = 0.394", "poisson_ratio = 0.5"), @"skin `hapdef-shin`: field `medium.poisson_ratio`: is 0.5 and must be at least 0 and below 0.5");
-    insta::assert_snapshot!(refused("patch = 0.005", "pach = 0.005"), @"skin `hapdef-shin`: field `medium.pach`: unknown field `pach`, expected one of `thickness`, `young_modulus`, `poisson_ratio`, `gauge`, `patch`, `clamp`, `bridge`");
+    insta::assert_snapshot!(refused("patch = 0.005", "pach = 0.005"), @"skin `hapdef-shin`: field `medium.pach`: unknown field `pach`, expected one of `thickness`, `young_modulus`, `poisson_ratio`, `gauge`, `patch`, `theory`, `clamp`, `bridge`");
     insta::assert_snapshot!(refused("gain = 330.0", "gain = 0.0"), @"skin `hapdef-shin`: field `medium.bridge.gain`: is 0 and must be a positive number");
     // Gauge g0 above the surface, over an opening, without a direction, and with a foreign normal.
     let first = SHIN.lines().find(|l| l.contains("\"g0\"")).unwrap();
