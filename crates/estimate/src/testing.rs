@@ -208,17 +208,24 @@ impl TestBundle {
                 column += 1;
             }
         }
-        let mut graph = GraphBuilder::new("linear");
-        let x = graph.input("input", &[1, inputs]);
-        let w = graph.constant("weight", &[inputs, outputs], &weights);
-        let y = graph.matmul(&x, &w);
-        graph.output("output", &y, &[1, outputs]);
         let mut manifest =
             Manifest::new("linear", skin, self.baseline, input, output, TrainingSection::default());
         manifest.force_range = Some([0.0, 5.0]);
         manifest.inversion.clone_from(&self.inversion);
-        BundleWriter::new(manifest).write(folder, &graph.finish().unwrap()).unwrap();
+        BundleWriter::new(manifest)
+            .write(folder, &linear_graph("linear", [inputs, outputs], &weights))
+            .unwrap();
     }
+}
+
+/// A graph that multiplies `input` by weights (inputs × outputs, row by row): an ONNX file.
+pub fn linear_graph(name: &str, [inputs, outputs]: [usize; 2], weights: &[f32]) -> Vec<u8> {
+    let mut graph = GraphBuilder::new(name);
+    let x = graph.input("input", &[1, inputs]);
+    let w = graph.constant("weight", &[inputs, outputs], weights);
+    let y = graph.matmul(&x, &w);
+    graph.output("output", &y, &[1, outputs]);
+    graph.finish().unwrap()
 }
 
 /// An estimator with these bundles.

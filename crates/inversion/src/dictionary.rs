@@ -95,8 +95,8 @@ impl Dictionary {
     }
 }
 
-/// Points of a surface with their normals, so that none is nearer than `spacing` to another; each stands for the area of
-/// the points that are nearest to it.
+/// Points of a surface with their normals, so that none is nearer than `spacing` to another; each stands for its own area and that of
+/// the points that it kept out: a point counts with the place that is nearest to it when its turn comes.
 fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Place> {
     let cell = |p: &Point3<f64>| p.coords.map(|v| (v / spacing).floor() as i64);
     let mut cells = std::collections::BTreeMap::<[i64; 3], Vec<usize>>::new();
@@ -144,24 +144,27 @@ mod tests {
     }
 
     #[test]
-    fn a_place_stands_for_the_area_of_the_points_nearest_to_it() {
+    fn a_place_stands_for_the_area_of_the_points_that_it_keeps_out() {
         let surface = uneven();
         assert_eq!(surface.points.len(), 18);
         // Every point is a place.
         let all = thin(&surface, None, 0.0005);
         assert_eq!(all.iter().map(|p| p.area).collect::<Vec<_>>(), surface.areas);
-        // On the line both rows fall together, and places lie three points apart; no point is as near to one place as to another.
+        // On the line both rows fall together, and places lie three points apart. The same without cells; no point is as near to
+        // one place as to another.
         let places = thin(&surface, Some(0.0), 0.0025);
-        assert_eq!(places.len(), 3);
-        let at = |x: f64| Point3::new(x, 0.0, 0.0);
-        for (number, place) in places.iter().enumerate() {
-            let nearest = |p: &Point3<f64>| {
-                let far = |k: &usize| (places[*k].position - at(p.x)).norm();
-                (0..3).min_by(|a, b| far(a).total_cmp(&far(b))) == Some(number)
-            };
-            let points = surface.points.iter().zip(&surface.areas);
-            let area: f64 = points.filter(|(p, _)| nearest(p)).map(|(_, area)| area).sum();
-            approx::assert_relative_eq!(place.area, area, max_relative = 1e-12);
+        let mut expected: Vec<(f64, f64)> = Vec::new();
+        for (point, area) in surface.points.iter().zip(&surface.areas) {
+            let far = |place: &(f64, f64)| (place.0 - point.x).abs();
+            match expected.iter_mut().min_by(|a, b| far(a).total_cmp(&far(b))) {
+                Some(place) if far(place) < 0.0025 => place.1 += area,
+                _ => expected.push((point.x, *area)),
+            }
+        }
+        assert_eq!((places.len(), expected.len()), (3, 3));
+        for (place, (x, area)) in places.iter().zip(&expected) {
+            assert_eq!(place.position.x, *x);
+            approx::assert_relative_eq!(place.area, *area, max_relative = 1e-12);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! What the channels of a skin read over places and forces: of a forward model, or of a recording.
 //!
 //! Readings here are signals: the zero of a recording is subtracted, and so are a model's own untouched readings. They are oriented:
-//! a channel whose strongest signal is negative (a foam whose voltage falls, a gauge that is compressed) counts with its sign turned
+//! a channel that a force changes most downwards (a foam whose voltage falls, a gauge that is compressed) counts with its sign turned
 //! ([`Responses::orientation`]), so that every channel rises where it is pressed most. The thesis' definition of an isoline, the force
 //! at a place that makes a channel read one value, then holds for both signs. Where a signal rises and falls again, the isoline is its
 //! first branch, the least of these forces: it is the one that bounds from which force on a contact can be located. What a channel
@@ -164,11 +164,14 @@ impl Responses {
         Ok(Self { points, forces, channels, values, noise, orientation: vec![1.0; channels] }.oriented())
     }
 
-    /// Turns the sign of every channel whose strongest reading is negative.
+    /// Turns the sign of every channel that a force changes most downwards.
     fn oriented(mut self) -> Self {
         for channel in 0..self.channels {
-            let curves = (0..self.points.len()).flat_map(|place| self.curve(place, channel));
-            let known = curves.copied().filter(|value| value.is_finite());
+            let changes = |place| {
+                let curve = self.curve(place, channel);
+                curve.iter().map(|value| value - curve[0])
+            };
+            let known = (0..self.points.len()).flat_map(changes).filter(|change| change.is_finite());
             let (low, high) = known.fold((0.0, 0.0), |(low, high): (f64, f64), v| (low.min(v), high.max(v)));
             if -low > high {
                 self.turn(channel);
@@ -196,7 +199,7 @@ impl Responses {
         self
     }
 
-    /// 1 for a channel whose readings count as they are, −1 for one whose strongest signal is negative: its readings here are those
+    /// 1 for a channel whose readings count as they are, −1 for one that a force changes most downwards: its readings here are those
     /// of the device with their sign turned.
     #[must_use]
     pub fn orientation(&self, channel: usize) -> f64 {

@@ -12,7 +12,7 @@ use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use dermis_inference::onnx::GraphBuilder;
+use dermis_estimate::testing::linear_graph;
 use dermis_inference::{
     Baseline, Bundle, BundleWriter, CorrectionSection, FeatureConfig, MAP_DISPLACEMENT, Manifest,
     ModelSection, OutputConfig, OutputSpec, PeakSection, TrainingSection,
@@ -85,17 +85,14 @@ fn bundle(folder: &Path, settings: Settings) -> PathBuf {
             .map(|(name, unit, value)| OutputSpec::new(*name, *unit, *value, 1.0))
             .collect(),
     };
-    let mut graph = GraphBuilder::new("nothing");
-    let x = graph.input("input", &[1, channels]);
-    let w = graph.constant("weight", &[channels, answers.len()], &vec![0.0; channels * answers.len()]);
-    let y = graph.matmul(&x, &w);
-    graph.output("output", &y, &[1, answers.len()]);
+    let weights = vec![0.0; channels * answers.len()];
+    let graph = linear_graph("nothing", [channels, answers.len()], &weights);
     let mut manifest =
         Manifest::new("shin", &skin, Baseline::Tared, input, output, TrainingSection::default());
     manifest.force_range = Some([0.0, 35.0]);
     manifest.inversion = Some(settings);
     let path = folder.join("bundle");
-    BundleWriter::new(manifest).write(&path, &graph.finish().unwrap()).unwrap();
+    BundleWriter::new(manifest).write(&path, &graph).unwrap();
     path
 }
 
@@ -625,16 +622,8 @@ fn maps_bundle(folder: &Path) -> PathBuf {
     });
     // Inputs × outputs, row by row, for inputs in units of 1e-4.
     let weights: Vec<f32> = (bells * amplitudes * 1e-4).iter().map(|v| *v as f32).collect();
-    let mut graph = GraphBuilder::new("maps");
-    let x = graph.input("input", &[1, channels]);
-    let w = graph.constant("weight", &[channels, points], &weights);
-    let y = graph.matmul(&x, &w);
-    graph.output("output", &y, &[1, points]);
-    let mut sensitivity = GraphBuilder::new("sensitivity");
-    let x = sensitivity.input("input", &[1, 4]);
-    let w = sensitivity.constant("weight", &[4, 1], &[0.0, 0.0, 0.0, (FORCE / DEEP) as f32]);
-    let y = sensitivity.matmul(&x, &w);
-    sensitivity.output("output", &y, &[1, 1]);
+    let graph = linear_graph("maps", [channels, points], &weights);
+    let sensitivity = linear_graph("sensitivity", [4, 1], &[0.0, 0.0, 0.0, (FORCE / DEEP) as f32]);
     let mut map = OutputSpec::new(MAP_DISPLACEMENT, "m", 0.0, 1.0);
     map.count = points;
     let input = FeatureConfig::newest(vec![0.0; channels], vec![1e-4; channels]);
@@ -650,9 +639,9 @@ fn maps_bundle(folder: &Path) -> PathBuf {
         sensitivity: ModelSection::default(),
     });
     let mut writer = BundleWriter::new(manifest);
-    writer.sensitivity = Some(sensitivity.finish().unwrap());
+    writer.sensitivity = Some(sensitivity);
     let path = folder.join("maps");
-    writer.write(&path, &graph.finish().unwrap()).unwrap();
+    writer.write(&path, &graph).unwrap();
     path
 }
 

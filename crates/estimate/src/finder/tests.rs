@@ -1,7 +1,6 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use dermis_inference::onnx::GraphBuilder;
 use dermis_inference::{
     Baseline, Bundle, BundleWriter, FeatureConfig, MAP_DISPLACEMENT, Manifest, ModelSection, OutputConfig,
     OutputSpec, PeakSection, Runtime, RuntimeConfig, TrainingSection,
@@ -12,7 +11,9 @@ use dermis_skin::{Estimator, ForceComponents, Frame, SkinDescription};
 use nalgebra::{Point3, Vector3};
 
 use super::*;
-use crate::testing::{STRETCHED, TestBundle, load_for, membrane, nine, skin_with, tared_estimator};
+use crate::testing::{
+    STRETCHED, TestBundle, linear_graph, load_for, membrane, nine, skin_with, tared_estimator,
+};
 use crate::{SetupError, SkinEstimator};
 
 const MS: Stamp = 1_000_000;
@@ -132,14 +133,6 @@ fn write_map(skin: &SkinDescription, folder: &Path) {
             .unwrap();
         weights[channel * points + above] = 1.0;
     }
-    let linear = |name: &str, [inputs, outputs]: [usize; 2], weights: &[f32]| {
-        let mut graph = GraphBuilder::new(name);
-        let x = graph.input("input", &[1, inputs]);
-        let w = graph.constant("weight", &[inputs, outputs], weights);
-        let y = graph.matmul(&x, &w);
-        graph.output("output", &y, &[1, outputs]);
-        graph.finish().unwrap()
-    };
     let mut map = OutputSpec::new(MAP_DISPLACEMENT, "m", 0.0, 1e-3);
     map.count = points;
     let input = FeatureConfig::newest(vec![0.0; 9], vec![1000.0; 9]);
@@ -153,8 +146,8 @@ fn write_map(skin: &SkinDescription, folder: &Path) {
         sensitivity: ModelSection { interface: PeakSection::interface(), ..ModelSection::default() },
     });
     let mut writer = BundleWriter::new(manifest);
-    writer.sensitivity = Some(linear("sensitivity", [4, 1], &[0.0, 0.0, 0.0, 500.0]));
-    writer.write(folder, &linear("map", [9, points], &weights)).unwrap();
+    writer.sensitivity = Some(linear_graph("sensitivity", [4, 1], &[0.0, 0.0, 0.0, 500.0]));
+    writer.write(folder, &linear_graph("map", [9, points], &weights)).unwrap();
 }
 
 #[test]

@@ -153,3 +153,13 @@ fn of_a_signal_that_rises_and_falls_the_first_branch_counts() {
         assert_eq!(responses.force_for(0, 0, 0.51), None);
     }
 }
+
+#[test]
+fn a_reading_below_zero_that_rises_is_not_turned() {
+    // The normalised setting reads −30 or less far from a taxel, and one unit more for each newton everywhere.
+    let model = crate::testing::ideal(6, 2.0, 0.02);
+    let points = [Point3::new(-0.02, 0.0, 0.0), Point3::new(0.02, 0.0, 0.0)];
+    let responses = Responses::of_model(&model, &points, &force_ladder(10.0, 20), 0.004).unwrap();
+    assert!(responses.reading(0, 5, 0.0) < -30.0, "{}", responses.reading(0, 5, 0.0));
+    assert!((0..6).all(|channel| responses.orientation(channel) == 1.0));
+}
