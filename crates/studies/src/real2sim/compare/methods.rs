@@ -64,13 +64,17 @@ pub(super) fn prepare(
     let presses = Presses::of(skin, &recorded);
     let most = Most { all: options.learn, kernels: options.vectors };
     let mut notes = tuned.notes;
+    let (network, _) = regressions::network(skin, &presses, most.all)?;
+    let mut network: Option<Named> = Some(("feed-forward network".into(), Box::new(network)));
+    // The order of the published rows.
     for method in [Method::Vectors, Method::Neighbours, Method::Trees, Method::Gaussian] {
+        if method == Method::Trees {
+            methods.extend(network.take());
+        }
         let (finder, settings) = regressions::tuned(method, skin, &presses, most)?;
         methods.push((method.in_words().into(), Box::new(finder)));
         notes[method.in_words()] = settings;
     }
-    let (network, _) = regressions::network(skin, &presses, most.all)?;
-    methods.push(("feed-forward network".into(), Box::new(network)));
     notes["recorded"] = json!(recorded.len());
     Ok(Prepared { methods, notes })
 }
