@@ -292,6 +292,7 @@ fn realism(root: &Path) -> Result<Value> {
                 "position_rms_mm": errors,
                 "thesis_mm": thesis,
                 "factor": factor,
+                "not_found": found["not_found"],
                 "position_median_mm": found["figures"]["position_median"].as_f64().map(|v| v * 1e3),
             }),
         );

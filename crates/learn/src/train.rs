@@ -4,6 +4,8 @@
 //! What a model sees in training is what it sees in a node: frames are tared by
 //! [`ZeroTracker`](dermis_skin::ZeroTracker) and become inputs in [`Features`](dermis_inference::Features).
 
+mod balance;
+mod candidates;
 mod checkpoint;
 mod choose;
 pub mod command;
@@ -18,10 +20,10 @@ mod run;
 #[cfg(feature = "train")]
 mod run_conv;
 
+pub use candidates::{Candidate, ModelChoice};
 pub use choose::{Choice, Judged};
 pub use config::{
-    Activation, Candidate, ConvConfig, FeatureChoice, InputForm, ModelChoice, NetworkConfig, Scaling,
-    TrainConfig, TrainingConfig,
+    Activation, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig,
 };
 pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};

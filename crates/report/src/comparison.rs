@@ -30,6 +30,11 @@ pub fn text(findings: &Findings) -> Result<String> {
     for (quantity, bound, unit, factor) in
         [("position", "position", "mm", 1e3), ("force.normal", "normal_force", "N", 1.0)]
     {
+        if findings.methods.iter().all(|(_, e)| !e.quantities.contains_key(quantity)) {
+            let _ =
+                writeln!(out, "\n{quantity}: no estimator gives it, or it is not known in these recordings");
+            continue;
+        }
         let _ = write!(out, "\n{quantity} RMSE [{unit}] by force [N]\n{:<38}", "");
         for (i, from) in bins.iter().enumerate() {
             let head = bins.get(i + 1).map_or_else(|| format!("{from}+"), |to| format!("{from}-{to}"));

@@ -77,6 +77,11 @@ fn table(own: &Evaluation, others: &[BaselineComparison]) -> String {
             let _ = writeln!(out);
         }
     }
+    if out.is_empty() {
+        out.push_str(
+            "\n  no errors by force: neither place nor normal force of these contacts is given and known\n",
+        );
+    }
     out
 }
 
@@ -113,6 +118,27 @@ mod tests {
             evaluator.push(id, &truth, &Estimate { contacts: vec![contact], ..Estimate::default() });
         }
         evaluator.finish("made up")
+    }
+
+    #[test]
+    fn figures_with_everything_come_first() {
+        let some = Findings {
+            everything: Some((evaluation(0.0009, 0.1), Vec::new())),
+            evaluation: evaluation(0.0002, 0.1),
+            bound: None,
+            own: None,
+            others: Vec::new(),
+            verdicts: dermis_learn::Verdicts::of(&[], &evaluation(0.0, 0.0)),
+        };
+        let text = text(&some);
+        let (with, without) = (text.find("1.800").unwrap(), text.find("0.400").unwrap());
+        assert!(with < without, "{text}");
+    }
+
+    #[test]
+    fn an_empty_table_has_a_sentence() {
+        let empty = Evaluator::new().finish("nothing");
+        assert!(table(&empty, &[]).contains("no errors by force"), "{}", table(&empty, &[]));
     }
 
     #[test]

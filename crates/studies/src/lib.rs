@@ -23,7 +23,6 @@ use std::sync::Arc;
 
 use anyhow::Result;
 use dermis_inference::{Runtime, RuntimeConfig};
-use dermis_learn::Sample;
 use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
 use dermis_skin::{Estimator, SkinDescription};

@@ -16,7 +16,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use dermis_regress::{Fitted, KernelExpansion, Method, Rows, Settings, Tuning};
 use serde::Serialize;
 
-use super::config::{Candidate, TrainConfig};
+use super::candidates::Candidate;
+use super::config::TrainConfig;
 use super::network::{Batch, Mlp, fit};
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId};

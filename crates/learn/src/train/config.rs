@@ -1,12 +1,12 @@
 //! What is trained, and how.
 
-use dermis_regress::Method;
 use std::path::Path;
 
 use dermis_inference::{Baseline, FeatureConfig, Missing, Taps};
 use dermis_skin::ImageGrid;
 use serde::{Deserialize, Serialize};
 
+use super::candidates::{self, ModelChoice};
 use crate::dataset::Truth;
 use crate::target::{MapTarget, Target};
 use crate::{LearnError, SplitConfig};
@@ -69,77 +69,6 @@ pub struct TrainConfig {
 
 fn tared() -> Baseline {
     Baseline::Tared
-}
-
-/// Which regressors may be the model. Of several, each quantity (positions, forces, contact) is answered by the one that errs least
-/// on it in cross-validation within the training part: between runs where there are several, else between locations.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ModelChoice {
-    /// Who is judged.
-    pub candidates: Vec<Candidate>,
-    /// Rows that support vectors and Gaussian processes learn from at most; of more, every n-th is taken. Their graph grows with it.
-    pub most: usize,
-    /// Folds at most.
-    pub folds: usize,
-}
-
-impl Default for ModelChoice {
-    fn default() -> Self {
-        Self { candidates: vec![Candidate::Network], most: 2000, folds: 5 }
-    }
-}
-
-impl ModelChoice {
-    fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
-}
-
-/// A regressor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Candidate {
-    /// The network, or the mean of several (`network.members`).
-    Network,
-    /// ε-support vectors.
-    Vectors,
-    /// The mean of a Gaussian process.
-    Gaussian,
-    /// Extremely randomised trees. Only to be compared with: see [`exports`](Self::exports).
-    Trees,
-    /// Nearest neighbours. Only to be compared with: see [`exports`](Self::exports).
-    Neighbours,
-}
-
-impl Candidate {
-    /// For people.
-    #[must_use]
-    pub fn in_words(self) -> &'static str {
-        match self {
-            Self::Network => "network",
-            Self::Vectors => "support vectors",
-            Self::Gaussian => "Gaussian process",
-            Self::Trees => "extra trees",
-            Self::Neighbours => "nearest neighbours",
-        }
-    }
-
-    /// Whether a bundle can hold it. Trees are an operator of their own in ONNX (`TreeEnsembleRegressor`), which the embedded runtime
-    /// does not have; neighbours sort.
-    #[must_use]
-    pub fn exports(self) -> bool {
-        !matches!(self, Self::Trees | Self::Neighbours)
-    }
-
-    /// The regression, of one that is a sum of kernels.
-    pub(super) fn kernel(self) -> Option<Method> {
-        match self {
-            Self::Vectors => Some(Method::Vectors),
-            Self::Gaussian => Some(Method::Gaussian),
-            Self::Network | Self::Trees | Self::Neighbours => None,
-        }
-    }
 }
 
 /// The part of [`FeatureConfig`] that is chosen; mean and scale are measured on the training part.
@@ -371,7 +300,7 @@ impl TrainConfig {
         if !(1..=64).contains(&self.network.members) {
             return wrong("network.members", format!("is {} and must be 1 to 64", self.network.members));
         }
-        self.check_candidates(&wrong)?;
+        candidates::check(self, &wrong)?;
         let newest_first = match &self.features.taps {
             Taps::Frames(delays) => delays.first() == Some(&0),
             Taps::Seconds(delays) => delays.first() == Some(&0.0),
@@ -426,46 +355,6 @@ impl TrainConfig {
         }
         if t.seed > i64::MAX.cast_unsigned() {
             return wrong("training.seed", "is beyond 2^63 - 1".into());
-        }
-        Ok(())
-    }
-
-    fn check_candidates(
-        &self,
-        wrong: &dyn Fn(&str, String) -> Result<(), LearnError>,
-    ) -> Result<(), LearnError> {
-        let ModelChoice { candidates, most, folds } = &self.model;
-        for (i, candidate) in candidates.iter().enumerate() {
-            let field = format!("model.candidates[{i}]");
-            if !candidate.exports() {
-                let who = candidate.in_words();
-                return wrong(
-                    &field,
-                    format!(
-                        "is {who}, which no bundle can hold: the embedded runtime has no operator for them; `dermis compare` \
-                         measures them"
-                    ),
-                );
-            }
-            if candidates[..i].contains(candidate) {
-                return wrong(&field, format!("{} is already a candidate", candidate.in_words()));
-            }
-        }
-        let only_network = candidates.as_slice() == [Candidate::Network];
-        if candidates.is_empty() {
-            return wrong("model.candidates", "is empty: someone has to be the model".into());
-        }
-        if !only_network && (self.network.conv.is_some() || !self.maps().is_empty()) {
-            return wrong(
-                "model.candidates",
-                "is for scalar targets and dense networks; leave it out, or maps and `network.conv`".into(),
-            );
-        }
-        if !(10..=20_000).contains(most) {
-            return wrong("model.most", format!("is {most} and must be 10 to 20000"));
-        }
-        if !(2..=20).contains(folds) {
-            return wrong("model.folds", format!("is {folds} and must be 2 to 20"));
         }
         Ok(())
     }

@@ -64,13 +64,19 @@ pub(super) fn prepare(
     let presses = Presses::of(skin, &recorded);
     let most = Most { all: options.learn, kernels: options.vectors };
     let mut notes = tuned.notes;
-    for method in [Method::Vectors, Method::Neighbours, Method::Trees, Method::Gaussian] {
-        let (finder, settings) = regressions::tuned(method, skin, &presses, most)?;
-        methods.push((method.in_words().into(), Box::new(finder)));
-        notes[method.in_words()] = settings;
-    }
+    let mut regress = |kinds: [Method; 2], methods: &mut Vec<Named>| -> Result<()> {
+        for method in kinds {
+            let (finder, settings) = regressions::tuned(method, skin, &presses, most)?;
+            methods.push((method.in_words().into(), Box::new(finder)));
+            notes[method.in_words()] = settings;
+        }
+        Ok(())
+    };
+    // New rows come last: the book names rows by their number.
+    regress([Method::Vectors, Method::Neighbours], &mut methods)?;
     let (network, _) = regressions::network(skin, &presses, most.all)?;
     methods.push(("feed-forward network".into(), Box::new(network)));
+    regress([Method::Trees, Method::Gaussian], &mut methods)?;
     notes["recorded"] = json!(recorded.len());
     Ok(Prepared { methods, notes })
 }
