@@ -18,7 +18,7 @@ mod layer;
 mod quadratic;
 mod shell;
 
-pub use block::block_cases;
+pub use block::{PadReadings, block_cases, pad_readings};
 pub use dome::dome_cases;
 pub use layer::layer_cases;
 pub use shell::{Panel, Touch, panel_cases, panel_time, shell_cases, touch_readings};

@@ -157,6 +157,62 @@ impl SphereContact {
         self.density.iter().map(|(t, f)| f * (k * t).cos()).sum()
     }
 
+    /// The ring that stands for the contact where a field varies little over it: its radius \[m\], and the share of the force on
+    /// it; the rest acts at the centre. Such a load has the pressure's moments ⟨r²⟩ and ⟨r⁴⟩, which are 2⟨t²⟩ and 8/3 ⟨t⁴⟩ over φ:
+    /// compare the powers of k in p̂(k) = ∫ p J₀(kr) r dr = ∫ φ cos kt dt.
+    #[must_use]
+    pub fn ring(&self) -> (f64, f64) {
+        let moment = |power: i32| self.density.iter().map(|(t, f)| f * t.powi(power)).sum::<f64>();
+        let whole = moment(0);
+        let (second, fourth) = (2.0 * moment(2) / whole, 8.0 / 3.0 * moment(4) / whole);
+        ((fourth / second).sqrt(), second * second / fourth)
+    }
+
+    /// \[Pa\] that the sphere presses with at the distance `r` \[m\] from its axis: p(r) = −∫ φ′(t) / √(t² − r²) dt from r to a.
+    #[must_use]
+    pub fn surface_pressure(&self, r: f64) -> f64 {
+        let a = self.contact_radius;
+        if !(0.0..a).contains(&r) {
+            return 0.0;
+        }
+        let rule = gauss_legendre(POINTS);
+        // φ is even and nearly a polynomial: its slope by differences of the one through its values.
+        let values: Vec<(f64, f64)> =
+            self.density.iter().zip(&rule).map(|((t, f), (_, w))| (t / a, f / (w * a))).collect();
+        // Barycentric weights of Gauss nodes (H. Wang, S. Xiang, Math. Comp. 81 (2012) 861-877).
+        let weights: Vec<f64> = rule
+            .iter()
+            .enumerate()
+            .map(|(i, (x, w))| (x * (1.0 - x) * w).sqrt() * if i % 2 == 0 { 1.0 } else { -1.0 })
+            .collect();
+        let phi = |x: f64| {
+            let (mut above, mut below) = (0.0, 0.0);
+            for ((t, f), weight) in values.iter().zip(&weights) {
+                let by = x - t;
+                if by.abs() < 1e-13 {
+                    return *f;
+                }
+                above += weight / by * f;
+                below += weight / by;
+            }
+            above / below
+        };
+        let slope = |x: f64| {
+            let step = 1e-4_f64.min(1.0 - x).max(1e-7);
+            (phi(x + step) - phi(x - step)) / (2.0 * step)
+        };
+        // With u = √(t² − r²), dt / √(t² − r²) = du / t.
+        let (r, end) = (r / a, (1.0 - (r / a).powi(2)).sqrt());
+        let sum: f64 = panels(end, 0.2)
+            .iter()
+            .map(|(u, w)| {
+                let t = r.hypot(*u);
+                w * slope(t) / t
+            })
+            .sum();
+        -sum / a
+    }
+
     /// Mean compressive stress −σₖₖ/3 \[Pa\] at `depth` \[m\] and distance `r` \[m\] from the sphere's axis, integrated;
     /// [`PressureTable`](crate::PressureTable) looks it up. `medium` is the one that the contact was solved for.
     ///
@@ -181,6 +237,37 @@ mod tests {
 
     fn at_indentation(medium: &Medium, depth: f64) -> SphereContact {
         SphereContact::at_indentation(medium, R, depth).unwrap()
+    }
+
+    #[test]
+    fn a_light_touch_presses_as_hertz_says() {
+        let half = Medium::half_space(E, NU).unwrap();
+        let contact = SphereContact::new(&half, R, 0.02 * R).unwrap();
+        let (a, force) = (contact.contact_radius(), contact.force());
+        let most = 1.5 * force / (PI * a * a);
+        for part in [0.0, 0.3, 0.6, 0.9_f64] {
+            let exact = most * (1.0 - part * part).sqrt();
+            assert_relative_eq!(contact.surface_pressure(part * a), exact, max_relative = 1e-3);
+        }
+        // ⟨r²⟩ = 2a²/5 and ⟨r⁴⟩ = 8a⁴/35.
+        let (radius, share) = contact.ring();
+        assert_relative_eq!(radius, (4.0f64 / 7.0).sqrt() * a, max_relative = 1e-3);
+        assert_relative_eq!(share, 0.7, max_relative = 1e-3);
+    }
+
+    #[test]
+    fn pressure_and_ring_of_a_deep_touch_are_one_load() {
+        let pad = Medium::layer(E, NU, 0.010, Base::Bonded).unwrap();
+        let contact = at_indentation(&pad, 0.0024);
+        let a = contact.contact_radius();
+        let moment = |power: i32| {
+            let rule = panels(a, a / 20.0);
+            rule.iter().map(|(r, w)| TAU * w * r.powi(power + 1) * contact.surface_pressure(*r)).sum::<f64>()
+        };
+        assert_relative_eq!(moment(0), contact.force(), max_relative = 5e-3);
+        let (radius, share) = contact.ring();
+        assert_relative_eq!(moment(2), contact.force() * share * radius.powi(2), max_relative = 1e-2);
+        assert_relative_eq!(moment(4), contact.force() * share * radius.powi(4), max_relative = 1e-2);
     }
 
     #[test]

@@ -95,6 +95,8 @@ impl SphereContacts {
 pub struct PressureTable {
     /// Cube roots of the forces \[N^(1/3)\], ascending from 0: the contact radius is linear in them at first.
     roots: Vec<f64>,
+    /// Radius \[m\] and share of the force of the [ring](SphereContact::ring) that stands for each contact.
+    rings: Vec<[f64; 2]>,
     /// \[Pa/N\] of pressing force, `roots.len()` rows of `columns`.
     normal: Vec<Cubic>,
     /// \[Pa/N\] of shear force, straight ahead; as many.
@@ -133,6 +135,15 @@ pub struct Profile<'a> {
 }
 
 impl Profile<'_> {
+    /// The [ring](SphereContact::ring) that stands for the contact: its radius \[m\] and its share of the force.
+    #[must_use]
+    pub fn ring(&self) -> (f64, f64) {
+        let ForcePlace { row, fraction, .. } = self.place;
+        let [low, high] = [row, row + 1].map(|row| self.table.rings[row]);
+        let between = |k: usize| low[k] + fraction * (high[k] - low[k]);
+        (between(0), between(1))
+    }
+
     /// Mean compressive stress \[Pa\] at the distance `r` \[m\] from the axis.
     #[inline]
     #[must_use]
@@ -157,6 +168,7 @@ impl Keep for PressureTable {
         }
         (self.columns as u64).put(out);
         self.density.put(out);
+        self.rings.as_flattened().to_vec().put(out);
     }
 
     fn take(from: &mut Bytes<'_>) -> Option<Self> {
@@ -171,7 +183,10 @@ impl Keep for PressureTable {
         let fits = |part: &[Cubic]| roots.len().checked_mul(columns) == Some(part.len());
         let whole = roots.len() >= 2 && columns > 0 && fits(&normal) && fits(&shear);
         let density = f64::take(from)?;
-        whole.then_some(Self { roots, normal, shear, columns, density })
+        let flat = Vec::<f64>::take(from)?;
+        let (rings, rest) = flat.as_chunks();
+        let whole = whole && rings.len() == roots.len() && rest.is_empty();
+        whole.then(|| Self { rings: rings.to_vec(), roots, normal, shear, columns, density })
     }
 }
 
@@ -235,7 +250,9 @@ impl PressureTable {
         };
         let (normal, shear) = (field(0, libm::j0, 1.0), field(1, libm::j1, -1.0));
         let roots = std::iter::once(0.0).chain(contacts.iter().map(|c| c.force().cbrt())).collect();
-        Ok(Self { roots, normal, shear, columns, density: 1.0 / step })
+        // A vanishing contact is a light one, Hertz's.
+        let rings = std::iter::once([0.0, 0.7]).chain(contacts.iter().map(|c| c.ring().into())).collect();
+        Ok(Self { roots, rings, normal, shear, columns, density: 1.0 / step })
     }
 
     /// Mean compressive stress \[Pa\] at the distance `r` \[m\] from the axis of a sphere that presses with

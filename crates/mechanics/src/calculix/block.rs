@@ -1,11 +1,11 @@
-//! A pad with free sides, pushed beside its middle and near its side.
+//! A pad with free sides, pushed beside its middle and near its side, and touched by spheres.
 
 use nalgebra::{Point3, Vector3};
 
 use super::quadratic::Quadratic;
 use super::{CalculixError, Load, Model, SOURCE};
 use crate::fem::{HexMesh, Probe, free_sides};
-use crate::{Base, Case, Load as Acting, Medium};
+use crate::{Base, Case, Load as Acting, Medium, SphereContact};
 
 /// \[m\] of the pad's sides and its height.
 const SIDE: f64 = 0.034;
@@ -23,6 +23,9 @@ const PUSHES: [(&str, [f64; 2], [f64; 3]); 2] =
     [("side", [0.014, 0.002], [0.0, 0.0, -1.0]), ("corner", [0.013, 0.013], [0.6, 0.0, -0.8])];
 /// Sensors lie in the cells at these numbers from the middle one, 2 mm each.
 const SENSORS: [[u32; 2]; 5] = [[6, 0], [3, 1], [0, 0], [6, 6], [6, 3]];
+
+/// \[m\] places in the cells of cubic sensors of [`pad_readings`].
+const PAD_SENSORS: [[f64; 2]; 4] = [[0.0135, 0.0005], [0.0105, 0.0005], [0.0065, 0.0005], [0.0135, 0.0055]];
 
 /// Mean stress halfway down a bonded pad of 34 mm by 34 mm by 10 mm with free sides, pushed beside one side and in a corner.
 ///
@@ -115,6 +118,80 @@ pub fn block_cases() -> Result<Vec<Case>, CalculixError> {
         }
     }
     Ok(cases)
+}
+
+/// What [`pad_readings`] finds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PadReadings {
+    /// \[m\] where the sensors are.
+    pub points: Vec<Point3<f64>>,
+    /// \[Pa\] of each sensor, a list a contact.
+    pub stress: Vec<Vec<f64>>,
+}
+
+/// Mean stress \[Pa\] in a bonded pad of 34 mm by 34 mm by 10 mm with free sides, of the material above, under each of `contacts`
+/// whose spheres' axes go through (x, 0) of the surface.
+///
+/// Half of the pad, by its symmetry, in 20-node hexahedra of 1 mm where it is touched and felt. The spheres' pressure is that
+/// of the contact, on a layer without end.
+///
+/// # Errors
+///
+/// [`CalculixError`] where there is no CalculiX, or it fails.
+pub fn pad_readings(contacts: &[(f64, SphereContact)]) -> Result<PadReadings, CalculixError> {
+    let half = SIDE / 2.0;
+    let steps = |from: f64, runs: &[(u32, f64)]| {
+        let mut planes = vec![from];
+        for &(count, to) in runs {
+            let start = planes[planes.len() - 1];
+            planes.extend((1..=count).map(|i| start + (to - start) * f64::from(i) / f64::from(count)));
+        }
+        planes
+    };
+    let xs = steps(-half, &[(11, 0.005), (12, half)]);
+    let ys = steps(0.0, &[(6, 0.006), (5, half)]);
+    let zs = steps(-THICKNESS, &[(3, -0.0055), (1, -0.0045), (2, -0.0025), (3, 0.0)]);
+    let mesh = HexMesh::block([&xs, &ys, &zs]);
+    let quadratic = Quadratic::new(&mesh, |middle| middle);
+    let counts = [xs.len() - 1, ys.len() - 1];
+    let top = mesh.cells.len() - counts[0] * counts[1]..mesh.cells.len();
+    let middle = |planes: &[f64], i: usize| f64::midpoint(planes[i], planes[i + 1]);
+    let (sensors, points) = PAD_SENSORS
+        .iter()
+        .map(|[x, y]| {
+            let cell = |planes: &[f64], at: f64| planes.partition_point(|p| *p <= at) - 1;
+            let [i, j, k] = [cell(&xs, *x), cell(&ys, *y), cell(&zs, -THICKNESS / 2.0)];
+            let point = Point3::new(middle(&xs, i), middle(&ys, j), middle(&zs, k));
+            ((k * counts[1] + j) * counts[0] + i, point)
+        })
+        .unzip();
+    let loads = contacts
+        .iter()
+        .map(|(x, contact)| {
+            let centre = Point3::new(*x, 0.0, 0.0);
+            let (forces, points) = quadratic
+                .spread(top.clone(), |p| -Vector3::z() * contact.surface_pressure((p - centre).norm()));
+            // To exactly half of the force: the other half acts on the other half.
+            let share = contact.force() / 2.0 / points.iter().map(|(_, f)| f.norm()).sum::<f64>();
+            let forces = forces.into_iter().map(|(n, f)| (n, f * share)).filter(|(_, f)| f.norm() > 0.0);
+            Load { forces: forces.collect(), ..Load::default() }
+        })
+        .collect();
+    let held = quadratic.nodes.iter().enumerate();
+    let model = Model {
+        held: held
+            .map(|(n, p)| (n, if p.z < -THICKNESS + 1e-9 { [true; 3] } else { [false, p.y < 1e-9, false] }))
+            .collect(),
+        nodes: quadratic.nodes,
+        element: "C3D20R",
+        elements: quadratic.cells,
+        young_modulus: YOUNG,
+        poisson_ratio: POISSON,
+        sensors,
+        loads,
+    };
+    let answers = model.solve()?;
+    Ok(PadReadings { points, stress: answers.into_iter().map(|answer| answer.sensed).collect() })
 }
 
 /// The field of a point load on a layer without end, tabulated over the distance at the depths of the sensors' points.

@@ -252,7 +252,8 @@ impl Field for Flat {
             }
         }
         if let Some(rim) = &self.rim {
-            rim.add(contact, out).map_err(|e| ModelError::Stimulus { index, reason: e.to_string() })?;
+            let ring = tables.first().map_or((0.0, 0.0), |table| table.under(-force.z).ring());
+            rim.add(contact, ring, out).map_err(|e| ModelError::Stimulus { index, reason: e.to_string() })?;
         }
         Ok(())
     }
