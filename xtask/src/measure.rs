@@ -119,6 +119,7 @@ fn cold_build(root: &Path) -> Result<Value> {
     let value = json!({
         "cpu_minutes": (children_cpu()? - cpu) / 60.0,
         "wall_minutes": wall.elapsed().as_secs_f64() / 60.0,
+        "program_megabytes": std::fs::metadata(dir.join("target/release/dermis"))?.len() as f64 * 1e-6,
     });
     std::fs::remove_dir_all(&dir)?;
     Ok(value)
