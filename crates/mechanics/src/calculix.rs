@@ -14,6 +14,7 @@ use crate::MechanicsError;
 
 mod block;
 mod dome;
+mod faces;
 mod layer;
 mod quadratic;
 mod shell;

@@ -1,9 +1,9 @@
 //! What a shell is made of, and by which theory it bends.
 //!
 //! Kirchhoff and Love let the lines across the thickness stay normal to the middle surface; Reissner and Mindlin let them lean,
-//! so that the shell shears across its thickness. For a clamped beam of length L the difference in displacement is about
-//! 3 (h/L)² at a Poisson's ratio of 0.4, 8 % for 12.5 mm of 2 mm; and a narrow beam of rectangular section twists more easily
-//! than Kirchhoff's, by 1 / (1 − 0.63 h/b).
+//! so that the shell shears across its thickness. A beam of length L whose ends do not turn gives way more by a share of
+//! 2.4 (1 + ν) (h/L)² where one end moves against the other, which is 9 % for 12.5 mm of 2 mm; and a narrow beam of width b twists
+//! more easily than Kirchhoff's, by 1 / (1 − 0.63 h/b) (Saint-Venant).
 
 use nalgebra::Vector3;
 
