@@ -207,8 +207,10 @@ fn frame<'a, 'b>(
     let mut chart = ChartBuilder::on(root)
         .caption(&axes.title, ("sans-serif", 15))
         .margin(10)
+        // Half of the last label of the axis stands beyond it.
+        .margin_right(24)
         .x_label_area_size(38)
-        .y_label_area_size(54)
+        .y_label_area_size(60)
         .build_cartesian_2d(Scaled::new(x.0, x.1, axes.log_x), Scaled::new(y.0, y.1, axes.log_y))?;
     let (label_x, label_y) = (|v: &f64| tick(*v, axes.log_x), |v: &f64| tick(*v, axes.log_y));
     let mut style = chart.configure_mesh();

@@ -168,7 +168,9 @@ fn a_model_that_was_trained_elsewhere_runs_in_the_node() {
     for name in ["position.x", "position.y", "force.normal"] {
         let measured = &made["measured"]["quantities"][name];
         let (ours, numpys) = (measured["rms"].as_f64().unwrap(), fit[name].as_f64().unwrap());
-        assert!((ours - numpys).abs() < 1e-3 * numpys, "{name}: {ours} here, {numpys} in NumPy");
+        // Contacts are moved to the edge of the surface where the line leads beyond it; NumPy does not.
+        let least = if name == "force.normal" { 0.999 } else { 0.98 };
+        assert!((least..1.001).contains(&(ours / numpys)), "{name}: {ours} here, {numpys} in NumPy");
         assert_eq!(measured["samples"], fit["rows"]);
     }
     // With the node's own estimator around it, light contacts may be missed; otherwise it is the same.

@@ -129,8 +129,9 @@ fn a_force_of_which_one_component_is_known_is_compared() {
         &Answer { contact: Some(false), force: Some([0.0; 3]), ..answer },
     );
     let s = scores.summaries(1);
-    assert_eq!(s.keys().collect::<Vec<_>>(), ["force.x"]);
+    assert_eq!(s.keys().collect::<Vec<_>>(), ["force.x", "force.x found"]);
     approx::assert_relative_eq!(s["force.x"].mean, f64::midpoint(0.5, 3.0), max_relative = 1e-12);
+    approx::assert_relative_eq!(s["force.x found"].mean, 0.5, max_relative = 1e-12);
 }
 
 #[test]
