@@ -143,8 +143,11 @@ mod tests {
 
     #[test]
     fn people_read_every_way_by_force() {
-        let others =
-            [BaselineComparison { method: "support vectors", settings: Value::Null, evaluation: evaluation(0.001, 0.5) }];
+        let others = [BaselineComparison {
+            method: "support vectors",
+            settings: Value::Null,
+            evaluation: evaluation(0.001, 0.5),
+        }];
         insta::assert_snapshot!(table(&evaluation(0.0002, 0.1), &others), @r#"
 position error [mm]            0.5–4.9 N         4.9–9.8 N
 support vectors               2.00 ±0.00        7.00 ±0.00

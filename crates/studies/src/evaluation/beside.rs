@@ -13,8 +13,8 @@ use dermis_skin::{Estimate, SkinDescription};
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::Progress;
 use crate::regressions::{self, Learned as Presses, Most};
-use crate::{Progress};
 
 /// Recorded readings that neighbours and trees learn from at most, support vectors and Gaussian processes, and the network.
 const MOST: Most = Most { all: 30_000, kernels: 2500 };
