@@ -11,6 +11,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -36,7 +37,7 @@ pub const FULL: [(Kind, usize); 6] = [
     (Kind::Confounded, 20),
 ];
 /// What is withheld in the cases of a benchmark set.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
     /// One cause that the literature lists.
@@ -45,11 +46,13 @@ pub enum Kind {
     Pairs,
     /// Three of them.
     Triples,
-    /// No cause: another mesh and other laws only.
+    /// None: another mesh and other laws only.
     Controls,
-    /// A cause that no list holds.
+    /// A cause that no library holds.
     OutOfLibrary,
-    /// A cause that this recording cannot tell from another: the temperature only rises, or nothing else shows it.
+    /// A cause that the recording cannot tell from another.
+    ///
+    /// The temperature only rises, or nothing else shows it.
     Confounded,
 }
 

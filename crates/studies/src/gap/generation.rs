@@ -3,41 +3,10 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use clap::{Args, ValueEnum};
-use dermis_gap_benchmark::set::{self, Manifest, SetSpec};
+use clap::Args;
+use dermis_gap_benchmark::set::{self, Kind, Manifest, SetSpec};
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize};
-
-/// What is withheld.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// One cause that the literature lists.
-    Singles,
-    /// Two of them.
-    Pairs,
-    /// Three of them.
-    Triples,
-    /// None: another mesh and other laws only.
-    Controls,
-    /// A cause that no library holds.
-    OutOfLibrary,
-    /// A cause that the recording cannot tell from another.
-    Confounded,
-}
-
-impl From<Kind> for set::Kind {
-    fn from(kind: Kind) -> Self {
-        match kind {
-            Kind::Singles => Self::Singles,
-            Kind::Pairs => Self::Pairs,
-            Kind::Triples => Self::Triples,
-            Kind::Controls => Self::Controls,
-            Kind::OutOfLibrary => Self::OutOfLibrary,
-            Kind::Confounded => Self::Confounded,
-        }
-    }
-}
 
 /// What to make.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -101,7 +70,7 @@ impl Request {
     #[must_use]
     pub fn order(&self) -> SetSpec {
         let mut order = SetSpec::mixed(self.share, self.seed, self.size);
-        if let Some(kind) = self.kind.map(set::Kind::from) {
+        if let Some(kind) = self.kind {
             order.cases.retain(|(of, _)| *of == kind);
             if let (Some(count), [(_, cases)]) = (self.count, &mut order.cases[..]) {
                 *cases = count;
@@ -147,7 +116,7 @@ pub fn generate(request: &Request, done: impl FnMut(usize) -> bool) -> Result<Fi
         cases: manifest.cases.len(),
         sha256: Manifest::hash(&request.out)?,
         secret: request.secret.clone(),
-        kind: manifest.kind.map_or("all kinds", set::Kind::name),
+        kind: manifest.kind.map_or("all kinds", Kind::name),
         skin: manifest.skin,
     })
 }
