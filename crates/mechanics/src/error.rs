@@ -1,5 +1,9 @@
 //! What can be wrong with a medium or a question to it.
 
+use dermis_skin::{ModelError, SkinError};
+
+use crate::calculix::CalculixError;
+
 /// A medium, load or question that cannot be.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -96,4 +100,22 @@ pub(crate) fn positive(quantity: &'static str, value: f64) -> Result<f64, Mechan
     } else {
         Err(MechanicsError::Value { quantity, value, expected: "a positive number" })
     }
+}
+
+/// Why a family's validation cases cannot be computed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum VerifyError {
+    /// One cannot be computed at all.
+    #[error(transparent)]
+    Mechanics(#[from] MechanicsError),
+    /// CalculiX has no answer.
+    #[error(transparent)]
+    Calculix(#[from] CalculixError),
+    /// The skin of a case cannot be.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// Its file cannot be read.
+    #[error(transparent)]
+    Skin(#[from] SkinError),
 }

@@ -40,7 +40,7 @@ mod table;
 pub use contact::SphereContact;
 pub use dermis_model::Case;
 pub use displacement::{Displacement, SphereDisplacement};
-pub use error::MechanicsError;
+pub use error::{MechanicsError, VerifyError};
 pub use friction::Friction;
 pub use medium::{Base, Load, Medium};
 pub use memory::{Prony, RandomWalk, Wander, Warmth, stream};

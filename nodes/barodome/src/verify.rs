@@ -2,10 +2,10 @@
 
 use std::f64::consts::PI;
 
-use dermis_mechanics::calculix::{self, CalculixError, PadReadings};
-use dermis_mechanics::{Base, Case, Load, MechanicsError, Medium, PressureTable, SphereContact};
+use dermis_mechanics::calculix::{self, PadReadings};
+use dermis_mechanics::{Base, Case, Load, MechanicsError, Medium, PressureTable, SphereContact, VerifyError};
 use dermis_model::{Indentation, Stimulus};
-use dermis_skin::{ModelError, SkinDescription, SkinError, Taxel};
+use dermis_skin::{SkinDescription, Taxel};
 use nalgebra::{Point3, Vector3};
 
 /// The pad that ships.
@@ -19,24 +19,6 @@ const THICKNESS: f64 = 0.010;
 const DEPTH: f64 = 0.005;
 /// \[m\] of the sphere.
 const RADIUS: f64 = 0.002;
-
-/// Why the cases cannot be computed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum VerifyError {
-    /// One cannot be computed at all.
-    #[error(transparent)]
-    Mechanics(#[from] MechanicsError),
-    /// CalculiX has no answer.
-    #[error(transparent)]
-    Calculix(#[from] CalculixError),
-    /// The pad cannot be.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    /// Its file cannot be read.
-    #[error(transparent)]
-    Skin(#[from] SkinError),
-}
 
 /// Every case of this family, in the order of their names.
 ///
@@ -308,7 +290,7 @@ mod tests {
     #[test]
     fn the_rim_agrees_with_solids() {
         if !calculix::available() {
-            return println!("skipped: {}", CalculixError::Missing);
+            return println!("skipped: {}", calculix::CalculixError::Missing);
         }
         let cases = rim().unwrap();
         assert_eq!(cases.len(), RIM.len());

@@ -1,8 +1,8 @@
 //! Figures of the forward model, computed now, against closed forms, other people's figures and other programs.
 
-use dermis_mechanics::calculix::{self, CalculixError, Touch};
+use dermis_mechanics::calculix::{self, Touch};
 use dermis_mechanics::shell::{Quads, ShellMesh, shell_cases};
-use dermis_mechanics::{Case, MechanicsError};
+use dermis_mechanics::{Case, VerifyError};
 use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_skin::{ModelError, SkinDescription};
 use nalgebra::{Point3, Vector3};
@@ -14,24 +14,6 @@ use crate::parameters::Parameters;
 const SOURCE: &str = "CalculiX ccx, run now";
 /// The limb itself.
 const SHIN: &str = include_str!("../../../launch/skins/hapdef-shin.toml");
-
-/// Why the cases cannot be computed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum VerifyError {
-    /// One cannot be computed at all.
-    #[error(transparent)]
-    Mechanics(#[from] MechanicsError),
-    /// CalculiX has no answer.
-    #[error(transparent)]
-    Calculix(#[from] CalculixError),
-    /// The limb cannot be.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    /// Its file cannot be read.
-    #[error(transparent)]
-    Skin(#[from] dermis_skin::SkinError),
-}
 
 /// Every case of this family: H1 to H8.
 ///
@@ -239,7 +221,7 @@ mod tests {
     #[test]
     fn the_limb_agrees_with_solids() {
         if !calculix::available() {
-            return println!("skipped: {}", CalculixError::Missing);
+            return println!("skipped: {}", calculix::CalculixError::Missing);
         }
         let cases = limb().unwrap();
         assert_eq!(cases.len(), 2 * TOUCHES.len());
