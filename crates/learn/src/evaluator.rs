@@ -11,16 +11,14 @@ use std::path::Path;
 use dermis_estimate::finder::NetworkFinder;
 use dermis_estimate::{ContactFinder, FindError, UnpackedModel};
 use dermis_inference::{Baseline, FeatureConfig, Features, Model, Outputs};
-use dermis_skin::{Contact, ForceComponents, SkinDescription};
+use dermis_skin::{Contact, SkinDescription};
 
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId};
 use crate::evaluate::{Evaluation, centre};
-use crate::metrics::{Answer, MapScorer, Rule, Scores};
+use crate::metrics::{Answer, FORCES, MapScorer, Rule, Scores};
 use crate::plot::Point;
 use crate::target::Maps;
-
-const FORCES: [&str; 3] = ["force.x", "force.y", "force.z"];
 
 /// Runs the finished graph.
 pub(crate) struct GraphEvaluator {
@@ -102,19 +100,15 @@ impl GraphEvaluator {
 
 /// What is scored: the contact; and, as the model gives it, what a contact without a place on the surface cannot hold.
 fn answer(contact: &Contact, outputs: &Outputs) -> Answer {
-    let at = contact.position;
     let depth = outputs.get("position.z");
     let plain = || outputs.get("position.x").zip(outputs.get("position.y"));
-    let known = contact.force_components != ForceComponents::None;
-    let full = contact.force_components == ForceComponents::Full;
-    let placed = (at.x.is_finite() && at.y.is_finite()).then_some([at.x, at.y, at.z]);
-    let pressing = known.then(|| contact.normal_force()).filter(|force| force.is_finite());
+    let told = Answer::of_contact(contact, depth.is_some());
     Answer {
-        position: placed.or_else(|| plain().map(|(x, y)| [x, y, depth.unwrap_or(0.0)])),
-        depth: depth.is_some(),
-        force: full.then_some(contact.force.into()).or_else(|| known_forces(outputs)),
-        normal_force: pressing.or_else(|| outputs.normal_force()),
+        position: told.position.or_else(|| plain().map(|(x, y)| [x, y, depth.unwrap_or(0.0)])),
+        force: told.force.or_else(|| known_forces(outputs)),
+        normal_force: told.normal_force.or_else(|| outputs.normal_force()),
         contact: outputs.contact().map(|p| p > 0.5),
+        ..told
     }
 }
 

@@ -15,7 +15,7 @@ use pathfinding::matrix::Matrix;
 use pathfinding::prelude::kuhn_munkres_min;
 use serde::{Deserialize, Serialize};
 
-use dermis_skin::Contact;
+use dermis_skin::{Contact, ForceComponents};
 use nalgebra::Point3;
 
 use crate::dataset::{SampleId, Truth, TruthContact};
@@ -31,6 +31,9 @@ use statistics::summarise;
 /// \[N\] edges of the bins of normal force that errors are reported by; the last bin is open.
 pub const FORCE_BINS: [f64; 9] = [0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
 
+/// Components of a force, as labels and models name them.
+pub(crate) const FORCES: [&str; 3] = ["force.x", "force.y", "force.z"];
+
 /// What is estimated of one frame, in SI units and in the frame of the skin's link; `None` where the model gives
 /// no such quantity.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -45,6 +48,22 @@ pub struct Answer {
     pub normal_force: Option<f64>,
     /// Whether something touches the skin.
     pub contact: Option<bool>,
+}
+
+impl Answer {
+    /// What a contact says of place and force; `depth` as above. Whether something touches is the caller's to say.
+    pub(crate) fn of_contact(contact: &Contact, depth: bool) -> Self {
+        let at = contact.position;
+        let known = contact.force_components != ForceComponents::None;
+        let full = contact.force_components == ForceComponents::Full;
+        Self {
+            position: (at.x.is_finite() && at.y.is_finite()).then_some([at.x, at.y, at.z]),
+            depth,
+            force: full.then_some(contact.force.into()),
+            normal_force: known.then(|| contact.normal_force()).filter(|force| force.is_finite()),
+            contact: None,
+        }
+    }
 }
 
 /// Distribution of one error. For a position the error is a distance, for anything else a difference.
@@ -298,7 +317,7 @@ impl Scores {
             let none = self.rule.force.map(|given| if given { 0.0 } else { f64::NAN });
             let force = if silent { none } else { force };
             let mut squares = Some(0.0);
-            for (name, value) in ["force.x", "force.y", "force.z"].into_iter().zip(force) {
+            for (name, value) in FORCES.into_iter().zip(force) {
                 let known = truth.value(name);
                 if let Some(known) = known {
                     self.add(name, of, true_force, value - known, found);

@@ -198,23 +198,9 @@ fn direction(row: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use dermis_estimate::{ConditionedFrame, ContactFinder};
+    use dermis_fixtures::SkinFile;
 
     use super::*;
-
-    const SKIN: &str = r#"
-        schema = "dermis-skin/1"
-        name = "pad"
-        sensor = "taxels"
-        frame_id = "pad_link"
-        unit = "Pa"
-        rate = 100.0
-        noise = 2.0
-        surface = { type = "rectangle", size = [0.02, 0.02], spacing = 0.005 }
-        taxels = [
-            { name = "left", position = [-0.005, 0.0, -0.005] },
-            { name = "right", position = [0.005, 0.0, -0.005] },
-        ]
-    "#;
 
     /// Readings of a press: they fall off with the distance, and grow with the force.
     fn read(x: f64, force: f64) -> [f64; 2] {
@@ -224,7 +210,7 @@ mod tests {
 
     #[test]
     fn every_regression_finds_a_press_between_those_it_learned_from() {
-        let skin = SkinDescription::from_toml(SKIN, "pad.toml").unwrap();
+        let skin = SkinFile::new("pad").set("noise", "2.0").read();
         let mut learned = Learned::new(&skin, ForceComponents::Full);
         for i in 0..21_u32 {
             for force in [0.5, 1.0, 1.5, 2.0] {

@@ -211,21 +211,16 @@ impl Evaluator {
                 let ((fa, ca), (fb, cb)) = (strength(a), strength(b));
                 fa.total_cmp(&fb).then(ca.total_cmp(&cb))
             });
-            let mut answer =
-                Answer { contact: Some(contact.is_some()), depth: rule.depth, ..Answer::default() };
-            if let Some(c) = contact {
-                let p = c.position;
-                answer.position = (p.x.is_finite() && p.y.is_finite()).then_some([p.x, p.y, p.z]);
-                if c.force_components != ForceComponents::None {
-                    answer.normal_force = Some(c.normal_force()).filter(|f| f.is_finite());
-                }
-                answer.force = (c.force_components == ForceComponents::Full)
-                    .then_some([c.force.x, c.force.y, c.force.z]);
-            } else {
-                answer.normal_force = rule.normal_force.then_some(0.0);
-                answer.force = Some([0.0; 3]);
-            }
-            scores.push(*id, truth, &answer);
+            let answer = match contact {
+                Some(contact) => Answer::of_contact(contact, rule.depth),
+                None => Answer {
+                    normal_force: rule.normal_force.then_some(0.0),
+                    force: Some([0.0; 3]),
+                    depth: rule.depth,
+                    ..Answer::default()
+                },
+            };
+            scores.push(*id, truth, &Answer { contact: Some(contact.is_some()), ..answer });
         }
         let mut evaluation = Evaluation::of(&scores, data, frames, unanswered, self.tares);
         if let Some(edges) = &self.edges {

@@ -80,7 +80,7 @@ fn frames_without_an_answer_count_in_number_and_position() {
     scores.unanswered(ID, &pair);
     let mut found = Contact::at(Point3::new(0.006, 0.001, 0.0), nalgebra::Vector3::z());
     found.force = nalgebra::Vector3::new(0.0, 0.0, -3.5);
-    found.force_components = dermis_skin::ForceComponents::Normal;
+    found.force_components = ForceComponents::Normal;
     scores.push_contacts(ID, &pair, &[found]);
     scores.push_contacts(ID, &pair, &[]);
     // Of untouched skin nothing can be missed.
