@@ -175,7 +175,7 @@ pub fn frame_bounds(
         .collect();
     let mut found = FrameBounds::default();
     found.left_out.touched = asked.len();
-    let step = asked.len().div_ceil(MOST).max(1);
+    let step = dermis_regress::stride(asked.len(), MOST);
     found.left_out.thinned = asked.len() - asked.len().div_ceil(step);
     let mut masked = WithNoise::new(model, model.noise().to_vec());
     for (id, sample, truth) in asked.into_iter().step_by(step) {

@@ -153,7 +153,7 @@ impl Report {
 }
 
 fn thin(points: &[Point]) -> impl Iterator<Item = &Point> {
-    points.iter().step_by(points.len().div_ceil(MOST_POINTS).max(1))
+    points.iter().step_by(dermis_regress::stride(points.len(), MOST_POINTS))
 }
 
 /// Every pressed location once, larger where it was pressed harder; those that are held out in another colour.
@@ -174,7 +174,9 @@ fn location_map(data: &Dataset, split: Option<&SplitConfig>) -> Result<Option<St
     }
     let most = places.values().map(|(_, force)| *force).fold(1e-9, f64::max);
     let mut groups = [Dots::new("to learn from", 0, Vec::new()), Dots::new("held out", 1, Vec::new())];
-    for ((_, held_out), (at, force)) in places.iter().step_by(places.len().div_ceil(MOST_POINTS).max(1)) {
+    for ((_, held_out), (at, force)) in
+        places.iter().step_by(dermis_regress::stride(places.len(), MOST_POINTS))
+    {
         let group = &mut groups[usize::from(*held_out)];
         group.points.push(*at);
         group.sizes.push(force / most);

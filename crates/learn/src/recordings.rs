@@ -48,7 +48,7 @@ impl Recorded {
             .filter(|((_, sample), _)| sample.tared.iter().all(|v| v.is_finite()))
             .map(|((_, sample), (contact, location))| Self { contact, signal: sample.tared, location })
             .collect();
-        let step = all.len().div_ceil(most.max(1)).max(1);
+        let step = dermis_regress::stride(all.len(), most);
         Ok(all.into_iter().step_by(step).collect())
     }
 }

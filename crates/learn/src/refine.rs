@@ -49,7 +49,7 @@ pub fn settings(
     contacts: usize,
 ) -> Result<Settings, LearnError> {
     let failed = |reason: String| LearnError::Refinement { skin: data.skin().name.clone(), reason };
-    let step = only.len().div_ceil(MOST).max(1);
+    let step = dermis_regress::stride(only.len(), MOST);
     let mut frames: Vec<(Stimulus, Vec<f32>)> = Vec::new();
     let asked: Vec<SampleId> = only.iter().copied().step_by(step).collect();
     for (_, sample) in data.gather(&asked)? {
@@ -112,7 +112,7 @@ pub fn correction(
     watch: Watch<'_>,
 ) -> Result<Option<Learned>, InverterError> {
     fn presses(recorded: &[Recorded], most: usize) -> Vec<Press<'_>> {
-        let step = recorded.len().div_ceil(most).max(1);
+        let step = dermis_regress::stride(recorded.len(), most);
         recorded.iter().step_by(step).map(|r| (&r.contact, r.signal.as_slice())).collect()
     }
     let (some, all, test) = (presses(recorded, 3000), presses(recorded, 12_000), presses(chosen, 1500));

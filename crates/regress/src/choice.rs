@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::rows::stride;
 use crate::{
     GaussianSettings, Kernel, KernelExpansion, Neighbours, RegressError, Rows, Svr, SvrSettings,
     TreeSettings, Trees, folds, gaussian_process,
@@ -185,7 +186,7 @@ impl Settings {
                 expected: inputs.count(),
             });
         }
-        let step = inputs.count().div_ceil(tuning.most.max(1)).max(1);
+        let step = stride(inputs.count(), tuning.most);
         let some: Vec<usize> = (0..inputs.count()).step_by(step).collect();
         let of: Vec<usize> = some.iter().map(|i| groups[*i]).collect();
         let fold = folds(&of, tuning.folds, tuning.seed);

@@ -22,6 +22,6 @@ pub use folds::{folds, shuffled};
 pub use gaussian::{GaussianSettings, gaussian_process};
 pub use kernel::{Kernel, KernelExpansion};
 pub use neighbours::Neighbours;
-pub use rows::{Rows, Standard};
+pub use rows::{Rows, Standard, stride};
 pub use svr::{Dual, Svr, SvrSettings, gram, solve, squared_distances};
 pub use trees::{TreeSettings, Trees};

@@ -2,6 +2,13 @@
 
 use crate::RegressError;
 
+/// The `n` with which every n-th of `count` is taken, so that there are `most` at most; one at least.
+#[must_use]
+pub const fn stride(count: usize, most: usize) -> usize {
+    let n = count.div_ceil(if most == 0 { 1 } else { most });
+    if n == 0 { 1 } else { n }
+}
+
 /// A table of numbers, row by row.
 #[derive(Debug, Clone, Copy)]
 pub struct Rows<'a> {

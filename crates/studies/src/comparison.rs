@@ -153,7 +153,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     };
     let all: Vec<SampleId> = split.test.iter().copied().filter(clear).collect();
     let test: Vec<SampleId> =
-        all.iter().copied().step_by(all.len().div_ceil(options.most.max(1)).max(1)).collect();
+        all.iter().copied().step_by(dermis_regress::stride(all.len(), options.most)).collect();
     if test.is_empty() {
         bail!("nothing of one contact of {least} N or more was held out of these bags");
     }

@@ -455,7 +455,7 @@ fn forces(
     let untouched = dermis_model::Untouched::of(model.as_ref())?;
     let mut out = vec![0.0; model.channels()];
     let mut clear = Vec::new();
-    for place in places.iter().step_by(places.len().div_ceil(200).max(1)) {
+    for place in places.iter().step_by(dermis_regress::stride(places.len(), 200)) {
         let contact = dermis_model::Indentation::sphere(place.point, -place.normal, options.diameter);
         model
             .response(&dermis_model::Stimulus { contacts: vec![contact], ..Default::default() }, &mut out)?;

@@ -107,7 +107,7 @@ impl Learned {
 
     /// Every n-th row, so that there are `most` at most.
     fn thinned(&self, most: usize) -> Self {
-        let step = self.len().div_ceil(most.max(1)).max(1);
+        let step = dermis_regress::stride(self.len(), most);
         let of = |values: &[f64], width: usize| -> Vec<f64> {
             values.chunks_exact(width).step_by(step).flatten().copied().collect()
         };

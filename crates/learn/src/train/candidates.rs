@@ -51,12 +51,17 @@ impl Candidate {
     /// For people.
     #[must_use]
     pub fn in_words(self) -> &'static str {
+        self.method().map_or("network", Method::in_words)
+    }
+
+    /// The regression, of all but networks.
+    fn method(self) -> Option<Method> {
         match self {
-            Self::Network => "network",
-            Self::Vectors => "support vectors",
-            Self::Gaussian => "Gaussian process",
-            Self::Trees => "extra trees",
-            Self::Neighbours => "nearest neighbours",
+            Self::Network => None,
+            Self::Vectors => Some(Method::Vectors),
+            Self::Gaussian => Some(Method::Gaussian),
+            Self::Trees => Some(Method::Trees),
+            Self::Neighbours => Some(Method::Neighbours),
         }
     }
 
@@ -67,13 +72,9 @@ impl Candidate {
         !matches!(self, Self::Trees | Self::Neighbours)
     }
 
-    /// The regression, of one that is a sum of kernels.
+    /// The regression, of one that is a sum of kernels: those that a bundle can hold.
     pub(super) fn kernel(self) -> Option<Method> {
-        match self {
-            Self::Vectors => Some(Method::Vectors),
-            Self::Gaussian => Some(Method::Gaussian),
-            Self::Network | Self::Trees | Self::Neighbours => None,
-        }
+        self.method().filter(|_| self.exports())
     }
 }
 

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use dermis_regress::{Fitted, KernelExpansion, Method, Rows, Settings, Tuning};
+use dermis_regress::{Fitted, KernelExpansion, Method, Rows, Settings, Tuning, stride};
 use serde::Serialize;
 
 use super::candidates::Candidate;
@@ -362,7 +362,7 @@ fn logistic(value: f64) -> f64 {
 }
 
 fn thinned(rows: &[usize], most: usize) -> Vec<usize> {
-    rows.iter().copied().step_by(rows.len().div_ceil(most.max(1)).max(1)).collect()
+    rows.iter().copied().step_by(stride(rows.len(), most)).collect()
 }
 
 /// The networks of which a group keeps none are not fitted.

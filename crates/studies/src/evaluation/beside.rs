@@ -69,7 +69,7 @@ pub(super) fn beside(
     asked.retain(felt);
     let mut asked = data.gather(&asked)?;
     asked.retain(|(_, sample)| sample.tared.iter().any(|v| v.is_finite()));
-    let every = asked.len().div_ceil(ASKED).max(1);
+    let every = dermis_regress::stride(asked.len(), ASKED);
     let asked: Vec<_> = asked.into_iter().step_by(every).collect();
     let mut found = Vec::new();
     let mut measure = |method: &'static str, settings: Value, mut finder: RegressionFinder| -> Result<()> {

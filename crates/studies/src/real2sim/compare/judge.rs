@@ -118,7 +118,7 @@ impl Asked {
             }
         }
         for ids in all.values_mut() {
-            let step = ids.len().div_ceil(options.most.max(1)).max(1);
+            let step = dermis_regress::stride(ids.len(), options.most);
             let before = ids.len();
             *ids = ids.iter().copied().step_by(step).collect();
             thinned += before - ids.len();
