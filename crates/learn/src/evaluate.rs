@@ -354,13 +354,8 @@ pub fn evaluate_parts(
             let Some(truth) = &s.truth else { continue };
             for (ids, evaluator) in asked.iter().zip(&mut evaluators) {
                 let id = SampleId { run, sample };
-                if !ids.contains(&id) {
-                    continue;
-                }
-                if !s.tared.iter().all(|v| v.is_nan()) {
-                    evaluator.push(id, truth, &estimate);
-                } else if truth.touched() {
-                    evaluator.unanswered(id, truth);
+                if ids.contains(&id) {
+                    evaluator.take(id, &s, truth, &estimate)?;
                 }
             }
         }

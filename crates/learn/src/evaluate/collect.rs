@@ -7,7 +7,7 @@ use nalgebra::{Point3, Vector3};
 
 use super::Evaluation;
 use crate::LearnError;
-use crate::dataset::{Dataset, SampleId, Truth};
+use crate::dataset::{Dataset, Sample, SampleId, Truth};
 use crate::metrics::{Answer, MapScorer, Rule, Scores};
 use crate::target::Maps;
 
@@ -125,19 +125,32 @@ impl Evaluator {
                 if only.as_ref().is_some_and(|ids| !ids.contains(&id)) {
                     continue;
                 }
-                let with_map = self.maps_of.as_ref().is_none_or(|ids| ids.contains(&id));
-                if !s.tared.iter().all(|v| v.is_nan()) {
-                    self.push(id, truth, &estimate);
-                    if with_map {
-                        self.push_maps(truth, &estimate)?;
-                    }
-                } else if truth.touched() {
-                    self.unanswered(id, truth);
-                    if with_map {
-                        self.push_maps(truth, &Estimate::default())?;
-                    }
-                }
+                self.take(id, &s, truth, &estimate)?;
             }
+        }
+        Ok(())
+    }
+
+    /// Takes the estimate of a sample and its maps; before the first zero there is no answer.
+    pub(super) fn take(
+        &mut self,
+        id: SampleId,
+        sample: &Sample,
+        truth: &Truth,
+        estimate: &Estimate,
+    ) -> Result<(), LearnError> {
+        let none = Estimate::default();
+        let answer = if !sample.tared.iter().all(|v| v.is_nan()) {
+            self.push(id, truth, estimate);
+            estimate
+        } else if truth.touched() {
+            self.unanswered(id, truth);
+            &none
+        } else {
+            return Ok(());
+        };
+        if self.maps_of.as_ref().is_none_or(|ids| ids.contains(&id)) {
+            self.push_maps(truth, answer)?;
         }
         Ok(())
     }
