@@ -33,7 +33,12 @@ pub(crate) struct Dictionary {
     responses: Vec<f32>,
     /// places × channels: direction of the response at [`SHAPE`] in units of the noise.
     directions: Vec<f32>,
+    /// For every place the places beside it.
+    neighbours: Vec<Vec<usize>>,
 }
+
+/// Spacings within which places are neighbours.
+const BESIDE: f64 = 2.0;
 
 /// Level whose response stands for the others where only its shape matters.
 pub(crate) const SHAPE: usize = 1;
@@ -73,7 +78,25 @@ impl Dictionary {
                 }
             }
         }
-        Ok(Self { places, forces, channels, responses, directions })
+        let neighbours = beside(&places, BESIDE * spacing);
+        Ok(Self { places, forces, channels, responses, directions, neighbours })
+    }
+
+    /// Places beside a place.
+    pub fn neighbours(&self, place: usize) -> &[usize] {
+        &self.neighbours[place]
+    }
+
+    /// Share of the square of a place's response that the response of a neighbour does not explain: the most of all neighbours.
+    /// A touch between places leaves no more than that where the nearest place is taken for its own.
+    pub fn mismatch(&self, place: usize) -> f64 {
+        let direction = |i: usize| &self.directions[i * self.channels..(i + 1) * self.channels];
+        let own = direction(place);
+        let unexplained = |other: &usize| {
+            let cosine: f32 = own.iter().zip(direction(*other)).map(|(a, b)| a * b).sum();
+            1.0 - f64::from(cosine.clamp(0.0, 1.0)).powi(2)
+        };
+        self.neighbours[place].iter().map(unexplained).fold(0.0, f64::max)
     }
 
     /// For every place the part of whitened residuals that lies along its response, 0 where it points the other way.
@@ -127,6 +150,29 @@ fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Place> {
         }
     }
     places
+}
+
+/// For every place all others that are nearer than `distance` \[m\].
+fn beside(places: &[Place], distance: f64) -> Vec<Vec<usize>> {
+    let cell = |p: &Point3<f64>| p.coords.map(|v| (v / distance).floor() as i64);
+    let mut cells = std::collections::BTreeMap::<[i64; 3], Vec<usize>>::new();
+    for (index, place) in places.iter().enumerate() {
+        let at = cell(&place.position);
+        cells.entry([at.x, at.y, at.z]).or_default().push(index);
+    }
+    let around = |index: usize| {
+        let place = &places[index];
+        let at = cell(&place.position);
+        let offsets = || -1..=1;
+        let near = offsets()
+            .flat_map(|dx| offsets().flat_map(move |dy| offsets().map(move |dz| [dx, dy, dz])))
+            .filter_map(|d| cells.get(&[at.x + d[0], at.y + d[1], at.z + d[2]]));
+        near.flatten()
+            .copied()
+            .filter(|other| *other != index && (places[*other].position - place.position).norm() < distance)
+            .collect()
+    };
+    (0..places.len()).map(around).collect()
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 //! dictionary of some 1,500 places for each further contact, and some tens of responses and Jacobians for each start.
 
 mod describe;
+mod modes;
 mod starts;
 #[cfg(test)]
 mod tests;
@@ -22,11 +23,14 @@ use crate::dictionary::{Dictionary, SHAPE};
 use crate::fit::{Datum, Minimum, Problem};
 use crate::pairs::Pairs;
 use crate::settings::{InverterError, Settings};
+use modes::{Mode, sum_of_squares};
 use starts::Start;
 
 /// A weak contact whose place is known no better than this many spacings of the dictionary is answered by the mean over
 /// all places that it may have.
 const BROAD: f64 = 0.8;
+/// Spacings of the dictionary below which a place is known in a direction.
+const NARROW: f64 = 0.3;
 /// Deviations of its expectation up to which a sum of squared deviations is what noise leaves.
 const PLAUSIBLE: f64 = 2.0;
 /// Pairs of places, and single ones, that a search begins at.
@@ -123,19 +127,10 @@ impl Inverter {
         let problem = self.problem(&data);
         let counted = data.iter().filter(|d| **d != Datum::None).count();
         let nothing: Vec<f64> = vec![0.0; channels];
-        let mut best = Minimum {
-            contacts: Vec::new(),
-            chi2: data
-                .iter()
-                .map(|d| match d {
-                    Datum::Exact(v, w) | Datum::AtLeast(v, w) | Datum::AtMost(v, w) => (v * w).powi(2),
-                    Datum::None => 0.0,
-                })
-                .sum(),
-            covariance: None,
-            signal: nothing,
-        };
+        let mut best =
+            Minimum { contacts: Vec::new(), chi2: sum_of_squares(&data), covariance: None, signal: nothing };
         let per_contact = self.settings.unknowns.count();
+        let mut modes: Vec<Mode> = Vec::new();
         while best.contacts.len() < self.settings.contacts {
             let after = (best.contacts.len() + 1) * per_contact;
             // What noise alone leaves cannot be explained any better.
@@ -145,16 +140,21 @@ impl Inverter {
             }
             let freedom = counted.saturating_sub(after) as f64;
             let mut found: Option<Minimum> = None;
-            for kind in [Start::Hint, Start::Dictionary, Start::Split] {
-                // What is left is noise: no other start finds anything better.
-                let enough = |f: &Minimum| f.chi2 < freedom + PLAUSIBLE * (2.0 * freedom).sqrt();
-                if found.as_ref().is_some_and(enough) {
-                    break;
-                }
-                for start in self.starts(kind, &data, &best, hint) {
-                    let minimum = problem.minimise(start)?;
-                    if found.as_ref().is_none_or(|f| self.score(&minimum) < self.score(f)) {
-                        found = Some(minimum);
+            if best.contacts.is_empty() {
+                modes = self.modes(&problem, &data, hint)?;
+                found = modes.first().map(|mode| mode.minimum.clone());
+            } else {
+                for kind in [Start::Dictionary, Start::Split] {
+                    // What is left is noise: no other start finds anything better.
+                    let enough = |f: &Minimum| f.chi2 < freedom + PLAUSIBLE * (2.0 * freedom).sqrt();
+                    if found.as_ref().is_some_and(enough) {
+                        break;
+                    }
+                    for start in self.starts(kind, &data, &best) {
+                        let minimum = problem.minimise(start)?;
+                        if found.as_ref().is_none_or(|f| self.score(&minimum) < self.score(f)) {
+                            found = Some(minimum);
+                        }
                     }
                 }
             }
@@ -166,7 +166,11 @@ impl Inverter {
             }
             best = found;
         }
-        Ok(self.solution(&best, &data))
+        let mut solution = self.solution(&best, &data);
+        if let [single] = solution.contacts.as_mut_slice() {
+            self.spread(single, &modes, &data);
+        }
+        Ok(solution)
     }
 
     /// How surely readings show a contact at all: by how much the best single one of the dictionary lowers the sum of
@@ -259,7 +263,7 @@ impl Inverter {
                 starts.extend(pairs.into_iter().map(Vec::from));
             }
             for kind in [Start::Dictionary, Start::Split] {
-                starts.extend(self.starts(kind, &data, &best, None));
+                starts.extend(self.starts(kind, &data, &best));
             }
             let mut found: Option<Minimum> = None;
             for start in starts {
@@ -316,10 +320,18 @@ impl Inverter {
         Ok((!solution.contacts.iter().any(|f| self.is_broad(f))).then_some(solution))
     }
 
-    /// Whether a contact's place is all but open.
+    /// Whether a contact's place is all but open: in every direction of the surface. Where it is open in one only, least squares know
+    /// more than the dictionary, whose pitch is coarse for the others.
     fn is_broad(&self, found: &ContactEstimate) -> bool {
         let deviation = found.deviation();
-        deviation.is_nan() || deviation >= BROAD * self.spacing
+        let narrowest = || {
+            let mut along = found.position_covariance.symmetric_eigenvalues();
+            along.as_mut_slice().sort_by(f64::total_cmp);
+            // Nothing varies along the normal; along a line nothing does across it.
+            let least = if self.line.is_some() { along[2] } else { along[1] };
+            least.max(0.0).sqrt()
+        };
+        deviation.is_nan() || deviation >= BROAD * self.spacing && !(narrowest() < NARROW * self.spacing)
     }
 
     /// Share of the surface where a press of `force` \[N\] lowers the sum of squared deviations by less than `evidence`, in

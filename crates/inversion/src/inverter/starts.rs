@@ -16,8 +16,6 @@ const SPLIT: f64 = 3e-3;
 /// Ways to begin with one contact more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Start {
-    /// Where the caller says.
-    Hint,
     /// Where the dictionary explains most of what is left.
     Dictionary,
     /// At both sides of the contact that was found last.
@@ -26,28 +24,13 @@ pub(super) enum Start {
 
 impl Inverter {
     /// Where to begin with one contact more than `best` has.
-    pub(super) fn starts(
-        &self,
-        kind: Start,
-        data: &[Datum],
-        best: &Minimum,
-        hint: Option<&Indentation>,
-    ) -> Vec<Vec<Indentation>> {
+    pub(super) fn starts(&self, kind: Start, data: &[Datum], best: &Minimum) -> Vec<Vec<Indentation>> {
         let with = |contact: Indentation| {
             let mut all = best.contacts.clone();
             all.push(contact);
             all
         };
         match kind {
-            Start::Hint => {
-                let first = hint.filter(|_| best.contacts.is_empty());
-                let on_line = |contact: &Indentation| {
-                    let mut contact = contact.clone();
-                    contact.position.y = self.line.unwrap_or(contact.position.y);
-                    contact
-                };
-                first.map(|h| with(on_line(h))).into_iter().collect()
-            }
             Start::Dictionary => self.matches(data, &best.signal, STARTS).into_iter().map(with).collect(),
             // Two contacts that stand close look like one between them.
             Start::Split => {
@@ -83,27 +66,33 @@ impl Inverter {
             if chosen.iter().any(|c| (c.position - place.position).norm() < 3.0 * self.spacing) {
                 continue;
             }
-            // The level whose force changes least.
-            let force = (0..self.dictionary.forces.len())
-                .map(|level| {
-                    let (mut dot, mut square) = (0.0, 0.0);
-                    let response = self.dictionary.response(index, level).iter().zip(self.model.0.noise());
-                    for ((value, noise), residual) in response.zip(&left) {
-                        let v = f64::from(*value) / noise;
-                        dot += v * f64::from(*residual);
-                        square += v * v;
-                    }
-                    if square > 0.0 { dot / square } else { 0.0 }
-                })
-                .zip(&self.dictionary.forces)
-                .min_by(|a, b| (a.0.max(1e-9).ln().abs()).total_cmp(&b.0.max(1e-9).ln().abs()))
-                .map_or(0.0, |(share, force)| share * force);
-            chosen.push(Indentation::sphere(
-                place.position,
-                -place.normal * force.clamp(1e-3, self.settings.force_max),
-                self.settings.diameter,
-            ));
+            chosen.push(self.pressed(index, &left));
         }
         chosen
+    }
+
+    /// A press at a place of the dictionary, with the force that explains whitened residuals best.
+    pub(super) fn pressed(&self, index: usize, left: &[f32]) -> Indentation {
+        let place = &self.dictionary.places[index];
+        // The level whose force changes least.
+        let force = (0..self.dictionary.forces.len())
+            .map(|level| {
+                let (mut dot, mut square) = (0.0, 0.0);
+                let response = self.dictionary.response(index, level).iter().zip(self.model.0.noise());
+                for ((value, noise), residual) in response.zip(left) {
+                    let v = f64::from(*value) / noise;
+                    dot += v * f64::from(*residual);
+                    square += v * v;
+                }
+                if square > 0.0 { dot / square } else { 0.0 }
+            })
+            .zip(&self.dictionary.forces)
+            .min_by(|a, b| (a.0.max(1e-9).ln().abs()).total_cmp(&b.0.max(1e-9).ln().abs()))
+            .map_or(0.0, |(share, force)| share * force);
+        Indentation::sphere(
+            place.position,
+            -place.normal * force.clamp(1e-3, self.settings.force_max),
+            self.settings.diameter,
+        )
     }
 }

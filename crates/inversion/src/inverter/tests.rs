@@ -112,6 +112,54 @@ fn a_model_that_reads_something_untouched_finds_the_same_contacts() {
     assert_eq!(signal, [0.0; 25]);
 }
 
+/// A row of elements along y = 0, which touches at y and −y read alike, and one element beside it that reads `gain` of the others.
+fn row(gain: f64) -> (Inverter, Arc<Analytic>) {
+    let mut model = grid(20.0);
+    for (i, element) in model.elements.iter_mut().enumerate() {
+        element.gain = match i {
+            10..15 => 1.0,
+            17 => gain,
+            _ => 0.0,
+        };
+    }
+    let model = Arc::new(model);
+    let shared: Arc<dyn ForwardModel> = Arc::clone(&model) as _;
+    (Inverter::new(shared, Settings::new(0.004, 2.0)).unwrap(), model)
+}
+
+#[test]
+fn of_two_places_that_explain_readings_the_likelier_is_answered() {
+    // The element beside the row reads 197 · gain or 3458 · gain Pa: 3.3 deviations apart. The likelier place is the true one with
+    // Φ(3.3 / 2) = 95 %, whatever place the search is told to begin at.
+    let (inverter, model) = row(0.02);
+    let mut random = random(21);
+    let (truth, other) = (press(0.003, -0.008, 1.0), press(0.003, 0.008, 1.0));
+    let right = (0..200).filter(|_| {
+        let found = inverter.solve(&read(&model, std::slice::from_ref(&truth), &mut random), Some(&other));
+        (found.unwrap().contacts[0].position - truth.position).norm() < 0.004
+    });
+    let right = right.count();
+    assert!((180..=199).contains(&right), "{right} of 200");
+}
+
+#[test]
+fn an_answer_says_that_another_place_explains_the_readings_too() {
+    // 0.8 deviations apart: the likelier place is the true one with Φ(0.4) = 66 %.
+    let (inverter, model) = row(0.005);
+    let mut random = random(22);
+    let truth = press(0.003, -0.008, 1.0);
+    let (mut error, mut said, tries) = (0.0, 0.0, 300);
+    for _ in 0..tries {
+        let readings = read(&model, std::slice::from_ref(&truth), &mut random);
+        let found = inverter.solve(&readings, Some(&truth)).unwrap();
+        error += (found.contacts[0].position - truth.position).norm_squared();
+        said += found.contacts[0].deviation().powi(2);
+    }
+    let (error, said) = ((error / f64::from(tries)).sqrt(), (said / f64::from(tries)).sqrt());
+    assert!((0.007..0.012).contains(&error), "{error}");
+    assert!((0.7..1.4).contains(&(said / error)), "{said} is said, {error} is true");
+}
+
 #[test]
 fn contacts_that_last_are_followed() {
     let (inverter, model) = inverter(1e-3, |s| s.contacts = 2);

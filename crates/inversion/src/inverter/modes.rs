@@ -1,0 +1,219 @@
+//! Minima of one contact: which places explain the readings, and how likely each is.
+//!
+//! Problem: few elements that each respond to half of a surface can read nearly the same for touches far apart. Least squares then has
+//! several minima, and a search that stops at the first plausible one is wrong by centimetres. Method: the places of the dictionary
+//! that may hold a minimum are all refined; each minimum has the evidence of its Laplace approximation, √det C · exp(−χ²/2) times the
+//! prior of its force (D. J. C. MacKay, *Neural Comput.* 4 (1992) 415, eq. 4.1). A place may hold one where it explains the readings
+//! better than its neighbours do, and where what it leaves is no more than noise and the pitch of the dictionary leave. Assumptions:
+//! as the search's; minima are Gaussian and apart. Cost: one product with the dictionary, and a minimisation for each candidate.
+
+use dermis_model::{Indentation, Unknown};
+use nalgebra::Matrix3;
+
+use super::{Inverter, PLAUSIBLE, residuals};
+use crate::contact::ContactEstimate;
+use crate::fit::{Datum, Minimum, Problem};
+use crate::settings::InverterError;
+
+/// Peaks of the dictionary that are refined at most.
+const PEAKS: usize = 6;
+/// Further places that are refined, each the best that is far from all minima so far.
+const FARTHER: usize = 3;
+/// \[spacings\] that is far.
+const APART: f64 = 3.0;
+/// Places that are tried besides where none of the minima explains the readings.
+const RESTARTS: usize = 12;
+/// Places that are ranked.
+const RANKED: usize = 200;
+/// Share of the evidence from which on a minimum stands for all.
+const CERTAIN: f64 = 0.99;
+
+/// A minimum of one contact.
+pub(super) struct Mode {
+    pub minimum: Minimum,
+    /// Share of the evidence of all minima.
+    pub share: f64,
+}
+
+impl Inverter {
+    /// Minima of one contact that explain `data`, the likeliest first; `hint` is a further place to begin at.
+    pub(super) fn modes(
+        &self,
+        problem: &Problem<'_>,
+        data: &[Datum],
+        hint: Option<&Indentation>,
+    ) -> Result<Vec<Mode>, InverterError> {
+        let left = residuals(data, &vec![0.0; data.len()]);
+        let mut minima: Vec<Minimum> = Vec::new();
+        if let Some(hint) = hint {
+            let mut start = hint.clone();
+            start.position.y = self.line.unwrap_or(start.position.y);
+            self.add(&mut minima, problem.minimise(vec![start])?);
+        }
+        let mut tried = self.peaks(data, &left);
+        for index in &tried {
+            self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
+        }
+        let ranked = self.ranked(data);
+        for _ in 0..FARTHER {
+            let Some(index) = self.farther(&ranked, (data, &tried, &minima)) else { break };
+            tried.push(index);
+            self.add(&mut minima, problem.minimise(vec![self.pressed(index, &left)])?);
+        }
+        // A minimum that noise does not explain lies at an edge that the true place is beyond of: begin all about.
+        let explained = |minima: &[Minimum]| minima.iter().any(|m| m.chi2 < self.plausible(data));
+        for (_, index) in ranked.iter().filter(|(_, index)| !tried.contains(index)).take(RESTARTS) {
+            if explained(&minima) {
+                break;
+            }
+            self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
+        }
+        let evidence: Vec<f64> = minima.iter().map(|m| self.log_evidence(m)).collect();
+        let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let mut modes: Vec<Mode> = minima
+            .into_iter()
+            .zip(evidence)
+            .map(|(minimum, e)| Mode { minimum, share: if e.is_finite() { (e - most).exp() } else { 0.0 } })
+            .collect();
+        let total: f64 = modes.iter().map(|m| m.share).sum();
+        if total > 0.0 {
+            modes.iter_mut().for_each(|m| m.share /= total);
+        }
+        modes.sort_by(|a, b| {
+            b.share.total_cmp(&a.share).then(self.score(&a.minimum).total_cmp(&self.score(&b.minimum)))
+        });
+        Ok(modes)
+    }
+
+    /// Widens the error of the one contact that is answered where other minima may be true.
+    pub(super) fn spread(&self, answer: &mut ContactEstimate, modes: &[Mode], data: &[Datum]) {
+        if modes.first().is_none_or(|first| first.share >= CERTAIN) || self.is_broad(answer) {
+            return;
+        }
+        let (mut place, mut force) = (Matrix3::zeros(), Matrix3::zeros());
+        for mode in modes.iter().filter(|m| m.share > 0.0) {
+            for contact in self.describe(&mode.minimum, data) {
+                let (by, more) = (contact.position - answer.position, contact.force - answer.force);
+                // As in the evidence: a minimum answers for its own surroundings only.
+                let own = (APART * self.spacing / contact.deviation()).min(1.0).powi(2);
+                place += (contact.position_covariance * own + by * by.transpose()) * mode.share;
+                force += (contact.force_covariance * own + more * more.transpose()) * mode.share;
+            }
+        }
+        (answer.position_covariance, answer.force_covariance) = (place, force);
+    }
+
+    /// Takes a minimum in; two starts that end in one place are one minimum.
+    fn add(&self, minima: &mut Vec<Minimum>, found: Minimum) {
+        let Some(place) = found.contacts.first().map(|c| c.position) else { return };
+        let same = |m: &&mut Minimum| m.contacts.iter().any(|c| (c.position - place).norm() < self.spacing);
+        match minima.iter_mut().find(same) {
+            Some(other) if self.score(&found) < self.score(other) => *other = found,
+            Some(_) => {}
+            None => minima.push(found),
+        }
+    }
+
+    /// Up to where a sum of squared deviations of one contact is what noise leaves.
+    fn plausible(&self, data: &[Datum]) -> f64 {
+        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let freedom = counted.saturating_sub(self.settings.unknowns.count()) as f64;
+        freedom + PLAUSIBLE * (2.0 * freedom).sqrt()
+    }
+
+    /// Places of the dictionary by the least sum of squared deviations that a press there leaves, the best first; as many as are tried
+    /// at most.
+    fn ranked(&self, data: &[Datum]) -> Vec<(f64, usize)> {
+        let mut places: Vec<(f64, usize)> =
+            (0..self.dictionary.places.len()).map(|index| (self.unexplained(index, data), index)).collect();
+        let few = RANKED.min(places.len());
+        if few > 0 && few < places.len() {
+            places.select_nth_unstable_by(few - 1, |a, b| a.0.total_cmp(&b.0));
+            places.truncate(few);
+        }
+        places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        places
+    }
+
+    /// The best of `ranked` that may hold a minimum and is far from every place where a search began or ended.
+    fn farther(
+        &self,
+        ranked: &[(f64, usize)],
+        (data, tried, minima): (&[Datum], &[usize], &[Minimum]),
+    ) -> Option<usize> {
+        let place = |index: usize| self.dictionary.places[index].position;
+        let is_far = |index: usize| {
+            let begun = tried.iter().map(|other| place(*other));
+            let ended = minima.iter().flat_map(|m| m.contacts.iter().map(|c| c.position));
+            begun.chain(ended).all(|other| (other - place(index)).norm() > APART * self.spacing)
+        };
+        let whole = sum_of_squares(data);
+        let mut possible = ranked.iter().filter(|(left, index)| self.is_possible(*left, *index, whole, data));
+        possible.find(|(_, index)| is_far(*index)).map(|(_, index)| *index)
+    }
+
+    /// Whether a touch near a place of the dictionary can be what made readings whose squares sum up to `whole`, where a press at
+    /// that very place leaves `left` of them.
+    fn is_possible(&self, left: f64, index: usize, whole: f64, data: &[Datum]) -> bool {
+        left < self.plausible(data) + self.dictionary.mismatch(index) * whole
+    }
+
+    /// Least sum of squared deviations that a press at a place of the dictionary leaves, whatever its force.
+    fn unexplained(&self, index: usize, data: &[Datum]) -> f64 {
+        let levels = (0..self.dictionary.forces.len()).map(|level| {
+            let (mut dot, mut square, mut whole) = (0.0, 0.0, 0.0);
+            for (value, datum) in self.dictionary.response(index, level).iter().zip(data) {
+                let Datum::Exact(reading, weight) = *datum else { continue };
+                let v = f64::from(*value) * weight;
+                dot += v * reading * weight;
+                square += v * v;
+                whole += (reading * weight).powi(2);
+            }
+            if square > 0.0 { whole - dot.max(0.0).powi(2) / square } else { whole }
+        });
+        levels.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Logarithm of a minimum's evidence but for a constant; −∞ where the readings do not fix it.
+    ///
+    /// A minimum answers for its own surroundings only, however flat it is: before the reading, its place is Gaussian with what counts
+    /// as far, its forces with the largest one.
+    fn log_evidence(&self, minimum: &Minimum) -> f64 {
+        let information = minimum.covariance.as_ref().and_then(|c| c.clone().try_inverse());
+        let Some(mut information) = information else { return f64::NEG_INFINITY };
+        let (far, strong) = (APART * self.spacing, self.settings.force_max);
+        for (k, unknown) in self.settings.unknowns.list().iter().enumerate() {
+            let scale = if matches!(unknown, Unknown::Along(_)) { far } else { strong };
+            information[(k, k)] += scale.powi(-2);
+        }
+        -0.5 * (information.determinant().ln() + self.score(minimum))
+    }
+
+    /// Places of the dictionary that may hold a minimum, the best first.
+    fn peaks(&self, data: &[Datum], left: &[f32]) -> Vec<usize> {
+        let whole = sum_of_squares(data);
+        let scores: Vec<f32> = self.dictionary.project(left).collect();
+        let mut highest: Vec<usize> = (0..scores.len())
+            .filter(|i| {
+                let is_highest = self.dictionary.neighbours(*i).iter().all(|n| scores[*n] <= scores[*i]);
+                is_highest && scores[*i] > 0.0
+            })
+            .collect();
+        highest.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]));
+        // The best is tried whatever it leaves.
+        let possible = |rank: usize, index: usize| {
+            rank == 0 || self.is_possible(whole - f64::from(scores[index]).powi(2), index, whole, data)
+        };
+        let held = highest.into_iter().enumerate().filter(|(rank, index)| possible(*rank, *index));
+        held.map(|(_, index)| index).take(PEAKS).collect()
+    }
+}
+
+/// Sum of the squares of readings in units of their noise.
+pub(super) fn sum_of_squares(data: &[Datum]) -> f64 {
+    let square = |datum: &Datum| match *datum {
+        Datum::Exact(v, w) | Datum::AtLeast(v, w) | Datum::AtMost(v, w) => (v * w).powi(2),
+        Datum::None => 0.0,
+    };
+    data.iter().map(square).sum()
+}
