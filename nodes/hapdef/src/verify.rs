@@ -47,15 +47,15 @@ const HELD: f64 = 0.012;
 /// differ by 0.7 % from those of 0.8 mm.
 const WITHIN: [f64; 2] = [0.04, 0.03];
 
-/// The limb that ships under touches all over it, by the theory that shears: what its ten gauges read, and what they would on
+/// The limb that ships under touches all over it: what its ten gauges read, and what they would on
 /// solids of 1.2 mm. Of each kind of touch there are two cases: the worst reading of all, and the root mean square of all.
 fn limb() -> Result<Vec<Case>, VerifyError> {
-    let thin = SkinDescription::from_toml(SHIN, "hapdef-shin.toml")?;
-    let mut shearing = thin.clone();
-    shearing.medium.insert("theory".into(), "reissner-mindlin".into());
-    let models = [ShellModel::new(&shearing)?, ShellModel::new(&thin)?];
-    let places = places(&thin);
-    let readings = solids(&thin, &places)?;
+    let shin = SkinDescription::from_toml(SHIN, "hapdef-shin.toml")?;
+    let mut thin = shin.clone();
+    thin.medium.insert("theory".into(), "kirchhoff-love".into());
+    let models = [ShellModel::new(&shin)?, ShellModel::new(&thin)?];
+    let places = places(&shin);
+    let readings = solids(&shin, &places)?;
     let mut cases = Vec::new();
     for ((name, along), solid) in TOUCHES.iter().zip(&readings) {
         let compared: Vec<Vec<Compared>> =
@@ -85,7 +85,7 @@ fn limb() -> Result<Vec<Case>, VerifyError> {
         cases.push(Case::new(
             format!("shell-ccx-shin-{name}-rms"),
             format!(
-                "the same: root mean square of all differences by the touch's own (the thin shell of skins that ship: {thin:.3}, and {thin_worst:.3} for its worst reading)"
+                "the same: root mean square of all differences by the touch's own (a thin shell on its own mesh: {thin:.3}, and {thin_worst:.3} for its worst reading)"
             ),
             SOURCE,
             "",
