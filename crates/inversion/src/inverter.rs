@@ -331,7 +331,8 @@ impl Inverter {
             let least = if self.line.is_some() { along[2] } else { along[1] };
             least.max(0.0).sqrt()
         };
-        deviation.is_nan() || deviation >= BROAD * self.spacing && !(narrowest() < NARROW * self.spacing)
+        // What the readings do not fix at all has no eigenvalues.
+        !deviation.is_finite() || deviation >= BROAD * self.spacing && narrowest() >= NARROW * self.spacing
     }
 
     /// Share of the surface where a press of `force` \[N\] lowers the sum of squared deviations by less than `evidence`, in

@@ -90,7 +90,25 @@ pub struct AgainstBound {
     pub all: Ratio,
     /// By true normal force.
     pub by_force: Vec<RatioBin>,
+    /// Of positions, those alone whose bound is below [`WELL_DETERMINED`]; absent where all are, or none. A root mean square over all
+    /// places is that of the few where the channels hardly tell the place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub well_determined: Option<WellDetermined>,
 }
+
+/// Contacts whose position the channels determine well.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WellDetermined {
+    /// \[m\] that their bound is below.
+    pub below: f64,
+    /// Over all forces.
+    pub all: Ratio,
+    /// By true normal force.
+    pub by_force: Vec<RatioBin>,
+}
+
+/// \[m\] of the bound below which a position counts as well determined: less than a fingertip's contact is wide.
+const WELL_DETERMINED: f64 = 3e-3;
 
 /// Errors and bounds of the same contacts in one bin of force.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -252,17 +270,31 @@ impl FrameBounds {
         }
         let sum_up = |((contacts, quantity), all): ((usize, usize), Vec<(f64, Pair)>)| {
             let (name, unit, _) = quantities[quantity];
-            let bin = |n: usize| {
-                let inside: Vec<_> =
-                    all.iter().filter(|(force, _)| bin_in(edges, *force) == Some(n)).map(|p| p.1).collect();
-                Some(RatioBin { from: edges[n], to: edges.get(n + 1).copied(), ratio: Ratio::of(&inside)? })
+            let ratios = |of: &[(f64, Pair)]| {
+                let bin = |n: usize| {
+                    let inside = of.iter().filter(|(force, _)| bin_in(edges, *force) == Some(n));
+                    let ratio = Ratio::of(&inside.map(|p| p.1).collect::<Vec<_>>())?;
+                    Some(RatioBin { from: edges[n], to: edges.get(n + 1).copied(), ratio })
+                };
+                let whole = Ratio::of(&of.iter().map(|p| p.1).collect::<Vec<_>>())?;
+                Some((whole, (0..edges.len()).filter_map(bin).collect()))
             };
+            let well: Vec<(f64, Pair)> =
+                all.iter().filter(|(_, (_, bound, _))| *bound < WELL_DETERMINED).copied().collect();
+            let some = name == "position" && well.len() < all.len();
+            let well_determined = some.then(|| ratios(&well)).flatten();
+            let (whole, by_force) = ratios(&all)?;
             Some(AgainstBound {
                 contacts,
                 quantity: name.to_owned(),
                 unit: unit.to_owned(),
-                all: Ratio::of(&all.iter().map(|p| p.1).collect::<Vec<_>>())?,
-                by_force: (0..edges.len()).filter_map(bin).collect(),
+                all: whole,
+                by_force,
+                well_determined: well_determined.map(|(all, by_force)| WellDetermined {
+                    below: WELL_DETERMINED,
+                    all,
+                    by_force,
+                }),
             })
         };
         pairs.into_iter().filter_map(sum_up).collect()
@@ -326,6 +358,27 @@ mod tests {
         let told: Vec<(&str, usize)> = against.iter().map(|a| (&*a.quantity, a.all.samples)).collect();
         assert_eq!(told, [("force.normal", 1)]);
         approx::assert_relative_eq!(against[0].all.ratio_of_rms, 2.0, max_relative = 1e-9);
+    }
+
+    #[test]
+    fn well_determined_positions_stand_apart() {
+        let ids = [0, 1, 2].map(|sample| SampleId { run: 0, sample });
+        // Bounds of 1, 2 and 10 mm.
+        let frames = ids.into_iter().zip([1e-3, 2e-3, 1e-2].map(|b| vec![bound(b)])).collect();
+        let bounds = FrameBounds { frames, ..FrameBounds::default() };
+        let errors: Vec<ContactError> =
+            ids.iter().zip([3e-3, 4e-3, 1e-2]).map(|(id, e)| error(*id, [0, 1], e, 0.1)).collect();
+        let against = bounds.against(&errors, &FORCE_BINS);
+        let position = against.iter().find(|a| a.quantity == "position").unwrap();
+        let well = position.well_determined.as_ref().unwrap();
+        assert_eq!((position.all.samples, well.all.samples, well.below), (3, 2, 3e-3));
+        approx::assert_relative_eq!(well.all.ratio_of_rms, (25.0f64 / 5.0).sqrt(), max_relative = 1e-9);
+        assert_eq!(well.by_force.iter().map(|b| b.ratio.samples).sum::<usize>(), 2);
+        assert!(position.to_string().contains("bound < 3 mm"), "{position}");
+        // Forces have none, and nothing stands apart where all are.
+        assert!(against.iter().all(|a| a.quantity == "position" || a.well_determined.is_none()));
+        let sharp = bounds.against(&errors[..2], &FORCE_BINS);
+        assert!(sharp.iter().all(|a| a.well_determined.is_none()));
     }
 
     fn error(id: SampleId, contact: [usize; 2], position: f64, normal_force: f64) -> ContactError {

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{AgainstBound, Bounds, Ratio, Unbounded};
+use super::{AgainstBound, Bounds, Ratio, RatioBin, Unbounded};
 use crate::metrics::Bin;
 
 impl fmt::Display for Bounds {
@@ -55,16 +55,25 @@ impl fmt::Display for Unbounded {
 
 impl AgainstBound {
     /// Rows of a table for people, in millimetres and newtons: name of the bin, and figures.
-    fn rows(&self) -> impl Iterator<Item = (String, &Ratio)> {
-        let name =
-            |from: f64, to: Option<f64>| to.map_or(format!("{from}+ N"), |to| format!("{from}-{to} N"));
-        let bins = self.by_force.iter().map(move |b| (name(b.from, b.to), &b.ratio));
-        let all = std::iter::once(("all".to_owned(), &self.all));
-        all.chain(bins).flat_map(|(name, ratio)| {
-            let found = ratio.found.as_deref().map(|found| (format!("{name}, found"), found));
-            std::iter::once((name, ratio)).chain(found)
-        })
+    fn rows(&self) -> Vec<(String, &Ratio)> {
+        let mut rows = of_bins("", &self.all, &self.by_force);
+        if let Some(well) = &self.well_determined {
+            rows.extend(of_bins(&format!("bound < {} mm, ", well.below * 1e3), &well.all, &well.by_force));
+        }
+        rows
     }
+}
+
+/// Rows of all contacts and of each bin, and below each those that were found, where some were not.
+fn of_bins<'a>(which: &str, all: &'a Ratio, bins: &'a [RatioBin]) -> Vec<(String, &'a Ratio)> {
+    let name = |b: &RatioBin| b.to.map_or(format!("{}+ N", b.from), |to| format!("{}-{to} N", b.from));
+    let bins = bins.iter().map(|b| (format!("{which}{}", name(b)), &b.ratio));
+    let rows = std::iter::once((format!("{which}all"), all)).chain(bins);
+    rows.flat_map(|(name, ratio)| {
+        let found = ratio.found.as_deref().map(|found| (format!("{name}, found"), found));
+        std::iter::once((name, ratio)).chain(found)
+    })
+    .collect()
 }
 
 impl fmt::Display for AgainstBound {
@@ -75,14 +84,14 @@ impl fmt::Display for AgainstBound {
         writeln!(f, "  {} [{unit}] beside its Cramér–Rao bound, the same frames of {of}", self.quantity)?;
         writeln!(
             f,
-            "  {:<22}{:>9}{:>11}{:>10}{:>9}{:>9}{:>9}{:>8}{:>14}",
+            "  {:<34}{:>9}{:>11}{:>10}{:>9}{:>9}{:>9}{:>8}{:>14}",
             "", "contacts", "not found", "error RMS", "bound", "ratio", "median", "bound", "median ratio"
         )?;
         for (name, r) in self.rows() {
             let [error, bound, median, of] = [r.error_rms, r.bound_rms, r.error_median, r.bound_median];
             writeln!(
                 f,
-                "  {name:<22}{:>9}{:>9.2} %{:>10.3}{:>9.3}{:>9.2}{:>9.3}{:>8.3}{:>14.2}",
+                "  {name:<34}{:>9}{:>9.2} %{:>10.3}{:>9.3}{:>9.2}{:>9.3}{:>8.3}{:>14.2}",
                 r.samples,
                 r.not_found * 100.0,
                 error * factor,
