@@ -124,7 +124,7 @@ enum Command {
     /// Where to put sensing elements, of thousands of places where they could be.
     #[command(alias = "place")]
     OptimizePlacement(Box<placement::Options>),
-    /// Where a simulated skin and a real one differ, which effect makes them, and how far it closes the gap.
+    /// Where a simulated skin and a real one differ, which effect makes them, and how far that reduces the difference.
     #[command(subcommand)]
     Gap(gap::Gap),
     /// What a skin would gain from being built otherwise: depth, thickness, pitch, material, noise.
