@@ -161,6 +161,7 @@ pub(super) fn real2sim(root: &Path) -> Result<Value> {
     };
     Ok(json!({
         "corrected": rows("corrected model, all pairs"),
+        // Reduced: `cargo xtask measure hapdefx` has the sizes of the thesis.
         "hapdefx": rows("hapdef-shin-real2sim: peaks"),
         "left_out": found["left_out"],
         "asks": found["asks"],
