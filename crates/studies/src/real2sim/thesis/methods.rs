@@ -2,7 +2,7 @@
 //!
 //! | method | in the thesis |
 //! |---|---|
-//! | support vectors | HapDef: chapter 2 |
+//! | support vectors | chapter 2 |
 //! | network on readings | FNN: five layers of 500 ReLU, readings → place and force |
 //! | network on maps | the framework without k-Max: the same layers, map → place and force |
 //! | peaks of maps | HapDefX: k-Max and the sensitivity network |
