@@ -7,6 +7,7 @@ use clap::Args;
 use dermis_bridge_zenoh::{Bridge, BridgeConfig};
 use dermis_operate::Touch;
 use dermis_operate::demo::{Contents, Demo, Request};
+use dermis_operate::quantity::duration;
 use dermis_perception::cli::NetworkArguments;
 
 use crate::backend::Choice;
@@ -34,26 +35,6 @@ pub struct Options {
     /// Seed of the touches and the noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-}
-
-/// A time as people write it.
-pub fn duration(text: &str) -> Result<Duration, String> {
-    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(split);
-    let factor = match unit {
-        "" | "s" => 1.0,
-        "ms" => 1e-3,
-        "m" | "min" => 60.0,
-        _ => {
-            return Err(format!(
-                "`{text}` has the unit `{unit}`; write seconds, e.g. `10s`, or minutes, e.g. `2m`"
-            ));
-        }
-    };
-    match number.parse::<f64>() {
-        Ok(n) if n > 0.0 && n.is_finite() => Ok(Duration::from_secs_f64(n * factor)),
-        _ => Err(format!("`{text}` is not a duration; write seconds, e.g. `10s`")),
-    }
 }
 
 const SKIN: &str = include_str!("../../launch/skins/baro-grid.toml");
@@ -113,16 +94,6 @@ mod tests {
     use dermis_testbed::Plan;
 
     use super::*;
-
-    #[test]
-    fn durations_read_as_people_write_them() {
-        assert_eq!(duration("10s"), Ok(Duration::from_secs(10)));
-        assert_eq!(duration("1.5"), Ok(Duration::from_millis(1500)));
-        assert_eq!(duration("2m"), Ok(Duration::from_secs(120)));
-        for bad in ["", "s", "-1s", "3h", "NaN", "inf"] {
-            assert!(duration(bad).is_err(), "{bad}");
-        }
-    }
 
     #[test]
     fn what_ships_inside_fits_together() {

@@ -1,4 +1,4 @@
-//! Where a simulated skin and a real one differ, which effect makes them, and how far it closes the gap.
+//! Where a simulated skin and a real one differ, which effect makes them, and how far that reduces the difference.
 
 mod pack;
 

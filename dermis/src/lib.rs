@@ -124,7 +124,7 @@ enum Command {
     /// Where to put sensing elements, of thousands of places where they could be.
     #[command(alias = "place")]
     OptimizePlacement(Box<placement::Options>),
-    /// Where a simulated skin and a real one differ, which effect makes them, and how far it closes the gap.
+    /// Where a simulated skin and a real one differ, which effect makes them, and how far that reduces the difference.
     #[command(subcommand)]
     Gap(gap::Gap),
     /// What a skin would gain from being built otherwise: depth, thickness, pitch, material, noise.
@@ -314,6 +314,7 @@ mod tests {
     /// A request that a file names and one that a command line names have the same defaults.
     #[test]
     fn requests_read_alike_from_files_and_command_lines() {
+        use dermis_operate::{device, play, record, slice};
         use dermis_studies::{bounds, comparison, evaluation, gap, placement, real2sim, refinement, sweep};
         use serde::{Serialize, de::DeserializeOwned};
 
@@ -351,9 +352,17 @@ mod tests {
         same::<gap::generation::Request>(&words, &made);
         let pressed = serde_json::json!({ "skin": "a", "plan": "p", "out": "o" });
         same::<dermis_operate::collect::Request>(&["a", "--plan", "p", "--out", "o"], &pressed);
+        same::<record::Request>(&["-o", "b"], &serde_json::json!({ "out": "b" }));
+        same::<play::Request>(&["b"], &serde_json::json!({ "bag": "b" }));
+        let part = serde_json::json!({ "bag": "b", "out": "o", "split_time": 60.0 });
+        same::<slice::Request>(&["b", "-o", "o", "--split-time", "1min"], &part);
+        same::<device::Simulation>(&["a"], &skin);
+        let replayed = serde_json::json!({ "skin": "a", "bag": "b" });
+        same::<device::Replay>(&["--skin", "a", "b"], &replayed);
         let packs = serde_json::json!({ "pack": ["p"], "out": "o" });
         same::<gap::benchmark::Request>(&["--pack", "p", "--out", "o"], &packs);
         let compared = serde_json::json!({ "skin": "a", "train": ["t"], "bags": ["b"] });
         same::<real2sim::compare::Request>(&["--skin", "a", "--train", "t", "b"], &compared);
+        same::<real2sim::thesis::Request>(&["--skin", "a", "--train", "t", "b"], &compared);
     }
 }

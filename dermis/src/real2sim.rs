@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use dermis_report::real2sim as report;
-use dermis_studies::real2sim::{compare, table, train};
+use dermis_studies::real2sim::{compare, table, thesis, train};
 
 use crate::output::{self, Output};
 use crate::registry::families;
@@ -19,6 +19,9 @@ pub enum Real2Sim {
     Train(Train),
     /// Compare ways to one and two contacts on recordings that nothing was learned from.
     Compare(Compare),
+    /// Measure chapter 3 of the thesis (HapDefX) again: maps by the number of virtual sensors (Fig. 3.5 A), ways to one contact
+    /// (Fig. 3.8), errors of one and two contacts (Table 3.2). With the sizes of the thesis, hours.
+    Thesis(Thesis),
 }
 
 /// Which skin, and where the table goes.
@@ -47,6 +50,16 @@ pub struct Compare {
     output: Output,
     #[command(flatten)]
     request: compare::Request,
+}
+
+/// What to learn from, and what to measure on.
+#[derive(Args)]
+pub struct Thesis {
+    /// One JSON object.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    request: thesis::Request,
 }
 
 /// Runs one of the commands.
@@ -79,6 +92,11 @@ pub fn run(command: &Real2Sim) -> Result<()> {
                 output::save(folder, &[("comparison.json", json), ("comparison.html", page)])?;
             }
             output::print(options.output.json, &findings, &text)
+        }
+        Real2Sim::Thesis(options) => {
+            let findings = thesis::measure(&options.request, &families(), &steps)?;
+            steps.finish();
+            output::print(options.json, &findings, &report::thesis(&findings))
         }
     }
 }

@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
+use dermis_operate::quantity::duration;
 use dermis_operate::watch::{Request, View, watch};
 use dermis_perception::cli::NetworkArguments;
 
 use crate::backend::Choice;
-use crate::demo::duration;
 use crate::output::{StandardError, shown};
 use crate::table::Table;
 

@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use crate::run::{cargo, output, run as execute, target_dir};
 use crate::test::{BUILD, WITHOUT_ROS};
 
+mod hapdefx;
 mod limb;
 
 /// What can be measured.
@@ -38,6 +39,10 @@ pub enum Measurement {
     Limb,
     /// One and two contacts on a limb with the default effects: all ways, learned from recorded single contacts.
     Real2sim,
+    /// Chapter 3 of the thesis at its sizes (HapDefX) on the limb of `real2sim`: maps, ways to one contact, errors of one and two
+    /// contacts. Writes benches/results/hapdefx-shin.json, from which `cargo xtask docs --tables` makes the tables. Two hours and a
+    /// half of CPU time, half of that by the clock on two idle cores; interrupted, the same command goes on.
+    Hapdefx(hapdefx::Options),
     /// Seconds from `kill -9` of a node under `launch` to the contacts of the one that comes after it.
     Restart,
     /// Seconds from the start of a node's process until a subscriber has contacts with status OK, with an empty and with a warm
@@ -65,6 +70,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Realism => realism(root)?,
         Measurement::Limb => limb::limb(root)?,
         Measurement::Real2sim => limb::real2sim(root)?,
+        Measurement::Hapdefx(options) => hapdefx::run(root, options)?,
         Measurement::Start => start(root)?,
         Measurement::Gap => gap(root)?,
         Measurement::Restart => restart(root)?,

@@ -305,7 +305,8 @@ impl FrameBounds {
 const MASKED_NOISE: f64 = 1e30;
 
 /// What pressed, where the truth is whole.
-pub(crate) fn stimulus(truth: &Truth) -> Option<Stimulus> {
+#[must_use]
+pub fn stimulus(truth: &Truth) -> Option<Stimulus> {
     let contacts = truth
         .contacts
         .iter()

@@ -41,7 +41,7 @@ pub mod train;
 
 pub use bounds::{
     AgainstBound, Bounds, FrameBounds, MOST as MOST_BOUNDED, OfSeveral, Ratio, RatioBin, Unbounded,
-    WellDetermined, frame_bounds,
+    WellDetermined, frame_bounds, stimulus,
 };
 pub use dataset::{Dataset, DatasetOptions, FrameInfo, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;

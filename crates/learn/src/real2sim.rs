@@ -28,7 +28,7 @@ mod table;
 pub use crate::recordings::{Recorded, superpose};
 pub use basis::MapBasis;
 pub use contacts::{matched, tune};
-pub use pipeline::{Pipeline, PipelineSettings, Trained, train};
+pub use pipeline::{Paired, Pipeline, PipelineSettings, SensitivityOutput, Stages, Trained, Transfer, train};
 pub use regressor::{LinearMap, MapRegressor, NearestMaps, NetMap};
 pub use scenes::{Compliance, Part, SceneSettings, Scenes};
 pub use sensors::{Simulated, VirtualSensors, simulate};

@@ -12,6 +12,7 @@ pub mod command;
 mod config;
 #[cfg(feature = "train")]
 pub mod conv;
+mod kept;
 mod kernels;
 mod measure;
 mod network;
@@ -25,6 +26,7 @@ pub use choose::{Choice, Judged};
 pub use config::{
     Activation, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig,
 };
+pub use kept::{States, fit_kept};
 pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};
 pub use prepare::Preparation;

@@ -20,13 +20,15 @@ use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
 use tokio::time::MissedTickBehavior;
 
 use crate::effects::Chosen;
 use crate::{OperateError, model_of_file};
 
 /// A modelled skin that a plan presses, over and over.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Simulation {
     /// Skin description.
     pub skin: PathBuf,
@@ -37,7 +39,7 @@ pub struct Simulation {
     #[command(flatten)]
     pub chosen: Chosen,
     /// Seed of everything random, the device's own effects included.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = Simulation::default().seed)]
     pub seed: u64,
     /// Where it is plugged in.
     #[command(flatten)]
@@ -47,8 +49,22 @@ pub struct Simulation {
     pub published: Published,
 }
 
+impl Default for Simulation {
+    fn default() -> Self {
+        Self {
+            skin: PathBuf::new(),
+            plan: None,
+            chosen: Chosen::default(),
+            seed: 1,
+            outlet: Plug::default(),
+            published: Published::default(),
+        }
+    }
+}
+
 /// The recorded frames of a bag, byte by byte.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Replay {
     /// Skin description.
     #[arg(long)]
@@ -59,15 +75,28 @@ pub struct Replay {
     #[arg(long, value_name = "NAME")]
     pub skin_instance: Option<String>,
     /// Factor on the recorded pace; 0 for as fast as it is read.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = Replay::default().speed)]
     pub speed: f64,
     /// Where it is plugged in.
     #[command(flatten)]
     pub outlet: Plug,
 }
 
+impl Default for Replay {
+    fn default() -> Self {
+        Self {
+            skin: PathBuf::new(),
+            bag: PathBuf::new(),
+            skin_instance: None,
+            speed: 1.0,
+            outlet: Plug::default(),
+        }
+    }
+}
+
 /// Where a device is plugged in.
-#[derive(Debug, Clone, Default, Args)]
+#[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Plug {
     /// Symbolic link to the pseudo-terminal, for a path that stays the same.
     #[arg(long)]
@@ -81,7 +110,8 @@ impl Plug {
 }
 
 /// What a testbed tells on the bus beside the bytes of its skin, for recordings that a model learns from.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Published {
     /// Publish what is true as dermis_msgs/msg/Indentation on this topic, e.g. `ground_truth`.
     #[arg(long, value_name = "TOPIC")]

@@ -29,6 +29,7 @@ pub mod slice;
 mod stats;
 mod touch;
 pub mod watch;
+mod written;
 
 use std::path::Path;
 use std::sync::Arc;

@@ -17,10 +17,10 @@ use dermis_node::{
     parse_remapping,
 };
 use dermis_perception::cli::NetworkArguments;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::quantity::duration;
-use crate::{OperateError, Progress, foreign};
+use crate::{OperateError, Progress, foreign, written};
 
 type Result<T, E = OperateError> = std::result::Result<T, E>;
 
@@ -34,12 +34,13 @@ const DISCOVERY: Duration = Duration::from_millis(500);
 const CLOCK: Duration = Duration::from_millis(10);
 
 /// What to play, and how.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Request {
     /// Folder of a rosbag2 bag, or an .mcap file.
     pub bag: PathBuf,
     /// Speed: 2 is twice as fast; 0 as fast as it goes.
-    #[arg(short, long, default_value_t = 1.0)]
+    #[arg(short, long, default_value_t = Request::default().rate)]
     pub rate: f64,
     /// Begin again at the end, until Ctrl-C.
     #[arg(short, long)]
@@ -53,12 +54,15 @@ pub struct Request {
     pub skin_instance: Option<String>,
     /// Publish under another name: from:=to; may be repeated.
     #[arg(short = 'm', long, value_parser = remapping, value_name = "A:=B")]
+    #[serde(with = "written::remappings")]
     pub remap: Vec<(String, String)>,
     /// Leave out the first part of the bag, e.g. 10s.
     #[arg(long, value_parser = duration, value_name = "TIME")]
+    #[serde(with = "written::duration")]
     pub start_offset: Option<Duration>,
     /// End after this much of the bag, e.g. 60s.
     #[arg(long, value_parser = duration, value_name = "TIME")]
+    #[serde(with = "written::duration")]
     pub duration: Option<Duration>,
     /// Publish the bag's time on /clock, for nodes with use_sim_time.
     #[arg(long)]
@@ -72,6 +76,25 @@ pub struct Request {
     /// How far the network reaches.
     #[command(flatten)]
     pub network: NetworkArguments,
+}
+
+impl Default for Request {
+    fn default() -> Self {
+        Self {
+            bag: PathBuf::new(),
+            rate: 1.0,
+            r#loop: false,
+            topics: Vec::new(),
+            skin_instance: None,
+            remap: Vec::new(),
+            start_offset: None,
+            duration: None,
+            clock: false,
+            wait_for_subscribers: None,
+            recover: false,
+            network: NetworkArguments::default(),
+        }
+    }
 }
 
 fn remapping(text: &str) -> Result<(String, String), String> {

@@ -19,20 +19,24 @@ use dermis_bag::{
 use dermis_node::{Backend, Node, NodeOptions};
 use dermis_perception::cli::NetworkArguments;
 use regex::Regex;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use self::selection::Selection;
 use self::session::{Ended, Session};
 use crate::quantity::{duration, size};
-use crate::{OperateError, Progress};
+use crate::{OperateError, Progress, written};
 
 /// How often the graph is looked at for new topics, and the end for its reasons.
 const LOOK_AROUND: Duration = Duration::from_millis(100);
 /// How often a recording that finds no room for its folder tries again.
 const AGAIN: Duration = Duration::from_secs(1);
 
+/// Memory for messages that wait for the disk, where nothing is said.
+const BUFFER: &str = "512MiB";
+
 /// What to record, and how.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Request {
     /// Topics to record, relative to the namespace; every topic where neither these nor --regex nor --type are given.
     pub topics: Vec<String>,
@@ -41,12 +45,14 @@ pub struct Request {
     pub all: bool,
     /// Topics that this regular expression finds; may be repeated.
     #[arg(short = 'e', long)]
+    #[serde(with = "written::patterns")]
     pub regex: Vec<Regex>,
     /// Topics of this type, e.g. dermis_msgs/msg/TaxelFrame; may be repeated.
     #[arg(long = "type", value_name = "TYPE")]
     pub types: Vec<String>,
     /// Not the topics that this regular expression finds; may be repeated.
     #[arg(short = 'x', long, value_name = "REGEX")]
+    #[serde(with = "written::patterns")]
     pub exclude: Vec<Regex>,
     /// Hidden topics too: those with a part that begins with `_`.
     #[arg(long)]
@@ -59,9 +65,11 @@ pub struct Request {
     pub resume: bool,
     /// Begin a new file after this many bytes, e.g. 1GiB.
     #[arg(long, value_parser = size, value_name = "SIZE")]
+    #[serde(with = "written::optional_size")]
     pub split_size: Option<u64>,
     /// Begin a new file after this time, e.g. 10min.
     #[arg(long, value_parser = duration, value_name = "TIME")]
+    #[serde(with = "written::duration")]
     pub split_time: Option<Duration>,
     /// Compression of the chunks.
     #[arg(long, value_enum, default_value_t)]
@@ -70,21 +78,47 @@ pub struct Request {
     #[arg(long)]
     pub complete: bool,
     /// Memory for messages that wait for the disk; what comes while it is full is dropped and counted.
-    #[arg(long, value_parser = size, default_value = "512MiB", value_name = "SIZE")]
+    #[arg(long, value_parser = size, default_value = BUFFER, value_name = "SIZE")]
+    #[serde(with = "written::size")]
     pub buffer: u64,
     /// End after this long, e.g. 60s; at Ctrl-C where absent.
     #[arg(long, value_parser = duration, value_name = "TIME")]
+    #[serde(with = "written::duration")]
     pub duration: Option<Duration>,
     /// Namespace of the recorder, and of topics that are given without a leading `/`.
-    #[arg(long, default_value = "/")]
+    #[arg(long, default_value_t = Request::default().namespace)]
     pub namespace: String,
     /// How far the network reaches.
     #[command(flatten)]
     pub network: NetworkArguments,
 }
 
+impl Default for Request {
+    fn default() -> Self {
+        Self {
+            topics: Vec::new(),
+            all: false,
+            regex: Vec::new(),
+            types: Vec::new(),
+            exclude: Vec::new(),
+            include_hidden: false,
+            out: PathBuf::new(),
+            resume: false,
+            split_size: None,
+            split_time: None,
+            compression: Level::default(),
+            complete: false,
+            buffer: size(BUFFER).unwrap_or(u64::MAX),
+            duration: None,
+            namespace: "/".into(),
+            network: NetworkArguments::default(),
+        }
+    }
+}
+
 /// How hard to compress.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Level {
     /// Not at all.
     None,

@@ -5,13 +5,15 @@ use std::time::Duration;
 
 use clap::Args;
 use dermis_bag::{BagError, BagInfo, BagOptions, BagReader, Filter};
+use serde::{Deserialize, Serialize};
 
-use crate::OperateError;
 use crate::quantity::{duration, size};
 use crate::record::Level;
+use crate::{OperateError, written};
 
 /// What to take over, and how to lay it out.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Request {
     /// Folder of a rosbag2 bag, or an .mcap file.
     pub bag: PathBuf,
@@ -29,9 +31,11 @@ pub struct Request {
     pub to: Option<f64>,
     /// Begin a new file after this many bytes, e.g. 1GiB.
     #[arg(long, value_parser = size, value_name = "SIZE")]
+    #[serde(with = "written::optional_size")]
     pub split_size: Option<u64>,
     /// Begin a new file after this time, e.g. 10min.
     #[arg(long, value_parser = duration, value_name = "TIME")]
+    #[serde(with = "written::duration")]
     pub split_time: Option<Duration>,
     /// Compression of the chunks.
     #[arg(long, value_enum, default_value = "default")]
@@ -39,6 +43,22 @@ pub struct Request {
     /// Take what is whole of a bag whose recording was interrupted.
     #[arg(long)]
     pub recover: bool,
+}
+
+impl Default for Request {
+    fn default() -> Self {
+        Self {
+            bag: PathBuf::new(),
+            out: PathBuf::new(),
+            topics: Vec::new(),
+            from: None,
+            to: None,
+            split_size: None,
+            split_time: None,
+            compression: Level::Default,
+            recover: false,
+        }
+    }
 }
 
 /// Opens a bag; `recover` takes what is whole of one whose recording was interrupted.

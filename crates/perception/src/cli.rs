@@ -13,11 +13,13 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use dermis_sensor::Sensor;
+use serde::{Deserialize, Serialize};
 
 use crate::{CacheConfig, Commands, Config, ConfigError};
 
 /// Who can reach a program over the network, on a command line.
-#[derive(Debug, Clone, Default, Args)]
+#[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct NetworkArguments {
     /// Who can reach this program, and whom it looks for: `loopback` (programs of this machine; as where nothing is said),
     /// `lan` (every host), an IP address of this machine, or `off`.

@@ -1,5 +1,7 @@
 //! Several contacts by way of a simulation, and other ways to them.
 
+mod thesis;
+
 use std::fmt::Write as _;
 
 use anyhow::Result;
@@ -10,6 +12,7 @@ use dermis_skin::{SkinDescription, Surface, SurfaceSpec};
 use dermis_studies::real2sim::compare::{self, Kind};
 use dermis_studies::real2sim::{table, train};
 use nalgebra::Point3;
+pub use thesis::text as thesis;
 
 const NUMERALS: [&str; 4] = ["I", "II", "III", "IV"];
 

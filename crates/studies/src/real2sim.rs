@@ -6,6 +6,7 @@
 
 pub mod compare;
 pub mod table;
+pub mod thesis;
 pub mod train;
 
 use std::path::Path;

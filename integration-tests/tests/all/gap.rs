@@ -82,7 +82,7 @@ fn what_was_switched_on_is_named_and_switching_it_on_reduces_the_gap() {
         report["residual_reduction"]
     );
     let page = std::fs::read_to_string(folder.join("out/report.html")).unwrap();
-    assert!(page.contains("relaxation") && page.contains("Closes"));
+    assert!(page.contains("relaxation") && page.contains("Reduces the residual by"));
     looks_right(&folder.join("out/report.html"));
     // On the corrected skin there is no gap left.
     let corrected = folder.join("out/skin.toml");

@@ -23,6 +23,17 @@ const SOON: Duration = Duration::from_secs(60);
 const LEAST: &str = "\"ffffffffffffffffffffffff00000001\"";
 const GREATEST: &str = "\"ffffffffffffffffffffffffffffffff\"";
 
+/// What both sides get besides, because tests run beside builds, which starve a process for as long as zenoh waits by itself: 10 s
+/// for a handshake, and for a sign of life of a peer. A peer that a router names is connected to once. Nobody tries again where
+/// that fails (zenoh 1.10.2, `Gossip::link_states`: a router names a peer when it learns its address, and not again), nor where the
+/// connection ends (`Runtime::closed_session` goes back to endpoints of the configuration only). Of the two, only the one with the
+/// greater identifier tries. Our nodes do not: on the loopback they connect to nobody that others name.
+const PATIENCE: [(&str, &str); 3] = [
+    ("transport/unicast/open_timeout", "60000"),
+    ("transport/unicast/accept_timeout", "60000"),
+    ("transport/link/tx/lease", "60000"),
+];
+
 /// An endpoint that nobody listens on.
 fn endpoint() -> String {
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
@@ -65,6 +76,7 @@ impl RmwNode {
     fn start(router: &str, overrides: &[(&'static str, &str)]) -> Self {
         let settings = node_settings(router);
         let mut all: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
+        all.extend_from_slice(&PATIENCE);
         all.extend_from_slice(overrides);
         let session = open(&all);
         let key = format!(
@@ -95,22 +107,26 @@ impl RmwNode {
 /// A router with the settings of `rmw_zenohd`, but for its address. It does not pass data on between peers of its machine: it
 /// tells them where the other is.
 fn router(endpoint: &str) -> zenoh::Session {
-    open(&[
+    let listen = format!("[\"{endpoint}\"]");
+    let mut settings = vec![
         ("mode", "\"router\""),
-        ("listen/endpoints", &format!("[\"{endpoint}\"]")),
+        ("listen/endpoints", listen.as_str()),
         ("connect/endpoints", "[]"),
         ("scouting/multicast/enabled", "false"),
         ("scouting/gossip/target", "{ router: [\"router\", \"peer\"], peer: [\"router\"] }"),
         ("routing/router/peers_failover_brokering", "false"),
         ("timestamping/enabled", "{ router: true, peer: true, client: true }"),
-    ])
+    ];
+    settings.extend(PATIENCE);
+    open(&settings)
 }
 
 fn demo(router: &str) -> Peer {
+    let patience = PATIENCE.map(|(key, value)| format!(";{key}={value}")).concat();
     Peer::start(
         Command::new(program("dermis"))
             .args(["demo", "--duration", "150s", "--json", "--no-bridge"])
-            .env("ZENOH_CONFIG_OVERRIDE", format!("connect/endpoints=[\"{router}\"]")),
+            .env("ZENOH_CONFIG_OVERRIDE", format!("connect/endpoints=[\"{router}\"]{patience}")),
     )
 }
 

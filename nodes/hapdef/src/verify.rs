@@ -31,8 +31,13 @@ pub fn cases() -> Result<Vec<Case>, VerifyError> {
 /// [`VerifyError`] where CalculiX is not installed, or fails.
 pub fn judged() -> Result<Vec<Case>, VerifyError> {
     let mut cases = calculix::shell_cases()?;
-    cases.extend(limb()?);
+    cases.extend(limb(&shin()?)?);
     Ok(cases)
+}
+
+/// The limb that ships.
+fn shin() -> Result<SkinDescription, VerifyError> {
+    Ok(SkinDescription::from_toml(SHIN, "hapdef-shin.toml")?)
 }
 
 /// How the limb that ships is touched: what it is called, and the force \[N\] along x and around it for 1 N inwards.
@@ -47,15 +52,14 @@ const HELD: f64 = 0.012;
 /// differ by 0.7 % from those of 0.8 mm.
 const WITHIN: [f64; 2] = [0.04, 0.03];
 
-/// The limb that ships under touches all over it: what its ten gauges read, and what they would on
+/// A limb (the one that ships) under touches all over it: what its ten gauges read, and what they would on
 /// solids of 1.2 mm. Of each kind of touch there are two cases: the worst reading of all, and the root mean square of all.
-fn limb() -> Result<Vec<Case>, VerifyError> {
-    let shin = SkinDescription::from_toml(SHIN, "hapdef-shin.toml")?;
+fn limb(shin: &SkinDescription) -> Result<Vec<Case>, VerifyError> {
+    let places = places(shin);
+    let Some(readings) = solids(shin, &places)? else { return Ok(vec![unjoined()]) };
     let mut thin = shin.clone();
     thin.medium.insert("theory".into(), "kirchhoff-love".into());
-    let models = [ShellModel::new(&shin)?, ShellModel::new(&thin)?];
-    let places = places(&shin);
-    let readings = solids(&shin, &places)?;
+    let models = [ShellModel::new(shin)?, ShellModel::new(&thin)?];
     let mut cases = Vec::new();
     for ((name, along), solid) in TOUCHES.iter().zip(&readings) {
         let compared: Vec<Vec<Compared>> =
@@ -94,6 +98,22 @@ fn limb() -> Result<Vec<Case>, VerifyError> {
         ));
     }
     Ok(cases)
+}
+
+/// What stands for the limb's cases where its mesh makes no solids: nothing was compared, which is no agreement.
+fn unjoined() -> Case {
+    Case::new(
+        "shell-ccx-shin",
+        format!(
+            "the limb touched at {PLACES} places: nothing was compared, because the triangles of its surface do not join to \
+             quadrilaterals, which solids are raised on. Give the skin a surface of `type = \"panel\"`, or a mesh with two \
+             triangles a cell"
+        ),
+        SOURCE,
+        "",
+        [f64::NAN, 0.0],
+        (WITHIN[0], 1.0),
+    )
 }
 
 /// A reading in both worlds.
@@ -160,11 +180,11 @@ fn compare(
     Ok(out)
 }
 
-/// What CalculiX says that the gauges read: of each kind of touch, place and gauge.
+/// What CalculiX says that the gauges read: of each kind of touch, place and gauge. `None` where the mesh makes no solids.
 fn solids(
     skin: &SkinDescription,
     places: &[(Point3<f64>, Vector3<f64>)],
-) -> Result<Vec<Vec<Vec<f64>>>, VerifyError> {
+) -> Result<Option<Vec<Vec<Vec<f64>>>>, VerifyError> {
     let parameters = Parameters::nominal(skin)?;
     let surface = &parameters.surface;
     let middle = |(p, n): (&Point3<f64>, &Vector3<f64>)| parameters.middle(p, n);
@@ -173,7 +193,7 @@ fn solids(
         triangles: surface.triangles.clone(),
     };
     // A panel has two triangles a cell, and the shin is one.
-    let Some(quads) = Quads::join(&mesh) else { return Ok(vec![Vec::new(); TOUCHES.len()]) };
+    let Some(quads) = Quads::join(&mesh) else { return Ok(None) };
     let quads = quads.quartered(|p| {
         let (outside, normal) = surface.project(&p);
         parameters.middle(&outside, &normal)
@@ -194,7 +214,7 @@ fn solids(
         })
         .collect();
     let readings = calculix::touch_readings(&quads, &parameters.sections[0], &clamped, &gauges, &touches)?;
-    Ok(readings.chunks(places.len()).map(<[_]>::to_vec).collect())
+    Ok(Some(readings.chunks(places.len()).map(<[_]>::to_vec).collect()))
 }
 
 #[cfg(test)]
@@ -223,8 +243,36 @@ mod tests {
         if !calculix::available() {
             return println!("skipped: {}", calculix::CalculixError::Missing);
         }
-        let cases = limb().unwrap();
+        let cases = limb(&shin().unwrap()).unwrap();
         assert_eq!(cases.len(), 2 * TOUCHES.len());
         all_pass(&cases);
+    }
+
+    /// The limb as an OBJ file whose triangles come in another order, so that neighbours in the file share no side.
+    #[test]
+    fn a_mesh_that_makes_no_solids_is_a_case_that_fails_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let surface = shin().unwrap().surface();
+        let mut obj = String::new();
+        for p in &surface.points {
+            obj += &format!("v {} {} {}\n", p.x * 1e3, p.y * 1e3, p.z * 1e3);
+        }
+        let (even, odd): (Vec<_>, Vec<_>) =
+            surface.triangles.iter().enumerate().partition(|(k, _)| k % 2 == 0);
+        for (_, t) in even.iter().chain(&odd) {
+            obj += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1);
+        }
+        std::fs::write(folder.path().join("shin.obj"), obj).unwrap();
+        let panel = SHIN.lines().find(|l| l.starts_with("surface = ")).unwrap();
+        let mesh = "surface = { type = \"mesh\", file = \"shin.obj\", scale = 0.001, rims = 36 }";
+        let clamp = "clamp = [{ min = [-0.101, -1, -1], max = [-0.0999, 1, 1] }, { min = [0.0999, -1, -1], max = [0.101, 1, 1] }]";
+        let text = SHIN.replace(panel, mesh).replace("patch = 0.005", &format!("{clamp}\npatch = 0.005"));
+        let path = folder.path().join("shin.toml");
+        std::fs::write(&path, text).unwrap();
+
+        let cases = limb(&SkinDescription::load(&path).unwrap()).unwrap();
+        let [case] = cases.as_slice() else { panic!("{cases:#?}") };
+        assert!(!case.pass && case.id == "shell-ccx-shin", "{case:#?}");
+        assert!(case.what.contains("nothing was compared") && case.what.contains("panel"), "{}", case.what);
     }
 }

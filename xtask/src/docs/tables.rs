@@ -18,6 +18,9 @@
 //! decimals, `s3` significant figures, `ci` takes two ends of an interval, `reached` adds an asterisk where the field `reached`
 //! beside the figure is false.
 //!
+//! `<!-- table once FILE: COMMAND` in place of `<!-- table` is for figures that take hours: as long as FILE is not there, a sentence
+//! stands in place of the table and names the command that makes it.
+//!
 //! `<!-- targets NAME … -->` is a table of those targets whose names begin so.
 
 use std::cell::RefCell;
@@ -48,6 +51,10 @@ impl Sources {
         Ok(Self { folder: root.join("benches/results"), targets, read: RefCell::default() })
     }
 
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("{name}.json"))
+    }
+
     fn file(&self, name: &str) -> Result<Rc<Value>> {
         if let Some(value) = self.read.borrow().get(name) {
             return Ok(value.clone());
@@ -56,7 +63,7 @@ impl Sources {
             let named = self.targets.iter().map(|t| (t["name"].as_str().unwrap_or_default().to_owned(), t));
             Value::Object(named.map(|(name, target)| (name, target.clone())).collect())
         } else {
-            let path = self.folder.join(format!("{name}.json"));
+            let path = self.path(name);
             let text =
                 fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
             serde_json::from_str(&text).with_context(|| format!("{} is no JSON", path.display()))?
@@ -73,7 +80,7 @@ impl Sources {
         while let Some(line) = lines.next() {
             out.push_str(line);
             let start = line.trim_end();
-            let table = if start == "<!-- table" {
+            let table = if let Some(once) = table_start(start)? {
                 let mut template = String::new();
                 loop {
                     let line = lines.next().context("a comment with a table has no end `-->`")?;
@@ -83,7 +90,12 @@ impl Sources {
                     }
                     template.push_str(line);
                 }
-                self.fill(&template)?
+                match once {
+                    Some((file, command)) if !self.path(file).exists() => {
+                        format!("Not measured yet: `{command}` makes these figures.\n")
+                    }
+                    _ => self.fill(&template)?,
+                }
             } else if let Some(names) =
                 start.strip_prefix("<!-- targets ").and_then(|s| s.strip_suffix(" -->"))
             {
@@ -170,6 +182,18 @@ impl Sources {
         }
         Ok(out)
     }
+}
+
+/// Whether a line begins a table, and what it waits for: a file, and the command that makes it.
+fn table_start(line: &str) -> Result<Option<Option<(&str, &str)>>> {
+    let Some(rest) = line.strip_prefix("<!-- table") else { return Ok(None) };
+    if rest.is_empty() {
+        return Ok(Some(None));
+    }
+    let once = rest.strip_prefix(" once ").and_then(|rest| rest.split_once(": "));
+    Ok(Some(Some(
+        once.with_context(|| format!("`{line}` is not of the form `<!-- table once FILE: COMMAND`"))?,
+    )))
 }
 
 /// What one step of a pointer leads to.
@@ -278,6 +302,31 @@ mod tests {
         assert!(made.contains("\n\n| 0.12 | 4.6 | 0.005 |\n\n<!-- end table -->\nafter"), "{made}");
         assert!(!made.contains("old"));
         assert_eq!(sources.expand(&made).unwrap(), made);
+    }
+
+    #[test]
+    fn a_table_that_waits_for_a_file_says_so_until_it_is_there() {
+        let (dir, sources) = sources();
+        let text = "<!-- table once long: cargo xtask measure long\n| {long /n} |\n-->\n<!-- end table -->\n";
+        let made = sources.expand(text).unwrap();
+        assert!(
+            made.contains(
+                "-->\n\nNot measured yet: `cargo xtask measure long` makes these figures.\n\n<!-- end"
+            ),
+            "{made}"
+        );
+        assert_eq!(sources.expand(&made).unwrap(), made);
+        fs::write(dir.path().join("benches/results/long.json"), "{\"n\": 7}").unwrap();
+        let measured = sources.expand(&made).unwrap();
+        assert!(
+            measured.contains("\n\n| 7 |\n\n<!-- end") && !measured.contains("Not measured"),
+            "{measured}"
+        );
+        for wrong in
+            ["<!-- table once long\n-->\n<!-- end table -->\n", "<!-- tables\n-->\n<!-- end table -->\n"]
+        {
+            assert!(sources.expand(wrong).is_err(), "{wrong}");
+        }
     }
 
     #[test]

@@ -11,10 +11,10 @@ use super::{LIMB, PROGRAM, evaluation, scratch};
 use crate::run::{cargo, run as execute, target_dir};
 
 /// A file of the limb's effects as a command takes it.
-const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
+pub(super) const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
 
 /// A bag of the limb under a plan, made anew only where the skin, the plan or what makes the device differ have changed since.
-fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) -> Result<PathBuf> {
+pub(super) fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) -> Result<PathBuf> {
     let plan = root.join(format!("launch/plans/hapdef-shin-{plan}.toml"));
     let mut hasher = std::hash::DefaultHasher::new();
     for file in [&root.join(LIMB), &plan, &root.join(LIMB_EFFECTS)] {
@@ -161,6 +161,7 @@ pub(super) fn real2sim(root: &Path) -> Result<Value> {
     };
     Ok(json!({
         "corrected": rows("corrected model, all pairs"),
+        // Reduced: `cargo xtask measure hapdefx` has the sizes of the thesis.
         "hapdefx": rows("hapdef-shin-real2sim: peaks"),
         "left_out": found["left_out"],
         "asks": found["asks"],

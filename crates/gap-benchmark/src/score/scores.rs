@@ -61,10 +61,10 @@ pub struct Scores {
     /// Relative errors of parameters.
     pub parameter_errors: Vec<f64>,
     /// Differences between predicted and achieved reduction of the residual.
-    #[serde(rename = "closure_errors")]
+    #[serde(rename = "residual_reduction_errors", alias = "closure_errors")]
     pub reduction_errors: Vec<f64>,
     /// Intervals of the reduction that hold what was achieved.
-    #[serde(rename = "closure_covered")]
+    #[serde(rename = "residual_reduction_covered", alias = "closure_covered")]
     pub reduction_covered: Share,
     /// Differences between predicted reduction and that in another recording of the same reference device.
     pub elsewhere_errors: Vec<f64>,
@@ -277,9 +277,13 @@ impl Scores {
             ("where: channel or place", self.region, None),
             ("where: axis (of two) and region", self.located, Some(AtLeast(0.90))),
             ("parameter intervals (90 %) that hold", self.covered, Some(Between(0.85, 0.95))),
-            ("closure intervals (90 %) that hold, held-out contacts", self.reduction_covered, None),
             (
-                "closure intervals (90 %) that hold, another recording",
+                "residual reduction intervals (90 %) that hold, held-out contacts",
+                self.reduction_covered,
+                None,
+            ),
+            (
+                "residual reduction intervals (90 %) that hold, another recording",
                 self.elsewhere_covered,
                 Some(Between(0.85, 0.95)),
             ),
@@ -295,12 +299,12 @@ impl Scores {
         vec![
             of("median parameter error", &self.parameter_errors, most(0.10)),
             of(
-                "median difference of predicted and achieved closure, held-out contacts",
+                "median difference of predicted and achieved residual reduction, held-out contacts",
                 &self.reduction_errors,
                 most(0.03),
             ),
             of(
-                "median difference of predicted and achieved closure, another recording",
+                "median difference of predicted and achieved residual reduction, another recording",
                 &self.elsewhere_errors,
                 None,
             ),

@@ -29,7 +29,7 @@ fn diagnosed(recording: &Recording) -> Report {
 fn said(device: &Device) -> Report {
     let report = diagnosed(&recorded(device, 160, 1, 11));
     println!(
-        "{:?} {:?} {:?} gap {:?} unknown {:?} closure {:?}",
+        "{:?} {:?} {:?} gap {:?} unknown {:?} reduction {:?}",
         report.verdict,
         report.class(),
         report.effects.iter().map(|e| (e.label.as_str(), e.tier, e.gain)).collect::<Vec<_>>(),
@@ -54,9 +54,9 @@ fn gains_are_named_and_removed() {
     let report = said(&Device { gains: [0.1, -0.08, 0.05, -0.12, 0.15, 0.0], ..device() });
     assert_eq!(report.class().first(), Some(&"gains"), "{}", report.sentence);
     assert_eq!(report.effects[0].tier, Tier::Strict);
-    let closure = report.residual_reduction.unwrap();
-    assert!(closure.achieved.unwrap() > 0.8);
-    assert!((closure.predicted - closure.achieved.unwrap()).abs() < 0.08);
+    let reduction = report.residual_reduction.unwrap();
+    assert!(reduction.achieved.unwrap() > 0.8);
+    assert!((reduction.predicted - reduction.achieved.unwrap()).abs() < 0.08);
     // Written in words that a skin description knows.
     assert_eq!(report.corrected[0].name, "channel-gain");
     // The device's other law is in all of them.
@@ -68,9 +68,9 @@ fn gains_are_named_and_removed() {
 fn creep_of_another_law_is_named() {
     let report = said(&Device { law: 0.3, fade: vec![(0.05, 0.15), (0.05, 0.4), (0.05, 1.0)], ..device() });
     assert_eq!(report.class(), ["creep"], "{}", report.sentence);
-    let closure = report.residual_reduction.unwrap();
-    assert!(closure.achieved.unwrap() > 0.7, "{closure:?}");
-    assert!((closure.predicted - closure.achieved.unwrap()).abs() < 0.08);
+    let reduction = report.residual_reduction.unwrap();
+    assert!(reduction.achieved.unwrap() > 0.7, "{reduction:?}");
+    assert!((reduction.predicted - reduction.achieved.unwrap()).abs() < 0.08);
 }
 
 #[test]

@@ -16,10 +16,12 @@ const MARGIN: usize = 16;
 /// 0, has amplitudes of 0, and so that the amplitudes of contacts add up where their maps do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapBasis {
-    /// Row-major \[shapes, points\].
+    /// Row-major \[shapes, points\]; none of a basis of points.
     shapes: Vec<f32>,
     points: usize,
     kept: f64,
+    /// Whether the amplitudes are the displacements of all points.
+    whole: bool,
 }
 
 impl MapBasis {
@@ -32,7 +34,7 @@ impl MapBasis {
         let width = (MOST + MARGIN).min(count).min(points);
         let energy: f64 = maps.iter().map(|v| f64::from(*v).powi(2)).sum();
         if width == 0 || energy <= 0.0 {
-            return Self { shapes: Vec::new(), points, kept: 0.0 };
+            return Self { shapes: Vec::new(), points, kept: 0.0, whole: false };
         }
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let start: Vec<f32> = (0..points * width).map(|_| rng.sample(StandardNormal)).collect();
@@ -69,13 +71,25 @@ impl MapBasis {
             let shape = eigen.eigenvectors.column(i).transpose() * &inner / square.sqrt();
             shapes.extend(shape.iter().map(|v| *v as f32));
         }
-        Self { shapes, points, kept: kept / energy }
+        Self { shapes, points, kept: kept / energy, whole: false }
     }
 
-    /// Number of shapes.
+    /// The basis of points: amplitudes are maps, and nothing is lost.
+    #[must_use]
+    pub fn whole(points: usize) -> Self {
+        Self { shapes: Vec::new(), points, kept: 1.0, whole: true }
+    }
+
+    /// Whether amplitudes are maps.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        self.whole
+    }
+
+    /// Number of amplitudes of a map.
     #[must_use]
     pub fn rank(&self) -> usize {
-        self.shapes.len() / self.points.max(1)
+        if self.whole { self.points } else { self.shapes.len() / self.points.max(1) }
     }
 
     /// Points of a map.
@@ -90,7 +104,7 @@ impl MapBasis {
         self.kept
     }
 
-    /// The shapes, row-major \[shapes, points\].
+    /// The shapes, row-major \[shapes, points\]; empty of a basis of points.
     #[must_use]
     pub fn shapes(&self) -> &[f32] {
         &self.shapes
@@ -99,6 +113,9 @@ impl MapBasis {
     /// Amplitudes of maps that lie end to end.
     #[must_use]
     pub fn encode(&self, maps: &[f32]) -> Vec<f32> {
+        if self.whole {
+            return maps.to_vec();
+        }
         let (rows, rank) = (maps.len() / self.points.max(1), self.rank());
         let mut out = vec![0.0; rows * rank];
         let product = Product { rows, inner: self.points, columns: rank, keep: false };
@@ -109,6 +126,9 @@ impl MapBasis {
     /// Maps of amplitudes that lie end to end.
     #[must_use]
     pub fn decode(&self, amplitudes: &[f32]) -> Vec<f32> {
+        if self.whole {
+            return amplitudes.to_vec();
+        }
         let rank = self.rank();
         let rows = amplitudes.len() / rank.max(1);
         let mut out = vec![0.0; rows * self.points];
@@ -151,6 +171,15 @@ mod tests {
         let rough = MapBasis::measure(&maps, points, 0.5, 1);
         assert_eq!(rough.rank(), 1);
         assert!((0.5..1.0).contains(&rough.kept()));
+    }
+
+    #[test]
+    fn a_basis_of_points_changes_nothing() {
+        let basis = MapBasis::whole(3);
+        let maps = [1.0, -2.0, 0.5, 0.0, 4.0, 1e-9];
+        assert_eq!((basis.rank(), basis.kept(), basis.is_whole()), (3, 1.0, true));
+        assert_eq!(basis.decode(&basis.encode(&maps)), maps);
+        assert!(!MapBasis::measure(&maps, 3, 0.9, 1).is_whole());
     }
 
     #[test]

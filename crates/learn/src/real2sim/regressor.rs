@@ -4,7 +4,7 @@ use dermis_regress::{Neighbours, Rows};
 use nalgebra::DMatrix;
 
 use crate::LearnError;
-use crate::train::{Batch, Mlp, NetworkConfig, TrainingConfig, fit};
+use crate::train::{Batch, Mlp, NetworkConfig, Progress, States, TrainingConfig, fit_kept};
 
 /// Something that gives amplitudes for rows of inputs.
 pub trait MapRegressor {
@@ -161,6 +161,21 @@ impl NetMap {
         network: &NetworkConfig,
         training: &TrainingConfig,
     ) -> Result<Self, LearnError> {
+        Self::fit_kept((inputs, targets), width, (network, training), None, &mut |_| ())
+    }
+
+    /// The same, with its state kept under a name where `keep` says so ([`fit_kept`]); `told` is called after every epoch.
+    ///
+    /// # Errors
+    ///
+    /// As [`fit`](Self::fit), and where a state cannot be written.
+    pub fn fit_kept(
+        (inputs, targets): (&[f32], &[f32]),
+        width: usize,
+        (network, training): (&NetworkConfig, &TrainingConfig),
+        keep: Option<(&States, &str)>,
+        told: &mut dyn FnMut(Progress),
+    ) -> Result<Self, LearnError> {
         let rows = inputs.len() / width.max(1);
         let (input, output) = (scale(inputs), scale(targets));
         let data = Batch {
@@ -170,7 +185,13 @@ impl NetMap {
             outputs: targets.len() / rows.max(1),
             ..Batch::default()
         };
-        Ok(Self { input, output, net: fit(&data, network, training, 0)? })
+        Ok(Self { input, output, net: fit_kept(&data, network, training, keep, told)? })
+    }
+
+    /// The network: its inputs and outputs are divided by a number each.
+    #[must_use]
+    pub fn network(&self) -> &Mlp {
+        &self.net
     }
 }
 

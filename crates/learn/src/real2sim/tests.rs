@@ -1,3 +1,4 @@
+use std::path::Path;
 use std::sync::Arc;
 
 use dermis_fixtures::{Analytic, SkinFile};
@@ -10,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use super::*;
-use crate::train::{NetworkConfig, TrainingConfig};
+use crate::train::{Activation, NetworkConfig, TrainingConfig};
 
 const BUMP: f64 = 0.008;
 const FELT: f64 = 0.020;
@@ -208,4 +209,66 @@ fn several_contacts_of_a_device_are_found_and_the_graph_says_the_same() {
         assert!((f64::from(a * pipeline.output_scale()) - b).abs() < 1e-4 * largest);
     }
     assert!(pipeline.map(&signal[1..]).is_err());
+}
+
+#[test]
+fn the_settings_of_the_thesis_make_networks_of_its_sizes() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/real2sim/thesis.toml");
+    let mut settings = Settings::load(Some(&path)).unwrap().pipeline;
+    assert_eq!((settings.each, settings.superpose, settings.sensitivity_contacts), (24, 1, 1));
+    assert!(settings.whole_maps && !settings.residuals && !settings.weighted && !settings.linear_transfer);
+    assert_eq!(settings.sensitivity_output, SensitivityOutput::Force);
+    assert_eq!(settings.peaks.radius, 0.010);
+    let activations =
+        [&settings.transfer, &settings.reconstruction, &settings.sensitivity].map(|n| n.activation);
+    assert_eq!(activations, [Activation::Tanh, Activation::Relu, Activation::Relu]);
+    // 3 of 5 parts of 27 000, 6 000, 6 000 and 6 000.
+    assert_eq!(settings.samples, [16_200, 3600, 3600, 3600]);
+
+    // Sizes do not depend on samples and epochs.
+    settings.samples = [150, 20, 20, 20];
+    for training in [
+        &mut settings.transfer_training,
+        &mut settings.reconstruction_training,
+        &mut settings.sensitivity_training,
+    ] {
+        training.epochs = 2;
+    }
+    let model: Arc<dyn ForwardModel> = Arc::new(sheet(0.0));
+    let sensors = VirtualSensors::displacements(model.as_ref(), &skin(), settings.each);
+    let (all, held) = (recorded(&sheet(1.0), 300, 1), recorded(&sheet(1.0), 60, 2));
+    let scenes = scenes(model.as_ref());
+    let (pipeline, trained) =
+        train(&model, &sensors, &scenes, (&all, &held), &settings, runtime(), &|_, _| {}).unwrap();
+    let points = model.surface().points.len();
+    // The sheet has 15 elements.
+    assert_eq!((trained.virtual_sensors, trained.rank, trained.kept), (360, points, 1.0));
+    let [transfer, reconstruction, sensitivity] = pipeline.layers();
+    assert_eq!(transfer, [15, 250, 250, 250, 250, 250, 250, 360]);
+    assert_eq!(reconstruction, [360, 600, 1200, 1800, points]);
+    assert_eq!(sensitivity, [4, 250, 250, 250, 250, 1]);
+
+    let mut graph = Model::load(runtime(), &pipeline.to_onnx().unwrap(), &pipeline.interface()).unwrap();
+    let signal = &all[0].signal;
+    let input: Vec<f32> = signal.iter().map(|v| v / pipeline.input_scale()).collect();
+    let mut out = Vec::new();
+    graph.run(&input, &mut out).unwrap();
+    let map = pipeline.map(signal).unwrap();
+    let largest = map.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+    assert!(largest > 0.0);
+    for (a, b) in out.iter().zip(&map) {
+        assert!((f64::from(a * pipeline.output_scale()) - b).abs() < 1e-4 * largest);
+    }
+}
+
+#[test]
+fn settings_that_cannot_be_are_refused_by_name() {
+    let told = |change: fn(&mut PipelineSettings)| {
+        let mut settings = PipelineSettings::default();
+        change(&mut settings);
+        settings.validate("s.toml").unwrap_err().to_string()
+    };
+    insta::assert_snapshot!(told(|s| s.superpose = 5), @"s.toml: field `superpose`: is 5 and must be 1 to 4");
+    insta::assert_snapshot!(told(|s| s.sensitivity_contacts = 0), @"s.toml: field `sensitivity_contacts`: is 0 and must be 1 to 4");
+    insta::assert_snapshot!(told(|s| s.kept = 1.0), @"s.toml: field `kept`: is 1 and must lie between 0 and 1");
 }

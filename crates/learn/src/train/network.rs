@@ -105,6 +105,12 @@ impl Mlp {
         self.sizes[self.sizes.len() - 1]
     }
 
+    /// Widths of all layers: inputs, hidden ones, outputs.
+    #[must_use]
+    pub fn layers(&self) -> &[usize] {
+        &self.sizes
+    }
+
     /// Number of weights and biases.
     #[must_use]
     pub fn len(&self) -> usize {

@@ -47,10 +47,10 @@ fn size(body: &mut String, report: &Report, gap: &Gap) -> Result<()> {
     let share = |name: &str, value: f64| Bar::new(name, value, percent(value));
     let interval = [gap.interval[0] + gap.floor, gap.interval[1] + gap.floor];
     let mut rows = vec![share("before", gap.fvu_before).interval(interval)];
-    if let (Some(held), Some(closure)) = (report.held_out, report.residual_reduction) {
+    if let (Some(held), Some(reduction)) = (report.held_out, report.residual_reduction) {
         let open = held[0] - held[2];
         let left = |closed: f64| held[0] - closed * open;
-        let interval = [left(closure.interval[1]), left(closure.interval[0])];
+        let interval = [left(reduction.interval[1]), left(reduction.interval[0])];
         rows.push(share("after, on contacts kept for the end", held[1]).interval(interval));
     }
     rows.push(share("noise floor", gap.floor));
@@ -222,15 +222,15 @@ fn effects(body: &mut String, report: &Report) -> Result<()> {
                 writeln!(body, "<p>A skin description cannot say it: the corrected skin is without it.</p>");
         }
     }
-    if let Some(closure) = &report.residual_reduction {
+    if let Some(reduction) = &report.residual_reduction {
         let _ = writeln!(
             body,
-            "<p><b>Closes {} of the gap</b> on contacts that were neither fitted nor selected on (90 % interval {} to {}); \
+            "<p><b>Reduces the residual by {}</b> on contacts that were neither fitted nor selected on (90 % interval {} to {}); \
              predicted was {}.</p>",
-            closure.achieved.map_or("an unknown part".to_owned(), percent),
-            percent(closure.interval[0]),
-            percent(closure.interval[1]),
-            percent(closure.predicted)
+            reduction.achieved.map_or("an unknown part".to_owned(), percent),
+            percent(reduction.interval[0]),
+            percent(reduction.interval[1]),
+            percent(reduction.predicted)
         );
     }
     let unknown = &report.unknown;

@@ -112,14 +112,14 @@ pub fn text(report: &Report) -> String {
             );
         }
     }
-    if let Some(closure) = &report.residual_reduction {
+    if let Some(reduction) = &report.residual_reduction {
         let _ = writeln!(
             out,
             "\nremoves {} of the gap on contacts kept for the end ({} to {}); predicted {}",
-            closure.achieved.map_or("an unknown part".to_owned(), percent),
-            percent(closure.interval[0]),
-            percent(closure.interval[1]),
-            percent(closure.predicted)
+            reduction.achieved.map_or("an unknown part".to_owned(), percent),
+            percent(reduction.interval[0]),
+            percent(reduction.interval[1]),
+            percent(reduction.predicted)
         );
     }
     if !report.effects.is_empty() || report.unknown.share > 0.0 {

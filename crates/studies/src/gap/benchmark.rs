@@ -258,7 +258,7 @@ fn elsewhere(
         let frames = samples.frames();
         let nominal = simulator.readings(skin, &recording, &frames)?;
         let mut readings: Vec<f32> = frames.iter().flat_map(|f| recording.frame(*f)).copied().collect();
-        // What a report's closure leaves out is left out here as well.
+        // What a report's residual reduction leaves out is left out here as well.
         dermis_gap::mask_saturated(&mut readings, &nominal, skin, &sigma);
         let left = |model: &[f32]| -> f64 {
             let apart = readings.iter().zip(model).zip(sigma.iter().cycle());

@@ -23,7 +23,7 @@ use crate::{Families, LeftOut, Progress};
 mod judge;
 mod methods;
 
-use judge::{Asked, Judge};
+pub(super) use judge::{Asked, Judge};
 pub use judge::{Errors, Row};
 use methods::prepare;
 
@@ -205,12 +205,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
     let (learn, choose) = parts(&learned, &all);
     let prepared = prepare(options, &skin, &model, &compliance, &learned, (&learn, &choose), progress)?;
-    let compared: Vec<SampleId> = test
-        .values()
-        .flatten()
-        .filter(|id| asked.kept.as_ref().is_none_or(|k| k.contains(id)))
-        .copied()
-        .collect();
+    let compared: Vec<SampleId> = asked.compared().copied().collect();
     let bounds = frame_bounds(model.as_ref(), &data, Some(&compared), Unknowns::Normal)?;
     let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: asked.kept.as_ref() };
     let mut rows = Vec::new();

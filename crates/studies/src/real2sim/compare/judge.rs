@@ -84,15 +84,19 @@ pub struct Row {
 }
 
 /// Touched frames that are compared, by kind; those of places that give way among them; and what is left out of the latter.
-pub(super) struct Asked {
-    pub(super) all: BTreeMap<Kind, Vec<SampleId>>,
-    pub(super) kept: Option<BTreeSet<SampleId>>,
-    pub(super) left_out: Vec<LeftOut>,
+pub(in crate::real2sim) struct Asked {
+    pub(in crate::real2sim) all: BTreeMap<Kind, Vec<SampleId>>,
+    pub(in crate::real2sim) kept: Option<BTreeSet<SampleId>>,
+    pub(in crate::real2sim) left_out: Vec<LeftOut>,
 }
 
 impl Asked {
     /// Touched frames of one and two contacts, evenly thinned.
-    pub(super) fn of(data: &Dataset, options: &Request, compliance: &Compliance) -> Result<Self> {
+    pub(in crate::real2sim) fn of(
+        data: &Dataset,
+        options: &Request,
+        compliance: &Compliance,
+    ) -> Result<Self> {
         let mut all: BTreeMap<Kind, Vec<SampleId>> = BTreeMap::new();
         let mut rigid = BTreeSet::new();
         let (mut touched, mut other, mut light, mut thinned) = (0, 0, 0, 0);
@@ -140,18 +144,28 @@ impl Asked {
         let kept = (stiff > 0).then(|| compared.filter(|id| !rigid.contains(id)).copied().collect());
         Ok(Self { all, kept, left_out })
     }
+
+    /// Whether a frame that is compared counts.
+    pub(in crate::real2sim) fn keeps(&self, id: &SampleId) -> bool {
+        self.kept.as_ref().is_none_or(|kept| kept.contains(id))
+    }
+
+    /// The frames that count.
+    pub(in crate::real2sim) fn compared(&self) -> impl Iterator<Item = &SampleId> {
+        self.all.values().flatten().filter(|id| self.keeps(id))
+    }
 }
 
 /// Where answers are held against the truth.
-pub(super) struct Judge<'a> {
-    pub(super) data: &'a Dataset,
-    pub(super) bounds: &'a FrameBounds,
-    pub(super) bins: &'a [f64],
-    pub(super) kept: Option<&'a BTreeSet<SampleId>>,
+pub(in crate::real2sim) struct Judge<'a> {
+    pub(in crate::real2sim) data: &'a Dataset,
+    pub(in crate::real2sim) bounds: &'a FrameBounds,
+    pub(in crate::real2sim) bins: &'a [f64],
+    pub(in crate::real2sim) kept: Option<&'a BTreeSet<SampleId>>,
 }
 
 impl Judge<'_> {
-    pub(super) fn row(
+    pub(in crate::real2sim) fn row(
         &self,
         name: &str,
         method: &mut dyn ContactFinder,
