@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::TestbedError;
 pub(crate) use limits::LONGEST;
-pub use step::{Action, Level, Levels, PressProfile, Step};
+pub use step::{Action, Drawn, HEX_ARMS, Level, Levels, PressProfile, Step};
 use step::{OneOrMore, StepFile};
 pub use tip::PlanTip;
 
@@ -355,18 +355,24 @@ impl Plan {
                 Level::Force(force) => range("force", *force, "N"),
                 Level::Depth(depth) => range("depth", *depth, "m"),
             };
-            let listed = |levels: &Levels| {
-                at_least_one("repeats", levels.repeats)?;
-                let (field, unit) = match levels.values {
+            let some = |level: &Level<Vec<f64>>| {
+                let (field, unit) = match level {
                     Level::Force(_) => ("forces", "N"),
                     Level::Depth(_) => ("depths", "m"),
                 };
-                let values = levels.values.value();
+                let values = level.value();
                 if values.is_empty() {
                     return Err(self.wrong(format!("steps[{i}].{field}"), "is empty: name at least one"));
                 }
+                let positive = |(j, value): (usize, &f64)| range(&format!("{field}[{j}]"), [*value; 2], unit);
+                values.iter().enumerate().try_for_each(positive)?;
+                Ok((field, unit))
+            };
+            let listed = |levels: &Levels| {
+                at_least_one("repeats", levels.repeats)?;
+                let (field, unit) = some(&levels.values)?;
+                let values = levels.values.value();
                 for (j, value) in values.iter().enumerate() {
-                    range(&format!("{field}[{j}]"), [*value, *value], unit)?;
                     if levels.incremental && j > 0 && *value <= values[j - 1] {
                         let reason = format!("is {value} {unit}, and an incremental press goes up only");
                         return Err(self.wrong(format!("steps[{i}].{field}[{j}]"), reason));
@@ -415,7 +421,10 @@ impl Plan {
                 }
                 Action::Multi { count, contacts: [low, high], distance, level } => {
                     at_least_one("count", *count)?;
-                    drawn(level)?;
+                    match level.value() {
+                        Drawn::Within(range) => drawn(&level.map(|_| *range))?,
+                        Drawn::OneOf(list) => some(&level.map(|_| list.clone())).map(|_| ())?,
+                    }
                     range("distance", [distance[0], distance[1].min(f64::MAX)], "m")?;
                     if !(1 <= *low && low <= high && *high <= 100) {
                         return wrong(
@@ -424,6 +433,23 @@ impl Plan {
                         );
                     }
                     presses += u64::from(*count) * u64::from(*high);
+                }
+                Action::Hex { count, contacts: [low, high], radius, turn: [from, to], levels } => {
+                    at_least_one("count", *count)?;
+                    range("radius", *radius, "m")?;
+                    if !(1 <= *low && low <= high && *high <= 6) {
+                        return wrong(
+                            format!("steps[{i}].contacts"),
+                            format!("[{low}, {high}] is not a range: 1 ≤ low ≤ high ≤ 6"),
+                        );
+                    }
+                    if !(from <= to && (to - from).is_finite()) {
+                        return wrong(
+                            format!("steps[{i}].turn"),
+                            format!("[{from}, {to}] is not a range of angles: low ≤ high rad"),
+                        );
+                    }
+                    presses += u64::from(*count) * u64::from(*high) * listed(levels)?;
                 }
             }
             let profile = &step.profile;
@@ -447,6 +473,12 @@ impl Plan {
                     let reason = "says where to without `shear`, which says how much".to_owned();
                     return wrong(format!("steps[{i}].shear_direction"), reason);
                 }
+            }
+            if let Some(force) = profile.least_force
+                && !(force > 0.0 && force.is_finite())
+            {
+                let reason = format!("is {force} N and must be positive");
+                return wrong(format!("steps[{i}].least_force"), reason);
             }
             if let Some(hold) = profile.hold {
                 durations(format!("steps[{i}].hold"), hold)?;
@@ -486,7 +518,7 @@ mod tests {
         insta::assert_snapshot!(refused("force = [0.1, 0.5]", "force = [0.0, 0.5]"), @"plan plan.toml: field `steps[1].force`: [0, 0.5] is not a range: 0 < low ≤ high N");
         insta::assert_snapshot!(refused("forces = [0.2, 0.4]", "forces = []"), @"plan plan.toml: field `steps[2].forces`: is empty: name at least one");
         insta::assert_snapshot!(refused("contacts = [2, 3]", "contacts = [0, 3]"), @"plan plan.toml: field `steps[4].contacts`: [0, 3] is not a range: 1 ≤ low ≤ high ≤ 100");
-        insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `places`, `slides`, `multi`");
+        insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `places`, `slides`, `multi`, `hex`");
         insta::assert_snapshot!(refused("count = 4", "count = 4000000000"), @"plan plan.toml: field `steps`: make 8000000016 contacts; 1000000 at most fit a recording");
         insta::assert_snapshot!(refused("repeats = 2", "repeats = 0"), @"plan plan.toml: field `steps[1].repeats`: is 0 and must be at least 1");
         insta::assert_snapshot!(refused("seed = 3", "seed = \"three\""), @r#"plan plan.toml: field `seed`: invalid type: string "three", expected u64"#);
@@ -519,9 +551,47 @@ mod tests {
         shear = [0.0, 0.7]
     "#;
 
+    const TOGETHER: &str = r#"
+        schema = "dermis-plan/1"
+        name = "together"
+        tip = { shape = { shape = "flat-punch", diameter = 0.020 } }
+        [[steps]]
+        kind = "hex"
+        count = 3
+        contacts = [1, 6]
+        radius = [0.03, 0.2]
+        turn = 0.5
+        depths = [0.001, 0.002]
+        incremental = true
+        least_force = 5.0
+        [[steps]]
+        kind = "multi"
+        count = 3
+        contacts = [2, 4]
+        distance = 0.04
+        forces = [4.905, 7.358, 9.810]
+    "#;
+
+    #[test]
+    fn several_tips_refuse_what_cannot_be() {
+        let refused = |from: &str, to: &str| {
+            assert!(TOGETHER.contains(from), "{from} is not in the plan");
+            Plan::from_toml(&TOGETHER.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
+        };
+        insta::assert_snapshot!(refused("[1, 6]", "[1, 7]"), @"plan plan.toml: field `steps[0].contacts`: [1, 7] is not a range: 1 ≤ low ≤ high ≤ 6");
+        insta::assert_snapshot!(refused("[0.03, 0.2]", "[0.2, 0.03]"), @"plan plan.toml: field `steps[0].radius`: [0.2, 0.03] is not a range: 0 < low ≤ high m");
+        insta::assert_snapshot!(refused("radius = [0.03, 0.2]", ""), @"plan plan.toml: field `steps[0].radius`: is missing: a step of kind `hex` needs it");
+        insta::assert_snapshot!(refused("turn = 0.5", "turn = [0.5, 0.0]"), @"plan plan.toml: field `steps[0].turn`: [0.5, 0] is not a range of angles: low ≤ high rad");
+        insta::assert_snapshot!(refused("least_force = 5.0", "least_force = 0.0"), @"plan plan.toml: field `steps[0].least_force`: is 0 N and must be positive");
+        insta::assert_snapshot!(refused("[0.001, 0.002]", "[0.002, 0.001]"), @"plan plan.toml: field `steps[0].depths[1]`: is 0.001 m, and an incremental press goes up only");
+        insta::assert_snapshot!(refused("[4.905, 7.358, 9.810]", "[]"), @"plan plan.toml: field `steps[1].forces`: is empty: name at least one");
+        insta::assert_snapshot!(refused("[4.905, 7.358, 9.810]", "[4.905, -1.0]"), @"plan plan.toml: field `steps[1].forces[1]`: [-1, -1] is not a range: 0 < low ≤ high N");
+        insta::assert_snapshot!(refused("distance = 0.04", "distance = 0.04\n        force = [1.0, 2.0]"), @"plan plan.toml: field `steps[1].forces`: names one of some: leave out the range `force` or `depth` beside it");
+    }
+
     #[test]
     fn what_is_written_reads_back() {
-        for text in [PLAN, MORE] {
+        for text in [PLAN, MORE, TOGETHER] {
             let plan = Plan::from_toml(text, "plan.toml").unwrap();
             let again = toml::to_string(&plan).unwrap();
             assert_eq!(Plan::from_toml(&again, "plan.toml").unwrap_or_else(|e| panic!("{e}\n{again}")), plan);
@@ -534,8 +604,8 @@ mod tests {
             assert!(MORE.contains(from), "{from} is not in the plan");
             Plan::from_toml(&MORE.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
         };
-        insta::assert_snapshot!(refused("count = 3", "count = 3\npitch = 0.1"), @"plan plan.toml: field `steps[2].pitch`: is no key of a step of kind `presses`, which has count, force, depth, repeats, diameter, shear, shear_direction, hold");
-        insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `hold`");
+        insta::assert_snapshot!(refused("count = 3", "count = 3\npitch = 0.1"), @"plan plan.toml: field `steps[2].pitch`: is no key of a step of kind `presses`, which has count, force, depth, repeats, diameter, shear, shear_direction, hold, least_force");
+        insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `hold`, `least_force`, `radius`, `turn`");
         insta::assert_snapshot!(refused("count = 3", ""), @"plan plan.toml: field `steps[2].count`: is missing: a step of kind `presses` needs it");
         insta::assert_snapshot!(refused("count = 3", "count = 3\nforce = [0.1, 0.2]"), @"plan plan.toml: field `steps[2].depth`: stands beside `force`: name one of them");
         insta::assert_snapshot!(refused("forces = [0.1]", ""), @"plan plan.toml: field `steps[1].forces`: is missing: a step of kind `places` needs it, or `depths`");

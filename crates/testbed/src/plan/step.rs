@@ -29,6 +29,15 @@ impl<T> Level<T> {
     }
 }
 
+/// What a number is drawn from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Drawn {
+    /// A range, as [`ForceDistribution`](super::ForceDistribution) says.
+    Within([f64; 2]),
+    /// One of these, each as likely as any other: weights that lie on a table, say.
+    OneOf(Vec<f64>),
+}
+
 /// What is done in a step.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
@@ -79,10 +88,28 @@ pub enum Action {
         contacts: [u32; 2],
         /// \[m\] least distance between the contacts of a press, and the most; infinite where the plan names one number.
         distance: [f64; 2],
-        /// Range of what each contact of a press goes up to, drawn for itself.
-        level: Level<[f64; 2]>,
+        /// What each contact of a press goes up to is drawn from, for itself.
+        level: Level<Drawn>,
+    },
+    /// Several tips of one plate, lowered together: each sits on an arm of a hexagon about the middle of the plate, all as far from
+    /// it. One level is that of all tips.
+    Hex {
+        /// Number of places of the plate.
+        count: u32,
+        /// Range of the number of tips, 1 to 6, both ends included. They sit on the arms of [`HEX_ARMS`].
+        contacts: [u32; 2],
+        /// \[m\] range of the distance of every tip from the middle of the plate.
+        radius: [f64; 2],
+        /// \[rad\] range of the angle of the first arm about the outward normal, from the link's x axis.
+        turn: [f64; 2],
+        /// What each place is pressed up to.
+        levels: Levels,
     },
 }
+
+/// Arms that one to six tips sit on, counted in steps of 60° from the first: spread as evenly as six arms allow.
+pub const HEX_ARMS: [&[u32]; 6] =
+    [&[0], &[0, 3], &[0, 2, 4], &[0, 1, 3, 4], &[0, 1, 2, 3, 4], &[0, 1, 2, 3, 4, 5]];
 
 /// What one place is pressed up to.
 #[derive(Debug, Clone, PartialEq)]
@@ -115,6 +142,8 @@ pub struct PressProfile {
     pub shear_direction: Option<f64>,
     /// Range of how long it holds \[s\], instead of the plan's.
     pub hold: Option<[f64; 2]>,
+    /// \[N\] levels at which a tip presses with less are left out, and so are presses of which nothing is left.
+    pub least_force: Option<f64>,
 }
 
 /// One part of a plan; parts follow one another.
@@ -142,6 +171,7 @@ enum Kind {
     Places,
     Slides,
     Multi,
+    Hex,
 }
 
 impl Kind {
@@ -153,6 +183,7 @@ impl Kind {
             Self::Places => "places",
             Self::Slides => "slides",
             Self::Multi => "multi",
+            Self::Hex => "hex",
         }
     }
 }
@@ -246,10 +277,16 @@ pub(super) struct StepFile {
     shear_direction: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     hold: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    least_force: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    radius: Option<OneOrTwo>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    turn: Option<OneOrTwo>,
 }
 
 /// Keys of how it is pressed, the same for every kind of press that stands still.
-const MANNER: [&str; 4] = ["diameter", "shear", "shear_direction", "hold"];
+const MANNER: [&str; 5] = ["diameter", "shear", "shear_direction", "hold", "least_force"];
 
 impl StepFile {
     const fn of(kind: Kind) -> Self {
@@ -273,6 +310,9 @@ impl StepFile {
             shear: None,
             shear_direction: None,
             hold: None,
+            least_force: None,
+            radius: None,
+            turn: None,
         }
     }
 
@@ -297,6 +337,9 @@ impl StepFile {
             ("shear", self.shear.is_some()),
             ("shear_direction", self.shear_direction.is_some()),
             ("hold", self.hold.is_some()),
+            ("least_force", self.least_force.is_some()),
+            ("radius", self.radius.is_some()),
+            ("turn", self.turn.is_some()),
         ];
         all.into_iter().filter_map(|(name, there)| there.then_some(name)).collect()
     }
@@ -310,7 +353,13 @@ impl StepFile {
             Kind::Grid => (&["pitch", "forces", "depths", "incremental", "repeats"], &MANNER),
             Kind::Places => (&["at", "forces", "depths", "incremental", "repeats"], &MANNER),
             Kind::Slides => (&["count", "force", "length", "speed", "diameter"], &[]),
-            Kind::Multi => (&["count", "contacts", "distance", "force", "depth"], &MANNER),
+            Kind::Multi => {
+                (&["count", "contacts", "distance", "force", "depth", "forces", "depths"], &MANNER)
+            }
+            Kind::Hex => (
+                &["count", "contacts", "radius", "turn", "forces", "depths", "incremental", "repeats"],
+                &MANNER,
+            ),
         };
         let known = [own, common].concat();
         if let Some(key) = self.keys().into_iter().find(|key| !known.contains(key)) {
@@ -371,7 +420,23 @@ impl StepFile {
                     OneOrTwo::One(least) => [least, f64::INFINITY],
                     OneOrTwo::Two(range) => range,
                 },
-                level: level(self.force, self.depth)?,
+                level: match (self.forces, self.depths) {
+                    (None, None) => level(self.force, self.depth)?.map(|range| Drawn::Within(*range)),
+                    _ if self.force.is_some() || self.depth.is_some() => {
+                        let listed = "names one of some: leave out the range `force` or `depth` beside it";
+                        return Err(("forces", listed.to_owned()));
+                    }
+                    (forces, depths) => {
+                        levels(forces, depths, None)?.values.map(|listed| Drawn::OneOf(listed.clone()))
+                    }
+                },
+            },
+            Kind::Hex => Action::Hex {
+                count: self.count.ok_or_else(missing("count"))?,
+                contacts: self.contacts.ok_or_else(missing("contacts"))?,
+                radius: self.radius.ok_or_else(missing("radius"))?.both(),
+                turn: self.turn.map_or([0.0; 2], OneOrTwo::both),
+                levels: levels(self.forces, self.depths, self.incremental)?,
             },
         };
         let diameter = self.diameter.map(OneOrMore::all);
@@ -383,6 +448,7 @@ impl StepFile {
             shear: self.shear.map(OneOrTwo::both),
             shear_direction: self.shear_direction,
             hold: self.hold,
+            least_force: self.least_force,
         };
         Ok(Step { action, profile })
     }
@@ -421,19 +487,30 @@ impl From<Step> for StepFile {
                 ..Self::of(Kind::Slides)
             },
             Action::Multi { count, contacts, distance, level } => {
-                let (force, depth) = ranges(level);
                 let [least, most] = distance;
                 let distance = if most.is_finite() { OneOrTwo::Two(distance) } else { OneOrTwo::One(least) };
                 let (count, contacts, distance) = (Some(count), Some(contacts), Some(distance));
-                Self { count, contacts, distance, force, depth, ..Self::of(Kind::Multi) }
+                let file = Self { count, contacts, distance, ..Self::of(Kind::Multi) };
+                match level {
+                    Level::Force(Drawn::Within(force)) => Self { force: Some(force), ..file },
+                    Level::Depth(Drawn::Within(depth)) => Self { depth: Some(depth), ..file },
+                    Level::Force(Drawn::OneOf(forces)) => Self { forces: Some(forces), ..file },
+                    Level::Depth(Drawn::OneOf(depths)) => Self { depths: Some(depths), ..file },
+                }
+            }
+            Action::Hex { count, contacts, radius, turn, levels } => {
+                let (count, contacts) = (Some(count), Some(contacts));
+                let (radius, turn) = (Some(radius.into()), Some(turn.into()));
+                lists(levels, Self { count, contacts, radius, turn, ..Self::of(Kind::Hex) })
             }
         };
-        let PressProfile { diameter, shear, shear_direction, hold } = step.profile;
+        let PressProfile { diameter, shear, shear_direction, hold, least_force } = step.profile;
         Self {
             diameter: OneOrMore::of(diameter),
             shear: shear.map(OneOrTwo::from),
             shear_direction,
             hold,
+            least_force,
             ..file
         }
     }
