@@ -12,7 +12,11 @@ pub mod command;
 mod config;
 #[cfg(feature = "train")]
 pub mod conv;
+#[cfg(feature = "train")]
+mod fit_image;
+mod image;
 mod kernels;
+mod layer;
 mod measure;
 mod network;
 mod prepare;
@@ -23,8 +27,11 @@ mod run_conv;
 pub use candidates::{Candidate, ModelChoice};
 pub use choose::{Choice, Judged};
 pub use config::{
-    Activation, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig,
+    Activation, ChannelNoise, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig,
+    TrainingConfig,
 };
+pub use image::ImageConfig;
+pub use layer::Layer;
 pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};
 pub use prepare::Preparation;

@@ -23,6 +23,7 @@ fn spec() -> ConvSpec {
             head("surface", Form::Map([2, 5, 7]), false),
             head("contact", Form::Vector(1), true),
         ],
+        layers: Vec::new(),
     }
 }
 
