@@ -48,14 +48,14 @@ impl Labels {
 #[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReadMaps {
-    /// \[m\] diameter of the disc in which a contact is the largest pressure of a map of forces, e.g. `0.064`, which skins of a quarter
-    /// of a metre and more have without being asked.
+    /// Diameter [m] of the disc in which a contact is the largest pressure of a map of forces, e.g. `0.064`, which skins of a quarter of
+    /// a metre and more have without being asked.
     #[arg(long, value_name = "METRES")]
     map_disc: Option<f64>,
-    /// \[N\] that the disc of a contact bears at least; of several, everything is reported for each, e.g. `5,2.5`.
+    /// Force [N] that the disc of a contact bears at least; of several, everything is reported for each, e.g. `5,2.5`.
     #[arg(long, value_name = "NEWTONS", value_delimiter = ',')]
     map_threshold: Vec<f64>,
-    /// \[N\] below which a true contact keeps its frame out of the comparison of contacts in maps.
+    /// Force [N] below which a true contact keeps its frame out of the comparison of contacts in maps.
     #[arg(long, value_name = "NEWTONS")]
     map_least_force: Option<f64>,
 }

@@ -136,7 +136,7 @@ pub fn fit(
         || !(0.0..1.0).contains(&training.momentum)
     {
         return Err(LearnError::Training {
-            reason: "`training.epochs` and `training.batch` must be at least 1, and `training.learning_rate` positive, and \
+            reason: "`training.epochs` and `training.batch` must be at least 1, `training.learning_rate` positive, and \
                      `training.momentum` from 0 to below 1".into(),
         });
     }
