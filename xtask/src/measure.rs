@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use crate::run::{cargo, output, run as execute, target_dir};
 use crate::test::{BUILD, WITHOUT_ROS};
 
+mod ert;
 mod limb;
 
 /// What can be measured.
@@ -45,6 +46,9 @@ pub enum Measurement {
     Start,
     /// The diagnosis of gaps on packs with withheld causes, for the row of barometers, the pad and the limb.
     Gap,
+    /// Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, written to benches/results/ert-tables.json; the result says
+    /// what is reduced.
+    ErtTables(ert::Sizes),
 }
 
 /// Skins that gaps are diagnosed on, and the seeds of their packs: of all kinds, and of controls only.
@@ -67,6 +71,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Real2sim => limb::real2sim(root)?,
         Measurement::Start => start(root)?,
         Measurement::Gap => gap(root)?,
+        Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
         Measurement::Shear => recorded(root, "shear", "shear_force")?,
