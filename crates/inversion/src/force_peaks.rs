@@ -2,7 +2,7 @@
 //!
 //! Problem: a map gives the force on every point of a surface; how many contacts is that, and what are they? Method: a contact is a
 //! point whose pressure is the largest within a disc around it (k-Max with a fixed neighbourhood, thesis section 4.3.2) and whose
-//! disc bears a force of a threshold or more. Its force is the sum over the disc. Its diameter is the full width at half maximum: that of
+//! disc bears a force of a threshold or more. Its force is the sum over the disc around its middle. Its diameter is the full width at half maximum: that of
 //! the circle with the area of all points around the peak that bear half of its pressure or more. Its place is the centre of these
 //! points' forces, because the largest point of a flat contact is any of them.
 //!
@@ -36,6 +36,8 @@ pub struct ForcePeakFinder {
     /// Neighbours along edges, and the points of the disc around each, end to end.
     edges: Lists,
     discs: Lists,
+    /// \[m\] of the discs.
+    radius: f64,
 }
 
 /// Lists of indices, end to end.
@@ -104,7 +106,7 @@ impl ForcePeakFinder {
             connected(i as u32, &edges, &mut seen, within)
         };
         let discs = Lists::of((0..points.len()).map(disc));
-        Self { points: points.clone(), areas: surface.areas.clone(), edges, discs }
+        Self { points: points.clone(), areas: surface.areas.clone(), edges, discs, radius }
     }
 
     /// Number of points of a map.
@@ -135,23 +137,60 @@ impl ForcePeakFinder {
             if *pressure <= 0.0 || disc.iter().any(beaten) {
                 continue;
             }
-            let sum: f64 = disc.iter().map(|i| force(*i)).sum();
-            if sum < threshold {
-                continue;
-            }
-            let wide = |i: u32| pressures[i as usize] >= pressure / 2.0;
-            let half = connected(point as u32, &self.edges, &mut seen, wide);
+            let half = self.half(point as u32, pressure / 2.0, &pressures, &mut seen);
             let (mut area, mut total, mut moment) = (0.0, 0.0, Vector3::zeros());
-            for i in half {
-                area += self.areas[i as usize];
-                total += force(i);
-                moment += self.points[i as usize].coords * force(i);
+            for i in half.points.iter().map(|i| *i as usize) {
+                area += self.areas[i];
+                total += force(i as u32);
+                moment += self.points[i].coords * force(i as u32);
             }
-            let diameter = 2.0 * (area / std::f64::consts::PI).sqrt();
-            peaks.push(ForcePeak { point, position: Point3::from(moment / total), force: sum, diameter });
+            let force: f64 = self.discs.get(half.middle as usize).iter().map(|i| force(*i)).sum();
+            if force >= threshold {
+                let diameter = 2.0 * (area / std::f64::consts::PI).sqrt();
+                peaks.push(ForcePeak { point, position: Point3::from(moment / total), force, diameter });
+            }
         }
         peaks.sort_by(|a, b| b.force.total_cmp(&a.force));
         peaks
+    }
+}
+
+/// The points of a contact that bear half of its pressure or more.
+struct Half {
+    /// The one nearest to their centre.
+    middle: u32,
+    points: Vec<u32>,
+}
+
+/// Steps of a disc towards the middle of its contact.
+const STEPS: usize = 6;
+
+impl ForcePeakFinder {
+    /// Connected points around `peak` of this pressure or more, within the disc around their own middle: of a flat contact the largest
+    /// point is any, and may lie at its edge.
+    fn half(&self, peak: u32, least: f64, pressures: &[f64], seen: &mut [bool]) -> Half {
+        let mut half = Half { middle: peak, points: Vec::new() };
+        for _ in 0..STEPS {
+            let middle = half.middle;
+            let about = self.points[middle as usize];
+            let wide = |i: u32| {
+                pressures[i as usize] >= least && (self.points[i as usize] - about).norm() <= self.radius
+            };
+            // A ring has no contact in its middle.
+            let start = if pressures[middle as usize] >= least { middle } else { peak };
+            half.points = connected(start, &self.edges, seen, wide);
+            let weight = |i: &u32| pressures[*i as usize] * self.areas[*i as usize];
+            let total: f64 = half.points.iter().map(weight).sum();
+            let moment: Vector3<f64> =
+                half.points.iter().map(|i| self.points[*i as usize].coords * weight(i)).sum();
+            let away = |i: &u32| (self.points[*i as usize].coords - moment / total).norm();
+            let nearest = half.points.iter().copied().min_by(|a, b| away(a).total_cmp(&away(b)));
+            half.middle = nearest.unwrap_or(middle);
+            if half.middle == middle {
+                break;
+            }
+        }
+        half
     }
 }
 
@@ -169,7 +208,8 @@ mod tests {
     fn discs(surface: &Surface, diameter: f64, contacts: &[(f64, f64, f64)]) -> Vec<f64> {
         let mut map = vec![0.0; surface.points.len()];
         for (x, y, force) in contacts {
-            let inside = |p: &Point3<f64>| (p.x - x).hypot(p.y - y) <= diameter / 2.0;
+            // Points that are exactly on the circle are in it.
+            let inside = |p: &Point3<f64>| (p.x - x).hypot(p.y - y) <= diameter / 2.0 + 1e-9;
             let points: Vec<usize> = (0..map.len()).filter(|i| inside(&surface.points[*i])).collect();
             let area: f64 = points.iter().map(|i| surface.areas[*i]).sum();
             points.iter().for_each(|i| map[*i] += force * surface.areas[*i] / area);
@@ -196,6 +236,22 @@ mod tests {
         assert!(finder.find(&map[1..], 2.5).is_empty(), "a map of another surface");
         assert!(finder.find(&vec![f64::NAN; map.len()], 0.0).is_empty());
         assert!(finder.find(&vec![0.0; map.len()], 0.0).is_empty(), "nothing presses");
+    }
+
+    #[test]
+    fn wide_flat_contacts_keep_their_force_and_place() {
+        let surface = panel();
+        let finder = ForcePeakFinder::new(&surface, 0.064);
+        for diameter in [0.02, 0.03, 0.05, 0.06] {
+            let found = finder.find(&discs(&surface, diameter, &[(0.05, -0.1, 20.0)]), 5.0);
+            assert_eq!(found.len(), 1, "{diameter} m: {found:?}");
+            assert!(
+                (found[0].position - Point3::new(0.05, -0.1, 0.0)).norm() < 1e-9,
+                "{diameter} m: {found:?}"
+            );
+            assert!((found[0].force - 20.0).abs() < 1e-9, "{diameter} m: {found:?}");
+            assert!((found[0].diameter / diameter - 1.0).abs() < 0.05, "{diameter} m: {found:?}");
+        }
     }
 
     #[test]

@@ -91,7 +91,11 @@ fn maps_are_scored_where_they_are_given() {
     let unanswered = (errors.touched.unanswered + errors.untouched.unanswered) as f64 / 180.0;
     approx::assert_relative_eq!(figures["map_normal_unanswered"], unanswered, max_relative = 1e-12);
     let again: Evaluation = serde_json::from_value(result.to_json()).unwrap();
-    assert_eq!(again.maps, result.maps);
+    let read = again.figures();
+    assert!(read.keys().eq(figures.keys()), "{read:?}");
+    // JSON keeps all digits but the last.
+    assert!(figures.iter().all(|(name, v)| (read[name] - v).abs() <= 1e-12 * v.abs()), "{read:?}");
+    assert_eq!(again.maps["map.normal"].by_number.keys().copied().collect::<Vec<_>>(), [1]);
     let unasked = evaluate(&mut Mapping, &data, None, "x").unwrap();
     assert!(unasked.maps.is_empty());
 }
