@@ -12,6 +12,7 @@ use crate::run::{cargo, output, run as execute, target_dir};
 use crate::test::{BUILD, WITHOUT_ROS};
 
 mod hapdefx;
+mod ert;
 mod limb;
 
 /// What can be measured.
@@ -50,6 +51,9 @@ pub enum Measurement {
     Start,
     /// The diagnosis of gaps on packs with withheld causes, for the row of barometers, the pad and the limb.
     Gap,
+    /// Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, written to benches/results/ert-tables.json; the result says
+    /// what is reduced.
+    ErtTables(ert::Sizes),
 }
 
 /// Skins that gaps are diagnosed on, and the seeds of their packs: of all kinds, and of controls only.
@@ -73,6 +77,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Hapdefx(options) => hapdefx::run(root, options)?,
         Measurement::Start => start(root)?,
         Measurement::Gap => gap(root)?,
+        Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
         Measurement::Shear => recorded(root, "shear", "shear_force")?,

@@ -6,13 +6,15 @@
 //! device and its forward model are apart, so that the answer does not believe the model more than it deserves, and
 //! [`Corrected`] takes what presses at known places show of the difference into the model.
 //!
-//! [`PeakFinder`] needs no forward model: contacts as the peaks of a displacement map that something else has found.
+//! [`PeakFinder`] and [`ForcePeakFinder`] need no forward model: contacts as the peaks of a displacement map, or of a map of forces,
+//! that something else has found.
 
 mod calibrate;
 mod contact;
 mod corrected;
 mod dictionary;
 mod fit;
+mod force_peaks;
 mod inverter;
 mod pairs;
 mod peaks;
@@ -24,6 +26,7 @@ mod testing;
 pub use calibrate::{Calibration, CalibrationError};
 pub use contact::{ContactEstimate, Reading, Solution};
 pub use corrected::{Corrected, Correction, CorrectionSettings, Press};
+pub use force_peaks::{ForcePeak, ForcePeakFinder};
 pub use inverter::Inverter;
 pub use peaks::{Peak, PeakFinder, PeakSettings, suppress};
 pub use settings::{ForcePrior, InverterError, Search, Settings};

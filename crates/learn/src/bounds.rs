@@ -315,7 +315,7 @@ pub fn stimulus(truth: &Truth) -> Option<Stimulus> {
             let full = c.components == ForceComponents::Full && c.force.iter().all(|v| v.is_finite());
             let force = if full { c.force } else { pressing };
             let known = c.position.iter().chain(&force).all(|v| v.is_finite()) && c.diameter > 0.0;
-            known.then_some(Indentation::sphere(c.position, force, c.diameter))
+            known.then(|| Indentation { position: c.position, force, tip: c.tip() })
         })
         .collect::<Option<Vec<_>>>()?;
     Some(Stimulus { contacts, ..Stimulus::default() })

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use dermis_skin::Surface;
 use serde::{Deserialize, Serialize};
 
-use crate::{DatasetOptions, LabelMap, LearnError};
+use crate::{DatasetOptions, LabelMap, LearnError, MapReading};
 
 /// How bags are read.
 #[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
@@ -40,5 +41,74 @@ impl Labels {
             map: self.map.as_ref().map(LabelMap::load).transpose()?,
             ..DatasetOptions::default()
         })
+    }
+}
+
+/// How contacts are read off the maps of forces of a model.
+#[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReadMaps {
+    /// Diameter [m] of the disc in which a contact is the largest pressure of a map of forces, e.g. `0.064`, which skins of a quarter of
+    /// a metre and more have without being asked.
+    #[arg(long, value_name = "METRES")]
+    map_disc: Option<f64>,
+    /// Force [N] that the disc of a contact bears at least; of several, everything is reported for each, e.g. `5,2.5`.
+    #[arg(long, value_name = "NEWTONS", value_delimiter = ',')]
+    map_threshold: Vec<f64>,
+    /// Force [N] below which a true contact keeps its frame out of the comparison of contacts in maps.
+    #[arg(long, value_name = "NEWTONS")]
+    map_least_force: Option<f64>,
+}
+
+impl ReadMaps {
+    /// How to read maps over this surface; `None` where nothing is asked for and the surface is small.
+    ///
+    /// # Errors
+    ///
+    /// [`LearnError::Config`] names the flag whose number cannot be.
+    pub fn reading(&self, surface: &Surface) -> Result<Option<MapReading>, LearnError> {
+        let asked =
+            self.map_disc.is_some() || self.map_least_force.is_some() || !self.map_threshold.is_empty();
+        let own = MapReading::of_surface(surface);
+        if !asked {
+            return Ok(own);
+        }
+        let mut reading = own.unwrap_or_default();
+        reading.disc = self.map_disc.unwrap_or(reading.disc);
+        reading.least_force = self.map_least_force.unwrap_or(reading.least_force);
+        if !self.map_threshold.is_empty() {
+            reading.thresholds.clone_from(&self.map_threshold);
+        }
+        let wrong = |(field, reason): (&str, String)| {
+            let flag = match field {
+                "disc" => "--map-disc",
+                "thresholds" => "--map-threshold",
+                _ => "--map-least-force",
+            };
+            LearnError::Config { file: "flags".into(), field: flag.into(), reason }
+        };
+        reading.check().map_err(wrong)?;
+        Ok(Some(reading))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::SurfaceSpec;
+
+    use super::*;
+
+    #[test]
+    fn flags_change_how_maps_are_read_and_small_skins_are_read_on_request_only() {
+        let of =
+            |size: f64| Surface::from_spec(&SurfaceSpec::Rectangle { size: [size; 2], spacing: size / 10.0 });
+        let (pad, panel) = (of(0.05), of(0.5));
+        assert_eq!(ReadMaps::default().reading(&pad).unwrap(), None);
+        assert_eq!(ReadMaps::default().reading(&panel).unwrap(), Some(MapReading::default()));
+        let flags = ReadMaps { map_disc: Some(0.006), map_threshold: vec![0.2], map_least_force: None };
+        let wanted = MapReading { disc: 0.006, thresholds: vec![0.2], least_force: 0.0 };
+        assert_eq!(flags.reading(&pad).unwrap(), Some(wanted));
+        let wrong = ReadMaps { map_threshold: vec![-1.0], ..flags };
+        insta::assert_snapshot!(wrong.reading(&pad).unwrap_err(), @"flags: field `--map-threshold`: has -1 N and must be 0 or positive");
     }
 }

@@ -9,11 +9,10 @@ use serde::{Deserialize, Serialize};
 use crate::LearnError;
 use crate::bounds::{AgainstBound, FrameBounds};
 use crate::dataset::{Dataset, SampleId};
-use crate::metrics::{
-    Bin, COUNTED_FROM, ContactError, FORCE_BINS, MapErrors, MapPart, MapScorer, Scores, Summary,
-};
+use crate::metrics::{Bin, COUNTED_FROM, ContactError, FORCE_BINS, MapErrors, MapScorer, Scores, Summary};
 
 mod collect;
+mod of_maps;
 mod requirement;
 
 pub use collect::Evaluator;
@@ -104,7 +103,10 @@ impl Evaluation {
     /// Every figure that a [`Requirement`] can name, in SI units: `position_rms`, `position_mean`,
     /// `position_median`, `position_p95`, `position_max`, the same of `position_x` …, `force_normal` …, of what was found
     /// (`position_found_rms`, `force_normal_found_rms` …), and `not_found`, `missed`, `false_contacts`, `unanswered`, `count_right_of_1` … as shares. Of maps `map_normal_rms`, `map_normal_relative`,
-    /// `map_normal_total_force` on touched frames, `map_normal_untouched_rms` … on the others, `map_normal_unanswered` of both.
+    /// `map_normal_total_force` on touched frames, `map_normal_untouched_rms` … on the others, `map_normal_unanswered` of both; `map_normal_fvu_of_3` by number of
+    /// contacts; and of contacts that are read off maps of forces from 5 N on, `map_normal_5n_position_mean`,
+    /// `map_normal_5n_of_3_position_mean` …: `number_right`, means of `number`, `position`, `position_found`, `position_nearest`,
+    /// `force` and `diameter`, and `force_rms`.
     #[must_use]
     pub fn figures(&self) -> BTreeMap<String, f64> {
         let mut all = BTreeMap::new();
@@ -126,18 +128,7 @@ impl Evaluation {
         for (number, share) in &self.count_right {
             all.insert(format!("count_right_of_{number}"), *share);
         }
-        for (name, errors) in &self.maps {
-            let name = name.replace('.', "_");
-            for (part, what) in [(&errors.touched, ""), (&errors.untouched, "untouched_")] {
-                let values =
-                    [("rms", part.rms), ("relative", part.relative), ("total_force", part.total_force)];
-                let known = values.into_iter().filter_map(|(figure, v)| Some((figure, v?)));
-                all.extend(known.map(|(figure, v)| (format!("{name}_{what}{figure}"), v)));
-            }
-            let unanswered = errors.touched.unanswered + errors.untouched.unanswered;
-            let asked = errors.touched.frames + errors.untouched.frames + unanswered;
-            all.insert(format!("{name}_unanswered"), unanswered as f64 / asked.max(1) as f64);
-        }
+        of_maps::figures(&self.maps, &mut all);
         let asked = self.frames + self.unanswered;
         if asked > 0 {
             all.insert("unanswered".into(), self.unanswered as f64 / asked as f64);
@@ -160,37 +151,6 @@ fn share_not_found(contacts: &[ContactError]) -> Option<f64> {
 /// Millimetres and newtons: for people.
 fn shown(unit: &str, value: f64) -> String {
     if unit == "m" { format!("{:.3}", value * 1e3) } else { format!("{value:.3}") }
-}
-
-/// Errors of maps, for people: micrometres and millinewtons a point, newtons in all.
-fn write_maps(f: &mut fmt::Formatter<'_>, maps: &BTreeMap<String, MapErrors>) -> fmt::Result {
-    if maps.is_empty() {
-        return Ok(());
-    }
-    writeln!(
-        f,
-        "  {:<28}{:>4}{:>12}{:>14}{:>16}{:>9}{:>12}",
-        "maps, over all points", "", "RMS", "of the truth", "total force [N]", "frames", "unanswered"
-    )?;
-    let or_dash = |value: Option<String>| value.unwrap_or_else(|| "-".into());
-    for (name, errors) in maps {
-        let (unit, factor) = if errors.unit == "m" { ("µm", 1e6) } else { ("mN", 1e3) };
-        for (what, part) in [("touched", &errors.touched), ("untouched", &errors.untouched)] {
-            let MapPart { frames, unanswered, rms, relative, total_force } = part;
-            if frames + unanswered == 0 {
-                continue;
-            }
-            writeln!(
-                f,
-                "  {:<28}{unit:>4}{:>12}{:>14}{:>16}{frames:>9}{unanswered:>12}",
-                format!("{name} {what}"),
-                or_dash(rms.map(|v| format!("{:.3}", v * factor))),
-                or_dash(relative.map(|v| format!("{:.1} %", v * 100.0))),
-                or_dash(total_force.map(|v| format!("{v:.3}"))),
-            )?;
-        }
-    }
-    Ok(())
 }
 
 impl fmt::Display for Evaluation {
@@ -249,7 +209,7 @@ impl fmt::Display for Evaluation {
             }
             writeln!(f)?;
         }
-        write_maps(f, &self.maps)?;
+        of_maps::write(f, &self.maps)?;
         if let Some(lost) = self.not_found.filter(|lost| *lost > 0.0) {
             writeln!(
                 f,

@@ -31,6 +31,7 @@ mod findings;
 pub mod import_onnx;
 mod map;
 mod metrics;
+pub mod picture;
 pub mod plot;
 pub mod real2sim;
 mod recordings;
@@ -51,8 +52,9 @@ pub use evaluate::{
 pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
 pub use metrics::{
-    Answer, Bin, COUNTED_FROM, ContactError, FORCE_BINS, MapErrors, MapPart, MapScores, MapSummary, Rule,
-    Scores, Summary, bins,
+    Answer, Bin, COUNTED_FROM, ChannelErrors, ContactError, ContactsOfMaps, ContactsRead, FORCE_BINS,
+    MapContacts, MapErrors, MapOfNumber, MapPart, MapReading, MapScores, MapSummary, Rule, Scores, Spread,
+    Summary, bins,
 };
 pub use recordings::{Recorded, superpose};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -443,6 +443,7 @@ pub(crate) fn label(
             force,
             components: ForceComponents::Full,
             diameter: 2.0 * map.robot.tip_radius,
+            flat: false,
         };
         labels.push(Some(Truth {
             press,

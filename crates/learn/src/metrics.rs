@@ -20,11 +20,13 @@ use nalgebra::Point3;
 
 use crate::dataset::{SampleId, Truth, TruthContact};
 
+mod contacts;
 mod maps;
 mod statistics;
 
+pub use contacts::{ContactsOfMaps, ContactsRead, MapContacts, MapReading, Spread};
 pub(crate) use maps::MapScorer;
-pub use maps::{MapErrors, MapPart, MapScores, MapSummary};
+pub use maps::{ChannelErrors, MapErrors, MapOfNumber, MapPart, MapScores, MapSummary};
 pub(crate) use statistics::median;
 use statistics::summarise;
 
@@ -368,7 +370,9 @@ impl Scores {
             *right += usize::from(found.len() == truth.contacts.len());
         }
         let Some(names) = truth.contacts.len().checked_sub(2).map(|i| OF_SEVERAL[i.min(2)]) else { return };
-        for (n, (true_one, index)) in truth.contacts.iter().zip(assign(truth, found)).enumerate() {
+        let distance = |t: usize, f: usize| (found[f].position - truth.contacts[t].position).norm();
+        let assigned = assign(truth.contacts.len(), found.len(), distance);
+        for (n, (true_one, index)) in truth.contacts.iter().zip(assigned).enumerate() {
             let answer = index.map(|i| &found[i]);
             let force = true_one.normal_force().unwrap_or(f64::NAN);
             let position = answer
@@ -440,13 +444,16 @@ impl Scores {
     }
 }
 
-/// Which of `found` belongs to each true contact, none twice: the assignment whose distances add up to least (linear sum
-/// assignment by the Hungarian method, Kuhn 1955).
-fn assign(truth: &Truth, found: &[Contact]) -> Vec<Option<usize>> {
-    let (rows, columns) = (truth.contacts.len(), found.len());
+/// Which of so many found contacts (columns) belongs to each of so many true ones (rows), none twice: the assignment whose distances
+/// \[m\] add up to least (linear sum assignment by the Hungarian method, Kuhn 1955).
+pub(crate) fn assign(
+    rows: usize,
+    columns: usize,
+    distance: impl Fn(usize, usize) -> f64,
+) -> Vec<Option<usize>> {
     // The method adds weights up exactly: whole picometres, and what is no number is as far as can be.
     let weight = |t: usize, f: usize| {
-        let picometres = (found[f].position - truth.contacts[t].position).norm() * 1e12;
+        let picometres = distance(t, f) * 1e12;
         if picometres < FARTHEST as f64 { picometres as i64 } else { FARTHEST }
     };
     let mut assigned = vec![None; rows];

@@ -6,16 +6,19 @@
 //! | `map.normal` | one a surface point | \[N\] pressing force that acts on the point, positive when pushed in |
 //! | `map.force` | three a surface point | \[N\] force on the point, in the frame of the skin's link |
 //! | `map.displacement` | one a surface point | \[m\] how far the point gives way, inwards along its normal |
+//! | `signal` | one a channel | in the unit of the skin: what the forward model reads for the true contacts, minus its untouched readings |
 //!
 //! Maps are computed from the ground truth of a frame when it is needed, for any number of contacts, and are not recorded.
 //! A force is spread over its contact patch: a point gets the share of its area, weighted by the pressure that Hertz (1882)
 //! gives for a sphere, √(1 − r²/a²), so that the points sum to the force. The radius a = √(R d) of the patch follows from the
 //! depth d to which the forward model lets the tip of radius R sink in; without a forward model the patch is taken to be
-//! half as wide as the tip. Where the patch is so small that no point lies in it, the nearest point gets the force.
-//! Displacements are those of the forward model.
+//! half as wide as the tip. A flat tip presses evenly on its whole face. Where the patch is so small that no point lies in it, the nearest point gets the force.
+//! Displacements are those of the forward model. A network that learns the signal from readings of a device takes away what the device
+//! has and its model lacks (a transfer network, thesis section 4.3.1): what was trained on the model can then work on the device.
 //!
 //! Cost: a force map visits every point of the surface once a contact; a displacement map is one call of the model.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use dermis_inference::MAP_DISPLACEMENT;
@@ -25,10 +28,12 @@ use nalgebra::{Point3, Vector3};
 
 use crate::LearnError;
 use crate::bounds::stimulus;
-use crate::dataset::Truth;
+use crate::dataset::{Truth, TruthContact};
 
 /// Pressing forces over the surface.
 pub const MAP_NORMAL: &str = "map.normal";
+/// What the forward model reads.
+pub const SIGNAL: &str = "signal";
 /// Forces over the surface.
 pub const MAP_FORCE: &str = "map.force";
 
@@ -50,11 +55,13 @@ pub enum MapTarget {
     Force,
     /// [`MAP_DISPLACEMENT`].
     Displacement,
+    /// [`SIGNAL`], over the channels in place of the points.
+    Signal,
 }
 
 impl MapTarget {
     /// Every one.
-    pub const ALL: [Self; 3] = [Self::Normal, Self::Force, Self::Displacement];
+    pub const ALL: [Self; 4] = [Self::Normal, Self::Force, Self::Displacement, Self::Signal];
 
     /// What configurations and bundles call it.
     #[must_use]
@@ -63,19 +70,26 @@ impl MapTarget {
             Self::Normal => MAP_NORMAL,
             Self::Force => MAP_FORCE,
             Self::Displacement => MAP_DISPLACEMENT,
+            Self::Signal => SIGNAL,
         }
     }
 
-    /// Numbers a point.
+    /// Numbers a point, or a channel.
     #[must_use]
     pub fn per_point(self) -> usize {
         if self == Self::Force { 3 } else { 1 }
     }
 
-    /// Its unit.
+    /// Whether it tells forces on points.
     #[must_use]
-    pub fn unit(self) -> &'static str {
-        if self == Self::Displacement { "m" } else { "N" }
+    pub fn is_force(self) -> bool {
+        matches!(self, Self::Normal | Self::Force)
+    }
+
+    /// Whether it is computed by a forward model.
+    #[must_use]
+    pub fn needs_model(self) -> bool {
+        matches!(self, Self::Displacement | Self::Signal)
     }
 }
 
@@ -109,6 +123,11 @@ pub struct Maps {
     displacement: Vec<f64>,
     /// Whether the forward model knows displacements, once it was asked.
     displaces: Option<bool>,
+    /// What the channels read where nothing touches, once the forward model was asked.
+    untouched: Option<Vec<f64>>,
+    channels: usize,
+    /// Of the skin.
+    unit: String,
 }
 
 impl Maps {
@@ -122,28 +141,69 @@ impl Maps {
         model: Option<Arc<dyn ForwardModel>>,
         wanted: &[MapTarget],
     ) -> Result<Self, LearnError> {
-        if wanted.contains(&MapTarget::Displacement) && model.is_none() {
+        if let Some(map) = wanted.iter().find(|map| map.needs_model())
+            && model.is_none()
+        {
             return Err(LearnError::Training {
                 reason: format!(
-                    "target `{MAP_DISPLACEMENT}` needs the forward model of skin `{}`: train with `dermis train`, which knows \
+                    "target `{}` needs the forward model of skin `{}`: train with `dermis train`, which knows \
                      the models of its sensors, or leave the target out",
+                    map.name(),
                     skin.name
                 ),
             });
         }
         let surface = skin.surface();
-        Ok(Self { displacement: vec![0.0; surface.points.len()], displaces: None, surface, model })
+        Ok(Self {
+            displacement: vec![0.0; surface.points.len()],
+            displaces: None,
+            untouched: None,
+            channels: skin.channels().len(),
+            unit: skin.unit.clone(),
+            surface,
+            model,
+        })
+    }
+
+    /// What maps lie over.
+    #[must_use]
+    pub fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    /// \[N\] pressing forces of a map of forces, one a point; the map itself where it has one number a point.
+    #[must_use]
+    pub fn pressing<'a>(&self, map: MapTarget, values: &'a [f64]) -> Cow<'a, [f64]> {
+        if map.per_point() == 1 {
+            return Cow::Borrowed(values);
+        }
+        let normals = &self.surface.normals;
+        let vectors = values.chunks_exact(map.per_point()).map(|f| Vector3::new(f[0], f[1], f[2]));
+        Cow::Owned(vectors.zip(normals).map(|(force, normal)| -force.dot(normal)).collect())
     }
 
     /// Numbers of a map.
     #[must_use]
     pub fn len(&self, map: MapTarget) -> usize {
-        map.per_point() * self.surface.points.len()
+        if map == MapTarget::Signal { self.channels } else { map.per_point() * self.surface.points.len() }
     }
 
-    /// Whether a map can be computed at all: displacements need a forward model that knows them.
+    /// Unit of a map's numbers.
+    #[must_use]
+    pub fn unit(&self, map: MapTarget) -> &str {
+        match map {
+            MapTarget::Normal | MapTarget::Force => "N",
+            MapTarget::Displacement => "m",
+            MapTarget::Signal => &self.unit,
+        }
+    }
+
+    /// Whether a map can be computed at all: displacements need a forward model that knows them, the signal one of as many channels.
     #[must_use]
     pub fn knows(&mut self, map: MapTarget) -> bool {
+        if map == MapTarget::Signal {
+            return self.model.as_ref().is_some_and(|model| model.channels() == self.channels);
+        }
         map != MapTarget::Displacement
             || *self.displaces.get_or_insert_with(|| {
                 let model = self.model.as_ref();
@@ -162,7 +222,7 @@ impl Maps {
     ///
     /// # Errors
     ///
-    /// [`LearnError::Training`] where the forward model knows no displacements.
+    /// [`LearnError::Training`] where the forward model knows no displacements, or refuses the contacts.
     pub fn append(&mut self, map: MapTarget, truth: &Truth, out: &mut Vec<f64>) -> Result<(), LearnError> {
         let start = out.len();
         out.resize(start + self.len(map), 0.0);
@@ -173,6 +233,9 @@ impl Maps {
         if stimulus.contacts.is_empty() {
             return Ok(());
         }
+        if map == MapTarget::Signal {
+            return self.signal(&stimulus, &mut out[start..]);
+        }
         if map == MapTarget::Displacement {
             self.displaced(&stimulus)?;
             out[start..].copy_from_slice(&self.displacement);
@@ -180,20 +243,42 @@ impl Maps {
         }
         for (pressed, truth) in stimulus.contacts.iter().zip(&truth.contacts) {
             let depth = self.model.as_ref().and_then(|model| {
-                model.depth_at(&pressed.position, pressed.diameter(), -pressed.force.dot(&truth.normal))
+                let force = -pressed.force.dot(&truth.normal);
+                model.depth_of_tip(&pressed.position, &pressed.tip.shape, force)
             });
-            let radius = patch(pressed.diameter(), depth);
-            for (i, share) in shares(&self.surface, &pressed.position, radius) {
+            let patch = Patch::of(truth, depth);
+            for (i, share) in shares(&self.surface, &pressed.position, patch) {
                 let force: Vector3<f64> = pressed.force * share;
                 match map {
                     MapTarget::Normal => out[start + i] -= force.dot(&self.surface.normals[i]),
-                    MapTarget::Force | MapTarget::Displacement => {
+                    MapTarget::Force | MapTarget::Displacement | MapTarget::Signal => {
                         let at = start + 3 * i;
                         out[at..at + 3].iter_mut().zip(&force).for_each(|(o, f)| *o += f);
                     }
                 }
             }
         }
+        Ok(())
+    }
+
+    /// Computes what the model reads.
+    fn signal(&mut self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), LearnError> {
+        let failed = |reason: String| LearnError::Training { reason: format!("target `{SIGNAL}`: {reason}") };
+        let model = self.model.as_ref().ok_or_else(|| failed("there is no forward model".into()))?;
+        if model.channels() != out.len() {
+            let (has, skin) = (model.channels(), out.len());
+            return Err(failed(format!("the forward model has {has} channels and the skin {skin}")));
+        }
+        let rest = match &mut self.untouched {
+            Some(rest) => rest,
+            none => {
+                let mut rest = vec![0.0; out.len()];
+                model.untouched(&mut rest).map_err(|e| failed(e.to_string()))?;
+                none.insert(rest)
+            }
+        };
+        model.response(stimulus, out).map_err(|e| failed(e.to_string()))?;
+        out.iter_mut().zip(rest).for_each(|(value, rest)| *value -= *rest);
         Ok(())
     }
 
@@ -213,20 +298,34 @@ impl Maps {
     }
 }
 
-/// \[m\] radius of the patch on which a spherical tip of this diameter touches.
-fn patch(diameter: f64, depth: Option<f64>) -> f64 {
-    let tip = diameter / 2.0;
-    match depth.filter(|d| *d > 0.0) {
-        Some(depth) => (tip * depth).sqrt().min(tip),
-        None => tip / 2.0,
+/// Where a tip touches.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Patch {
+    /// \[m\]
+    radius: f64,
+    /// Whether the pressure is the same everywhere, in place of Hertz's.
+    even: bool,
+}
+
+impl Patch {
+    /// The patch of a tip that has sunk in so deep \[m\].
+    fn of(contact: &TruthContact, depth: Option<f64>) -> Self {
+        let tip = contact.diameter / 2.0;
+        let radius = match depth.filter(|d| *d > 0.0) {
+            _ if contact.flat => tip,
+            Some(depth) => (tip * depth).sqrt().min(tip),
+            None => tip / 2.0,
+        };
+        Self { radius, even: contact.flat }
     }
 }
 
 /// Points of a surface on which a contact at `at` acts, and what share of its force each of them gets; the shares sum to 1.
-fn shares(surface: &Surface, at: &Point3<f64>, radius: f64) -> Vec<(usize, f64)> {
+fn shares(surface: &Surface, at: &Point3<f64>, Patch { radius, even }: Patch) -> Vec<(usize, f64)> {
     let within = |(i, point): (usize, &Point3<f64>)| {
         let distance = (point - at).norm();
-        (distance < radius).then(|| (i, (1.0 - (distance / radius).powi(2)).sqrt() * surface.areas[i]))
+        let pressure = if even { 1.0 } else { (1.0 - (distance / radius).powi(2)).sqrt() };
+        (distance < radius).then_some((i, pressure * surface.areas[i]))
     };
     let mut found: Vec<(usize, f64)> = surface.points.iter().enumerate().filter_map(within).collect();
     let total: f64 = found.iter().map(|(_, share)| share).sum();
@@ -246,7 +345,7 @@ mod tests {
     use super::*;
     use crate::dataset::tests::{contact, skin};
 
-    fn truth(contacts: Vec<crate::TruthContact>) -> Truth {
+    fn truth(contacts: Vec<TruthContact>) -> Truth {
         Truth { press: 0, location: 0, idle: contacts.is_empty(), contacts }
     }
 
@@ -263,7 +362,7 @@ mod tests {
         Analytic::of_skin(skin, |_, _| 0.0).on_spring(25e3, 1.0).displaced_by(|surface, stimulus, out| {
             out.fill(0.0);
             for contact in &stimulus.contacts {
-                for (i, share) in shares(surface, &contact.position, 0.0) {
+                for (i, share) in shares(surface, &contact.position, Patch { radius: 0.0, even: false }) {
                     out[i] -= 1e-3 * share * contact.force.z;
                 }
             }
@@ -302,6 +401,23 @@ mod tests {
     }
 
     #[test]
+    fn a_flat_tip_presses_evenly_on_its_face() {
+        let skin = fine();
+        let model: Arc<dyn ForwardModel> = Arc::new(soft(&skin));
+        for model in [None, Some(model)] {
+            let mut maps = Maps::new(&skin, model, &[MapTarget::Normal]).unwrap();
+            let mut map = Vec::new();
+            let flat = TruthContact { flat: true, ..contact(0.0, 0.0, 3.0) };
+            maps.append(MapTarget::Normal, &truth(vec![flat]), &mut map).unwrap();
+            approx::assert_relative_eq!(map.iter().sum::<f64>(), 3.0, max_relative = 1e-9);
+            let pressed: Vec<f64> = map.iter().copied().filter(|f| *f > 0.0).collect();
+            // Points of a grid of 0.5 mm nearer than 2 mm to one of them.
+            assert_eq!(pressed.len(), 45);
+            assert!(pressed.iter().all(|f| (f / pressed[0] - 1.0).abs() < 1e-9), "{pressed:?}");
+        }
+    }
+
+    #[test]
     fn a_patch_grows_with_the_depth_and_the_nearest_point_stands_in_for_a_small_one() {
         let skin = fine();
         let model: Arc<dyn ForwardModel> = Arc::new(soft(&skin));
@@ -315,6 +431,20 @@ mod tests {
         let counts = [touched(0.01), touched(5.0), touched(20.0)];
         assert_eq!(counts[0], 1);
         assert!(counts[1] > 1 && counts[2] > counts[1], "{counts:?}");
+    }
+
+    #[test]
+    fn the_signal_is_what_the_model_reads_minus_its_zero() {
+        let skin = skin();
+        // Rests at 7 and reads 2 per newton and channel.
+        let model = Analytic::of_skin(&skin, |contact, _| 2.0 * contact.force.norm()).resting_at(|_| 7.0);
+        let mut maps = Maps::new(&skin, Some(Arc::new(model)), &[MapTarget::Signal]).unwrap();
+        let mut signal = Vec::new();
+        maps.append(MapTarget::Signal, &truth(vec![contact(0.0, 0.0, 3.0)]), &mut signal).unwrap();
+        maps.append(MapTarget::Signal, &truth(Vec::new()), &mut signal).unwrap();
+        let channels = skin.channels().len();
+        assert!(signal[..channels].iter().all(|v| (v - 6.0).abs() < 1e-12), "{signal:?}");
+        assert!(signal.len() == 2 * channels && signal[channels..].iter().all(|v| *v == 0.0));
     }
 
     #[test]
@@ -333,6 +463,9 @@ mod tests {
         unknown.components = dermis_skin::ForceComponents::None;
         maps.append(MapTarget::Normal, &truth(vec![unknown]), &mut map).unwrap();
         assert!(map.iter().all(|v| v.is_nan()));
+        let mut maps = Maps::new(&skin, Some(Arc::new(soft(&skin))), &[MapTarget::Signal]).unwrap();
+        assert!(maps.knows(MapTarget::Signal));
+        assert_eq!(maps.len(MapTarget::Signal), skin.channels().len());
         let error = Maps::new(&skin, None, &[MapTarget::Displacement]).err().unwrap().to_string();
         insta::assert_snapshot!(error, @"training: target `map.displacement` needs the forward model of skin `pad`: train with `dermis train`, which knows the models of its sensors, or leave the target out");
     }

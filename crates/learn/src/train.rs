@@ -13,7 +13,11 @@ mod config;
 #[cfg(feature = "train")]
 pub mod conv;
 mod kept;
+#[cfg(feature = "train")]
+mod fit_image;
+mod image;
 mod kernels;
+mod layer;
 mod measure;
 mod network;
 mod prepare;
@@ -24,9 +28,12 @@ mod run_conv;
 pub use candidates::{Candidate, ModelChoice};
 pub use choose::{Choice, Judged};
 pub use config::{
-    Activation, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig,
+    Activation, ChannelNoise, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig,
+    TrainingConfig,
 };
 pub use kept::{States, fit_kept};
+pub use image::ImageConfig;
+pub use layer::Layer;
 pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};
 pub use prepare::Preparation;

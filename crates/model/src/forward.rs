@@ -3,7 +3,7 @@
 use dermis_skin::{Image, ModelError, Surface};
 use nalgebra::Point3;
 
-use crate::{DeviceState, Differences, Memoryless, Stimulus, Unknowns};
+use crate::{DeviceState, Differences, Memoryless, Stimulus, TipShape, Unknowns};
 
 /// What would the channels read for this stimulus? The one model behind data, bounds, training and diagnosis.
 ///
@@ -148,5 +148,22 @@ pub trait ForwardModel: Send + Sync {
     fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
         let _ = (at, diameter, force);
         None
+    }
+
+    /// As [`force_at`](Self::force_at), for a tip of any shape that stands straight on the surface. The default knows spheres only.
+    fn force_of_tip(&self, at: &Point3<f64>, tip: &TipShape, depth: f64) -> Option<f64> {
+        match tip {
+            TipShape::Sphere { diameter } => self.force_at(at, *diameter, depth),
+            _ => None,
+        }
+    }
+
+    /// As [`depth_at`](Self::depth_at), for a tip of any shape that stands straight on the surface: the inverse of
+    /// [`force_of_tip`](Self::force_of_tip). The default knows spheres only.
+    fn depth_of_tip(&self, at: &Point3<f64>, tip: &TipShape, force: f64) -> Option<f64> {
+        match tip {
+            TipShape::Sphere { diameter } => self.depth_at(at, *diameter, force),
+            _ => None,
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! What touches a skin: the input of a forward model.
 
 use dermis_skin::{ModelError, Surface};
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Shape and size \[m\] of the end of an indenter. It presses along its own -z.
@@ -138,6 +138,15 @@ impl Tip {
     #[must_use]
     pub fn sphere(diameter: f64) -> Self {
         Self { shape: TipShape::Sphere { diameter }, orientation: UnitQuaternion::identity() }
+    }
+
+    /// A tip that stands straight where the surface has this outward normal, its x axis along the first
+    /// [tangent](crate::tangents).
+    #[must_use]
+    pub fn standing(shape: TipShape, normal: &Vector3<f64>) -> Self {
+        let [first, second] = crate::tangents(normal);
+        let turn = Rotation3::from_basis_unchecked(&[first, second, *normal]);
+        Self { shape, orientation: UnitQuaternion::from_rotation_matrix(&turn) }
     }
 
     /// The diameter \[m\] of a sphere; `None` for any other shape.

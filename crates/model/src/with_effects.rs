@@ -14,7 +14,7 @@ use crate::effects::{
     common_effect,
 };
 use crate::wrapper::Wrapper;
-use crate::{COMMON, DeviceState, ForwardModel, Indentation, Stimulus};
+use crate::{COMMON, DeviceState, ForwardModel, Indentation, Stimulus, Tip, TipShape};
 
 /// The forward model of a skin whose description may switch common effects on; `make` builds the family's.
 ///
@@ -90,10 +90,11 @@ impl CommonEffects {
     }
 
     /// Position and diameter of a spherical tip, really, where the rig says these.
-    fn real_tip(&self, at: &Point3<f64>, diameter: f64, surface: &Surface) -> (Point3<f64>, f64) {
-        let mut contact = Indentation::sphere(*at, Vector3::zeros(), diameter);
+    fn real_tip(&self, at: &Point3<f64>, tip: &TipShape, surface: &Surface) -> (Point3<f64>, TipShape) {
+        let tip = Tip::standing(*tip, &surface.project(at).1);
+        let mut contact = Indentation { position: *at, force: Vector3::zeros(), tip };
         self.rig.iter().for_each(|act| act.real(&mut contact, surface));
-        (contact.position, contact.diameter())
+        (contact.position, contact.tip.shape)
     }
 }
 
@@ -150,18 +151,26 @@ impl Wrapper for WithCommonEffects {
         self.model.capture(&self.effects.real(stimulus, self.model.surface()), noise)
     }
 
-    /// As the rig states the force: [`response`](Self::response) takes its scale and zero into account.
     fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
-        let (at, diameter) = self.effects.real_tip(at, diameter, self.model.surface());
-        let real = self.model.force_at(&at, diameter, depth)?;
+        Wrapper::force_of_tip(self, at, &TipShape::Sphere { diameter }, depth)
+    }
+
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        Wrapper::depth_of_tip(self, at, &TipShape::Sphere { diameter }, force)
+    }
+
+    /// As the rig states the force: [`response`](Self::response) takes its scale and zero into account.
+    fn force_of_tip(&self, at: &Point3<f64>, tip: &TipShape, depth: f64) -> Option<f64> {
+        let (at, tip) = self.effects.real_tip(at, tip, self.model.surface());
+        let real = self.model.force_of_tip(&at, &tip, depth)?;
         let stated = self.effects.rig.iter().rev().fold(real, |force, act| act.stated_force(force));
         (stated >= 0.0).then_some(stated)
     }
 
-    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-        let (at, diameter) = self.effects.real_tip(at, diameter, self.model.surface());
+    fn depth_of_tip(&self, at: &Point3<f64>, tip: &TipShape, force: f64) -> Option<f64> {
+        let (at, tip) = self.effects.real_tip(at, tip, self.model.surface());
         let real = self.effects.rig.iter().fold(force, |force, act| act.real_force(force)).max(0.0);
-        self.model.depth_at(&at, diameter, real)
+        self.model.depth_of_tip(&at, &tip, real)
     }
 }
 

@@ -6,7 +6,7 @@
 use dermis_skin::{Image, ModelError, Surface};
 use nalgebra::Point3;
 
-use crate::{DeviceState, Differences, ForwardModel, Stimulus, Unknowns};
+use crate::{DeviceState, Differences, ForwardModel, Stimulus, TipShape, Unknowns};
 
 /// A model around another one. Every method but [`inner`](Self::inner) is that of [`ForwardModel`], and asks the inner model
 /// where a wrapper does not say otherwise.
@@ -95,6 +95,22 @@ pub trait Wrapper: Send + Sync {
     fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
         self.inner().depth_at(at, diameter, force)
     }
+
+    /// As [`ForwardModel::force_of_tip`]; of spheres as [`force_at`](Self::force_at).
+    fn force_of_tip(&self, at: &Point3<f64>, tip: &TipShape, depth: f64) -> Option<f64> {
+        match tip {
+            TipShape::Sphere { diameter } => Wrapper::force_at(self, at, *diameter, depth),
+            _ => self.inner().force_of_tip(at, tip, depth),
+        }
+    }
+
+    /// As [`ForwardModel::depth_of_tip`]; of spheres as [`depth_at`](Self::depth_at).
+    fn depth_of_tip(&self, at: &Point3<f64>, tip: &TipShape, force: f64) -> Option<f64> {
+        match tip {
+            TipShape::Sphere { diameter } => Wrapper::depth_at(self, at, *diameter, force),
+            _ => self.inner().depth_of_tip(at, tip, force),
+        }
+    }
 }
 
 #[deny(clippy::missing_trait_methods)]
@@ -180,6 +196,14 @@ impl<W: Wrapper> ForwardModel for W {
 
     fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
         Wrapper::depth_at(self, at, diameter, force)
+    }
+
+    fn force_of_tip(&self, at: &Point3<f64>, tip: &TipShape, depth: f64) -> Option<f64> {
+        Wrapper::force_of_tip(self, at, tip, depth)
+    }
+
+    fn depth_of_tip(&self, at: &Point3<f64>, tip: &TipShape, force: f64) -> Option<f64> {
+        Wrapper::depth_of_tip(self, at, tip, force)
     }
 }
 

@@ -109,6 +109,7 @@ mod tests {
                     force: Vector3::new(0.0, 0.0, -force),
                     components: ForceComponents::Full,
                     diameter: 0.01,
+                    flat: false,
                 }],
             };
             let mut contact = Contact::at(at + Vector3::x() * metres * force, Vector3::z());

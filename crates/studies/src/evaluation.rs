@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Args;
-use dermis_learn::cli::Labels;
+use dermis_learn::cli::{Labels, ReadMaps};
 use dermis_learn::target::Maps;
 use dermis_learn::{
     Bounds, Dataset, Evaluation, Evaluator, Requirement, SampleId, SplitConfig, SplitKind, Verdicts,
@@ -54,6 +54,9 @@ pub struct Request {
     /// How the bags are read.
     #[command(flatten)]
     pub labels: Labels,
+    /// How contacts are read off maps of forces.
+    #[command(flatten)]
+    pub read_maps: ReadMaps,
     /// Ascending forces [N] at which the bins of errors by force begin, e.g. `0.02,0.14,0.2,0.4,0.6,0.9,1.2,1.5`.
     #[arg(long, value_delimiter = ',', default_values_t = dermis_learn::FORCE_BINS)]
     pub bins: Vec<f64>,
@@ -80,6 +83,7 @@ impl Default for Request {
             unattended: false,
             in_range: false,
             labels: Labels::default(),
+            read_maps: ReadMaps::default(),
             bins: dermis_learn::FORCE_BINS.to_vec(),
             require: Vec::new(),
             beside: Vec::new(),
@@ -165,6 +169,9 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
     // Maps that nobody can know here are not compared.
     let maps = Maps::new(&skin, model.clone(), &[])?;
     let mut evaluator = Evaluator::of(&data).by_force(&options.bins).with_maps(maps);
+    if let Some(reading) = options.read_maps.reading(&skin.surface())? {
+        evaluator = evaluator.with_map_reading(reading);
+    }
     if let Some((kept, _)) = &kept {
         evaluator = evaluator.maps_of(kept);
     }

@@ -22,6 +22,8 @@ pub use collect::{CollectOptions, CollectReport, collect};
 pub use dermis_skin::Phase;
 pub use device::{DeviceStats, Outlet, ReplayDevice, ReplayOptions, VirtualDevice};
 pub use error::TestbedError;
-pub use plan::{Action, ForceDistribution, Level, Levels, Plan, PlanTip, PressProfile, Step, Timing};
+pub use plan::{
+    Action, Drawn, ForceDistribution, HEX_ARMS, Level, Levels, Plan, PlanTip, PressProfile, Step, Timing,
+};
 pub use sampler::Sampler;
 pub use timeline::{GroundTruth, Timeline, Tip};

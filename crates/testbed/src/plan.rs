@@ -2,6 +2,8 @@
 
 mod limits;
 mod step;
+mod step_file;
+mod steps;
 mod tip;
 
 use std::path::Path;
@@ -10,8 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::TestbedError;
 pub(crate) use limits::LONGEST;
-pub use step::{Action, Level, Levels, PressProfile, Step};
-use step::{OneOrMore, StepFile};
+pub use step::{Action, Drawn, HEX_ARMS, Level, Levels, PressProfile, Step};
+use step_file::{OneOrMore, StepFile};
 pub use tip::PlanTip;
 
 const SCHEMA: &str = "dermis-plan/1";
@@ -310,19 +312,7 @@ impl Plan {
                 "must be two corners of a box: the lower one, then the higher".into(),
             );
         }
-        let tips =
-            |field: &str, diameters: &[f64]| match diameters.iter().find(|d| !(d.is_finite() && **d > 0.0)) {
-                Some(bad) => Err(self.wrong(field, format!("is {bad} m and must be a positive length"))),
-                None => Ok(()),
-            };
-        tips("diameter", &self.diameter)?;
-        let durations = |field: String, [low, high]: [f64; 2]| {
-            if low >= 0.0 && low <= high && high <= 3600.0 {
-                return Ok(());
-            }
-            let reason = format!("[{low}, {high}] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
-            Err(self.wrong(field, reason))
-        };
+        self.check_diameters("diameter", &self.diameter)?;
         let t = &self.timing;
         for (field, range) in [
             ("approach", t.approach),
@@ -331,128 +321,31 @@ impl Plan {
             ("unload", t.unload),
             ("gap", t.gap),
         ] {
-            durations(format!("timing.{field}"), range)?;
+            self.check_durations(format!("timing.{field}"), range)?;
         }
         if self.steps.is_empty() {
             return wrong("steps".into(), "is empty: a plan does something".into());
         }
-        let mut presses = 0u64;
-        for (i, step) in self.steps.iter().enumerate() {
-            let range = |field: &str, [low, high]: [f64; 2], unit: &str| {
-                if low > 0.0 && low <= high && high.is_finite() {
-                    return Ok(());
-                }
-                let reason = format!("[{low}, {high}] is not a range: 0 < low ≤ high {unit}");
-                Err(self.wrong(format!("steps[{i}].{field}"), reason))
-            };
-            let at_least_one = |field: &str, number: u32| {
-                if number > 0 {
-                    return Ok(());
-                }
-                Err(self.wrong(format!("steps[{i}].{field}"), "is 0 and must be at least 1"))
-            };
-            let drawn = |level: &Level<[f64; 2]>| match level {
-                Level::Force(force) => range("force", *force, "N"),
-                Level::Depth(depth) => range("depth", *depth, "m"),
-            };
-            let listed = |levels: &Levels| {
-                at_least_one("repeats", levels.repeats)?;
-                let (field, unit) = match levels.values {
-                    Level::Force(_) => ("forces", "N"),
-                    Level::Depth(_) => ("depths", "m"),
-                };
-                let values = levels.values.value();
-                if values.is_empty() {
-                    return Err(self.wrong(format!("steps[{i}].{field}"), "is empty: name at least one"));
-                }
-                for (j, value) in values.iter().enumerate() {
-                    range(&format!("{field}[{j}]"), [*value, *value], unit)?;
-                    if levels.incremental && j > 0 && *value <= values[j - 1] {
-                        let reason = format!("is {value} {unit}, and an incremental press goes up only");
-                        return Err(self.wrong(format!("steps[{i}].{field}[{j}]"), reason));
-                    }
-                }
-                Ok(levels.presses() as u64 * u64::from(levels.repeats))
-            };
-            match &step.action {
-                Action::Idle { duration } => {
-                    if !(*duration > 0.0 && *duration <= 86_400.0) {
-                        return wrong(
-                            format!("steps[{i}].duration"),
-                            format!("is {duration} s and must be positive, a day at most"),
-                        );
-                    }
-                }
-                Action::Presses { count, level, repeats } => {
-                    at_least_one("count", *count)?;
-                    at_least_one("repeats", *repeats)?;
-                    drawn(level)?;
-                    presses += u64::from(*count) * u64::from(*repeats);
-                }
-                Action::Grid { pitch: [x, y], levels } => {
-                    range("pitch", [*x, *x], "m")?;
-                    range("pitch", [*y, *y], "m")?;
-                    presses += listed(levels)?;
-                }
-                Action::Places { at, levels } => {
-                    if at.is_empty() {
-                        return wrong(format!("steps[{i}].at"), "is empty: name at least one place".into());
-                    }
-                    if let Some((j, [x, y, z])) =
-                        at.iter().enumerate().find(|(_, at)| !at.iter().all(|c| c.is_finite()))
-                    {
-                        let reason = format!("is ({x}, {y}, {z}) m and must be a point");
-                        return wrong(format!("steps[{i}].at[{j}]"), reason);
-                    }
-                    presses += at.len() as u64 * listed(levels)?;
-                }
-                Action::Slides { count, force, length, speed } => {
-                    at_least_one("count", *count)?;
-                    range("force", *force, "N")?;
-                    range("length", *length, "m")?;
-                    range("speed", *speed, "m/s")?;
-                    presses += u64::from(*count);
-                }
-                Action::Multi { count, contacts: [low, high], distance, level } => {
-                    at_least_one("count", *count)?;
-                    drawn(level)?;
-                    range("distance", [distance[0], distance[1].min(f64::MAX)], "m")?;
-                    if !(1 <= *low && low <= high && *high <= 100) {
-                        return wrong(
-                            format!("steps[{i}].contacts"),
-                            format!("[{low}, {high}] is not a range: 1 ≤ low ≤ high ≤ 100"),
-                        );
-                    }
-                    presses += u64::from(*count) * u64::from(*high);
-                }
-            }
-            let profile = &step.profile;
-            if self.tip.is_some() && !profile.diameter.is_empty() {
-                let reason = "stands in a plan whose `tip` is no sphere: leave it out";
-                return wrong(format!("steps[{i}].diameter"), reason.into());
-            }
-            tips(&format!("steps[{i}].diameter"), &profile.diameter)?;
-            if let Some([low, high]) = profile.shear
-                && !(low >= 0.0 && low <= high && high.is_finite())
-            {
-                let reason = format!("[{low}, {high}] is not a range: 0 ≤ low ≤ high");
-                return wrong(format!("steps[{i}].shear"), reason);
-            }
-            if let Some(direction) = profile.shear_direction {
-                if !direction.is_finite() {
-                    let reason = format!("is {direction} rad and must be a finite number");
-                    return wrong(format!("steps[{i}].shear_direction"), reason);
-                }
-                if profile.shear.is_none() {
-                    let reason = "says where to without `shear`, which says how much".to_owned();
-                    return wrong(format!("steps[{i}].shear_direction"), reason);
-                }
-            }
-            if let Some(hold) = profile.hold {
-                durations(format!("steps[{i}].hold"), hold)?;
-            }
+        let mut presses = 0;
+        for i in 0..self.steps.len() {
+            presses += steps::check(self, i)?;
         }
         self.fits(presses)
+    }
+
+    fn check_diameters(&self, field: &str, diameters: &[f64]) -> Result<(), TestbedError> {
+        match diameters.iter().find(|d| !(d.is_finite() && **d > 0.0)) {
+            Some(bad) => Err(self.wrong(field, format!("is {bad} m and must be a positive length"))),
+            None => Ok(()),
+        }
+    }
+
+    fn check_durations(&self, field: String, [low, high]: [f64; 2]) -> Result<(), TestbedError> {
+        if low >= 0.0 && low <= high && high <= 3600.0 {
+            return Ok(());
+        }
+        let reason = format!("[{low}, {high}] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
+        Err(self.wrong(field, reason))
     }
 
     /// Refuses more contacts than a recording holds.
@@ -466,117 +359,4 @@ impl Plan {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::testing::PLAN;
-
-    fn refused(from: &str, to: &str) -> String {
-        assert!(PLAN.contains(from), "{from} is not in the plan");
-        Plan::from_toml(&PLAN.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
-    }
-
-    #[test]
-    fn refusals_name_file_field_and_remedy() {
-        insta::assert_snapshot!(refused("plan/1", "plan/7"), @r#"plan plan.toml: field `schema`: is "dermis-plan/7" where this program reads "dermis-plan/1""#);
-        insta::assert_snapshot!(refused("diameter = 0.004", "diameter = -0.004"), @"plan plan.toml: field `diameter`: is -0.004 m and must be a positive length");
-        insta::assert_snapshot!(refused("margin = 0.002", "margin = nan"), @"plan plan.toml: field `margin`: is NaN m and must be 0 or positive");
-        insta::assert_snapshot!(refused("margin = 0.002", "marjin = 0.002"), @"plan plan.toml: field `marjin`: unknown field `marjin`, expected one of `schema`, `name`, `description`, `seed`, `diameter`, `tip`, `gravity`, `margin`, `region`, `force_distribution`, `force_noise`, `stage_noise`, `timing`, `steps`");
-        insta::assert_snapshot!(refused("hold = [0.04, 0.06]", "hold = [0.06, 0.04]"), @"plan plan.toml: field `timing.hold`: [0.06, 0.04] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
-        insta::assert_snapshot!(refused("duration = 0.2", "duration = 0.0"), @"plan plan.toml: field `steps[0].duration`: is 0 s and must be positive, a day at most");
-        insta::assert_snapshot!(refused("force = [0.1, 0.5]", "force = [0.0, 0.5]"), @"plan plan.toml: field `steps[1].force`: [0, 0.5] is not a range: 0 < low ≤ high N");
-        insta::assert_snapshot!(refused("forces = [0.2, 0.4]", "forces = []"), @"plan plan.toml: field `steps[2].forces`: is empty: name at least one");
-        insta::assert_snapshot!(refused("contacts = [2, 3]", "contacts = [0, 3]"), @"plan plan.toml: field `steps[4].contacts`: [0, 3] is not a range: 1 ≤ low ≤ high ≤ 100");
-        insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `places`, `slides`, `multi`");
-        insta::assert_snapshot!(refused("count = 4", "count = 4000000000"), @"plan plan.toml: field `steps`: make 8000000016 contacts; 1000000 at most fit a recording");
-        insta::assert_snapshot!(refused("repeats = 2", "repeats = 0"), @"plan plan.toml: field `steps[1].repeats`: is 0 and must be at least 1");
-        insta::assert_snapshot!(refused("seed = 3", "seed = \"three\""), @r#"plan plan.toml: field `seed`: invalid type: string "three", expected u64"#);
-        insta::assert_snapshot!(refused("seed = 3", "seed ="), @"plan plan.toml: field `line 4`: string values must be quoted, expected literal string");
-    }
-
-    const MORE: &str = r#"
-        schema = "dermis-plan/1"
-        name = "more"
-        diameter = [0.002, 0.004]
-        force_noise = 0.0
-        stage_noise = 1e-5
-        [[steps]]
-        kind = "grid"
-        pitch = [0.004, 0.002]
-        depths = [0.001, 0.002]
-        incremental = true
-        shear = 0.5
-        shear_direction = 1.5
-        hold = [0.1, 0.2]
-        [[steps]]
-        kind = "places"
-        at = [[0.0, 0.0, 0.0], [0.001, 0.0, 0.0]]
-        forces = [0.1]
-        diameter = 0.008
-        [[steps]]
-        kind = "presses"
-        count = 3
-        depth = [0.001, 0.002]
-        shear = [0.0, 0.7]
-    "#;
-
-    #[test]
-    fn what_is_written_reads_back() {
-        for text in [PLAN, MORE] {
-            let plan = Plan::from_toml(text, "plan.toml").unwrap();
-            let again = toml::to_string(&plan).unwrap();
-            assert_eq!(Plan::from_toml(&again, "plan.toml").unwrap_or_else(|e| panic!("{e}\n{again}")), plan);
-        }
-    }
-
-    #[test]
-    fn steps_refuse_what_does_not_belong_to_them() {
-        let refused = |from: &str, to: &str| {
-            assert!(MORE.contains(from), "{from} is not in the plan");
-            Plan::from_toml(&MORE.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
-        };
-        insta::assert_snapshot!(refused("count = 3", "count = 3\npitch = 0.1"), @"plan plan.toml: field `steps[2].pitch`: is no key of a step of kind `presses`, which has count, force, depth, repeats, diameter, shear, shear_direction, hold");
-        insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `hold`");
-        insta::assert_snapshot!(refused("count = 3", ""), @"plan plan.toml: field `steps[2].count`: is missing: a step of kind `presses` needs it");
-        insta::assert_snapshot!(refused("count = 3", "count = 3\nforce = [0.1, 0.2]"), @"plan plan.toml: field `steps[2].depth`: stands beside `force`: name one of them");
-        insta::assert_snapshot!(refused("forces = [0.1]", ""), @"plan plan.toml: field `steps[1].forces`: is missing: a step of kind `places` needs it, or `depths`");
-        insta::assert_snapshot!(refused("forces = [0.1]", "forces = [0.1]\ndepths = [0.1]"), @"plan plan.toml: field `steps[1].depths`: stands beside `forces`: name one of them");
-        insta::assert_snapshot!(refused("[0.001, 0.002]\n        incremental", "[0.002, 0.002]\n        incremental"), @"plan plan.toml: field `steps[0].depths[1]`: is 0.002 m, and an incremental press goes up only");
-        insta::assert_snapshot!(refused("shear = 0.5\n", ""), @"plan plan.toml: field `steps[0].shear_direction`: says where to without `shear`, which says how much");
-        insta::assert_snapshot!(refused("shear = [0.0, 0.7]", "shear = [0.7, 0.0]"), @"plan plan.toml: field `steps[2].shear`: [0.7, 0] is not a range: 0 ≤ low ≤ high");
-        insta::assert_snapshot!(refused("shear = [0.0, 0.7]", "shear = \"much\""), @"plan plan.toml: field `steps[2].shear`: a number, or two of them in brackets");
-        insta::assert_snapshot!(refused("[0.002, 0.004]", "[]"), @"plan plan.toml: field `diameter`: is empty: a tip has a diameter");
-        insta::assert_snapshot!(refused("diameter = 0.008", "diameter = -0.008"), @"plan plan.toml: field `steps[1].diameter`: is -0.008 m and must be a positive length");
-        insta::assert_snapshot!(refused("hold = [0.1, 0.2]", "hold = [0.1, -0.2]"), @"plan plan.toml: field `steps[0].hold`: [0.1, -0.2] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
-        insta::assert_snapshot!(refused("force_noise = 0.0", "force_noise = -1.0"), @"plan plan.toml: field `force_noise`: is -1 N and must be 0 or positive");
-        insta::assert_snapshot!(refused("[[0.0, 0.0, 0.0], [0.001, 0.0, 0.0]]", "[]"), @"plan plan.toml: field `steps[1].at`: is empty: name at least one place");
-        insta::assert_snapshot!(refused("[0.001, 0.0, 0.0]", "[0.001, 0.0, nan]"), @"plan plan.toml: field `steps[1].at[1]`: is (0.001, 0, NaN) m and must be a point");
-        insta::assert_snapshot!(refused("diameter = 0.008", "diameter = []"), @"plan plan.toml: field `steps[1].diameter`: is empty: a tip has a diameter");
-        insta::assert_snapshot!(refused("[0.004, 0.002]", "[0.004, nan]"), @"plan plan.toml: field `steps[0].pitch`: [NaN, NaN] is not a range: 0 < low ≤ high m");
-    }
-
-    #[test]
-    fn plans_that_ship_are_valid() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/plans");
-        let mut found = 0;
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            let plan = Plan::load(&path).unwrap_or_else(|e| panic!("{e}"));
-            assert_eq!(plan.name, path.file_stem().unwrap().to_str().unwrap());
-            found += 1;
-        }
-        assert!(found >= 2);
-    }
-
-    #[test]
-    fn a_missing_file_is_named() {
-        let error = Plan::load("/nowhere/plan.toml").unwrap_err().to_string();
-        assert!(error.starts_with("plan file /nowhere/plan.toml: cannot be read"), "{error}");
-    }
-
-    proptest::proptest! {
-        #[test]
-        fn no_text_panics(text in ".{0,200}") {
-            let _ = Plan::from_toml(&text, "x");
-        }
-    }
-}
+mod tests;

@@ -10,7 +10,7 @@
 use std::sync::Arc;
 
 use dermis_model::{ForwardModel, Indentation, Stimulus, Tip as ModelTip, TipShape};
-use dermis_msgs::geometry_msgs::msg::{Point, Vector3 as VectorMsg};
+use dermis_msgs::geometry_msgs::msg::{Point, Quaternion, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, IndentationContact};
 use dermis_skin::{Phase, SkinDescription, Stamp, Surface};
 use nalgebra::{Point3, Vector3};
@@ -67,14 +67,15 @@ impl GroundTruth {
         let depths = self.depths.iter().copied().chain(std::iter::repeat(None));
         let contacts = self.stimulus.contacts.iter().zip(depths).map(|(c, depth)| {
             let (_, normal) = surface.project(&c.position);
-            IndentationContact::sphere(
+            let sphere = IndentationContact::sphere(
                 Point { x: c.position.x, y: c.position.y, z: c.position.z },
                 vector(&normal),
                 vector(&c.force),
                 msg::Contact::FORCE_FULL,
                 depth.unwrap_or(f64::NAN),
                 c.diameter(),
-            )
+            );
+            with_tip(sphere, &c.tip)
         });
         msg::Indentation {
             header: skin.header(stamp),
@@ -89,6 +90,24 @@ impl GroundTruth {
             contacts: contacts.collect(),
         }
     }
+}
+
+/// The same contact with another tip than a sphere.
+fn with_tip(mut contact: IndentationContact, tip: &ModelTip) -> IndentationContact {
+    (contact.tip, contact.tip_parameters) = match tip.shape {
+        TipShape::Sphere { .. } => return contact,
+        TipShape::FlatPunch { .. } => (IndentationContact::TIP_FLAT, Vec::new()),
+        TipShape::Cylinder { diameter, length } => {
+            contact.diameter = diameter;
+            (IndentationContact::TIP_CYLINDER, vec![length])
+        }
+        TipShape::Box { size: [x, y] } => (IndentationContact::TIP_BOX, vec![x, y]),
+        TipShape::Wedge { .. } | TipShape::Polygon { .. } => (IndentationContact::TIP_MESH, Vec::new()),
+    };
+    contact.tip_name = tip.shape.name().to_owned();
+    let q = tip.orientation.quaternion();
+    contact.tip_pose.orientation = Quaternion { x: q.i, y: q.j, z: q.k, w: q.w };
+    contact
 }
 
 fn vector(v: &Vector3<f64>) -> VectorMsg {
@@ -246,15 +265,28 @@ impl Timeline {
         match touch.level {
             Level::Force(force) => {
                 let force = force * share;
-                // No model knows the depth of other tips than spheres.
-                let sphere = self.tip.is_none_or(|tip| matches!(tip.shape, TipShape::Sphere { .. }));
-                (force, sphere.then(|| self.model.depth_at(at, touch.diameter, force)).flatten())
+                let tip = self.straight_tip(touch);
+                (force, tip.and_then(|tip| self.model.depth_of_tip(at, &tip, force)))
             }
             Level::Depth(depth) => {
                 let depth = depth * share;
                 // Checked when the plan was drawn.
-                let force = self.model.force_at(at, touch.diameter, depth).unwrap_or_default();
-                (force, Some(depth))
+                (self.force_of(touch, at, depth).unwrap_or_default(), Some(depth))
+            }
+        }
+    }
+
+    /// \[N\] that press the tip of a touch in so deep; `None` where the model does not know.
+    fn force_of(&self, touch: &Touch, at: &Point3<f64>, depth: f64) -> Option<f64> {
+        self.model.force_of_tip(at, &self.straight_tip(touch)?, depth)
+    }
+
+    /// The shape of a tip that stands straight; no model knows the depth of a tilted one, unless it is a sphere.
+    fn straight_tip(&self, touch: &Touch) -> Option<TipShape> {
+        match self.tip {
+            None => Some(TipShape::Sphere { diameter: touch.diameter }),
+            Some(PlanTip { shape, tilt, .. }) => {
+                (tilt == 0.0 || matches!(shape, TipShape::Sphere { .. })).then_some(shape)
             }
         }
     }

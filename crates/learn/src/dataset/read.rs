@@ -5,7 +5,7 @@ use std::path::Path;
 
 use dermis_bag::{BagReader, BagSkin, Filter, SkinChoice, SkinChoiceError};
 use dermis_msgs::geometry_msgs::msg::{TransformStamped, WrenchStamped};
-use dermis_msgs::msg::{Contact as ContactMsg, Indentation, SkinGeometry, TaxelFrame};
+use dermis_msgs::msg::{Contact as ContactMsg, Indentation, IndentationContact, SkinGeometry, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::Image as ImageMsg;
 use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::{Message, TypeSupport};
@@ -434,6 +434,7 @@ fn truth_of(message: &Indentation) -> Truth {
                 _ => ForceComponents::None,
             },
             diameter: c.diameter,
+            flat: c.tip == IndentationContact::TIP_FLAT,
         })
         .collect();
     let idle = message.phase == Indentation::PHASE_IDLE && contacts.is_empty();

@@ -31,6 +31,7 @@ pub(crate) fn contact(x: f64, y: f64, newtons: f64) -> TruthContact {
         force: Vector3::new(0.0, 0.0, -newtons),
         components: ForceComponents::Full,
         diameter: 0.004,
+        flat: false,
     }
 }
 

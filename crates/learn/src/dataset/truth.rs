@@ -1,5 +1,6 @@
 //! What was true of a skin at one instant.
 
+use dermis_model::{Tip, TipShape};
 use dermis_skin::ForceComponents;
 use nalgebra::{Point3, Vector3};
 
@@ -16,9 +17,21 @@ pub struct TruthContact {
     pub components: ForceComponents,
     /// \[m\] diameter of the tip.
     pub diameter: f64,
+    /// Whether the tip is the flat end of a round rod; whatever else it is, it is taken for a sphere.
+    pub flat: bool,
 }
 
 impl TruthContact {
+    /// The tip that a model is asked of, standing straight on the surface.
+    #[must_use]
+    pub fn tip(&self) -> Tip {
+        if self.flat {
+            Tip::standing(TipShape::FlatPunch { diameter: self.diameter }, &self.normal)
+        } else {
+            Tip::sphere(self.diameter)
+        }
+    }
+
     /// \[N\] pressing force, positive when pushed in; `None` where unknown.
     #[must_use]
     pub fn normal_force(&self) -> Option<f64> {

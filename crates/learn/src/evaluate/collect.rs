@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 use super::Evaluation;
 use crate::LearnError;
 use crate::dataset::{Dataset, Sample, SampleId, Truth};
-use crate::metrics::{Answer, MapScorer, Rule, Scores};
+use crate::metrics::{Answer, MapReading, MapScorer, Rule, Scores};
 use crate::target::Maps;
 
 /// Compares estimates with the truth one by one, for callers that get their estimates elsewhere, e.g. from a bus.
@@ -57,6 +57,13 @@ impl Evaluator {
     #[must_use]
     pub fn with_maps(mut self, maps: Maps) -> Self {
         self.maps = Some(MapScorer::new(maps));
+        self
+    }
+
+    /// Reads contacts off the maps of forces that are compared in this way, in place of [`MapReading::of_surface`].
+    #[must_use]
+    pub fn with_map_reading(mut self, reading: MapReading) -> Self {
+        self.maps = self.maps.map(|maps| maps.reading(reading));
         self
     }
 

@@ -12,6 +12,7 @@ use std::collections::BTreeMap;
 use dermis_skin::{Estimate, ForceValues};
 use serde::{Deserialize, Serialize};
 
+use super::contacts::{ContactsOfMaps, MapContacts, MapReading};
 use crate::LearnError;
 use crate::dataset::Truth;
 use crate::target::{MapTarget, Maps};
@@ -25,6 +26,36 @@ pub struct MapErrors {
     pub touched: MapPart,
     /// On untouched ones, whose true map is 0.
     pub untouched: MapPart,
+    /// On touched frames, by true number of contacts.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_number: BTreeMap<usize, MapOfNumber>,
+    /// Contacts that are read off a map of forces, for each threshold; empty for displacements and where nobody asked.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub contacts: Vec<MapContacts>,
+    /// Of every channel on touched frames; only of `signal`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub channels: Option<ChannelErrors>,
+}
+
+/// Errors of a signal, channel by channel, in the unit of the skin: what a transfer network leaves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ChannelErrors {
+    /// Mean of estimate − truth.
+    pub mean: Vec<f64>,
+    /// Standard deviation around it.
+    pub deviation: Vec<f64>,
+}
+
+/// Errors of one map on frames of one number of contacts.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct MapOfNumber {
+    /// Frames that were compared.
+    pub frames: usize,
+    /// Root mean square over all numbers of all frames.
+    pub rms: f64,
+    /// Fraction of the variance of the true maps that is unexplained; absent where these are all the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fvu: Option<f64>,
 }
 
 /// Errors of one map on some frames.
@@ -88,8 +119,45 @@ impl Sums {
             unanswered: asked.saturating_sub(self.frames),
             rms: any.then(|| (self.squares / self.points as f64).sqrt()),
             relative: (self.energy > 0.0).then(|| (self.squares / self.energy).sqrt()),
-            total_force: (any && map.unit() == "N").then(|| (self.totals / self.frames as f64).sqrt()),
+            total_force: (any && map.is_force()).then(|| (self.totals / self.frames as f64).sqrt()),
         }
+    }
+}
+
+/// What is collected of one map.
+struct Collected {
+    map: MapTarget,
+    /// Of untouched and touched frames.
+    sums: [Sums; 2],
+    by_number: BTreeMap<usize, MapScores>,
+    contacts: Option<ContactsOfMaps>,
+    channels: Option<ChannelSums>,
+}
+
+/// What [`ChannelErrors`] are made of (Welford 1962).
+#[derive(Default)]
+struct ChannelSums {
+    count: f64,
+    mean: Vec<f64>,
+    squares: Vec<f64>,
+}
+
+impl ChannelSums {
+    fn push(&mut self, truth: &[f64], answer: &[f64]) {
+        self.count += 1.0;
+        self.mean.resize(truth.len(), 0.0);
+        self.squares.resize(truth.len(), 0.0);
+        let sums = self.mean.iter_mut().zip(&mut self.squares);
+        for ((mean, squares), (truth, answer)) in sums.zip(truth.iter().zip(answer)) {
+            let apart = answer - truth - *mean;
+            *mean += apart / self.count;
+            *squares += apart * (answer - truth - *mean);
+        }
+    }
+
+    fn errors(self) -> Option<ChannelErrors> {
+        let deviation = self.squares.iter().map(|s| (s / self.count).sqrt()).collect();
+        (self.count > 0.0).then_some(ChannelErrors { mean: self.mean, deviation })
     }
 }
 
@@ -97,16 +165,25 @@ impl Sums {
 pub(crate) struct MapScorer {
     maps: Maps,
     /// Of each map that was given at least once: untouched and touched frames.
-    sums: BTreeMap<&'static str, (MapTarget, [Sums; 2])>,
+    sums: BTreeMap<&'static str, Collected>,
+    /// How contacts are read off maps of forces; not where absent.
+    reading: Option<MapReading>,
     /// Untouched and touched frames whose true map is known.
     asked: [usize; 2],
     truth: Vec<f64>,
 }
 
 impl MapScorer {
-    /// Compares with these.
+    /// Compares with these; contacts are read off maps of forces where the surface is wide enough for [`MapReading::default`].
     pub(crate) fn new(maps: Maps) -> Self {
-        Self { maps, sums: BTreeMap::new(), asked: [0; 2], truth: Vec::new() }
+        let reading = MapReading::of_surface(maps.surface());
+        Self { maps, sums: BTreeMap::new(), reading, asked: [0; 2], truth: Vec::new() }
+    }
+
+    /// Reads contacts off maps of forces in this way.
+    pub(crate) fn reading(mut self, reading: MapReading) -> Self {
+        self.reading = Some(reading);
+        self
     }
 
     /// Compares what is given for one frame; `given` answers with a map in SI units, or with nothing. Maps that cannot be known
@@ -132,8 +209,25 @@ impl MapScorer {
             }
             self.truth.clear();
             self.maps.append(map, truth, &mut self.truth)?;
-            let (_, sums) = self.sums.entry(map.name()).or_insert((map, [Sums::default(); 2]));
-            sums[part].push(map, &self.truth, &answer);
+            let collected = self.sums.entry(map.name()).or_insert_with(|| Collected {
+                map,
+                sums: [Sums::default(); 2],
+                by_number: BTreeMap::new(),
+                contacts: (self.reading.clone().filter(|_| map.is_force()))
+                    .map(|reading| ContactsOfMaps::new(self.maps.surface(), reading)),
+                channels: (map == MapTarget::Signal).then(ChannelSums::default),
+            });
+            collected.sums[part].push(map, &self.truth, &answer);
+            if truth.touched() {
+                let of_number = collected.by_number.entry(truth.contacts.len()).or_default();
+                of_number.push(&self.truth, &answer);
+                if let Some(channels) = &mut collected.channels {
+                    channels.push(&self.truth, &answer);
+                }
+            }
+            if let Some(contacts) = &mut collected.contacts {
+                contacts.push(truth, &self.maps.pressing(map, &answer));
+            }
         }
         Ok(())
     }
@@ -162,10 +256,17 @@ impl MapScorer {
     /// Errors by name of the map; none of maps that were never given.
     pub(crate) fn finish(self) -> BTreeMap<String, MapErrors> {
         let [untouched, touched] = self.asked;
-        let errors = |(map, sums): (MapTarget, [Sums; 2])| MapErrors {
-            unit: map.unit().into(),
+        let of_number = |(number, scores): (usize, MapScores)| {
+            let MapSummary { maps: frames, rms, fvu } = scores.summary();
+            (number, MapOfNumber { frames, rms, fvu: Some(fvu).filter(|fvu| fvu.is_finite()) })
+        };
+        let errors = |Collected { map, sums, by_number, contacts, channels }| MapErrors {
+            unit: self.maps.unit(map).into(),
             touched: sums[1].part(map, touched),
             untouched: sums[0].part(map, untouched),
+            by_number: by_number.into_iter().map(of_number).collect(),
+            contacts: contacts.map(|contacts| contacts.finish()).unwrap_or_default(),
+            channels: channels.and_then(ChannelSums::errors),
         };
         self.sums.into_iter().map(|(name, of)| (name.to_owned(), errors(of))).collect()
     }
@@ -200,7 +301,7 @@ impl MapScores {
     }
 
     /// Compares one map with the true one. Maps of another length than the first are left out.
-    pub fn push(&mut self, truth: &[f32], answer: &[f32]) {
+    pub fn push<T: Copy + Into<f64>>(&mut self, truth: &[T], answer: &[T]) {
         if self.maps == 0 {
             self.sums = vec![0.0; truth.len()];
         }
@@ -210,7 +311,7 @@ impl MapScores {
         let [error, energy] = squares(truth, answer);
         self.squares += error;
         self.energy += energy;
-        self.sums.iter_mut().zip(truth).for_each(|(sum, t)| *sum += f64::from(*t));
+        self.sums.iter_mut().zip(truth).for_each(|(sum, t)| *sum += (*t).into());
         self.maps += 1;
     }
 

@@ -168,7 +168,8 @@ proptest::proptest! {
             .iter()
             .map(|(x, y)| Contact::at(Point3::new(*x, *y, 0.0), nalgebra::Vector3::z()))
             .collect();
-        let assigned = assign(&truth, &contacts);
+        let distance = |t: usize, f: usize| (contacts[f].position - truth.contacts[t].position).norm();
+        let assigned = assign(truth.contacts.len(), contacts.len(), distance);
         let sum: f64 = assigned
             .iter()
             .enumerate()

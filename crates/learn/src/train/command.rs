@@ -188,7 +188,7 @@ fn forward_model(
     match find(&options.skin, skin) {
         Ok(model) => Ok(Some(model)),
         // Forces are spread without a model, too.
-        Err(_) if !config.maps().contains(&MapTarget::Displacement) => Ok(None),
+        Err(_) if !config.maps().into_iter().any(MapTarget::needs_model) => Ok(None),
         Err(reason) => Err(LearnError::Training { reason }),
     }
 }

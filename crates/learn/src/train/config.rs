@@ -1,14 +1,15 @@
 //! What is trained, and how.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use dermis_inference::{Baseline, FeatureConfig, Missing, Taps};
 use dermis_skin::ImageGrid;
 use serde::{Deserialize, Serialize};
 
 use super::candidates::{self, ModelChoice};
+use super::image::ImageConfig;
 use crate::dataset::Truth;
-use crate::target::{MapTarget, Target};
+use crate::target::{MAP_NORMAL, MapTarget, Target};
 use crate::{LearnError, SplitConfig};
 
 /// Everything that decides what comes out of training, besides the data. A file is TOML; unknown keys are errors.
@@ -172,6 +173,10 @@ pub struct NetworkConfig {
     pub activation: Activation,
     /// Networks whose outputs are averaged; each starts and shuffles differently.
     pub members: u32,
+    /// Makes the network one that draws a picture of the forces; `hidden` and `activation` do not count then. Only programs that were
+    /// built with feature `train` fit it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub image: Option<ImageConfig>,
     /// Makes the network a convolutional one; `hidden` and `activation` do not count then. Only programs that were built
     /// with feature `train` fit it.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -213,6 +218,7 @@ impl Default for NetworkConfig {
             input: InputForm::default(),
             activation: Activation::default(),
             members: 1,
+            image: None,
             conv: None,
         }
     }
@@ -232,13 +238,46 @@ pub struct TrainingConfig {
     pub weight_decay: f64,
     /// Standard deviation of Gaussian noise that is added to inputs at every step, in normalised units.
     pub noise: f64,
+    /// Noise of each channel by itself, as another model leaves it; for networks that draw pictures.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub channel_noise: Option<ChannelNoise>,
+    /// Decay of Adam's first moment.
+    #[serde(skip_serializing_if = "is_usual")]
+    pub momentum: f64,
     /// Seed of every random choice.
     pub seed: u64,
 }
 
+/// Gaussian noise that is added to inputs at every step: what a model of the signal leaves of each channel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChannelNoise {
+    /// Folder of a bundle with the target `signal`, as seen from where the program runs; its card has the standard deviations.
+    pub bundle: PathBuf,
+    /// Share of these.
+    pub share: f64,
+}
+
+/// Adam's usual decay of the first moment.
+const MOMENTUM: f64 = 0.9;
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_usual(momentum: &f64) -> bool {
+    *momentum == MOMENTUM
+}
+
 impl Default for TrainingConfig {
     fn default() -> Self {
-        Self { epochs: 200, batch: 128, learning_rate: 2e-3, weight_decay: 0.0, noise: 0.0, seed: 1 }
+        Self {
+            epochs: 200,
+            batch: 128,
+            learning_rate: 2e-3,
+            weight_decay: 0.0,
+            noise: 0.0,
+            channel_noise: None,
+            momentum: MOMENTUM,
+            seed: 1,
+        }
     }
 }
 
@@ -323,7 +362,32 @@ impl TrainConfig {
                 return wrong("network.input", "is for channels; leave it out, or `features.image`".into());
             }
         }
-        if self.network.conv.is_some() {
+        if let Some(image) = &self.network.image {
+            image.check().map_err(|(field, reason)| LearnError::Config {
+                file: file.into(),
+                field,
+                reason,
+            })?;
+            if self.targets != [MAP_NORMAL] {
+                return wrong(
+                    "targets",
+                    format!("must be [\"{MAP_NORMAL}\"] alone where `network.image` draws it"),
+                );
+            }
+            if self.network.conv.is_some() {
+                return wrong("network.conv", "stands beside `network.image`: name one of them".into());
+            }
+        }
+        if let Some(noise) = &self.training.channel_noise {
+            if self.network.image.is_none() {
+                return wrong("training.channel_noise", "is for `network.image`; leave it out".into());
+            }
+            if !(noise.share >= 0.0 && noise.share.is_finite()) {
+                let reason = format!("is {} and must be 0 or positive", noise.share);
+                return wrong("training.channel_noise.share", reason);
+            }
+        }
+        if self.network.conv.is_some() || self.network.image.is_some() {
             for (field, used) in [
                 ("network.members", self.network.members > 1),
                 ("network.input", self.network.input != InputForm::Plain),
@@ -332,7 +396,10 @@ impl TrainConfig {
                 ("training.weight_decay", self.training.weight_decay > 0.0),
             ] {
                 if used {
-                    return wrong(field, "is for dense networks; leave it out, or `network.conv`".into());
+                    return wrong(
+                        field,
+                        "is for dense networks; leave it out, or `network.conv` and `network.image`".into(),
+                    );
                 }
             }
         }
@@ -342,6 +409,12 @@ impl TrainConfig {
         }
         if !(t.learning_rate > 0.0 && t.learning_rate.is_finite()) {
             return wrong("training.learning_rate", "must be positive".into());
+        }
+        if !(0.0..1.0).contains(&t.momentum) {
+            return wrong(
+                "training.momentum",
+                format!("is {} and must be 0 or more and below 1", t.momentum),
+            );
         }
         for (field, v) in [
             ("training.weight_decay", t.weight_decay),
@@ -390,8 +463,8 @@ mod tests {
     fn refusals_name_the_field() {
         let told = |text: &str| TrainConfig::from_toml(text, "c.toml").unwrap_err().to_string();
         insta::assert_snapshot!(told("targets = [\"position.x\"]"), @"c.toml: field `targets`: position.x and position.y only make sense together");
-        insta::assert_snapshot!(told("targets = [\"torque\"]"), @r#"c.toml: field `targets[0]`: is "torque" and must be one of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact, map.normal, map.force, map.displacement"#);
-        insta::assert_snapshot!(told("targets = [\"contact\"]\n[training]\nepoch = 3"), @"c.toml: field `(line 3)`: unknown field `epoch`, expected one of `epochs`, `batch`, `learning_rate`, `weight_decay`, `noise`, `seed`");
+        insta::assert_snapshot!(told("targets = [\"torque\"]"), @r#"c.toml: field `targets[0]`: is "torque" and must be one of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact, map.normal, map.force, map.displacement, signal"#);
+        insta::assert_snapshot!(told("targets = [\"contact\"]\n[training]\nepoch = 3"), @"c.toml: field `(line 3)`: unknown field `epoch`, expected one of `epochs`, `batch`, `learning_rate`, `weight_decay`, `noise`, `channel_noise`, `momentum`, `seed`");
         insta::assert_snapshot!(told("targets = [\"contact\"]\n[network]\nmembers = 0"), @"c.toml: field `network.members`: is 0 and must be 1 to 64");
     }
 

@@ -19,6 +19,7 @@ mod ops;
 #[cfg(test)]
 mod tests;
 
+use super::layer::{Layer, shapes};
 use crate::LearnError;
 
 pub use fit::{ConvProgress, ConvTraining, Fitted, fit};
@@ -37,6 +38,9 @@ pub struct ConvSpec {
     pub hidden: usize,
     /// What comes out, in order.
     pub heads: Vec<Head>,
+    /// Layers one after another in place of encoder, dense layer and decoders: one head, a map, is what the last one makes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub layers: Vec<Layer>,
 }
 
 /// One output tensor.
@@ -96,6 +100,9 @@ impl ConvSpec {
         if self.input_len() == 0 || self.input_len() > 1 << 26 {
             return wrong(format!("the input has the shape {:?}, which no network takes", self.shape));
         }
+        if !self.layers.is_empty() {
+            return self.validate_layers();
+        }
         if self.encoder.is_empty()
             || self.encoder.len() > 12
             || self.encoder.iter().any(|c| !(1..=4096).contains(c))
@@ -120,6 +127,29 @@ impl ConvSpec {
             }
         }
         Ok(())
+    }
+}
+
+impl ConvSpec {
+    /// As [`validate`](Self::validate), of a sequence of layers.
+    fn validate_layers(&self) -> Result<(), LearnError> {
+        let wrong = |reason: String| Err(LearnError::Training { reason });
+        let shapes = match shapes(self.shape, &self.layers) {
+            Ok(shapes) => shapes,
+            Err((index, shape)) => {
+                return wrong(format!(
+                    "`layers[{index}]` can make nothing of the shape {shape:?}: {:?}",
+                    self.layers[index]
+                ));
+            }
+        };
+        let made = shapes.last().copied().unwrap_or(self.shape);
+        match &self.heads[..] {
+            [head] if head.form == Form::Map(made) && head.name != self.input => Ok(()),
+            _ => {
+                wrong(format!("the last of `layers` makes the shape {made:?}, which must be the only output"))
+            }
+        }
     }
 }
 

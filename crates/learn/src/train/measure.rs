@@ -163,7 +163,7 @@ fn measure_map(
         );
         return Err(LearnError::Unfit(findings));
     }
-    let mut spec = OutputSpec::new(map.name(), map.unit(), 0.0, scale);
+    let mut spec = OutputSpec::new(map.name(), maps.unit(map), 0.0, scale);
     spec.count = maps.len(map);
     Ok(spec)
 }

@@ -494,7 +494,7 @@ fn step(
             &mut state.second[i],
             state.steps,
             rate,
-            decay,
+            [decay, training.momentum],
         );
     }
     loss
@@ -533,16 +533,17 @@ fn adam(
     second: &mut [f32],
     step: u64,
     rate: f64,
-    decay: f64,
+    [decay, momentum]: [f64; 2],
 ) {
-    const BETA: [f32; 2] = [0.9, 0.999];
+    // Decays of the two moments.
+    let beta = [momentum as f32, 0.999];
     let step = i32::try_from(step).unwrap_or(i32::MAX);
-    let [c1, c2] = BETA.map(|b| 1.0 - f64::from(b).powi(step));
+    let [c1, c2] = beta.map(|b| 1.0 - f64::from(b).powi(step));
     let (scale, root) = ((rate / c1) as f32, (1.0 / c2.sqrt()) as f32);
     let keep = (1.0 - rate * decay) as f32;
     for (((p, g), m), v) in parameters.iter_mut().zip(gradient).zip(first).zip(second) {
-        *m += (1.0 - BETA[0]) * (g - *m);
-        *v += (1.0 - BETA[1]) * (g * g - *v);
+        *m += (1.0 - beta[0]) * (g - *m);
+        *v += (1.0 - beta[1]) * (g * g - *v);
         *p = *p * keep - scale * *m / (v.sqrt() * root + 1e-8);
     }
 }

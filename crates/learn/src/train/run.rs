@@ -103,9 +103,10 @@ pub fn run(
     let decoder = Outputs::new(specs.clone())?;
     let job = Job { request, split: &split, features: &features, outputs: &outputs, decoder: &decoder };
     let started = Instant::now();
-    let Trained { graph, interface, samples, choice } = match &config.network.conv {
-        None => fit_dense(&job, &mut maps, stop, told)?,
-        Some(conv) => fit_conv(&job, conv, maps, stop, told)?,
+    let Trained { graph, interface, samples, choice } = match (&config.network.conv, &config.network.image) {
+        (None, None) => fit_dense(&job, &mut maps, stop, told)?,
+        (Some(conv), _) => fit_conv(&job, conv, maps, stop, told)?,
+        (None, Some(image)) => fit_image(&job, image, stop, told)?,
     };
     let seconds = started.elapsed().as_secs_f64();
     let model = Model::load(request.runtime, &graph, &interface)?;
@@ -254,6 +255,8 @@ fn fit_dense(
 }
 
 #[cfg(feature = "train")]
+use super::fit_image::fit_image;
+#[cfg(feature = "train")]
 use super::run_conv::fit_conv;
 
 /// Refuses: the framework is not in this program.
@@ -268,9 +271,20 @@ fn fit_conv(
     Err(without_framework())
 }
 
+/// As [`fit_conv`].
+#[cfg(not(feature = "train"))]
+fn fit_image(
+    _: &Job<'_>,
+    _: &super::ImageConfig,
+    _: &AtomicBool,
+    _: &(dyn Fn(Progress) + Sync),
+) -> Result<Trained, LearnError> {
+    Err(without_framework())
+}
+
 /// What a program without the framework says before it reads anything.
 pub(super) fn check_framework(config: &TrainConfig) -> Result<(), LearnError> {
-    if config.network.conv.is_some() && cfg!(not(feature = "train")) {
+    if (config.network.conv.is_some() || config.network.image.is_some()) && cfg!(not(feature = "train")) {
         return Err(without_framework());
     }
     Ok(())
@@ -278,8 +292,8 @@ pub(super) fn check_framework(config: &TrainConfig) -> Result<(), LearnError> {
 
 fn without_framework() -> LearnError {
     LearnError::Training {
-        reason: "`network.conv` asks for a convolutional network, and this program was built without the framework that \
-                 fits them; build it with `cargo build --release -p dermis --features train`, or leave `network.conv` out"
+        reason: "`network.conv` and `network.image` ask for a convolutional network, and this program was built without the framework \
+                 that fits them; build it with `cargo build --release -p dermis --features train`, or leave them out"
             .into(),
     }
 }
@@ -321,7 +335,7 @@ fn encoded_map(
 
 /// How much a target counts. A map counts as much as a scalar, whatever its number of points.
 fn weight(truth: &Truth, name: &str, config: &TrainConfig, outputs: &Outputs) -> f32 {
-    if name.starts_with("map.") {
+    if matches!(Target::of(name), Some(Target::Map(_))) {
         return 1.0 / outputs.values(name).map_or(1, <[f64]>::len).max(1) as f32;
     }
     let full = config.position_full_force;

@@ -10,10 +10,10 @@ use std::sync::atomic::AtomicBool;
 use dermis_inference::{Interface, TensorPort};
 
 use super::config::ConvConfig;
-use super::conv::{ConvSpec, ConvTraining, Form, Head, TensorReader, TensorSample, fit};
+use super::conv::{ConvNetwork, ConvSpec, ConvTraining, Form, Head, TensorReader, TensorSample, fit};
 use super::network::Progress;
 use super::run::{Job, Trained, no_rows, partial, signature};
-use crate::dataset::SampleId;
+use crate::dataset::{SampleId, Truth};
 use crate::target::{Maps, Target};
 use crate::{LearnError, SplitKind};
 
@@ -35,14 +35,15 @@ enum Held {
     No,
 }
 
+/// Targets of a sample, one list for each head, and how much they count; `None` where nothing is known.
+pub(super) type TargetsOf<'a> = dyn Fn(&Truth) -> Result<Option<[Vec<Vec<f32>>; 2]>, LearnError> + 'a;
+
 /// Samples of a data set.
 struct Reader<'a> {
     held: RefCell<Held>,
     job: &'a Job<'a>,
     ids: BTreeSet<SampleId>,
-    maps: &'a RefCell<Maps>,
-    heads: &'a [Head],
-    columns: &'a [&'static str],
+    targets: &'a TargetsOf<'a>,
 }
 
 impl Held {
@@ -84,22 +85,8 @@ impl Reader<'_> {
         data.each_input(self.job.features, baseline, |id, row| {
             let truth = data.sample(id).and_then(|s| s.truth.as_ref());
             let Some(truth) = truth.filter(|_| self.ids.contains(&id)) else { return Ok(()) };
-            let targets = self.job.targets(truth, &mut self.maps.borrow_mut())?;
-            if targets.iter().all(|t| t.is_nan()) {
-                return Ok(());
-            }
-            let weights = self.job.weights(truth, self.columns);
-            let parts = |all: &[f32]| {
-                let mut rest = all;
-                let mut part = |head: &Head| {
-                    let (own, others) = rest.split_at(head.form.len());
-                    rest = others;
-                    own.to_vec()
-                };
-                self.heads.iter().map(&mut part).collect()
-            };
-            let sample =
-                TensorSample { input: row.to_vec(), targets: parts(&targets), weights: parts(&weights) };
+            let Some([targets, weights]) = (self.targets)(truth)? else { return Ok(()) };
+            let sample = TensorSample { input: row.to_vec(), targets, weights };
             self.held.borrow_mut().push(&sample);
             take(sample)
         })
@@ -147,7 +134,6 @@ pub(super) fn fit_conv(
     stop: &AtomicBool,
     told: &(dyn Fn(Progress) + Sync),
 ) -> Result<Trained, LearnError> {
-    let (request, config) = (job.request, job.request.config);
     if conv.grid.iter().product::<usize>() != job.features.input_len() {
         return Err(LearnError::Training {
             reason: format!(
@@ -166,50 +152,27 @@ pub(super) fn fit_conv(
         encoder: conv.encoder.clone(),
         hidden: conv.hidden,
         heads: heads.clone(),
+        layers: Vec::new(),
     };
-    let training = ConvTraining {
-        epochs: config.training.epochs,
-        batch: config.training.batch,
-        learning_rate: config.training.learning_rate,
-        patience: conv.patience,
-        shuffle: SHUFFLE,
-        seed: config.training.seed,
-        data: signature(request.data, config)?,
-    };
-    let mut other = config.split;
-    (other.seed, other.fraction, other.fold) = (config.split.seed.wrapping_add(1), VALIDATION, None);
-    if other.kind == SplitKind::Time {
-        // The end of what comes before the part that is held out.
-        other.fraction = config.split.fraction + VALIDATION * (1.0 - config.split.fraction);
-    }
-    let aside: BTreeSet<SampleId> = other.apply(request.data)?.test.into_iter().collect();
-    let (validation, train): (BTreeSet<_>, BTreeSet<_>) =
-        job.split.train.iter().partition(|id| aside.contains(*id));
-    if train.is_empty() || validation.is_empty() {
-        return Err(no_rows());
-    }
     let (maps, columns) = (RefCell::new(maps), job.columns());
-    let reader = |ids: BTreeSet<SampleId>| Reader {
-        held: RefCell::new(Held::Reading(Vec::new(), 0)),
-        job,
-        ids,
-        maps: &maps,
-        heads: &heads,
-        columns: &columns,
+    let targets = |truth: &Truth| {
+        let targets = job.targets(truth, &mut maps.borrow_mut())?;
+        if targets.iter().all(|t| t.is_nan()) {
+            return Ok(None);
+        }
+        let parts = |all: &[f32]| {
+            let mut rest = all;
+            let mut part = |head: &Head| {
+                let (own, others) = rest.split_at(head.form.len());
+                rest = others;
+                own.to_vec()
+            };
+            heads.iter().map(&mut part).collect()
+        };
+        Ok(Some([parts(&targets), parts(&job.weights(truth, &columns))]))
     };
-    let samples = train.len();
-    let folder = partial(request.out);
-    std::fs::create_dir_all(&folder).map_err(LearnError::io(&folder, "written"))?;
-    let state = folder.join("conv.state");
-    let fitted = fit(
-        &spec,
-        &training,
-        (&reader(train), &reader(validation)),
-        Some((&state, request.resume)),
-        stop,
-        &mut |p| told(Progress { member: 0, epoch: p.epoch, epochs: training.epochs, loss: p.validation }),
-    )?;
-    let graph = fitted.network.to_onnx("dermis")?;
+    let (network, samples) = fit_spec(job, &spec, (conv.patience, Vec::new()), &targets, stop, told)?;
+    let graph = network.to_onnx("dermis")?;
     let port = |name: &str, shape: &[usize]| TensorPort { name: name.into(), shape: [&[1], shape].concat() };
     let outputs: Vec<TensorPort> = heads
         .iter()
@@ -224,4 +187,59 @@ pub(super) fn fit_conv(
         samples,
         choice: None,
     })
+}
+
+/// Fits a network to what `targets` says of the training part, with so much patience and noise of the inputs; the network, and the
+/// number of samples.
+pub(super) fn fit_spec(
+    job: &Job<'_>,
+    spec: &ConvSpec,
+    (patience, noise): (u32, Vec<f32>),
+    targets: &TargetsOf<'_>,
+    stop: &AtomicBool,
+    told: &(dyn Fn(Progress) + Sync),
+) -> Result<(ConvNetwork, usize), LearnError> {
+    let (request, config) = (job.request, job.request.config);
+    let training = ConvTraining {
+        epochs: config.training.epochs,
+        batch: config.training.batch,
+        learning_rate: config.training.learning_rate,
+        patience,
+        shuffle: SHUFFLE,
+        seed: config.training.seed,
+        momentum: config.training.momentum,
+        noise,
+        data: signature(request.data, config)?,
+    };
+    let mut other = config.split;
+    (other.seed, other.fraction, other.fold) = (config.split.seed.wrapping_add(1), VALIDATION, None);
+    if other.kind == SplitKind::Time {
+        // The end of what comes before the part that is held out.
+        other.fraction = config.split.fraction + VALIDATION * (1.0 - config.split.fraction);
+    }
+    let aside: BTreeSet<SampleId> = other.apply(request.data)?.test.into_iter().collect();
+    let (validation, train): (BTreeSet<_>, BTreeSet<_>) =
+        job.split.train.iter().partition(|id| aside.contains(*id));
+    if train.is_empty() || validation.is_empty() {
+        return Err(no_rows());
+    }
+    let reader = |ids: BTreeSet<SampleId>| Reader {
+        held: RefCell::new(Held::Reading(Vec::new(), 0)),
+        job,
+        ids,
+        targets,
+    };
+    let samples = train.len();
+    let folder = partial(request.out);
+    std::fs::create_dir_all(&folder).map_err(LearnError::io(&folder, "written"))?;
+    let state = folder.join("conv.state");
+    let fitted = fit(
+        spec,
+        &training,
+        (&reader(train), &reader(validation)),
+        Some((&state, request.resume)),
+        stop,
+        &mut |p| told(Progress { member: 0, epoch: p.epoch, epochs: training.epochs, loss: p.validation }),
+    )?;
+    Ok((fitted.network, samples))
 }

@@ -3,7 +3,7 @@
 use dermis_skin::{Image, ModelError, PixelFormat, Surface, SurfaceSpec};
 use nalgebra::{Point3, Vector3};
 
-use crate::{DeviceState, Differences, ForwardModel, Indentation, Stimulus, Unknowns};
+use crate::{DeviceState, Differences, ForwardModel, Indentation, Stimulus, TipShape, Unknowns};
 
 /// A model whose every method answers with something that no default does, to try wrappers on: two channels on a square of 20 mm.
 pub struct Probe {
@@ -127,6 +127,20 @@ impl ForwardModel for Probe {
     fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
         Some(at.x + 10.0 * diameter + force)
     }
+
+    fn force_of_tip(&self, at: &Point3<f64>, tip: &TipShape, depth: f64) -> Option<f64> {
+        match tip {
+            TipShape::Sphere { diameter } => self.force_at(at, *diameter, depth),
+            _ => Some(at.x + 20.0 * tip.extent() + 100.0 * depth),
+        }
+    }
+
+    fn depth_of_tip(&self, at: &Point3<f64>, tip: &TipShape, force: f64) -> Option<f64> {
+        match tip {
+            TipShape::Sphere { diameter } => self.depth_at(at, *diameter, force),
+            _ => Some(at.x + 20.0 * tip.extent() + force),
+        }
+    }
 }
 
 /// What every method of a wrapper around [`Probe`] says must be what the probe says; `noise` is the one that it should have. Where
@@ -180,6 +194,12 @@ pub fn forwards_everything(wrapper: &dyn ForwardModel, noise: &[f64], same_respo
     let at = Point3::new(0.003, 0.0, 0.0);
     assert_eq!(wrapper.force_at(&at, 0.004, 0.001), probe.force_at(&at, 0.004, 0.001), "force_at");
     assert_eq!(wrapper.depth_at(&at, 0.004, 0.7), probe.depth_at(&at, 0.004, 0.7), "depth_at");
+    for tip in [TipShape::Sphere { diameter: 0.004 }, TipShape::FlatPunch { diameter: 0.004 }] {
+        let (own, wanted) = (wrapper.force_of_tip(&at, &tip, 0.001), probe.force_of_tip(&at, &tip, 0.001));
+        assert_eq!(own, wanted, "force_of_tip");
+        let (own, wanted) = (wrapper.depth_of_tip(&at, &tip, 0.7), probe.depth_of_tip(&at, &tip, 0.7));
+        assert_eq!(own, wanted, "depth_of_tip");
+    }
 
     let (mut state, mut real) = (wrapper.start(40), stimulus);
     state.apply_to_stimulus(0.5, &mut real);

@@ -23,6 +23,7 @@ fn truth(at: Option<(f64, Vector3<f64>)>) -> Truth {
         force,
         components: ForceComponents::Full,
         diameter: 0.004,
+        flat: false,
     };
     Truth { press: 0, location: 0, idle: at.is_none(), contacts: at.map(contact).into_iter().collect() }
 }

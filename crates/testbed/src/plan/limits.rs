@@ -6,7 +6,7 @@
 //! Solution: each quantity has limits that lie far outside of what a testbed does, and a sentence.
 
 use super::Plan;
-use super::step::{Action, Level};
+use super::step::{Action, Drawn, Level};
 
 /// \[s\] that a plan may last: what a testbed does in a month.
 pub(crate) const LONGEST: f64 = 30.0 * 86_400.0;
@@ -64,11 +64,22 @@ pub(super) fn check(plan: &Plan) -> Result<(), (String, String)> {
             }
             Action::Multi { distance, level, .. } => {
                 limits(at("distance"), distance, LENGTH, "m")?;
-                drawn(level)?;
+                match level {
+                    Level::Force(Drawn::Within(range)) => drawn(&Level::Force(*range))?,
+                    Level::Depth(Drawn::Within(range)) => drawn(&Level::Depth(*range))?,
+                    Level::Force(Drawn::OneOf(list)) => limits(at("forces"), list, FORCE, "N")?,
+                    Level::Depth(Drawn::OneOf(list)) => limits(at("depths"), list, DEPTH, "m")?,
+                }
+            }
+            Action::Hex { radius, turn, levels, .. } => {
+                limits(at("radius"), radius, LENGTH, "m")?;
+                limits(at("turn"), &turn.map(f64::abs), [0.0, 1e3], "rad")?;
+                listed(&levels.values)?;
             }
         }
         limits(at("diameter"), &step.profile.diameter, LENGTH, "m")?;
         limits(at("shear"), step.profile.shear.as_ref().map_or(&[], |s| s), [0.0, 1e3], "N/N")?;
+        limits(at("least_force"), step.profile.least_force.as_slice(), FORCE, "N")?;
         let turn = step.profile.shear_direction.map_or(0.0, f64::abs);
         limits(at("shear_direction"), &[turn], [0.0, 1e3], "rad")?;
     }

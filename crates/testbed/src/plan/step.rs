@@ -1,6 +1,8 @@
 //! One part of a plan.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
+
+use super::step_file::StepFile;
 
 /// What a press goes up to: a pressing force \[N\], or a depth of the tip below first contact \[m\], which takes a skin whose
 /// model knows how deep tips sink in. Of several tips at once each sinks in as if it were alone.
@@ -27,6 +29,15 @@ impl<T> Level<T> {
             Self::Force(value) | Self::Depth(value) => value,
         }
     }
+}
+
+/// What a number is drawn from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Drawn {
+    /// A range, as [`ForceDistribution`](super::ForceDistribution) says.
+    Within([f64; 2]),
+    /// One of these, each as likely as any other: weights that lie on a table, say.
+    OneOf(Vec<f64>),
 }
 
 /// What is done in a step.
@@ -79,10 +90,28 @@ pub enum Action {
         contacts: [u32; 2],
         /// \[m\] least distance between the contacts of a press, and the most; infinite where the plan names one number.
         distance: [f64; 2],
-        /// Range of what each contact of a press goes up to, drawn for itself.
-        level: Level<[f64; 2]>,
+        /// What each contact of a press goes up to is drawn from, for itself.
+        level: Level<Drawn>,
+    },
+    /// Several tips of one plate, lowered together: each sits on an arm of a hexagon about the middle of the plate, all as far from
+    /// it. One level is that of all tips.
+    Hex {
+        /// Number of places of the plate.
+        count: u32,
+        /// Range of the number of tips, 1 to 6, both ends included. They sit on the arms of [`HEX_ARMS`].
+        contacts: [u32; 2],
+        /// \[m\] range of the distance of every tip from the middle of the plate.
+        radius: [f64; 2],
+        /// \[rad\] range of the angle of the first arm about the outward normal, from the link's x axis.
+        turn: [f64; 2],
+        /// What each place is pressed up to.
+        levels: Levels,
     },
 }
+
+/// Arms that one to six tips sit on, counted in steps of 60° from the first: spread as evenly as six arms allow.
+pub const HEX_ARMS: [&[u32]; 6] =
+    [&[0], &[0, 3], &[0, 2, 4], &[0, 1, 3, 4], &[0, 1, 2, 3, 4], &[0, 1, 2, 3, 4, 5]];
 
 /// What one place is pressed up to.
 #[derive(Debug, Clone, PartialEq)]
@@ -115,6 +144,8 @@ pub struct PressProfile {
     pub shear_direction: Option<f64>,
     /// Range of how long it holds \[s\], instead of the plan's.
     pub hold: Option<[f64; 2]>,
+    /// \[N\] levels at which a tip presses with less are left out, and so are presses of which nothing is left.
+    pub least_force: Option<f64>,
 }
 
 /// One part of a plan; parts follow one another.
@@ -130,311 +161,5 @@ pub struct Step {
 impl From<Action> for Step {
     fn from(action: Action) -> Self {
         Self { action, profile: PressProfile::default() }
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Kind {
-    Idle,
-    Presses,
-    Grid,
-    Places,
-    Slides,
-    Multi,
-}
-
-impl Kind {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Idle => "idle",
-            Self::Presses => "presses",
-            Self::Grid => "grid",
-            Self::Places => "places",
-            Self::Slides => "slides",
-            Self::Multi => "multi",
-        }
-    }
-}
-
-/// A number, or two of them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "a number, or two of them in brackets")]
-enum OneOrTwo {
-    One(f64),
-    Two([f64; 2]),
-}
-
-impl OneOrTwo {
-    fn both(self) -> [f64; 2] {
-        match self {
-            Self::One(value) => [value, value],
-            Self::Two(values) => values,
-        }
-    }
-}
-
-impl From<[f64; 2]> for OneOrTwo {
-    fn from([a, b]: [f64; 2]) -> Self {
-        if a == b { Self::One(a) } else { Self::Two([a, b]) }
-    }
-}
-
-/// A number, or some of them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "a number, or some of them in brackets")]
-pub(super) enum OneOrMore {
-    One(f64),
-    More(Vec<f64>),
-}
-
-impl OneOrMore {
-    pub(super) fn all(self) -> Vec<f64> {
-        match self {
-            Self::One(value) => vec![value],
-            Self::More(values) => values,
-        }
-    }
-
-    fn of(values: Vec<f64>) -> Option<Self> {
-        match values[..] {
-            [] => None,
-            [value] => Some(Self::One(value)),
-            _ => Some(Self::More(values)),
-        }
-    }
-}
-
-/// A step as files say it: every key that some kind of step has.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct StepFile {
-    kind: Kind,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    duration: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    count: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pitch: Option<OneOrTwo>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    at: Option<Vec<[f64; 3]>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    contacts: Option<[u32; 2]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    distance: Option<OneOrTwo>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    force: Option<[f64; 2]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    depth: Option<[f64; 2]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    forces: Option<Vec<f64>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    depths: Option<Vec<f64>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    incremental: Option<bool>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    repeats: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    length: Option<[f64; 2]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    speed: Option<[f64; 2]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    diameter: Option<OneOrMore>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    shear: Option<OneOrTwo>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    shear_direction: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    hold: Option<[f64; 2]>,
-}
-
-/// Keys of how it is pressed, the same for every kind of press that stands still.
-const MANNER: [&str; 4] = ["diameter", "shear", "shear_direction", "hold"];
-
-impl StepFile {
-    const fn of(kind: Kind) -> Self {
-        Self {
-            kind,
-            duration: None,
-            count: None,
-            pitch: None,
-            at: None,
-            contacts: None,
-            distance: None,
-            force: None,
-            depth: None,
-            forces: None,
-            depths: None,
-            incremental: None,
-            repeats: None,
-            length: None,
-            speed: None,
-            diameter: None,
-            shear: None,
-            shear_direction: None,
-            hold: None,
-        }
-    }
-
-    /// Keys that are there.
-    fn keys(&self) -> Vec<&'static str> {
-        let all = [
-            ("duration", self.duration.is_some()),
-            ("count", self.count.is_some()),
-            ("pitch", self.pitch.is_some()),
-            ("at", self.at.is_some()),
-            ("contacts", self.contacts.is_some()),
-            ("distance", self.distance.is_some()),
-            ("force", self.force.is_some()),
-            ("depth", self.depth.is_some()),
-            ("forces", self.forces.is_some()),
-            ("depths", self.depths.is_some()),
-            ("incremental", self.incremental.is_some()),
-            ("repeats", self.repeats.is_some()),
-            ("length", self.length.is_some()),
-            ("speed", self.speed.is_some()),
-            ("diameter", self.diameter.is_some()),
-            ("shear", self.shear.is_some()),
-            ("shear_direction", self.shear_direction.is_some()),
-            ("hold", self.hold.is_some()),
-        ];
-        all.into_iter().filter_map(|(name, there)| there.then_some(name)).collect()
-    }
-
-    /// The step that this says, or the key that is wrong and why.
-    pub(super) fn step(self) -> Result<Step, (&'static str, String)> {
-        let kind = self.kind;
-        let (own, common): (&[&str], &[&str]) = match kind {
-            Kind::Idle => (&["duration"], &[]),
-            Kind::Presses => (&["count", "force", "depth", "repeats"], &MANNER),
-            Kind::Grid => (&["pitch", "forces", "depths", "incremental", "repeats"], &MANNER),
-            Kind::Places => (&["at", "forces", "depths", "incremental", "repeats"], &MANNER),
-            Kind::Slides => (&["count", "force", "length", "speed", "diameter"], &[]),
-            Kind::Multi => (&["count", "contacts", "distance", "force", "depth"], &MANNER),
-        };
-        let known = [own, common].concat();
-        if let Some(key) = self.keys().into_iter().find(|key| !known.contains(key)) {
-            let reason =
-                format!("is no key of a step of kind `{}`, which has {}", kind.name(), known.join(", "));
-            return Err((key, reason));
-        }
-        let missing = |key| move || (key, format!("is missing: a step of kind `{}` needs it", kind.name()));
-        let level = |force: Option<_>, depth: Option<_>| match (force, depth) {
-            (Some(force), None) => Ok(Level::Force(force)),
-            (None, Some(depth)) => Ok(Level::Depth(depth)),
-            (Some(_), Some(_)) => Err(("depth", "stands beside `force`: name one of them".to_owned())),
-            (None, None) => {
-                Err(("force", format!("is missing: a step of kind `{}` needs it, or `depth`", kind.name())))
-            }
-        };
-        let repeats = self.repeats.unwrap_or(1);
-        let levels = |forces, depths, incremental: Option<bool>| {
-            let values = match (forces, depths) {
-                (Some(forces), None) => Level::Force(forces),
-                (None, Some(depths)) => Level::Depth(depths),
-                (Some(_), Some(_)) => {
-                    return Err(("depths", "stands beside `forces`: name one of them".to_owned()));
-                }
-                (None, None) => {
-                    let reason =
-                        format!("is missing: a step of kind `{}` needs it, or `depths`", kind.name());
-                    return Err(("forces", reason));
-                }
-            };
-            Ok(Levels { values, incremental: incremental.unwrap_or(false), repeats })
-        };
-        let action = match kind {
-            Kind::Idle => Action::Idle { duration: self.duration.ok_or_else(missing("duration"))? },
-            Kind::Presses => Action::Presses {
-                count: self.count.ok_or_else(missing("count"))?,
-                level: level(self.force, self.depth)?,
-                repeats,
-            },
-            Kind::Grid => Action::Grid {
-                pitch: self.pitch.ok_or_else(missing("pitch"))?.both(),
-                levels: levels(self.forces, self.depths, self.incremental)?,
-            },
-            Kind::Places => Action::Places {
-                at: self.at.ok_or_else(missing("at"))?,
-                levels: levels(self.forces, self.depths, self.incremental)?,
-            },
-            Kind::Slides => Action::Slides {
-                count: self.count.ok_or_else(missing("count"))?,
-                force: self.force.ok_or_else(missing("force"))?,
-                length: self.length.ok_or_else(missing("length"))?,
-                speed: self.speed.ok_or_else(missing("speed"))?,
-            },
-            Kind::Multi => Action::Multi {
-                count: self.count.ok_or_else(missing("count"))?,
-                contacts: self.contacts.ok_or_else(missing("contacts"))?,
-                distance: match self.distance.ok_or_else(missing("distance"))? {
-                    OneOrTwo::One(least) => [least, f64::INFINITY],
-                    OneOrTwo::Two(range) => range,
-                },
-                level: level(self.force, self.depth)?,
-            },
-        };
-        let diameter = self.diameter.map(OneOrMore::all);
-        if diameter.as_ref().is_some_and(Vec::is_empty) {
-            return Err(("diameter", "is empty: a tip has a diameter".to_owned()));
-        }
-        let profile = PressProfile {
-            diameter: diameter.unwrap_or_default(),
-            shear: self.shear.map(OneOrTwo::both),
-            shear_direction: self.shear_direction,
-            hold: self.hold,
-        };
-        Ok(Step { action, profile })
-    }
-}
-
-impl From<Step> for StepFile {
-    fn from(step: Step) -> Self {
-        let ranges = |level: Level<[f64; 2]>| match level {
-            Level::Force(force) => (Some(force), None),
-            Level::Depth(depth) => (None, Some(depth)),
-        };
-        let lists = |levels: Levels, mut file: Self| {
-            match levels.values {
-                Level::Force(forces) => file.forces = Some(forces),
-                Level::Depth(depths) => file.depths = Some(depths),
-            }
-            file.incremental = Some(levels.incremental);
-            file.repeats = Some(levels.repeats);
-            file
-        };
-        let file = match step.action {
-            Action::Idle { duration } => Self { duration: Some(duration), ..Self::of(Kind::Idle) },
-            Action::Presses { count, level, repeats } => {
-                let (force, depth) = ranges(level);
-                Self { count: Some(count), force, depth, repeats: Some(repeats), ..Self::of(Kind::Presses) }
-            }
-            Action::Grid { pitch, levels } => {
-                lists(levels, Self { pitch: Some(pitch.into()), ..Self::of(Kind::Grid) })
-            }
-            Action::Places { at, levels } => lists(levels, Self { at: Some(at), ..Self::of(Kind::Places) }),
-            Action::Slides { count, force, length, speed } => Self {
-                count: Some(count),
-                force: Some(force),
-                length: Some(length),
-                speed: Some(speed),
-                ..Self::of(Kind::Slides)
-            },
-            Action::Multi { count, contacts, distance, level } => {
-                let (force, depth) = ranges(level);
-                let [least, most] = distance;
-                let distance = if most.is_finite() { OneOrTwo::Two(distance) } else { OneOrTwo::One(least) };
-                let (count, contacts, distance) = (Some(count), Some(contacts), Some(distance));
-                Self { count, contacts, distance, force, depth, ..Self::of(Kind::Multi) }
-            }
-        };
-        let PressProfile { diameter, shear, shear_direction, hold } = step.profile;
-        Self {
-            diameter: OneOrMore::of(diameter),
-            shear: shear.map(OneOrTwo::from),
-            shear_direction,
-            hold,
-            ..file
-        }
     }
 }

@@ -1,7 +1,7 @@
 //! The tip that a plan presses with, where it is no sphere, and how it stands.
 
-use dermis_model::{Tip, TipShape, tangents};
-use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use dermis_model::{Tip, TipShape};
+use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Shape of the indenter's tip and how it stands on the surface, as the key `tip` of a plan says it:
@@ -35,9 +35,7 @@ impl PlanTip {
     /// The tip where the surface has this outward normal.
     #[must_use]
     pub fn on(&self, normal: &Vector3<f64>) -> Tip {
-        let [first, second] = tangents(normal);
-        let surface = Rotation3::from_basis_unchecked(&[first, second, *normal]);
-        let orientation = UnitQuaternion::from_rotation_matrix(&surface)
+        let orientation = Tip::standing(self.shape, normal).orientation
             * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.turn)
             * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), self.tilt);
         Tip { shape: self.shape, orientation }

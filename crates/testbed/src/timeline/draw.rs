@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::Touch;
 use super::candidates::CandidateLocations;
-use crate::plan::{ForceDistribution, Level, Plan, PressProfile};
+use crate::plan::{Drawn, ForceDistribution, Level, Plan, PressProfile};
 
 /// Random choices of one timeline.
 pub(super) struct Draw<'a> {
@@ -45,6 +45,13 @@ impl<'a> Draw<'a> {
         })
     }
 
+    pub(super) fn one_level(&mut self, drawn: &Level<Drawn>) -> Level<f64> {
+        match drawn.value() {
+            Drawn::Within(range) => self.level(&drawn.map(|_| *range)),
+            Drawn::OneOf(list) => drawn.map(|_| list[self.rng.random_range(0..list.len())]),
+        }
+    }
+
     pub(super) fn diameter(&mut self, profile: &PressProfile) -> f64 {
         let of = if profile.diameter.is_empty() { &self.plan.diameter } else { &profile.diameter };
         match of[..] {
@@ -69,10 +76,7 @@ impl<'a> Draw<'a> {
                 None => self.more.random_range(0.0..std::f64::consts::TAU),
             };
             let (_, normal) = self.candidates.surface.project(&at);
-            let from = [Vector3::x(), Vector3::y()]
-                .into_iter()
-                .find_map(|axis| (axis - normal * axis.dot(&normal)).try_normalize(1e-3));
-            if let Some(along) = from {
+            if let Some(along) = along_surface(&normal) {
                 let (sin, cos) = turn.sin_cos();
                 shear = (along * cos + normal.cross(&along) * sin) * ratio;
             }
@@ -108,6 +112,39 @@ impl<'a> Draw<'a> {
         None
     }
 
+    /// Ends of these arms of a hexagon about a random place, counted in steps of 60°, all of which may be touched; lengths \[m\] and
+    /// angles \[rad\] of the first arm are drawn anew with each place.
+    pub(super) fn hexagon(
+        &mut self,
+        arms: &[u32],
+        radius: [f64; 2],
+        turn: [f64; 2],
+    ) -> Option<Vec<Point3<f64>>> {
+        for _ in 0..TRIES {
+            self.tried += 10 + self.candidates.edges() * arms.len() as u64;
+            // The middle of the plate touches nothing: it need not keep the margin.
+            let middle = self.candidates.random(&mut self.rng);
+            let (radius, turn) = (self.within(radius), self.within(turn));
+            let (_, normal) = self.candidates.surface.project(&middle);
+            let Some(x) = along_surface(&normal) else { continue };
+            let arm = |arm: &u32| {
+                let (sin, cos) = (turn + f64::from(*arm) * std::f64::consts::FRAC_PI_3).sin_cos();
+                middle + (x * cos + normal.cross(&x) * sin) * radius
+            };
+            let ends: Vec<Point3<f64>> = arms.iter().map(arm).collect();
+            // One that the rim or the curvature moved is no arm of that hexagon any more.
+            let on = ends.iter().map(|end| self.candidates.surface.project(end).0);
+            let near = |(on, end): (Point3<f64>, &Point3<f64>)| {
+                let fits = (on - end).norm() <= 0.05 * radius && self.candidates.may_be_touched(&on);
+                fits.then_some(on)
+            };
+            if let Some(places) = on.zip(&ends).map(near).collect() {
+                return Some(places);
+            }
+        }
+        None
+    }
+
     /// So many places, each so far from every other.
     pub(super) fn apart(&mut self, count: usize, [least, most]: [f64; 2]) -> Option<Vec<Point3<f64>>> {
         for _ in 0..20 {
@@ -125,4 +162,11 @@ impl<'a> Draw<'a> {
         }
         None
     }
+}
+
+/// The link's x axis along a surface of this normal, its y axis where x is the normal.
+fn along_surface(normal: &Vector3<f64>) -> Option<Vector3<f64>> {
+    [Vector3::x(), Vector3::y()]
+        .into_iter()
+        .find_map(|axis| (axis - normal * axis.dot(normal)).try_normalize(1e-3))
 }

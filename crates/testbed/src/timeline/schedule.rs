@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use dermis_model::{ForwardModel, TipShape};
+use dermis_model::ForwardModel;
 use dermis_skin::Phase;
 use nalgebra::{Point3, Vector3};
 use rand::Rng;
@@ -15,7 +15,7 @@ use super::candidates::CandidateLocations;
 use super::draw::{Draw, EFFORT};
 use super::{Key, Press, Timeline, Touch};
 use crate::TestbedError;
-use crate::plan::{Action, LONGEST, Level, Levels, Plan, PressProfile, Step};
+use crate::plan::{Action, Drawn, HEX_ARMS, LONGEST, Level, Levels, Plan, PressProfile, Step};
 
 /// \[m\] off the surface that a named place may lie: rounding.
 const OFF_SURFACE: f64 = 1e-4;
@@ -96,6 +96,9 @@ impl Schedule<'_> {
             Action::Multi { count, contacts, distance, level } => {
                 (0..*count).try_for_each(|_| self.multi(*contacts, *distance, level, profile))
             }
+            Action::Hex { count, contacts, radius, turn, levels } => {
+                (0..*count).try_for_each(|_| self.hex(*contacts, [*radius, *turn], levels, profile))
+            }
         }
     }
 
@@ -173,18 +176,55 @@ impl Schedule<'_> {
         profile: &PressProfile,
     ) -> Result<(), TestbedError> {
         let diameter = self.draw.diameter(profile);
+        self.levels_of(&[at], levels, diameter, profile)
+    }
+
+    /// All presses of one or several tips that go up to the same levels together.
+    fn levels_of(
+        &mut self,
+        at: &[Point3<f64>],
+        levels: &Levels,
+        diameter: f64,
+        profile: &PressProfile,
+    ) -> Result<(), TestbedError> {
         for repeat in 0..levels.repeats {
             let values = levels.values.value();
             let all: &[f64] = if levels.incremental { &values[values.len() - 1..] } else { values };
             for value in all {
-                let touch = self.draw.touch(at, levels.values.map(|_| *value), diameter, profile);
-                self.check_depth(&touch)?;
+                let touch = |at: &Point3<f64>, draw: &mut Draw<'_>| {
+                    draw.touch(*at, levels.values.map(|_| *value), diameter, profile)
+                };
+                let touches: Vec<Touch> = at.iter().map(|at| touch(at, &mut self.draw)).collect();
+                touches.iter().try_for_each(|touch| self.check_depth(touch))?;
                 let staircase: Vec<f64> =
                     if levels.incremental { values.iter().map(|v| v / value).collect() } else { vec![1.0] };
-                self.press(profile, repeat, vec![touch], None, &staircase);
+                self.press(profile, repeat, touches, None, &staircase);
             }
         }
         Ok(())
+    }
+
+    /// Tips on the arms of one plate, lowered together.
+    fn hex(
+        &mut self,
+        contacts: [u32; 2],
+        [radius, turn]: [[f64; 2]; 2],
+        levels: &Levels,
+        profile: &PressProfile,
+    ) -> Result<(), TestbedError> {
+        self.check_bounds()?;
+        let wanted = self.draw.rng.random_range(contacts[0]..=contacts[1]);
+        let arms = HEX_ARMS.get(wanted.saturating_sub(1) as usize).copied().unwrap_or_default();
+        let at = self.draw.hexagon(arms, radius, turn).ok_or_else(|| {
+            let reason = format!(
+                "{wanted} tips {} m and more from the middle of their plate do not fit on the surface within the margin",
+                radius[0]
+            );
+            self.draw.plan.wrong(format!("steps[{}].radius", self.step), reason)
+        })?;
+        self.location += 1;
+        let diameter = self.draw.diameter(profile);
+        self.levels_of(&at, levels, diameter, profile)
     }
 
     fn slide(
@@ -212,7 +252,7 @@ impl Schedule<'_> {
         &mut self,
         contacts: [u32; 2],
         distance: [f64; 2],
-        level: &Level<[f64; 2]>,
+        level: &Level<Drawn>,
         profile: &PressProfile,
     ) -> Result<(), TestbedError> {
         self.check_bounds()?;
@@ -227,7 +267,7 @@ impl Schedule<'_> {
         let diameter = self.draw.diameter(profile);
         let mut touches = Vec::with_capacity(at.len());
         for at in at {
-            let level = self.draw.level(level);
+            let level = self.draw.one_level(level);
             let touch = self.draw.touch(at, level, diameter, profile);
             self.check_depth(&touch)?;
             touches.push(touch);
@@ -245,6 +285,10 @@ impl Schedule<'_> {
         slide: Option<f64>,
         staircase: &[f64],
     ) {
+        let steps = self.heavy_enough(profile, &touches, staircase);
+        if steps.is_empty() {
+            return;
+        }
         let draw = &mut self.draw;
         let t = &draw.plan.timing;
         let held = profile.hold.unwrap_or(t.hold);
@@ -260,7 +304,7 @@ impl Schedule<'_> {
         };
         let sheared = touches.iter().any(|touch| touch.shear != Vector3::zeros());
         let mut key = Key { end: approach, phase: Phase::Load, level: 0.0, shear: 0.0, slide: 0.0 };
-        for (i, step) in staircase.iter().enumerate() {
+        for (i, step) in steps.iter().enumerate() {
             let [load, hold] = if i == 0 {
                 [load, hold]
             } else {
@@ -291,6 +335,16 @@ impl Schedule<'_> {
         timeline.duration += end + gap;
     }
 
+    /// Those steps of a staircase at which every tip presses with the least force of the profile or more.
+    fn heavy_enough(&self, profile: &PressProfile, touches: &[Touch], staircase: &[f64]) -> Vec<f64> {
+        let least = profile.least_force.unwrap_or(0.0);
+        // Rounding must not drop a level that is exactly the least.
+        let heavy = |step: &f64, touch: &Touch| {
+            self.timeline.press_of(touch, &touch.from, *step).0 >= least * (1.0 - 1e-9)
+        };
+        staircase.iter().filter(|step| touches.iter().all(|touch| heavy(step, touch))).copied().collect()
+    }
+
     /// Refuses a plan that takes too long to carry out, or to draw.
     fn check_bounds(&self) -> Result<(), TestbedError> {
         let wrong = |reason: String| Err(self.draw.plan.wrong(format!("steps[{}]", self.step), reason));
@@ -312,15 +366,17 @@ impl Schedule<'_> {
 
     /// Refuses a depth that takes no force that the model knows.
     fn check_depth(&self, touch: &Touch) -> Result<(), TestbedError> {
-        let (plan, model, step) = (self.draw.plan, &self.timeline.model, self.step);
+        let (plan, step) = (self.draw.plan, self.step);
         let Level::Depth(depth) = touch.level else { return Ok(()) };
-        let sphere = plan.tip.is_none_or(|tip| matches!(tip.shape, TipShape::Sphere { .. }));
-        let known = |depth| sphere && model.force_at(&touch.from, touch.diameter, depth).is_some();
+        let known = |depth| self.timeline.force_of(touch, &touch.from, depth).is_some();
         if known(depth) {
             return Ok(());
         }
-        let field = match plan.steps[step].action {
-            Action::Grid { .. } | Action::Places { .. } => "depths",
+        let field = match &plan.steps[step].action {
+            Action::Grid { .. }
+            | Action::Places { .. }
+            | Action::Hex { .. }
+            | Action::Multi { level: Level::Depth(Drawn::OneOf(_)), .. } => "depths",
             _ => "depth",
         };
         let Point3 { coords } = touch.from;

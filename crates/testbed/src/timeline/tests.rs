@@ -172,6 +172,136 @@ fn depths_take_the_force_that_the_model_knows() {
     insta::assert_snapshot!(Timeline::new(&plan, &model, 1).unwrap_err(), @"plan some.toml: field `steps[0].depth`: the model of this skin does not know how deep a tip sinks in: name forces instead");
 }
 
+/// Presses a flat tip into a spring of 2 kN/m and a sphere into one of 500 N/m.
+struct KnowsFlatTips(Arc<dyn ForwardModel>);
+
+impl dermis_model::Wrapper for KnowsFlatTips {
+    const CHANGES_RESPONSE: bool = false;
+
+    fn inner(&self) -> &dyn ForwardModel {
+        self.0.as_ref()
+    }
+
+    fn force_of_tip(&self, at: &Point3<f64>, tip: &TipShape, depth: f64) -> Option<f64> {
+        match tip {
+            // Stiffer to the right: of several tips one is the lightest.
+            TipShape::FlatPunch { .. } => Some((2000.0 + 1e5 * at.x) * depth),
+            _ => self.0.force_of_tip(at, tip, depth),
+        }
+    }
+}
+
+const PLATE: &str = r#"
+    schema = "dermis-plan/1"
+    name = "plate"
+    tip = { shape = { shape = "flat-punch", diameter = 0.002 } }
+    margin = 0.001
+    timing = { approach = [0.02, 0.02], load = [0.02, 0.02], hold = [0.04, 0.04], unload = [0.02, 0.02], gap = [0.02, 0.02] }
+    [[steps]]
+    kind = "hex"
+    count = 40
+    contacts = [1, 6]
+    radius = [0.003, 0.005]
+    depths = [0.0005, 0.001, 0.0015]
+    incremental = true
+    least_force = 1.2
+"#;
+
+#[test]
+fn tips_of_a_plate_are_lowered_together_on_the_arms_of_a_hexagon() {
+    let model: Arc<dyn ForwardModel> = Arc::new(KnowsFlatTips(testing::shared_bumps(&testing::skin(100.0))));
+    let plan = Plan::from_toml(PLATE, "plate.toml").unwrap();
+    let timeline = Timeline::new(&plan, &model, 5).unwrap();
+    let mut numbers = BTreeSet::new();
+    let mut lightest = f64::INFINITY;
+    for moment in moments(&timeline).into_iter().filter(|m| m.phase == Phase::Hold) {
+        let contacts = &moment.stimulus.contacts;
+        numbers.insert(contacts.len());
+        assert_eq!(moment.depths.len(), contacts.len());
+        for (contact, depth) in contacts.iter().zip(&moment.depths) {
+            assert_eq!(contact.tip.shape, TipShape::FlatPunch { diameter: 0.002 });
+            assert!((depth.unwrap() - moment.depths[0].unwrap()).abs() < 1e-15, "one depth for all");
+            let force = (2000.0 + 1e5 * contact.position.x) * depth.unwrap();
+            assert!((-contact.force.z - force).abs() < 1e-9, "each with its force");
+            lightest = lightest.min(force);
+        }
+        let arms = crate::HEX_ARMS[contacts.len() - 1];
+        // The first arm points along x.
+        let radii: Vec<f64> = if let [_, second, ..] = &contacts[..] {
+            // Two tips of one plate are 2 r sin(half of the angle between them) apart.
+            let angle = f64::from(arms[1] - arms[0]) * std::f64::consts::FRAC_PI_3;
+            vec![(second.position - contacts[0].position).norm() / (2.0 * (angle / 2.0).sin())]
+        } else {
+            Vec::new()
+        };
+        for radius in radii {
+            assert!((0.003 - 1e-9..=0.005 + 1e-9).contains(&radius), "{radius}");
+            let middle = contacts[0].position - Vector3::x() * radius;
+            for (contact, arm) in contacts.iter().zip(arms) {
+                let (sin, cos) = (f64::from(*arm) * std::f64::consts::FRAC_PI_3).sin_cos();
+                let wanted = middle + Vector3::new(cos, sin, 0.0) * radius;
+                assert!((contact.position - wanted).norm() < 1e-9, "{contacts:?}");
+            }
+        }
+    }
+    assert_eq!(numbers, (1..=6).collect());
+    assert!((1.2 * (1.0 - 1e-8)..1.4).contains(&lightest), "{lightest}");
+    // Without the limit every place is pressed, and every step is held.
+    let every = Plan::from_toml(&PLATE.replace("least_force = 1.2", ""), "plate.toml").unwrap();
+    let every = Timeline::new(&every, &model, 5).unwrap();
+    assert_eq!(every.presses(), 40);
+    assert!(timeline.presses() < 40 && timeline.presses() > 10, "{}", timeline.presses());
+    let keys = |timeline: &Timeline| timeline.presses.iter().map(|p| p.keys.len()).collect::<BTreeSet<_>>();
+    assert_eq!(keys(&every), [2 + 2 * 3].into());
+    assert!(keys(&timeline).contains(&4), "only the deepest step is heavy enough somewhere");
+}
+
+#[test]
+fn what_a_plate_cannot_do_is_refused() {
+    let refused = |from: &str, to: &str, knows: bool| {
+        let plan = Plan::from_toml(&PLATE.replace(from, to), "plate.toml").unwrap();
+        let bumps = testing::shared_bumps(&testing::skin(100.0));
+        let model: Arc<dyn ForwardModel> = if knows { Arc::new(KnowsFlatTips(bumps)) } else { bumps };
+        Timeline::new(&plan, &model, 5).unwrap_err().to_string()
+    };
+    insta::assert_snapshot!(refused("", "", false), @"plan plate.toml: field `steps[0].depths`: the model of this skin does not know how deep a tip sinks in: name forces instead");
+    insta::assert_snapshot!(refused("diameter = 0.002 } }", "diameter = 0.002 }, tilt = 0.1 }", true), @"plan plate.toml: field `steps[0].depths`: the model of this skin does not know how deep a tip sinks in: name forces instead");
+    insta::assert_snapshot!(refused("contacts = [1, 6]\n    radius = [0.003, 0.005]", "contacts = [6, 6]\n    radius = [0.03, 0.05]", true), @"plan plate.toml: field `steps[0].radius`: 6 tips 0.03 m and more from the middle of their plate do not fit on the surface within the margin");
+}
+
+#[test]
+fn the_ground_truth_of_a_flat_tip_says_so() {
+    let model: Arc<dyn ForwardModel> = Arc::new(KnowsFlatTips(testing::shared_bumps(&testing::skin(100.0))));
+    let timeline = Timeline::new(&Plan::from_toml(PLATE, "plate.toml").unwrap(), &model, 5).unwrap();
+    let moment = timeline.first_touch();
+    let message = moment.message(&testing::skin(100.0), model.surface(), "session", 1);
+    assert!(!message.contacts.is_empty());
+    for (contact, truth) in message.contacts.iter().zip(&moment.stimulus.contacts) {
+        assert_eq!((contact.tip, contact.diameter), (IndentationContact::TIP_FLAT, 0.002));
+        assert_eq!(contact.tip_name, "flat-punch");
+        assert_eq!(contact.force.z, truth.force.z);
+        assert!(contact.tip_pose.orientation.w.is_finite());
+    }
+}
+
+#[test]
+fn weights_are_drawn_from_a_list() {
+    let steps = "[[steps]]\nkind = \"multi\"\ncount = 30\ncontacts = [2, 3]\ndistance = 0.004\nforces = [0.1, 0.2, 0.4]\n";
+    let timeline = carried_out(steps).unwrap();
+    let mut drawn: BTreeMap<u64, usize> = BTreeMap::new();
+    let mut unlike = 0;
+    for press in &timeline.presses {
+        let forces: Vec<f64> = press.touches.iter().map(|t| *t.level.value()).collect();
+        assert!(forces.len() == 2 || forces.len() == 3, "{forces:?}");
+        unlike += usize::from(forces.iter().any(|f| *f != forces[0]));
+        forces.iter().for_each(|f| *drawn.entry((f * 10.0).round() as u64).or_default() += 1);
+    }
+    assert_eq!(drawn.keys().copied().collect::<Vec<_>>(), [1, 2, 4]);
+    // Of 60 to 90 contacts a third each; five standard deviations are 21.
+    assert!(drawn.values().all(|n| *n > 5), "{drawn:?}");
+    assert!(unlike > 10, "each contact of a press draws its own");
+}
+
 #[test]
 fn an_incremental_press_climbs_and_is_moved_sideways_at_each_level() {
     let timeline = carried_out(

@@ -6,13 +6,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use burn::tensor::{Device, Tensor, TensorData};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
 
 use super::network::{ConvNetwork, batch_of, numbers};
 use super::{ConvSpec, TensorReader, TensorSample, checkpoint};
 use crate::LearnError;
 
-/// Decay of Adam's two moments, and what keeps its quotient finite.
-const DECAY: [f32; 2] = [0.9, 0.999];
+/// Decay of Adam's second moment, and what keeps its quotient finite.
+const DECAY: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
 
 /// How a network is fitted.
@@ -31,6 +32,11 @@ pub struct ConvTraining {
     pub shuffle: usize,
     /// Seed of every random choice.
     pub seed: u64,
+    /// Decay of Adam's first moment.
+    pub momentum: f64,
+    /// Standard deviation of Gaussian noise that is added to every number of an input at every step; none where empty.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub noise: Vec<f32>,
     /// What the samples are, as a hash of them, say: the state of training on others is not continued.
     pub data: String,
 }
@@ -44,6 +50,8 @@ impl Default for ConvTraining {
             patience: 10,
             shuffle: 1024,
             seed: 1,
+            momentum: 0.9,
+            noise: Vec::new(),
             data: String::new(),
         }
     }
@@ -125,11 +133,14 @@ pub fn fit(
     if training.epochs == 0
         || training.batch == 0
         || !(training.learning_rate > 0.0 && training.learning_rate.is_finite())
+        || !(0.0..1.0).contains(&training.momentum)
     {
         return Err(LearnError::Training {
-            reason: "`training.epochs` and `training.batch` must be at least 1, and `training.learning_rate` positive".into(),
+            reason: "`training.epochs` and `training.batch` must be at least 1, `training.learning_rate` positive, and \
+                     `training.momentum` from 0 to below 1".into(),
         });
     }
+    check_noise(spec, &training.noise)?;
     let fresh = State::new(ConvNetwork::new(spec, training.seed)?);
     let mut now = match state {
         Some((path, true)) if path.exists() => checkpoint::load(path, fresh, spec, training)?,
@@ -171,19 +182,26 @@ fn epoch(
     let rate = training.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * done).cos());
     let mut rng = ChaCha8Rng::seed_from_u64(training.seed);
     rng.set_stream(u64::from(state.epoch) + 1);
+    // A stream of its own: what is drawn does not depend on whether there is noise.
+    let mut noise = ChaCha8Rng::seed_from_u64(training.seed);
+    noise.set_stream(u64::MAX - u64::from(state.epoch));
     let spec = state.network.spec.clone();
     let (mut pool, mut batch): (Vec<TensorSample>, Vec<TensorSample>) = (Vec::new(), Vec::new());
     let mut sum = Mean::default();
     let mut draw = |pool: &mut Vec<TensorSample>, batch: &mut Vec<TensorSample>, last: bool| {
         let index = rng.random_range(0..pool.len());
-        batch.push(pool.swap_remove(index));
+        let mut sample = pool.swap_remove(index);
+        for (value, sigma) in sample.input.iter_mut().zip(&training.noise) {
+            *value += sigma * noise.sample::<f32, _>(StandardNormal);
+        }
+        batch.push(sample);
         if batch.len() < training.batch && !(last && pool.is_empty()) {
             return Ok(());
         }
         if stop.load(Ordering::Relaxed) {
             return Err(LearnError::Interrupted { epoch: 0, epochs: 0, path: std::path::PathBuf::new() });
         }
-        let loss = live.step(&state.network, batch, rate, &device)?;
+        let loss = live.step(&state.network, batch, (rate, training.momentum), &device)?;
         sum.push(loss, batch.len());
         batch.clear();
         Ok(())
@@ -259,6 +277,21 @@ impl Mean {
     }
 }
 
+/// Refuses noise of another shape.
+fn check_noise(spec: &ConvSpec, noise: &[f32]) -> Result<(), LearnError> {
+    if noise.is_empty() || noise.len() == spec.input_len() && noise.iter().all(|s| s.is_finite() && *s >= 0.0)
+    {
+        return Ok(());
+    }
+    Err(LearnError::Training {
+        reason: format!(
+            "noise has {} standard deviations where inputs have {} numbers, or one that is negative",
+            noise.len(),
+            spec.input_len()
+        ),
+    })
+}
+
 /// Refuses a sample of another shape.
 fn check(spec: &ConvSpec, sample: &TensorSample) -> Result<(), LearnError> {
     let wrong = |what: String| {
@@ -321,7 +354,7 @@ impl Live {
         &mut self,
         network: &ConvNetwork,
         batch: &[TensorSample],
-        rate: f64,
+        (rate, momentum): (f64, f64),
         device: &Device,
     ) -> Result<f64, LearnError> {
         let tracked: Vec<Tensor<1>> =
@@ -330,11 +363,12 @@ impl Live {
         let mut gradients = loss.backward();
         self.steps += 1;
         let power = i32::try_from(self.steps).unwrap_or(i32::MAX);
-        let [fade, fade_square] = DECAY.map(|d| 1.0 - d.powi(power));
+        let decay = [momentum as f32, DECAY];
+        let [fade, fade_square] = decay.map(|d| 1.0 - d.powi(power));
         for (i, tracked) in tracked.iter().enumerate() {
             let Some(gradient) = tracked.grad_remove(&mut gradients) else { continue };
-            let first = self.first[i].clone() * DECAY[0] + gradient.clone() * (1.0 - DECAY[0]);
-            let second = self.second[i].clone() * DECAY[1] + gradient.clone() * gradient * (1.0 - DECAY[1]);
+            let first = self.first[i].clone() * decay[0] + gradient.clone() * (1.0 - decay[0]);
+            let second = self.second[i].clone() * decay[1] + gradient.clone() * gradient * (1.0 - decay[1]);
             let quotient = (first.clone() / fade) / ((second.clone() / fade_square).sqrt() + EPSILON);
             self.parameters[i] = self.parameters[i].clone() - quotient * (rate as f32);
             (self.first[i], self.second[i]) = (first, second);

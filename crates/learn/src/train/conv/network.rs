@@ -8,6 +8,8 @@ use rand_distr::StandardNormal;
 use super::ops::{Burn, Onnx, Ops};
 use super::{ConvSpec, Form};
 use crate::LearnError;
+use crate::picture::Mixing;
+use crate::train::layer::{Layer, shapes};
 
 /// Numbers that are fitted; weights and their biases alternate.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,6 +59,21 @@ impl Plan {
     fn dense(&mut self, from: usize, to: usize) {
         self.push(&[from, to], from, to);
     }
+
+    fn sequence(&mut self, spec: &ConvSpec) {
+        let made = shapes(spec.shape, &spec.layers).unwrap_or_default();
+        for (layer, from) in spec.layers.iter().zip(made) {
+            match *layer {
+                Layer::Linear { outputs } => self.dense(from.iter().product(), outputs),
+                Layer::Transposed { channels, kernel, stride, .. } => {
+                    // So many numbers of the input reach one of the output.
+                    let reach = kernel.div_ceil(stride).pow(2).min(from[1] * from[2]);
+                    self.push(&[from[0], channels, kernel, kernel], from[0] * reach, channels);
+                }
+                Layer::Upsample { .. } => {}
+            }
+        }
+    }
 }
 
 /// Channels of a decoder at every level, from the deepest on; the last is the finest.
@@ -65,8 +82,36 @@ fn decoder(spec: &ConvSpec) -> Vec<usize> {
     spec.encoder.iter().rev().skip(1).copied().chain([first]).collect()
 }
 
+/// As [`forward`], of a sequence of layers.
+fn sequence<O: Ops>(spec: &ConvSpec, ops: &mut O, input: &O::Value) -> Vec<O::Value> {
+    let made = shapes(spec.shape, &spec.layers).unwrap_or_default();
+    let last = spec.layers.iter().rposition(|layer| layer.is_weighted());
+    let (mut x, mut index) = (input.clone(), 0);
+    for (i, (layer, from)) in spec.layers.iter().zip(&made).enumerate() {
+        x = match *layer {
+            Layer::Linear { outputs } => {
+                let flat = ops.reshape(&x, [1, 1, from.iter().product()]);
+                let y = ops.dense(&flat, index);
+                ops.reshape(&y, [outputs, 1, 1])
+            }
+            Layer::Transposed { stride, padding, .. } => ops.transposed(&x, index, stride, padding),
+            Layer::Upsample { factor } => ops.upsample(&x, *from, factor),
+        };
+        if layer.is_weighted() {
+            index += 2;
+            if Some(i) != last {
+                x = ops.relu(&x);
+            }
+        }
+    }
+    vec![x]
+}
+
 /// Evaluates or writes a network; outputs in the order of the heads, each with the shape \[batch, …\] of its form.
 fn forward<O: Ops>(spec: &ConvSpec, ops: &mut O, input: &O::Value) -> Vec<O::Value> {
+    if !spec.layers.is_empty() {
+        return sequence(spec, ops, input);
+    }
     let mut index = 0;
     // A weight, and the bias behind it.
     let mut next = || {
@@ -123,6 +168,10 @@ impl ConvNetwork {
     pub fn new(spec: &ConvSpec, seed: u64) -> Result<Self, LearnError> {
         spec.validate()?;
         let mut plan = Plan { rng: ChaCha8Rng::seed_from_u64(seed), parameters: Vec::new() };
+        if !spec.layers.is_empty() {
+            plan.sequence(spec);
+            return Ok(Self { spec: spec.clone(), parameters: plan.parameters });
+        }
         let depth = spec.encoder.len();
         let mut from = spec.shape[0];
         for to in &spec.encoder {
@@ -207,11 +256,36 @@ impl ConvNetwork {
     ///
     /// [`LearnError::Training`] where the graph cannot be written.
     pub fn to_onnx(&self, name: &str) -> Result<Vec<u8>, LearnError> {
+        self.write(name, None)
+    }
+
+    /// As [`to_onnx`](Self::to_onnx), of a network with one map, whose numbers are mixed by `mixing` in the graph: the output is
+    /// \[1, rows of `mixing`\].
+    ///
+    /// # Errors
+    ///
+    /// As [`to_onnx`](Self::to_onnx), and where `mixing` is of another number of values than the map.
+    pub fn to_onnx_mixed(&self, name: &str, mixing: &Mixing) -> Result<Vec<u8>, LearnError> {
+        let columns: Vec<usize> = self.spec.heads.iter().map(|head| head.form.len()).collect();
+        if columns != [mixing.columns()] {
+            return Err(LearnError::Training {
+                reason: format!("outputs of {columns:?} numbers cannot be mixed from {}", mixing.columns()),
+            });
+        }
+        self.write(name, Some(mixing))
+    }
+
+    fn write(&self, name: &str, mixing: Option<&Mixing>) -> Result<Vec<u8>, LearnError> {
         let mut ops = Onnx::new(name, &self.parameters);
         let [channels, height, width] = self.spec.shape;
         let input = ops.graph.input(&self.spec.input, &[1, channels, height, width]);
         let outputs = forward(&self.spec, &mut ops, &input);
         for (head, value) in self.spec.heads.iter().zip(outputs) {
+            if let Some(mixing) = mixing {
+                let mixed = mixing.write(&mut ops.graph, &value);
+                ops.graph.output(&head.name, &mixed, &[1, mixing.rows()]);
+                continue;
+            }
             match head.form {
                 Form::Vector(count) => {
                     let flat = ops.graph.reshape(&value, &[1, count]);

@@ -17,6 +17,10 @@ pub(super) trait Ops {
     fn conv(&mut self, x: &Self::Value, weight: usize, stride: usize) -> Self::Value;
     /// Transposed convolution that doubles height and width.
     fn grow(&mut self, x: &Self::Value, weight: usize) -> Self::Value;
+    /// Transposed convolution.
+    fn transposed(&mut self, x: &Self::Value, weight: usize, stride: usize, padding: usize) -> Self::Value;
+    /// Every number `factor` times along rows and columns, of such \[channels, height, width\].
+    fn upsample(&mut self, x: &Self::Value, shape: [usize; 3], factor: usize) -> Self::Value;
     /// The first rows and columns.
     fn crop(&mut self, x: &Self::Value, height: usize, width: usize) -> Self::Value;
     /// Positive part.
@@ -56,6 +60,20 @@ impl Ops for Burn<'_> {
             Some(bias),
             ConvTransposeOptions::new([2, 2], [0, 0], [0, 0], [1, 1], 1),
         )
+    }
+
+    fn transposed(&mut self, x: &Tensor<4>, weight: usize, stride: usize, padding: usize) -> Tensor<4> {
+        let (weight, bias) = self.weight::<4>(weight);
+        let options = ConvTransposeOptions::new([stride; 2], [padding; 2], [0, 0], [1, 1], 1);
+        conv_transpose2d(x.clone(), weight, Some(bias), options)
+    }
+
+    fn upsample(&mut self, x: &Tensor<4>, [channels, height, width]: [usize; 3], factor: usize) -> Tensor<4> {
+        let batch = x.dims()[0];
+        let rows: Tensor<4> = x.clone().reshape([batch, channels * height, 1, width]);
+        let rows: Tensor<4> =
+            rows.repeat_dim(2, factor).reshape([batch, channels * height * factor, width, 1]);
+        rows.repeat_dim(3, factor).reshape([batch, channels, height * factor, width * factor])
     }
 
     fn crop(&mut self, x: &Tensor<4>, height: usize, width: usize) -> Tensor<4> {
@@ -116,6 +134,22 @@ impl Ops for Onnx<'_> {
         let (weight, bias) = self.weight(weight);
         let window = Window { strides: vec![2; 2], pads: vec![0; 4] };
         self.graph.conv_transpose(x, &weight, Some(&bias), &window, &[0, 0])
+    }
+
+    fn transposed(&mut self, x: &Value, weight: usize, stride: usize, padding: usize) -> Value {
+        let (weight, bias) = self.weight(weight);
+        let [stride, padding] = [stride, padding].map(|v| i64::try_from(v).unwrap_or(i64::MAX));
+        let window = Window { strides: vec![stride; 2], pads: vec![padding; 4] };
+        self.graph.conv_transpose(x, &weight, Some(&bias), &window, &[0, 0])
+    }
+
+    /// By joining copies: runtimes disagree on the options of `Resize`.
+    fn upsample(&mut self, x: &Value, [channels, height, width]: [usize; 3], factor: usize) -> Value {
+        let rows = self.graph.reshape(x, &[1, channels * height, 1, width]);
+        let rows = self.graph.concat(&vec![&rows; factor], 2);
+        let columns = self.graph.reshape(&rows, &[1, channels * height * factor, width, 1]);
+        let columns = self.graph.concat(&vec![&columns; factor], 3);
+        self.graph.reshape(&columns, &[1, channels, height * factor, width * factor])
     }
 
     fn crop(&mut self, x: &Value, height: usize, width: usize) -> Value {

@@ -6,6 +6,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::picture::Mixing;
 
 /// Odd sizes: every level has to be cut.
 const SHAPE: [usize; 3] = [2, 13, 10];
@@ -23,6 +24,7 @@ fn spec() -> ConvSpec {
             head("surface", Form::Map([2, 5, 7]), false),
             head("contact", Form::Vector(1), true),
         ],
+        layers: Vec::new(),
     }
 }
 
@@ -179,4 +181,217 @@ fn samples_are_streamed_and_a_wrong_one_is_refused() {
     let nothing =
         fit(&spec(), &config, (&Vec::<TensorSample>::new(), &samples(8, 2)), None, &never, &mut |_| {});
     insta::assert_snapshot!(nothing.unwrap_err(), @"training: there is no sample to train on; record more");
+}
+
+/// Every kind of layer; heights and widths 1, 5, 15, 40, 40, 40.
+fn sequence() -> ConvSpec {
+    let transposed =
+        |channels, kernel, stride, padding| Layer::Transposed { channels, kernel, stride, padding };
+    ConvSpec {
+        input: "input".into(),
+        shape: [9, 1, 1],
+        encoder: Vec::new(),
+        hidden: 0,
+        heads: vec![Head { name: "map".into(), form: Form::Map([1, 40, 40]), logit: false }],
+        layers: vec![
+            Layer::Linear { outputs: 12 },
+            transposed(6, 5, 1, 0),
+            Layer::Upsample { factor: 3 },
+            transposed(4, 6, 3, 4),
+            transposed(2, 3, 1, 1),
+            transposed(1, 3, 1, 1),
+        ],
+    }
+}
+
+/// Nine numbers that say where a spot is, and a picture of it.
+fn drawn(count: usize, seed: u64) -> Vec<TensorSample> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut one = || {
+        let (x, y) = (rng.random_range(5.0..35.0_f32), rng.random_range(5.0..35.0_f32));
+        let near = |i: usize| {
+            let (a, b) = (5.0 + 15.0 * (i % 3) as f32, 5.0 + 15.0 * (i / 3) as f32);
+            (-((x - a).powi(2) + (y - b).powi(2)) / 200.0).exp()
+        };
+        let spot =
+            |i: usize| (-((i % 40) as f32 - x).powi(2) / 20.0 - ((i / 40) as f32 - y).powi(2) / 20.0).exp();
+        TensorSample {
+            input: (0..9).map(near).collect(),
+            targets: vec![(0..1600).map(spot).collect()],
+            weights: Vec::new(),
+        }
+    };
+    (0..count).map(|_| one()).collect()
+}
+
+fn draws(training: &ConvTraining) -> Result<Fitted, LearnError> {
+    let (train, validation) = (drawn(160, 1), drawn(32, 2));
+    fit(&sequence(), training, (&train, &validation), None, &AtomicBool::new(false), &mut |_| {})
+}
+
+/// Largest difference between a graph of these outputs and what burn says of inputs.
+fn apart(
+    runtime: &'static Runtime,
+    network: &ConvNetwork,
+    graph: &[u8],
+    expected: &dyn Fn(&[f32]) -> Vec<f64>,
+) -> f64 {
+    let inputs = network.spec().input_len();
+    let outputs = expected(&vec![0.0; inputs]).len();
+    let port = |name: &str, shape: &[usize]| TensorPort { name: name.into(), shape: shape.to_vec() };
+    let output = if outputs == network.spec().heads[0].form.len() {
+        let Form::Map([c, h, w]) = network.spec().heads[0].form else { panic!("a map") };
+        port(&network.spec().heads[0].name, &[1, c, h, w])
+    } else {
+        port(&network.spec().heads[0].name, &[1, outputs])
+    };
+    let [c, h, w] = network.spec().shape;
+    let interface = Interface::of(&[port("input", &[1, c, h, w])], &[output]);
+    let mut model = Model::load(runtime, graph, &interface).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let (mut raw, mut most) = (Vec::new(), 0.0_f64);
+    for _ in 0..5 {
+        let input: Vec<f32> = (0..inputs).map(|_| rng.random_range(-1.0..1.0)).collect();
+        model.run(&input, &mut raw).unwrap();
+        let wanted = expected(&input);
+        assert_eq!(raw.len(), wanted.len());
+        assert!(wanted.iter().any(|v| v.abs() > 1e-2), "nothing comes out");
+        most = raw.iter().zip(&wanted).fold(most, |most, (a, b)| most.max((f64::from(*a) - b).abs()));
+    }
+    most
+}
+
+fn by_burn(network: &ConvNetwork) -> impl Fn(&[f32]) -> Vec<f64> + '_ {
+    |input| network.evaluate(input).unwrap().into_iter().flatten().map(f64::from).collect()
+}
+
+/// Of a sequence that has learned a little, and of the thesis' network as it is drawn, with its pixels mixed onto a panel.
+fn graphs_answer_as_burn_does(runtime: &'static Runtime) {
+    let network = draws(&ConvTraining { epochs: 1, ..training() }).unwrap().network;
+    let most = apart(runtime, &network, &network.to_onnx("drawn").unwrap(), &by_burn(&network));
+    assert!(most < 1e-4, "{most} apart");
+
+    let path =
+        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/train/ert-panel-thesis.toml");
+    let config = crate::train::TrainConfig::load(&path).unwrap().network.image.unwrap();
+    let thesis = ConvNetwork::new(&config.spec("map.normal", 784), 3).unwrap();
+    let panel = dermis_skin::SurfaceSpec::Rectangle { size: [0.54, 0.56], spacing: 0.01 };
+    let mixing = Mixing::new(&config.picture(), &dermis_skin::Surface::from_spec(&panel)).unwrap();
+    let burn = by_burn(&thesis);
+    let mixed = |input: &[f32]| mixing.apply(&burn(input));
+    let graph = thesis.to_onnx_mixed("thesis", &mixing).unwrap();
+    let most = apart(runtime, &thesis, &graph, &mixed);
+    assert!(most < 1e-4, "{most} apart");
+    assert!(network.to_onnx_mixed("drawn", &mixing).is_err(), "another number of pixels");
+}
+
+#[test]
+fn the_embedded_runtime_draws_as_burn_does() {
+    let embedded = RuntimeConfig { choice: RuntimeChoice::Embedded, library: None };
+    graphs_answer_as_burn_does(Runtime::load(&embedded).unwrap());
+}
+
+#[test]
+fn the_native_runtime_draws_as_burn_does() {
+    match Runtime::load(&RuntimeConfig { choice: RuntimeChoice::Native, library: None }) {
+        Ok(native) => graphs_answer_as_burn_does(native),
+        Err(why) => eprintln!("skipped: {why}"),
+    }
+}
+
+#[test]
+fn a_transposed_convolution_is_what_its_definition_says() {
+    let spec = ConvSpec {
+        layers: vec![
+            Layer::Linear { outputs: 2 },
+            Layer::Transposed { channels: 2, kernel: 4, stride: 1, padding: 0 },
+            Layer::Transposed { channels: 1, kernel: 6, stride: 3, padding: 4 },
+        ],
+        heads: vec![Head { name: "map".into(), form: Form::Map([1, 7, 7]), logit: false }],
+        shape: [3, 1, 1],
+        ..sequence()
+    };
+    let network = ConvNetwork::new(&spec, 5).unwrap();
+    let input = [0.3, -0.8, 0.5];
+    let mut planes: Vec<f32> = input.to_vec();
+    let mut size = 1;
+    for (k, pair) in network.parameters.chunks(2).enumerate() {
+        let (weight, bias) = (&pair[0], &pair[1].values);
+        if k == 0 {
+            let dense = |o: usize| (0..3).map(|i| input[i] * weight.values[i * 2 + o]).sum::<f32>() + bias[o];
+            planes = (0..2).map(|o| dense(o).max(0.0)).collect();
+            continue;
+        }
+        let (kernel, stride, padding) = if k == 1 { (4, 1, 0) } else { (6, 3, 4) };
+        let (from, to) = (weight.shape[0], weight.shape[1]);
+        let made = (size - 1) * stride + kernel - 2 * padding;
+        let mut out = vec![0.0; to * made * made];
+        for (o, plane) in out.chunks_mut(made * made).enumerate() {
+            plane.fill(bias[o]);
+        }
+        // Every number of the input adds its kernel to the output.
+        for (i, o) in (0..from).flat_map(|i| (0..to).map(move |o| (i, o))) {
+            for (y, x, a, b) in (0..size * size * kernel * kernel).map(|n| {
+                let (place, within) = (n / (kernel * kernel), n % (kernel * kernel));
+                (place / size, place % size, within / kernel, within % kernel)
+            }) {
+                let (row, column) = (y * stride + a, x * stride + b);
+                let inside = |v: usize| v >= padding && v < made + padding;
+                if inside(row) && inside(column) {
+                    let w = weight.values[((i * to + o) * kernel + a) * kernel + b];
+                    out[o * made * made + (row - padding) * made + column - padding] +=
+                        w * planes[i * size * size + y * size + x];
+                }
+            }
+        }
+        if k == 1 {
+            out.iter_mut().for_each(|v| *v = v.max(0.0));
+        }
+        (planes, size) = (out, made);
+    }
+    let burn = network.evaluate(&input).unwrap().swap_remove(0);
+    assert_eq!(burn.len(), planes.len());
+    assert!(planes.iter().any(|v| v.abs() > 0.01));
+    for (a, b) in burn.iter().zip(&planes) {
+        assert!((a - b).abs() < 1e-5, "{burn:?} {planes:?}");
+    }
+}
+
+#[test]
+fn upsampling_repeats_rows_and_columns() {
+    let with = |layers: Vec<Layer>, size: usize| {
+        let heads = vec![Head { name: "map".into(), form: Form::Map([1, size, size]), logit: false }];
+        let network = ConvNetwork::new(&ConvSpec { heads, layers, ..sequence() }, 4).unwrap();
+        network.evaluate(&[0.1, 0.9, -0.4, 0.2, 0.3, 0.5, -0.6, 0.7, 0.8]).unwrap().swap_remove(0)
+    };
+    let layers = vec![
+        Layer::Linear { outputs: 4 },
+        Layer::Transposed { channels: 1, kernel: 3, stride: 1, padding: 0 },
+    ];
+    let (small, large) =
+        (with(layers.clone(), 3), with([layers, vec![Layer::Upsample { factor: 4 }]].concat(), 12));
+    assert!(small.iter().any(|v| *v != small[0]));
+    for (i, value) in large.iter().enumerate() {
+        assert_eq!(*value, small[i / 12 / 4 * 3 + i % 12 / 4]);
+    }
+}
+
+#[test]
+fn a_sequence_learns_to_draw_and_noise_is_repeatable() {
+    let plain = ConvTraining { epochs: 8, batch: 8, momentum: 0.7, ..training() };
+    let (first, last) =
+        (draws(&ConvTraining { epochs: 1, ..plain.clone() }).unwrap(), draws(&plain).unwrap());
+    let blank: f32 =
+        drawn(32, 2).iter().flat_map(|s| &s.targets[0]).map(|v| v * v).sum::<f32>() / (32.0 * 1600.0);
+    assert!(last.validation < 0.7 * f64::from(blank), "{} of {blank}", last.validation);
+    assert!(last.validation < first.validation);
+    let noisy = ConvTraining { epochs: 2, noise: vec![0.1; 9], ..plain.clone() };
+    let [a, b] = [draws(&noisy).unwrap(), draws(&noisy).unwrap()];
+    assert_eq!(a, b);
+    let quiet = draws(&ConvTraining { epochs: 2, ..plain.clone() }).unwrap();
+    assert_ne!(a.network, quiet.network);
+    let nothing = draws(&ConvTraining { epochs: 2, noise: vec![0.0; 9], ..plain.clone() }).unwrap();
+    assert_eq!(nothing.network, quiet.network, "noise does not change what is drawn otherwise");
+    insta::assert_snapshot!(draws(&ConvTraining { noise: vec![0.1; 8], ..plain.clone() }).unwrap_err(), @"training: noise has 8 standard deviations where inputs have 9 numbers, or one that is negative");
+    insta::assert_snapshot!(draws(&ConvTraining { momentum: 1.0, ..plain }).unwrap_err(), @"training: `training.epochs` and `training.batch` must be at least 1, `training.learning_rate` positive, and `training.momentum` from 0 to below 1");
 }

@@ -205,3 +205,96 @@ fn a_map_is_learned_and_its_bundle_gives_it() {
         errors[errors.len() / 2]
     );
 }
+
+#[cfg(feature = "train")]
+#[test]
+fn a_picture_is_learned_and_its_bundle_gives_forces_on_the_points() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("model");
+    // 12 pixels of 2 mm over a pad of 20 mm.
+    let text = r#"
+        targets = ["map.normal"]
+        [network.image]
+        pixels = [12, 12]
+        pixel = 0.002
+        diameter = 0.008
+        [[network.image.layers]]
+        kind = "linear"
+        outputs = 24
+        [[network.image.layers]]
+        kind = "transposed"
+        channels = 8
+        kernel = 3
+        [[network.image.layers]]
+        kind = "upsample"
+        factor = 2
+        [[network.image.layers]]
+        kind = "transposed"
+        channels = 4
+        kernel = 2
+        stride = 2
+        [[network.image.layers]]
+        kind = "transposed"
+        channels = 1
+        kernel = 3
+        padding = 1
+        [training]
+        epochs = 60
+        batch = 16
+        learning_rate = 0.01
+        momentum = 0.7
+    "#;
+    let mut config = TrainConfig::from_toml(text, "c.toml").unwrap();
+    config.split = SplitConfig { kind: SplitKind::Location, ..Default::default() };
+    let data = presses(40, 2);
+    let outcome = run(&request(&data, &config, &out), &AtomicBool::new(false), &|_| {}).unwrap();
+    let errors = &outcome.held_out.maps["map.normal"];
+    // Forces are 1 to 5 N. The picture is blurred, so that points err, and their sum does not.
+    assert!(errors.touched.total_force.is_some_and(|f| f < 0.6), "{errors:?}");
+    assert!(errors.touched.relative.is_some_and(|r| r < 1.0), "{errors:?}");
+    let bundle = Bundle::load(&out, &skin()).unwrap();
+    let spec = &bundle.manifest().output.values[0];
+    assert_eq!((spec.name.as_str(), spec.count), ("map.normal", skin().surface().points.len()));
+
+    // Noise needs the card of a transfer network.
+    let mut noisy = config.clone();
+    noisy.training.channel_noise = Some(super::super::ChannelNoise { bundle: out.clone(), share: 0.1 });
+    let other = dir.path().join("noisy");
+    let told =
+        run(&request(&data, &noisy, &other), &AtomicBool::new(false), &|_| {}).unwrap_err().to_string();
+    assert!(told.contains("holds no errors by channel"), "{told}");
+}
+
+#[test]
+fn a_transfer_network_learns_the_signal_of_the_model_and_says_what_it_leaves() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("transfer");
+    let (data, mut config) = (presses(40, 2), config());
+    config.targets = vec!["signal".into()];
+    // The device reads 1e4 a metre and 20 a newton; the model half of the first and twice of the second.
+    let model = dermis_fixtures::Analytic::of_contacts(
+        skin().surface(),
+        skin().taxels.iter().map(dermis_skin::Taxel::point),
+        0.5,
+        |contact, _, out| {
+            out[0] += contact.position.x * 5e3;
+            out[1] += contact.force.norm() * 40.0;
+        },
+    );
+    let model: Option<Arc<dyn ForwardModel>> = Some(Arc::new(model));
+    let request = Request { model, ..request(&data, &config, &out) };
+    let outcome = run(&request, &AtomicBool::new(false), &|_| {}).unwrap();
+    let errors = &outcome.held_out.maps["signal"];
+    assert_eq!(errors.unit, skin().unit);
+    assert!(errors.contacts.is_empty() && errors.touched.total_force.is_none());
+    let of_one = errors.by_number[&1];
+    assert!(of_one.fvu.is_some_and(|fvu| fvu < 0.05), "{of_one:?}");
+    let left = errors.channels.as_ref().unwrap();
+    assert!(left.mean.len() == 2 && left.deviation.iter().all(|d| *d > 0.0 && *d < 20.0), "{left:?}");
+    let card: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(out.join("card.json")).unwrap()).unwrap();
+    assert_eq!(
+        card["held_out"]["maps"]["signal"]["channels"]["deviation"][1].as_f64(),
+        Some(left.deviation[1])
+    );
+}

@@ -1,0 +1,381 @@
+//! Tables 4.3 to 4.5 of the thesis on the simulated conductive panel: transfer, structure and reconstruction.
+//!
+//! Problem: how well networks carry a device's voltages over to its model, for numbers of contacts that they have and have not seen
+//! (Table 4.3), and how pixel and width of a contact decide what a map of forces is worth (Table 4.5). Method: collect → train →
+//! evaluate with the program itself; the "real" device has the family's default effects, the simulated one has none. Table 4.4 is
+//! counted from the configuration. Cost at share 1: hours on two cores for Table 4.3, days for Table 4.5; `--share` and `--epochs`
+//! make it less, and the result says what is reduced.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use serde_json::{Map, Value, json};
+use toml::{Table, Value as Toml};
+
+use super::{evaluation, scratch};
+use crate::run::{cargo, run as execute, target_dir};
+
+const SKIN: &str = "launch/skins/ert-panel.toml";
+/// What makes the "real" device differ from its design.
+const EFFECTS: &str = "launch/effects/ert-default.toml";
+const THESIS: &str = "launch/train/ert-panel-thesis.toml";
+const TRANSFER: &str = "launch/train/ert-panel-transfer.toml";
+const RESULT: &str = "benches/results/ert-tables.json";
+
+/// Pixel and diameter \[mm\] of maps 1 to 12.
+const MAPS: [[u32; 2]; 12] = [
+    [4, 20],
+    [4, 28],
+    [4, 32],
+    [4, 44],
+    [4, 52],
+    [4, 60],
+    [10, 10],
+    [10, 30],
+    [10, 50],
+    [10, 70],
+    [20, 20],
+    [20, 60],
+];
+/// \[mm\] side of the square that every map covers.
+const SQUARE: u32 = 640;
+/// Places of each number of contacts, and random presses, in the thesis.
+const THESIS_PLACES: u32 = 3000;
+const THESIS_RANDOM: u32 = 200_000;
+const THESIS_EPOCHS: u32 = 1024;
+/// \[N\] the lightest contact that the thesis has: manual loads of 4.905 N.
+const LIGHTEST: &str = "4.9";
+
+/// How much of it is done.
+#[derive(Args)]
+pub struct Sizes {
+    /// Share of the presses of the plans that ship, above 0 and up to 1.
+    #[arg(long, default_value_t = 0.1)]
+    share: f64,
+    /// Passes over the training part of each network.
+    #[arg(long, default_value_t = 5)]
+    epochs: u32,
+    /// Maps of Table 4.5, by number; all where absent.
+    #[arg(long, value_delimiter = ',')]
+    maps: Vec<usize>,
+}
+
+/// The program, where it works, and what it is asked for.
+struct Work<'a> {
+    root: &'a Path,
+    dermis: PathBuf,
+    dir: PathBuf,
+    sizes: &'a Sizes,
+}
+
+/// Measures, and writes the result beside the others.
+pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
+    if !(sizes.share > 0.0 && sizes.share <= 1.0) || sizes.epochs == 0 {
+        bail!("--share is above 0 and up to 1, and --epochs at least 1");
+    }
+    if let Some(bad) = sizes.maps.iter().find(|map| !(1..=MAPS.len()).contains(*map)) {
+        bail!("--maps: there is no map {bad}, but 1 to {}", MAPS.len());
+    }
+    for file in [SKIN, EFFECTS] {
+        if !root.join(file).is_file() {
+            bail!("{file} is missing: these tables need the family of the conductive panel");
+        }
+    }
+    let program = ["build", "--release", "--package", "dermis", "--features", "train"];
+    execute(cargo(root).args(program))?;
+    let work = Work {
+        root,
+        dermis: target_dir(root).join("release/dermis"),
+        dir: scratch(root, "ert-tables")?,
+        sizes,
+    };
+    let value = json!({
+        "reduced": reduced(root, sizes)?,
+        "table_4_3": work.transfer()?,
+        "table_4_4": structure(root)?,
+        "table_4_5": work.maps()?,
+    });
+    let path = root.join(RESULT);
+    let text = serde_json::to_string_pretty(&value)? + "\n";
+    std::fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))?;
+    Ok(value)
+}
+
+/// What is less than in the thesis, in words and numbers.
+fn reduced(root: &Path, sizes: &Sizes) -> Result<Value> {
+    let places = scaled(&plan(root, "hex-train")?, "hex", Some(1), sizes.share).1;
+    let random = scaled(&plan(root, "random-train")?, "multi", None, sizes.share).1;
+    Ok(json!({
+        "share_of_the_plans": sizes.share,
+        "places_of_each_number": { "here": places, "thesis": THESIS_PLACES },
+        "random_presses": { "here": random, "thesis": THESIS_RANDOM },
+        "epochs": { "here": sizes.epochs, "thesis": THESIS_EPOCHS },
+        "maps": if sizes.maps.is_empty() { (1..=MAPS.len()).collect() } else { sizes.maps.clone() },
+        "real_device": "the simulated panel with the default effects of its family",
+    }))
+}
+
+fn plan(root: &Path, name: &str) -> Result<Table> {
+    read_toml(&root.join(format!("launch/plans/ert-panel-{name}.toml")))
+}
+
+fn read_toml(path: &Path) -> Result<Table> {
+    let text = dermis_io::read_text(path, dermis_io::TEXT)
+        .with_context(|| format!("{} cannot be read", path.display()))?;
+    text.parse().with_context(|| format!("{} is not TOML", path.display()))
+}
+
+/// A plan with a share of the presses of each step, of one number of contacts or of all; and how many presses of the kind it has.
+fn scaled(plan: &Table, kind: &str, number: Option<i64>, share: f64) -> (Table, u64) {
+    let (mut plan, mut presses) = (plan.clone(), 0);
+    if let Some(Toml::Array(steps)) = plan.get_mut("steps") {
+        let contacts = |step: &Toml| step.get("contacts")?.get(0)?.as_integer();
+        steps.retain(|step| number.is_none() || contacts(step).is_none() || contacts(step) == number);
+        for step in steps.iter_mut().filter_map(Toml::as_table_mut) {
+            let of_kind = step.get("kind").and_then(Toml::as_str) == Some(kind);
+            if let Some(Toml::Integer(count)) = step.get_mut("count") {
+                *count = (*count as f64 * share).ceil() as i64;
+                presses += if of_kind { count.unsigned_abs() } else { 0 };
+            }
+        }
+    }
+    (plan, presses)
+}
+
+impl Work<'_> {
+    /// A bag of a scaled plan.
+    fn bag(&self, plan_name: &str, number: Option<i64>, real: bool) -> Result<PathBuf> {
+        let (mut plan, _) = scaled(&plan(self.root, plan_name)?, "hex", number, self.sizes.share);
+        let of = number.map_or_else(String::new, |n| format!("-of-{n}"));
+        let name = format!("{plan_name}{of}{}", if real { "-real" } else { "" });
+        let bag = self.dir.join(&name);
+        if bag.exists() {
+            return Ok(bag);
+        }
+        plan.insert("name".into(), Toml::String(name.clone()));
+        let file = self.dir.join(format!("{name}.toml"));
+        std::fs::write(&file, toml::to_string(&plan)?)?;
+        let mut collect = Command::new(&self.dermis);
+        collect.arg("collect").arg(SKIN).arg("--plan").arg(&file).arg("--out").arg(&bag);
+        if real {
+            collect.args(["--effects", EFFECTS, "--seed", "7"]);
+        }
+        execute(collect.current_dir(self.root))?;
+        Ok(bag)
+    }
+
+    /// Trains by a configuration; what `train --json` says.
+    fn train(&self, name: &str, config: &Table, bags: &[PathBuf], tests: &[PathBuf]) -> Result<Value> {
+        let file = self.dir.join(format!("{name}-train.toml"));
+        std::fs::write(&file, toml::to_string(config)?)?;
+        let mut train = Command::new(&self.dermis);
+        train.arg("train").args(["--skin", SKIN, "--json", "--config"]).arg(&file);
+        train.arg("--out").arg(self.dir.join(name)).args(["--epochs", &self.sizes.epochs.to_string()]);
+        for test in tests {
+            train.arg("--test").arg(test);
+        }
+        evaluation(train.args(bags).current_dir(self.root))
+    }
+
+    /// Table 4.3: transfer networks of one number of contacts to all six, each on every number.
+    fn transfer(&self) -> Result<Value> {
+        let config = read_toml(&self.root.join(TRANSFER))?;
+        let of =
+            |plan: &str| -> Result<Vec<PathBuf>> { (1..=6).map(|n| self.bag(plan, Some(n), true)).collect() };
+        let (trains, tests) = (of("hex-train")?, of("hex-evaluate")?);
+        let mut rows = Vec::new();
+        for up_to in 1..=6 {
+            let name = format!("transfer-up-to-{up_to}");
+            let found = self.train(&name, &config, &trains[..up_to], &tests)?;
+            let others = found["other_runs"].as_object().cloned().unwrap_or_default();
+            let mut columns = Map::new();
+            for (n, test) in tests.iter().enumerate() {
+                let test = test.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let number = (n + 1).to_string();
+                let errors =
+                    &others.get(&test).unwrap_or(&Value::Null)["maps"]["signal"]["by_number"][&number];
+                if errors.is_null() {
+                    bail!(
+                        "`dermis train` has no errors of the signal on {test}: its plan may have lost every trial below 5 N"
+                    );
+                }
+                let cell = json!({
+                    "frames": errors["frames"], "rmse_v": errors["rms"], "fvu": errors["fvu"],
+                    "seen_in_training": n < up_to,
+                });
+                columns.insert(number, cell);
+            }
+            rows.push(json!({
+                "trained_on_up_to": up_to,
+                "samples": found["samples"],
+                "held_out_of_training": found["held_out"]["maps"]["signal"]["by_number"],
+                "test": columns,
+            }));
+        }
+        Ok(Value::Array(rows))
+    }
+
+    /// Table 4.5: reconstruction on the simulated device, at places that training has not seen.
+    fn maps(&self) -> Result<Value> {
+        let thesis = read_toml(&self.root.join(THESIS))?;
+        let bags = [self.bag("random-train", None, false)?, self.bag("hex-train", None, false)?];
+        let test = self.bag("hex-evaluate", None, false)?;
+        let mut rows = Vec::new();
+        for (index, map) in MAPS.into_iter().enumerate() {
+            let number = index + 1;
+            if !self.sizes.maps.is_empty() && !self.sizes.maps.contains(&number) {
+                continue;
+            }
+            let name = format!("map-{number}");
+            let trained = self.train(&name, &configuration(&thesis, map)?, &bags, &[])?;
+            let mut evaluate = Command::new(&self.dermis);
+            evaluate.arg("evaluate").args(["--skin", SKIN, "--map-least-force", LIGHTEST, "--json"]);
+            evaluate.arg("--model").arg(self.dir.join(&name)).arg(&test).current_dir(self.root);
+            let found = evaluation(&mut evaluate)?;
+            let errors = &found["maps"]["map.normal"];
+            rows.push(json!({
+                "map": number,
+                "pixel_mm": map[0],
+                "diameter_mm": map[1],
+                "samples": trained["samples"],
+                "seconds": trained["seconds"],
+                "contacts": errors["contacts"],
+                "rms_n_and_fvu_by_number": errors["by_number"],
+            }));
+        }
+        Ok(Value::Array(rows))
+    }
+}
+
+/// The thesis' configuration for another map.
+fn configuration(thesis: &Table, [pixel, diameter]: [u32; 2]) -> Result<Table> {
+    let mut config = thesis.clone();
+    let image = config.get_mut("network").and_then(|n| n.get_mut("image")).and_then(Toml::as_table_mut);
+    let image = image.with_context(|| format!("{THESIS}: field `network.image` is missing"))?;
+    let side = i64::from(SQUARE / pixel);
+    image.insert("pixels".into(), Toml::Array(vec![Toml::Integer(side); 2]));
+    image.insert("pixel".into(), Toml::Float(f64::from(pixel) * 1e-3));
+    image.insert("diameter".into(), Toml::Float(f64::from(diameter) * 1e-3));
+    if side != 160 {
+        let layers = image.get_mut("layers").and_then(Toml::as_array_mut);
+        let layers = layers.with_context(|| format!("{THESIS}: field `network.image.layers` is missing"))?;
+        // 15 × 15 to 32 × 32, and to 64 × 64: the thesis says only that the size can be adapted.
+        let [stride, double] = [2, side / 32];
+        let transposed = |channels: i64, kernel: i64, stride: i64, padding: i64| {
+            let keys = [("channels", channels), ("kernel", kernel), ("stride", stride), ("padding", padding)];
+            let mut layer: Table = keys.into_iter().map(|(k, v)| (k.to_owned(), Toml::Integer(v))).collect();
+            layer.insert("kind".into(), Toml::String("transposed".into()));
+            Toml::Table(layer)
+        };
+        layers.truncate(3);
+        layers.push(transposed(32, 6, stride, 1));
+        layers.push(transposed(8, double, double, 0));
+        layers.push(transposed(2, 3, 1, 1));
+        layers.push(transposed(1, 3, 1, 1));
+    }
+    Ok(config)
+}
+
+/// Table 4.4: layers, shapes and parameters of the configuration that ships.
+fn structure(root: &Path) -> Result<Value> {
+    let config = read_toml(&root.join(THESIS))?;
+    let layers = config["network"]["image"]["layers"].as_array().cloned().unwrap_or_default();
+    let (mut shape, mut total, mut rows) = ([784_i64, 1, 1], 0, Vec::new());
+    for layer in &layers {
+        let number = |key: &str, otherwise| layer.get(key).and_then(Toml::as_integer).unwrap_or(otherwise);
+        let from = shape;
+        let [channels, height, width] = from;
+        let parameters = match layer["kind"].as_str().unwrap_or_default() {
+            "linear" => {
+                shape = [number("outputs", 1), 1, 1];
+                (channels * height * width + 1) * shape[0]
+            }
+            "upsample" => {
+                shape = [channels, height * number("factor", 1), width * number("factor", 1)];
+                0
+            }
+            "transposed" => {
+                let (kernel, stride, padding) =
+                    (number("kernel", 1), number("stride", 1), number("padding", 0));
+                let size = |n: i64| (n - 1) * stride - 2 * padding + kernel;
+                shape = [number("channels", 1), size(height), size(width)];
+                (channels * kernel * kernel + 1) * shape[0]
+            }
+            other => bail!("{THESIS}: `{other}` is no kind of layer that this table knows"),
+        };
+        total += parameters;
+        rows.push(json!({ "kind": layer["kind"].as_str(), "input": from, "output": shape, "parameters": parameters }));
+    }
+    Ok(json!({ "layers": rows, "parameters": total }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn root() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+    }
+
+    #[test]
+    fn the_structure_has_the_parameters_of_the_thesis() {
+        let table = structure(&root()).unwrap();
+        assert_eq!(table["parameters"], 2_189_133);
+        let parts: Vec<i64> =
+            table["layers"].as_array().unwrap().iter().filter_map(|row| row["parameters"].as_i64()).collect();
+        assert_eq!(parts, [401_920, 1_638_528, 0, 147_488, 0, 1_032, 146, 19]);
+        assert_eq!(table["layers"][7]["output"], json!([1, 160, 160]));
+    }
+
+    #[test]
+    fn every_map_has_layers_that_make_its_picture() {
+        let thesis = read_toml(&root().join(THESIS)).unwrap();
+        for map in MAPS {
+            let config = configuration(&thesis, map).unwrap();
+            let image = &config["network"]["image"];
+            let side = i64::from(SQUARE / map[0]);
+            assert_eq!(image["pixels"].as_array().unwrap()[0].as_integer(), Some(side));
+            let mut size = 1;
+            for layer in image["layers"].as_array().unwrap() {
+                let number =
+                    |key: &str, otherwise| layer.get(key).and_then(Toml::as_integer).unwrap_or(otherwise);
+                size = match layer["kind"].as_str().unwrap() {
+                    "linear" => 1,
+                    "upsample" => size * number("factor", 1),
+                    _ => (size - 1) * number("stride", 1) - 2 * number("padding", 0) + number("kernel", 1),
+                };
+            }
+            assert_eq!(size, side, "{map:?}");
+        }
+    }
+
+    #[test]
+    fn a_share_of_a_plan_has_a_share_of_its_presses() {
+        let plan = plan(&root(), "hex-train").unwrap();
+        let (all, presses) = scaled(&plan, "hex", None, 0.1);
+        assert_eq!(presses, 6 * 30);
+        let (three, presses) = scaled(&plan, "hex", Some(3), 0.1);
+        assert_eq!(presses, 30);
+        let hexes = |plan: &Table| {
+            let steps = plan["steps"].as_array().unwrap();
+            steps.iter().filter(|s| s["kind"].as_str() == Some("hex")).count()
+        };
+        assert_eq!((hexes(&all), hexes(&three)), (6, 1));
+        let text = toml::to_string(&three).unwrap();
+        assert!(text.parse::<Table>().is_ok(), "{text}");
+        let sizes = Sizes { share: 0.1, epochs: 5, maps: Vec::new() };
+        let told = reduced(&root(), &sizes).unwrap();
+        assert_eq!(told["places_of_each_number"], json!({ "here": 30, "thesis": 3000 }));
+        assert_eq!(told["random_presses"], json!({ "here": 800, "thesis": 200_000 }));
+    }
+
+    #[test]
+    fn impossible_sizes_are_refused() {
+        let told = |sizes: Sizes| tables(Path::new("/nowhere"), &sizes).unwrap_err().to_string();
+        assert!(told(Sizes { share: 0.0, epochs: 1, maps: Vec::new() }).starts_with("--share"));
+        assert!(told(Sizes { share: 1.0, epochs: 1, maps: vec![13] }).contains("no map 13"));
+        assert!(told(Sizes { share: 1.0, epochs: 1, maps: vec![12] }).contains("ert-panel.toml is missing"));
+    }
+}
