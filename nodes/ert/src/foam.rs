@@ -370,7 +370,7 @@ mod tests {
             let found = stack.pressure(stack.stroke(pressure)).unwrap();
             assert_relative_eq!(found, pressure, max_relative = 1e-9);
         }
-        assert!(stack.pressure(0.0095).is_none() && stack.pressure(-1e-6).is_none());
+        assert!(stack.pressure(0.00952).is_none() && stack.pressure(-1e-6).is_none());
     }
 
     /// F = 2πR ∫ p ds, the integral by Simpson's rule on 2,000 strokes.

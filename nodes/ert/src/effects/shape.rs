@@ -128,18 +128,18 @@ fn wiring(info: &EffectInfo, effect: &Effect, p: &mut Parameters) -> Result<(), 
         "mux-leakage" => p.drive.leakage = (p.drive.leakage + strength * value("share")).min(1.0),
         "settling" => p.drive.unsettled = (p.drive.unsettled + strength * value("share")).min(1.0),
         "open-electrode" => {
-            for e in chosen(effect, value("count"), n)? {
+            for e in chosen(effect, value("count"), 1, n)? {
                 p.drive.whole[e] *= (1.0 - strength).max(0.0);
             }
         }
         "shorted-electrode" => {
-            for e in chosen(effect, value("count"), n)? {
+            for e in chosen(effect, value("count"), 1, n)? {
                 p.drive.short[e] += strength / value("resistance");
             }
         }
         "exchanged-electrodes" => {
             let mut really: Vec<usize> = (0..n).collect();
-            let pairs = chosen(effect, 2.0 * value("count"), n)?;
+            let pairs = chosen(effect, value("count"), 2, n)?;
             pairs.chunks_exact(2).for_each(|pair| really.swap(pair[0], pair[1]));
             p.drive.exchanged = Some((really, strength.min(1.0)));
         }
@@ -148,14 +148,13 @@ fn wiring(info: &EffectInfo, effect: &Effect, p: &mut Parameters) -> Result<(), 
     Ok(())
 }
 
-/// So many electrodes: the first of one order, so that more of them are those before and others.
-fn chosen(effect: &Effect, count: f64, all: usize) -> Result<Vec<usize>, Impossible> {
-    if count.fract() != 0.0 || count > all as f64 {
-        let reason =
-            format!("names {count} electrodes of {all}: it must be a whole number that the panel has");
-        return Err(("count", reason));
+/// So many times `each` electrodes: the first of one order, so that more of them are those before and others.
+fn chosen(effect: &Effect, count: f64, each: usize, all: usize) -> Result<Vec<usize>, Impossible> {
+    let most = all / each;
+    if count.fract() != 0.0 || count > most as f64 {
+        return Err(("count", format!("is {count} and must be a whole number, {most} at most")));
     }
-    Ok(index::sample(&mut stream(effect, 0), all, all).into_iter().take(count as usize).collect())
+    Ok(index::sample(&mut stream(effect, 0), all, all).into_iter().take(each * count as usize).collect())
 }
 
 /// A random field on the grid: normal, its correlation falling as exp(−d²/2ℓ²) with the distance d (Rahimi and Recht's random waves,

@@ -12,9 +12,10 @@ use super::EFFECTS;
 use crate::model::FabricModel;
 use crate::model::tests::{SMALL, small};
 
-/// A panel that remembers nothing by itself, so that effects show what they remember.
+/// A panel that remembers nothing by itself, so that effects show what they remember, and whose converter hides nothing of them.
 fn skin(effects: Vec<Effect>) -> SkinDescription {
-    let mut skin = small(&SMALL.replace("hysteresis = 0.1, creep = 0.02", "hysteresis = 0.0, creep = 0.0"));
+    let text = SMALL.replace("hysteresis = 0.1, creep = 0.02", "hysteresis = 0.0, creep = 0.0");
+    let mut skin = small(&text.replace("bits = 12", "bits = 30"));
     skin.effects = effects;
     skin
 }
@@ -79,8 +80,8 @@ fn refused(effect: Effect) -> String {
 
 #[test]
 fn impossible_devices_are_refused_by_field() {
-    insta::assert_snapshot!(refused(Effect::new("open-electrode").with("count", 10.0)), @"skin `small`: field `effects[0].count`: names 10 electrodes of 9: it must be a whole number that the panel has");
-    insta::assert_snapshot!(refused(Effect::new("exchanged-electrodes").with("count", 1.5)), @"skin `small`: field `effects[0].count`: names 3 electrodes of 9: it must be a whole number that the panel has");
+    insta::assert_snapshot!(refused(Effect::new("open-electrode").with("count", 10.0)), @"skin `small`: field `effects[0].count`: is 10 and must be a whole number, 9 at most");
+    insta::assert_snapshot!(refused(Effect::new("exchanged-electrodes").with("count", 1.5)), @"skin `small`: field `effects[0].count`: is 1.5 and must be a whole number, 4 at most");
     insta::assert_snapshot!(refused(Effect::new("wrinkles").with("count", 1.5)), @"skin `small`: field `effects[0].count`: is 1.5 and must be a whole number");
     insta::assert_snapshot!(refused(Effect::new("foam-creep").strength(20.0)), @"skin `small`: field `effects[0].share`: makes 0.600 in all with what the skin has, and must be 0.3 at most");
 }
