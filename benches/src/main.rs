@@ -1,6 +1,7 @@
 //! `dermis-bench`: measurements of speed, each against a named peer in the same run. Start it by `cargo xtask bench`.
 
 mod device;
+mod ert;
 mod gap;
 mod limb;
 mod machine;
@@ -41,6 +42,8 @@ enum Command {
     /// A shell: its factor and loads against CHOLMOD with OpenBLAS and against CalculiX, and samples per second of its forward
     /// model, with and without maps of displacement.
     Shell(shell::Options),
+    /// Frames per second of the panel of fabric's forward model with its noise, against scipy and pyEIT on the same sheet.
+    Ert(ert::Options),
     /// A diagnosis of ten thousand contacts on a fabric of 784 channels: seconds after its signatures are kept, and memory.
     Gap(gap::Options),
     /// The node of the limb at its rate, by the bundles that look for one and for two contacts: latency, frames without an answer,
@@ -70,6 +73,7 @@ fn main() -> Result<()> {
         Command::Node(options) => node::run(&options)?,
         Command::Model(options) => model::run(&options)?,
         Command::Shell(options) => shell::run(&options)?,
+        Command::Ert(options) => ert::run(&options)?,
         Command::Gap(options) => gap::run(&options)?,
         Command::Limb(options) => limb::run(&options)?,
         Command::Start(options) => start::run(&options)?,

@@ -10,7 +10,8 @@ use dermis_skin::SkinDescription;
 use dermis_studies::Families;
 
 /// The families that ship, one line each.
-pub static SHIPPED: Registry = Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY]);
+pub static SHIPPED: Registry =
+    Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY, dermis_ert::FAMILY]);
 
 static CHOSEN: OnceLock<&'static Registry> = OnceLock::new();
 

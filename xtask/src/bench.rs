@@ -19,6 +19,8 @@ pub enum Name {
     Model,
     /// Factor and loads of a shell, against CHOLMOD and CalculiX, and samples per second of its forward model.
     Shell,
+    /// Frames per second of the panel of fabric, against scipy and pyEIT.
+    Ert,
     /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
     Gap,
     /// The node of the limb at its rate, by the bundles for one and for two contacts.
@@ -46,7 +48,9 @@ const PROGRAMS: [&str; 3] = ["dermis", "dermis-train", "dermis-bench"];
 /// Builds what is measured, measures, and keeps the results.
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let names = match options.names.as_slice() {
-        [] => vec![Name::Model, Name::Shell, Name::Node, Name::Limb, Name::Publish, Name::Recording],
+        [] => {
+            vec![Name::Model, Name::Shell, Name::Ert, Name::Node, Name::Limb, Name::Publish, Name::Recording]
+        }
         names => names.to_vec(),
     };
     let clients = environment::clients(root)?;
@@ -84,6 +88,12 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             }
             if name == Name::Model {
                 command.arg("--peer-python").arg(&clients);
+            }
+            if name == Name::Ert {
+                match environment::pyeit(root) {
+                    Ok(python) => _ = command.arg("--peer-python").arg(python),
+                    Err(why) => eprintln!("scipy and pyEIT are left out, they cannot be installed: {why:#}"),
+                }
             }
             if name == Name::Shell {
                 if let Some(why) = environment::calculix() {

@@ -57,6 +57,11 @@ pub fn cholmod(root: &Path) -> Result<Option<PathBuf>> {
     venv(&home(root).join("cholmod"), &requirements).map(Some)
 }
 
+/// Python with pyEIT, which the panel of fabric is compared with.
+pub fn pyeit(root: &Path) -> Result<PathBuf> {
+    venv(&home(root).join("pyeit"), &root.join("benches/python/pyeit.lock.txt"))
+}
+
 /// Whether what Debian's `packages` bring is `there`, if need be after installing them.
 fn debian(packages: &[&str], there: impl Fn() -> bool) -> bool {
     let ends_well = |c: &mut Command| {

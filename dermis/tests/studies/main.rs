@@ -12,7 +12,8 @@ use dermis_sensor::Registry;
 use dermis_skin::SkinDescription;
 use dermis_studies::Families;
 
-const SENSORS: Registry = Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY]);
+const SENSORS: Registry =
+    Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY, dermis_ert::FAMILY]);
 const FAMILIES: Families = Families::new(&SENSORS);
 
 fn path(skin: &str) -> std::path::PathBuf {

@@ -325,6 +325,7 @@ impl Probe<'_> {
 
 #[test]
 fn a_skins_keys_are_those_that_its_reader_knows() {
+    SENSORS.install();
     let read = |text: &str| {
         let skin = SkinDescription::from_toml(text, "skin.toml");
         match skin {
@@ -335,6 +336,7 @@ fn a_skins_keys_are_those_that_its_reader_knows() {
     let [grid, dome, shin, eflesh] =
         ["baro-grid", "baro-dome", "hapdef-shin", "eflesh"].map(|name| format!("launch/skins/{name}.toml"));
     let bore = "launch/gap/tactile-fsi-air.toml".to_owned();
+    let ert = "launch/skins/ert-panel.toml".to_owned();
     for (file, at, schema) in [
         (&grid, "", ""),
         (&grid, "/surface", "/properties/surface/oneOf/0"),
@@ -348,6 +350,12 @@ fn a_skins_keys_are_those_that_its_reader_knows() {
         (&bore, "/medium/bore", "/allOf/0/then/properties/medium/properties/bore"),
         (&shin, "/medium", "/allOf/1/then/properties/medium"),
         (&shin, "/medium/bridge", "/allOf/1/then/properties/medium/properties/bridge"),
+        (&ert, "/medium", "/allOf/2/then/properties/medium"),
+        (&ert, "/medium/electrodes", "/allOf/2/then/properties/medium/properties/electrodes"),
+        (&ert, "/medium/sheet", "/allOf/2/then/properties/medium/properties/sheet"),
+        (&ert, "/medium/foam", "/allOf/2/then/properties/medium/properties/foam"),
+        (&ert, "/medium/top", "/allOf/2/then/properties/medium/properties/top"),
+        (&ert, "/medium/drive", "/allOf/2/then/properties/medium/properties/drive"),
     ] {
         Probe { kind: "skin", file, at, schema }.check(read);
     }

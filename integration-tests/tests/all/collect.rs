@@ -209,6 +209,7 @@ fn effects_are_listed_for_people_and_programs() {
     let text = String::from_utf8_lossy(&out.stdout);
     assert!(out.status.success() && text.contains("relaxation") && text.contains("Pa"), "{text}");
     assert!(
-        refused(dermis().args(["effects", "eel"])).contains("neither a sensor family (barodome, hapdef) nor")
+        refused(dermis().args(["effects", "eel"]))
+            .contains("neither a sensor family (barodome, hapdef, ert) nor")
     );
 }

@@ -5,6 +5,7 @@ mod bags;
 mod browser;
 mod collect;
 mod corpus;
+mod ert;
 mod examples;
 mod faults;
 mod gap;
