@@ -4,6 +4,7 @@
 //! that it belongs to), and the latched `skin_geometry` where a skin description exists. What had to be assumed or
 //! made up, such as stamps that were not recorded, is in the [`ImportReport`] and in the bag's custom data.
 
+mod e_skin;
 mod eflesh;
 mod tactile_fsi;
 
@@ -22,7 +23,7 @@ use dermis_msgs::{
 };
 use dermis_skin::{SkinDescription, SkinError};
 
-pub use self::{eflesh::eflesh, tactile_fsi::tactile_fsi};
+pub use self::{e_skin::e_skin, eflesh::eflesh, tactile_fsi::tactile_fsi};
 
 /// Why a recording could not be imported. A bag that was begun is left without `metadata.yaml`.
 #[derive(Debug, thiserror::Error)]
@@ -56,7 +57,7 @@ pub enum ImportError {
     },
     /// Nothing that an importer knows.
     #[error(
-        "{path} is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv) and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these"
+        "{path} is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv), a hydrogel skin (a folder with inp_*.csv and out_*.csv), and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these"
     )]
     Unknown {
         /// The file or folder.
@@ -153,6 +154,7 @@ pub fn auto(path: &Path, out: &Path) -> Result<ImportReport, ImportError> {
     let found = recordings(path)?;
     match found.as_slice() {
         [] => Err(ImportError::Unknown { path: path.into() }),
+        [recording] if e_skin::recognises(recording) => e_skin(recording, out),
         [recording] if recording.is_dir() => eflesh(recording, out, &mut |_, _| {}),
         [recording] => tactile_fsi(recording, out),
         [first, ..] => {
@@ -182,7 +184,7 @@ fn find(path: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), Impor
         }
         return Ok(());
     }
-    if eflesh::recognises(path) {
+    if eflesh::recognises(path) || e_skin::recognises(path) {
         found.push(path.into());
         return Ok(());
     }

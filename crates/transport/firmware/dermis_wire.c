@@ -60,13 +60,9 @@ static void put_le(stuffer *s, uint64_t value, int bytes)
     }
 }
 
-static int begin(stuffer *s, uint8_t *out, size_t out_len, uint8_t format, uint8_t width, uint32_t sequence,
-                 uint64_t device_time_us, uint16_t channels)
+static void begin(stuffer *s, uint8_t *out, uint8_t format, uint32_t sequence, uint64_t device_time_us,
+                  uint16_t channels)
 {
-    if (channels == 0 || channels > DERMIS_WIRE_MAX_CHANNELS ||
-        out_len < DERMIS_WIRE_MAX_LEN(channels, width)) {
-        return 0;
-    }
     s->out = out;
     s->len = 0;
     s->crc = 0xFFFF;
@@ -76,7 +72,6 @@ static int begin(stuffer *s, uint8_t *out, size_t out_len, uint8_t format, uint8
     put_le(s, channels, 2);
     put_le(s, sequence, 4);
     put_le(s, device_time_us, 8);
-    return 1;
 }
 
 static size_t end(stuffer *s)
@@ -87,64 +82,133 @@ static size_t end(stuffer *s)
     return s->len;
 }
 
+static size_t bits_of(uint8_t format)
+{
+    switch (format) {
+    case DERMIS_WIRE_F32:
+    case DERMIS_WIRE_I32:
+        return 32;
+    case DERMIS_WIRE_I16:
+    case DERMIS_WIRE_U16:
+        return 16;
+    case DERMIS_WIRE_U12:
+        return 12;
+    default:
+        return 0;
+    }
+}
+
+static uint16_t clamp12(uint16_t count)
+{
+    return count > 0xFFFu ? 0xFFFu : count;
+}
+
+/* Puts values[first .. first + count]; `first` is even. */
+static void put_values(stuffer *s, uint8_t format, const void *values, size_t first, size_t count)
+{
+    size_t i;
+    for (i = first; i < first + count; i++) {
+        switch (format) {
+        case DERMIS_WIRE_F32: {
+            union {
+                float value;
+                uint32_t bits;
+            } pun;
+            pun.value = ((const float *)values)[i];
+            put_le(s, pun.bits, 4);
+            break;
+        }
+        case DERMIS_WIRE_I16:
+            put_le(s, (uint16_t)((const int16_t *)values)[i], 2);
+            break;
+        case DERMIS_WIRE_U16:
+            put_le(s, ((const uint16_t *)values)[i], 2);
+            break;
+        case DERMIS_WIRE_I32:
+            put_le(s, (uint32_t)((const int32_t *)values)[i], 4);
+            break;
+        default: {
+            /* Two in three bytes; the last of an odd number in two. */
+            const uint16_t *counts = (const uint16_t *)values;
+            uint32_t both = clamp12(counts[i]);
+            if (i + 1 < first + count) {
+                both |= (uint32_t)clamp12(counts[i + 1]) << 12;
+                put_le(s, both, 3);
+                i++;
+            } else {
+                put_le(s, both, 2);
+            }
+            break;
+        }
+        }
+    }
+}
+
+static size_t encode(uint8_t *out, size_t out_len, uint8_t format, uint32_t sequence, uint64_t device_time_us,
+                     const void *values, uint16_t channels)
+{
+    stuffer s;
+    if (channels == 0 || channels > DERMIS_WIRE_MAX_CHANNELS ||
+        out_len < DERMIS_WIRE_LINE_LEN(16u + DERMIS_WIRE_PAYLOAD(channels, bits_of(format)) + 2u)) {
+        return 0;
+    }
+    begin(&s, out, format, sequence, device_time_us, channels);
+    put_values(&s, format, values, 0, channels);
+    return end(&s);
+}
+
 size_t dermis_wire_encode_f32(uint8_t *out, size_t out_len, uint32_t sequence, uint64_t device_time_us,
                               const float *values, uint16_t channels)
 {
-    stuffer s;
-    uint16_t i;
-    if (!begin(&s, out, out_len, DERMIS_WIRE_F32, 4, sequence, device_time_us, channels)) {
-        return 0;
-    }
-    for (i = 0; i < channels; i++) {
-        union {
-            float value;
-            uint32_t bits;
-        } pun;
-        pun.value = values[i];
-        put_le(&s, pun.bits, 4);
-    }
-    return end(&s);
+    return encode(out, out_len, DERMIS_WIRE_F32, sequence, device_time_us, values, channels);
 }
 
 size_t dermis_wire_encode_i16(uint8_t *out, size_t out_len, uint32_t sequence, uint64_t device_time_us,
                               const int16_t *values, uint16_t channels)
 {
-    stuffer s;
-    uint16_t i;
-    if (!begin(&s, out, out_len, DERMIS_WIRE_I16, 2, sequence, device_time_us, channels)) {
-        return 0;
-    }
-    for (i = 0; i < channels; i++) {
-        put_le(&s, (uint16_t)values[i], 2);
-    }
-    return end(&s);
+    return encode(out, out_len, DERMIS_WIRE_I16, sequence, device_time_us, values, channels);
 }
 
 size_t dermis_wire_encode_u16(uint8_t *out, size_t out_len, uint32_t sequence, uint64_t device_time_us,
                               const uint16_t *values, uint16_t channels)
 {
-    stuffer s;
-    uint16_t i;
-    if (!begin(&s, out, out_len, DERMIS_WIRE_U16, 2, sequence, device_time_us, channels)) {
-        return 0;
-    }
-    for (i = 0; i < channels; i++) {
-        put_le(&s, values[i], 2);
-    }
-    return end(&s);
+    return encode(out, out_len, DERMIS_WIRE_U16, sequence, device_time_us, values, channels);
 }
 
 size_t dermis_wire_encode_i32(uint8_t *out, size_t out_len, uint32_t sequence, uint64_t device_time_us,
                               const int32_t *values, uint16_t channels)
 {
+    return encode(out, out_len, DERMIS_WIRE_I32, sequence, device_time_us, values, channels);
+}
+
+size_t dermis_wire_encode_u12(uint8_t *out, size_t out_len, uint32_t sequence, uint64_t device_time_us,
+                              const uint16_t *values, uint16_t channels)
+{
+    return encode(out, out_len, DERMIS_WIRE_U12, sequence, device_time_us, values, channels);
+}
+
+size_t dermis_wire_encode_part(uint8_t *out, size_t out_len, uint8_t format, uint32_t sequence, uint64_t device_time_us,
+                               const void *values, uint16_t channels, uint8_t part)
+{
     stuffer s;
-    uint16_t i;
-    if (!begin(&s, out, out_len, DERMIS_WIRE_I32, 4, sequence, device_time_us, channels)) {
+    size_t bits = bits_of(format), raw, each, parts, first, count;
+    if (bits == 0 || channels == 0 || channels > DERMIS_WIRE_MAX_CHANNELS || out_len < DERMIS_WIRE_MIN_DATAGRAM) {
         return 0;
     }
-    for (i = 0; i < channels; i++) {
-        put_le(&s, (uint32_t)values[i], 4);
+    /* What is left after stuffing, header and CRC; an even number of values, so that each part begins at a byte. */
+    raw = (out_len - 2u) * 254u / 255u;
+    each = (raw - 22u) * 8u / bits / 2u * 2u;
+    parts = (channels + each - 1u) / each;
+    if (parts > 255u || part >= parts) {
+        return 0;
     }
+    first = part * each;
+    count = channels - first < each ? channels - first : each;
+    begin(&s, out, (uint8_t)(format | DERMIS_WIRE_PART), sequence, device_time_us, channels);
+    put_le(&s, first, 2);
+    put(&s, part);
+    put(&s, (uint8_t)parts);
+    put_values(&s, format, values, first, count);
     return end(&s);
 }
 

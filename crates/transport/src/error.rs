@@ -92,4 +92,17 @@ pub enum TransportError {
         /// Most channels of a frame.
         max: usize,
     },
+    /// A frame that an encoder was asked to split does not fit datagrams of this length.
+    #[error(
+        "cannot send a frame of {channels} channels in datagrams of {most} bytes: they must have at least {least}, and a frame has at \
+         most 255 parts"
+    )]
+    DatagramLength {
+        /// \[bytes\] asked for.
+        most: usize,
+        /// Channels of the frame.
+        channels: usize,
+        /// \[bytes\] of the shortest datagram that frames are split for.
+        least: usize,
+    },
 }

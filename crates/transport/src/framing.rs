@@ -5,12 +5,13 @@
 
 mod ascii;
 mod native;
+mod parts;
 mod sequence;
 mod stats;
 
 pub use ascii::{AsciiDecoder, AsciiOptions};
 pub use native::{
-    CRC_16, HEADER_LEN, MAX_CHANNELS, NativeDecoder, NativeEncoder, NativeFormat, WIRE_VERSION,
+    CRC_16, HEADER_LEN, MAX_CHANNELS, MIN_DATAGRAM, NativeDecoder, NativeEncoder, NativeFormat, WIRE_VERSION,
 };
 pub use stats::{DecoderStats, Rejection, Rejections};
 

@@ -55,14 +55,37 @@ impl Driver {
         Self { child, stdin, stdout, _folder: folder }
     }
 
+    /// A whole frame; `payload` has the values as the C function takes them.
     fn encode(&mut self, format: NativeFormat, sequence: u32, time_us: u64, payload: &[u8]) -> Vec<u8> {
-        let channels = u16::try_from(payload.len() / format.width()).unwrap();
+        self.ask(format, sequence, time_us, payload, 0);
+        self.answer()
+    }
+
+    /// The same in parts for datagrams of so many bytes.
+    fn encode_parts(
+        &mut self,
+        format: NativeFormat,
+        sequence: u32,
+        payload: &[u8],
+        datagram: u32,
+    ) -> Vec<Vec<u8>> {
+        self.ask(format, sequence, 5, payload, datagram);
+        std::iter::from_fn(|| Some(self.answer()).filter(|part| !part.is_empty())).collect()
+    }
+
+    fn ask(&mut self, format: NativeFormat, sequence: u32, time_us: u64, payload: &[u8], datagram: u32) {
+        let width = if format.bits() == 32 { 4 } else { 2 };
+        let channels = u16::try_from(payload.len() / width).unwrap();
         let mut request = vec![format as u8];
         request.extend_from_slice(&channels.to_ne_bytes());
         request.extend_from_slice(&sequence.to_ne_bytes());
         request.extend_from_slice(&time_us.to_ne_bytes());
+        request.extend_from_slice(&datagram.to_ne_bytes());
         request.extend_from_slice(payload);
         self.stdin.as_mut().unwrap().write_all(&request).unwrap();
+    }
+
+    fn answer(&mut self) -> Vec<u8> {
         let mut len = [0; 4];
         self.stdout.read_exact(&mut len).unwrap();
         let mut frame = vec![0; usize::try_from(u32::from_ne_bytes(len)).unwrap()];
@@ -89,6 +112,12 @@ fn values_of(format: NativeFormat, words: &[u32]) -> (Vec<f32>, Vec<u8>) {
         NativeFormat::U16 => {
             payload.extend_from_slice(&(*w as u16).to_ne_bytes());
             f32::from(*w as u16)
+        }
+        NativeFormat::U12 => {
+            // Larger counts than there are become the largest.
+            let v = (*w as u16) & 0x1fff;
+            payload.extend_from_slice(&v.to_ne_bytes());
+            f32::from(v.min(0xfff))
         }
         NativeFormat::I32 => {
             // A single-precision number holds 24 bits.
@@ -125,6 +154,30 @@ fn c_and_rust_encode_the_same_bytes() {
         prop_assert_eq!(bits(&frames[0].values), bits(&values));
         prop_assert_eq!(frames[0].sequence, u64::from(sequence));
         prop_assert_eq!(frames[0].device_time_us, Some(time).filter(|t| *t != 0));
+    });
+}
+
+#[test]
+fn c_and_rust_split_a_frame_alike() {
+    let driver = RefCell::new(Driver::start());
+    let words = proptest::collection::vec(any::<u32>(), 1..500);
+    let format = proptest::sample::select(NativeFormat::ALL.to_vec());
+    proptest!(ProptestConfig::with_cases(64), |(format in format, sequence: u32, words in words, most in 64_u32..600)| {
+        let (values, payload) = values_of(format, &words);
+        let whole = driver.borrow_mut().encode(format, sequence, 5, &payload);
+        let from_c = driver.borrow_mut().encode_parts(format, sequence, &payload, most);
+        let mut ours = Vec::new();
+        let mut encoder = NativeEncoder::new(format);
+        let most = usize::try_from(most).unwrap();
+        encoder.encode_parts(sequence, 5, &values, most, |part| ours.push(part.to_vec())).unwrap();
+        if whole.len() > most {
+            prop_assert_eq!(&ours, &from_c);
+        }
+        let mut frames: Vec<DecodedFrame> = Vec::new();
+        let mut decoder = NativeDecoder::new(Some(values.len()));
+        from_c.iter().for_each(|part| decoder.push(part, 5, &mut frames));
+        let bits = |v: &[f32]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        prop_assert_eq!(bits(&frames[0].values), bits(&values));
     });
 }
 

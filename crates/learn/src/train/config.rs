@@ -159,6 +159,10 @@ pub enum InputForm {
     /// Direction and logarithm of the magnitude of the first tap's readings, and everything else normalised. Where a
     /// contact is shows in the ratios between channels, how hard it is in their magnitude.
     Direction,
+    /// Signed logarithms of the first tap's readings, and everything else normalised: asinh(x / s), which is x / s for small readings
+    /// x and ± ln(2|x| / s) for large ones. s is the median over the training samples of the root mean square of the channels. For
+    /// skins with a few channels that are many times stronger than the others, which would outweigh them all.
+    Logarithm,
 }
 
 /// A multilayer perceptron, or the mean of several.
@@ -344,10 +348,10 @@ impl TrainConfig {
             Taps::Frames(delays) => delays.first() == Some(&0),
             Taps::Seconds(delays) => delays.first() == Some(&0.0),
         };
-        if self.network.input == InputForm::Direction && !newest_first {
+        if self.network.input != InputForm::Plain && !newest_first {
             return wrong(
                 "network.input",
-                "`direction` needs the newest frame as the first of `features.taps`".into(),
+                "`direction` and `logarithm` need the newest frame as the first of `features.taps`".into(),
             );
         }
         if let Some(grid) = &self.features.image {
@@ -358,7 +362,7 @@ impl TrainConfig {
                     format!("has {} numbers and must have 1 to {most}", grid.numbers()),
                 );
             }
-            if self.network.input == InputForm::Direction {
+            if self.network.input != InputForm::Plain {
                 return wrong("network.input", "is for channels; leave it out, or `features.image`".into());
             }
         }

@@ -5,11 +5,37 @@ use dermis_inference::onnx::{GraphBuilder, Value};
 
 use super::config::InputForm;
 
-/// Takes the first block of an input apart into direction and magnitude, and normalises every column.
+/// What is done to the readings of the first tap. Factor and offset, one a channel, lead from normalised readings to what is
+/// named.
+#[derive(Debug, Clone, PartialEq)]
+enum Form {
+    /// Nothing.
+    Plain,
+    /// [`InputForm::Direction`], of multiples of the noise.
+    Direction(Vec<f32>, Vec<f32>),
+    /// [`InputForm::Logarithm`], of multiples of the knee.
+    Logarithm(Vec<f32>, Vec<f32>),
+}
+
+impl Form {
+    /// How many channels it changes.
+    fn channels(&self) -> usize {
+        match self {
+            Self::Plain => 0,
+            Self::Direction(factor, _) | Self::Logarithm(factor, _) => factor.len(),
+        }
+    }
+
+    /// Columns that it adds.
+    fn added(&self) -> usize {
+        usize::from(matches!(self, Self::Direction(..)))
+    }
+}
+
+/// Changes the readings of the first tap as [`InputForm`] says, and normalises every column.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preparation {
-    /// For [`InputForm::Direction`]: factor and offset from normalised readings to multiples of the noise.
-    direction: Option<(Vec<f32>, Vec<f32>)>,
+    form: Form,
     /// Subtracted from every column.
     centre: Vec<f32>,
     /// Every column is multiplied by it after that.
@@ -23,18 +49,28 @@ impl Preparation {
     #[must_use]
     pub fn measure(form: InputForm, features: &FeatureConfig, noise: &[f64], rows: &[f32]) -> Self {
         let width = features.input_len();
-        let mut plain = Self { direction: None, centre: vec![0.0; width], factor: vec![1.0; width], width };
-        if form == InputForm::Plain {
+        let unit = |one: f32| {
+            let of = |values: &[f32]| values.iter().map(|v| v / one).collect::<Vec<f32>>();
+            (of(&features.scale), of(&features.mean))
+        };
+        let form = match form {
+            InputForm::Plain => Form::Plain,
+            InputForm::Direction => {
+                // The magnitude of the noise alone: weaker signals have no direction.
+                let floor = noise.iter().map(|n| n * n).sum::<f64>().sqrt() as f32;
+                let (factor, offset) = unit(floor);
+                Form::Direction(factor, offset)
+            }
+            InputForm::Logarithm => {
+                let (factor, offset) = unit(knee(features, noise, rows));
+                Form::Logarithm(factor, offset)
+            }
+        };
+        let columns = width + form.added();
+        let mut plain = Self { form, centre: vec![0.0; columns], factor: vec![1.0; columns], width };
+        if plain.form == Form::Plain {
             return plain;
         }
-        // The magnitude of the noise alone: weaker signals have no direction.
-        let floor = noise.iter().map(|n| n * n).sum::<f64>().sqrt() as f32;
-        plain.direction = Some((
-            features.scale.iter().map(|s| s / floor).collect(),
-            features.mean.iter().map(|m| m / floor).collect(),
-        ));
-        let columns = width + 1;
-        (plain.centre, plain.factor) = (vec![0.0; columns], vec![1.0; columns]);
         let prepared = plain.apply(rows);
         let count = (prepared.len() / columns).max(1) as f64;
         let (mut sums, mut squares) = (vec![0.0_f64; columns], vec![0.0_f64; columns]);
@@ -65,16 +101,20 @@ impl Preparation {
         let mut all = Vec::with_capacity(rows.len() / self.width.max(1) * self.columns());
         for row in rows.chunks_exact(self.width) {
             let start = all.len();
-            if let Some((factor, offset)) = &self.direction {
-                let (first, rest) = row.split_at(factor.len());
-                all.extend(first.iter().zip(factor).zip(offset).map(|((z, f), o)| z * f + o));
-                let magnitude = (all[start..].iter().map(|x| x * x).sum::<f32>() + 1.0).sqrt();
-                all[start..].iter_mut().for_each(|x| *x /= magnitude);
-                all.push(magnitude.ln());
-                all.extend_from_slice(rest);
-            } else {
-                all.extend_from_slice(row);
+            let (first, rest) = row.split_at(self.form.channels());
+            match &self.form {
+                Form::Plain => {}
+                Form::Direction(factor, offset) => {
+                    all.extend(first.iter().zip(factor).zip(offset).map(|((z, f), o)| z * f + o));
+                    let magnitude = (all[start..].iter().map(|x| x * x).sum::<f32>() + 1.0).sqrt();
+                    all[start..].iter_mut().for_each(|x| *x /= magnitude);
+                    all.push(magnitude.ln());
+                }
+                Form::Logarithm(factor, offset) => {
+                    all.extend(first.iter().zip(factor).zip(offset).map(|((z, f), o)| (z * f + o).asinh()));
+                }
             }
+            all.extend_from_slice(rest);
             for ((v, c), f) in all[start..].iter_mut().zip(&self.centre).zip(&self.factor) {
                 *v = (*v - c) * f;
             }
@@ -82,28 +122,30 @@ impl Preparation {
         all
     }
 
-    /// The same as operators of a graph; `input` is \\[1, width\\].
+    /// The same as operators of a graph; `input` is \[1, width\].
     pub fn to_graph(&self, g: &mut GraphBuilder, input: &Value) -> Value {
-        let Some((factor, offset)) = &self.direction else { return input.clone() };
+        let (factor, offset, prefix) = match &self.form {
+            Form::Plain => return input.clone(),
+            Form::Direction(factor, offset) => (factor, offset, "noise"),
+            Form::Logarithm(factor, offset) => (factor, offset, "knee"),
+        };
         let channels = factor.len();
         let end = i64::try_from(channels).unwrap_or(i64::MAX);
         let first = if channels < self.width { g.slice(input, 1, 0, end) } else { input.clone() };
-        let factor = g.constant("noise_factor", &[1, channels], factor);
-        let offset = g.constant("noise_offset", &[1, channels], offset);
+        let factor = g.constant(&format!("{prefix}_factor"), &[1, channels], factor);
+        let offset = g.constant(&format!("{prefix}_offset"), &[1, channels], offset);
         let scaled = g.mul(&first, &factor);
         let scaled = g.add(&scaled, &offset);
-        let squares = g.mul(&scaled, &scaled);
-        let sum = g.reduce_sum(&squares, 1);
-        let one = g.constant("one", &[1, 1], &[1.0]);
-        let sum = g.add(&sum, &one);
-        let magnitude = g.sqrt(&sum);
-        let direction = g.div(&scaled, &magnitude);
-        let logarithm = g.operator("Log", &[&magnitude], &[], 1).swap_remove(0);
-        let joined = if channels < self.width {
-            let rest = g.slice(input, 1, end, i64::try_from(self.width).unwrap_or(i64::MAX));
-            g.concat(&[&direction, &logarithm, &rest], 1)
-        } else {
-            g.concat(&[&direction, &logarithm], 1)
+        let mut parts = match &self.form {
+            Form::Logarithm(..) => vec![g.operator("Asinh", &[&scaled], &[], 1).swap_remove(0)],
+            _ => direction_to_graph(g, &scaled),
+        };
+        if channels < self.width {
+            parts.push(g.slice(input, 1, end, i64::try_from(self.width).unwrap_or(i64::MAX)));
+        }
+        let joined = match parts.as_slice() {
+            [one] => one.clone(),
+            _ => g.concat(&parts.iter().collect::<Vec<_>>(), 1),
         };
         let centre = g.constant("column_centre", &[1, self.columns()], &self.centre);
         let factor = g.constant("column_factor", &[1, self.columns()], &self.factor);
@@ -116,6 +158,39 @@ impl Preparation {
     pub fn width(&self) -> usize {
         self.width
     }
+}
+
+/// Direction, and logarithm of the magnitude, of `scaled`.
+fn direction_to_graph(g: &mut GraphBuilder, scaled: &Value) -> Vec<Value> {
+    let squares = g.mul(scaled, scaled);
+    let sum = g.reduce_sum(&squares, 1);
+    let one = g.constant("one", &[1, 1], &[1.0]);
+    let sum = g.add(&sum, &one);
+    let magnitude = g.sqrt(&sum);
+    let direction = g.div(scaled, &magnitude);
+    let logarithm = g.operator("Log", &[&magnitude], &[], 1).swap_remove(0);
+    vec![direction, logarithm]
+}
+
+/// The strength of a usual signal in the unit of the skin: over the rows, the median of the root mean square of the channels; never
+/// below that of the noise.
+fn knee(features: &FeatureConfig, noise: &[f64], rows: &[f32]) -> f32 {
+    let channels = features.scale.len().max(1);
+    let mut strengths: Vec<f64> = rows
+        .chunks_exact(features.input_len().max(1))
+        .map(|row| {
+            let readings = row.iter().zip(&features.scale).zip(&features.mean);
+            let squares = readings.map(|((z, scale), mean)| f64::from(z * scale + mean).powi(2));
+            (squares.sum::<f64>() / channels as f64).sqrt()
+        })
+        .filter(|strength| strength.is_finite())
+        .collect();
+    let floor = (noise.iter().map(|n| n * n).sum::<f64>() / noise.len().max(1) as f64).sqrt();
+    let middle = strengths.len() / 2;
+    let median =
+        if strengths.is_empty() { 0.0 } else { *strengths.select_nth_unstable_by(middle, f64::total_cmp).1 };
+    let knee = median.max(floor);
+    if knee > 0.0 { knee as f32 } else { 1.0 }
 }
 
 #[cfg(test)]
@@ -141,5 +216,26 @@ mod tests {
         let all = preparation.apply(&rows);
         let mean: f32 = all.chunks(5).map(|r| r[0]).sum::<f32>() / 3.0;
         assert!(mean.abs() < 1e-5);
+    }
+
+    #[test]
+    fn the_logarithm_keeps_small_signals_and_tames_large_ones() {
+        let mut features = FeatureConfig::newest(vec![5.0, -2.0], vec![3.0, 2.0]);
+        features.low_pass = vec![1.0];
+        let row = |signal: [f32; 2]| [(signal[0] - 5.0) / 3.0, (signal[1] + 2.0) / 2.0, 0.3, 0.4];
+        // Root mean squares of 1, 2 and 1000: the knee is 2.
+        let signals = [[1.0, -1.0], [2.0, 2.0], [1000.0, -1000.0]];
+        let rows: Vec<f32> = signals.into_iter().flat_map(row).collect();
+        let preparation = Preparation::measure(InputForm::Logarithm, &features, &[0.1, 0.1], &rows);
+        assert_eq!((preparation.width(), preparation.columns()), (4, 4));
+        let all = preparation.apply(&rows);
+        // Columns are normalised over the rows; the spacing of the three is that of asinh(x / 2).
+        let [a, b, c] = [1.0_f32, 2.0, 1000.0].map(|x| (x / 2.0).asinh());
+        let share = (all[4] - all[0]) / (all[8] - all[0]);
+        assert!((share - (b - a) / (c - a)).abs() < 1e-4, "{share}");
+        assert!(all.chunks(4).map(|r| r[1]).sum::<f32>().abs() < 1e-5, "the mean of a column is 0");
+        // What is weaker than the noise has the noise for its knee.
+        let weak = Preparation::measure(InputForm::Logarithm, &features, &[50.0, 50.0], &rows);
+        assert!(matches!(&weak.form, Form::Logarithm(factor, _) if (factor[0] - 3.0 / 50.0).abs() < 1e-6));
     }
 }

@@ -126,6 +126,10 @@ fn decoding(status: &mut Status, core: &Core) {
     let stats = decoder.stats();
     let rejected = &stats.rejected;
     status.value("frames lost", stats.lost);
+    if stats.incomplete > 0 {
+        status.value("frames that lacked a part", stats.incomplete);
+        status.value("parts lost", stats.lost_parts);
+    }
     status.value("CRC errors", rejected.crc);
     status.value("other rejected frames", rejected.total() - rejected.crc);
     status.value("resynchronisations", stats.resyncs);

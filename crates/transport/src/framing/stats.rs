@@ -74,6 +74,8 @@ impl Rejections {
 const SAMPLE_LEN: usize = 48;
 /// \[bytes\] without a valid frame before [`DecoderStats::diagnosis`] says anything.
 const DIAGNOSIS_AFTER: u64 = 4096;
+/// Frames in a row that lacked a part before [`DecoderStats::diagnosis`] says so.
+const INCOMPLETE_ROW: u64 = 16;
 
 /// What a decoder decoded, rejected and lost.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
@@ -89,6 +91,12 @@ pub struct DecoderStats {
     pub duplicates: u64,
     /// Frames that came after a later one (datagrams overtake each other) and were dropped.
     pub late: u64,
+    /// Frames sent in parts that were given up because a part did not come; a later frame counts them in `lost`.
+    pub incomplete: u64,
+    /// Parts that these frames lacked.
+    pub lost_parts: u64,
+    /// Parts that came twice, or after their frame was handed out or given up.
+    pub spare_parts: u64,
     /// Times that the device started its sequence again.
     pub restarts: u64,
     /// Times that a valid frame was found again after rejections.
@@ -99,6 +107,9 @@ pub struct DecoderStats {
     pub last_rejection: Option<String>,
     /// \[bytes\] since the end of the latest valid frame.
     pub bytes_since_valid: u64,
+    /// Incomplete frames since the latest frame that was put together, and the parts that they had and lacked.
+    #[serde(skip)]
+    incomplete_in_a_row: [u64; 3],
     #[serde(skip)]
     sample: Vec<u8>,
     #[serde(skip)]
@@ -133,6 +144,20 @@ impl DecoderStats {
         }
     }
 
+    /// A frame was put together from its parts.
+    pub(super) fn put_together(&mut self) {
+        self.incomplete_in_a_row = [0; 3];
+    }
+
+    /// A frame was given up, of which so many parts came and did not come.
+    pub(super) fn gave_up(&mut self, came: u64, lacked: u64) {
+        self.incomplete += 1;
+        self.lost_parts += lacked;
+        for (sum, count) in self.incomplete_in_a_row.iter_mut().zip([1, came, lacked]) {
+            *sum += count;
+        }
+    }
+
     /// Something was rejected; `why` makes the sentence that says so, where somebody reads it.
     pub fn reject(&mut self, reason: Rejection, why: impl FnOnce() -> String) {
         let r = &mut self.rejected;
@@ -162,6 +187,14 @@ impl DecoderStats {
     /// `source` is where the bytes come from, so that the sentence can name the baud rate that was set.
     #[must_use]
     pub fn diagnosis(&self, source: Option<&SourceUrl>) -> Option<String> {
+        let [frames, came, lacked] = self.incomplete_in_a_row;
+        if frames >= INCOMPLETE_ROW {
+            return Some(format!(
+                "the last {frames} frames lacked {lacked} of their {} parts, and none was whole: the network loses datagrams, or the \
+                 device does not send every part",
+                came + lacked
+            ));
+        }
         if self.bytes_since_valid < self.diagnosis_after.max(1) {
             return None;
         }
