@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use crate::run::{cargo, output, run as execute, target_dir};
 use crate::test::{BUILD, WITHOUT_ROS};
 
-mod hapdefx;
 mod ert;
+mod hapdefx;
 mod limb;
 
 /// What can be measured.

@@ -12,10 +12,10 @@ pub mod command;
 mod config;
 #[cfg(feature = "train")]
 pub mod conv;
-mod kept;
 #[cfg(feature = "train")]
 mod fit_image;
 mod image;
+mod kept;
 mod kernels;
 mod layer;
 mod measure;
@@ -31,8 +31,8 @@ pub use config::{
     Activation, ChannelNoise, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig,
     TrainingConfig,
 };
-pub use kept::{States, fit_kept};
 pub use image::ImageConfig;
+pub use kept::{States, fit_kept};
 pub use layer::Layer;
 pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};
