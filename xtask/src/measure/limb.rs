@@ -116,6 +116,11 @@ pub(super) fn limb(root: &Path) -> Result<Value> {
     });
     let margin = margin.fold(f64::INFINITY, f64::min);
     all.insert("margin".to_owned(), json!(margin));
+    // Where the bound is below 3 mm: the most that the RMS is times the bound in any bin.
+    let tail = super::beside_bound(&all["designed"], 1, "position")["well_determined"]["by_force"].clone();
+    let tail = tail.as_array().into_iter().flatten().filter_map(|bin| bin["ratio_of_rms"].as_f64());
+    let tail = tail.fold(f64::NAN, f64::max);
+    all.insert("tail".to_owned(), json!(tail));
     Ok(Value::Object(all))
 }
 
