@@ -226,7 +226,29 @@ mod tests {
 
     #[test]
     fn people_read_contacts_of_maps() {
-        insta::assert_snapshot!(made_up(), @"");
+        insta::assert_snapshot!(made_up(), @r"
+        made up: 3 frames
+                                            RMS       95 % interval     mean   median      p95   frames
+          maps, over all points                    RMS  of the truth total force [N]   frames  unanswered
+          map.normal touched            mN      12.300             -               -        3           0
+          map.normal RMS [mN] (unexplained variance) by number of contacts:  1: 12.300 (25.0 %)  2: 23.400 (-)  3: 30.000 (50.0 %)
+          contacts of map.normal: largest in a disc of 64 mm that bears 5 N or more
+            true     frames    found   right    number [%]   position [mm]      found [mm]    nearest [mm]   force [N]     force [%]  diameter [%]
+            1             1   100.0%  100.0%         0 ± 0       8.0 ± 0.0       8.0 ± 0.0       8.0 ± 0.0        2.00       -10 ± 0       -10 ± 0
+            2             1   100.0%  100.0%         0 ± 0       8.0 ± 0.0       8.0 ± 0.0       8.0 ± 0.0        2.00       -10 ± 0       -10 ± 0
+            3             1    66.7%    0.0%       -33 ± 0     66.8 ± 83.2       8.0 ± 0.0     77.2 ± 97.9       11.66       -10 ± 0       -10 ± 0
+            all           3    83.3%   66.7%      -11 ± 16     37.4 ± 65.7       8.0 ± 0.0     42.6 ± 77.4        8.37       -10 ± 0       -10 ± 0
+            16.7 % of the true contacts were not found: `position` has their distance to the middle of the surface, `force [N]` a force of 0; the other columns leave them out
+            contacts a frame where nothing touches: 0.000
+          contacts of map.normal: largest in a disc of 64 mm that bears 2.5 N or more
+            true     frames    found   right    number [%]   position [mm]      found [mm]    nearest [mm]   force [N]     force [%]  diameter [%]
+            1             1   100.0%  100.0%         0 ± 0       8.0 ± 0.0       8.0 ± 0.0       8.0 ± 0.0        2.00       -10 ± 0       -10 ± 0
+            2             1   100.0%  100.0%         0 ± 0       8.0 ± 0.0       8.0 ± 0.0       8.0 ± 0.0        2.00       -10 ± 0       -10 ± 0
+            3             1    66.7%    0.0%       -33 ± 0     66.8 ± 83.2       8.0 ± 0.0     77.2 ± 97.9       11.66       -10 ± 0       -10 ± 0
+            all           3    83.3%   66.7%      -11 ± 16     37.4 ± 65.7       8.0 ± 0.0     42.6 ± 77.4        8.37       -10 ± 0       -10 ± 0
+            16.7 % of the true contacts were not found: `position` has their distance to the middle of the surface, `force [N]` a force of 0; the other columns leave them out
+            contacts a frame where nothing touches: 0.000
+        ");
     }
 
     #[test]
