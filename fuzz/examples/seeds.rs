@@ -39,7 +39,7 @@ impl Seeds {
     fn frames(&self) -> Done {
         let values = [101_325.0, f32::NAN, -1.0, 0.0];
         for (name, format) in
-            [("f32", NativeFormat::F32), ("u16", NativeFormat::U16), ("i32", NativeFormat::I32)]
+            [("f32", NativeFormat::F32), ("u16", NativeFormat::U16), ("i32", NativeFormat::I32), ("u12", NativeFormat::U12)]
         {
             let mut encoder = NativeEncoder::new(format);
             let mut stream = b"noise".to_vec();
@@ -56,6 +56,16 @@ impl Seeds {
             self.put("frames", name, &[&[3 << 1, 6, 10], &stream])?;
             self.put("frames", &format!("{name}-sealed"), &[&[0x80 | 3 << 1, 40, 10], &pieces])?;
         }
+        // Frames in three parts each, of which one is lost, one comes late and one twice; any number of channels is read.
+        let mut datagrams = Vec::new();
+        for sequence in 0..4 {
+            let mut encoder = NativeEncoder::new(NativeFormat::U16);
+            encoder.encode_parts(sequence, 10 * u64::from(sequence), &[7.0; 50], 64, |part| datagrams.push(part.to_vec()))?;
+        }
+        datagrams.swap(3, 6);
+        datagrams.remove(7);
+        datagrams.push(datagrams[0].clone());
+        self.put("frames", "parts", &[&[0x40, 60, 10], &datagrams.concat()])?;
         let lines = b"# a device\n1,2,3,nan\n4 5 6 7\r\n$GPGGA,1,2*3\n-1e-3;.5;+7;1e30\n1,2\n";
         self.put("frames", "lines", &[&[1 | 3 << 1, 5, 100], lines])?;
         let lines = b"\n4294967295,10,1.5\n0,20,2.5\n0,20,2.5\n7,70,3\n2,5,1\n";

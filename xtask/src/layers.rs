@@ -29,7 +29,9 @@ fn room(folder: &str, name: &str) -> Option<Room> {
         ("crates", "dermis-fixtures") => room(3, true),
         // What bundles say of it, inference reads.
         ("crates", "dermis-inversion") => room(3, true),
-        ("crates", "dermis-transport" | "dermis-mechanics" | "dermis-inference") => room(4, true),
+        ("crates", "dermis-transport" | "dermis-electrics" | "dermis-mechanics" | "dermis-inference") => {
+            room(4, true)
+        }
         ("crates", "dermis-sensor") => room(5, true),
         ("crates", "dermis-estimate") => room(6, true),
         // Experiments, and what people do with running skins: neither needs the other.

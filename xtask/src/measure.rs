@@ -13,6 +13,7 @@ use crate::test::{BUILD, WITHOUT_ROS};
 
 mod ert;
 mod hapdefx;
+mod e_skins;
 mod limb;
 
 /// What can be measured.
@@ -28,6 +29,12 @@ pub enum Measurement {
     Force,
     /// Shear along the stroke on a stack of two boards of that skin: import, train on the first part of the trial, evaluate on its end.
     Shear,
+    /// Localisation on recorded hydrogel skins, one plain and four patterned: import, train on four presses of five, evaluate on the
+    /// rest. `DERMIS_E_SKINS` names the folder of the recordings.
+    ESkins,
+    /// How much of what was measured on tanks of water a uniform sheet with complete electrodes explains. `DERMIS_DATA` names the
+    /// folder of the recordings.
+    Tanks,
     /// Position and force by the model bundles that ship for the simulated barometer skins, on places and forces that
     /// they were not trained on, against the Cramér–Rao bound.
     Accuracy,
@@ -80,6 +87,8 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,
+        Measurement::Tanks => tanks(root)?,
+        Measurement::ESkins => e_skins::e_skins(root)?,
         Measurement::Shear => recorded(root, "shear", "shear_force")?,
     };
     println!("{value}");
@@ -310,6 +319,23 @@ fn realism(root: &Path) -> Result<Value> {
         );
     }
     Ok(Value::Object(all))
+}
+
+/// The model of tanks against recordings.
+fn tanks(root: &Path) -> Result<Value> {
+    let data = std::env::var("DERMIS_DATA").map_or_else(|_| root.join("../shared/data"), PathBuf::from);
+    let folders: Vec<PathBuf> = ["eidors_tanks", "pyeidors_tank"]
+        .map(|name| data.join(name))
+        .into_iter()
+        .filter(|f| f.is_dir())
+        .collect();
+    if folders.is_empty() {
+        return Ok(
+            json!({ "skipped": format!("{} has no recordings of tanks: set DERMIS_DATA", data.display()) }),
+        );
+    }
+    execute(cargo(root).args(["build", "--release", "-p", "dermis-testbed", "--bin", "dermis-tanks"]))?;
+    evaluation(Command::new(target_dir(root).join("release/dermis-tanks")).args(folders))
 }
 
 /// Trains on each of the recorded runs with `launch/train/eflesh-<what>.toml` and evaluates.

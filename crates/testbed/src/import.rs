@@ -7,6 +7,7 @@
 mod e_skin;
 mod eflesh;
 mod tactile_fsi;
+mod tanks;
 
 use std::{
     fmt,
@@ -23,7 +24,12 @@ use dermis_msgs::{
 };
 use dermis_skin::{SkinDescription, SkinError};
 
-pub use self::{e_skin::e_skin, eflesh::eflesh, tactile_fsi::tactile_fsi};
+pub use self::{
+    e_skin::e_skin,
+    eflesh::eflesh,
+    tactile_fsi::tactile_fsi,
+    tanks::{TankFrame, read_tank, tank},
+};
 
 /// Why a recording could not be imported. A bag that was begun is left without `metadata.yaml`.
 #[derive(Debug, thiserror::Error)]
@@ -57,7 +63,7 @@ pub enum ImportError {
     },
     /// Nothing that an importer knows.
     #[error(
-        "{path} is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv), a hydrogel skin (a folder with inp_*.csv and out_*.csv), and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these"
+        "{path} is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv), a hydrogel skin (a folder with inp_*.csv and out_*.csv), impedance tomography of tanks (*Hz.csv, .txt that begins with #MEAS, .npz with phantomdata), and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these"
     )]
     Unknown {
         /// The file or folder.
@@ -156,6 +162,7 @@ pub fn auto(path: &Path, out: &Path) -> Result<ImportReport, ImportError> {
         [] => Err(ImportError::Unknown { path: path.into() }),
         [recording] if e_skin::recognises(recording) => e_skin(recording, out),
         [recording] if recording.is_dir() => eflesh(recording, out, &mut |_, _| {}),
+        [recording] if tanks::recognises(recording) => tank(recording, out),
         [recording] => tactile_fsi(recording, out),
         [first, ..] => {
             Err(ImportError::Several { path: path.into(), count: found.len(), first: first.clone() })
@@ -179,7 +186,7 @@ const DEEPEST: usize = 6;
 
 fn find(path: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), ImportError> {
     if path.is_file() {
-        if tactile_fsi::recognises(path) {
+        if tanks::recognises(path) || tactile_fsi::recognises(path) {
             found.push(path.into());
         }
         return Ok(());

@@ -585,6 +585,40 @@ fn lost_and_overtaking_datagrams_are_counted() {
 }
 
 #[test]
+fn frames_longer_than_a_datagram_come_over_udp() {
+    const LONG: usize = 784;
+    let mut consumer = Consumer::with(open("udp://127.0.0.1:0"), NativeDecoder::new(Some(LONG)));
+    consumer.until("bound", |c| c.connected == 1);
+    let to = consumer.source.stats().endpoint.unwrap();
+    let device = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let mut encoder = NativeEncoder::new(NativeFormat::F32);
+    for sequence in 0..20_u32 {
+        let values: Vec<f32> = (0..LONG).map(|i| (sequence * 1000) as f32 + i as f32).collect();
+        let mut part = 0;
+        encoder
+            .encode_parts(sequence, 1 + u64::from(sequence) * 1000, &values, 1472, |bytes| {
+                // The second part of frame 7 is lost.
+                if (sequence, part) != (7, 1) {
+                    device.send_to(bytes, &to).unwrap();
+                }
+                part += 1;
+            })
+            .unwrap();
+        assert_eq!(part, 3);
+        while consumer.step(Duration::ZERO) {}
+    }
+    consumer.until("all frames but one", |c| c.frames.len() == 19);
+    for frame in &consumer.frames {
+        assert_eq!(
+            (frame.values.len(), frame.values[LONG - 1]),
+            (LONG, (frame.sequence * 1000 + 783) as f32)
+        );
+    }
+    let stats = consumer.decoder.stats();
+    assert_eq!((stats.lost, stats.incomplete, stats.lost_parts, stats.rejected.total()), (1, 1, 1, 0));
+}
+
+#[test]
 fn datagrams_of_others_are_not_taken() {
     let mut consumer = Consumer::new(open("udp://127.0.0.1:0?from=127.0.0.2"));
     consumer.until("bound", |c| c.connected == 1);

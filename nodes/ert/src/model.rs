@@ -305,14 +305,30 @@ impl ForwardModel for FabricModel {
         Box::new(Device::new(self, self.dynamics.start(seed)))
     }
 
-    fn force_at(&self, _: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
-        let known = Indentation::DIAMETERS.contains(&diameter);
-        known.then(|| self.stack().force(&TipShape::Sphere { diameter }, depth)).flatten()
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        self.force_of_tip(at, &TipShape::Sphere { diameter }, depth)
     }
 
-    fn depth_at(&self, _: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
-        let known = Indentation::DIAMETERS.contains(&diameter);
-        known.then(|| self.stack().depth(&TipShape::Sphere { diameter }, force)).flatten()
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        self.depth_of_tip(at, &TipShape::Sphere { diameter }, force)
+    }
+
+    fn force_of_tip(&self, _: &Point3<f64>, tip: &TipShape, depth: f64) -> Option<f64> {
+        is_known(tip).then(|| self.stack().force(tip, depth)).flatten()
+    }
+
+    fn depth_of_tip(&self, _: &Point3<f64>, tip: &TipShape, force: f64) -> Option<f64> {
+        is_known(tip).then(|| self.stack().depth(tip, force)).flatten()
+    }
+}
+
+/// Whether a tip is a ball or a flat punch of a size that can be.
+fn is_known(tip: &TipShape) -> bool {
+    match tip {
+        TipShape::Sphere { diameter } | TipShape::FlatPunch { diameter } => {
+            Indentation::DIAMETERS.contains(diameter)
+        }
+        _ => false,
     }
 }
 

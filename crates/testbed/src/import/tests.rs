@@ -8,6 +8,8 @@ use dermis_msgs::{geometry_msgs::msg::PointStamped, msg::SkinGeometry};
 
 use super::*;
 
+mod conductive;
+
 /// Folder of other people's recordings, where there is one.
 fn data(part: &str) -> Option<PathBuf> {
     let root = std::env::var_os("DERMIS_DATA")
@@ -316,7 +318,7 @@ fn mistakes_in_a_run_are_named() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("notes.txt"), "x").unwrap();
     let error = auto(dir.path(), &dir.path().join("out")).unwrap_err().to_string();
-    insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), "FOLDER"), @"FOLDER is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv) and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these");
+    insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), "FOLDER"), @"FOLDER is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv), a hydrogel skin (a folder with inp_*.csv and out_*.csv), impedance tomography of tanks (*Hz.csv, .txt that begins with #MEAS, .npz with phantomdata), and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these");
 }
 
 /// A workbook of one sheet; text cells are those that are no numbers.
@@ -472,73 +474,4 @@ fn the_skins_are_those_of_the_importers() {
     ] {
         SkinDescription::from_toml(text, file).unwrap();
     }
-}
-
-/// Folder of the hydrogel skins' recordings, where there is one.
-fn e_skins() -> Option<PathBuf> {
-    let path = std::env::var_os("DERMIS_E_SKINS").map(PathBuf::from)?;
-    if !path.is_dir() {
-        println!("skipped: no recordings at {} (DERMIS_E_SKINS names the folder)", path.display());
-        return None;
-    }
-    Some(path)
-}
-
-#[test]
-fn hydrogel_skins() {
-    let Some(path) = e_skins() else {
-        println!("skipped: DERMIS_E_SKINS names no folder with the recordings of the hydrogel skins");
-        return;
-    };
-    assert_eq!(recordings(&path).unwrap().len(), 5);
-    let imported = import(&path.join("Data/No Pattern"));
-    assert_eq!((imported.report.readings, imported.report.untouched), (2500, 10_000));
-    assert_eq!((imported.report.locations, imported.report.channels), (2500, 192));
-    let (frame, truth) = recorded(&imported)[0];
-    assert_eq!(frame.values[..3], [117.8125, 115.0625, 71.625]);
-    // Robot x 47.621 of 6.862 to 86.207 mm, y -397.505 of -447.521 to -368.552 mm.
-    let contact = &truth.contacts[0];
-    assert!(close(contact.position.x, 0.001_086_9, 1e-6) && close(contact.position.y, 0.010_531, 1e-6));
-    assert!(contact.force.z.is_nan() && contact.depth.is_nan());
-}
-
-/// A folder with tables of these rows.
-fn e_skin_folder(inputs: &str, outputs: &str) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join("inp_tiny.csv"), inputs).unwrap();
-    fs::write(folder.path().join("out_tiny.csv"), outputs).unwrap();
-    folder
-}
-
-#[test]
-fn presses_of_a_hydrogel_skin_are_told_from_the_untouched_skin() {
-    let row = |value: &str| vec![value; 192].join(",");
-    let inputs = format!("\u{feff}{}\r\n{}\r\n\r\n", row("-3.5"), row("7.0625"));
-    let folder = e_skin_folder(&inputs, "\u{feff}0.01,-0.30,0.02\n0.03,-0.36,0.02\n");
-    let imported = import(folder.path());
-    assert_eq!((imported.report.readings, imported.report.untouched, imported.report.presses), (2, 8, 2));
-    let rows = recorded(&imported);
-    assert_eq!((rows[0].0.values[0], rows[1].0.values[191]), (-3.5, 7.0625));
-    let at = |row: usize| (rows[row].1.contacts[0].position.x, rows[row].1.contacts[0].position.y);
-    assert!(close(at(0).0, -0.01, 1e-12) && close(at(0).1, 0.03, 1e-12));
-    assert!(close(at(1).0, 0.01, 1e-12) && close(at(1).1, -0.03, 1e-12));
-    assert_eq!((rows[1].1.press, rows[1].1.location, rows[1].1.session.as_str()), (1, 1, "tiny"));
-    assert!(imported.frames[..4].iter().all(|frame| frame.values.iter().all(|v| *v == 0.0)));
-    let probe = imported.bag.read::<PointStamped>("probe").unwrap().next().unwrap().unwrap().message;
-    assert!(close(probe.point.y, -0.30, 1e-12));
-}
-
-#[test]
-fn damaged_tables_of_a_hydrogel_skin_are_refused_by_line_and_column() {
-    let row = |value: &str| vec![value; 192].join(",");
-    let told = |inputs: &str, outputs: &str| {
-        let folder = e_skin_folder(inputs, outputs);
-        let error = auto(folder.path(), &folder.path().join("bag")).unwrap_err().to_string();
-        error.replace(&folder.path().display().to_string(), "DIR")
-    };
-    insta::assert_snapshot!(told(&row("1"), "0,0,0\n1,1,1\n"), @"DIR/inp_tiny.csv: has 1 rows where DIR/out_tiny.csv has 2");
-    insta::assert_snapshot!(told(&row("x"), "0,0,0\n"), @r#"DIR/inp_tiny.csv, line 1, column 1: "x" is not a finite number"#);
-    insta::assert_snapshot!(told("1,2,3", "0,0,0\n"), @"DIR/inp_tiny.csv, line 1: has 3 columns, and 192 belong there");
-    insta::assert_snapshot!(told(&row("1"), "0,0,inf\n"), @r#"DIR/out_tiny.csv, line 1, column 3: "inf" is not a finite number"#);
-    insta::assert_snapshot!(told("\n", "0,0,0\n"), @"DIR/inp_tiny.csv: holds no rows");
 }

@@ -323,7 +323,7 @@ impl FrameDecoder for NativeDecoder {
     }
 
     fn gap(&mut self) {
-        // Parts of a frame stay: each is whole, and says which frame it belongs to.
+        self.parts.gap(&mut self.stats);
         self.buffer.clear();
         self.state = Hunt::Start;
     }

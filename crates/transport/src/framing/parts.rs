@@ -148,6 +148,14 @@ impl Assembler {
         Ok(Some(WireFrame { sequence: key.0, device_time_us: key.1, values }))
     }
 
+    /// Something is missing here, or another device sends: parts from before belong to nothing that comes after.
+    pub(super) fn gap(&mut self, stats: &mut DecoderStats) {
+        while !self.open.is_empty() {
+            self.give_up(0, stats);
+        }
+        self.closed.clear();
+    }
+
     fn give_up(&mut self, at: usize, stats: &mut DecoderStats) {
         if let Some(frame) = self.open.get(at) {
             let came = frame.came() as u64;

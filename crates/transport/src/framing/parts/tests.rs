@@ -88,6 +88,26 @@ fn a_part_that_comes_late_or_twice_makes_no_frame() {
     assert_eq!((stats.incomplete, stats.lost_parts, stats.spare_parts, stats.restarts), (1, 1, 3, 0));
 }
 
+#[test]
+fn parts_of_two_devices_are_not_put_together() {
+    let parts = |value: f32| {
+        let mut sent = Vec::new();
+        let mut encoder = NativeEncoder::new(NativeFormat::U16);
+        encoder.encode_parts(4, 0, &[value; 100], 128, |bytes| sent.push(bytes.to_vec())).unwrap();
+        sent
+    };
+    let (one, other) = (parts(1.0), parts(2.0));
+    let mut decoder = NativeDecoder::new(Some(100));
+    let mut out = Vec::new();
+    decoder.push(&one[0], 0, &mut out);
+    // Another device takes over, which has no clock either and is at the same number.
+    decoder.gap();
+    other.iter().rev().for_each(|part| decoder.push(part, 0, &mut out));
+    assert_eq!(out.len(), 1);
+    assert_eq!(out[0].values, [2.0; 100]);
+    assert_eq!((decoder.stats().incomplete, decoder.stats().lost_parts), (1, 1));
+}
+
 /// A part from its fields, with a CRC that fits.
 fn forged(channels: u16, first: u16, part: u8, parts: u8, values: &[u16]) -> Vec<u8> {
     let mut raw = vec![1, 0x80 | NativeFormat::U16 as u8];

@@ -1,0 +1,124 @@
+//! Conductive skins and tanks.
+
+use super::*;
+
+/// Folder of the hydrogel skins' recordings, where there is one.
+fn e_skins() -> Option<PathBuf> {
+    let path = std::env::var_os("DERMIS_E_SKINS").map(PathBuf::from)?;
+    if !path.is_dir() {
+        println!("skipped: no recordings at {} (DERMIS_E_SKINS names the folder)", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+#[test]
+fn hydrogel_skins() {
+    let Some(path) = e_skins() else {
+        println!("skipped: DERMIS_E_SKINS names no folder with the recordings of the hydrogel skins");
+        return;
+    };
+    assert_eq!(recordings(&path).unwrap().len(), 5);
+    let imported = import(&path.join("Data/No Pattern"));
+    assert_eq!((imported.report.readings, imported.report.untouched), (2500, 10_000));
+    assert_eq!((imported.report.locations, imported.report.channels), (2500, 192));
+    let (frame, truth) = recorded(&imported)[0];
+    assert_eq!(frame.values[..3], [117.8125, 115.0625, 71.625]);
+    // Robot x 47.621 of 6.862 to 86.207 mm, y -397.505 of -447.521 to -368.552 mm.
+    let contact = &truth.contacts[0];
+    assert!(close(contact.position.x, 0.001_086_9, 1e-6) && close(contact.position.y, 0.010_531, 1e-6));
+    assert!(contact.force.z.is_nan() && contact.depth.is_nan());
+}
+
+/// A folder with tables of these rows.
+fn e_skin_folder(inputs: &str, outputs: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("inp_tiny.csv"), inputs).unwrap();
+    fs::write(folder.path().join("out_tiny.csv"), outputs).unwrap();
+    folder
+}
+
+#[test]
+fn presses_of_a_hydrogel_skin_are_told_from_the_untouched_skin() {
+    let row = |value: &str| vec![value; 192].join(",");
+    let inputs = format!("\u{feff}{}\r\n{}\r\n\r\n", row("-3.5"), row("7.0625"));
+    let folder = e_skin_folder(&inputs, "\u{feff}0.01,-0.30,0.02\n0.03,-0.36,0.02\n");
+    let imported = import(folder.path());
+    assert_eq!((imported.report.readings, imported.report.untouched, imported.report.presses), (2, 8, 2));
+    let rows = recorded(&imported);
+    assert_eq!((rows[0].0.values[0], rows[1].0.values[191]), (-3.5, 7.0625));
+    let at = |row: usize| (rows[row].1.contacts[0].position.x, rows[row].1.contacts[0].position.y);
+    assert!(close(at(0).0, -0.01, 1e-12) && close(at(0).1, 0.03, 1e-12));
+    assert!(close(at(1).0, 0.01, 1e-12) && close(at(1).1, -0.03, 1e-12));
+    assert_eq!((rows[1].1.press, rows[1].1.location, rows[1].1.session.as_str()), (1, 1, "tiny"));
+    assert!(imported.frames[..4].iter().all(|frame| frame.values.iter().all(|v| *v == 0.0)));
+    let probe = imported.bag.read::<PointStamped>("probe").unwrap().next().unwrap().unwrap().message;
+    assert!(close(probe.point.y, -0.30, 1e-12));
+}
+
+#[test]
+fn damaged_tables_of_a_hydrogel_skin_are_refused_by_line_and_column() {
+    let row = |value: &str| vec![value; 192].join(",");
+    let told = |inputs: &str, outputs: &str| {
+        let folder = e_skin_folder(inputs, outputs);
+        let error = auto(folder.path(), &folder.path().join("bag")).unwrap_err().to_string();
+        error.replace(&folder.path().display().to_string(), "DIR")
+    };
+    insta::assert_snapshot!(told(&row("1"), "0,0,0\n1,1,1\n"), @"DIR/inp_tiny.csv: has 1 rows where DIR/out_tiny.csv has 2");
+    insta::assert_snapshot!(told(&row("x"), "0,0,0\n"), @r#"DIR/inp_tiny.csv, line 1, column 1: "x" is not a finite number"#);
+    insta::assert_snapshot!(told("1,2,3", "0,0,0\n"), @"DIR/inp_tiny.csv, line 1: has 3 columns, and 192 belong there");
+    insta::assert_snapshot!(told(&row("1"), "0,0,inf\n"), @r#"DIR/out_tiny.csv, line 1, column 3: "inf" is not a finite number"#);
+    insta::assert_snapshot!(told("\n", "0,0,0\n"), @"DIR/inp_tiny.csv: holds no rows");
+}
+
+#[test]
+fn a_tank_whose_electrodes_were_measured() {
+    let Some(path) = data("eidors_tanks/ottawa_2008_tanks_20_to_25.npz") else { return };
+    let frames = read_tank(&path).unwrap();
+    assert_eq!(
+        frames.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(),
+        ["20", "21", "22", "23", "24", "25"]
+    );
+    let first = &frames[0];
+    assert_eq!((first.readings.len(), first.readings[0]), (208, 1.016_264_92));
+    let rim = first.rim.as_ref().unwrap();
+    assert!(close(rim[0][0], 1.276_576_72, 1e-8) && close(rim[0][1], 0.222_656_63, 1e-8));
+    // The squeezed tank is longer than wide.
+    let squeezed = frames[3].rim.as_ref().unwrap();
+    assert!(squeezed[7][0] < -1.6 && squeezed[11][1].abs() < 1.25);
+    let imported = import(&path);
+    assert_eq!((imported.report.untouched, imported.report.channels), (6, 208));
+    assert_eq!(
+        (imported.layout.channels[0].as_str(), imported.layout.channels[207].as_str()),
+        ("d0.r2", "d15.r13")
+    );
+    assert!(close(f64::from(imported.frames[0].values[0]), 1.016_264_92, 1e-6));
+}
+
+#[test]
+fn tanks_as_text() {
+    let Some(path) = data("eidors_tanks/ds_data_2004/homogeneous/water_1.txt") else { return };
+    let frames = read_tank(&path).unwrap();
+    assert_eq!((frames.len(), frames[0].readings.len(), frames[0].rim.is_none()), (1, 208, true));
+    // Real part of the voltage over the current.
+    assert!(close(frames[0].readings[0], 0.030_931 / 0.000_307_14, 1e-9));
+    assert_eq!(import(&path).layout.unit, "Ohm");
+    let Some(path) = data("pyeidors_tank/2025-06-29-20-00-52_1_10.00_20uA_1000Hz.csv") else { return };
+    let frames = read_tank(&path).unwrap();
+    assert_eq!(frames.len(), 2);
+    assert!(close(frames[0].readings[0], 0.057_816_924_f64.hypot(0.032_587_639), 1e-8));
+}
+
+#[test]
+fn damaged_recordings_of_tanks_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).unwrap();
+        read_tank(&path).unwrap_err().to_string().replace(&folder.path().display().to_string(), "DIR")
+    };
+    insta::assert_snapshot!(told("a_1000Hz.csv", "1,2\n1\n"), @"DIR/a_1000Hz.csv, line 2: has 1 numbers, and pairs of real and imaginary part belong there, as many as in line 1");
+    insta::assert_snapshot!(told("b_1000Hz.csv", "1,2\n3,4\n"), @"DIR/b_1000Hz.csv: has 2 readings, and a frame of 16 electrodes has 208");
+    insta::assert_snapshot!(told("c.txt", "#MEAS\n#Start\n1 x 3\n"), @r#"DIR/c.txt, line 3: "x" is not a finite number"#);
+    insta::assert_snapshot!(told("d.txt", "#MEAS\n#Start\n1 2 0\n"), @"DIR/d.txt, line 3: has the current 0, by which nothing can be divided");
+}
