@@ -11,9 +11,9 @@ use serde_json::{Value, json};
 use crate::run::{cargo, output, run as execute, target_dir};
 use crate::test::{BUILD, WITHOUT_ROS};
 
+mod e_skins;
 mod ert;
 mod hapdefx;
-mod e_skins;
 mod limb;
 
 /// What can be measured.
