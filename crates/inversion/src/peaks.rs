@@ -253,10 +253,15 @@ mod tests {
     fn a_plateau_has_one_peak_and_nothing_none() {
         let surface = pad();
         let finder = PeakFinder::new(&surface, 0.5);
-        assert_eq!(finder.find(&vec![1e-3; surface.points.len()], 0.0).len(), 1);
+        assert_eq!(finder.points(), surface.points.len());
+        let plateau = finder.find(&vec![1e-3; surface.points.len()], 0.0);
+        assert_eq!(plateau.iter().map(|peak| peak.point).collect::<Vec<_>>(), [0], "the first of equals");
         assert!(finder.find(&vec![0.0; surface.points.len()], 0.0).is_empty());
         assert!(finder.find(&vec![f64::NAN; surface.points.len()], 0.0).is_empty());
         assert!(finder.find(&[1.0], 0.0).is_empty(), "a map of another surface");
+        let mut endless = vec![0.0; surface.points.len()];
+        endless[7] = f64::INFINITY;
+        assert!(finder.find(&endless, 0.0).is_empty());
     }
 
     #[test]
@@ -285,10 +290,34 @@ mod tests {
     fn weak_peaks_are_suppressed() {
         let settings = PeakSettings { share: 0.2, least_force: 1.0, most: 2, ..PeakSettings::default() };
         assert_eq!(suppress(&[2.0, 10.0, 1.9, 5.0, f64::NAN], &settings), [1, 3]);
+        // What is just strong enough counts: a fifth of the strongest, and one newton.
+        let four = PeakSettings { most: 4, ..settings.clone() };
+        assert_eq!(suppress(&[2.0, 10.0, 1.9, 5.0], &four), [1, 3, 0]);
+        assert_eq!(suppress(&[1.0, 0.9, 4.0], &four), [2, 0]);
         assert_eq!(suppress(&[0.5], &settings), [] as [usize; 0]);
         assert_eq!(suppress(&[-1.0, 0.0], &PeakSettings::default()), [] as [usize; 0]);
-        let refused = |s: PeakSettings| s.check().unwrap_err().1;
-        insta::assert_snapshot!(refused(PeakSettings { share: 1.0, ..settings.clone() }), @"is 1 and must be at least 0 (off) and below 1");
-        insta::assert_snapshot!(refused(PeakSettings { radius: -1.0, ..settings }), @"is -1 and must be a positive length");
+    }
+
+    #[test]
+    fn settings_that_cannot_be_are_refused_by_field() {
+        let settings = PeakSettings { share: 0.2, least_force: 1.0, most: 2, ..PeakSettings::default() };
+        assert_eq!(settings.check(), Ok(()));
+        assert_eq!(PeakSettings { share: 0.0, most: 10, ..settings.clone() }.check(), Ok(()));
+        let refused = |s: PeakSettings| s.check().unwrap_err();
+        let reason = |s: PeakSettings| refused(s).1;
+        insta::assert_snapshot!(reason(PeakSettings { share: 1.0, ..settings.clone() }), @"is 1 and must be at least 0 (off) and below 1");
+        insta::assert_snapshot!(reason(PeakSettings { radius: -1.0, ..settings.clone() }), @"is -1 and must be a positive length");
+        for (field, wrong) in [
+            ("radius", PeakSettings { radius: 0.0, ..settings.clone() }),
+            ("radius", PeakSettings { radius: f64::INFINITY, ..settings.clone() }),
+            ("least_displacement", PeakSettings { least_displacement: -1e-6, ..settings.clone() }),
+            ("least_displacement", PeakSettings { least_displacement: f64::INFINITY, ..settings.clone() }),
+            ("least_force", PeakSettings { least_force: f64::NAN, ..settings.clone() }),
+            ("share", PeakSettings { share: -0.1, ..settings.clone() }),
+            ("most", PeakSettings { most: 0, ..settings.clone() }),
+            ("most", PeakSettings { most: 11, ..settings }),
+        ] {
+            assert_eq!(refused(wrong.clone()).0, field, "{wrong:?}");
+        }
     }
 }

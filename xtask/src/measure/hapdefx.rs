@@ -15,7 +15,7 @@ use crate::run::{cargo, output, run as execute, target_dir};
 #[derive(Args)]
 pub struct Options {
     /// A sixth of the epochs, a quarter of the samples and frames, and 4 and 24 virtual sensors a gauge only; networks keep their
-    /// sizes. A quarter of an hour of CPU time. The record and its tables say what was reduced, and it takes the place of no whole
+    /// sizes. Some ten minutes of CPU time, counted in the same way. The record and its tables say what was reduced, and it takes the place of no whole
     /// one.
     #[arg(long)]
     reduced: bool,

@@ -226,7 +226,7 @@ fn the_settings_of_the_thesis_make_networks_of_its_sizes() {
     assert_eq!(settings.samples, [16_200, 3600, 3600, 3600]);
 
     // Sizes do not depend on samples and epochs.
-    settings.samples = [150, 20, 20, 20];
+    settings.samples = [60, 10, 10, 10];
     for training in [
         &mut settings.transfer_training,
         &mut settings.reconstruction_training,
@@ -236,7 +236,7 @@ fn the_settings_of_the_thesis_make_networks_of_its_sizes() {
     }
     let model: Arc<dyn ForwardModel> = Arc::new(sheet(0.0));
     let sensors = VirtualSensors::displacements(model.as_ref(), &skin(), settings.each);
-    let (all, held) = (recorded(&sheet(1.0), 300, 1), recorded(&sheet(1.0), 60, 2));
+    let (all, held) = (recorded(&sheet(1.0), 60, 1), recorded(&sheet(1.0), 20, 2));
     let scenes = scenes(model.as_ref());
     let (pipeline, trained) =
         train(&model, &sensors, &scenes, (&all, &held), &settings, runtime(), &|_, _| {}).unwrap();

@@ -187,9 +187,9 @@ mod tests {
         for line in [
             "reconstruction network: 240-600-3154",
             "reduced: 10 of 60 epochs of the reconstruction network",
-            "      24 network                  4.0 15.0           29.0 15.0",
+            "      24 network                 4.0 15.0           29.0 15.0",
             "peaks of maps           single              10      5.00      3.00      10.0        50.0",
-            "2 the next for the last if within 10 %        10     10.00      6.00      20.0",
+            "2 the next for the last if within 10 %      10     10.00      6.00      20.0",
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");
         }

@@ -121,7 +121,7 @@ mod tests {
             for (input, force) in peaks() {
                 model.run(&input, &mut out).unwrap();
                 // Forces are 7 to 50 N.
-                assert!((out[0] - force).abs() < 2.0, "{gives:?}: {} for {force}", out[0]);
+                assert!((out[0] - force).abs() < 3.0, "{gives:?}: {} for {force}", out[0]);
             }
         }
     }

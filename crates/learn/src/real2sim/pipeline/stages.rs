@@ -309,7 +309,8 @@ impl Stages<'_> {
         // Nearer than two radii of the search, peaks run into one another whatever is set.
         let apart = scenes.distance.max(2.0 * self.settings.peaks.radius);
         for contacts in 2..=CONTACTS {
-            let (model, count) = (self.model.as_ref(), PEAK_FRAMES / contacts);
+            // Of few presses, no more sums than there is to learn of.
+            let (model, count) = (self.model.as_ref(), (PEAK_FRAMES / contacts).min(4 * recorded.len()));
             frames.extend(superpose(model, recorded, contacts, count, apart, scenes.seed ^ 0x5eed));
         }
         frames
