@@ -237,9 +237,11 @@ impl Plan {
             let step = step.step().map_err(|(key, reason)| wrong(&format!("steps[{i}].{key}"), &reason))?;
             steps.push(step);
         }
-        let diameter = match (read.diameter, &read.tip) {
-            (Some(diameter), None) => diameter.all(),
+        let diameter = match (read.diameter.map(OneOrMore::all), &read.tip) {
+            (Some(diameter), None) => diameter,
             (None, Some(tip)) => vec![tip.shape.extent()],
+            // As plans are written: with the tip's own extent.
+            (Some(diameter), Some(tip)) if diameter == [tip.shape.extent()] => diameter,
             (Some(_), Some(_)) => {
                 return Err(wrong("tip", "stands beside `diameter`, which means a sphere: name one of them"));
             }

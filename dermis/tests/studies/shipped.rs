@@ -21,7 +21,8 @@ fn skin(name: &str) -> SkinDescription {
 fn every_plan_that_ships_can_be_carried_out_on_its_skin() {
     for path in files("plans") {
         let plan = Plan::load(&path).unwrap_or_else(|e| panic!("{e}"));
-        let of = ["baro-line", "baro-dome"].into_iter().find(|skin| plan.name.starts_with(skin));
+        let named = ["baro-line", "baro-dome", "hapdef-shin", "ert-panel"];
+        let of = named.into_iter().find(|skin| plan.name.starts_with(skin));
         let skin = skin(of.unwrap_or("baro-grid"));
         let model = SENSORS.of(&skin).unwrap().model(&skin).unwrap();
         Timeline::new(&plan, &model, plan.seed).unwrap_or_else(|e| panic!("{e}"));

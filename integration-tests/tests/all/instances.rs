@@ -326,10 +326,17 @@ fn a_renamed_skin_file_loads_its_old_bundle() {
     let renamed = folder.path().join("right-palm.toml");
     std::fs::write(&renamed, text.replace("name = \"baro-grid\"", "name = \"right-palm\"")).unwrap();
     let launch = folder.path().join("renamed.launch.yaml");
-    let model = root().join("models/baro-grid");
+    // A bundle whose hash covered the name: of baro-grid that was this.
+    let named = "sha256:c725fa4cf5c38301732468e689a2ed1cb162a746611719bfed53b2f350b424f0";
+    let model = folder.path().join("baro-grid");
+    std::fs::create_dir(&model).unwrap();
+    for file in ["bundle.toml", "card.json", "model.onnx"] {
+        std::fs::copy(root().join("models/baro-grid").join(file), model.join(file)).unwrap();
+    }
     let manifest = std::fs::read_to_string(model.join("bundle.toml")).unwrap();
     let hash = dermis_skin::SkinDescription::load(skin()).unwrap().hash();
-    assert!(!manifest.contains(&hash), "its hash is one of those that covered the name");
+    assert!(manifest.contains(&hash), "the bundle that ships is of another skin");
+    std::fs::write(model.join("bundle.toml"), manifest.replace(&hash, named)).unwrap();
     std::fs::write(
         &launch,
         format!(

@@ -210,11 +210,21 @@ fn every_device_of_the_type_takes_the_bundle() {
     let left = pad().into_instance(Some("left_pad"), Some("left_link"), None).unwrap();
     assert_eq!(Bundle::load(&disk.path, &left).unwrap().manifest().skin.hash, pad().hash());
 
-    // A bundle that was trained when the hash still covered the name.
+    // A bundle that was trained when the hash still covered the name: of baro-grid that was this.
+    let named = "sha256:c725fa4cf5c38301732468e689a2ed1cb162a746611719bfed53b2f350b424f0";
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let text = std::fs::read_to_string(root.join("launch/skins/baro-grid.toml")).unwrap();
     let grid = |text: &str| SkinDescription::from_toml(text, "grid").unwrap();
-    let model = root.join("models/baro-grid");
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("baro-grid");
+    std::fs::create_dir(&model).unwrap();
+    for file in ["bundle.toml", "card.json", "model.onnx"] {
+        std::fs::copy(root.join("models/baro-grid").join(file), model.join(file)).unwrap();
+    }
+    let manifest = std::fs::read_to_string(model.join("bundle.toml")).unwrap();
+    let manifest = manifest.replace(&grid(&text).hash(), named);
+    assert!(manifest.contains(named), "the bundle that ships is of another skin");
+    std::fs::write(model.join("bundle.toml"), manifest).unwrap();
     let old = Bundle::load(&model, &grid(&text)).unwrap();
     assert_ne!(old.manifest().skin.hash, grid(&text).hash());
     let renamed = text.replace("name = \"baro-grid\"", "name = \"right-palm\"");
