@@ -35,6 +35,8 @@ pub(crate) struct Dictionary {
     directions: Vec<f32>,
     /// For every place the places beside it.
     neighbours: Vec<Vec<usize>>,
+    /// For every place its [`mismatch`](Self::mismatch).
+    mismatches: Vec<f64>,
 }
 
 /// Spacings within which places are neighbours.
@@ -79,7 +81,10 @@ impl Dictionary {
             }
         }
         let neighbours = beside(&places, BESIDE * spacing);
-        Ok(Self { places, forces, channels, responses, directions, neighbours })
+        let mismatches =
+            neighbours.iter().enumerate().map(|(i, all)| mismatch(&directions, channels, i, all));
+        let mismatches = mismatches.collect();
+        Ok(Self { places, forces, channels, responses, directions, neighbours, mismatches })
     }
 
     /// Places beside a place.
@@ -90,13 +95,7 @@ impl Dictionary {
     /// Share of the square of a place's response that the response of a neighbour does not explain: the most of all neighbours.
     /// A touch between places leaves no more than that where the nearest place is taken for its own.
     pub fn mismatch(&self, place: usize) -> f64 {
-        let direction = |i: usize| &self.directions[i * self.channels..(i + 1) * self.channels];
-        let own = direction(place);
-        let unexplained = |other: &usize| {
-            let cosine: f32 = own.iter().zip(direction(*other)).map(|(a, b)| a * b).sum();
-            1.0 - f64::from(cosine.clamp(0.0, 1.0)).powi(2)
-        };
-        self.neighbours[place].iter().map(unexplained).fold(0.0, f64::max)
+        self.mismatches[place]
     }
 
     /// For every place the part of whitened residuals that lies along its response, 0 where it points the other way.
@@ -150,6 +149,17 @@ fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Place> {
         }
     }
     places
+}
+
+/// Share of the square of a unit direction that the worst of its neighbours does not explain.
+fn mismatch(directions: &[f32], channels: usize, place: usize, neighbours: &[usize]) -> f64 {
+    let direction = |i: usize| &directions[i * channels..(i + 1) * channels];
+    let own = direction(place);
+    let unexplained = |other: &usize| {
+        let cosine: f32 = own.iter().zip(direction(*other)).map(|(a, b)| a * b).sum();
+        1.0 - f64::from(cosine.clamp(0.0, 1.0)).powi(2)
+    };
+    neighbours.iter().map(unexplained).fold(0.0, f64::max)
 }
 
 /// For every place all others that are nearer than `distance` \[m\].

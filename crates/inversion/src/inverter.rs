@@ -125,7 +125,7 @@ impl Inverter {
         let channels = self.gains.len();
         let data = self.data(readings);
         let problem = self.problem(&data);
-        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let counted = counted(&data);
         let nothing: Vec<f64> = vec![0.0; channels];
         let mut best =
             Minimum { contacts: Vec::new(), chi2: sum_of_squares(&data), covariance: None, signal: nothing };
@@ -138,7 +138,7 @@ impl Inverter {
             if after > counted || left < self.settings.evidence && !best.contacts.is_empty() {
                 break;
             }
-            let freedom = counted.saturating_sub(after) as f64;
+            let freedom = counted.saturating_sub(after);
             let mut found: Option<Minimum> = None;
             if best.contacts.is_empty() {
                 modes = self.modes(&problem, &data, hint)?;
@@ -146,7 +146,7 @@ impl Inverter {
             } else {
                 for kind in [Start::Dictionary, Start::Split] {
                     // What is left is noise: no other start finds anything better.
-                    let enough = |f: &Minimum| f.chi2 < freedom + PLAUSIBLE * (2.0 * freedom).sqrt();
+                    let enough = |f: &Minimum| f.chi2 < plausible(freedom);
                     if found.as_ref().is_some_and(enough) {
                         break;
                     }
@@ -184,7 +184,7 @@ impl Inverter {
         let data = self.data(readings);
         let left = residuals(&data, &vec![0.0; data.len()]);
         let whole: f64 = left.iter().map(|r| f64::from(*r).powi(2)).sum();
-        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let counted = counted(&data);
         let freedom = counted.saturating_sub(self.settings.unknowns.count());
         // Nothing can be gained that is not there.
         if whole < self.settings.evidence || freedom == 0 {
@@ -204,7 +204,7 @@ impl Inverter {
         self.check(readings)?;
         let data = self.data(readings);
         let problem = self.problem(&data);
-        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let counted = counted(&data);
         let per_contact = self.settings.unknowns.count();
         // More than the readings can tell are not looked for.
         let most = self.settings.contacts.min(counted / per_contact);
@@ -238,7 +238,7 @@ impl Inverter {
         self.check(readings)?;
         let data = self.data(readings);
         let problem = self.problem(&data);
-        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let counted = counted(&data);
         let s = &self.settings;
         let most = s.contacts.min(counted / s.unknowns.count());
         let untouched = vec![0.0; data.len()];
@@ -296,7 +296,7 @@ impl Inverter {
         self.check(readings)?;
         let s = &self.settings;
         let data = self.data(readings);
-        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let counted = counted(&data);
         let Some(freedom) = counted.checked_sub(s.unknowns.count() * before.len()) else { return Ok(None) };
         if before.is_empty() || before.len() > s.contacts || before.iter().any(|f| self.is_broad(f)) {
             return Ok(None);
@@ -304,8 +304,7 @@ impl Inverter {
         let problem = self.problem(&data);
         let start = before.iter().map(|f| Indentation::sphere(f.position, f.force, s.diameter)).collect();
         let moved = problem.minimise(start)?;
-        let freedom = freedom as f64;
-        if moved.chi2 > freedom + PLAUSIBLE * (2.0 * freedom).sqrt() || !self.apart(&moved) {
+        if moved.chi2 > plausible(freedom) || !self.apart(&moved) {
             return Ok(None);
         }
         // Any of them may have ended, not the weakest alone.
@@ -377,7 +376,7 @@ impl Inverter {
     }
 
     fn solution(&self, best: &Minimum, data: &[Datum]) -> Solution {
-        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let counted = counted(data);
         let mut contacts = self.describe(best, data);
         if let [single] = contacts.as_mut_slice()
             && self.is_broad(single)
@@ -432,6 +431,16 @@ impl Inverter {
             minimum.contacts[..i].iter().all(|b| (a.position - b.position).norm() >= self.settings.distance)
         })
     }
+}
+
+/// Readings that count.
+fn counted(data: &[Datum]) -> usize {
+    data.iter().filter(|d| **d != Datum::None).count()
+}
+
+/// Up to where a sum of squared deviations with so many degrees of freedom is what noise leaves.
+fn plausible(freedom: usize) -> f64 {
+    freedom as f64 + PLAUSIBLE * (2.0 * freedom as f64).sqrt()
 }
 
 /// What a model signal leaves of data, in units of their noise.

@@ -86,8 +86,11 @@ fn every_cause_is_mapped_once() {
     let mapping = Mapping::from_toml(Mapping::TEXT).unwrap();
     let mut known = BTreeSet::new();
     for entry in std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../../launch/skins")).unwrap() {
-        // A file whose elements its family adds cannot be read here, and the benchmark has no causes of that family.
-        let Ok(skin) = dermis_skin::SkinDescription::load(entry.unwrap().path()) else { continue };
+        let skin = match dermis_skin::SkinDescription::load(entry.unwrap().path()) {
+            // Its family adds the elements, which this crate does not know; the benchmark has no causes of that family.
+            Err(dermis_skin::SkinError::Impossible { field, .. }) if field == "taxels" => continue,
+            read => read.unwrap(),
+        };
         known.extend(crate::causes(&skin).into_iter().flatten().map(|c| c.id.to_owned()));
     }
     assert_eq!(mapping.causes.keys().cloned().collect::<BTreeSet<_>>(), known);

@@ -7,7 +7,7 @@
 use dermis_model::{Unknowns, tangents};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 
-use super::Inverter;
+use super::{Inverter, counted};
 use crate::contact::ContactEstimate;
 use crate::fit::{Datum, Minimum};
 use crate::settings::ForcePrior;
@@ -15,7 +15,7 @@ use crate::settings::ForcePrior;
 impl Inverter {
     pub(super) fn describe(&self, minimum: &Minimum, data: &[Datum]) -> Vec<ContactEstimate> {
         let per_contact = self.settings.unknowns.count();
-        let counted = data.iter().filter(|d| **d != Datum::None).count();
+        let counted = counted(data);
         let freedom = counted.saturating_sub(per_contact * minimum.contacts.len());
         // Where model and readings differ by more than noise, the error is more than noise makes.
         let inflation = if freedom > 0 { (minimum.chi2 / freedom as f64).max(1.0) } else { 1.0 };

@@ -8,9 +8,9 @@
 //! as the search's; minima are Gaussian and apart. Cost: one product with the dictionary, and a minimisation for each candidate.
 
 use dermis_model::{Indentation, Unknown};
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Point3};
 
-use super::{Inverter, PLAUSIBLE, residuals};
+use super::{Inverter, counted, plausible, residuals};
 use crate::contact::ContactEstimate;
 use crate::fit::{Datum, Minimum, Problem};
 use crate::settings::InverterError;
@@ -44,26 +44,32 @@ impl Inverter {
         hint: Option<&Indentation>,
     ) -> Result<Vec<Mode>, InverterError> {
         let left = residuals(data, &vec![0.0; data.len()]);
+        let scores: Vec<f32> = self.dictionary.project(&left).collect();
+        let limits = self.limits(data);
         let mut minima: Vec<Minimum> = Vec::new();
         if let Some(hint) = hint {
             let mut start = hint.clone();
             start.position.y = self.line.unwrap_or(start.position.y);
             self.add(&mut minima, problem.minimise(vec![start])?);
         }
-        let mut tried = self.peaks(data, &left);
+        let mut tried = self.peaks(&scores, &limits);
         for index in &tried {
-            self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
+            // From beside a minimum that explains the readings the search ends in it once more.
+            let place = self.dictionary.places[*index].position;
+            let explains = |m: &Minimum| m.chi2 < limits.noise && self.is_at(m, place);
+            if !minima.iter().any(explains) {
+                self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
+            }
         }
-        let ranked = self.ranked(data);
+        let ranked = self.ranked(&scores, &limits);
         for _ in 0..FARTHER {
-            let Some(index) = self.farther(&ranked, (data, &tried, &minima)) else { break };
+            let Some(index) = self.farther(&ranked, &limits, &tried, &minima) else { break };
             tried.push(index);
             self.add(&mut minima, problem.minimise(vec![self.pressed(index, &left)])?);
         }
         // A minimum that noise does not explain lies at an edge that the true place is beyond of: begin all about.
-        let explained = |minima: &[Minimum]| minima.iter().any(|m| m.chi2 < self.plausible(data));
         for (_, index) in ranked.iter().filter(|(_, index)| !tried.contains(index)).take(RESTARTS) {
-            if explained(&minima) {
+            if minima.iter().any(|m| m.chi2 < limits.noise) {
                 break;
             }
             self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
@@ -106,7 +112,7 @@ impl Inverter {
     /// Takes a minimum in; two starts that end in one place are one minimum.
     fn add(&self, minima: &mut Vec<Minimum>, found: Minimum) {
         let Some(place) = found.contacts.first().map(|c| c.position) else { return };
-        let same = |m: &&mut Minimum| m.contacts.iter().any(|c| (c.position - place).norm() < self.spacing);
+        let same = |m: &&mut Minimum| self.is_at(m, place);
         match minima.iter_mut().find(same) {
             Some(other) if self.score(&found) < self.score(other) => *other = found,
             Some(_) => {}
@@ -114,18 +120,21 @@ impl Inverter {
         }
     }
 
-    /// Up to where a sum of squared deviations of one contact is what noise leaves.
-    fn plausible(&self, data: &[Datum]) -> f64 {
-        let counted = data.iter().filter(|d| **d != Datum::None).count();
-        let freedom = counted.saturating_sub(self.settings.unknowns.count()) as f64;
-        freedom + PLAUSIBLE * (2.0 * freedom).sqrt()
+    /// Whether a minimum lies at a place, as far as the dictionary tells places apart.
+    fn is_at(&self, minimum: &Minimum, place: Point3<f64>) -> bool {
+        minimum.contacts.iter().any(|c| (c.position - place).norm() < self.spacing)
     }
 
-    /// Places of the dictionary by the least sum of squared deviations that a press there leaves, the best first; as many as are tried
-    /// at most.
-    fn ranked(&self, data: &[Datum]) -> Vec<(f64, usize)> {
+    fn limits(&self, data: &[Datum]) -> Limits {
+        let noise = plausible(counted(data).saturating_sub(self.settings.unknowns.count()));
+        Limits { whole: sum_of_squares(data), noise }
+    }
+
+    /// Places of the dictionary by the sum of squared deviations that a press there leaves, the best first; as many as are tried at
+    /// most.
+    fn ranked(&self, scores: &[f32], limits: &Limits) -> Vec<(f64, usize)> {
         let mut places: Vec<(f64, usize)> =
-            (0..self.dictionary.places.len()).map(|index| (self.unexplained(index, data), index)).collect();
+            scores.iter().enumerate().map(|(index, score)| (limits.left(*score), index)).collect();
         let few = RANKED.min(places.len());
         if few > 0 && few < places.len() {
             places.select_nth_unstable_by(few - 1, |a, b| a.0.total_cmp(&b.0));
@@ -139,7 +148,9 @@ impl Inverter {
     fn farther(
         &self,
         ranked: &[(f64, usize)],
-        (data, tried, minima): (&[Datum], &[usize], &[Minimum]),
+        limits: &Limits,
+        tried: &[usize],
+        minima: &[Minimum],
     ) -> Option<usize> {
         let place = |index: usize| self.dictionary.places[index].position;
         let is_far = |index: usize| {
@@ -147,31 +158,13 @@ impl Inverter {
             let ended = minima.iter().flat_map(|m| m.contacts.iter().map(|c| c.position));
             begun.chain(ended).all(|other| (other - place(index)).norm() > APART * self.spacing)
         };
-        let whole = sum_of_squares(data);
-        let mut possible = ranked.iter().filter(|(left, index)| self.is_possible(*left, *index, whole, data));
+        let mut possible = ranked.iter().filter(|(left, index)| self.is_possible(*left, *index, limits));
         possible.find(|(_, index)| is_far(*index)).map(|(_, index)| *index)
     }
 
-    /// Whether a touch near a place of the dictionary can be what made readings whose squares sum up to `whole`, where a press at
-    /// that very place leaves `left` of them.
-    fn is_possible(&self, left: f64, index: usize, whole: f64, data: &[Datum]) -> bool {
-        left < self.plausible(data) + self.dictionary.mismatch(index) * whole
-    }
-
-    /// Least sum of squared deviations that a press at a place of the dictionary leaves, whatever its force.
-    fn unexplained(&self, index: usize, data: &[Datum]) -> f64 {
-        let levels = (0..self.dictionary.forces.len()).map(|level| {
-            let (mut dot, mut square, mut whole) = (0.0, 0.0, 0.0);
-            for (value, datum) in self.dictionary.response(index, level).iter().zip(data) {
-                let Datum::Exact(reading, weight) = *datum else { continue };
-                let v = f64::from(*value) * weight;
-                dot += v * reading * weight;
-                square += v * v;
-                whole += (reading * weight).powi(2);
-            }
-            if square > 0.0 { whole - dot.max(0.0).powi(2) / square } else { whole }
-        });
-        levels.fold(f64::INFINITY, f64::min)
+    /// Whether a touch near a place of the dictionary can be what made readings of which a press at that very place leaves `left`.
+    fn is_possible(&self, left: f64, index: usize, limits: &Limits) -> bool {
+        left < limits.noise + self.dictionary.mismatch(index) * limits.whole
     }
 
     /// Logarithm of a minimum's evidence but for a constant; −∞ where the readings do not fix it.
@@ -190,22 +183,33 @@ impl Inverter {
     }
 
     /// Places of the dictionary that may hold a minimum, the best first.
-    fn peaks(&self, data: &[Datum], left: &[f32]) -> Vec<usize> {
-        let whole = sum_of_squares(data);
-        let scores: Vec<f32> = self.dictionary.project(left).collect();
+    fn peaks(&self, scores: &[f32], limits: &Limits) -> Vec<usize> {
         let mut highest: Vec<usize> = (0..scores.len())
             .filter(|i| {
-                let is_highest = self.dictionary.neighbours(*i).iter().all(|n| scores[*n] <= scores[*i]);
-                is_highest && scores[*i] > 0.0
+                scores[*i] > 0.0 && self.dictionary.neighbours(*i).iter().all(|n| scores[*n] <= scores[*i])
             })
             .collect();
         highest.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]));
         // The best is tried whatever it leaves.
-        let possible = |rank: usize, index: usize| {
-            rank == 0 || self.is_possible(whole - f64::from(scores[index]).powi(2), index, whole, data)
+        let possible = |(rank, index): &(usize, usize)| {
+            *rank == 0 || self.is_possible(limits.left(scores[*index]), *index, limits)
         };
-        let held = highest.into_iter().enumerate().filter(|(rank, index)| possible(*rank, *index));
-        held.map(|(_, index)| index).take(PEAKS).collect()
+        highest.into_iter().enumerate().filter(possible).map(|(_, index)| index).take(PEAKS).collect()
+    }
+}
+
+/// What the readings of one frame allow.
+struct Limits {
+    /// Sum of the squares of the readings.
+    whole: f64,
+    /// Up to where a sum of squared deviations is what noise leaves.
+    noise: f64,
+}
+
+impl Limits {
+    /// Sum of squared deviations that a press leaves whose direction the readings have `score` of.
+    fn left(&self, score: f32) -> f64 {
+        self.whole - f64::from(score).powi(2)
     }
 }
 
