@@ -1,10 +1,9 @@
 //! How fast the panel's forward model samples, noise included, against scipy and pyEIT, which solve the same sheet anew.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use clap::Args;
 use dermis_ert::model::FabricModel;
 use dermis_ert::sheet::Update;
@@ -15,6 +14,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
+use crate::peers;
 use crate::sampling::sample;
 
 /// Stimuli that are sampled again and again.
@@ -74,7 +74,7 @@ pub fn run(options: &Options) -> Result<Value> {
     let mut result =
         json!({ "skin": skin.name, "channels": 784, "threads": options.threads, "set_up_s": set_up });
     if let Some(python) = &options.peer_python {
-        let peers = peers(python, &model, &mixed[..FRAMES], options)?;
+        let peers = beside(python, &model, &mixed[..FRAMES], options)?;
         // By CPU time: what else runs on the machine meets both alike.
         let rate = ours["one_to_six"]["by_cpu_time"].as_f64().unwrap_or(f64::NAN);
         let mut ratios = serde_json::Map::new();
@@ -111,7 +111,7 @@ fn stimulus(model: &FabricModel, rng: &mut ChaCha8Rng, contacts: usize) -> Stimu
 }
 
 /// What peers make of the same sheet and contacts.
-fn peers(python: &Path, model: &FabricModel, stimuli: &[Stimulus], options: &Options) -> Result<Vec<Value>> {
+fn beside(python: &Path, model: &FabricModel, stimuli: &[Stimulus], options: &Options) -> Result<Vec<Value>> {
     let (parameters, sheet) = (model.parameters(), model.sheet());
     let n = sheet.electrodes();
     let (mut update, mut resistances) = (Update::default(), vec![0.0; n * n]);
@@ -130,26 +130,6 @@ fn peers(python: &Path, model: &FabricModel, stimuli: &[Stimulus], options: &Opt
         "cells": parameters.grid.cells, "size": parameters.grid.size, "square": parameters.resistance[0],
         "leak": parameters.leak, "electrodes": electrodes, "frames": frames,
     });
-    let folder = tempfile::tempdir()?;
-    let file = folder.path().join("data.json");
-    std::fs::write(&file, data.to_string())?;
-    let out = Command::new(python)
-        .arg(options.root.join("benches/python/ert_peer.py"))
-        .arg(&file)
-        .args([options.seconds.to_string(), options.threads.to_string()])
-        .envs([("OMP_NUM_THREADS", "1"), ("OPENBLAS_NUM_THREADS", "1")])
-        .output()
-        .with_context(|| format!("{} cannot be started", python.display()))?;
-    if !out.status.success() {
-        bail!("a peer failed: {}", String::from_utf8_lossy(&out.stderr));
-    }
-    let peers: Vec<Value> =
-        serde_json::from_slice(&out.stdout).context("the peers printed something else")?;
-    for peer in &peers {
-        // A peer that computes something else is none.
-        if peer["deviation"].as_f64().is_none_or(|d| d > 1e-6) {
-            bail!("a peer's resistances are not ours: {peer}");
-        }
-    }
-    Ok(peers)
+    let Options { root, seconds, threads, .. } = options;
+    peers::Run { python, root, seconds: *seconds, threads: *threads }.of("ert_peer.py", &data, 1e-6)
 }

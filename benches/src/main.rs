@@ -7,6 +7,7 @@ mod limb;
 mod machine;
 mod model;
 mod node;
+mod peers;
 mod publish;
 mod recording;
 mod restart;

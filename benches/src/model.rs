@@ -1,10 +1,9 @@
 //! How fast the forward model samples, noise included, against numpy and scipy on the same table.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_skin::SkinDescription;
@@ -13,6 +12,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
+use crate::peers;
 use crate::sampling::sample;
 
 /// Stimuli that are sampled again and again.
@@ -86,7 +86,7 @@ pub fn run(options: &Options) -> Result<Value> {
         "set_up_s": set_up,
     });
     if let Some(python) = &options.peer_python {
-        let peers = peers(python, &skin, layer.as_ref(), &normal, &clean, options)?;
+        let peers = beside(python, &skin, layer.as_ref(), &normal, &clean, options)?;
         let number = |value: &Value, key: &str| value[key].as_f64().unwrap_or(f64::NAN);
         for peer in &peers {
             let name = peer["name"].as_str().unwrap_or_default();
@@ -165,7 +165,7 @@ fn table(model: &dyn ForwardModel, channel: usize, taxel: [f64; 2], rows: usize,
 }
 
 /// What the peer makes of the same tables and stimuli.
-fn peers(
+fn beside(
     python: &Path,
     skin: &SkinDescription,
     model: &dyn ForwardModel,
@@ -196,24 +196,6 @@ fn peers(
         "noise": model.noise()[0],
         "range": skin.channels()[0].range.unwrap_or([f64::MIN, f64::MAX]),
     });
-    let folder = tempfile::tempdir()?;
-    let file = folder.path().join("data.json");
-    std::fs::write(&file, data.to_string())?;
-    let out = Command::new(python)
-        .arg(options.root.join("benches/python/table_peer.py"))
-        .arg(&file)
-        .args([options.seconds.to_string(), options.threads.to_string()])
-        .output()
-        .with_context(|| format!("{} cannot be started", python.display()))?;
-    if !out.status.success() {
-        bail!("the peer failed: {}", String::from_utf8_lossy(&out.stderr));
-    }
-    let peers: Vec<Value> = serde_json::from_slice(&out.stdout).context("the peer printed something else")?;
-    for peer in &peers {
-        // A peer that computes something else is none.
-        if peer["deviation"].as_f64().is_none_or(|d| d > 1e-3) {
-            bail!("the peer's readings are not ours: {peer}");
-        }
-    }
-    Ok(peers)
+    let Options { root, seconds, threads, .. } = options;
+    peers::Run { python, root, seconds: *seconds, threads: *threads }.of("table_peer.py", &data, 1e-3)
 }

@@ -18,6 +18,32 @@ pub fn stream(effect: &Effect, index: usize) -> ChaCha8Rng {
     rng
 }
 
+/// Waves that make up a random field: many, so that it is close to Gaussian.
+const WAVES: usize = 200;
+
+/// A random field of an effect at `places` \[m\]: normal, its correlation falling as exp(−d²/2ℓ²) with the distance d for the `length` ℓ
+/// \[m\] (Rahimi and Recht's random waves, in space).
+#[must_use]
+pub fn random_field<const N: usize>(
+    effect: &Effect,
+    length: f64,
+    places: impl Iterator<Item = [f64; N]>,
+) -> Vec<f64> {
+    let mut rng = stream(effect, 0);
+    let waves: Vec<([f64; N], f64)> = (0..WAVES)
+        .map(|_| {
+            let wave = [(); N].map(|()| rng.sample::<f64, _>(StandardNormal) / length);
+            (wave, rng.random_range(0.0..std::f64::consts::TAU))
+        })
+        .collect();
+    let scale = (2.0 / WAVES as f64).sqrt();
+    let phase_at = |wave: &[f64; N], at: &[f64; N]| wave.iter().zip(at).map(|(k, x)| k * x).sum::<f64>();
+    let value = |at: [f64; N]| {
+        scale * waves.iter().map(|(wave, phase)| (phase_at(wave, &at) + phase).cos()).sum::<f64>()
+    };
+    places.map(value).collect()
+}
+
 /// The random numbers of one time that a device is switched on: those of the device itself for `start` 0, others of the same stream
 /// for any other.
 fn restarted(rng: &ChaCha8Rng, start: u64) -> ChaCha8Rng {

@@ -7,9 +7,22 @@ use std::sync::Arc;
 
 use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 
-use crate::{ForwardModel, Stimulus};
+use crate::{Case, ForwardModel, Stimulus};
 
 pub use probe::{Probe, forwards_everything};
+
+/// Prints all validation cases, and fails where one does.
+///
+/// # Panics
+///
+/// Names the cases that failed.
+pub fn all_pass(cases: &[Case]) {
+    for case in cases {
+        println!("{} {}: {:e} for {:e} ({:e})", case.id, case.what, case.got, case.reference, case.tolerance);
+    }
+    let failed: Vec<&Case> = cases.iter().filter(|c| !c.pass).collect();
+    assert!(failed.is_empty(), "{failed:#?}");
+}
 
 /// Makes the device that a skin describes.
 pub type Makes<'a> = dyn Fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> + 'a;

@@ -164,8 +164,14 @@ impl SkinDescription {
                 p => format!("medium.{p}"),
             };
             let reason = e.inner().message().trim().replace('\n', " ");
-            ModelError::Description { skin: self.name.clone(), field, reason }
+            self.refusal(&field, reason)
         })
+    }
+
+    /// What a model says of a field of this skin that it cannot take.
+    #[must_use]
+    pub fn refusal(&self, field: &str, reason: String) -> ModelError {
+        ModelError::Description { skin: self.name.clone(), field: field.to_owned(), reason }
     }
 
     /// Checks [`medium`](Self::medium) by `read`, the family's reader of that table. A skin without a medium has no forward model,

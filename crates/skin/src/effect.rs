@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{ModelError, SkinError};
+use crate::{ModelError, SkinDescription, SkinError};
 
 /// A number that an effect depends on.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -198,6 +198,27 @@ impl Effect {
                     return wrong(format!("effects[{i}].{name}"), reason.trim_end().to_owned());
                 }
             }
+        }
+        Ok(())
+    }
+
+    /// Has `act` change what a model is computed from by each effect of a skin that is on, in the order of the table `known`, so that
+    /// the order in the file makes no difference. What `act` refuses is a parameter's name and why.
+    ///
+    /// # Errors
+    ///
+    /// As [`check`](Self::check), and [`ModelError::Description`] with the field `effects[i].…` of what `act` refuses.
+    pub fn apply(
+        skin: &SkinDescription,
+        known: &'static [EffectInfo],
+        mut act: impl FnMut(&EffectInfo, &Self) -> Result<(), (&'static str, String)>,
+    ) -> Result<(), ModelError> {
+        Self::check(&skin.effects, known, &skin.name)?;
+        for info in known {
+            let on = |e: &Self| e.name == info.name && e.strength > 0.0;
+            let Some(i) = skin.effects.iter().position(on) else { continue };
+            act(info, &skin.effects[i])
+                .map_err(|(name, reason)| skin.refusal(&format!("effects[{i}].{name}"), reason))?;
         }
         Ok(())
     }

@@ -99,8 +99,7 @@ impl BarometerModel {
                 Box::new(dome::Dome::new(skin, parameters, radius, cylinder)?)
             }
             SurfaceSpec::Panel { .. } | SurfaceSpec::Mesh { .. } | SurfaceSpec::Family(_) => {
-                return Err(refusal(
-                    skin,
+                return Err(skin.refusal(
                     "surface.type",
                     "is none that this sensor's model knows: rectangle or dome".into(),
                 ));
@@ -147,11 +146,6 @@ impl BarometerModel {
         }
         Ok(())
     }
-}
-
-/// Refuses a skin: which field, and what is wrong with it.
-fn refusal(skin: &SkinDescription, field: &str, reason: String) -> ModelError {
-    ModelError::Description { skin: skin.name.clone(), field: field.to_owned(), reason }
 }
 
 impl ForwardModel for BarometerModel {

@@ -20,7 +20,7 @@ use nalgebra::Point3;
 
 use crate::effects::{self, Dynamics};
 use crate::foam::Stack;
-use crate::parameters::{Parameters, refusal};
+use crate::parameters::Parameters;
 use crate::sheet::{Load, Sheet, Update};
 
 use state::Device;
@@ -69,7 +69,7 @@ impl FabricModel {
         let mut parameters = Parameters::nominal(skin)?;
         effects::shape(skin, &mut parameters)?;
         let sheet = Sheet::new(&parameters.sheet(), &parameters.electrodes)
-            .map_err(|error| refusal(skin, "medium", error.to_string()))?;
+            .map_err(|error| skin.refusal("medium", error.to_string()))?;
         Ok(Self { dynamics: Dynamics::new(skin)?, noise: skin.channel_noise(), sheet, parameters })
     }
 

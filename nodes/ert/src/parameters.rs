@@ -187,13 +187,13 @@ impl MediumSpec {
         for (axis, cells) in spec.cells.iter().enumerate() {
             if !(CELLS[0]..=CELLS[1]).contains(cells) {
                 let reason = format!("is {cells} and must be {} to {}", CELLS[0], CELLS[1]);
-                return Err(refusal(skin, &format!("medium.cells[{axis}]"), reason));
+                return Err(skin.refusal(&format!("medium.cells[{axis}]"), reason));
             }
         }
         for (field, value, [low, high]) in spec.limits() {
             if !(low..=high).contains(&value) {
                 let reason = format!("is {value} and must be {low} to {high}");
-                return Err(refusal(skin, &format!("medium.{field}"), reason));
+                return Err(skin.refusal(&format!("medium.{field}"), reason));
             }
         }
         Ok(spec)
@@ -220,14 +220,14 @@ impl Parameters {
     pub fn nominal(skin: &SkinDescription) -> Result<Self, ModelError> {
         if skin.unit != "V" {
             let reason = format!("is \"{}\" where electrodes read \"V\"", skin.unit);
-            return Err(refusal(skin, "unit", reason));
+            return Err(skin.refusal("unit", reason));
         }
         let spec = MediumSpec::read(skin)?;
-        let panel = Panel::of(skin).map_err(|reason| refusal(skin, "surface", reason))?;
+        let panel = Panel::of(skin).map_err(|reason| skin.refusal("surface", reason))?;
         let count = skin.taxels.len();
         if !(2..=ELECTRODES).contains(&count) {
             let reason = format!("are {count} electrodes and must be 2 to {ELECTRODES}");
-            return Err(refusal(skin, "taxels", reason));
+            return Err(skin.refusal("taxels", reason));
         }
         let wired = skin.channels().len() == count * count
             && skin.channels().iter().enumerate().all(|(i, c)| c.taxel == skin.taxels[i % count].name);
@@ -237,7 +237,7 @@ impl Parameters {
                  leave them out, and they follow from the electrodes",
                 count * count
             );
-            return Err(refusal(skin, "channels", reason));
+            return Err(skin.refusal("channels", reason));
         }
         let grid = Grid { size: panel.size, cells: spec.cells };
         let electrodes = electrodes(skin, &spec, &panel)?;
@@ -330,7 +330,7 @@ fn electrodes(
                 "lies {off:.4} m off the lower sheet, which is {depth:.4} m below the outside and {:.3} x {:.3} m",
                 panel.size[0], panel.size[1]
             );
-            return Err(refusal(skin, &format!("taxels[{i}].position"), reason));
+            return Err(skin.refusal(&format!("taxels[{i}].position"), reason));
         }
         Ok(Electrode { at, radius: spec.electrodes.radius })
     };
@@ -386,9 +386,4 @@ fn fault(error: ModelError) -> FieldFault {
         ModelError::Description { field, reason, .. } => FieldFault { field, reason },
         other => FieldFault::new("medium", other.to_string()),
     }
-}
-
-/// Refuses a skin: which field, and what is wrong with it.
-pub fn refusal(skin: &SkinDescription, field: &str, reason: String) -> ModelError {
-    ModelError::Description { skin: skin.name.clone(), field: field.to_owned(), reason }
 }

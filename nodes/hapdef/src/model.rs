@@ -17,7 +17,7 @@ use nalgebra::{Point3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::effects::{self, Dynamics};
-use crate::parameters::{Clamp, Parameters, StrainGauge, impossible, refusal};
+use crate::parameters::{Clamp, Parameters, StrainGauge, impossible};
 use nodes::Nodes;
 
 /// Points of a map that are summed at once: they stay in the nearest cache.
@@ -193,8 +193,7 @@ fn strains(design: &Design) -> Result<Vec<f64>, ModelError> {
     {
         if along.covered < COVERED {
             let [length, width] = gauges[channel].size.map(|s| s * 1e3);
-            return Err(refusal(
-                skin,
+            return Err(skin.refusal(
                 &wrong(channel),
                 format!(
                     "only {:.0} % of its {length} x {width} mm lie on the shell: move it away from the edge",
@@ -249,7 +248,7 @@ impl ShellModel {
         let Design { parameters, .. } = &design;
         let channels = parameters.gauges.len();
         if influence.len() != 3 * channels * parameters.surface.points.len() {
-            return Err(refusal(skin, "surface", "has other points than were solved".into()));
+            return Err(skin.refusal("surface", "has other points than were solved".into()));
         }
         Ok(Self {
             nodes: Nodes::new(&parameters.surface, parameters.patch),

@@ -155,7 +155,7 @@ impl Parameters {
     ///
     /// [`ModelError::Description`] names the field that is missing, unknown or impossible.
     pub fn nominal(skin: &SkinDescription) -> Result<Self, ModelError> {
-        let wrong = |field: &str, reason: String| refusal(skin, field, reason);
+        let wrong = |field: &str, reason: String| skin.refusal(field, reason);
         if skin.unit != "1" {
             return Err(wrong("unit", format!("is \"{}\" where strain gauges read \"1\"", skin.unit)));
         }
@@ -231,11 +231,6 @@ impl Parameters {
     }
 }
 
-/// Refuses a skin: which field, and what is wrong with it.
-pub fn refusal(skin: &SkinDescription, field: &str, reason: String) -> ModelError {
-    ModelError::Description { skin: skin.name.clone(), field: field.to_owned(), reason }
-}
-
 /// Refuses what mechanics refuses.
 pub fn impossible(skin: &SkinDescription, field: &str) -> impl Fn(MechanicsError) -> ModelError {
     let (skin, field) = (skin.name.clone(), field.to_owned());
@@ -254,9 +249,7 @@ fn held(skin: &SkinDescription, spec: &MediumSpec, surface: &Surface) -> Result<
             points.filter(|(_, p)| p.x.abs() >= end).map(|(i, _)| i).collect()
         }
         (_, true) => {
-            return Err(refusal(
-                skin,
-                "medium.clamp",
+            return Err(skin.refusal("medium.clamp",
                 "is missing: say where the shell is held, as [{ min = [x, y, z], max = [x, y, z] }] in metres".into(),
             ));
         }
@@ -264,8 +257,7 @@ fn held(skin: &SkinDescription, spec: &MediumSpec, surface: &Surface) -> Result<
     };
     // A whole edge, not a point of it: three points not in one line are the least that hold a shell.
     if held.len() < 3 {
-        return Err(refusal(
-            skin,
+        return Err(skin.refusal(
             "medium.clamp",
             format!("holds {} points of the surface: at least three are needed", held.len()),
         ));
@@ -286,9 +278,7 @@ fn gauge(
     let inside = outside - normal * spec.thickness;
     let off = (at - inside).norm();
     if off > OFF_FACE {
-        return Err(refusal(
-            skin,
-            &field("position"),
+        return Err(skin.refusal(&field("position"),
             format!(
                 "({}, {}, {}) m lies {off:.4} m off the inner face of the shell, whose nearest point is ({:.4}, {:.4}, \
                  {:.4}) m",
@@ -297,8 +287,7 @@ fn gauge(
         ));
     }
     if Vector3::from(description.normal).dot(&normal) < UPRIGHT {
-        return Err(refusal(
-            skin,
+        return Err(skin.refusal(
             &field("normal"),
             format!(
                 "is not that of the surface there, which is [{:.4}, {:.4}, {:.4}]",
@@ -307,11 +296,9 @@ fn gauge(
         ));
     }
     let Some(axis) = description.axis else {
-        return Err(refusal(
-            skin,
-            &field("axis"),
-            "is missing: a strain gauge measures along a direction".into(),
-        ));
+        return Err(
+            skin.refusal(&field("axis"), "is missing: a strain gauge measures along a direction".into())
+        );
     };
     let axis = Vector3::from(axis);
     // Both are upright to nearly the same normal: something is left of it.

@@ -219,18 +219,9 @@ fn solids(
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use dermis_model::suite::all_pass;
 
-    fn all_pass(cases: &[Case]) {
-        for case in cases {
-            println!(
-                "{} {}: {:e} for {:e} ({:e})",
-                case.id, case.what, case.got, case.reference, case.tolerance
-            );
-        }
-        let failed: Vec<&Case> = cases.iter().filter(|c| !c.pass).collect();
-        assert!(failed.is_empty(), "{failed:#?}");
-    }
+    use super::*;
 
     #[test]
     fn every_case_passes() {

@@ -16,17 +16,7 @@ use crate::parameters::{Element, Parameters};
 /// [`ModelError::Description`] with the field `effects[i].…` where an effect or one of its parameters is unknown, has a value
 /// that cannot be, or leaves a device that cannot be.
 pub fn shape(skin: &SkinDescription, parameters: &mut Parameters) -> Result<(), ModelError> {
-    Effect::check(&skin.effects, EFFECTS, &skin.name)?;
-    // In the order of the table, so that the order in the file makes no difference.
-    for info in EFFECTS {
-        let on = |e: &&Effect| e.name == info.name && e.strength > 0.0;
-        let Some(effect) = skin.effects.iter().find(on) else { continue };
-        apply(info, effect, skin, parameters).map_err(|(name, reason)| {
-            let i = skin.effects.iter().position(|e| e.name == info.name).unwrap_or_default();
-            ModelError::Description { skin: skin.name.clone(), field: format!("effects[{i}].{name}"), reason }
-        })?;
-    }
-    Ok(())
+    Effect::apply(skin, EFFECTS, |info, effect| apply(info, effect, skin, parameters))
 }
 
 /// What of an effect leaves an impossible device, and why.

@@ -9,7 +9,7 @@
 use dermis_model::Indentation;
 use dermis_skin::{ModelError, SkinDescription};
 
-use super::{Field, refusal};
+use super::Field;
 use crate::parameters::{BoreSpec, Parameters};
 
 /// Pressure at the ends of a bore along x.
@@ -43,7 +43,7 @@ impl Bore {
         for (name, value) in numbers {
             if !(value.is_finite() && value > 0.0) {
                 let reason = format!("is {value} and must be a positive number");
-                return Err(refusal(skin, &format!("medium.bore.{name}"), reason));
+                return Err(skin.refusal(&format!("medium.bore.{name}"), reason));
             }
         }
         let ends: Vec<f64> = parameters.elements.iter().map(|e| e.position.x).collect();
@@ -53,7 +53,7 @@ impl Bore {
         // What an effect moves is off its end by less than this.
         if ends.is_empty() || length <= 0.0 || ends.iter().any(|x| (x - low).min(high - x) > 0.1 * length) {
             let reason = "must lie at the two ends of the bore, along x".to_owned();
-            return Err(refusal(skin, "taxels", reason));
+            return Err(skin.refusal("taxels", reason));
         }
         Ok(Self { spec, ends, softness: parameters.design_modulus / parameters.young_modulus, length })
     }

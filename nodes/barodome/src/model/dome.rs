@@ -16,8 +16,8 @@ use dermis_skin::cache::{Key, kept};
 use dermis_skin::{ModelError, SkinDescription};
 use nalgebra::Vector3;
 
+use super::Field;
 use super::flat::footprint;
-use super::{Field, refusal};
 use crate::parameters::{Edge, Parameters};
 
 /// \[N\] up to which contacts are solved; a contact is not wider beyond.
@@ -77,15 +77,15 @@ impl Dome {
             let reason = format!(
                 "is {thickness} m and must be smaller than the dome's radius of {radius} m: a core is inside"
             );
-            return Err(refusal(skin, "medium.thickness", reason));
+            return Err(skin.refusal("medium.thickness", reason));
         }
         if parameters.edge == Edge::Free {
             let reason = "is for a flat surface: the foot of a dome is always free".into();
-            return Err(refusal(skin, "medium.edge", reason));
+            return Err(skin.refusal("medium.edge", reason));
         }
         let medium =
             Medium::mixed(parameters.young_modulus, parameters.poisson_ratio, thickness, parameters.slip)
-                .map_err(|e| refusal(skin, "medium", e.to_string()))?;
+                .map_err(|e| skin.refusal("medium", e.to_string()))?;
         let shape = DomeShape { radius, cylinder, thickness };
         let margin = MARGIN * thickness;
         let mut probes = Vec::new();
@@ -105,7 +105,7 @@ impl Dome {
                         point.z,
                         thickness - margin
                     );
-                    return Err(refusal(skin, &format!("taxels[{taxel}].position"), reason));
+                    return Err(skin.refusal(&format!("taxels[{taxel}].position"), reason));
                 }
             }
             probes.push(probe);

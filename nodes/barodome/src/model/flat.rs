@@ -15,8 +15,8 @@ use dermis_skin::cache::{Key, kept};
 use dermis_skin::{ModelError, SkinDescription};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
+use super::Field;
 use super::rim::Rim;
-use super::{Field, refusal};
 use crate::parameters::{Edge, Element, Parameters};
 
 /// \[N\] up to which contacts are solved; readings grow in proportion to the force beyond.
@@ -78,12 +78,12 @@ impl Flat {
         let thickness = parameters.thickness;
         let medium =
             Medium::mixed(parameters.young_modulus, parameters.poisson_ratio, thickness, parameters.slip)
-                .map_err(|e| refusal(skin, "medium", e.to_string()))?;
+                .map_err(|e| skin.refusal("medium", e.to_string()))?;
         let [half_x, half_y] = size.map(|s| s / 2.0);
         let (mut samples, mut reach): (Vec<(f64, Sample)>, f64) = (Vec::new(), 0.0);
         for ((channel, element), taxel) in parameters.elements.iter().enumerate().zip(skin.channel_taxels()) {
             let name = &skin.taxels[taxel].name;
-            let wrong = |reason: String| refusal(skin, &format!("taxels[{taxel}].position"), reason);
+            let wrong = |reason: String| skin.refusal(&format!("taxels[{taxel}].position"), reason);
             // As designed: what an effect moves beyond a surface still lies in a wide medium.
             let [x, y, _] = skin.taxels[taxel].position;
             if x.abs() > half_x || y.abs() > half_y {

@@ -8,7 +8,6 @@ use dermis_model::Indentation;
 use dermis_skin::{ModelError, SkinDescription, SurfaceSpec};
 use nalgebra::Point3;
 
-use super::refusal;
 use crate::parameters::Parameters;
 
 /// \[N\] up to which contacts are solved.
@@ -32,7 +31,7 @@ impl Sink {
     pub(super) fn new(skin: &SkinDescription, parameters: &Parameters) -> Result<Self, ModelError> {
         let Parameters { young_modulus, poisson_ratio, thickness, slip, .. } = *parameters;
         let medium = Medium::mixed(young_modulus, poisson_ratio, thickness, slip)
-            .map_err(|e| refusal(skin, "medium", e.to_string()))?;
+            .map_err(|e| skin.refusal("medium", e.to_string()))?;
         Ok(Self { medium, surface: parameters.surface.clone(), contacts: RwLock::default() })
     }
 

@@ -1,17 +1,13 @@
 //! Effects that change what the model is computed from.
 
-use dermis_mechanics::stream;
+use dermis_mechanics::{random_field, stream};
 use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 use rand::Rng;
 use rand::seq::index;
-use rand_distr::StandardNormal;
 
 use super::EFFECTS;
 use crate::memory::Memory;
-use crate::parameters::{Parameters, refusal};
-
-/// Waves that make up a random field: many, so that it is close to Gaussian.
-const WAVES: usize = 200;
+use crate::parameters::Parameters;
 
 /// Applies the static effects of a skin to the numbers that its model is computed from.
 ///
@@ -20,18 +16,9 @@ const WAVES: usize = 200;
 /// [`ModelError::Description`] with the field `effects[i].…` where an effect or one of its parameters is unknown, has a value
 /// that cannot be, or leaves a device that cannot be.
 pub fn shape(skin: &SkinDescription, parameters: &mut Parameters) -> Result<(), ModelError> {
-    Effect::check(&skin.effects, EFFECTS, &skin.name)?;
-    // In the order of the table, so that the order in the file makes no difference.
-    for info in EFFECTS {
-        let on = |e: &&Effect| e.name == info.name && e.strength > 0.0;
-        let Some(effect) = skin.effects.iter().find(on) else { continue };
-        let done = fabric(info, effect, parameters).and_then(|()| wiring(info, effect, parameters));
-        done.map_err(|(name, reason)| {
-            let i = skin.effects.iter().position(|e| e.name == info.name).unwrap_or_default();
-            refusal(skin, &format!("effects[{i}].{name}"), reason)
-        })?;
-    }
-    Ok(())
+    Effect::apply(skin, EFFECTS, |info, effect| {
+        fabric(info, effect, parameters).and_then(|()| wiring(info, effect, parameters))
+    })
 }
 
 /// What of an effect leaves an impossible device, and why.
@@ -48,7 +35,8 @@ fn fabric(info: &EffectInfo, effect: &Effect, p: &mut Parameters) -> Result<(), 
             p.resistance.iter_mut().for_each(|r| *r *= factor);
         }
         "sheet-field" => {
-            let field = field(effect, value("length"), p);
+            let places = (0..p.grid.count()).map(|node| p.grid.position(node));
+            let field = random_field(effect, value("length"), places);
             let spread = strength * value("spread");
             p.field = Some(field.into_iter().map(|deviation| (spread * deviation).exp()).collect());
         }
@@ -155,24 +143,6 @@ fn chosen(effect: &Effect, count: f64, each: usize, all: usize) -> Result<Vec<us
         return Err(("count", format!("is {count} and must be a whole number, {most} at most")));
     }
     Ok(index::sample(&mut stream(effect, 0), all, all).into_iter().take(each * count as usize).collect())
-}
-
-/// A random field on the grid: normal, its correlation falling as exp(−d²/2ℓ²) with the distance d (Rahimi and Recht's random waves,
-/// in space).
-fn field(effect: &Effect, length: f64, p: &Parameters) -> Vec<f64> {
-    let mut rng = stream(effect, 0);
-    let waves: Vec<[f64; 3]> = (0..WAVES)
-        .map(|_| {
-            let [x, y] = [(); 2].map(|()| rng.sample::<f64, _>(StandardNormal) / length);
-            [x, y, rng.random_range(0.0..std::f64::consts::TAU)]
-        })
-        .collect();
-    let scale = (2.0 / WAVES as f64).sqrt();
-    let at = |node: usize| {
-        let [x, y] = p.grid.position(node);
-        scale * waves.iter().map(|[kx, ky, phase]| (kx * x + ky * y + phase).cos()).sum::<f64>()
-    };
-    (0..p.grid.count()).map(at).collect()
 }
 
 /// Folds that press the foam along lines: each with a place, a direction, a length and a pressure of its own.

@@ -1,18 +1,14 @@
 //! Effects that change what the model is computed from.
 
 use dermis_mechanics::shell::{Orthotropy, Section};
-use dermis_mechanics::stream;
+use dermis_mechanics::{random_field, stream};
 use dermis_skin::{Effect, EffectInfo, ModelError, SkinDescription};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use rand::Rng;
 use rand::seq::index;
-use rand_distr::StandardNormal;
 
 use super::EFFECTS;
-use crate::parameters::{Clamp, Parameters, refusal};
-
-/// Waves that make up a random field: many, so that it is close to Gaussian.
-const WAVES: usize = 200;
+use crate::parameters::{Clamp, Parameters};
 
 /// Applies the static effects of a skin to the numbers that its model is computed from. Effects that remember
 /// are checked and left to [`Dynamics`](super::Dynamics).
@@ -22,17 +18,7 @@ const WAVES: usize = 200;
 /// [`ModelError::Description`] with the field `effects[i].…` where an effect or one of its parameters is unknown, has a value
 /// that cannot be, or leaves a device that cannot be.
 pub fn shape(skin: &SkinDescription, parameters: &mut Parameters) -> Result<(), ModelError> {
-    Effect::check(&skin.effects, EFFECTS, &skin.name)?;
-    // In the order of the table, so that the order in the file makes no difference.
-    for info in EFFECTS {
-        let on = |e: &&Effect| e.name == info.name && e.strength > 0.0;
-        let Some(effect) = skin.effects.iter().find(on) else { continue };
-        apply(info, effect, parameters).map_err(|(name, reason)| {
-            let i = skin.effects.iter().position(|e| e.name == info.name).unwrap_or_default();
-            refusal(skin, &format!("effects[{i}].{name}"), reason)
-        })?;
-    }
-    Ok(())
+    Effect::apply(skin, EFFECTS, |info, effect| apply(info, effect, parameters))
 }
 
 /// What of an effect leaves an impossible device, and why.
@@ -122,22 +108,10 @@ fn each(parameters: &mut Parameters) -> &mut [Section] {
     &mut parameters.sections
 }
 
-/// A random field on the triangles: normal, its correlation falling as exp(−d²/2ℓ²) with the distance d (Rahimi and Recht's random
-/// waves, in space).
+/// A random field at the middles of the surface's triangles.
 fn field(effect: &Effect, length: f64, parameters: &Parameters) -> Vec<f64> {
-    let mut rng = stream(effect, 0);
-    let waves: Vec<(Vector3<f64>, f64)> = (0..WAVES)
-        .map(|_| {
-            let wave = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal)) / length;
-            (wave, rng.random_range(0.0..std::f64::consts::TAU))
-        })
-        .collect();
-    let scale = (2.0 / WAVES as f64).sqrt();
     let surface = &parameters.surface;
-    let at = |t: &[u32; 3]| {
-        let middle: Vector3<f64> =
-            t.iter().map(|i| surface.points[*i as usize].coords).sum::<Vector3<f64>>() / 3.0;
-        scale * waves.iter().map(|(k, phase)| (k.dot(&middle) + phase).cos()).sum::<f64>()
-    };
-    surface.triangles.iter().map(at).collect()
+    let middle =
+        |t: &[u32; 3]| t.iter().map(|i| surface.points[*i as usize].coords).sum::<Vector3<f64>>() / 3.0;
+    random_field(effect, length, surface.triangles.iter().map(|t| middle(t).into()))
 }
