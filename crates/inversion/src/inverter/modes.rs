@@ -61,7 +61,7 @@ impl Inverter {
                 self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
             }
         }
-        let ranked = self.ranked(&scores, &limits);
+        let ranked = self.ranked(&scores, &limits, data);
         for _ in 0..FARTHER {
             let Some(index) = self.farther(&ranked, &limits, &tried, &minima) else { break };
             tried.push(index);
@@ -132,9 +132,14 @@ impl Inverter {
 
     /// Places of the dictionary by the sum of squared deviations that a press there leaves, the best first; as many as are tried at
     /// most.
-    fn ranked(&self, scores: &[f32], limits: &Limits) -> Vec<(f64, usize)> {
-        let mut places: Vec<(f64, usize)> =
-            scores.iter().enumerate().map(|(index, score)| (limits.left(*score), index)).collect();
+    fn ranked(&self, scores: &[f32], limits: &Limits, data: &[Datum]) -> Vec<(f64, usize)> {
+        // A direction is of all channels: where some do not say what they read, it is no measure of what the others leave.
+        let whole = data.iter().all(|datum| matches!(datum, Datum::Exact(..)));
+        let left = |(index, score): (usize, &f32)| {
+            let left = if whole { limits.left(*score) } else { self.unexplained(index, data) };
+            (left, index)
+        };
+        let mut places: Vec<(f64, usize)> = scores.iter().enumerate().map(left).collect();
         let few = RANKED.min(places.len());
         if few > 0 && few < places.len() {
             places.select_nth_unstable_by(few - 1, |a, b| a.0.total_cmp(&b.0));
@@ -165,6 +170,23 @@ impl Inverter {
     /// Whether a touch near a place of the dictionary can be what made readings of which a press at that very place leaves `left`.
     fn is_possible(&self, left: f64, index: usize, limits: &Limits) -> bool {
         left < limits.noise + self.dictionary.mismatch(index) * limits.whole
+    }
+
+    /// Least sum of squared deviations of the channels that say what they read, for a press at a place of the dictionary, whatever its
+    /// force.
+    fn unexplained(&self, index: usize, data: &[Datum]) -> f64 {
+        let levels = (0..self.dictionary.forces.len()).map(|level| {
+            let (mut dot, mut square, mut whole) = (0.0, 0.0, 0.0);
+            for (value, datum) in self.dictionary.response(index, level).iter().zip(data) {
+                let Datum::Exact(reading, weight) = *datum else { continue };
+                let v = f64::from(*value) * weight;
+                dot += v * reading * weight;
+                square += v * v;
+                whole += (reading * weight).powi(2);
+            }
+            if square > 0.0 { whole - dot.max(0.0).powi(2) / square } else { whole }
+        });
+        levels.fold(f64::INFINITY, f64::min)
     }
 
     /// Logarithm of a minimum's evidence but for a constant; −∞ where the readings do not fix it.
