@@ -708,17 +708,21 @@ pub fn what_was_lost_is_zero_or_unknown(backend: &dyn Backend) {
     }
     let (tx, rx) = channel();
     let sub = b.subscribe::<Int32>("numbers", Qos::reliable(1000), into(tx)).unwrap();
+    let quiet = b.subscribe::<Int32>("silence", Qos::reliable(1000), |_, _| {}).unwrap();
     until("matched", || publisher.subscriber_count() == 1);
-    assert_eq!(sub.losses().known(), None, "nothing has come that would tell");
+    assert_eq!(quiet.losses().known(), None, "nothing has come that would tell");
     for i in 5..100 {
         publisher.publish(&number(i)).unwrap();
     }
+    // A subscription that opens while a message is on its way may hear that one, too.
+    let first = next(&rx, "the first number").data;
+    assert!((0..=5).contains(&first), "{first}");
     while next(&rx, "the last number").data != 99 {}
-    let losses = sub.losses();
+    let (losses, heard) = (sub.losses(), u64::try_from(100 - first).unwrap());
     if backend.name() == "r2r" {
-        assert_eq!((losses.known(), losses.unnumbered), (None, 95));
+        assert_eq!((losses.known(), losses.unnumbered), (None, heard));
     } else {
-        assert_eq!((losses.known(), losses.numbered, losses.unnumbered), (Some(0), 95, 0));
+        assert_eq!((losses.known(), losses.numbered, losses.unnumbered), (Some(0), heard, 0));
     }
 }
 
