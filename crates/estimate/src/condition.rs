@@ -103,6 +103,8 @@ pub struct Conditioner {
     contacted: bool,
     replaced: bool,
     strongest: Option<usize>,
+    /// Channels of parts that are out of order.
+    broken: Vec<usize>,
 }
 
 impl Conditioner {
@@ -135,8 +137,16 @@ impl Conditioner {
             contacted: false,
             replaced: false,
             strongest: None,
+            broken: Vec::new(),
             names,
         })
+    }
+
+    /// Takes these channels for dead from the next frame on, until it is told others: a part of the device is out of order. Channels
+    /// that the skin does not have are left out.
+    pub fn set_broken(&mut self, channels: impl IntoIterator<Item = usize>) {
+        self.broken.clear();
+        self.broken.extend(channels.into_iter().filter(|channel| *channel < self.names.len()));
     }
 
     /// Thresholds and times in use.
@@ -172,6 +182,9 @@ impl Conditioner {
     pub fn clean(&mut self, frame: &Frame, out: &mut Conditioned) -> Result<(), ImageGridError> {
         out.reading.clone_from(frame);
         out.reading.flags.resize(frame.values.len(), ChannelFlags::OK);
+        for &channel in &self.broken {
+            out.reading.flags[channel] |= ChannelFlags::DEAD;
+        }
         self.health.flag(&mut out.reading, &self.condition);
         for (value, flags) in out.reading.values.iter_mut().zip(&out.reading.flags) {
             if flags.is_invalid() {

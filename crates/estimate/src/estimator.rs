@@ -15,6 +15,7 @@ use dermis_skin::{
 use crate::condition::{Conditioned, Conditioner, TareRefusal};
 use crate::contacts::{TaxelShares, Tracker};
 use crate::models::{Models, Pipeline, SetupError, maps};
+use dermis_sensor::{ElementFault, FrameCheck};
 
 /// Whether the estimate can be relied on; the order is from best to worst.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
@@ -96,6 +97,10 @@ pub struct SkinEstimator {
     guessed: Vec<f64>,
     maps: Maps,
     no_model: String,
+    /// Looks for faults that no channel shows by itself.
+    check: Option<Box<dyn FrameCheck>>,
+    /// What it found at the latest frame.
+    faults: Vec<ElementFault>,
 }
 
 impl SkinEstimator {
@@ -126,8 +131,22 @@ impl SkinEstimator {
             no_model: "no model is loaded, so that contacts are unknown; train one with `dermis train` and name its \
                        folder in `models`"
                 .into(),
+            check: None,
+            faults: Vec::new(),
             skin: skin.clone(),
         })
+    }
+
+    /// Has frames looked at for faults that no channel shows by itself, from the next one on.
+    pub fn set_check(&mut self, check: Option<Box<dyn FrameCheck>>) {
+        self.check = check;
+        self.faults.clear();
+    }
+
+    /// Parts of the device that were out of order at the latest frame; `None` where nobody looks for them.
+    #[must_use]
+    pub fn element_faults(&self) -> Option<&[ElementFault]> {
+        self.check.as_ref().map(|_| self.faults.as_slice())
     }
 
     /// Uses these models from the next frame on.
@@ -138,6 +157,8 @@ impl SkinEstimator {
 
     /// Uses these models in place of those that give any of the same outputs; the others stay.
     pub fn replace_models(&mut self, models: Models) {
+        // What stood in for a bundle is no longer needed.
+        self.pipelines.retain(|old| old.model.is_some());
         self.pipelines
             .retain(|old| !models.0.iter().any(|new| old.names().any(|n| new.names().any(|m| m == n))));
         self.pipelines.extend(models.0);
@@ -236,7 +257,9 @@ impl SkinEstimator {
     }
 
     fn force_range(&self) -> Option<[f64; 2]> {
-        let gives_force = |p: &&Pipeline| p.peaks.is_some() || p.names().any(|n| n.starts_with("force."));
+        let gives_force = |p: &&Pipeline| {
+            p.model.is_none() || p.peaks.is_some() || p.names().any(|n| n.starts_with("force."))
+        };
         self.pipelines.iter().find(gives_force).and_then(|p| p.force_range)
     }
 
@@ -307,6 +330,11 @@ impl SkinEstimator {
                 found: frame.values.len(),
                 expected,
             });
+        }
+        if let Some(check) = &mut self.check {
+            self.faults.clear();
+            check.check(frame, &mut self.faults);
+            self.conditioner.set_broken(self.faults.iter().flat_map(|fault| fault.channels.iter().copied()));
         }
         let mut cleaned = std::mem::take(&mut self.cleaned);
         let seen = self.conditioner.clean(frame, &mut cleaned);
@@ -407,5 +435,10 @@ impl Estimator for SkinEstimator {
         self.present = false;
         self.solution = None;
         self.before.clear();
+        self.faults.clear();
+        self.conditioner.set_broken([]);
+        if let Some(check) = &mut self.check {
+            check.reset();
+        }
     }
 }

@@ -15,14 +15,26 @@ pub mod testing;
 use std::path::PathBuf;
 
 use dermis_inference::{Bundle, Runtime};
-use dermis_sensor::Sensor;
+use dermis_sensor::{FrameCheck, Sensor};
 use dermis_skin::{Estimator, SkinDescription};
 
 pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
 pub use contacts::{TaxelShares, Tracker};
 pub use estimator::{Maps, Quality, SkinEstimator, Verdict};
 pub use finder::{ConditionedFrame, ContactFinder, FindError};
-pub use models::{Models, SetupError, UnpackedModel, inverter};
+pub use models::{Models, SetupError, UnpackedModel, inverter, settings_without_bundle};
+
+/// What finds faults of a device in whole frames; of the design, whatever effects the description switches on.
+///
+/// # Errors
+///
+/// [`SetupError::FrameCheck`] where the skin does not say what that takes.
+pub fn frame_check(
+    sensor: &dyn Sensor,
+    skin: &SkinDescription,
+) -> Result<Option<Box<dyn FrameCheck>>, SetupError> {
+    sensor.frame_check(skin).map_err(SetupError::FrameCheck)
+}
 
 /// Frame → contacts, and the maps that a model gives by itself, with these bundles; `masked` names channels to leave out.
 ///
@@ -38,6 +50,7 @@ pub fn estimator(
 ) -> Result<Box<dyn Estimator>, SetupError> {
     let bundles = bundles.iter().map(|folder| Bundle::load(folder, skin)).collect::<Result<Vec<_>, _>>()?;
     let mut estimator = SkinEstimator::new(skin, masked)?;
+    estimator.set_check(frame_check(sensor, skin)?);
     let models = Models::load(sensor, skin, &bundles, runtime)?;
     let maps = models.own_maps();
     estimator.set_models(models);

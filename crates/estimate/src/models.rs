@@ -5,9 +5,10 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use dermis_inference::{
-    Baseline, Bundle, BundleError, Features, MAP_DISPLACEMENT, MapContacts, Model, Outputs, Runtime,
+    Baseline, Bundle, BundleError, FeatureConfig, Features, MAP_DISPLACEMENT, MapContacts, Model, Outputs,
+    Runtime,
 };
-use dermis_inversion::{Corrected, Inverter, InverterError};
+use dermis_inversion::{Corrected, Inverter, InverterError, Settings};
 use dermis_model::{ForwardModel, Stimulus};
 use dermis_sensor::Sensor;
 use dermis_skin::{ModelError, SkinDescription, Surface};
@@ -22,6 +23,32 @@ pub(crate) const MAP_NORMAL: &str = "map.normal";
 pub(crate) const MAP_FORCE: &str = "map.force";
 /// Share of the largest force that a light press has.
 const LIGHT: f64 = 0.1;
+
+/// What stands in the place of a bundle's folder where there is none.
+const NO_BUNDLE: &str = "no bundle";
+/// Contacts that are looked for without a bundle, at most.
+const MOST_CONTACTS: usize = 6;
+/// Channels that each unknown of a contact shall have, at least, where nobody measured how many contacts can be told apart.
+const CHANNELS_EACH: usize = 4;
+/// Share by which a device and its forward model differ where nobody measured it: gains, and what the medium remembers.
+const UNMEASURED: f64 = 0.02;
+
+/// How contacts are looked for on a skin's forward model alone: those of the tip and the forces that the skin is built for, one after
+/// the other.
+#[must_use]
+pub fn settings_without_bundle(skin: &SkinDescription) -> Settings {
+    let rated = skin.rated_press();
+    let mut settings = Settings::new(rated.diameter, STRONGER * rated.force[1]);
+    let unknowns = settings.unknowns.count();
+    settings.contacts = (skin.channels().len() / (CHANNELS_EACH * unknowns)).clamp(1, MOST_CONTACTS);
+    settings.tip = rated.tip;
+    settings.distance = settings.distance.max(rated.diameter);
+    settings.model_error = UNMEASURED;
+    settings
+}
+
+/// Factor of the strongest press that a skin is built for: what presses a little harder is not taken for another contact.
+const STRONGER: f64 = 1.2;
 
 /// Why an estimator could not be made, or a model not be taken over.
 #[derive(Debug, thiserror::Error)]
@@ -62,6 +89,17 @@ pub enum SetupError {
         /// Why there is none.
         source: ModelError,
     },
+    /// A skin without a bundle that has no forward model to invert either.
+    #[error("skin `{skin}`: there is no model bundle, and no forward model to find contacts on: {source}")]
+    NotInvertible {
+        /// Name of the skin.
+        skin: String,
+        /// Why there is none.
+        source: ModelError,
+    },
+    /// A skin whose frames cannot be checked.
+    #[error(transparent)]
+    FrameCheck(ModelError),
     /// A bundle whose correction is not one of this skin's forward model.
     #[error("model bundle {path}: field `correction`: {source}")]
     Correction {
@@ -140,7 +178,8 @@ pub(crate) struct Pipeline {
     pub(crate) baseline: Baseline,
     pub(crate) force_range: Option<[f64; 2]>,
     pub(crate) features: Features,
-    pub(crate) model: Model,
+    /// `None` where there is nothing but a forward model.
+    pub(crate) model: Option<Model>,
     pub(crate) raw: Vec<f32>,
     pub(crate) outputs: Outputs,
     pub(crate) fresh: bool,
@@ -161,7 +200,7 @@ impl Pipeline {
     fn of_model(
         path: PathBuf,
         (features, baseline): (Features, Baseline),
-        (model, outputs): (Model, Outputs),
+        (model, outputs): (Option<Model>, Outputs),
         surface: &Surface,
     ) -> Result<Self, SetupError> {
         let points = surface.points.len();
@@ -201,7 +240,7 @@ impl Pipeline {
     /// A model that is no bundle yet, on a surface.
     pub(crate) fn unpacked(unpacked: UnpackedModel, surface: &Surface) -> Result<Self, SetupError> {
         let UnpackedModel { path, model, outputs, features, baseline } = unpacked;
-        Self::of_model(path, (features, baseline), (model, outputs), surface)
+        Self::of_model(path, (features, baseline), (Some(model), outputs), surface)
     }
 
     /// A bundle on a surface, without the forward model that it may ask for.
@@ -209,7 +248,7 @@ impl Pipeline {
         let manifest = bundle.manifest();
         let peaks = MapContacts::of(bundle, surface, runtime)?;
         let input = (bundle.features(), manifest.baseline);
-        let output = (bundle.session(runtime)?, bundle.outputs());
+        let output = (Some(bundle.session(runtime)?), bundle.outputs());
         let pipeline = Self::of_model(bundle.path().to_owned(), input, output, surface)?;
         let points = surface.points.len();
         let weights = manifest.peaks.as_ref().map_or(0, |peaks| peaks.weights.len());
@@ -232,13 +271,43 @@ impl Pipeline {
         runtime: &Runtime,
     ) -> Result<Self, SetupError> {
         let pipeline = Self::of(bundle, &skin.surface(), runtime)?;
-        let Some(inverter) = inverter(bundle, || sensor.model(skin))? else { return Ok(pipeline) };
+        Ok(match inverter(bundle, || sensor.model(skin))? {
+            Some(inverter) => pipeline.refined_by(inverter),
+            None => pipeline,
+        })
+    }
+
+    /// Nothing but the inversion of a skin's forward model.
+    fn inverted(sensor: &dyn Sensor, skin: &SkinDescription) -> Result<Self, SetupError> {
+        let path = PathBuf::from(NO_BUNDLE);
+        let model = sensor
+            .model(skin)
+            .map_err(|source| SetupError::NotInvertible { skin: skin.name.clone(), source })?;
+        let settings = settings_without_bundle(skin);
+        let force_range = Some([0.0, settings.force_max]);
+        let inverter = Inverter::new(model, settings)
+            .map_err(|source| SetupError::Inversion { path: path.clone(), source })?;
+        let channels = skin.channels().len();
+        let features = Features::new(FeatureConfig::newest(vec![0.0; channels], vec![1.0; channels]))
+            .map_err(|error| SetupError::Output {
+                path: path.clone(),
+                output: "contacts".into(),
+                reason: error.to_string(),
+            })?;
+        let pipeline =
+            Self::of_model(path, (features, Baseline::Tared), (None, Outputs::none()), &skin.surface())?;
+        Ok(Self { name: "inversion of the forward model".into(), force_range, ..pipeline }
+            .refined_by(inverter))
+    }
+
+    /// The same with its answers refined.
+    fn refined_by(self, inverter: Inverter) -> Self {
         let model = inverter.model();
         let mut points = vec![0.0; model.surface().points.len()];
         let displaces = matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true));
         let force = LIGHT * inverter.settings().force_max;
         let fraction = Some((force, inverter.undetectable_fraction(force, inverter.settings().presence)));
-        Ok(Self { inverter: Some(inverter), undetectable_fraction: fraction, displaces, ..pipeline })
+        Self { inverter: Some(inverter), undetectable_fraction: fraction, displaces, ..self }
     }
 
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
@@ -247,8 +316,12 @@ impl Pipeline {
 
     /// Evaluates the model on the newest frame; `false` while its history is not filled.
     pub(crate) fn infer(&mut self) -> Result<bool, String> {
+        let Some(model) = &mut self.model else {
+            self.fresh = true;
+            return Ok(true);
+        };
         let Some(input) = self.features.input() else { return Ok(false) };
-        self.model
+        model
             .run(input, &mut self.raw)
             .map_err(|e| e.to_string())
             .and_then(|()| self.outputs.decode(&self.raw).map_err(|e| e.to_string()))
@@ -316,6 +389,16 @@ impl Models {
             models.0.push(pipeline);
         }
         Ok(models)
+    }
+
+    /// What finds contacts without a bundle: maximum likelihood on the skin's forward model, as [`settings_without_bundle`] says. Takes
+    /// some thousand responses of the model, and what it takes to compute that.
+    ///
+    /// # Errors
+    ///
+    /// [`SetupError::NotInvertible`] where the skin has no forward model.
+    pub fn inverted(sensor: &dyn Sensor, skin: &SkinDescription) -> Result<Self, SetupError> {
+        Ok(Self(vec![Pipeline::inverted(sensor, skin)?]))
     }
 
     /// Maps that can be had with them.

@@ -229,6 +229,12 @@ impl Outputs {
         Ok(Self::of_valid(config))
     }
 
+    /// Of what is no learned model: there is nothing to decode.
+    #[must_use]
+    pub fn none() -> Self {
+        Self::of_valid(OutputConfig { values: Vec::new() })
+    }
+
     pub(crate) fn of_valid(config: OutputConfig) -> Self {
         let at = |name: &str| offset(&config, name).map(|(start, _)| start);
         let three = |stem: &str| {

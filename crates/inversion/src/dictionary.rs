@@ -6,9 +6,11 @@
 //! [`Inverter::sparse`](crate::Inverter::sparse) add its signals up. Each asks
 //! [`ForwardModel::superposes`] first.
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Untouched};
+use dermis_model::{ForwardModel, Stimulus, Untouched};
 use dermis_skin::{ModelError, Surface};
 use nalgebra::{Point3, Vector3};
+
+use crate::settings::Settings;
 
 /// Shares of the largest force at which responses are kept: a soft medium is not quite linear in it.
 const LEVELS: [f64; 4] = [0.05, 0.2, 0.5, 1.0];
@@ -52,15 +54,14 @@ impl Dictionary {
         model: &dyn ForwardModel,
         (line, region): (Option<f64>, Option<[[f64; 3]; 2]>),
         spacing: f64,
-        diameter: f64,
-        force_max: f64,
+        settings: &Settings,
         gains: &[f64],
     ) -> Result<Self, ModelError> {
         let mut places = thin(model.surface(), line, spacing);
         if let Some([low, high]) = region {
             places.retain(|p| (0..3).all(|k| (low[k]..=high[k]).contains(&p.position[k])));
         }
-        let forces: Vec<f64> = LEVELS.iter().map(|share| share * force_max).collect();
+        let forces: Vec<f64> = LEVELS.iter().map(|share| share * settings.force_max).collect();
         let channels = model.channels();
         let untouched = Untouched::of(model)?;
         let mut responses = Vec::with_capacity(places.len() * forces.len() * channels);
@@ -68,7 +69,7 @@ impl Dictionary {
         let mut out = vec![0.0; channels];
         for place in &places {
             for (level, force) in forces.iter().enumerate() {
-                let contact = Indentation::sphere(place.position, -place.normal * *force, diameter);
+                let contact = settings.indentation(place.position, -place.normal * *force);
                 model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
                 untouched.subtract(&mut out);
                 out.iter_mut().zip(gains).for_each(|(o, gain)| *o *= gain);

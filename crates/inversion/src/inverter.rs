@@ -86,8 +86,7 @@ impl Inverter {
         let points = &model.surface().points;
         let middle = points.iter().map(|p| p.y).sum::<f64>() / points.len().max(1) as f64;
         let line = (s.unknowns == Unknowns::Line).then_some(middle);
-        let dictionary =
-            Dictionary::new(model.as_ref(), (line, s.region), spacing, s.diameter, s.force_max, &gains)?;
+        let dictionary = Dictionary::new(model.as_ref(), (line, s.region), spacing, s, &gains)?;
         let pairs = Pairs::new(&dictionary, spacing);
         Ok(Self { model: ModelBox(model), settings, gains, untouched, spacing, line, dictionary, pairs })
     }
@@ -260,7 +259,8 @@ impl Inverter {
             if contacts == 2 && self.model.0.superposes() {
                 let bounds = (s.distance, s.force_max * 1.2, s.diameter);
                 let pairs = self.pairs.best(&self.dictionary, &data, bounds, PAIRS);
-                starts.extend(pairs.into_iter().map(Vec::from));
+                let tip = |c: Indentation| s.indentation(c.position, c.force);
+                starts.extend(pairs.into_iter().map(|pair| pair.map(tip).to_vec()));
             }
             for kind in [Start::Dictionary, Start::Split] {
                 starts.extend(self.starts(kind, &data, &best));
@@ -302,7 +302,7 @@ impl Inverter {
             return Ok(None);
         }
         let problem = self.problem(&data);
-        let start = before.iter().map(|f| Indentation::sphere(f.position, f.force, s.diameter)).collect();
+        let start = before.iter().map(|f| s.indentation(f.position, f.force)).collect();
         let moved = problem.minimise(start)?;
         if moved.chi2 > plausible(freedom) || !self.apart(&moved) {
             return Ok(None);

@@ -120,6 +120,7 @@ mod tests {
     use dermis_model::ForwardModel;
 
     use super::*;
+    use crate::settings::Settings;
     use crate::testing::{grid, press};
 
     const DIAMETER: f64 = 0.004;
@@ -130,7 +131,8 @@ mod tests {
     fn best(forces: [f64; 2]) -> Vec<[Indentation; 2]> {
         let toy = grid(1.0);
         let gains = vec![1.0; toy.channels()];
-        let dictionary = Dictionary::new(&toy, (None, None), 0.002, DIAMETER, FORCE_MAX, &gains).unwrap();
+        let dictionary =
+            Dictionary::new(&toy, (None, None), 0.002, &Settings::new(DIAMETER, FORCE_MAX), &gains).unwrap();
         let mut sum = vec![0.0; toy.channels()];
         for (x, force) in [-0.008, 0.008].into_iter().zip(forces) {
             let out = toy.read(&[press(x, 0.0, force.abs())]);

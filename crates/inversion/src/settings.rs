@@ -1,7 +1,8 @@
 //! Settings of an [`Inverter`](crate::Inverter), and why contacts cannot be looked for.
 
-use dermis_model::{Indentation, Unknowns};
-use dermis_skin::ModelError;
+use dermis_model::{Indentation, Tip, TipShape, Unknowns};
+use dermis_skin::{ModelError, TipKind};
+use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Share of the evidence that a contact begins with down to which it lasts.
@@ -21,6 +22,9 @@ pub struct Settings {
     pub unknowns: Unknowns,
     /// \[m\] of the tip that is taken to press.
     pub diameter: f64,
+    /// End of that tip.
+    #[serde(default, skip_serializing_if = "is_sphere")]
+    pub tip: TipKind,
     /// \[N\] that a contact presses with at most.
     pub force_max: f64,
     /// Reading of the device per reading of the model, one a channel; empty: 1.
@@ -111,6 +115,10 @@ fn is_presence(value: &f64) -> bool {
     value.to_bits() == presence().to_bits()
 }
 
+fn is_sphere(tip: &TipKind) -> bool {
+    *tip == TipKind::Sphere
+}
+
 fn apart() -> f64 {
     2e-3
 }
@@ -124,6 +132,7 @@ impl Settings {
             contacts: one(),
             unknowns: Unknowns::default(),
             diameter,
+            tip: TipKind::Sphere,
             force_max,
             gains: Vec::new(),
             model_error: 0.0,
@@ -133,6 +142,18 @@ impl Settings {
             force_prior: ForcePrior::default(),
             search: Search::default(),
             region: None,
+        }
+    }
+
+    /// The contact that is looked for, at a place \[m\] with a force \[N\].
+    #[must_use]
+    pub fn indentation(&self, position: Point3<f64>, force: Vector3<f64>) -> Indentation {
+        match (self.tip, force.try_normalize(0.0)) {
+            (TipKind::FlatPunch, Some(pressing)) => {
+                let shape = TipShape::FlatPunch { diameter: self.diameter };
+                Indentation { position, force, tip: Tip::standing(shape, &-pressing) }
+            }
+            _ => Indentation::sphere(position, force, self.diameter),
         }
     }
 

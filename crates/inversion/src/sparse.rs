@@ -76,7 +76,7 @@ impl Inverter {
             }
             active.retain(|(_, p)| !near(p));
             let (position, normal) = self.surface().project(&(place / total).into());
-            contacts.push(Indentation::sphere(position, -normal * total, self.settings().diameter));
+            contacts.push(self.settings().indentation(position, -normal * total));
         }
         contacts.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
         let strongest = contacts.first().map_or(0.0, |c| c.force.norm());
@@ -84,11 +84,8 @@ impl Inverter {
         contacts.truncate(self.settings().contacts);
         if contacts.len() > 1 && !self.model().superposes() {
             let refined = self.refine(readings, &contacts)?.contacts;
-            let diameter = self.settings().diameter;
-            return Ok(refined
-                .into_iter()
-                .map(|c| Indentation::sphere(c.position, c.force, diameter))
-                .collect());
+            let settings = self.settings();
+            return Ok(refined.into_iter().map(|c| settings.indentation(c.position, c.force)).collect());
         }
         Ok(contacts)
     }

@@ -2,6 +2,7 @@
 //! comes over the bus with what really touches the skin.
 
 use std::io;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,8 +20,8 @@ use crate::stats::{Samples, Spread};
 use crate::touch::{Touch, pressing_force};
 use crate::{LOOK, OperateError, Progress};
 
-/// \[N\] Truth and estimate are compared where the press is at least this strong.
-pub const COMPARED: f64 = 0.1;
+/// \[N\] Truth and estimate are compared where the press is at least this strong, and as strong as the skin is rated for.
+const COMPARED: f64 = 0.1;
 
 /// How to run it.
 #[derive(Debug, Clone)]
@@ -31,6 +32,20 @@ pub struct Request {
     pub network: NetworkChoice,
 }
 
+/// What is shown.
+#[derive(Debug, Clone, Copy)]
+pub enum Shown<'a> {
+    /// A skin inside of the program.
+    Inside(Contents<'a>),
+    /// A skin of a file.
+    File {
+        /// Skin description.
+        skin: &'a Path,
+        /// Folders of model bundles; contacts are found on the skin's forward model where there are none.
+        models: &'a [PathBuf],
+    },
+}
+
 /// What a demo needs, inside of the program: no file beside it.
 #[derive(Debug, Clone, Copy)]
 pub struct Contents<'a> {
@@ -38,10 +53,41 @@ pub struct Contents<'a> {
     pub name: &'a str,
     /// The skin description.
     pub skin: &'a str,
-    /// The plan of the presses.
-    pub plan: &'a str,
-    /// The files of the model bundle, each with its name.
+    /// The plan of the presses; one that suits the skin where absent.
+    pub plan: Option<&'a str>,
+    /// The files of the model bundle, each with its name; none where no bundle ships.
     pub bundle: &'a [(&'a str, &'a [u8])],
+    /// Folders of bundles that are loaded in its place.
+    pub models: &'a [PathBuf],
+}
+
+impl Contents<'_> {
+    /// The plan of the presses on this skin.
+    ///
+    /// # Errors
+    ///
+    /// Where its text cannot be read.
+    pub fn plan(&self, skin: &SkinDescription) -> Result<Plan, OperateError> {
+        Ok(match self.plan {
+            Some(text) => Plan::from_toml(text, "demo.toml")?,
+            None => Plan::rated_presses(skin),
+        })
+    }
+
+    /// Writes skin and bundle into a folder; where the skin lies there, and the bundles that are to be loaded.
+    fn write(&self, folder: &Path) -> Result<(PathBuf, Vec<PathBuf>), OperateError> {
+        let skin = folder.join(format!("{}.toml", self.name));
+        std::fs::write(&skin, self.skin)?;
+        if !self.models.is_empty() || self.bundle.is_empty() {
+            return Ok((skin, self.models.to_vec()));
+        }
+        let bundle = folder.join(self.name);
+        std::fs::create_dir(&bundle)?;
+        for (name, bytes) in self.bundle {
+            std::fs::write(bundle.join(name), bytes)?;
+        }
+        Ok((skin, vec![bundle]))
+    }
 }
 
 /// A demo that runs.
@@ -63,33 +109,46 @@ impl Demo {
     /// Where one of them does not start.
     pub fn start(
         request: &Request,
-        contents: &Contents<'_>,
+        shown: &Shown<'_>,
         sensors: &Registry,
         backend: &dyn Backend,
         progress: &dyn Progress,
     ) -> Result<Self, OperateError> {
-        let skin = SkinDescription::from_toml(contents.skin, &format!("{}.toml", contents.name))?;
-        let plan = Plan::from_toml(contents.plan, "demo.toml")?;
         let scratch = tempfile::tempdir().map_err(OperateError::NoFolder)?;
-        let skin_path = scratch.path().join(format!("{}.toml", contents.name));
-        std::fs::write(&skin_path, contents.skin)?;
-        let bundle = scratch.path().join(contents.name);
-        std::fs::create_dir(&bundle)?;
-        for (name, bytes) in contents.bundle {
-            std::fs::write(bundle.join(name), bytes)?;
-        }
+        let (skin_path, models, skin, plan) = match shown {
+            Shown::Inside(contents) => {
+                let (path, models) = contents.write(scratch.path())?;
+                let skin = SkinDescription::load(&path)?;
+                let plan = contents.plan(&skin)?;
+                (path, models, skin, plan)
+            }
+            Shown::File { skin: path, models } => {
+                let skin = SkinDescription::load(path)?;
+                let plan = Plan::rated_presses(&skin);
+                (path.to_path_buf(), models.to_vec(), skin, plan)
+            }
+        };
         let sensor = sensors.of(&skin)?;
-        let device = VirtualDevice::start(sensor.model(&skin)?, &skin, &plan, request.seed, &Outlet::Pty)?;
+        let model = sensor.model(&skin)?;
+        let encoder = sensor.encoder(&skin)?;
+        let device = VirtualDevice::start_on(encoder, model, &skin, &plan, request.seed, &Outlet::Pty)?;
 
         let mut config = Config::new(skin_path, device.url());
-        config.models = vec![bundle];
+        if models.is_empty() {
+            progress.note(&format!(
+                "there is no model bundle of skin `{}`: contacts are found by inverting its forward model",
+                skin.name
+            ));
+            config.invert = true;
+        }
+        config.models = models;
         let network = request.network.clone();
         (config.network, config.zenoh_config) = (network.network, network.zenoh_config.clone());
         let node = SkinNode::start(sensor, &config, backend)?;
 
         let watcher = Node::open(NodeOptions::new("dermis_demo").network(network), backend)?;
         progress.note(&watcher.open_to());
-        let seen = Arc::new(Mutex::new(Seen::new(contents.name)));
+        let seen = Arc::new(Mutex::new(Seen::new(&skin.name, skin.rated_press().force[0].max(COMPARED))));
         let sink = Arc::clone(&seen);
         let subscription =
             watcher.subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, info| {
@@ -163,8 +222,11 @@ pub struct Findings {
     pub rate_hz: f64,
     /// \[ms\] from acquisition to arrival.
     pub latency_ms: Spread,
-    /// Contacts that were compared with the ground truth: pressed with at least [`COMPARED`].
+    /// Contacts that were compared with the ground truth: pressed with at least [`least_force`](Self::least_force).
     pub compared: usize,
+    /// \[N\] of the lightest press that is compared.
+    #[serde(skip)]
+    pub least_force: f64,
     /// \[mm\] between true and estimated position.
     pub position_error_mm: Spread,
     /// \[N\] between true and estimated normal force.
@@ -198,15 +260,17 @@ impl Findings {
 /// What came over the bus, and how far it is from what the device knows.
 struct Seen {
     touch: Touch,
+    least_force: f64,
     waiting: Vec<ContactArray>,
     position_error_mm: Samples,
     force_error_n: Samples,
 }
 
 impl Seen {
-    fn new(name: &str) -> Self {
+    fn new(name: &str, least_force: f64) -> Self {
         Self {
             touch: Touch::new(name),
+            least_force,
             waiting: Vec::new(),
             position_error_mm: Samples::default(),
             force_error_n: Samples::default(),
@@ -226,7 +290,7 @@ impl Seen {
             let Some(moment) = device.truth(array.header.stamp.as_nanos()) else { continue };
             let [truth] = moment.stimulus.contacts.as_slice() else { continue };
             let force = -truth.force.z;
-            if force < COMPARED {
+            if force < self.least_force {
                 continue;
             }
             let contact = &array.contacts[0];
@@ -246,6 +310,7 @@ impl Seen {
             rate_hz: touch.rate(),
             latency_ms: Spread::from(&touch.latency_ms),
             compared: self.position_error_mm.len(),
+            least_force: self.least_force,
             position_error_mm: Spread::from(&self.position_error_mm),
             force_error_n: Spread::from(&self.force_error_n),
             status: Statuses { ok, degraded, stale, uncalibrated, fault },

@@ -53,6 +53,9 @@ pub struct Arguments {
     /// Folder of a model bundle; may be given several times.
     #[arg(long)]
     model: Vec<PathBuf>,
+    /// Without a model bundle, find contacts on the skin's forward model alone.
+    #[arg(long)]
+    invert: bool,
     /// Channel to leave out; may be given several times.
     #[arg(long)]
     mask: Vec<String>,
@@ -106,6 +109,7 @@ impl Arguments {
             (None, skin, source) => Config::new(skin.unwrap_or_default(), source.unwrap_or_default()),
         };
         config.models.extend(self.model);
+        config.invert |= self.invert;
         config.masked.extend(self.mask);
         config.remap.extend(self.remap);
         config.strict |= self.strict;

@@ -71,6 +71,10 @@ pub struct Config {
     /// Folders of model bundles, each of which gives some of the outputs; relative as `skin` is.
     #[serde(default)]
     pub models: Vec<PathBuf>,
+    /// Whether contacts are looked for on the skin's forward model alone where `models` names no bundle: by maximum likelihood, for
+    /// the tip and the forces that the skin is rated for.
+    #[serde(default)]
+    pub invert: bool,
     /// Folders below which `~/load_model` finds bundles; relative as `skin` is. Those that contain `models` where absent.
     #[serde(default)]
     pub model_folders: Option<Vec<PathBuf>>,
@@ -186,7 +190,7 @@ fn yes() -> bool {
 
 impl Config {
     /// Every key of a file.
-    pub const KEYS: [&str; 26] = [
+    pub const KEYS: [&str; 27] = [
         "skin",
         "source",
         "name",
@@ -195,6 +199,7 @@ impl Config {
         "frame_id",
         "mount",
         "models",
+        "invert",
         "model_folders",
         "model_limits",
         "commands",
@@ -227,6 +232,7 @@ impl Config {
             frame_id: None,
             mount: None,
             models: Vec::new(),
+            invert: false,
             model_folders: None,
             model_limits: Limits::default(),
             commands: Commands::default(),

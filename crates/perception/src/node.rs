@@ -77,6 +77,7 @@ impl SkinNode {
         let early = config.autostart.then(|| Source::open(url.clone(), SourceOptions::default()));
         let mut estimator = SkinEstimator::new(&skin, &config.masked)?;
         estimator.set_least_force(config.force_threshold);
+        estimator.set_check(dermis_estimate::frame_check(sensor, &skin)?);
         check_correction(config, &skin)?;
         let runtime = Runtime::load(&config.runtime)?;
         let loader = Loader::start(sensor, config, &skin, runtime, &mut estimator)?;

@@ -1,18 +1,19 @@
 //! How a demo went.
 
-use dermis_operate::demo::{COMPARED, Findings};
+use dermis_operate::demo::Findings;
 
 /// For people.
 #[must_use]
 pub fn text(found: &Findings) -> String {
     format!(
-        "\n{} frames in {:.1} s, {} with a contact; median error {} mm and {} N over {} frames stronger than {COMPARED} N\n",
+        "\n{} frames in {:.1} s, {} with a contact; median error {} mm and {} N over {} frames stronger than {} N\n",
         found.arrays,
         found.seconds,
         found.touched,
         rounded(found.position_error_mm.p50),
         rounded(found.force_error_n.p50),
         found.compared,
+        found.least_force,
     )
 }
 
@@ -38,6 +39,7 @@ mod tests {
             rate_hz: 100.0,
             latency_ms: Spread::from(&errors),
             compared: 0,
+            least_force: 0.1,
             position_error_mm: Spread::from(&errors),
             force_error_n: Spread::from(&errors),
             status: Statuses { ok: 998, degraded: 0, stale: 0, uncalibrated: 0, fault: 0 },

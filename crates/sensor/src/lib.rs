@@ -10,10 +10,12 @@
 //! | frames → bytes of a simulated device | [`Encoder`] | the same wires ([`FrameWriter`]) |
 //! | stimulus → readings | [`ForwardModel`], by [`Sensor::nominal`] | |
 //! | what the nominal model leaves out | [`Sensor::effects`] | nothing but what is common to all |
+//! | faults that only whole frames show | [`FrameCheck`], by [`Sensor::frame_check`] | none |
 //! | where elements could be | [`Sensor::candidates`] | below the surface, as deep as now |
 //! | figures of its physics beside references | [`Sensor::validation_cases`] | none |
 
 mod candidates;
+mod faults;
 mod reader;
 mod registry;
 mod writer;
@@ -25,6 +27,7 @@ use dermis_model::{Case, ForwardModel};
 use dermis_skin::{EffectInfo, Family, Frame, ModelError, SkinDescription, Taxel, WireProtocol};
 use dermis_transport::ClockState;
 use dermis_transport::framing::DecoderStats;
+pub use faults::{ElementFault, FrameCheck};
 pub use reader::FrameReader;
 pub use registry::{Registry, UnknownSensor};
 pub use writer::FrameWriter;
@@ -150,6 +153,16 @@ pub trait Sensor: Family {
     /// What the nominal model leaves out and a device of this family may have, besides what every device may have.
     fn effects(&self) -> &'static [EffectInfo] {
         &[]
+    }
+
+    /// What finds faults of such a device that no channel shows by itself.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Description`] where the skin does not say what that takes.
+    fn frame_check(&self, skin: &SkinDescription) -> Result<Option<Box<dyn FrameCheck>>, ModelError> {
+        let _ = skin;
+        Ok(None)
     }
 
     /// Where sensing elements of such a skin could be.

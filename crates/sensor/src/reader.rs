@@ -1,12 +1,13 @@
 //! From bytes to frames in the unit of the skin, with the time at which they were acquired.
 
-use dermis_skin::{Frame, SkinDescription, WireProtocol};
+use dermis_skin::{Frame, SkinDescription, WireProtocol, WireSamples};
 use dermis_transport::framing::{
     AsciiDecoder, AsciiOptions, DecodedFrame, DecoderStats, FrameDecoder, NativeDecoder,
 };
 use dermis_transport::{ClockState, DeviceClock};
 
 use crate::Decoder;
+use crate::writer::native_format;
 
 /// Frames of the other wire in a row, each with as many numbers, that are no accident.
 const MISTAKEN: u32 = 3;
@@ -35,14 +36,22 @@ impl FrameReader {
     #[must_use]
     pub fn new(skin: &SkinDescription) -> Option<Self> {
         let channels = skin.channels().len();
-        let native = |channels| -> Box<dyn FrameDecoder> { Box::new(NativeDecoder::new(channels)) };
+        let native = |channels, samples: Option<WireSamples>| -> Box<dyn FrameDecoder> {
+            let decoder = NativeDecoder::new(channels);
+            Box::new(match samples {
+                Some(samples) => decoder.only(native_format(samples)),
+                None => decoder,
+            })
+        };
         let lines = |options| -> Box<dyn FrameDecoder> { Box::new(AsciiDecoder::new(options)) };
         let (decoder, other) = match skin.wire.protocol {
-            WireProtocol::Native => (native(Some(channels)), lines(AsciiOptions::default())),
+            WireProtocol::Native => {
+                (native(Some(channels), skin.wire.samples), lines(AsciiOptions::default()))
+            }
             WireProtocol::Ascii => {
                 let mut options = AsciiOptions::channels(channels);
                 options.counts = skin.wire.counts;
-                (lines(options), native(None))
+                (lines(options), native(None, None))
             }
             WireProtocol::Family(_) => return None,
         };
@@ -254,5 +263,38 @@ mod tests {
         assert_eq!(frames.last().map(|f| f.values.clone()), Some(vec![4.0, 5.0, 6.0, 7.0]));
         assert!(frames.iter().all(|f| f.values.len() == 4 && f.stamp == 5 && f.device_time_us == 0));
         assert_eq!(reader.stats().rejected.channels, 1);
+    }
+
+    /// A frame of [`SkinFile::four_barometers`] as a device of that skin sends it, and what a node reads of it.
+    fn sent_and_read(device: &str, node: &str) -> (Vec<u8>, Vec<Frame>, FrameReader) {
+        let mut writer = crate::FrameWriter::new(&skin_with(device)).unwrap();
+        let frame = Frame::new(0, 7, vec![0.0, 0.25, 1.0, 1023.75]);
+        let sent = crate::Encoder::encode(&mut writer, &frame, 5).unwrap().to_vec();
+        let mut reader = FrameReader::new(&skin_with(node)).unwrap();
+        let mut frames = Vec::new();
+        reader.push(&[0], 1, &mut frames);
+        reader.push(&sent, 1, &mut frames);
+        (sent, frames, reader)
+    }
+
+    #[test]
+    fn device_and_node_agree_on_samples() {
+        let wire = |samples: &str| format!("wire = {{ scale = 0.25, counts = [0, 4095]{samples} }}");
+        let (plain, packed) = (wire(""), wire(", samples = \"u12\""));
+        let parts = wire(", samples = \"u12\", datagram = 64");
+        let (long, read, _) = sent_and_read(&plain, &plain);
+        assert_eq!(read[0].values, [0.0, 0.25, 1.0, 1023.75]);
+        // Four values of 12 bits where there were four of 32; a short frame needs no parts.
+        for device in [&packed, &parts] {
+            for node in [&packed, &plain, &parts] {
+                let (short, read, _) = sent_and_read(device, node);
+                assert_eq!(read[0].values, [0.0, 0.25, 1.0, 1023.75], "{device} {node}");
+                assert_eq!(long.len() - short.len(), 10);
+            }
+        }
+        let (_, read, reader) = sent_and_read(&plain, &packed);
+        assert!(read.is_empty());
+        assert_eq!(reader.stats().rejected.format, 1);
+        insta::assert_snapshot!(reader.stats().last_rejection.as_ref().unwrap(), @"the device sends f32 values, and the skin file says u12: correct `wire.samples`, or leave it out to read every kind");
     }
 }

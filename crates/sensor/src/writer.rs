@@ -1,6 +1,6 @@
 //! From frames to bytes: the wires that every family speaks, from the device's side.
 
-use dermis_skin::{Frame, SkinDescription, WireProtocol};
+use dermis_skin::{Frame, SkinDescription, WireProtocol, WireSamples};
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
 
 use crate::Encoder;
@@ -12,8 +12,22 @@ pub struct FrameWriter {
     scale: f64,
     offset: f64,
     counts: Option<[u32; 2]>,
+    /// \[bytes\] of a datagram that a longer frame is split for.
+    datagram: Option<usize>,
     raw: Vec<f32>,
-    text: Vec<u8>,
+    /// A line of text, or the parts of a frame.
+    line: Vec<u8>,
+}
+
+/// Samples of a skin file as the native wire has them.
+pub(crate) fn native_format(samples: WireSamples) -> NativeFormat {
+    match samples {
+        WireSamples::F32 => NativeFormat::F32,
+        WireSamples::I16 => NativeFormat::I16,
+        WireSamples::U16 => NativeFormat::U16,
+        WireSamples::I32 => NativeFormat::I32,
+        WireSamples::U12 => NativeFormat::U12,
+    }
 }
 
 impl FrameWriter {
@@ -21,7 +35,9 @@ impl FrameWriter {
     #[must_use]
     pub fn new(skin: &SkinDescription) -> Option<Self> {
         let native = match skin.wire.protocol {
-            WireProtocol::Native => Some(NativeEncoder::new(NativeFormat::F32)),
+            WireProtocol::Native => {
+                Some(NativeEncoder::new(native_format(skin.wire.samples.unwrap_or_default())))
+            }
             WireProtocol::Ascii => None,
             WireProtocol::Family(_) => return None,
         };
@@ -30,8 +46,9 @@ impl FrameWriter {
             scale: skin.wire.scale,
             offset: skin.wire.offset,
             counts: skin.wire.counts,
+            datagram: skin.wire.datagram.and_then(|most| usize::try_from(most).ok()),
             raw: Vec::new(),
-            text: Vec::new(),
+            line: Vec::new(),
         })
     }
 }
@@ -52,19 +69,29 @@ impl Encoder for FrameWriter {
                 ((f64::from(*v) - self.offset) / self.scale) as f32
             }
         }));
-        match &mut self.native {
-            // The wire's sequence number wraps at 32 bits.
-            Some(native) => native
-                .encode(frame.sequence as u32, device_time_us, &self.raw)
-                .map_err(|error| error.to_string()),
-            None => {
-                self.text.clear();
+        // The wire's sequence number wraps at 32 bits.
+        let sequence = frame.sequence as u32;
+        self.line.clear();
+        match (&mut self.native, self.datagram) {
+            (Some(native), Some(most)) => {
+                let line = &mut self.line;
+                native
+                    .encode_parts(sequence, device_time_us, &self.raw, most, |part| {
+                        line.extend_from_slice(part);
+                    })
+                    .map_err(|error| error.to_string())?;
+                Ok(&self.line)
+            }
+            (Some(native), None) => {
+                native.encode(sequence, device_time_us, &self.raw).map_err(|error| error.to_string())
+            }
+            (None, _) => {
                 for (i, value) in self.raw.iter().enumerate() {
                     let comma = if i == 0 { "" } else { "," };
-                    self.text.extend_from_slice(format!("{comma}{value}").as_bytes());
+                    self.line.extend_from_slice(format!("{comma}{value}").as_bytes());
                 }
-                self.text.push(b'\n');
-                Ok(&self.text)
+                self.line.push(b'\n');
+                Ok(&self.line)
             }
         }
     }

@@ -11,9 +11,9 @@ use sha2::{Digest, Sha256};
 
 use crate::family;
 use crate::mesh::TriangleMesh;
-use crate::{Effect, ModelError, SkinError, Surface};
+use crate::{Effect, ModelError, Rated, SkinError, Surface};
 
-pub use parts::{Channel, Condition, SensorKind, SurfaceSpec, Taxel, Wire, WireProtocol};
+pub use parts::{Channel, Condition, SensorKind, SurfaceSpec, Taxel, Wire, WireProtocol, WireSamples};
 
 mod check;
 mod parts;
@@ -64,6 +64,9 @@ pub struct SkinDescription {
     /// Range of the device, in `unit`, for channels that name none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range: Option<[f64; 2]>,
+    /// What usually presses it; as the family says where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rated: Option<Rated>,
     /// Framing and raw counts.
     #[serde(default)]
     pub wire: Wire,
@@ -280,7 +283,7 @@ fn digest(identity: &serde_json::Value) -> String {
     format!("sha256:{hex}")
 }
 
-const KNOWN_KEYS: [&str; 15] = [
+const KNOWN_KEYS: [&str; 16] = [
     "schema",
     "name",
     "sensor",
@@ -291,6 +294,7 @@ const KNOWN_KEYS: [&str; 15] = [
     "rate",
     "noise",
     "range",
+    "rated",
     "wire",
     "condition",
     "surface, taxels, channels",
@@ -350,7 +354,7 @@ mod tests {
     fn refusals_name_file_field_and_remedy() {
         insta::assert_snapshot!(refused("noise = 20.0", "noise = -1.0"), @"skin file pad.toml: field `noise`: is -1 and must be a positive number");
         insta::assert_snapshot!(refused("rate = 100.0", "rate = \"fast\""), @r#"skin file pad.toml: field `rate`: invalid type: string "fast", expected f64"#);
-        insta::assert_snapshot!(refused("rate = 100.0", "rate = 100.0\nrat = 3"), @"skin file pad.toml: unknown key `rat`; remove it or correct its spelling (known here: schema, name, sensor, description, kind, frame_id, unit, rate, noise, range, wire, condition, surface, taxels, channels, medium, effects)");
+        insta::assert_snapshot!(refused("rate = 100.0", "rate = 100.0\nrat = 3"), @"skin file pad.toml: unknown key `rat`; remove it or correct its spelling (known here: schema, name, sensor, description, kind, frame_id, unit, rate, noise, range, rated, wire, condition, surface, taxels, channels, medium, effects)");
         insta::assert_snapshot!(refused("noise = 20.0", "noise = 20.0\nwire = { protocol = \"ascii\", counts = [4095, 0] }"), @"skin file pad.toml: field `wire.counts`: is [4095, 0] and must be a least and a greater largest count");
         insta::assert_snapshot!(refused("size = [0.02, 0.01]", "size = [0.02, -0.01]"), @"skin file pad.toml: field `surface.size[1]`: is -0.01 m and must be a positive length");
         insta::assert_snapshot!(refused("\"t1\"", "\"t0\""), @r#"skin file pad.toml: field `taxels[1].name`: "t0" is already taken"#);

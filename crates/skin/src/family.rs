@@ -12,6 +12,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::description::{SkinDescription, SurfaceSpec};
 use crate::mesh::TriangleMesh;
+use crate::rated::Rated;
 
 /// A field of a skin description that cannot be, and why.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -44,6 +45,12 @@ pub trait Family: Send + Sync {
     fn complete(&self, skin: &mut SkinDescription) -> Result<(), FieldFault> {
         let _ = skin;
         Ok(())
+    }
+
+    /// What usually presses such a skin, where its file does not say.
+    fn rated(&self, skin: &SkinDescription) -> Rated {
+        let _ = skin;
+        Rated::default()
     }
 }
 

@@ -52,6 +52,7 @@ mod limits;
 mod mesh;
 mod panel;
 mod phase;
+mod rated;
 mod surface;
 #[cfg(test)]
 mod testing;
@@ -61,7 +62,7 @@ mod zero;
 pub use contact::{Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues};
 pub use convert::contact_array;
 pub use description::{
-    Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol,
+    Channel, Condition, SensorKind, SkinDescription, SurfaceSpec, Taxel, Wire, WireProtocol, WireSamples,
 };
 pub use effect::{Effect, EffectInfo, ParameterInfo};
 pub use error::SkinError;
@@ -71,6 +72,7 @@ pub use image::{Image, ImageGrid, ImageGridError, PixelFormat};
 pub use instance::{InstanceError, Mount, MountError};
 pub use mesh::{TriangleMesh, closest_on_triangle};
 pub use phase::Phase;
+pub use rated::{Rated, TipKind};
 pub use surface::Surface;
 pub use traits::{EstimateError, Estimator, ModelError};
 pub use zero::{TareState, ZeroTracker};

@@ -17,7 +17,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use dermis_learn::cli::Labels;
 use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
-use dermis_skin::{SkinDescription, Surface};
+use dermis_skin::{Rated, SkinDescription, Surface};
 use dermis_theory::resolution::{Testbed, on_surface};
 use dermis_theory::{
     BandBox, Isoline, Line, LineStudy, Responses, StudyOptions, Summary, SurfaceBound, TwoContacts,
@@ -33,7 +33,9 @@ pub use sources::Source;
 pub use summary::{alphas, by_interval, median, summary};
 pub use trends::{Trend, TrendCurve, trends};
 
-/// \[mm\] distances of two contacts that are bounded.
+/// \[m\] between distances of two contacts that are bounded, at least; a quarter of a tip where that is more.
+const LEAST_STEP: f64 = 1e-3;
+/// These distances in such steps.
 const DISTANCES: std::ops::RangeInclusive<u32> = 1..=40;
 /// \[N\] range of forces that isolines and factors are computed for, and their step (thesis 5.7.1).
 const FORCES: [f64; 2] = [0.02, 1.5];
@@ -51,12 +53,12 @@ pub const INTERVALS: [f64; 8] = [0.02, 0.14, 0.2, 0.4, 0.6, 0.9, 1.2, 1.5];
 pub struct Request {
     /// Skin description.
     pub skin: PathBuf,
-    /// Pressing force [N]; may be repeated.
-    #[arg(long, default_values_t = Request::default().force)]
+    /// Pressing force [N]; may be repeated. Those that the skin is rated for where absent.
+    #[arg(long)]
     pub force: Vec<f64>,
-    /// Diameter of the tip [m].
-    #[arg(long, default_value_t = Request::default().diameter)]
-    pub diameter: f64,
+    /// Diameter of the tip [m], a ball; that which the skin is rated for where absent.
+    #[arg(long)]
+    pub diameter: Option<f64>,
     /// Shear is unknown, too; otherwise the contact is known to press along the normal.
     #[arg(long, conflicts_with = "line")]
     pub shear: bool,
@@ -81,8 +83,8 @@ impl Default for Request {
     fn default() -> Self {
         Self {
             skin: PathBuf::new(),
-            force: vec![0.05, 0.1, 0.2, 0.5, 1.0],
-            diameter: 0.004,
+            force: Vec::new(),
+            diameter: None,
             shear: false,
             line: false,
             bag: Vec::new(),
@@ -90,6 +92,25 @@ impl Default for Request {
             least: None,
             trends: false,
         }
+    }
+}
+
+impl Request {
+    /// The same with what the skin is rated for in the place of what was not said.
+    fn for_skin(&self, skin: &SkinDescription) -> Self {
+        let rated = skin.rated_press();
+        let mut request = self.clone();
+        if request.force.is_empty() {
+            request.force = rated.ladder();
+        }
+        request.diameter.get_or_insert(rated.diameter);
+        request
+    }
+
+    /// \[m\] of the tip.
+    #[must_use]
+    pub fn diameter(&self) -> f64 {
+        self.diameter.unwrap_or_else(|| Rated::default().diameter)
     }
 }
 
@@ -182,6 +203,7 @@ impl Serialize for Findings {
 /// Where the skin, its model or a bag cannot be read, or a number of the request cannot be.
 pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
+    let options = &options.for_skin(&skin);
     let model = families.model_of_file(&options.skin, &skin);
     let (model, mut notes) = match (model, options.bag.is_empty()) {
         (Ok(model), _) => (Some(model), Vec::new()),
@@ -204,15 +226,18 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
     };
     progress.begin(&skin.name);
     let surface = skin.surface();
+    let reason = no_isolines(&skin);
     let (mut maps, mut boxes, mut pairs) = (Vec::new(), Vec::new(), Vec::new());
     if let Some(model) = &model {
-        (maps, boxes) = over_all_forces(model.as_ref(), options, unknowns, progress)?;
-        pairs = pairs_of(model.as_ref(), middle, options.diameter, unknowns)?;
+        let bands = unknowns == Unknowns::Normal && reason.is_none();
+        (maps, boxes) = over_all_forces(model.as_ref(), options, (unknowns, bands), progress)?;
+        pairs = pairs_of(model.as_ref(), middle, options.diameter(), unknowns)?;
     }
     let feet = feet(&skin, &surface);
     let mut distinguishable = Vec::new();
-    let line = match line(&source, &surface, &feet, options.diameter) {
-        Ok(line) => {
+    let line = match line_of(reason.as_deref(), &source, &surface, &feet, options) {
+        Ok(None) => None,
+        Ok(Some(line)) => {
             let study = line.study(&study_options(&line, least), |share| {
                 progress.at(0.3 + 0.4 * share);
             });
@@ -225,16 +250,17 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
             None
         }
     };
-    let on_surface = if options.line {
+    let on_surface = if options.line || reason.is_some() {
         None
     } else {
         Some(surface_study(&source, model.as_deref(), &surface, &feet, (least, options), (&maps, &boxes))?)
     };
+    notes.extend(reason.clone());
     progress.at(0.8);
     // A recording is of the skin as it is, and only the page shows how others would be.
     let trends = match &model {
-        Some(model) if options.bag.is_empty() && options.trends => {
-            trends(&skin, model, &feet, options.diameter, families)?
+        Some(model) if options.bag.is_empty() && options.trends && reason.is_none() => {
+            trends(&skin, model, &feet, options.diameter(), families)?
         }
         _ => Vec::new(),
     };
@@ -260,17 +286,17 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
 fn over_all_forces(
     model: &dyn ForwardModel,
     options: &Request,
-    unknowns: Unknowns,
+    (unknowns, bands): (Unknowns, bool),
     progress: &dyn Progress,
 ) -> Result<(Vec<SurfaceBound>, Vec<Vec<BandBox>>)> {
     let (mut maps, mut boxes) = (Vec::new(), Vec::new());
     for (i, &force) in options.force.iter().enumerate() {
-        if unknowns == Unknowns::Normal {
-            let (map, bands) = over_surface_and_bands(model, force, options.diameter, unknowns)?;
+        if bands {
+            let (map, bands) = over_surface_and_bands(model, force, options.diameter(), unknowns)?;
             maps.push(map);
             boxes.push(bands);
         } else {
-            maps.push(over_surface(model, force, options.diameter, unknowns)?);
+            maps.push(over_surface(model, force, options.diameter(), unknowns)?);
         }
         progress.at(0.3 * (i + 1) as f64 / options.force.len() as f64);
     }
@@ -281,6 +307,31 @@ fn over_all_forces(
 #[must_use]
 pub fn feet(skin: &SkinDescription, surface: &Surface) -> Vec<Point3<f64>> {
     skin.channel_taxels().into_iter().map(|t| surface.project(&skin.taxels[t].point()).0).collect()
+}
+
+/// Why isolines say nothing of a skin; `None` where they do. Each channel needs a place of its own, from which distances count.
+fn no_isolines(skin: &SkinDescription) -> Option<String> {
+    let (channels, taxels) = (skin.channels().len(), skin.taxels.len());
+    (skin.condition.coupled && channels > taxels).then(|| {
+        format!(
+            "isolines are not studied: the channels are coupled, and each of the {channels} reads all of the skin between its {taxels} \
+             elements, so that it has no place of its own from which a distance to a contact could be counted"
+        )
+    })
+}
+
+/// The row that most taxels lie on, where isolines say anything.
+fn line_of(
+    reason: Option<&str>,
+    source: &Source,
+    surface: &Surface,
+    feet: &[Point3<f64>],
+    options: &Request,
+) -> Result<Option<Line>> {
+    if reason.is_some() {
+        return Ok(None);
+    }
+    line(source, surface, feet, options.diameter()).map(Some)
 }
 
 /// The row that most taxels lie on.
@@ -324,7 +375,7 @@ fn surface_study(
     let forces = force_ladder(source.force_max(), 30);
     let spacing = crate::placement::candidates::point_spacing(surface);
     let responses: Responses =
-        source.responses(surface, &surface.points, &forces, options.diameter, 1.5 * spacing)?;
+        source.responses(surface, &surface.points, &forces, options.diameter(), 1.5 * spacing)?;
     let minimum_force: Vec<Option<f64>> =
         (0..surface.points.len()).map(|p| responses.minimum_force(p, least, 3)).collect();
     let known = minimum_force.iter().map(|f| f.unwrap_or(f64::INFINITY));
@@ -406,6 +457,7 @@ fn pairs_of(
 ) -> Result<Vec<TwoContacts>> {
     let middle = middle_of(model.surface());
     let width = model.surface().points.iter().map(|p| (p.x - middle.x).abs()).fold(0.0, f64::max) * 2.0;
-    let distances: Vec<f64> = DISTANCES.map(|mm| f64::from(mm) * 1e-3).filter(|d| *d < width).collect();
+    let step = LEAST_STEP.max(diameter / 4.0);
+    let distances: Vec<f64> = DISTANCES.map(|steps| f64::from(steps) * step).filter(|d| *d < width).collect();
     Ok(two_contacts(model, &middle, &distances, force, diameter, unknowns)?)
 }

@@ -8,6 +8,8 @@ mod tip;
 
 use std::path::Path;
 
+use dermis_model::TipShape;
+use dermis_skin::{SkinDescription, SurfaceSpec, TipKind};
 use serde::{Deserialize, Serialize};
 
 use crate::TestbedError;
@@ -158,6 +160,9 @@ fn stage_noise() -> f64 {
 /// \[m/s²\] of gravity and acceleration at most: a hundred times that of the earth.
 const GRAVITY: f64 = 1e3;
 
+/// Diameters of the tip that a rectangle is wider than, for presses to keep off its rim.
+const ROOM: f64 = 4.0;
+
 /// Most contacts of a plan: what fits into memory with room to spare.
 pub(crate) const PRESSES_MAX: u64 = 1_000_000;
 
@@ -190,6 +195,29 @@ impl Plan {
             stage_noise: stage_noise(),
             timing: Timing { hold: [0.4, 1.0], gap: [0.3, 0.6], ..Timing::default() },
             steps,
+        }
+    }
+
+    /// What shows a skin: presses at random places, with the tip and the forces that it is [rated](dermis_skin::Rated) for, after
+    /// some seconds in which nothing touches and a node finds its zero.
+    #[must_use]
+    pub fn rated_presses(skin: &SkinDescription) -> Self {
+        let rated = skin.rated_press();
+        let shape = TipShape::FlatPunch { diameter: rated.diameter };
+        let margin = match skin.surface {
+            SurfaceSpec::Rectangle { size: [x, y], .. } if x.min(y) > ROOM * rated.diameter => {
+                rated.diameter / 2.0
+            }
+            _ => 0.0,
+        };
+        let presses = Action::Presses { count: 16, level: Level::Force(rated.force), repeats: 1 };
+        Self {
+            name: "rated-presses".to_owned(),
+            tip: (rated.tip == TipKind::FlatPunch).then_some(PlanTip { shape, turn: 0.0, tilt: 0.0 }),
+            margin,
+            timing: Timing { load: [0.15, 0.3], hold: [0.4, 0.8], gap: [0.3, 0.6], ..Timing::default() },
+            steps: vec![Action::Idle { duration: 3.0 }.into(), presses.into()],
+            ..Self::random_touches(rated.diameter, rated.force)
         }
     }
 

@@ -85,6 +85,30 @@ row of 6 taxels, 32.500 mm: c(0) = 0.156 N/kPa, linear within 1 %; F_S from 0.01
 "#);
 }
 
+/// The tip and the forces that the panel is rated for, and no isolines: each of its channels reads the whole sheet.
+#[test]
+fn a_panel_is_bounded_without_isolines() {
+    let request = Request { skin: path("ert-panel.toml"), ..Request::default() };
+    let findings = find(&request).unwrap();
+    assert_eq!(
+        (findings.request.force.as_slice(), findings.request.diameter()),
+        (&[5.0, 10.0, 20.0, 40.0][..], 0.02)
+    );
+    assert!(findings.line.is_none() && findings.surface.is_none());
+    let medians: Vec<f64> = findings.maps.iter().map(|map| map.position.median).collect();
+    assert!(medians.windows(2).all(|m| m[1] < m[0]), "a stronger press is known better: {medians:?}");
+    assert!((1e-4..0.1).contains(&medians[1]), "{medians:?}");
+    let text = report::text(&findings);
+    assert!(
+        text.contains("tip of 20 mm") && text.contains("isolines are not studied: the channels are coupled"),
+        "{text}"
+    );
+    assert!(!text.contains("NaN") && !text.contains("σ_S"), "{text}");
+    // Every line of the table is as long as its head.
+    let table: Vec<usize> = text.lines().filter(|l| l.contains(" | ")).map(|l| l.chars().count()).collect();
+    assert!(table.len() == 5 && table.iter().all(|length| *length == table[0]), "{text}");
+}
+
 #[test]
 fn a_recording_says_what_the_model_does() {
     let folder = tempfile::tempdir().unwrap();

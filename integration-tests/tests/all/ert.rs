@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use dermis_ert::sheet::{Design, Grid, Sheet};
-use dermis_integration_tests::{finish, isolate, json, program, root};
+use dermis_integration_tests::{finish, isolate, json, program, refused, root};
 
 const SKIN: &str = "launch/skins/ert-panel.toml";
 
@@ -95,4 +95,27 @@ fn a_panel_is_described_and_collected_with_and_without_effects() {
         let frames = topics.iter().find(|t| t["name"] == "/taxels").unwrap()["messages"].as_u64().unwrap();
         assert!(frames > 200, "{info}");
     }
+}
+
+/// The panel is shown without a bundle: contacts come from its forward model, nearer to the truth than half of the distance between two
+/// electrodes.
+#[test]
+fn the_demo_shows_the_panel() {
+    let mut command = dermis(&["demo", "--skin", "ert-panel", "--duration", "9s", "--json", "--no-bridge"]);
+    command.env("ROS_DOMAIN_ID", dermis_integration_tests::domain().to_string());
+    let found = json(&finish(&mut command));
+    let number = |at: &str| found.pointer(at).and_then(serde_json::Value::as_f64).unwrap_or(f64::NAN);
+    assert!(number("/touched") > 0.0 && number("/compared") > 10.0, "{found}");
+    assert!(number("/position_error_mm/p50") < 45.0, "{found}");
+    assert!(number("/force_error_n/p50") < 10.0, "{found}");
+    assert_eq!(number("/status/fault"), 0.0, "{found}");
+}
+
+#[test]
+fn a_skin_that_does_not_ship_is_refused_with_those_that_do() {
+    let said = refused(&mut dermis(&["demo", "--skin", "ert-pannel"]));
+    assert!(
+        said.contains("ert-pannel") && said.contains("baro-grid") && said.contains("or give the path"),
+        "{said}"
+    );
 }

@@ -3,6 +3,7 @@
 //!
 //! How a frame becomes contacts is in [`dermis_perception`], which is handed [`FAMILY`].
 
+pub mod check;
 pub mod effects;
 pub mod electronics;
 pub mod foam;
@@ -16,8 +17,8 @@ pub mod verify;
 use std::sync::Arc;
 
 use dermis_model::{Case, ForwardModel};
-use dermis_sensor::Sensor;
-use dermis_skin::{EffectInfo, Family, FieldFault, ModelError, SkinDescription};
+use dermis_sensor::{FrameCheck, Sensor};
+use dermis_skin::{EffectInfo, Family, FieldFault, ModelError, Rated, SkinDescription, TipKind};
 
 /// What a skin description names in `sensor` for this family.
 pub const SENSOR: &str = "ert";
@@ -36,6 +37,11 @@ impl Family for Ert {
     fn complete(&self, skin: &mut SkinDescription) -> Result<(), FieldFault> {
         parameters::complete(skin)
     }
+
+    /// As chapter 4 of the thesis presses its panel.
+    fn rated(&self, _: &SkinDescription) -> Rated {
+        Rated { force: [5.0, 40.0], diameter: 0.02, tip: TipKind::FlatPunch }
+    }
 }
 
 impl Sensor for Ert {
@@ -49,6 +55,13 @@ impl Sensor for Ert {
 
     fn check_medium(&self, skin: &SkinDescription) -> Result<(), ModelError> {
         skin.check_medium(|| parameters::Parameters::nominal(skin).map(drop))
+    }
+
+    fn frame_check(&self, skin: &SkinDescription) -> Result<Option<Box<dyn FrameCheck>>, ModelError> {
+        if skin.medium.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(Box::new(check::ElectrodeCheck::new(skin)?)))
     }
 
     fn effects(&self) -> &'static [EffectInfo] {

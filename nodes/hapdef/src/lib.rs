@@ -14,7 +14,7 @@ use std::sync::Arc;
 pub use candidates::candidates;
 use dermis_model::{Case, ForwardModel};
 use dermis_sensor::Sensor;
-use dermis_skin::{EffectInfo, Family, ModelError, SkinDescription, Taxel};
+use dermis_skin::{EffectInfo, Family, ModelError, Rated, SkinDescription, Taxel, TipKind};
 
 /// What a skin description names in `sensor` for this family.
 pub const SENSOR: &str = "hapdef";
@@ -26,6 +26,11 @@ pub const FAMILY: &dyn Sensor = &Hapdef;
 struct Hapdef;
 
 impl Family for Hapdef {
+    /// A ball of 10 mm, as the rigs of chapters 2 and 3 of the thesis press a limb, up to what its stage reaches.
+    fn rated(&self, _: &SkinDescription) -> Rated {
+        Rated { force: [1.0, 34.0], diameter: 0.01, tip: TipKind::Sphere }
+    }
+
     fn name(&self) -> &'static str {
         SENSOR
     }

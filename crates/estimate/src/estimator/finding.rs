@@ -1,7 +1,7 @@
 //! From model outputs to contacts.
 
 use dermis_inference::{Baseline, Missing};
-use dermis_inversion::{ContactEstimate, InverterError, Reading};
+use dermis_inversion::{ContactEstimate, InverterError, Reading, Settings};
 use dermis_model::Indentation;
 use dermis_skin::Contact;
 
@@ -108,7 +108,7 @@ impl SkinEstimator {
             || inverter.settings().exceeds_threshold((inverter.evidence(&self.readings).0, 0.0), true);
         if shows {
             let solution = solve(inverter, &self.readings, &[], &self.before)?;
-            let found = indentations(&solution.contacts, inverter.settings().diameter);
+            let found = indentations(&solution.contacts, inverter.settings());
             inverter.signal(&found, &mut self.guessed)?;
             // Asked once a frame: what it costs is the frame's time.
             self.solution = (inverter.settings().in_pairs()).then_some(solution);
@@ -118,6 +118,9 @@ impl SkinEstimator {
 
     /// Contacts as the learned models give them: the peaks of a map or, without any, one from position and force.
     pub(super) fn learned(&mut self) -> Result<Vec<Contact>, String> {
+        if self.pipelines.iter().all(|p| p.model.is_none()) {
+            return Ok(Vec::new());
+        }
         let refined = self.pipelines.iter().any(|p| p.inverter.is_some());
         let Some(pipeline) = self.pipelines.iter_mut().find(|p| p.fresh && p.peaks.is_some() && !refined)
         else {
@@ -216,6 +219,6 @@ impl SkinEstimator {
     }
 }
 
-fn indentations(found: &[ContactEstimate], diameter: f64) -> Vec<Indentation> {
-    found.iter().map(|f| Indentation::sphere(f.position, f.force, diameter)).collect()
+fn indentations(found: &[ContactEstimate], settings: &Settings) -> Vec<Indentation> {
+    found.iter().map(|f| settings.indentation(f.position, f.force)).collect()
 }

@@ -6,26 +6,40 @@ use super::{Quality, SkinEstimator};
 use crate::condition::listed;
 
 impl SkinEstimator {
-    /// Impaired channels: their names with what is wrong, and of those that nobody asked to leave out, how many of how
-    /// many are unusable.
-    pub(super) fn faults(&self) -> (Vec<String>, usize, usize) {
+    /// Impaired channels: their names with what is wrong but for those of parts that are out of order, and of those that nobody
+    /// asked to leave out, how many of how many are unusable.
+    pub(super) fn channel_faults(&self) -> (Vec<String>, usize, usize) {
         let reading = &self.cleaned.reading;
         let mut names = Vec::new();
         let (mut invalid, mut asked) = (0, 0);
-        for (channel, flags) in self.skin.channels().iter().zip(&reading.flags) {
+        let mut of_parts = vec![false; reading.flags.len()];
+        for channel in self.faults.iter().flat_map(|fault| &fault.channels) {
+            if let Some(of_part) = of_parts.get_mut(*channel) {
+                *of_part = true;
+            }
+        }
+        for ((channel, flags), of_part) in self.skin.channels().iter().zip(&reading.flags).zip(of_parts) {
             if !flags.contains(ChannelFlags::MASKED) {
                 asked += 1;
                 invalid += usize::from(flags.is_invalid());
             }
-            if !flags.is_ok() {
+            if !flags.is_ok() && !of_part {
                 names.push(format!("{} ({flags})", channel.name));
             }
         }
         (names, invalid, asked)
     }
 
+    /// What is wrong with parts of the device, and with channels.
+    fn faulty(&self) -> (Vec<String>, usize, usize) {
+        let (channels, invalid, asked) = self.channel_faults();
+        let mut faults: Vec<String> = self.faults.iter().map(ToString::to_string).collect();
+        faults.extend(channels);
+        (faults, invalid, asked)
+    }
+
     pub(super) fn judge(&self) -> (Quality, String) {
-        let (faults, invalid, asked) = self.faults();
+        let (faults, invalid, asked) = self.faulty();
         if 2 * invalid > asked || asked == 0 {
             return (
                 Quality::Fault,
@@ -45,8 +59,8 @@ impl SkinEstimator {
             return (Quality::Ok, String::new());
         }
         let channels = self.cleaned.reading.values.len();
-        let mut text =
-            format!("{} of {channels} channels are impaired: {}", faults.len(), listed(&faults, 8));
+        let impaired = self.cleaned.reading.flags.iter().filter(|flags| !flags.is_ok()).count();
+        let mut text = format!("{impaired} of {channels} channels are impaired: {}", listed(&faults, 8));
         if self.channels_missing() && self.pipelines.iter().all(|p| p.inverter.is_none()) {
             text += "; no forward model stands in for them, so that the error of the contacts is unknown";
         }

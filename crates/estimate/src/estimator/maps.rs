@@ -76,8 +76,8 @@ impl SkinEstimator {
             return Some(DisplacementMap { indices: None, displacements });
         }
         let inverter = self.pipelines.get(refined?)?.inverter.as_ref()?;
-        let diameter = inverter.settings().diameter;
-        let contacts = contacts.iter().map(|c| Indentation::sphere(c.position, c.force, diameter)).collect();
+        let settings = inverter.settings();
+        let contacts = contacts.iter().map(|c| settings.indentation(c.position, c.force)).collect();
         let mut points = vec![0.0; self.surface.points.len()];
         let known = inverter.model().displacement(&Stimulus { contacts, ..Stimulus::default() }, &mut points);
         if !known.unwrap_or_else(|error| {

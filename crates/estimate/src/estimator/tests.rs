@@ -10,6 +10,8 @@ use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_skin::{Contact, ForceComponents, ForceValues};
 use nalgebra::{Point3, Vector3};
 
+mod parts;
+
 const IDLE: f32 = 101_325.0;
 
 fn frame(k: u64, load: [f32; 4]) -> Frame {

@@ -43,7 +43,7 @@ pub(crate) fn solve(
 
 /// A contact as what a forward model takes.
 fn indentation(inverter: &Inverter, contact: &Contact) -> Indentation {
-    Indentation::sphere(contact.position, contact.force, inverter.settings().diameter)
+    inverter.settings().indentation(contact.position, contact.force)
 }
 
 /// Where a search for the contacts begins.

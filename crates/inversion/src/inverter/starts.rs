@@ -89,10 +89,7 @@ impl Inverter {
             .zip(&self.dictionary.forces)
             .min_by(|a, b| (a.0.max(1e-9).ln().abs()).total_cmp(&b.0.max(1e-9).ln().abs()))
             .map_or(0.0, |(share, force)| share * force);
-        Indentation::sphere(
-            place.position,
-            -place.normal * force.clamp(1e-3, self.settings.force_max),
-            self.settings.diameter,
-        )
+        let pressing = -place.normal * force.clamp(1e-3, self.settings.force_max);
+        self.settings.indentation(place.position, pressing)
     }
 }

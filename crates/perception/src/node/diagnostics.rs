@@ -117,6 +117,11 @@ impl Shared {
                 .collect();
             status.value(name, if named.is_empty() { "none".into() } else { named.join(", ") });
         }
+        if let Some(faults) = core.estimator.element_faults() {
+            let sentences: Vec<String> = faults.iter().map(ToString::to_string).collect();
+            let none = "none".to_owned();
+            status.value("parts out of order", if faults.is_empty() { none } else { sentences.join("; ") });
+        }
     }
 }
 

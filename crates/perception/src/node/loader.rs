@@ -59,7 +59,7 @@ impl Loader {
     ) -> Result<Option<Self>, RunError> {
         cache::use_folder(config.cache.folder());
         cache::observe(say);
-        if config.models.is_empty() {
+        if config.models.is_empty() && !config.invert {
             return Ok(None);
         }
         let read = bundles(&config.models, skin, &config.model_limits, config.correction.as_deref());
@@ -72,7 +72,10 @@ impl Loader {
                 return Ok(None);
             }
         };
-        let names: Vec<String> = bundles.iter().map(|b| b.manifest().name.clone()).collect();
+        let mut names: Vec<String> = bundles.iter().map(|b| b.manifest().name.clone()).collect();
+        if names.is_empty() {
+            names.push("inversion of the forward model".into());
+        }
         let names = names.join(", ");
         estimator.explain_missing_model(format!(
             "the model ({names}) is being made ready, so that contacts are unknown yet; wait some seconds"
@@ -83,7 +86,11 @@ impl Loader {
         let name = skin.name.clone();
         let work = move || {
             tracing::info!("skin `{}`: makes the model ready ({names})", skin.name);
-            let models = Models::load(sensor, &skin, &bundles, runtime);
+            let models = if bundles.is_empty() {
+                Models::inverted(sensor, &skin)
+            } else {
+                Models::load(sensor, &skin, &bundles, runtime)
+            };
             // The node may have ended, or failed to start, before its models were there.
             let Some(shared) = whom.recv().ok().and_then(|node| node.upgrade()) else { return };
             let done = models.and_then(|models| shared.take_over(models));

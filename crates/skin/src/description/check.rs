@@ -6,11 +6,14 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 
-use super::parts::{Channel, SurfaceSpec, Taxel};
+use super::parts::{Channel, SurfaceSpec, Taxel, WireProtocol, WireSamples};
 use super::{SCHEMA, SkinDescription};
 use crate::SkinError;
 use crate::family::{self, FieldFault};
 use crate::mesh::TriangleMesh;
+
+/// \[bytes\] of a datagram that a frame is split for: what every network carries, and what UDP does.
+const DATAGRAM: std::ops::RangeInclusive<u32> = 64..=65_507;
 
 type Checked = Result<(), FieldFault>;
 
@@ -92,6 +95,10 @@ impl SkinDescription {
         if !(self.wire.scale.is_finite() && self.wire.scale != 0.0 && self.wire.offset.is_finite()) {
             return wrong("wire.scale", "must be a finite number other than 0, and `offset` finite");
         }
+        if let Some(rated) = &self.rated {
+            rated.check()?;
+        }
+        self.check_samples()?;
         if let Some([low, high]) = self.wire.counts
             && low >= high
         {
@@ -101,6 +108,29 @@ impl SkinDescription {
             );
         }
         Ok(())
+    }
+
+    /// Samples and datagrams of the native wire.
+    fn check_samples(&self) -> Checked {
+        let wire = &self.wire;
+        for (field, set) in [("samples", wire.samples.is_some()), ("datagram", wire.datagram.is_some())] {
+            if set && wire.protocol != WireProtocol::Native {
+                let reason = "is of the binary wire: leave it out, or write `protocol = \"native\"`";
+                return wrong(format!("wire.{field}"), reason);
+            }
+        }
+        if wire.datagram.is_some_and(|most| !DATAGRAM.contains(&most)) {
+            let reason = format!("must be {} to {} bytes", DATAGRAM.start(), DATAGRAM.end());
+            return wrong("wire.datagram", reason);
+        }
+        let most = wire.counts.map_or(0, |[_, high]| high);
+        match wire.samples.and_then(WireSamples::largest_count) {
+            Some(largest) if most > largest => wrong(
+                "wire.samples",
+                format!("hold counts up to {largest}, and `wire.counts` goes up to {most}"),
+            ),
+            _ => Ok(()),
+        }
     }
 
     /// One channel a taxel where the file names none; range and noise of the skin where a channel has none.

@@ -209,11 +209,55 @@ pub struct Wire {
     /// anything but whole numbers between them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub counts: Option<[u32; 2]>,
+    /// How values lie in binary frames. Frames of another kind are refused; all kinds are read where absent, and a simulated device
+    /// sends [`WireSamples::F32`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub samples: Option<WireSamples>,
+    /// \[bytes\] of the longest datagram: a simulated device sends a longer binary frame in parts. In one piece where absent; frames
+    /// in parts are read in either case.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub datagram: Option<u32>,
+}
+
+/// How the values of a binary frame lie on the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WireSamples {
+    /// Single precision.
+    #[default]
+    F32,
+    /// Signed counts of 16 bits.
+    I16,
+    /// Counts of 16 bits.
+    U16,
+    /// Signed counts of 32 bits.
+    I32,
+    /// Counts of 12 bits, two in three bytes.
+    U12,
+}
+
+impl WireSamples {
+    /// The largest count that fits; `None` where every count of a converter does.
+    pub(super) fn largest_count(self) -> Option<u32> {
+        match self {
+            Self::F32 | Self::I32 => None,
+            Self::I16 => Some(0x7fff),
+            Self::U16 => Some(0xffff),
+            Self::U12 => Some(0xfff),
+        }
+    }
 }
 
 impl Default for Wire {
     fn default() -> Self {
-        Self { protocol: WireProtocol::Native, scale: 1.0, offset: 0.0, counts: None }
+        Self {
+            protocol: WireProtocol::Native,
+            scale: 1.0,
+            offset: 0.0,
+            counts: None,
+            samples: None,
+            datagram: None,
+        }
     }
 }
 

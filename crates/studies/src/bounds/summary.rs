@@ -54,7 +54,7 @@ pub fn summary(findings: &Findings) -> Value {
     json!({
         "skin": findings.skin.name,
         "channels": findings.skin.channels().len(),
-        "diameter_m": findings.request.diameter,
+        "diameter_m": findings.request.diameter(),
         "unknowns": findings.unknowns,
         "isolines_from": findings.source.describe(),
         "noise": findings.source.noise(),

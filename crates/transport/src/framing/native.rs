@@ -46,6 +46,18 @@ impl NativeFormat {
     /// Every format.
     pub const ALL: [Self; 5] = [Self::F32, Self::I16, Self::U16, Self::I32, Self::U12];
 
+    /// As skin files call it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::I16 => "i16",
+            Self::U16 => "u16",
+            Self::I32 => "i32",
+            Self::U12 => "u12",
+        }
+    }
+
     /// Bits of one value.
     #[must_use]
     pub fn bits(self) -> usize {
@@ -234,6 +246,8 @@ fn values_in_datagram(most: usize, format: NativeFormat) -> usize {
 #[derive(Debug, Clone)]
 pub struct NativeDecoder {
     channels: Option<usize>,
+    /// The only format that is taken.
+    format: Option<NativeFormat>,
     /// \[bytes\] longest stuffed frame that is taken.
     limit: usize,
     buffer: Vec<u8>,
@@ -262,6 +276,7 @@ impl NativeDecoder {
         let expected = stuffed_len(raw_len(channels.unwrap_or(64).min(MAX_CHANNELS), NativeFormat::F32));
         Self {
             channels,
+            format: None,
             limit,
             buffer: Vec::with_capacity(expected + 1),
             state: Hunt::Start,
@@ -269,6 +284,13 @@ impl NativeDecoder {
             parts: Assembler::default(),
             stats: DecoderStats::new(expected),
         }
+    }
+
+    /// Takes values of this format only, whole or in parts.
+    #[must_use]
+    pub fn only(mut self, format: NativeFormat) -> Self {
+        self.format = Some(format);
+        self
     }
 
     /// Judges what lies between two delimiters; `rest` bytes were taken in after it.
@@ -279,7 +301,7 @@ impl NativeDecoder {
             return;
         }
         let mut buffer = std::mem::take(&mut self.buffer);
-        match read(&mut buffer, self.channels) {
+        match read(&mut buffer, self.channels, self.format) {
             Ok(Read::Frame(frame)) => {
                 self.stats.valid(rest);
                 self.hand_out(frame, received_ns, out);
@@ -370,6 +392,7 @@ enum Why {
     Crc { stated: u16, computed: u16 },
     Version(u8),
     Format(u8),
+    OtherFormat { sent: NativeFormat, expected: NativeFormat },
     Length { channels: usize, len: usize },
     Channels(usize),
     Part { part: u8, parts: u8, first: usize, count: usize, channels: usize },
@@ -391,6 +414,11 @@ impl Why {
             Self::Format(f) => format!(
                 "the device sends value format {f}, and the known ones are 0 to 4, and 128 to 132 for parts"
             ),
+            Self::OtherFormat { sent, expected } => format!(
+                "the device sends {} values, and the skin file says {}: correct `wire.samples`, or leave it out to read every kind",
+                sent.name(),
+                expected.name()
+            ),
             Self::Length { channels, len } => {
                 format!("a frame of {len} bytes says that it has {channels} channels, which does not fit")
             }
@@ -409,7 +437,11 @@ impl Why {
 }
 
 /// Unstuffs and reads one frame in place.
-fn read(stuffed: &mut [u8], expected: Option<usize>) -> Result<Read, (Rejection, Why)> {
+fn read(
+    stuffed: &mut [u8],
+    expected: Option<usize>,
+    only: Option<NativeFormat>,
+) -> Result<Read, (Rejection, Why)> {
     let stuffed_len = stuffed.len();
     let len = cobs::decode_in_place(stuffed).map_err(|_| (Rejection::Cobs, Why::Cobs(stuffed_len)))?;
     let raw = stuffed.get(..len).unwrap_or_default();
@@ -430,6 +462,9 @@ fn read(stuffed: &mut [u8], expected: Option<usize>) -> Result<Read, (Rejection,
     let Some(value_format) = NativeFormat::from_wire(format & !PART) else {
         return Err((Rejection::Format, Why::Format(format)));
     };
+    if let Some(expected) = only.filter(|expected| *expected != value_format) {
+        return Err((Rejection::Format, Why::OtherFormat { sent: value_format, expected }));
+    }
     let channels = usize::from(u16::from_le_bytes([c0, c1]));
     let sequence = u32::from_le_bytes([s0, s1, s2, s3]);
     let device_time_us = Some(u64::from_le_bytes(time)).filter(|t| *t != 0);
