@@ -434,7 +434,7 @@ mod tests {
 
     #[test]
     fn refusals_name_the_key() {
-        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, instance, frame_id, mount, models, model_folders, model_limits, commands, cache, masked, correction, runtime, force_threshold, strict, autostart, domain_id, network, zenoh_config, localhost_only, use_sim_time, device_time, remap, parameters)");
+        insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nmodel = 'm'").unwrap_err(), @"configuration palm.toml: unknown key `model`; remove it or correct its spelling (known here: skin, source, name, namespace, instance, frame_id, mount, models, invert, model_folders, model_limits, commands, cache, masked, correction, runtime, force_threshold, strict, autostart, domain_id, network, zenoh_config, localhost_only, use_sim_time, device_time, remap, parameters)");
         insta::assert_snapshot!(toml("skin = 'p'").unwrap_err(), @r#"configuration palm.toml: field `(top level)`: missing configuration field "source""#);
         insta::assert_snapshot!(toml("skin = 'p'\nsource = 's'\nautostart = 'maybe'").unwrap_err(), @r#"configuration palm.toml: field `autostart`: invalid type: string "maybe", expected a boolean for key `autostart`"#);
         assert!(toml("skin = ").is_err());
