@@ -131,7 +131,7 @@ impl Demo {
         let sensor = sensors.of(&skin)?;
         let model = sensor.model(&skin)?;
         let encoder = sensor.encoder(&skin)?;
-        let device = VirtualDevice::start_on(encoder, model, &skin, &plan, request.seed, &Outlet::Pty)?;
+        let device = VirtualDevice::plug(encoder, model, &skin, &plan, request.seed, &Outlet::Pty)?;
 
         let mut config = Config::new(skin_path, device.url());
         if models.is_empty() {
@@ -154,6 +154,8 @@ impl Demo {
             watcher.subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, info| {
                 lock(&sink).take(array, info.received_ns);
             })?;
+        // Last, so that a node that computes for seconds before it reads finds its zero before the first touch.
+        let device = device.start()?;
         Ok(Self { device, node, watcher, seen, _subscription: subscription, _scratch: scratch })
     }
 

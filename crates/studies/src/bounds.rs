@@ -97,7 +97,8 @@ impl Default for Request {
 
 impl Request {
     /// The same with what the skin is rated for in the place of what was not said.
-    fn for_skin(&self, skin: &SkinDescription) -> Self {
+    #[must_use]
+    pub fn for_skin(&self, skin: &SkinDescription) -> Self {
         let rated = skin.rated_press();
         let mut request = self.clone();
         if request.force.is_empty() {

@@ -14,7 +14,7 @@ use dermis_skin::SkinDescription;
 use crate::TestbedError;
 
 pub use replay::{ReplayDevice, ReplayOptions};
-pub use simulated::VirtualDevice;
+pub use simulated::{PluggedDevice, VirtualDevice};
 
 mod line;
 mod replay;

@@ -20,7 +20,7 @@ mod timeline;
 
 pub use collect::{CollectOptions, CollectReport, collect};
 pub use dermis_skin::Phase;
-pub use device::{DeviceStats, Outlet, ReplayDevice, ReplayOptions, VirtualDevice};
+pub use device::{DeviceStats, Outlet, PluggedDevice, ReplayDevice, ReplayOptions, VirtualDevice};
 pub use error::TestbedError;
 pub use plan::{
     Action, Drawn, ForceDistribution, HEX_ARMS, Level, Levels, Plan, PlanTip, PressProfile, Step, Timing,

@@ -145,17 +145,16 @@ fn a_recording_says_what_the_model_does() {
     let by_bag = find(&options).unwrap();
     let noise = by_bag.source.noise();
     assert!(noise.iter().all(|n| (n / 20.0 - 1.0).abs() < 0.15), "{noise:?}");
-    let (exact, found) = (by_model.line.unwrap(), by_bag.line.unwrap());
+    let (exact, found) = (by_model.line.as_ref().unwrap(), by_bag.line.as_ref().unwrap());
     let c = |line: &LineStudy| median(line, |t| Some(t.c));
-    assert!((c(&found) / c(&exact) - 1.0).abs() < 0.05, "{} {}", c(&found), c(&exact));
+    assert!((c(found) / c(exact) - 1.0).abs() < 0.05, "{} {}", c(found), c(exact));
     let corners = |line: &LineStudy| by_interval(line, |f| f.corners);
     // Light presses are few, and the hardest ones saturate the taxel below them.
-    for (interval, (exact, found)) in corners(&exact).iter().zip(corners(&found)).enumerate().skip(2).take(4)
-    {
+    for (interval, (exact, found)) in corners(exact).iter().zip(corners(found)).enumerate().skip(2).take(4) {
         let (exact, found) = (exact.unwrap(), found.unwrap());
         assert!((found / exact - 1.0).abs() < 0.3, "interval {interval}: {found} m, not {exact}");
     }
-    let text = report::text(&Findings { line: None, ..by_bag });
+    let text = report::text(&by_bag);
     assert!(text.contains("recorded frames, tip of 4 mm; σ_S"), "{text}");
     // Another skin's bag is refused.
     options.skin = path("baro-grid.toml");
@@ -168,6 +167,11 @@ fn what_cannot_be_is_refused() {
     let refused = |options: &Request| find(options).err().unwrap().to_string();
     let row = options("baro-line.toml", true);
     insta::assert_snapshot!(refused(&Request { least: Some(-1.0), ..row }), @"option `--least` is -1 Pa and must be positive");
-    let row = options("baro-line.toml", true);
-    insta::assert_snapshot!(refused(&Request { force: vec![], ..row }), @"no force is given");
+}
+
+#[test]
+fn a_skin_is_bounded_for_what_it_is_rated_for_where_nothing_is_said() {
+    let skin = dermis_skin::SkinDescription::load(&path("baro-line.toml")).unwrap();
+    let row = Request { force: vec![], diameter: None, ..options("baro-line.toml", true) }.for_skin(&skin);
+    assert_eq!((row.force, row.diameter), (vec![0.05, 0.1, 0.2, 0.5, 1.0], Some(0.004)));
 }

@@ -96,9 +96,9 @@ fn named(skin: &str, bag: &Path, code: &str, fatal: bool) -> Value {
     report
 }
 
-fn faults(skin: &str, forces: [f64; 2], tip: f64) {
-    let folder = tempfile::tempdir().unwrap();
-    let whole = recording(folder.path(), skin, forces, tip);
+/// A recording as it should be, after those made of it that nothing can be said of are named.
+fn fatal_faults(folder: &Path, skin: &str, forces: [f64; 2], tip: f64) -> PathBuf {
+    let whole = recording(folder, skin, forces, tip);
     let frames = |_: usize, _: &mut TaxelFrame| true;
     let truths = |_: &mut Indentation| true;
 
@@ -146,31 +146,22 @@ fn faults(skin: &str, forces: [f64; 2], tip: f64) {
     );
     named(skin, &units, "units", true);
 
-    let sparse = altered(
-        &whole,
-        "sparse",
-        |i, f| {
-            if (1500..1900).contains(&i) {
-                f.values[2] = f32::NAN;
-            }
-            true
-        },
-        truths,
-    );
-    let report = named(skin, &sparse, "not-finite", false);
-    assert_eq!(report["verdict"], "no-gap-beyond-noise", "{}", report["sentence"]);
+    whole
+}
 
-    let order = altered(
-        &whole,
-        "order",
-        |_, f| {
-            f.values.swap(0, 4);
-            f.values.swap(1, 3);
-            true
-        },
-        truths,
-    );
-    let report = named(skin, &order, "channel-order", false);
+/// Readings of one channel that are missing for a while.
+fn sparse(i: usize, f: &mut TaxelFrame) {
+    if (1500..1900).contains(&i) {
+        f.values[2] = f32::NAN;
+    }
+}
+
+fn exchanged(f: &mut TaxelFrame) {
+    f.values.swap(0, 4);
+    f.values.swap(1, 3);
+}
+
+fn only_the_order(report: &Value) {
     let effects = report["effects"].as_array().unwrap();
     assert_eq!(
         (effects.len(), &effects[0]["label"]),
@@ -182,10 +173,50 @@ fn faults(skin: &str, forces: [f64; 2], tip: f64) {
 
 #[test]
 fn faults_of_a_recording_of_barometers_are_named() {
-    faults("launch/skins/baro-line.toml", [0.1, 0.8], 0.004);
+    let skin = "launch/skins/baro-line.toml";
+    let folder = tempfile::tempdir().unwrap();
+    let whole = fatal_faults(folder.path(), skin, [0.1, 0.8], 0.004);
+    let missing = altered(
+        &whole,
+        "sparse",
+        |i, f| {
+            sparse(i, f);
+            true
+        },
+        |_| true,
+    );
+    let report = named(skin, &missing, "not-finite", false);
+    assert_eq!(report["verdict"], "no-gap-beyond-noise", "{}", report["sentence"]);
+    let order = altered(
+        &whole,
+        "order",
+        |_, f| {
+            exchanged(f);
+            true
+        },
+        |_| true,
+    );
+    only_the_order(&named(skin, &order, "channel-order", false));
 }
 
+/// A whole diagnosis of a limb computes shells for a minute: both faults that allow one are in one recording.
 #[test]
 fn faults_of_a_recording_of_a_limb_are_named() {
-    faults("launch/skins/hapdef-shin.toml", [2.0, 8.0], 0.010);
+    let skin = "launch/skins/hapdef-shin.toml";
+    let folder = tempfile::tempdir().unwrap();
+    let whole = fatal_faults(folder.path(), skin, [2.0, 8.0], 0.010);
+    let both = altered(
+        &whole,
+        "both",
+        |i, f| {
+            sparse(i, f);
+            exchanged(f);
+            true
+        },
+        |_| true,
+    );
+    let report = named(skin, &both, "channel-order", false);
+    let problems = report["data"]["problems"].as_array().unwrap();
+    assert!(problems.iter().any(|p| p["code"] == "not-finite" && p["fatal"] == false), "{problems:?}");
+    only_the_order(&report);
 }

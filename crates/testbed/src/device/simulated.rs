@@ -83,35 +83,33 @@ impl VirtualDevice {
         seed: u64,
         outlet: &Outlet,
     ) -> Result<Self, TestbedError> {
+        Self::plug(encoder, model, skin, plan, seed, outlet)?.start()
+    }
+
+    /// A device as of [`start_on`](Self::start_on) that is connected, and silent until it is started: what reads it may get ready first.
+    ///
+    /// # Errors
+    ///
+    /// As [`start`](Self::start).
+    pub fn plug(
+        encoder: Box<dyn Encoder>,
+        model: Arc<dyn ForwardModel>,
+        skin: &SkinDescription,
+        plan: &Plan,
+        seed: u64,
+        outlet: &Outlet,
+    ) -> Result<PluggedDevice, TestbedError> {
         let noise_seed = seed ^ 0x5eed_0001;
         // Whether they belong together, before a line is opened.
         drop(Sampler::new(model.as_ref(), skin, noise_seed)?);
         let (line, url) = Line::open(outlet, &skin.name)?;
-        let mut script = Script::new(plan.clone(), Arc::clone(&model), seed)?;
+        let script = Script::new(plan.clone(), Arc::clone(&model), seed)?;
         // A model may build tables when it is touched for the first time: not while frames are due.
         let warm_up = script.first_touch();
         Sampler::new(model.as_ref(), skin, noise_seed)?
             .warm_up(&warm_up.stimulus)
             .map_err(|source| TestbedError::Model { press: warm_up.press, source })?;
-        let begin = Instant::now();
-        script.start = now_ns();
-        let script = Arc::new(script);
-        let counters = Arc::new(Counters::default());
-        let stop = Arc::new(AtomicBool::new(false));
-
-        let sending = Sending {
-            encoder,
-            model,
-            script: Arc::clone(&script),
-            counters: Arc::clone(&counters),
-            stop: Arc::clone(&stop),
-            line,
-            skin: skin.clone(),
-            begin,
-            requests: 0,
-        };
-        let worker = Worker::spawn(&skin.name, "virtual-device", stop, move || sending.run(noise_seed))?;
-        Ok(Self { url, skin: skin.clone(), script, counters, worker })
+        Ok(PluggedDevice { url, skin: skin.clone(), script, encoder, model, line, noise_seed })
     }
 
     /// Source URL under which a node reads the device.
@@ -168,6 +166,61 @@ impl VirtualDevice {
     pub fn stop(mut self) -> Result<DeviceStats, TestbedError> {
         self.worker.stop()?;
         Ok(self.stats())
+    }
+}
+
+/// A device that is connected and sends nothing yet.
+pub struct PluggedDevice {
+    url: String,
+    skin: SkinDescription,
+    script: Script,
+    encoder: Box<dyn Encoder>,
+    model: Arc<dyn ForwardModel>,
+    line: Line,
+    noise_seed: u64,
+}
+
+impl std::fmt::Debug for PluggedDevice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PluggedDevice")
+            .field("skin", &self.skin.name)
+            .field("url", &self.url)
+            .finish_non_exhaustive()
+    }
+}
+
+impl PluggedDevice {
+    /// Source URL under which a node reads the device.
+    #[must_use]
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// Begins the plan, and sends.
+    ///
+    /// # Errors
+    ///
+    /// [`TestbedError::Device`] where its thread does not start.
+    pub fn start(self) -> Result<VirtualDevice, TestbedError> {
+        let Self { url, skin, mut script, encoder, model, line, noise_seed } = self;
+        let begin = Instant::now();
+        script.start = now_ns();
+        let script = Arc::new(script);
+        let counters = Arc::new(Counters::default());
+        let stop = Arc::new(AtomicBool::new(false));
+        let sending = Sending {
+            encoder,
+            model,
+            script: Arc::clone(&script),
+            counters: Arc::clone(&counters),
+            stop: Arc::clone(&stop),
+            line,
+            skin: skin.clone(),
+            begin,
+            requests: 0,
+        };
+        let worker = Worker::spawn(&skin.name, "virtual-device", stop, move || sending.run(noise_seed))?;
+        Ok(VirtualDevice { url, skin, script, counters, worker })
     }
 }
 
