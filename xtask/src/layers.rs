@@ -24,7 +24,8 @@ fn room(folder: &str, name: &str) -> Option<Room> {
         ("msgs", _) | ("crates", "dermis-io") => room(0, true),
         // Drawing knows nothing of skins.
         ("crates", "dermis-skin" | "dermis-figures") => room(1, true),
-        ("crates", "dermis-model") => room(2, true),
+        // A robot's body carries skins, and knows nothing of what they read.
+        ("crates", "dermis-model" | "dermis-body") => room(2, true),
         // Skins and models of tests: whoever tests on them lies above skin and model, or takes their text only.
         ("crates", "dermis-fixtures") => room(3, true),
         // What bundles say of it, inference reads.

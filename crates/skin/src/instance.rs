@@ -220,7 +220,8 @@ impl std::fmt::Display for Mount {
 }
 
 /// Whether a text can be the name of a coordinate frame.
-pub(crate) fn is_frame(name: &str) -> bool {
+#[must_use]
+pub fn is_frame(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= LONGEST
         && !name.starts_with('/')
@@ -228,7 +229,8 @@ pub(crate) fn is_frame(name: &str) -> bool {
 }
 
 /// Whether a text can be the name of an instance.
-fn is_name(name: &str) -> bool {
+#[must_use]
+pub fn is_name(name: &str) -> bool {
     (1..=LONGEST).contains(&name.len())
         && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_')
 }

@@ -69,7 +69,7 @@ pub use error::SkinError;
 pub use family::{Family, FamilyShape, FieldFault, register};
 pub use frame::{ChannelFlags, Frame};
 pub use image::{Image, ImageGrid, ImageGridError, PixelFormat};
-pub use instance::{InstanceError, Mount, MountError};
+pub use instance::{InstanceError, Mount, MountError, is_frame, is_name};
 pub use mesh::{TriangleMesh, closest_on_triangle};
 pub use phase::Phase;
 pub use rated::{Rated, TipKind};
