@@ -171,7 +171,7 @@ fn what_cannot_be_is_refused() {
 
 #[test]
 fn a_skin_is_bounded_for_what_it_is_rated_for_where_nothing_is_said() {
-    let skin = dermis_skin::SkinDescription::load(&path("baro-line.toml")).unwrap();
+    let skin = SkinDescription::load(path("baro-line.toml")).unwrap();
     let row = Request { force: vec![], diameter: None, ..options("baro-line.toml", true) }.for_skin(&skin);
     assert_eq!((row.force, row.diameter), (vec![0.05, 0.1, 0.2, 0.5, 1.0], Some(0.004)));
 }
