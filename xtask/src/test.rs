@@ -96,7 +96,13 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         skipped.push(format!("tests on recordings: {data} is missing (set DERMIS_DATA)"));
     }
     let release = target_dir(root).join("release");
+    // One more than there are cores: of the tests across processes, a few at a time, many wait rather than compute.
+    let threads = std::env::var("NEXTEST_TEST_THREADS").unwrap_or_else(|_| {
+        let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        (cores + 1).to_string()
+    });
     let nextest = |mut c: Command, programs: &Path, which: &str| {
+        c.env("NEXTEST_TEST_THREADS", &threads);
         c.env("DERMIS_CLIENT_PYTHON", &clients).env("DERMIS_DATA", &data).env("DERMIS_BIN", programs);
         execute(c.args(["-E", which, "--no-tests=pass"]).args(&options.filter))
     };
