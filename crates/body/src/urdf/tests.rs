@@ -70,7 +70,7 @@ fn links_and_joints_make_one_tree() {
     insta::assert_snapshot!(refused("<parent link=\"base\"/>", "<parent link=\"fore\"/>"), @r#"robot description arm.urdf: joints shoulder, elbow form a loop that the root "base" does not carry; remove the joint that closes it"#);
     let twice =
         r#"<joint name="second" type="fixed"><parent link="base"/><child link="fore"/></joint></robot>"#;
-    insta::assert_snapshot!(refused("</robot>", twice), @r#"robot description arm.urdf: line 14: joint "second": carries link "fore", which joint "elbow" carries already; remove one of them"#);
+    insta::assert_snapshot!(refused("</robot>", twice), @r#"robot description arm.urdf: line 15: joint "second": carries link "fore", which joint "elbow" carries already; remove one of them"#);
     let closes =
         r#"<joint name="second" type="fixed"><parent link="fore"/><child link="base"/></joint></robot>"#;
     insta::assert_snapshot!(refused("</robot>", closes), @"robot description arm.urdf: every link is carried by a joint, so that the joints form a loop; remove the joint that closes it");
