@@ -17,7 +17,7 @@ use serde::Serialize;
 use tempfile::TempDir;
 
 use crate::stats::{Samples, Spread};
-use crate::touch::{Touch, pressing_force};
+use crate::touch::{Touch, pressing, pressing_force};
 use crate::{LOOK, OperateError, Progress};
 
 /// \[N\] Truth and estimate are compared where the press is at least this strong, and as strong as the skin is rated for.
@@ -289,9 +289,9 @@ impl Seen {
     /// Compares what came since the last call with what the device knows.
     fn compare(&mut self, device: &VirtualDevice) {
         for array in std::mem::take(&mut self.waiting) {
-            let Some(moment) = device.truth(array.header.stamp.as_nanos()) else { continue };
-            let [truth] = moment.stimulus.contacts.as_slice() else { continue };
-            let force = -truth.force.z;
+            let Some(truth) = device.truth_message(array.header.stamp.as_nanos()) else { continue };
+            let [truth] = truth.contacts.as_slice() else { continue };
+            let force = pressing(&truth.force, &truth.normal);
             if force < self.least_force {
                 continue;
             }
@@ -320,7 +320,7 @@ impl Seen {
     }
 }
 
-fn distance_mm(a: &Point, b: &nalgebra::Point3<f64>) -> f64 {
+fn distance_mm(a: &Point, b: &Point) -> f64 {
     ((a.x - b.x).powi(2) + (a.y - b.y).powi(2) + (a.z - b.z).powi(2)).sqrt() * 1e3
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use dermis_msgs::geometry_msgs::msg::Vector3;
 use dermis_msgs::msg::{Contact, ContactArray};
 
 use crate::stats::Samples;
@@ -100,7 +101,12 @@ impl Touch {
 /// \[N\] with which a contact presses onto the skin.
 #[must_use]
 pub fn pressing_force(c: &Contact) -> f64 {
-    -(c.force.x * c.normal.x + c.force.y * c.normal.y + c.force.z * c.normal.z)
+    pressing(&c.force, &c.normal)
+}
+
+/// \[N\] of a force onto a skin whose normal points out of it.
+pub(crate) fn pressing(force: &Vector3, normal: &Vector3) -> f64 {
+    -(force.x * normal.x + force.y * normal.y + force.z * normal.z)
 }
 
 fn rate(count: u64, first_ns: i64, last_ns: i64) -> f64 {

@@ -97,18 +97,35 @@ fn a_panel_is_described_and_collected_with_and_without_effects() {
     }
 }
 
+/// What `demo` finds on a skin.
+fn shown(skin: &str) -> serde_json::Value {
+    let mut command = dermis(&["demo", "--skin", skin, "--duration", "9s", "--json", "--no-bridge"]);
+    command.env("ROS_DOMAIN_ID", dermis_integration_tests::domain().to_string());
+    let found = json(&finish(&mut command));
+    assert!(number(&found, "/touched") > 0.0 && number(&found, "/compared") > 10.0, "{found}");
+    assert_eq!(number(&found, "/status/fault"), 0.0, "{found}");
+    found
+}
+
+fn number(found: &serde_json::Value, at: &str) -> f64 {
+    found.pointer(at).and_then(serde_json::Value::as_f64).unwrap_or(f64::NAN)
+}
+
 /// The panel is shown without a bundle: contacts come from its forward model, nearer to the truth than half of the distance between two
 /// electrodes.
 #[test]
 fn the_demo_shows_the_panel() {
-    let mut command = dermis(&["demo", "--skin", "ert-panel", "--duration", "9s", "--json", "--no-bridge"]);
-    command.env("ROS_DOMAIN_ID", dermis_integration_tests::domain().to_string());
-    let found = json(&finish(&mut command));
-    let number = |at: &str| found.pointer(at).and_then(serde_json::Value::as_f64).unwrap_or(f64::NAN);
-    assert!(number("/touched") > 0.0 && number("/compared") > 10.0, "{found}");
-    assert!(number("/position_error_mm/p50") < 45.0, "{found}");
-    assert!(number("/force_error_n/p50") < 10.0, "{found}");
-    assert_eq!(number("/status/fault"), 0.0, "{found}");
+    let found = shown("ert-panel");
+    assert!(number(&found, "/position_error_mm/p50") < 45.0, "{found}");
+    assert!(number(&found, "/force_error_n/p50") < 10.0, "{found}");
+}
+
+/// On a limb, whose normals point all about, forces are compared along them.
+#[test]
+fn the_demo_shows_a_limb() {
+    let found = shown("hapdef-shin");
+    assert!(number(&found, "/position_error_mm/p50") < 5.0, "{found}");
+    assert!(number(&found, "/force_error_n/p50") < 1.0, "{found}");
 }
 
 #[test]
