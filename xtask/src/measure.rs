@@ -336,7 +336,21 @@ fn tanks(root: &Path) -> Result<Value> {
         );
     }
     execute(cargo(root).args(["build", "--release", "-p", "dermis-testbed", "--bin", "dermis-tanks"]))?;
-    evaluation(Command::new(target_dir(root).join("release/dermis-tanks")).args(folders))
+    let mut value = evaluation(Command::new(target_dir(root).join("release/dermis-tanks")).args(folders))?;
+    let summary =
+        ["round", "measured_outline"].map(|outline| (outline.to_owned(), explained(&value, outline)));
+    value["summary"] = Value::Object(summary.into_iter().collect());
+    Ok(value)
+}
+
+/// Least, median and largest share of the readings of an outline's frames that the model explains, and how many frames those are.
+fn explained(value: &Value, outline: &str) -> Value {
+    let frames = value["frames"].as_array().map_or(&[][..], Vec::as_slice);
+    let mut shares: Vec<f64> =
+        frames.iter().filter_map(|frame| frame[outline]["explained"].as_f64()).collect();
+    shares.sort_by(f64::total_cmp);
+    let median = shares.get(shares.len() / 2);
+    json!({ "frames": shares.len(), "least": shares.first(), "median": median, "most": shares.last() })
 }
 
 /// Trains on each of the recorded runs with `launch/train/eflesh-<what>.toml` and evaluates.
