@@ -296,8 +296,7 @@ impl Pipeline {
             })?;
         let pipeline =
             Self::of_model(path, (features, Baseline::Tared), (None, Outputs::none()), &skin.surface())?;
-        Ok(Self { name: "inversion of the forward model".into(), force_range, ..pipeline }
-            .refined_by(inverter))
+        Ok(Self { name: Models::INVERSION.into(), force_range, ..pipeline }.refined_by(inverter))
     }
 
     /// The same with its answers refined.
@@ -390,6 +389,9 @@ impl Models {
         }
         Ok(models)
     }
+
+    /// What stands for the name of a bundle where there is none.
+    pub const INVERSION: &'static str = "inversion of the forward model";
 
     /// What finds contacts without a bundle: maximum likelihood on the skin's forward model, as [`settings_without_bundle`] says. Takes
     /// some thousand responses of the model, and what it takes to compute that.

@@ -150,7 +150,7 @@ impl Settings {
     pub fn indentation(&self, position: Point3<f64>, force: Vector3<f64>) -> Indentation {
         match (self.tip, force.try_normalize(0.0)) {
             (TipKind::FlatPunch, Some(pressing)) => {
-                let shape = TipShape::FlatPunch { diameter: self.diameter };
+                let shape = TipShape::of_kind(self.tip, self.diameter);
                 Indentation { position, force, tip: Tip::standing(shape, &-pressing) }
             }
             _ => Indentation::sphere(position, force, self.diameter),

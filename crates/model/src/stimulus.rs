@@ -1,6 +1,6 @@
 //! What touches a skin: the input of a forward model.
 
-use dermis_skin::{ModelError, Surface};
+use dermis_skin::{ModelError, Surface, TipKind};
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -47,6 +47,15 @@ pub enum TipShape {
 }
 
 impl TipShape {
+    /// The tip of this diameter \[m\] that a skin is rated for.
+    #[must_use]
+    pub fn of_kind(kind: TipKind, diameter: f64) -> Self {
+        match kind {
+            TipKind::Sphere => Self::Sphere { diameter },
+            TipKind::FlatPunch => Self::FlatPunch { diameter },
+        }
+    }
+
     /// As files and errors call it.
     #[must_use]
     pub fn name(&self) -> &'static str {

@@ -203,7 +203,7 @@ impl Plan {
     #[must_use]
     pub fn rated_presses(skin: &SkinDescription) -> Self {
         let rated = skin.rated_press();
-        let shape = TipShape::FlatPunch { diameter: rated.diameter };
+        let shape = TipShape::of_kind(rated.tip, rated.diameter);
         let margin = match skin.surface {
             SurfaceSpec::Rectangle { size: [x, y], .. } if x.min(y) > ROOM * rated.diameter => {
                 rated.diameter / 2.0

@@ -13,48 +13,30 @@ macro_rules! bundle {
     };
 }
 
-/// The text of a skin that ships.
+/// A skin that ships, with the text of its plan if it has one, and the files of its bundle.
 macro_rules! skin {
-    ($name:literal) => {
-        include_str!(concat!("../../../launch/skins/", $name, ".toml"))
+    ($name:literal, $plan:expr, $bundle:expr) => {
+        Contents {
+            name: $name,
+            skin: include_str!(concat!("../../../launch/skins/", $name, ".toml")),
+            plan: $plan,
+            bundle: $bundle,
+            models: &[],
+        }
     };
 }
 
-/// The skin that is shown where none is named.
-pub const DEFAULT: &str = "baro-grid";
-
-/// Every skin that can be shown by its name.
+/// Every skin that can be shown by its name; the first is shown where none is named.
 pub const SKINS: [Contents<'static>; 5] = [
-    Contents {
-        name: DEFAULT,
-        skin: skin!("baro-grid"),
-        plan: Some(include_str!("../../../launch/plans/demo.toml")),
-        bundle: bundle!("baro-grid"),
-        models: &[],
-    },
-    Contents {
-        name: "baro-line",
-        skin: skin!("baro-line"),
-        plan: None,
-        bundle: bundle!("baro-line"),
-        models: &[],
-    },
-    Contents {
-        name: "baro-dome",
-        skin: skin!("baro-dome"),
-        plan: None,
-        bundle: bundle!("baro-dome"),
-        models: &[],
-    },
-    Contents {
-        name: "hapdef-shin",
-        skin: skin!("hapdef-shin"),
-        plan: None,
-        bundle: bundle!("hapdef-shin"),
-        models: &[],
-    },
-    Contents { name: "ert-panel", skin: skin!("ert-panel"), plan: None, bundle: &[], models: &[] },
+    skin!("baro-grid", Some(include_str!("../../../launch/plans/demo.toml")), bundle!("baro-grid")),
+    skin!("baro-line", None, bundle!("baro-line")),
+    skin!("baro-dome", None, bundle!("baro-dome")),
+    skin!("hapdef-shin", None, bundle!("hapdef-shin")),
+    skin!("ert-panel", None, &[]),
 ];
+
+/// The skin that is shown where none is named.
+pub const DEFAULT: &str = SKINS[0].name;
 
 /// The names of all of them, with commas between.
 pub fn names() -> String {

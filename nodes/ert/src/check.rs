@@ -20,7 +20,7 @@
 
 use dermis_model::{Indentation, Stimulus, Tip, TipShape};
 use dermis_sensor::{ElementFault, FrameCheck};
-use dermis_skin::{Frame, ModelError, SkinDescription, TipKind};
+use dermis_skin::{Frame, ModelError, SkinDescription};
 
 use crate::model::FabricModel;
 
@@ -89,10 +89,7 @@ impl ElectrodeCheck {
             surface.points.iter().map(|p| p.coords).sum::<nalgebra::Vector3<f64>>()
                 / surface.points.len().max(1) as f64,
         ));
-        let shape = match rated.tip {
-            TipKind::Sphere => TipShape::Sphere { diameter: rated.diameter },
-            TipKind::FlatPunch => TipShape::FlatPunch { diameter: rated.diameter },
-        };
+        let shape = TipShape::of_kind(rated.tip, rated.diameter);
         let press =
             Indentation { position, force: -normal * rated.force[1], tip: Tip::standing(shape, &normal) };
         let loads = model.loads(&Stimulus { contacts: vec![press], ..Stimulus::default() })?;

@@ -12,18 +12,13 @@ impl SkinEstimator {
         let reading = &self.cleaned.reading;
         let mut names = Vec::new();
         let (mut invalid, mut asked) = (0, 0);
-        let mut of_parts = vec![false; reading.flags.len()];
-        for channel in self.faults.iter().flat_map(|fault| &fault.channels) {
-            if let Some(of_part) = of_parts.get_mut(*channel) {
-                *of_part = true;
-            }
-        }
-        for ((channel, flags), of_part) in self.skin.channels().iter().zip(&reading.flags).zip(of_parts) {
+        let of_part = |channel: usize| self.faults.iter().any(|fault| fault.channels.contains(&channel));
+        for (k, (channel, flags)) in self.skin.channels().iter().zip(&reading.flags).enumerate() {
             if !flags.contains(ChannelFlags::MASKED) {
                 asked += 1;
                 invalid += usize::from(flags.is_invalid());
             }
-            if !flags.is_ok() && !of_part {
+            if !flags.is_ok() && !of_part(k) {
                 names.push(format!("{} ({flags})", channel.name));
             }
         }

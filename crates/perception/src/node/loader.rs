@@ -74,7 +74,7 @@ impl Loader {
         };
         let mut names: Vec<String> = bundles.iter().map(|b| b.manifest().name.clone()).collect();
         if names.is_empty() {
-            names.push("inversion of the forward model".into());
+            names.push(Models::INVERSION.into());
         }
         let names = names.join(", ");
         estimator.explain_missing_model(format!(

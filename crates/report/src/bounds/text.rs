@@ -7,7 +7,7 @@ use dermis_theory::{Averages, ByForce, LineStudy};
 
 /// Millimetres, as few digits as say something.
 pub(crate) fn mm(metres: f64) -> String {
-    if metres.is_finite() { format!("{:.3}", metres * 1e3) } else { "-".into() }
+    number(metres * 1e3, 3)
 }
 
 /// A number that says something in so many digits behind the point; a dash where there is none.
@@ -46,7 +46,7 @@ fn table(rows: &[Vec<String>], bars: &[usize]) -> String {
 }
 
 fn newtons(value: f64) -> String {
-    if value.is_finite() { format!("{value:.4}") } else { "-".into() }
+    number(value, 4)
 }
 
 /// For people.
