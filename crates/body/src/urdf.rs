@@ -1,7 +1,7 @@
 //! URDF text → [`Body`].
 //!
 //! What is read: links, joints (fixed, revolute, continuous, prismatic, mimic), origins, axes and limits. Inertias, shapes,
-//! transmissions and whatever else a file has are passed over: nothing here computes with them. xacro has to be expanded before.
+//! transmissions and whatever else a file has are ignored: nothing here computes with them. xacro has to be expanded before.
 //!
 //! The XML is read by `roxmltree`: it gives a tree with line numbers, so that an error names the place; it refuses document type
 //! definitions, and with them entities that grow; it is one small crate without unsafe code. `urdf-rs` reads the same files, but
