@@ -3,7 +3,7 @@
 use dermis_model::{ForwardModel, Stimulus, Unknowns, Untouched};
 use dermis_skin::ModelError;
 
-use crate::fit::{Datum, Problem};
+use crate::fit::{Datum, Problem, STRIDE};
 
 /// Channel gains and what remains beyond the noise, measured on readings of known stimuli.
 #[derive(Debug, Clone, PartialEq)]
@@ -98,8 +98,15 @@ impl Calibration {
                 let data: Vec<Datum> = frame.signal.iter().zip(noise).map(datum).collect();
                 let known = data.iter().filter(|d| **d != Datum::None).count();
                 let force_max = force_max * 2.0;
-                let problem =
-                    Problem { model, unknowns, data: &data, gains: &gains, untouched: &untouched, force_max };
+                let problem = Problem {
+                    model,
+                    unknowns,
+                    data: &data,
+                    gains: &gains,
+                    untouched: &untouched,
+                    force_max,
+                    stride: STRIDE,
+                };
                 let fit = problem.minimise(frame.stimulus.contacts.clone())?;
                 let freedom = known.saturating_sub(unknowns.count() * fit.contacts.len()) as f64;
                 // A frame that nothing explains must not stand for all.

@@ -14,8 +14,8 @@ const CHANGE: f64 = 1e-3;
 const LEAST_CHANGE: f64 = 1e-5;
 /// \[N\] of the lightest press.
 const LIGHTEST: f64 = 1e-4;
-/// \[m\] farthest that a place moves in one step.
-const STRIDE: f64 = 3e-3;
+/// \[m\] farthest that a place moves in one step, on skins of a hand's width.
+pub(crate) const STRIDE: f64 = 3e-3;
 /// Steps at most.
 const STEPS: usize = 25;
 
@@ -54,6 +54,8 @@ pub(crate) struct Problem<'a> {
     /// Untouched readings of the model.
     pub untouched: &'a Untouched,
     pub force_max: f64,
+    /// \[m\] farthest that a place moves in one step.
+    pub stride: f64,
 }
 
 /// A minimum.
@@ -182,8 +184,8 @@ impl Problem<'_> {
             }
         }
         let length = stride.norm();
-        if length > STRIDE {
-            stride *= STRIDE / length;
+        if length > self.stride {
+            stride *= self.stride / length;
         }
         differences.shifted(surface, &force, self.unknowns, &stride)
     }

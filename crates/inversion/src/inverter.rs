@@ -20,7 +20,7 @@ use dermis_skin::Surface;
 
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::dictionary::{Dictionary, SHAPE};
-use crate::fit::{Datum, Minimum, Problem};
+use crate::fit::{Datum, Minimum, Problem, STRIDE};
 use crate::pairs::Pairs;
 use crate::settings::{InverterError, Settings};
 use modes::{Mode, sum_of_squares};
@@ -35,6 +35,8 @@ const NARROW: f64 = 0.3;
 const PLAUSIBLE: f64 = 2.0;
 /// Pairs of places, and single ones, that a search begins at.
 const PAIRS: usize = 5;
+/// Spacings of the dictionary that a contact moves in one step, where that is more than [`STRIDE`].
+const STEP: f64 = 0.75;
 /// Places of a dictionary at most, roughly.
 const PLACES: f64 = 1500.0;
 
@@ -281,6 +283,30 @@ impl Inverter {
         Ok(self.solution(&best, &data))
     }
 
+    /// As [`search`](Self::search), begun at contacts that somebody else supposes: where these, refined together, leave no more than
+    /// noise does, that is the answer, in a fraction of the time of a search. Otherwise what a search finds is the answer where it
+    /// explains the readings better, each further contact by more than [`Settings::evidence`].
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Channels`] for readings of another skin.
+    pub fn search_from(
+        &self,
+        readings: &[Reading],
+        starts: &[Indentation],
+    ) -> Result<Solution, InverterError> {
+        if starts.is_empty() {
+            return self.search(readings);
+        }
+        let refined = self.refine(readings, starts)?;
+        if refined.chi2 < plausible(refined.freedom) {
+            return Ok(refined);
+        }
+        let found = self.search(readings)?;
+        let cost = |s: &Solution| s.chi2 + self.settings.evidence * s.contacts.len() as f64;
+        Ok(if cost(&refined) < cost(&found) { refined } else { found })
+    }
+
     /// The contacts of the frame `before`, moved to where they explain these readings best: what [`search`](Self::search) finds,
     /// in a fraction of its time, for as long as the same contacts last. `None` where that is not so: they leave more than noise
     /// leaves, fewer would do, or their places are all but open. Then search anew.
@@ -372,7 +398,14 @@ impl Inverter {
             gains: &self.gains,
             untouched: &self.untouched,
             force_max: self.settings.force_max * 1.5,
+            stride: self.stride(),
         }
+    }
+
+    /// \[m\] farthest that a contact moves in one step, and is split by. On a panel half a metre wide, searches that took steps of
+    /// [`STRIDE`] ended before they came to the minimum; steps of half to twice the spacing end in the same ones.
+    fn stride(&self) -> f64 {
+        STRIDE.max(STEP * self.spacing)
     }
 
     fn solution(&self, best: &Minimum, data: &[Datum]) -> Solution {

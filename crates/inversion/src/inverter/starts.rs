@@ -10,8 +10,6 @@ use crate::fit::{Datum, Minimum};
 
 /// Starts of a further contact that are tried.
 const STARTS: usize = 2;
-/// \[m\] by which a contact is split in two, to both sides.
-const SPLIT: f64 = 3e-3;
 
 /// Ways to begin with one contact more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,7 +43,11 @@ impl Inverter {
                 tangents(&normal)[..directions]
                     .iter()
                     .map(|along| {
-                        others.iter().cloned().chain([half(along * SPLIT), half(along * -SPLIT)]).collect()
+                        others
+                            .iter()
+                            .cloned()
+                            .chain([half(along * self.stride()), half(along * -self.stride())])
+                            .collect()
                     })
                     .collect()
             }
