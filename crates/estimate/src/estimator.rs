@@ -64,8 +64,8 @@ pub struct Verdict {
 
 /// Frame → contacts of a skin whose channels are read together.
 ///
-/// Presence, position and force come from learned models, one contact at a time; a bundle whose manifest has `peaks` gives a
-/// displacement map whose peaks are the contacts. One whose manifest has `inversion` has its answer refined on the skin's forward
+/// Presence, position and force come from learned models, one contact at a time; a bundle whose manifest has `peaks` or `force_peaks`
+/// gives a map whose peaks are the contacts. One whose manifest has `inversion` has its answer refined on the skin's forward
 /// model (corrected, where it has a `correction`), which may tell several contacts apart: one after the other or, where it says so,
 /// among all pairs of places when contacts come and go, and from those of the frame before while they last. A frame goes through
 /// [`Conditioner`], the models' features, the models, [`Inverter`] and [`Tracker`]; nothing but the frames and the loaded

@@ -1,13 +1,13 @@
 //! From one conditioned frame to contacts: every way that there is, behind one trait.
 //!
 //! The node's [`SkinEstimator`](crate::SkinEstimator) makes its contacts with the functions of this module, and so do
-//! comparisons: `regressed` for the outputs of models, `peaks` for a displacement map, `solve` and `inverted` for a forward
+//! comparisons: `regressed` for the outputs of models, `peaks` for a map, `solve` and `inverted` for a forward
 //! model. The estimator adds what depends on earlier frames or on several bundles: presence, identities, confidence.
 //!
 //! | finder | from | to |
 //! |---|---|---|
 //! | [`NetworkFinder`] | a bundle that gives position and force | one contact |
-//! | [`MapFinder`] | a bundle that gives a displacement map | the peaks of the map |
+//! | [`MapFinder`] | a bundle that gives a map of displacements or forces | the peaks of the map |
 //! | [`InversionFinder`] | a forward model | contacts of maximum likelihood |
 //! | [`RegressionFinder`] | any function of the whitened readings | one contact |
 //!
@@ -24,9 +24,9 @@ use dermis_inversion::{InverterError, Reading};
 use dermis_skin::{ChannelFlags, Contact, ImageGrid, Stamp};
 
 pub use inversion::{InversionFinder, Start};
-pub(crate) use inversion::{inverted, solve};
+pub(crate) use inversion::{Learned, inverted, solve};
 pub use map::MapFinder;
-pub(crate) use map::peaks;
+pub(crate) use map::{Peaks, peaks};
 pub use network::NetworkFinder;
 pub(crate) use network::{Regressed, is_flat, regressed};
 pub use regression::{Regress, RegressionFinder};
@@ -96,6 +96,11 @@ pub trait ContactFinder: Send {
     /// The image that it takes in place of the channels, of a skin with a camera.
     fn image(&self) -> Option<ImageGrid> {
         None
+    }
+
+    /// Whether it finds every contact, so that a forward model can be begun at all of them together.
+    fn complete(&self) -> bool {
+        false
     }
 
     /// Whether it answers with one contact, whatever touches.

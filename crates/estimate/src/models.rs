@@ -5,20 +5,18 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use dermis_inference::{
-    Baseline, Bundle, BundleError, FeatureConfig, Features, MAP_DISPLACEMENT, MapContacts, Model, Outputs,
+    Baseline, Bundle, BundleError, FeatureConfig, Features, MAP_DISPLACEMENT, MAP_NORMAL, Model, Outputs,
     Runtime,
 };
-use dermis_inversion::{Corrected, Inverter, InverterError, Settings};
+use dermis_inversion::{Corrected, Inverter, InverterError, Search, Settings};
 use dermis_model::{ForwardModel, Stimulus};
 use dermis_sensor::Sensor;
 use dermis_skin::{ModelError, SkinDescription, Surface};
 
 use crate::condition::ConditionError;
 use crate::estimator::Maps;
-use crate::finder::{ConditionedFrame, FindError};
+use crate::finder::{ConditionedFrame, FindError, Peaks};
 
-/// Output that gives the pressing force at every point of the surface \[N\].
-pub(crate) const MAP_NORMAL: &str = "map.normal";
 /// Output that gives x, y and z of the force at every point of the surface \[N\].
 pub(crate) const MAP_FORCE: &str = "map.force";
 /// Share of the largest force that a light press has.
@@ -126,8 +124,11 @@ pub enum SetupError {
         /// What is wrong with it.
         reason: String,
     },
-    /// A bundle without a displacement map.
-    #[error("model bundle {path}: bundle.toml has no `[peaks]`: train one with `dermis real2sim train`")]
+    /// A bundle that gives no map to read contacts off.
+    #[error(
+        "model bundle {path}: bundle.toml has no `[peaks]` and no `[force_peaks]`: train one with `dermis real2sim train`, or one \
+         that draws forces"
+    )]
     NoPeaks {
         /// Folder of the bundle.
         path: PathBuf,
@@ -183,8 +184,8 @@ pub(crate) struct Pipeline {
     pub(crate) raw: Vec<f32>,
     pub(crate) outputs: Outputs,
     pub(crate) fresh: bool,
-    /// Reads contacts off the displacement map that it gives.
-    pub(crate) peaks: Option<MapContacts>,
+    /// Reads contacts off the map that it gives.
+    pub(crate) peaks: Option<Peaks>,
     /// Refines what it says on the skin's forward model.
     pub(crate) inverter: Option<Inverter>,
     /// \[N\] and the share of the surface where so light a press cannot be detected, by that model.
@@ -246,7 +247,7 @@ impl Pipeline {
     /// A bundle on a surface, without the forward model that it may ask for.
     pub(crate) fn of(bundle: &Bundle, surface: &Surface, runtime: &Runtime) -> Result<Self, SetupError> {
         let manifest = bundle.manifest();
-        let peaks = MapContacts::of(bundle, surface, runtime)?;
+        let peaks = Peaks::of(bundle, surface, runtime)?;
         let input = (bundle.features(), manifest.baseline);
         let output = (Some(bundle.session(runtime)?), bundle.outputs());
         let pipeline = Self::of_model(bundle.path().to_owned(), input, output, surface)?;
@@ -283,7 +284,11 @@ impl Pipeline {
         let model = sensor
             .model(skin)
             .map_err(|source| SetupError::NotInvertible { skin: skin.name.clone(), source })?;
-        let settings = settings_without_bundle(skin);
+        let mut settings = settings_without_bundle(skin);
+        if settings.contacts > 1 && !model.superposes() {
+            // Contacts change what the others do: refining all of them takes long, but rarely anew where they are followed.
+            settings.search = Search::Pairs;
+        }
         let force_range = Some([0.0, settings.force_max]);
         let inverter = Inverter::new(model, settings)
             .map_err(|source| SetupError::Inversion { path: path.clone(), source })?;

@@ -8,6 +8,7 @@
 //! | outputs | [`Outputs`] | output of the graph → named quantities in SI units, with their sigma |
 //! | model | [`Model`] | one loaded graph: input slice → output vector |
 //! | peaks | [`MapContacts`] | a displacement map → contacts |
+//! | | [`ForceMapContacts`] | a force map → contacts |
 //! | correction | [`Bundle::correction`] | how a device differs from its forward model, as recorded presses showed |
 //! | graph builder | [`onnx::GraphBuilder`] | writes the ONNX graphs that training exports |
 //!
@@ -17,6 +18,7 @@ mod bundle;
 mod correction;
 mod features;
 mod file;
+mod force_peaks;
 mod interface;
 mod limits;
 mod manifest;
@@ -32,6 +34,7 @@ pub mod trial;
 pub use bundle::{Bundle, BundleError, BundleWriter, SkinMismatch};
 pub use correction::{CorrectionError, CorrectionSection};
 pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
+pub use force_peaks::{ForceMapContacts, ForcePeakSection, MAP_NORMAL};
 pub use interface::{Interface, TensorPort};
 pub use limits::Limits;
 pub use manifest::{

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::correction::CorrectionSection;
 use crate::features::{FeatureConfig, FeatureError};
+use crate::force_peaks::{ForcePeakSection, MAP_NORMAL};
 use crate::interface::{Interface, elements};
 use crate::outputs::{OutputConfig, OutputError};
 use crate::peaks::{MAP_DISPLACEMENT, PeakSection};
@@ -123,6 +124,9 @@ pub struct Manifest {
     /// Reads contacts off the displacement map that the model gives; it gives none where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peaks: Option<PeakSection>,
+    /// Reads contacts off the force map that the model gives; it gives none where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_peaks: Option<ForcePeakSection>,
     /// Measured on what was held out; names end in their unit, e.g. `position_rmse_m`.
     #[serde(default)]
     pub metrics: BTreeMap<String, f64>,
@@ -200,6 +204,7 @@ impl Manifest {
             inversion: None,
             correction: None,
             peaks: None,
+            force_peaks: None,
             metrics: BTreeMap::new(),
         }
     }
@@ -365,22 +370,41 @@ impl Manifest {
                 return wrong("correction", "there is no `inversion` whose forward model it corrects".into());
             }
         }
-        if let Some(peaks) = &self.peaks {
-            if let Err((field, reason)) = peaks.check() {
-                return wrong(&format!("peaks.{field}"), reason);
-            }
-            if !is_hash(&peaks.sensitivity.hash) {
-                return wrong("peaks.sensitivity.hash", "must be `sha256:` and 64 hex digits".into());
-            }
-            if !self.output.values.iter().any(|v| v.name == MAP_DISPLACEMENT) {
-                return wrong("peaks", format!("there is no output `{MAP_DISPLACEMENT}` to read them off"));
-            }
+        if let Err((field, reason)) = self.check_peaks() {
+            return wrong(&field, reason);
         }
         if self.training.seed > i64::MAX.cast_unsigned() {
             return wrong("training.seed", "is beyond 2^63 - 1, the largest number that TOML has".into());
         }
         if let Some((name, _)) = self.metrics.iter().find(|(_, value)| !value.is_finite()) {
             return wrong(&format!("metrics.{name}"), "must be a finite number".into());
+        }
+        Ok(())
+    }
+}
+
+impl Manifest {
+    /// Says what is impossible of how contacts are read off maps: field and reason.
+    fn check_peaks(&self) -> Result<(), (String, String)> {
+        let gives = |output: &str| match self.output.values.iter().any(|v| v.name == output) {
+            true => Ok(()),
+            false => Err(format!("there is no output `{output}` to read them off")),
+        };
+        if let Some(peaks) = &self.peaks {
+            peaks.check().map_err(|(field, reason)| (format!("peaks.{field}"), reason))?;
+            if !is_hash(&peaks.sensitivity.hash) {
+                let reason = "must be `sha256:` and 64 hex digits".into();
+                return Err(("peaks.sensitivity.hash".into(), reason));
+            }
+            gives(MAP_DISPLACEMENT).map_err(|reason| ("peaks".into(), reason))?;
+        }
+        if let Some(peaks) = &self.force_peaks {
+            peaks.check().map_err(|(field, reason)| (format!("force_peaks.{field}"), reason))?;
+            if self.peaks.is_some() {
+                let reason = "`peaks` reads contacts off another map already; keep one of the two tables";
+                return Err(("force_peaks".into(), reason.into()));
+            }
+            gives(MAP_NORMAL).map_err(|reason| ("force_peaks".into(), reason))?;
         }
         Ok(())
     }

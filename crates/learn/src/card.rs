@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use dermis_inference::{Manifest, SigmaBin};
+use dermis_inference::{ForcePeakSection, Manifest, SigmaBin};
 use serde_json::{Value, json};
 
 use crate::LearnError;
 use crate::dataset::{Dataset, SampleId, Truth};
 use crate::evaluate::Evaluation;
-use crate::metrics::{Bin, FORCE_BINS, bin_of};
-use crate::target::MapTarget;
+use crate::metrics::{Bin, FORCE_BINS, MapErrors, bin_of};
+use crate::target::{MAP_NORMAL, MapTarget};
 
 /// Everything that is true of the data, whatever is learned from it.
 ///
@@ -116,6 +116,19 @@ pub(crate) fn force_range(data: &Dataset, ids: &[SampleId]) -> Option<[f64; 2]> 
     (range[0] < range[1]).then_some(range)
 }
 
+/// How contacts are read off a force map whose errors were measured: with the lowest threshold, as many as were there at most.
+fn force_peaks(errors: &MapErrors) -> Option<ForcePeakSection> {
+    let read = errors.contacts.iter().min_by(|a, b| a.threshold.total_cmp(&b.threshold))?;
+    Some(ForcePeakSection {
+        disc: read.disc,
+        threshold: read.threshold,
+        most: read.by_number.keys().copied().max()?.clamp(1, 10),
+        // Of one of two tangents.
+        position_sigma: read.all.position_found.as_ref().map(|s| s.rms / std::f64::consts::SQRT_2),
+        force_sigma: None,
+    })
+}
+
 /// Writes measured errors into a manifest, as metrics and as the sigma of its outputs.
 pub fn measured(manifest: &mut Manifest, evaluation: &Evaluation) {
     // Of a vector, that of one of its numbers.
@@ -136,6 +149,9 @@ pub fn measured(manifest: &mut Manifest, evaluation: &Evaluation) {
         if let Some(bins) = evaluation.by_force.get(&found).or_else(|| evaluation.by_force.get(&spec.name)) {
             spec.sigma_by_force = sigma_bins(bins);
         }
+    }
+    if let Some(peaks) = evaluation.maps.get(MAP_NORMAL).and_then(force_peaks) {
+        manifest.force_peaks = Some(peaks);
     }
     manifest.metrics = evaluation
         .quantities

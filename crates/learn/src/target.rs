@@ -22,6 +22,8 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use dermis_inference::MAP_DISPLACEMENT;
+/// Pressing forces over the surface.
+pub use dermis_inference::MAP_NORMAL;
 use dermis_model::{ForwardModel, Stimulus};
 use dermis_skin::{SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
@@ -30,8 +32,6 @@ use crate::LearnError;
 use crate::bounds::stimulus;
 use crate::dataset::{Truth, TruthContact};
 
-/// Pressing forces over the surface.
-pub const MAP_NORMAL: &str = "map.normal";
 /// What the forward model reads.
 pub const SIGNAL: &str = "signal";
 /// Forces over the surface.

@@ -6,7 +6,8 @@ use dermis_model::Indentation;
 use dermis_skin::Contact;
 
 use super::SkinEstimator;
-use crate::finder::{Regressed, inverted, is_flat, peaks, readings, regressed, solve};
+use crate::finder::{Learned, Peaks, Regressed, inverted, is_flat, peaks, readings, regressed, solve};
+use crate::models::Pipeline;
 
 /// Presence by probability begins above the first and ends below the second.
 const PRESENT: (f64, f64) = (0.5, 0.4);
@@ -107,7 +108,7 @@ impl SkinEstimator {
         let shows = self.cleaned.touched
             || inverter.settings().exceeds_threshold((inverter.evidence(&self.readings).0, 0.0), true);
         if shows {
-            let solution = solve(inverter, &self.readings, &[], &self.before)?;
+            let solution = solve(inverter, &self.readings, Learned::default(), &self.before)?;
             let found = indentations(&solution.contacts, inverter.settings());
             inverter.signal(&found, &mut self.guessed)?;
             // Asked once a frame: what it costs is the frame's time.
@@ -116,14 +117,20 @@ impl SkinEstimator {
         Ok(())
     }
 
+    /// Whether contacts are read off a map whose peaks a forward model can be begun at.
+    fn complete(&self) -> bool {
+        self.pipelines.iter().any(|p| p.fresh && p.peaks.as_ref().is_some_and(Peaks::are_starts))
+    }
+
     /// Contacts as the learned models give them: the peaks of a map or, without any, one from position and force.
     pub(super) fn learned(&mut self) -> Result<Vec<Contact>, String> {
         if self.pipelines.iter().all(|p| p.model.is_none()) {
             return Ok(Vec::new());
         }
         let refined = self.pipelines.iter().any(|p| p.inverter.is_some());
-        let Some(pipeline) = self.pipelines.iter_mut().find(|p| p.fresh && p.peaks.is_some() && !refined)
-        else {
+        let asked = |peaks: &Peaks| !refined || peaks.are_starts();
+        let reads = |p: &&mut Pipeline| p.fresh && p.peaks.as_ref().is_some_and(asked);
+        let Some(pipeline) = self.pipelines.iter_mut().find(reads) else {
             return Ok(vec![self.contact()]);
         };
         let mut contacts = peaks(pipeline)?;
@@ -156,7 +163,10 @@ impl SkinEstimator {
         let solution = match self.solution.take() {
             // Found when it was asked what the missing channels would read.
             Some(solution) => Ok(solution),
-            None => solve(inverter, &self.readings, &learned, &self.before),
+            None => {
+                let learned = Learned { contacts: &learned, complete: self.complete() };
+                solve(inverter, &self.readings, learned, &self.before)
+            }
         };
         let solution =
             solution.map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use dermis_inference::MAP_DISPLACEMENT;
+use dermis_inference::{MAP_DISPLACEMENT, MAP_NORMAL};
 use dermis_model::{Indentation, Stimulus};
 use dermis_skin::{Contact, DisplacementMap, Estimate, ForceMap, ForceValues, Surface};
 
 use super::SkinEstimator;
-use crate::models::{MAP_FORCE, MAP_NORMAL, gives};
+use crate::models::{MAP_FORCE, gives};
 
 /// \[m\] about a contact of unknown diameter that its force is spread over.
 pub(super) const REACH: f64 = 0.005;

@@ -1,9 +1,9 @@
 use super::maps::{REACH, spread};
 use super::*;
-use crate::models::MAP_NORMAL;
 use crate::testing::{
     COMPLIANCE, Out, STRETCHED, TestBundle, load, load_for, membrane, nine, skin_with, tared_estimator,
 };
+use dermis_inference::MAP_NORMAL;
 use dermis_inference::{Bundle, MAP_DISPLACEMENT};
 use dermis_inversion::Settings;
 use dermis_model::{ForwardModel, Indentation, Stimulus};

@@ -21,23 +21,35 @@ pub(crate) fn inverted(found: &ContactEstimate, components: ForceComponents) -> 
     contact
 }
 
+/// What a learned model says of a frame.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Learned<'a> {
+    /// Its contacts.
+    pub(crate) contacts: &'a [Contact],
+    /// They are all that there are, as far as it knows: not one, whatever touches.
+    pub(crate) complete: bool,
+}
+
 /// The contacts that explain readings best, in the manner that a bundle asks for: among all pairs of places, from those of
-/// the frame `before` while they last; or one after the other, the first near what was `learned`.
+/// the frame `before` while they last, then from all that were `learned` where these are complete; or one after the other, the first
+/// near what was `learned`.
 pub(crate) fn solve(
     inverter: &Inverter,
     readings: &[Reading],
-    learned: &[Contact],
+    learned: Learned<'_>,
     before: &[ContactEstimate],
 ) -> Result<Solution, InverterError> {
-    if inverter.settings().in_pairs() {
-        return match inverter.follow(readings, before)? {
-            Some(solution) => Ok(solution),
-            None => inverter.search(readings),
-        };
-    }
     let known =
         |c: &&Contact| c.position.iter().chain(&c.force).all(|v| v.is_finite()) && c.normal_force() > 0.0;
-    let hint = learned.first().filter(known);
+    if inverter.settings().in_pairs() {
+        if let Some(solution) = inverter.follow(readings, before)? {
+            return Ok(solution);
+        }
+        let complete = learned.contacts.iter().filter(|_| learned.complete).filter(known);
+        let starts: Vec<_> = complete.map(|c| indentation(inverter, c)).collect();
+        return inverter.search_from(readings, &starts);
+    }
+    let hint = learned.contacts.first().filter(known);
     inverter.solve(readings, hint.map(|c| indentation(inverter, c)).as_ref())
 }
 
@@ -55,7 +67,8 @@ pub enum Start {
     /// What another finder finds; refined together.
     Refine(Box<dyn ContactFinder>),
     /// In the manner of the inverter's settings, as in a node: what another finder finds is where the first contact is
-    /// looked for, unless all pairs are asked for. Where nothing is found, the answer of the other stands.
+    /// looked for or, of one that finds [all](ContactFinder::complete), where all are; a search of all pairs does without a single one.
+    /// Where nothing is found, the answer of the other stands.
     Bundle(Box<dyn ContactFinder>),
     /// Sparse recovery on a grid of places; refined.
     Sparse(SparseSettings),
@@ -152,7 +165,10 @@ impl ContactFinder for InversionFinder {
         let found = match &self.start {
             Start::Greedy => inverter.solve(&readings, None)?.contacts,
             Start::Pairs => inverter.search(&readings)?.contacts,
-            Start::Bundle(_) => solve(inverter, &readings, &others, self.before())?.contacts,
+            Start::Bundle(finder) => {
+                let learned = Learned { contacts: &others, complete: finder.complete() };
+                solve(inverter, &readings, learned, self.before())?.contacts
+            }
             Start::Refine(_) => {
                 let starts: Vec<_> = others.iter().map(|c| indentation(inverter, c)).collect();
                 self.refine(&readings, &starts)?
@@ -178,8 +194,8 @@ impl ContactFinder for InversionFinder {
         let readings: Vec<_> = readings(frame.signal, frame.flags).collect();
         self.watch(&readings);
         if self.followed.as_ref().is_some_and(|followed| followed.present) {
-            // A search in pairs does not ask the other finder.
-            let found = solve(&self.inverter, &readings, &[], self.before())?.contacts;
+            // A search in pairs can do without the other finder.
+            let found = solve(&self.inverter, &readings, Learned::default(), self.before())?.contacts;
             self.remember(&found);
         }
         Ok(())

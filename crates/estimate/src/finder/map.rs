@@ -1,17 +1,59 @@
-//! Contacts as the peaks of a displacement map that a bundle gives.
+//! Contacts as the peaks of a map that a bundle gives: of displacements, or of forces.
 
-use dermis_inference::{Bundle, MAP_DISPLACEMENT, Runtime};
-use dermis_skin::{Contact, ImageGrid, SkinDescription};
+use dermis_inference::{
+    Bundle, BundleError, ForceMapContacts, MAP_DISPLACEMENT, MAP_NORMAL, MapContacts, Runtime,
+};
+use dermis_skin::{Contact, ImageGrid, SkinDescription, Surface};
 
 use super::{ConditionedFrame, ContactFinder, FindError};
 use crate::models::{Pipeline, SetupError};
 
+/// Reads contacts off the map that a bundle gives.
+pub(crate) enum Peaks {
+    /// Of displacements.
+    Displacement(MapContacts),
+    /// Of forces.
+    Force(ForceMapContacts),
+}
+
+impl Peaks {
+    /// What a bundle asks for on a surface; `None` where its manifest has neither `[peaks]` nor `[force_peaks]`.
+    pub(crate) fn of(
+        bundle: &Bundle,
+        surface: &Surface,
+        runtime: &Runtime,
+    ) -> Result<Option<Self>, BundleError> {
+        if let Some(section) = &bundle.manifest().force_peaks {
+            return Ok(Some(Self::Force(ForceMapContacts::new(section.clone(), surface))));
+        }
+        Ok(MapContacts::of(bundle, surface, runtime)?.map(Self::Displacement))
+    }
+
+    /// \[N\] root mean square error of their forces, where it was measured.
+    pub(crate) fn force_sigma(&self) -> Option<f64> {
+        match self {
+            Self::Displacement(contacts) => contacts.force_sigma(),
+            Self::Force(contacts) => contacts.force_sigma(),
+        }
+    }
+
+    /// Whether a forward model can be begun at all of them together. Peaks of displacements are contacts by themselves.
+    pub(crate) fn are_starts(&self) -> bool {
+        matches!(self, Self::Force(_))
+    }
+}
+
 /// The peaks of the map that a model gave last, as contacts, the strongest first; none where its bundle names no peaks.
 pub(crate) fn peaks(pipeline: &mut Pipeline) -> Result<Vec<Contact>, String> {
     let Pipeline { peaks, outputs, path, .. } = pipeline;
-    let Some(peaks) = peaks else { return Ok(Vec::new()) };
-    let map = outputs.values(MAP_DISPLACEMENT).unwrap_or_default();
-    peaks.contacts(map).map_err(|e| format!("model {}: {e}", path.display()))
+    let map = |output| outputs.values(output).unwrap_or_default();
+    match peaks {
+        None => Ok(Vec::new()),
+        Some(Peaks::Displacement(contacts)) => {
+            contacts.contacts(map(MAP_DISPLACEMENT)).map_err(|e| format!("model {}: {e}", path.display()))
+        }
+        Some(Peaks::Force(contacts)) => Ok(contacts.contacts(map(MAP_NORMAL))),
+    }
 }
 
 /// Peaks of the map of a bundle.
@@ -33,7 +75,7 @@ impl MapFinder {
         Ok(Self { pipeline })
     }
 
-    /// The map \[m\] of a frame, one number a point of the surface.
+    /// The map of displacements \[m\] of a frame, one number a point of the surface; empty where the bundle gives forces.
     ///
     /// # Errors
     ///
@@ -60,5 +102,9 @@ impl ContactFinder for MapFinder {
 
     fn image(&self) -> Option<ImageGrid> {
         self.pipeline.features.config().image
+    }
+
+    fn complete(&self) -> bool {
+        self.pipeline.peaks.as_ref().is_some_and(Peaks::are_starts)
     }
 }
