@@ -158,7 +158,7 @@ impl Simulated {
         let model = model_of_file(path, &skin, sensors)?;
         let plan = match plan {
             Some(path) => Plan::load(path)?,
-            None => Plan::random_touches(0.004, [0.1, 1.0]),
+            None => Plan::rated_touches(&skin),
         };
         let rig = published.rig.as_deref().map(LabelMap::load).transpose()?;
         let skin = skin.into_instance(published.instance.as_deref(), published.frame_id.as_deref(), None)?;

@@ -198,11 +198,12 @@ impl Plan {
         }
     }
 
-    /// What shows a skin: presses at random places, with the tip and the forces that it is [rated](dermis_skin::Rated) for, after
-    /// some seconds in which nothing touches and a node finds its zero.
+    /// As [`random_touches`](Self::random_touches), with the tip that a skin is [rated](dermis_skin::Rated) for and from a tenth of its
+    /// largest force on.
     #[must_use]
-    pub fn rated_presses(skin: &SkinDescription) -> Self {
+    pub fn rated_touches(skin: &SkinDescription) -> Self {
         let rated = skin.rated_press();
+        let [least, most] = rated.force;
         let shape = TipShape::of_kind(rated.tip, rated.diameter);
         let margin = match skin.surface {
             SurfaceSpec::Rectangle { size: [x, y], .. } if x.min(y) > ROOM * rated.diameter => {
@@ -210,14 +211,24 @@ impl Plan {
             }
             _ => 0.0,
         };
-        let presses = Action::Presses { count: 16, level: Level::Force(rated.force), repeats: 1 };
         Self {
-            name: "rated-presses".to_owned(),
             tip: (rated.tip == TipKind::FlatPunch).then_some(PlanTip { shape, turn: 0.0, tilt: 0.0 }),
             margin,
+            ..Self::random_touches(rated.diameter, [least.max(0.1 * most), most])
+        }
+    }
+
+    /// What shows a skin: presses at random places, with the tip and the forces that it is [rated](dermis_skin::Rated) for, after
+    /// some seconds in which nothing touches and a node finds its zero.
+    #[must_use]
+    pub fn rated_presses(skin: &SkinDescription) -> Self {
+        let level = Level::Force(skin.rated_press().force);
+        let presses = Action::Presses { count: 16, level, repeats: 1 };
+        Self {
+            name: "rated-presses".to_owned(),
             timing: Timing { load: [0.15, 0.3], hold: [0.4, 0.8], gap: [0.3, 0.6], ..Timing::default() },
             steps: vec![Action::Idle { duration: 3.0 }.into(), presses.into()],
-            ..Self::random_touches(rated.diameter, rated.force)
+            ..Self::rated_touches(skin)
         }
     }
 
