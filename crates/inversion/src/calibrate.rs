@@ -1,6 +1,6 @@
 //! How far a device and its forward model are apart.
 
-use dermis_model::{ForwardModel, Stimulus, Unknowns, Untouched};
+use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, Untouched};
 use dermis_skin::ModelError;
 
 use crate::fit::{Datum, Problem, STRIDE};
@@ -44,6 +44,11 @@ const CHANCE: f64 = 1.05;
 /// Least and largest error of a model that is looked for, and halvings of the interval.
 const ERRORS: (f64, f64, usize) = (1e-4, 0.5, 12);
 
+/// Share of the surface up to which a channel that only presses there tell may go without a gain.
+const QUIET: f64 = 0.02;
+/// Places that say so, at most.
+const PLACES: usize = 500;
+
 /// One labelled frame.
 struct Labelled<'a> {
     stimulus: &'a Stimulus,
@@ -72,16 +77,23 @@ impl Calibration {
         let untouched = Untouched::of(model)?;
         let mut all = Vec::new();
         for (stimulus, signal) in frames {
-            if signal.iter().zip(noise).any(|(v, n)| f64::from(*v) > 2.0 * STRONG * n) {
+            if signal.iter().zip(noise).any(|(v, n)| f64::from(*v).abs() > 2.0 * STRONG * n) {
                 let mut expected = vec![0.0; channels];
                 model.response(stimulus, &mut expected)?;
                 untouched.subtract(&mut expected);
                 all.push(Labelled { stimulus, signal, expected });
             }
         }
-        let gains = gains(&all, noise)?;
-        let force_max =
-            all.iter().flat_map(|f| f.stimulus.contacts.iter().map(|c| c.force.norm())).fold(0.0, f64::max);
+        let contacts = || all.iter().flat_map(|f| &f.stimulus.contacts);
+        let force_max = contacts().map(|c| c.force.norm()).fold(0.0, f64::max);
+        let diameter = contacts().map(Indentation::diameter).fold(0.0, f64::max);
+        let mut heard: Option<Vec<f64>> = None;
+        let gains = gains(&all, noise, &mut |channel| {
+            if heard.is_none() {
+                heard = Some(audible(model, &untouched, force_max, diameter)?);
+            }
+            Ok(heard.as_ref().and_then(|shares| shares.get(channel)).is_some_and(|share| *share > QUIET))
+        })?;
         // Sum of squared deviations over what is expected, if the noise is `scale` times what it should be and the model is
         // off by `error`.
         let excess = |frames: &[&Labelled<'_>], scale: f64, error: f64| -> Result<f64, ModelError> {
@@ -143,18 +155,52 @@ fn some<'b, 'a>(frames: &'b [Labelled<'a>]) -> Vec<&'b Labelled<'a>> {
     frames.iter().step_by(frames.len().div_ceil(MOST).max(1)).collect()
 }
 
-/// Least squares of what is read over what is expected: strong presses, whose force is known best, count most.
-fn gains(frames: &[Labelled<'_>], noise: &[f64]) -> Result<Vec<f64>, CalibrationError> {
+/// Share of the surface, channel by channel, where a press of `force` \[N\] by a tip of `diameter` \[m\] counts for gains.
+fn audible(
+    model: &dyn ForwardModel,
+    untouched: &Untouched,
+    force: f64,
+    diameter: f64,
+) -> Result<Vec<f64>, ModelError> {
+    let (surface, noise) = (model.surface(), model.noise());
+    let step = surface.points.len().div_ceil(PLACES).max(1);
+    let places: Vec<_> = surface.points.iter().zip(&surface.normals).step_by(step).collect();
+    let (mut shares, mut out) = (vec![0.0; noise.len()], vec![0.0; noise.len()]);
+    for (position, normal) in &places {
+        let contacts = vec![Indentation::sphere(**position, -**normal * force, diameter)];
+        model.response(&Stimulus { contacts, ..Stimulus::default() }, &mut out)?;
+        untouched.subtract(&mut out);
+        for ((share, signal), noise) in shares.iter_mut().zip(&out).zip(noise) {
+            *share += if signal.abs() > STRONG * noise { 1.0 / places.len() as f64 } else { 0.0 };
+        }
+    }
+    Ok(shares)
+}
+
+/// Least squares of what is read over what is expected: strong presses, whose force is known best, count most. A channel that was never
+/// pressed and is not `audible` has a gain of 1: there is hardly a press that would tell it.
+fn gains(
+    frames: &[Labelled<'_>],
+    noise: &[f64],
+    is_audible: &mut dyn FnMut(usize) -> Result<bool, ModelError>,
+) -> Result<Vec<f64>, CalibrationError> {
     let channels = noise.len();
     let strong = |frame: &Labelled<'_>, i: usize| {
         frame.signal[i].is_finite() && frame.expected[i].abs() > STRONG * noise[i]
     };
     let seen = |i: usize| frames.iter().filter(|f| strong(f, i)).count();
-    if let Some(channel) = (0..channels).find(|i| seen(*i) < FEWEST) {
-        return Err(CalibrationError::Unseen { channel });
+    let mut quiet = vec![false; channels];
+    for (channel, quiet) in quiet.iter_mut().enumerate().filter(|(i, _)| seen(*i) < FEWEST) {
+        if is_audible(channel)? {
+            return Err(CalibrationError::Unseen { channel });
+        }
+        *quiet = true;
     }
     Ok((0..channels)
         .map(|i| {
+            if quiet[i] {
+                return 1.0;
+            }
             let (mut product, mut square) = (0.0, 0.0);
             for frame in frames.iter().filter(|f| strong(f, i)) {
                 product += f64::from(frame.signal[i]) * frame.expected[i];
@@ -218,6 +264,19 @@ mod tests {
     fn what_the_model_does_not_explain_is_its_error() {
         let error = measured(&recording(&[1.0; 25], 0.03)).model_error;
         assert!((0.02..0.04).contains(&error), "{error}");
+    }
+
+    #[test]
+    fn a_channel_that_hardly_any_press_tells_keeps_the_gain_of_its_design() {
+        let model = grid(20.0);
+        let untouched = Untouched::of(&model).unwrap();
+        // So light that the strongest press is lost in the noise of every channel.
+        let silent = audible(&model, &untouched, 1e-4, 0.004).unwrap();
+        assert_eq!(silent, [0.0; 25]);
+        let loud = audible(&model, &untouched, 1.5, 0.004).unwrap();
+        assert!(loud.iter().all(|share| *share > QUIET), "{loud:?}");
+        let found = gains(&[], &[1.0; 2], &mut |_| Ok(false)).unwrap();
+        assert_eq!(found, [1.0; 2]);
     }
 
     #[test]

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use dermis_inversion::{
     Calibration, Correction, CorrectionSettings, Inverter, InverterError, Press, Reading, Settings,
 };
-use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
-use dermis_skin::{ChannelFlags, Surface};
+use dermis_model::{ForwardModel, Indentation, Stimulus, TipShape, Unknowns};
+use dermis_skin::{ChannelFlags, Surface, TipKind};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -77,6 +77,11 @@ pub fn settings(
     let calibration = Calibration::measure(model, unknowns, frames.iter().map(|(s, v)| (s, v.as_slice())))
         .map_err(|e| failed(e.to_string()))?;
     let mut settings = Settings::new(most_often.unwrap_or(0.004), force_max);
+    let shapes = || frames.iter().flat_map(|(s, _)| &s.contacts).map(|c| &c.tip.shape);
+    let flat = shapes().filter(|shape| matches!(shape, TipShape::FlatPunch { .. })).count();
+    if 2 * flat > shapes().count() {
+        settings.tip = TipKind::FlatPunch;
+    }
     settings.gains = calibration.gains;
     settings.model_error = calibration.model_error;
     settings.unknowns = unknowns;
