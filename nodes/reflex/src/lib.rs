@@ -12,6 +12,7 @@
 //! | [`assess`] | what does one message mean for one rule? |
 //! | [`machine`] | when does a rule act, and when is it released? |
 //! | [`outputs`] | what is sent, and how often? |
+//! | [`ReflexNode`] | the node: topics, services, lifecycle, diagnostics |
 //!
 //! # What fails safe
 //!
@@ -61,13 +62,35 @@
 //! ```
 
 pub mod assess;
+pub mod cli;
+mod config;
 pub mod file;
 pub mod machine;
+mod node;
 pub mod outputs;
 pub mod rules;
 mod slide;
 
+pub use config::{Config, RunError};
 pub use file::RuleFileError;
 pub use machine::{Done, Event, Reflex, ReleaseRefused};
+pub use node::{ReflexNode, run};
 pub use outputs::{Command, Order};
 pub use rules::Rules;
+
+/// What the rule file of a configuration says, in one sentence.
+///
+/// # Errors
+///
+/// Where it cannot be used: file, line and field.
+pub fn check(config: &Config) -> Result<String, RuleFileError> {
+    let rules = Rules::load(&config.rules)?;
+    let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    Ok(format!(
+        "{}: {} on {}, with {}",
+        config.rules.display(),
+        count(rules.rules.len(), "rule"),
+        count(rules.inputs.len(), "input"),
+        count(rules.actions.len(), "action"),
+    ))
+}

@@ -405,8 +405,11 @@ impl RuleMemory {
         let latches = rule.latch && (self.armed || touch.is_some());
         let acts = touch.or(loss);
         let holds = holds || acts.is_some();
-        if let Phase::Acting { latched, quiet_since, .. } = &mut self.phase {
-            *latched |= latches && acts.is_some();
+        if let Phase::Acting { latched, reason, quiet_since } = &mut self.phase {
+            if let Some(why) = acts.as_ref().filter(|_| latches && !*latched) {
+                (*latched, *reason) = (true, why.clone());
+                events.push(Event::Acts { rule: rule.name.clone(), reason: why.clone() });
+            }
             if holds {
                 *quiet_since = None;
             } else {
