@@ -199,3 +199,21 @@ proptest::proptest! {
         }
     }
 }
+
+/// The rule file that ships fits the robot that ships, and cannot be used as it is.
+#[test]
+fn the_rules_of_the_humanoid_are_refused_until_they_are_made_ones_own() {
+    let launch = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch");
+    let path = launch.join("reflex/humanoid.reflex.toml");
+    assert!(Rules::load(&path).unwrap_err().to_string().contains("field `placeholders`"));
+    let text = std::fs::read_to_string(&path).unwrap();
+    let own = text.replace("placeholders = true\n", "");
+    let rules = Rules::from_toml(&own, "own").unwrap();
+    let robot = dermis_body::Robot::load(launch.join("robots/humanoid.toml")).unwrap();
+    let felt: Vec<&str> = robot.skins.iter().map(|skin| robot.body.links()[skin.link].as_str()).collect();
+    for rule in &rules.rules {
+        for link in &rule.region.links {
+            assert!(felt.contains(&link.as_str()), "rule `{}`: no skin is on {link}: {felt:?}", rule.name);
+        }
+    }
+}
