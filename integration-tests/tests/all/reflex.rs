@@ -23,7 +23,7 @@ const PRESSED: &str = "schema = 'dermis-plan/1'\nname = 'pressed'\nseed = 1\ndia
                        gap = [1.0, 1.0]\n[[steps]]\nkind = 'idle'\nduration = 2.0\n\
                        [[steps]]\nkind = 'presses'\ncount = 300\nforce = [0.8, 1.2]\n";
 const RULES: &str = "schema = 'dermis-reflex/1'\nname = 'guard'\nstart = 'clear'\n\
-                     [inputs.palm]\nkind = 'skin'\ntopic = 'contacts'\ntimeout = 0.5\n\
+                     [inputs.palm]\nkind = 'skin'\ntopic = 'contacts'\ntimeout = 2.0\n\
                      [actions.stop]\nkind = 'bool'\ntopic = 'stop'\nheartbeat = 0.1\n\
                      [actions.halt]\nkind = 'twist'\ntopic = 'cmd_vel'\n\
                      [[rules]]\nname = 'touch'\nforce = { above = 0.4 }\nquiet = 0.05\nactions = ['stop', 'halt']\n";

@@ -33,6 +33,10 @@ mod diagnostics;
 mod guard;
 mod senders;
 
+/// Messages of one input that wait while the machine is busy elsewhere: a touch that was short is not to be dropped for newer
+/// messages.
+const WAITING: usize = 64;
+
 /// A running node; dropping it stops it.
 ///
 /// It subscribes to the inputs of its rule file and offers the service `~/release` (`std_srvs/srv/Trigger`), which
@@ -192,7 +196,7 @@ fn listen<T: Stamped>(
     take: impl Fn(&mut Reflex, &T, Duration, i64) -> Done + Send + 'static,
 ) -> Result<Subscription, NodeError> {
     let guard = Arc::clone(guard);
-    node.subscribe::<T>(topic, Qos::sensor_data(), move |message, info: MessageInfo| {
+    node.subscribe::<T>(topic, Qos::sensor_data().with_depth(WAITING), move |message, info: MessageInfo| {
         let stamp = message.stamp().as_nanos();
         guard.hear(info.received_ns, |reflex, now, clock_ns| {
             take(reflex, &message, now, clock_ns.saturating_sub(stamp))

@@ -10,6 +10,9 @@ use super::senders::{Senders, start_caller};
 use crate::machine::{Done, Event, Reflex};
 use crate::rules::Action;
 
+/// What is sent at the end leaves the network's queue within this time: a session that closes sends it no more.
+const PARTING: Duration = Duration::from_millis(20);
+
 /// How messages went since the last diagnosis.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Figures {
@@ -175,6 +178,9 @@ impl Guard {
         self.wake.notify_all();
         drop(core);
         self.report(&events);
+        if !active {
+            std::thread::sleep(PARTING);
+        }
     }
 
     /// Ends the thread that keeps the time, and the callers.

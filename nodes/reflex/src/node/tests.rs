@@ -24,10 +24,11 @@ start = "clear"
 [inputs.palm]
 kind = "skin"
 topic = "contacts"
-timeout = 0.5
+timeout = 2.0
 [actions.stop]
 kind = "bool"
 topic = "stop"
+heartbeat = 0.05
 [actions.slow]
 kind = "speed_scale"
 topic = "scale"
