@@ -10,6 +10,7 @@ mod node;
 mod peers;
 mod publish;
 mod recording;
+mod reflex;
 mod restart;
 mod sampling;
 mod shell;
@@ -38,6 +39,9 @@ enum Command {
     /// From the last byte of a frame to the message at a subscriber in another process, and frames/s per core: our node
     /// over each backend, and a node of rclpy and ONNX Runtime with the same model.
     Node(node::Options),
+    /// From the last byte of the first pressed frame to the stop message at a subscriber in another process: our reflexes over each
+    /// backend, and a subscriber of rclpy that compares forces; on the machine as it is, and beside load.
+    Reflex(reflex::Options),
     /// Samples per second of the forward model with its noise, against numpy and scipy on the same table.
     Model(model::Options),
     /// A shell: its factor and loads against CHOLMOD with OpenBLAS and against CalculiX, and samples per second of its forward
@@ -72,6 +76,7 @@ fn main() -> Result<()> {
     let cli = Cli::parse();
     let result = match cli.command {
         Command::Node(options) => node::run(&options)?,
+        Command::Reflex(options) => reflex::run(&options)?,
         Command::Model(options) => model::run(&options)?,
         Command::Shell(options) => shell::run(&options)?,
         Command::Ert(options) => ert::run(&options)?,

@@ -135,7 +135,7 @@ fn library_in(packages: &Path) -> Option<PathBuf> {
 }
 
 /// The bundle that ships without its refinement on the forward model: both sides evaluate the same network.
-fn learned_only(root: &Path) -> Result<tempfile::TempDir> {
+pub fn learned_only(root: &Path) -> Result<tempfile::TempDir> {
     let (from, to) = (root.join("models/baro-grid"), tempfile::tempdir()?);
     for file in ["model.onnx", "card.json"] {
         std::fs::copy(from.join(file), to.path().join(file))?;

@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use dermis_msgs::msg::ContactArray;
+use dermis_msgs::std_msgs::msg::Bool;
 use dermis_node::{Backend, HirozBackend, Node, NodeOptions, Qos};
 use dermis_transport::now_ns;
 
@@ -54,9 +55,12 @@ pub struct Options {
     /// ROS 2 implementation.
     #[arg(long, value_enum)]
     backend: Choice,
-    /// Topic of contact arrays.
+    /// Topic of contact arrays, or of stops.
     #[arg(long, default_value = "contacts")]
     topic: String,
+    /// It brings stops (`std_msgs/msg/Bool`), whose value is given as the status.
+    #[arg(long)]
+    stops: bool,
 }
 
 /// One message that arrived.
@@ -110,15 +114,23 @@ pub fn run(options: &Options) -> Result<()> {
     let waiting = Arc::new(Mutex::new(Vec::<u8>::new()));
     let sink = Arc::clone(&waiting);
     let qos = Qos { history: dermis_node::History::KeepLast(8192), ..Qos::sensor_data() };
-    let _subscription = node.subscribe::<ContactArray>(&options.topic, qos, move |array, _| {
-        let arrival = Arrival {
-            sequence: array.sequence,
-            received_ns: now_ns(),
-            status: array.status,
-            contacts: u8::try_from(array.contacts.len()).unwrap_or(u8::MAX),
-        };
+    let keep = move |arrival: Arrival| {
         sink.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(&arrival.to_bytes());
-    })?;
+    };
+    let _subscription = if options.stops {
+        node.subscribe::<Bool>(&options.topic, qos, move |stop, _| {
+            keep(Arrival { sequence: 0, received_ns: now_ns(), status: u8::from(stop.data), contacts: 0 });
+        })?
+    } else {
+        node.subscribe::<ContactArray>(&options.topic, qos, move |array, _| {
+            keep(Arrival {
+                sequence: array.sequence,
+                received_ns: now_ns(),
+                status: array.status,
+                contacts: u8::try_from(array.contacts.len()).unwrap_or(u8::MAX),
+            });
+        })?
+    };
     let mut out = std::io::stdout().lock();
     loop {
         std::thread::sleep(Duration::from_micros(300));
@@ -149,9 +161,23 @@ pub fn arrivals(mut pipe: impl Read + Send + 'static) -> Receiver<Arrival> {
 ///
 /// Where it cannot be started.
 pub fn start(backend: Choice, domain: u16) -> Result<(Process, Receiver<Arrival>)> {
+    start_with(backend, domain, &[])
+}
+
+/// The same for stops on the topic `stop`.
+///
+/// # Errors
+///
+/// Where it cannot be started.
+pub fn start_stops(backend: Choice, domain: u16) -> Result<(Process, Receiver<Arrival>)> {
+    start_with(backend, domain, &["--stops", "--topic", "stop"])
+}
+
+fn start_with(backend: Choice, domain: u16, more: &[&str]) -> Result<(Process, Receiver<Arrival>)> {
     let this = std::env::current_exe().context("this program has no path")?;
     let mut child = isolated(&mut std::process::Command::new(this), domain)
         .args(["subscriber", "--backend", backend.name()])
+        .args(more)
         .stdout(std::process::Stdio::piped())
         .spawn()
         .context("the subscriber cannot be started")?;

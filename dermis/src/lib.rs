@@ -37,6 +37,7 @@ mod play;
 mod real2sim;
 mod record;
 mod refine;
+mod reflex;
 mod registry;
 mod schema;
 mod skins;
@@ -74,6 +75,8 @@ enum Command {
     Demo(demo::Options),
     #[command(flatten)]
     Node(nodes::Node),
+    /// Act on touch: stop or slow a robot by rules on its contacts, and on the loss of its senses.
+    Reflex(reflex::Options),
     /// Start what a launch file names, keep it running, and gather what it says.
     Launch(launch::Options),
     #[command(name = launch::GUARD, hide = true)]
@@ -159,7 +162,7 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
     registry::choose(sensors);
     let cli = Cli::parse();
     let level = match cli.command {
-        Command::Node(_) | Command::Bridge(_) | Command::Device(_) => "info",
+        Command::Node(_) | Command::Reflex(_) | Command::Bridge(_) | Command::Device(_) => "info",
         _ => "warn",
     };
     let format = match log::Format::choose(cli.log_format) {
@@ -173,6 +176,7 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
         Command::Node(node) => block_on(nodes::run(node)),
+        Command::Reflex(options) => block_on(reflex::run(options)),
         Command::Watch(options) => block_on(watch::run(options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),

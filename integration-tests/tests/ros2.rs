@@ -77,6 +77,63 @@ fn the_planner_of_the_examples_stops_and_goes_on() {
     planner.expect("GO ", SOON);
 }
 
+/// A recipe of the examples, with these parameters.
+fn recipe(name: &str, parameters: &[&str]) -> Option<Peer> {
+    let script = root().join("examples/recipes-rclpy").join(name);
+    let mut command = Command::new(ros_python()?);
+    command.arg(script).arg("--ros-args");
+    for parameter in parameters {
+        command.args(["-p", parameter]);
+    }
+    Some(Peer::start(&mut command))
+}
+
+#[test]
+fn contacts_mark_cells_of_a_grid() {
+    let Some(mut cells) = recipe("cloud.py", &["cell:=0.002"]) else { return };
+    let Some(mut map) = Rclpy::start("map") else { return };
+    map.tell(&json!({"do": "subscribe", "topic": "/touched_cells", "type": "nav_msgs/msg/OccupancyGrid"}));
+    let _demo = demo();
+    let line = cells.expect("occupied ", SOON);
+    assert!(line.ends_with(" in baro_grid_link"), "{line}");
+    let at: Vec<i64> = line.split(' ').skip(1).take(2).map(|n| n.parse().unwrap()).collect();
+    // The pad is 34 mm wide, in the middle of a grid of 50 cells of 2 mm.
+    assert!(at.iter().all(|cell| (14..=36).contains(cell)), "{line}");
+    map.wait("a grid with a touched cell", |said| {
+        let data = said["value"]["data"].as_array()?;
+        (data.len() == 2500 && data.contains(&100.into())).then_some(())
+    });
+}
+
+#[test]
+fn fused_contacts_become_those_of_moveit_and_wrenches_of_links() {
+    let Some(mut moveit) = recipe("moveit.py", &[]) else { return };
+    let Some(mut links) = recipe("links.py", &[]) else { return };
+    let Some(mut rclpy) = Rclpy::start("fusion_stand_in") else { return };
+    rclpy.tell(
+        &json!({"do": "subscribe", "topic": "/hand/wrench", "type": "geometry_msgs/msg/WrenchStamped"}),
+    );
+    let contact =
+        json!({"position": {"x": 0.1, "y": 0.0, "z": 0.02}, "normal": {"x": 0.0, "y": 0.0, "z": 1.0}});
+    let wrench = json!({"force": {"x": 0.0, "y": 0.0, "z": -2.0}, "torque": {"x": 0.0, "y": 0.2, "z": 0.0}});
+    rclpy.tell(&json!({"do": "publish", "topic": "/body_contacts", "type": "dermis_msgs/msg/BodyContacts",
+    "qos": {"reliable": true, "depth": 5}, "period": 0.1, "value": {
+        "header": {"frame_id": "pelvis"},
+        "contacts": [{"link": "hand", "contact": contact}],
+        "wrenches": [{"link": "hand", "wrench": wrench}, {"link": "foot", "status": 2}],
+    }}));
+    let said: Value = serde_json::from_str(&moveit.expect("{", SOON)).unwrap();
+    assert_eq!(said["position"], json!([0.1, 0.0, 0.02]));
+    let bodies = ["frame_id", "contact_body_1", "body_type_1", "contact_body_2", "body_type_2", "depth"];
+    let bodies = bodies.map(|field| said[field].clone());
+    assert_eq!(json!(bodies), json!(["hand", "hand", 0, "environment", 1, 0.0]));
+    links.expect("hand 0.000 0.000 -2.000 N", SOON);
+    links.expect("foot is not felt", SOON);
+    let found = rclpy.event("message", |said| said["topic"] == "/hand/wrench")["value"].clone();
+    assert_eq!(found["header"]["frame_id"], "hand");
+    assert_eq!(found["wrench"]["torque"]["y"], 0.2);
+}
+
 #[test]
 fn rclpy_gets_every_topic_of_the_demo() {
     let Some(mut rclpy) = Rclpy::start("planner") else { return };

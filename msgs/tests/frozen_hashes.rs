@@ -21,6 +21,10 @@ fn hashes_are_frozen() {
         writeln!(table, "{name} {hash}").unwrap();
     }
     insta::assert_snapshot!(table, @"
+    action_msgs/msg/GoalInfo RIHS01_6398fe763154554353930716b225947f93b672f0fb2e49fdd01bb7a7e37933e9
+    action_msgs/srv/CancelGoal RIHS01_573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a
+    action_msgs/srv/CancelGoal_Request RIHS01_3d3c84653c1f96918086887e1dcb236faec88b81a5b14fd4cf4840065bcdf8af
+    action_msgs/srv/CancelGoal_Response RIHS01_35e682cf3f510e83c70a82a4aac888496dedee56773bf9d8e5e0aa81f9e1c960
     builtin_interfaces/msg/Duration RIHS01_e8d009f659816f758b75334ee1a9ca5b5c0b859843261f14c7f937349599d93b
     builtin_interfaces/msg/Time RIHS01_b106235e25a4c5ed35098aa0a61a3ee9c9b18d197f398b0e4206cea9acf9c197
     dermis_msgs/msg/BodyContact RIHS01_9c707516983cefb8a7e14982e531a492d09a1125df387de9a1b809ec51e9aa61
@@ -49,6 +53,8 @@ fn hashes_are_frozen() {
     geometry_msgs/msg/Quaternion RIHS01_8a765f66778c8ff7c8ab94afcc590a2ed5325a1d9a076ffff38fbce36f458684
     geometry_msgs/msg/Transform RIHS01_beb83fbe698636351461f6f35d1abb20010c43d55374d81bd041f1ba2581fddc
     geometry_msgs/msg/TransformStamped RIHS01_0a241f87d04668d94099cbb5ba11691d5ad32c2f29682e4eb5653424bd275206
+    geometry_msgs/msg/Twist RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a
+    geometry_msgs/msg/TwistStamped RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64
     geometry_msgs/msg/Vector3 RIHS01_cc12fe83e4c02719f1ce8070bfd14aecd40f75a96696a67a2a1f37f7dbb0765d
     geometry_msgs/msg/Vector3Stamped RIHS01_d4829622288cbb443886e7ea94ea5671a3b1be6bab4ad04224432a65f7d7887a
     geometry_msgs/msg/Wrench RIHS01_018e8519d57c16adbe97c9fe1460ef21fec7e31bc541de3d653a35895677ce52
@@ -123,6 +129,7 @@ fn hashes_are_frozen() {
     std_srvs/srv/Trigger_Request RIHS01_d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199
     std_srvs/srv/Trigger_Response RIHS01_2d946c21e2fc3f1e9ca6986a8191d85fcc70097a8bb7771a053564bc47009cdf
     tf2_msgs/msg/TFMessage RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087
+    unique_identifier_msgs/msg/UUID RIHS01_1b8e8aca958cbea28fe6ef60bf6c19b683c97a9ef60bb34752067d0f2f7ab437
     visualization_msgs/msg/Marker RIHS01_45b13ccf791f225962bf74e746f9644518855d783a6f42ba0cc14fde2b4f3ce0
     visualization_msgs/msg/MarkerArray RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf
     visualization_msgs/msg/MeshFile RIHS01_7710ece15a148fb7c9b546364cfb215bb06098087bd6394fe5b73a493508f8c4

@@ -15,6 +15,8 @@ use crate::test::{ROS_IN_PROGRAM, WITH_ROS, build_aside};
 pub enum Name {
     /// Bytes on a line → message at a subscriber in another process, against rclpy and ONNX Runtime.
     Node,
+    /// First pressed frame → stop message at another process, against a subscriber of rclpy.
+    Reflex,
     /// Samples per second of the forward model, against numpy and scipy.
     Model,
     /// Factor and loads of a shell, against CHOLMOD and CalculiX, and samples per second of its forward model.
@@ -49,7 +51,16 @@ const PROGRAMS: [&str; 3] = ["dermis", "dermis-train", "dermis-bench"];
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let names = match options.names.as_slice() {
         [] => {
-            vec![Name::Model, Name::Shell, Name::Ert, Name::Node, Name::Limb, Name::Publish, Name::Recording]
+            vec![
+                Name::Model,
+                Name::Shell,
+                Name::Ert,
+                Name::Node,
+                Name::Reflex,
+                Name::Limb,
+                Name::Publish,
+                Name::Recording,
+            ]
         }
         names => names.to_vec(),
     };
@@ -66,21 +77,22 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         let value = name.to_possible_value();
         let text = value.as_ref().map_or("", |v| v.get_name());
         let mut command = Command::new(programs.join("dermis-bench"));
-        if name == Name::Node {
+        if matches!(name, Name::Node | Name::Reflex) {
             let aside = build_aside(&programs, &PROGRAMS, || {
                 let mut c = cargo(root);
                 let mut features = ROS_IN_PROGRAM.map(str::to_owned);
                 features[1].push_str(",dermis-benches/ros2");
                 execute(c.args(["build", "--release", "--bins"]).args(features).envs(ros.variables()))
             })?;
-            // The interpreter lies in `bin` of its environment.
-            let venv = clients.ancestors().nth(2).unwrap_or(root);
-            let packages = environment::site_packages(venv)?;
             command = Command::new(aside.join("dermis-bench"));
-            command.envs(ros.variables()).arg("node");
+            command.envs(ros.variables()).arg(text);
             command.arg("--programs").arg(&programs).arg("--ros-programs").arg(&aside);
             command.arg("--ros-python").arg(&ros.variables()["DERMIS_ROS_PYTHON"]);
-            command.arg("--peer-packages").arg(packages);
+            if name == Name::Node {
+                // The interpreter lies in `bin` of its environment.
+                let venv = clients.ancestors().nth(2).unwrap_or(root);
+                command.arg("--peer-packages").arg(environment::site_packages(venv)?);
+            }
         } else {
             command.arg(text);
             if name == Name::Limb {

@@ -11,7 +11,8 @@
 //! - Messages carry neither the time nor the number that their publisher gave them (r2r 0.9 takes them with rcl's
 //!   `rmw_message_info_t` and drops it): [`dermis_node::MessageInfo::source_ns`] and `publication` are `None`, and how many
 //!   were lost on the way is not known.
-//! - Services are those of the packages that a node itself needs: std_srvs, rcl_interfaces, lifecycle_msgs and ours.
+//! - Services are those of the packages that a node itself needs: std_srvs, rcl_interfaces, lifecycle_msgs and ours; and the
+//!   cancelling of an action's goals.
 //! - A node that was killed stays in the graph until DDS gives it up (20 s with Fast DDS); its replacement reports
 //!   a second node of its name so long.
 //! - rcl reads the program's `--ros-args`, too, so that remappings `a:=b` and `b:=c` together take `a` to `c`.

@@ -40,6 +40,7 @@ macro_rules! known {
 known! {
     "std_srvs/srv/Trigger" => r2r::std_srvs::srv::Trigger::Service,
     "std_srvs/srv/SetBool" => r2r::std_srvs::srv::SetBool::Service,
+    "action_msgs/srv/CancelGoal" => r2r::action_msgs::srv::CancelGoal::Service,
     "dermis_msgs/srv/LoadModel" => r2r::dermis_msgs::srv::LoadModel::Service,
     "rcl_interfaces/srv/GetParameters" => r2r::rcl_interfaces::srv::GetParameters::Service,
     "rcl_interfaces/srv/SetParameters" => r2r::rcl_interfaces::srv::SetParameters::Service,

@@ -5,7 +5,7 @@ pub mod log_limit;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, Command, FromArgMatches};
+use clap::{ArgMatches, Args, Command, FromArgMatches};
 use dermis_node::{HirozBackend, NetworkChoice, Reach};
 use dermis_skin::Mount;
 use log_limit::LogLimit;
@@ -139,20 +139,29 @@ pub fn program(sensor: &'static dyn Sensor, name: &'static str, version: &'stati
     if let Some(code) = dermis_inference::trial::serve() {
         return code;
     }
-    dermis_io::pipe::end_quietly();
     dermis_skin::register(sensor);
-    let options =
-        Arguments::augment_args(Command::new(name).version(version).about(sensor.about())).get_matches();
+    let command = Command::new(name).version(version).about(sensor.about());
+    node_program(Arguments::augment_args(command), |options| {
+        let config = Arguments::from_arg_matches(options)?.into_config()?;
+        let runtime = tokio::runtime::Runtime::new()?;
+        Ok(runtime.block_on(crate::run(sensor, &config, &HirozBackend::default()))?)
+    })
+}
+
+/// The frame of a program that is one node: options, log, and one sentence where `run` fails.
+#[must_use]
+pub fn node_program(
+    command: Command,
+    run: impl FnOnce(&ArgMatches) -> Result<(), Box<dyn std::error::Error>>,
+) -> ExitCode {
+    dermis_io::pipe::end_quietly();
+    let name = command.get_name().to_owned();
+    let options = command.get_matches();
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into());
     let limit = LogLimit::default();
     let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
     tracing_subscriber::registry().with(filter).with(limit.clone()).with(lines).init();
-    let run = || -> Result<(), Box<dyn std::error::Error>> {
-        let config = Arguments::from_arg_matches(&options)?.into_config()?;
-        let runtime = tokio::runtime::Runtime::new()?;
-        Ok(runtime.block_on(crate::run(sensor, &config, &HirozBackend::default()))?)
-    };
-    let done = run();
+    let done = run(&options);
     limit.finish();
     match done {
         Ok(()) => ExitCode::SUCCESS,
