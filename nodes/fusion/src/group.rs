@@ -138,11 +138,17 @@ impl Tracks {
     /// The track of each detection, none twice; `None` where it is a new contact.
     fn associate(&mut self, report: &Report, s: &Settings) -> Vec<Option<usize>> {
         let detections = &report.detections;
+        let owner = |d: &Detection| {
+            self.tracks.iter().position(|t| d.track != 0 && t.is_felt_as(report.skin, d.track))
+        };
+        let owners: Vec<Option<usize>> = detections.iter().map(owner).collect();
         let mut pairs: Vec<(usize, usize, f64)> = Vec::new();
         for (t, track) in self.tracks.iter_mut().enumerate() {
             for (d, detection) in detections.iter().enumerate() {
                 if let Some(cost) = pair(track, detection, report, s) {
-                    pairs.push((d, t, cost));
+                    // It is another track's by what the skin says.
+                    let elsewhere = if owners[d].is_some_and(|owner| owner != t) { SWITCH } else { 0.0 };
+                    pairs.push((d, t, cost + elsewhere));
                 }
             }
         }
@@ -155,7 +161,7 @@ impl Tracks {
             let mut costs: HashMap<(usize, usize), f64> = HashMap::new();
             costs.extend(pairs.iter().map(|(d, t, cost)| ((*d, *t), *cost)));
             // Each detection may begin a track instead.
-            let none = s.gate + CONTRADICTION;
+            let none = s.gate + CONTRADICTION + 2.0 * SWITCH;
             let cost = |r: usize, c: usize| match columns.get(c) {
                 Some(t) => costs.get(&(rows[r], *t)).copied().unwrap_or(f64::INFINITY),
                 None if c - columns.len() == r => none,
@@ -233,7 +239,9 @@ fn pair(track: &mut Track, detection: &Detection, report: &Report, s: &Settings)
         Some(_) if !same => SWITCH,
         _ => 0.0,
     };
-    (distance <= track.gate(report.skin, s)).then_some(distance + spread + penalty)
+    // What was felt once may be noise.
+    let doubt = if track.hits < s.births { SWITCH } else { 0.0 };
+    (distance <= track.gate(report.skin, s)).then_some(distance + spread + penalty + doubt)
 }
 
 /// Detections and tracks that have pairs with one another, each set for itself.
