@@ -56,6 +56,8 @@ pub struct BodyTouch {
     pub link: usize,
     /// Skins that feel it and what they call it, the most certain first.
     pub skins: Vec<(usize, u32)>,
+    /// Its link in the body frame; NaN where joint positions are not known.
+    pub body_from_link: Isometry3<f64>,
     /// Contact frame in the body frame, z along the outward normal; NaN where joint positions or the place are not known.
     pub body_from_contact: Isometry3<f64>,
     /// \[m/s\] over its link, in the frame of the link; NaN where not known.
@@ -319,7 +321,6 @@ impl Fuser {
             }
         }
         self.mark_own(&mut contacts);
-        let base = self.robot.base;
         let loads: Vec<LinkLoad> =
             self.links.iter().map(|link| load(*link, &self.robot, &skins, &contacts, &poses)).collect();
         let mut net = Wrench::zero();
@@ -335,7 +336,6 @@ impl Fuser {
                 }
             }
         }
-        debug_assert!(base < self.robot.body.links().len());
         let (status, text) = self.verdict(&skins, &joints);
         BodyState { stamp, status, text, skins, contacts, links: loads, net, torques, joints }
     }
@@ -408,8 +408,10 @@ fn place(
             nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
         });
     let link_from_contact = Isometry3::from_parts(contact.position.into(), along);
+    let body_from_link = poses.between(robot.base, link);
     Some(BodyTouch {
-        body_from_contact: poses.between(robot.base, link) * link_from_contact,
+        body_from_contact: body_from_link * link_from_contact,
+        body_from_link,
         link,
         skins: track.sources.iter().map(|s| (s.skin, s.track)).collect(),
         velocity: turn * velocity,

@@ -78,6 +78,60 @@ pub struct SettingError {
     pub most: f64,
 }
 
+/// One number of the settings.
+pub(crate) struct Field {
+    pub name: &'static str,
+    /// One sentence with the unit, for people who list parameters.
+    pub about: &'static str,
+    pub least: f64,
+    pub most: f64,
+    pub get: fn(&Settings) -> f64,
+    pub set: fn(&mut Settings, f64),
+}
+
+macro_rules! field {
+    ($name:ident, $about:literal, $least:literal, $most:literal) => {
+        Field {
+            name: stringify!($name),
+            about: $about,
+            least: $least,
+            most: $most,
+            get: |s| s.$name,
+            set: |s, v| s.$name = v,
+        }
+    };
+}
+
+/// Every number with a fraction.
+pub(crate) const FIELDS: [Field; 14] = [
+    field!(
+        gate,
+        "[1] squared distance up to which a skin's contact can belong to one of the body",
+        1.0,
+        1000.0
+    ),
+    field!(
+        slide_speed,
+        "[m/s] standard deviation of a contact's velocity over its link, each axis",
+        1e-6,
+        100.0
+    ),
+    field!(slide_time, "[s] in which a contact forgets its velocity", 1e-3, 1e3),
+    field!(force_change, "[N/sqrt(s)] intensity of the random walk of each force component", 1e-6, 1e6),
+    field!(mount_deviation, "[m] standard deviation of a skin's place on its link", 0.0, 1.0),
+    field!(systematic_share, "[1] share of a skin's covariance that stays while a contact lasts", 0.0, 0.99),
+    field!(gain_deviation, "[1] relative standard deviation of the gain of a skin's force", 0.0, 10.0),
+    field!(unknown_position_deviation, "[m] of positions that a skin gives no covariance for", 1e-5, 1.0),
+    field!(unknown_force_deviation, "[N] of forces that a skin gives no covariance for", 1e-5, 1e5),
+    field!(hold, "[s] for which a contact that no report feels stays, at least", 0.0, 60.0),
+    field!(reorder, "[s] by which a report may be older than its neighbours' newest", 0.0, 1.0),
+    field!(oldest, "[s] of age at which a report is refused", 0.01, 3600.0),
+    field!(ahead, "[s] by which a stamp may lie ahead of the clock here", 0.0, 3600.0),
+    field!(most_reports, "[Hz] of one skin above which reports are dropped", 1.0, 1e6),
+];
+/// Least and largest number of [`births`](Settings::births).
+pub(crate) const BIRTHS: (u32, u32) = (1, 1000);
+
 impl Settings {
     /// Whether every number can be.
     ///
@@ -85,26 +139,16 @@ impl Settings {
     ///
     /// The first that cannot.
     pub fn check(&self) -> Result<(), SettingError> {
-        for (name, value, least, most) in [
-            ("gate", self.gate, 1.0, 1000.0),
-            ("slide_speed", self.slide_speed, 1e-6, 100.0),
-            ("slide_time", self.slide_time, 1e-3, 1e3),
-            ("force_change", self.force_change, 1e-6, 1e6),
-            ("mount_deviation", self.mount_deviation, 0.0, 1.0),
-            ("systematic_share", self.systematic_share, 0.0, 0.99),
-            ("gain_deviation", self.gain_deviation, 0.0, 10.0),
-            ("unknown_position_deviation", self.unknown_position_deviation, 1e-5, 1.0),
-            ("unknown_force_deviation", self.unknown_force_deviation, 1e-5, 1e5),
-            ("births", f64::from(self.births), 1.0, 1000.0),
-            ("hold", self.hold, 0.0, 60.0),
-            ("reorder", self.reorder, 0.0, 1.0),
-            ("oldest", self.oldest, 0.01, 3600.0),
-            ("ahead", self.ahead, 0.0, 3600.0),
-            ("most_reports", self.most_reports, 1.0, 1e6),
-        ] {
+        for Field { name, least, most, get, .. } in FIELDS {
+            let value = get(self);
             if !(least..=most).contains(&value) {
                 return Err(SettingError { name, value, least, most });
             }
+        }
+        let (least, most) = BIRTHS;
+        if !(least..=most).contains(&self.births) {
+            let [value, least, most] = [self.births, least, most].map(f64::from);
+            return Err(SettingError { name: "births", value, least, most });
         }
         Ok(())
     }

@@ -27,8 +27,11 @@ fn on_chest(touch: &BodyTouch) -> Vector3<f64> {
     touch.body_from_contact.translation.vector - Vector3::new(0.0, 0.0, 0.3)
 }
 
+/// Index of a touch, and the error of its contact's position with that contact.
+type Error = (usize, Option<(Vector3<f64>, BodyTouch)>);
+
 /// Error of the position of each touch, in the order of the truth; `None` where nothing is within 20 mm.
-fn errors(moment: &Moment<'_>) -> Vec<(usize, Option<(Vector3<f64>, BodyTouch)>)> {
+fn errors(moment: &Moment<'_>) -> Vec<Error> {
     let found = &moment.state.contacts;
     let distance = |t: usize, f: usize| (on_chest(&found[f]) - moment.truth[t].1.position).norm();
     let assigned = assign(moment.truth.len(), found.len(), distance);
