@@ -31,6 +31,9 @@ pub struct Arguments {
     /// Coordinate frames to publish: `off`, `skins`, or `robot` (every link, as robot_state_publisher does).
     #[arg(long, value_enum)]
     transforms: Option<Transforms>,
+    /// Take joints that no joint state tells of for resting at 0: for demonstrations, and joints without encoders.
+    #[arg(long)]
+    assume_rest: bool,
     /// Node name.
     #[arg(long)]
     name: Option<String>,
@@ -61,6 +64,7 @@ impl Arguments {
         }
         config.rate = self.rate.unwrap_or(config.rate);
         config.transforms = self.transforms.unwrap_or(config.transforms);
+        config.assume_rest |= self.assume_rest;
         config.name = self.name.unwrap_or(config.name);
         config.namespace = self.namespace.unwrap_or(config.namespace);
         config.remap.extend(self.remap);

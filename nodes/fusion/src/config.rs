@@ -4,6 +4,7 @@
 //! robot = "humanoid.toml"      # relative to this file
 //! rate = 0.0                   # [Hz] of answers; 0: one for each report, 1,000 a second at most
 //! transforms = "skins"         # on /tf: `off`, `skins` (their frames), `robot` (links, too)
+//! assume_rest = false          # whether joints that no joint state tells of are taken for resting at 0
 //!
 //! [[expected]]                 # a support or a tool: its force does not count
 //! name = "backpack"
@@ -55,6 +56,9 @@ pub struct Config {
     /// Which coordinate frames are published.
     #[serde(default)]
     pub transforms: Transforms,
+    /// Whether joints that no joint state tells of are taken for resting at 0.
+    #[serde(default)]
+    pub assume_rest: bool,
     /// Supports and tools.
     #[serde(default)]
     pub expected: Vec<Expected>,
@@ -137,6 +141,7 @@ impl Config {
             robot: robot.into(),
             rate: 0.0,
             transforms: Transforms::default(),
+            assume_rest: false,
             expected: Vec::new(),
             self_contact: Vec::new(),
             settings: Settings::default(),

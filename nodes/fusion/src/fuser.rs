@@ -3,7 +3,7 @@
 //! [`Fuser`] takes messages as they come and answers with a [`BodyState`] whenever it is asked. It opens nothing and reads no clock: whoever
 //! calls it says what time it is.
 
-use dermis_body::{HistoryLimits, JointHistory, JointsAt, Poses, Refused, Robot, Wrench};
+use dermis_body::{HistoryLimits, JointHistory, JointKind, JointsAt, Poses, Refused, Robot, Wrench};
 use dermis_msgs::msg::ContactArray;
 use dermis_skin::{Contact, ForceComponents, Stamp};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
@@ -138,6 +138,8 @@ pub struct Fuser {
     joints: JointHistory,
     /// Whether any joint state has come.
     joints_came: bool,
+    /// Position of each joint that no state tells, where one is assumed.
+    rest: Option<Vec<f64>>,
     /// Links with skins.
     links: Vec<usize>,
     newest: Option<Stamp>,
@@ -189,6 +191,7 @@ impl Fuser {
             identities: Identities::default(),
             joints,
             joints_came: false,
+            rest: None,
             links,
             newest: None,
             answered: None,
@@ -266,10 +269,32 @@ impl Fuser {
         Ok(())
     }
 
+    /// Takes joints that no state has told of for resting at 0, or at the limit next to it.
+    pub fn assume_rest(&mut self) {
+        let rest = |joint: &dermis_body::Joint| {
+            joint
+                .limits
+                .filter(|l| l.lower <= l.upper && joint.kind != JointKind::Continuous)
+                .map_or(0.0, |l| 0.0_f64.clamp(l.lower, l.upper))
+        };
+        self.rest = Some(self.robot.body.coordinates().map(rest).collect());
+        self.joints_came = true;
+    }
+
     /// Joint positions at an instant.
     #[must_use]
     pub fn joints_at(&self, stamp: Stamp) -> JointsAt {
-        self.joints.at(stamp)
+        let mut joints = self.joints.at(stamp);
+        if let Some(rest) = &self.rest {
+            joints.missing.retain(|m| m.behind.is_some());
+            let names = self.robot.body.coordinates().map(|joint| &joint.name);
+            for ((position, rest), name) in joints.positions.iter_mut().zip(rest).zip(names) {
+                if position.is_nan() && !joints.missing.iter().any(|m| m.joint == *name) {
+                    *position = *rest;
+                }
+            }
+        }
+        joints
     }
 
     /// Forgets every contact and joint state: the clock jumped back.
@@ -312,7 +337,7 @@ impl Fuser {
         let skins = self.watch(now);
         let stamp = self.instant(now);
         self.answered = Some(stamp);
-        let joints = self.joints.at(stamp);
+        let joints = self.joints_at(stamp);
         let poses = self.robot.body.poses(&joints.positions);
         let mut contacts = Vec::new();
         for group in &mut self.groups {

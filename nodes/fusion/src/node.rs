@@ -4,6 +4,7 @@
 //! rate, and every 0.1 s in any case: silence of this node is never to be taken for "no touch". What nobody listens to is not made.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -147,8 +148,11 @@ impl FusionNode {
             return Err(RunError::Rate { rate: config.rate });
         }
         let limits = config.joint_states;
-        let fuser =
+        let mut fuser =
             Fuser::new(robot.clone(), config.settings, limits, &config.expected, &config.self_contact)?;
+        if config.assume_rest {
+            fuser.assume_rest();
+        }
         let node = Node::open(options(config)?, backend)?;
         declare(&node, config)?;
         let publishers = Publishers::new(&node, &robot, config.transforms)?;
@@ -271,9 +275,9 @@ impl Publishers {
     fn new(node: &Node, robot: &Robot, transforms: Transforms) -> Result<Self, NodeError> {
         let mut links = BTreeMap::new();
         for skin in &robot.skins {
-            if !links.contains_key(&skin.link) {
+            if let Entry::Vacant(place) = links.entry(skin.link) {
                 let topic = format!("links/{}/wrench", topic_part(&robot.body.links()[skin.link]));
-                links.insert(skin.link, node.stream_publisher(&topic, KEPT)?);
+                place.insert(node.stream_publisher(&topic, KEPT)?);
             }
         }
         let (fixed, moving) = (transforms != Transforms::Off, transforms == Transforms::Robot);
@@ -521,3 +525,6 @@ impl Shared {
         status
     }
 }
+
+#[cfg(test)]
+mod tests;

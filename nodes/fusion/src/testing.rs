@@ -1,5 +1,7 @@
 //! Simulated robots, touches and skins, for tests.
 
+use std::path::{Path, PathBuf};
+
 use dermis_body::{HistoryLimits, Robot};
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::msg::{Contact as ContactMsg, ContactArray};
@@ -20,6 +22,12 @@ pub(crate) const BEGIN: Stamp = 1_700_000_000_000_000_000;
 
 /// Chest with two skins that overlap, and an upper arm on a joint about z through (0, 0, 0.5), with one skin.
 pub(crate) fn robot() -> Robot {
+    let folder = tempfile::tempdir().unwrap();
+    Robot::load(write_robot(folder.path())).unwrap()
+}
+
+/// Writes the files of [`robot`] into a folder; the path of the robot file.
+pub(crate) fn write_robot(folder: &Path) -> PathBuf {
     let urdf = r#"<robot name="r"><link name="base"/><link name="chest"/><link name="plate"/><link name="arm"/>
         <joint name="neck" type="fixed"><parent link="base"/><child link="chest"/><origin xyz="0 0 0.3"/></joint>
         <joint name="screw" type="fixed"><parent link="chest"/><child link="plate"/><origin xyz="0.1 0 0" rpy="0 0 0.5"/></joint>
@@ -39,9 +47,10 @@ pub(crate) fn robot() -> Robot {
         name = "c"
         mount = { parent = "arm", translation = [0.3, 0.0, 0.0], rpy = [0.0, 0.0, 0.0] }
     "#;
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("r.urdf"), urdf).unwrap();
-    Robot::from_toml(text, &folder.path().join("r.toml")).unwrap()
+    std::fs::write(folder.join("r.urdf"), urdf).unwrap();
+    let file = folder.join("r.toml");
+    std::fs::write(&file, text).unwrap();
+    file
 }
 
 pub(crate) fn fuser(settings: Settings) -> Fuser {

@@ -360,6 +360,28 @@ fn without_joint_states_contacts_are_known_on_their_link_only() {
     );
 }
 
+#[test]
+fn joints_that_nobody_tells_of_can_be_taken_for_resting() {
+    let mut fuser = fuser(Settings::default());
+    fuser.assume_rest();
+    let mut ask = |k: u64| {
+        let stamp = BEGIN + k as i64 * 10 * MS;
+        fuser.take(2, &report("c", k, stamp, &[contact(1, 0.05, 0.0, 10.0)]), None, stamp);
+        if k == 3 {
+            fuser.take_joints(stamp, &["shoulder".to_owned()], &[std::f64::consts::FRAC_PI_2]).unwrap();
+        }
+        fuser.state(stamp)
+    };
+    ask(1);
+    let state = ask(2);
+    let place = |state: &BodyState| state.contacts[0].body_from_contact.translation.vector;
+    assert!((place(&state) - Vector3::new(0.35, 0.0, 0.5)).norm() < 1e-9);
+    assert!(!state.text.contains("shoulder") && state.torques.len() == 1, "{}", state.text);
+    assert!((place(&ask(3)) - Vector3::new(0.0, 0.35, 0.5)).norm() < 1e-9, "what comes counts");
+    // Once it has come, its silence is a fault.
+    assert!(ask(40).text.contains("shoulder"));
+}
+
 /// A silent robot is no untouched robot.
 #[test]
 fn what_no_skin_feels_is_not_untouched() {
