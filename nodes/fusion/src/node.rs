@@ -185,7 +185,7 @@ impl FusionNode {
         let period = if shared.eager { HEARTBEAT } else { Duration::from_secs_f64(1.0 / config.rate) };
         let timer = node.timer(period.min(HEARTBEAT), move || {
             if let Some(shared) = ticking.upgrade() {
-                shared.tick(period);
+                shared.tick();
             }
         });
         let running = Self { shared, _subscriptions: subscriptions, _timer: timer };
@@ -405,15 +405,15 @@ impl Shared {
         }
     }
 
-    /// Answers where the last answer is a period ago.
-    fn tick(&self, period: Duration) {
+    /// Answers at the configured rate, or where no report did.
+    fn tick(&self) {
         // With simulated time there is none before the first message of the clock.
         if !self.active.load(Ordering::Acquire) || self.node.clock().now() == 0 {
             return;
         }
         let mut core = self.lock();
-        // A timer ticks a little early or late.
-        if core.answered.is_none_or(|at| at.elapsed() * 10 >= period * 9) {
+        // Where reports are answered, only their silence needs an answer; a timer ticks a little early or late.
+        if !self.eager || core.answered.is_none_or(|at| at.elapsed() * 10 >= HEARTBEAT * 9) {
             self.answer(&mut core);
         }
     }
@@ -507,6 +507,7 @@ impl Shared {
         let refused = core.joints_refused.as_ref().filter(|(_, at)| at.elapsed() < Duration::from_secs(1));
         if let Some((text, _)) = refused {
             status.worsen(Level::Warn, text);
+            status.value("refused joint state", text);
         }
         let (answers, delay) = std::mem::take(&mut core.answers);
         status.value("contacts", state.contacts.len());

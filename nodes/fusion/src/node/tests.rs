@@ -134,10 +134,10 @@ fn links_move_with_the_joints() {
     let deadline = Instant::now() + WAIT;
     loop {
         let all = bench.fusion.node().diagnostics().collect();
-        if all.iter().any(|(_, s)| {
-            s.message.contains("the joint state of \"shoulder\" is NaN")
-                || s.message.contains("nothing has come")
-        }) {
+        let named = |(key, text): &(String, String)| {
+            key == "refused joint state" && text.starts_with("the joint state of \"shoulder\" is NaN")
+        };
+        if all.iter().any(|(_, status)| status.values.iter().any(named)) {
             break;
         }
         assert!(Instant::now() < deadline, "{all:?}");
