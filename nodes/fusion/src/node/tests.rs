@@ -5,7 +5,7 @@ mod memory;
 
 use std::sync::mpsc::{Receiver, channel};
 
-use dermis_node::{ParameterValue, State};
+use dermis_node::{Level, ParameterValue, State};
 
 use super::*;
 use crate::testing::{contact, report, write_robot};
