@@ -25,6 +25,7 @@ mod doctor;
 mod effects;
 mod evaluate;
 mod export;
+mod fusion;
 mod gap;
 mod interrupt;
 mod launch;
@@ -77,6 +78,8 @@ enum Command {
     Node(nodes::Node),
     /// Act on touch: stop or slow a robot by rules on its contacts, and on the loss of its senses.
     Reflex(reflex::Options),
+    /// Merge the contacts of all skins of a robot into one list for its body, with wrenches and joint torques.
+    Fusion(Box<fusion::Options>),
     /// Start what a launch file names, keep it running, and gather what it says.
     Launch(launch::Options),
     #[command(name = launch::GUARD, hide = true)]
@@ -162,7 +165,10 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
     registry::choose(sensors);
     let cli = Cli::parse();
     let level = match cli.command {
-        Command::Node(_) | Command::Reflex(_) | Command::Bridge(_) | Command::Device(_) => "info",
+        Command::Node(_)
+        | Command::Reflex(_)
+        | Command::Fusion(_)
+        | Command::Bridge(_) | Command::Device(_) => "info",
         _ => "warn",
     };
     let format = match log::Format::choose(cli.log_format) {
@@ -177,6 +183,7 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Command::Demo(options) => demo::run(&options),
         Command::Node(node) => block_on(nodes::run(node)),
         Command::Reflex(options) => block_on(reflex::run(options)),
+        Command::Fusion(options) => block_on(fusion::run(*options)),
         Command::Watch(options) => block_on(watch::run(options)),
         Command::Bridge(options) => block_on(bridge::run(options)),
         Command::Device(device) => device::run(&device),

@@ -11,11 +11,9 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use pathfinding::matrix::Matrix;
-use pathfinding::prelude::kuhn_munkres_min;
 use serde::{Deserialize, Serialize};
 
-use dermis_skin::{Contact, ForceComponents};
+use dermis_skin::{Contact, ForceComponents, assign};
 use nalgebra::Point3;
 
 use crate::dataset::{SampleId, Truth, TruthContact};
@@ -443,40 +441,6 @@ impl Scores {
         (self.untouched > 0).then(|| self.false_contacts as f64 / self.untouched as f64)
     }
 }
-
-/// Which of so many found contacts (columns) belongs to each of so many true ones (rows), none twice: the assignment whose distances
-/// \[m\] add up to least (linear sum assignment by the Hungarian method, Kuhn 1955).
-pub(crate) fn assign(
-    rows: usize,
-    columns: usize,
-    distance: impl Fn(usize, usize) -> f64,
-) -> Vec<Option<usize>> {
-    // The method adds weights up exactly: whole picometres, and what is no number is as far as can be.
-    let weight = |t: usize, f: usize| {
-        let picometres = distance(t, f) * 1e12;
-        if picometres < FARTHEST as f64 { picometres as i64 } else { FARTHEST }
-    };
-    let mut assigned = vec![None; rows];
-    if rows == 0 || columns == 0 {
-        return assigned;
-    }
-    // Every row gets a column: the shorter side has to be the rows.
-    if rows <= columns {
-        let weights = Matrix::from_fn(rows, columns, |(t, f)| weight(t, f));
-        for (t, f) in kuhn_munkres_min(&weights).1.into_iter().enumerate() {
-            assigned[t] = Some(f);
-        }
-    } else {
-        let weights = Matrix::from_fn(columns, rows, |(f, t)| weight(t, f));
-        for (f, t) in kuhn_munkres_min(&weights).1.into_iter().enumerate() {
-            assigned[t] = Some(f);
-        }
-    }
-    assigned
-}
-
-/// \[pm\] Largest distance between two contacts that counts: 10 km, of which sums cannot overflow.
-const FARTHEST: i64 = 10_000_000_000_000_000;
 
 #[cfg(test)]
 mod tests;

@@ -192,6 +192,18 @@ impl<T: Message> Publisher<T> {
         self.raw.publish_cdr(payload)
     }
 
+    /// Publishes what `make` gives if somebody listens. What the network refuses is logged, and lost.
+    pub fn offer(&self, make: impl FnOnce() -> Option<T>) {
+        if self.subscriber_count() == 0 {
+            return;
+        }
+        if let Some(message) = make()
+            && let Err(error) = self.publish(&message)
+        {
+            tracing::debug!("{error}");
+        }
+    }
+
     /// How many subscriptions would get a message now; see [`RawPublisher::subscriber_count`].
     #[must_use]
     pub fn subscriber_count(&self) -> usize {

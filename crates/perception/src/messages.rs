@@ -6,7 +6,7 @@ use dermis_msgs::geometry_msgs::msg::{
 };
 use dermis_msgs::msg::ContactArray;
 use dermis_msgs::sensor_msgs::msg::{PointCloud2, PointField};
-use dermis_msgs::std_msgs::msg::ColorRGBA;
+use dermis_msgs::std_msgs::msg::{ColorRGBA, Header};
 use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::visualization_msgs::msg::{Marker, MarkerArray};
 use dermis_skin::{Contact, Estimate, ForceComponents, Frame, SkinDescription, Stamp, contact_array};
@@ -88,6 +88,12 @@ pub fn wrench_message(skin: &SkinDescription, stamp: Stamp, contacts: &[Contact]
 /// intensity.
 #[must_use]
 pub fn points_message(skin: &SkinDescription, stamp: Stamp, contacts: &[Contact]) -> PointCloud2 {
+    points_in(skin.header(stamp), contacts)
+}
+
+/// The same for contacts in the coordinate frame of a header.
+#[must_use]
+pub fn points_in(header: Header, contacts: &[Contact]) -> PointCloud2 {
     let placed: Vec<&Contact> =
         contacts.iter().filter(|c| c.position.iter().all(|v| v.is_finite())).collect();
     let mut data = Vec::with_capacity(placed.len() * POINT_FIELDS.len() * 4);
@@ -102,7 +108,7 @@ pub fn points_message(skin: &SkinDescription, stamp: Stamp, contacts: &[Contact]
     let step = 4 * POINT_FIELDS.len() as u32;
     let width = placed.len() as u32;
     PointCloud2 {
-        header: skin.header(stamp),
+        header,
         height: 1,
         width,
         fields: POINT_FIELDS
@@ -134,6 +140,18 @@ pub fn markers_message(
     degraded: bool,
     lifetime: f64,
 ) -> MarkerArray {
+    markers_in(&skin.header(stamp), &skin.name, contacts, degraded, lifetime)
+}
+
+/// The same for contacts in the coordinate frame of a header; `namespace` is theirs among the markers of a viewer.
+#[must_use]
+pub fn markers_in(
+    header: &Header,
+    namespace: &str,
+    contacts: &[Contact],
+    degraded: bool,
+    lifetime: f64,
+) -> MarkerArray {
     let point = |p: Point3<f64>| Point { x: p.x, y: p.y, z: p.z };
     let arrow = |contact: &Contact| {
         let magnitude = contact.force.norm();
@@ -145,8 +163,8 @@ pub fn markers_message(
         };
         let direction = if direction.iter().all(|v| v.is_finite()) { direction } else { -contact.normal };
         let mut marker = Marker {
-            header: skin.header(stamp),
-            ns: skin.name.clone(),
+            header: header.clone(),
+            ns: namespace.to_owned(),
             id: i32::from_ne_bytes(contact.track_id.to_ne_bytes()),
             r#type: Marker::ARROW,
             action: Marker::ADD,
@@ -179,25 +197,37 @@ pub fn transform_message(
     translation: [f64; 3],
     rotation: [f64; 4],
 ) -> TFMessage {
+    TFMessage { transforms: vec![transform_in(stamp, parent, &skin.frame_id, translation, rotation)] }
+}
+
+/// The pose of the coordinate frame `child` in `parent`.
+#[must_use]
+pub fn transform_in(
+    stamp: Stamp,
+    parent: &str,
+    child: &str,
+    translation: [f64; 3],
+    rotation: [f64; 4],
+) -> TransformStamped {
     let [x, y, z] = translation;
-    let mut header = skin.header(stamp);
-    let child_frame_id = std::mem::replace(&mut header.frame_id, parent.to_owned());
     let transform = Transform {
         translation: VectorMsg { x, y, z },
         rotation: Quaternion { x: rotation[0], y: rotation[1], z: rotation[2], w: rotation[3] },
     };
-    TFMessage { transforms: vec![TransformStamped { header, child_frame_id, transform }] }
+    TransformStamped { header: Header::new(stamp, parent), child_frame_id: child.to_owned(), transform }
 }
 
 /// Takes away all arrows.
 #[must_use]
 pub fn no_markers_message(skin: &SkinDescription, stamp: Stamp) -> MarkerArray {
-    let mut marker = Marker {
-        header: skin.header(stamp),
-        ns: skin.name.clone(),
-        action: Marker::DELETEALL,
-        ..Marker::default()
-    };
+    no_markers_in(skin.header(stamp), &skin.name)
+}
+
+/// The same for the markers of a namespace.
+#[must_use]
+pub fn no_markers_in(header: Header, namespace: &str) -> MarkerArray {
+    let mut marker =
+        Marker { header, ns: namespace.to_owned(), action: Marker::DELETEALL, ..Marker::default() };
     marker.pose.orientation.w = 1.0;
     MarkerArray { markers: vec![marker] }
 }

@@ -8,7 +8,7 @@ use dermis_msgs::geometry_msgs::msg::{Point, Pose, Quaternion, Vector3 as Vector
 use dermis_msgs::msg::{self, ContactArray, SkinGeometry, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::Image as ImageMsg;
 use dermis_msgs::std_msgs::msg::Header;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::{
     ChannelFlags, Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues, Frame, Image,
@@ -186,6 +186,28 @@ impl From<&Contact> for msg::Contact {
     }
 }
 
+impl From<&msg::Contact> for Contact {
+    fn from(c: &msg::Contact) -> Self {
+        Self {
+            track_id: c.track_id,
+            position: Point3::new(c.position.x, c.position.y, c.position.z),
+            normal: Vector3::new(c.normal.x, c.normal.y, c.normal.z),
+            force: Vector3::new(c.force.x, c.force.y, c.force.z),
+            force_components: match c.force_components {
+                msg::Contact::FORCE_NORMAL => ForceComponents::Normal,
+                msg::Contact::FORCE_FULL => ForceComponents::Full,
+                // What a newer sender may say is not known here.
+                _ => ForceComponents::None,
+            },
+            position_covariance: Matrix3::from_row_slice(&c.position_covariance),
+            force_covariance: Matrix3::from_row_slice(&c.force_covariance),
+            diameter: c.diameter,
+            confidence: c.confidence,
+            taxels: c.taxels.clone(),
+        }
+    }
+}
+
 /// An estimate as the array that planners read; status is OK and thresholds are unknown until the caller sets them.
 #[must_use]
 pub fn contact_array(skin: &SkinDescription, frame: &Frame, estimate: &Estimate) -> ContactArray {
@@ -245,6 +267,19 @@ impl DisplacementMap {
 mod tests {
     use super::*;
     use crate::testing::PAD;
+
+    #[test]
+    fn a_contact_comes_back_from_its_message() {
+        let mut contact = Contact::at(Point3::new(0.1, 0.2, 0.3), Vector3::y());
+        contact.force = Vector3::new(0.5, -2.0, 0.0);
+        contact.position_covariance = Matrix3::new(1.0, 0.2, 0.3, 0.2, 2.0, 0.4, 0.3, 0.4, 3.0);
+        contact.force_covariance = Matrix3::identity();
+        (contact.diameter, contact.track_id, contact.taxels) = (0.01, 7, vec![2, 1]);
+        for components in [ForceComponents::None, ForceComponents::Normal, ForceComponents::Full] {
+            contact.force_components = components;
+            assert_eq!(Contact::from(&msg::Contact::from(&contact)), contact);
+        }
+    }
 
     #[test]
     fn a_frame_of_other_channels_is_told_apart() {

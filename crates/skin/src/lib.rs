@@ -38,6 +38,7 @@
 //! # Ok::<(), dermis_skin::SkinError>(())
 //! ```
 
+mod assignment;
 pub mod cache;
 mod contact;
 mod convert;
@@ -59,6 +60,7 @@ mod testing;
 mod traits;
 mod zero;
 
+pub use assignment::assign;
 pub use contact::{Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues};
 pub use convert::contact_array;
 pub use description::{

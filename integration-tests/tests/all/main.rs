@@ -8,6 +8,7 @@ mod corpus;
 mod ert;
 mod examples;
 mod faults;
+mod fusion;
 mod gap;
 mod gap_check;
 mod gap_faults;

@@ -13,11 +13,11 @@
 use std::collections::BTreeMap;
 
 use dermis_inversion::{ForcePeak, ForcePeakFinder};
-use dermis_skin::Surface;
+use dermis_skin::{Surface, assign};
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
-use super::{assign, median};
+use super::median;
 use crate::dataset::Truth;
 use crate::evaluate::centre;
 

@@ -104,18 +104,6 @@ pub(super) fn transforms(
     }
 }
 
-/// Publishes what `make` gives if somebody listens.
-pub(super) fn send<T: dermis_msgs::Message>(publisher: &Publisher<T>, make: impl FnOnce() -> Option<T>) {
-    if publisher.subscriber_count() == 0 {
-        return;
-    }
-    if let Some(message) = make()
-        && let Err(error) = publisher.publish(&message)
-    {
-        tracing::debug!("{error}");
-    }
-}
-
 /// What is done on that thread.
 pub(super) type Job = Box<dyn FnOnce() -> Result<(), NodeError> + Send>;
 
@@ -165,22 +153,22 @@ impl Shared {
         let Core { estimator, publishers, .. } = core;
         let contacts = &estimate.contacts;
         let quality = estimator.verdict().quality;
-        send(&publishers.taxels, || Some(skin.frame_message(&estimator.conditioned().reading)));
-        send(&publishers.contacts, || Some(contacts_message(skin, estimator, frame, estimate)));
+        publishers.taxels.offer(|| Some(skin.frame_message(&estimator.conditioned().reading)));
+        publishers.contacts.offer(|| Some(contacts_message(skin, estimator, frame, estimate)));
         if let Some(publisher) = &publishers.force_map {
-            send(publisher, || estimate.force_map.as_ref().map(|map| map.to_message(skin, frame)));
+            publisher.offer(|| estimate.force_map.as_ref().map(|map| map.to_message(skin, frame)));
         }
         if let Some(publisher) = &publishers.displacement_map {
-            send(publisher, || estimate.displacement_map.as_ref().map(|map| map.to_message(skin, frame)));
+            publisher.offer(|| estimate.displacement_map.as_ref().map(|map| map.to_message(skin, frame)));
         }
         if quality > Quality::Degraded {
             self.clear_arrows(core);
             return;
         }
         if estimator.gives_force() {
-            send(&publishers.wrench, || wrench_message(skin, stamp, contacts));
+            publishers.wrench.offer(|| wrench_message(skin, stamp, contacts));
         }
-        send(&publishers.points, || Some(points_message(skin, stamp, contacts)));
+        publishers.points.offer(|| Some(points_message(skin, stamp, contacts)));
         if contacts.is_empty() {
             self.clear_arrows(core);
         } else if publishers.markers_sent.is_none_or(|at| at.elapsed() >= MARKER_PERIOD) {
@@ -188,14 +176,14 @@ impl Shared {
             publishers.arrows = true;
             let lifetime = (3.0 / skin.rate).max(0.2);
             let degraded = quality == Quality::Degraded;
-            send(&publishers.markers, || Some(markers_message(skin, stamp, contacts, degraded, lifetime)));
+            publishers.markers.offer(|| Some(markers_message(skin, stamp, contacts, degraded, lifetime)));
         }
     }
 
     pub(super) fn clear_arrows(&self, core: &mut Core) {
         if std::mem::take(&mut core.publishers.arrows) {
             let stamp = self.node.clock().now();
-            send(&core.publishers.markers, || Some(no_markers_message(&self.skin, stamp)));
+            core.publishers.markers.offer(|| Some(no_markers_message(&self.skin, stamp)));
         }
     }
 }

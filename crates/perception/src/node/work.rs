@@ -16,7 +16,7 @@ use dermis_skin::{Estimate, Estimator, Frame};
 use dermis_transport::{Event, Source, SourceOptions, SourceUrl, now_ns};
 
 use super::kept_zero;
-use super::publishers::{KEPT_MAPS, send};
+use super::publishers::KEPT_MAPS;
 use super::shared::{Core, Shared, TICK};
 use crate::messages::blind_message;
 
@@ -241,9 +241,9 @@ impl<'a> Worker<'a> {
             self.last_blind = Some(Instant::now());
             let stamp = shared.node.clock().now();
             let c = &*core;
-            send(&c.publishers.contacts, || {
-                Some(blind_message(&shared.skin, &c.estimator, stamp, c.sequence, status, &text))
-            });
+            c.publishers
+                .contacts
+                .offer(|| Some(blind_message(&shared.skin, &c.estimator, stamp, c.sequence, status, &text)));
             shared.clear_arrows(core);
         }
         core.blind = Some((status, text));
@@ -310,7 +310,7 @@ impl Shared {
             frame.stamp = frame.stamp.saturating_sub(now_ns()).saturating_add(self.node.clock().now());
         }
         if let Some(publisher) = &core.publishers.image {
-            send(publisher, || self.skin.image_message(frame));
+            publisher.offer(|| self.skin.image_message(frame));
         }
         core.enabled
     }
@@ -325,7 +325,7 @@ impl Shared {
         }
         // A recording of them has every frame.
         let Core { estimator, publishers, figures, .. } = core;
-        send(&publishers.taxels, || Some(self.skin.frame_message(&estimator.conditioned().reading)));
+        publishers.taxels.offer(|| Some(self.skin.frame_message(&estimator.conditioned().reading)));
         figures.frames_total += 1;
         figures.frames += 1;
         figures.dropped += 1;

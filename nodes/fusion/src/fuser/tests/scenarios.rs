@@ -1,0 +1,220 @@
+//! Simulated touches, all seeded: how good the estimator is.
+
+use std::collections::HashMap;
+
+use dermis_skin::assign;
+
+use super::*;
+use crate::testing::{Moment, Scenario, SimSkin, Touch};
+
+/// \[s\] after which a touch has to be there: births, the slowest skin's period, its delay.
+const SETTLE: f64 = 0.1;
+
+fn scenario(touches: Vec<Touch>, duration: f64) -> Scenario {
+    Scenario {
+        seed: 7,
+        duration,
+        touches,
+        skins: vec![SimSkin::good(0), SimSkin::good(1)],
+        settings: Settings::default(),
+        moves: false,
+        rate: 100.0,
+    }
+}
+
+/// Index of a touch, and the error of its contact's position with that contact.
+type Error = (usize, Option<(Vector3<f64>, BodyTouch)>);
+
+/// Error of the position of each touch, in the order of the truth; `None` where nothing is within 20 mm.
+fn errors(moment: &Moment<'_>) -> Vec<Error> {
+    let found = &moment.state.contacts;
+    let distance = |t: usize, f: usize| (on_chest(&found[f]) - moment.truth[t].1.position).norm();
+    let assigned = assign(moment.truth.len(), found.len(), distance);
+    let each = moment.truth.iter().zip(assigned).enumerate().map(|(t, ((index, touch), f))| {
+        let near = f.filter(|f| distance(t, *f) < 0.02);
+        (*index, near.map(|f| (on_chest(&found[f]) - touch.position, found[f].clone())))
+    });
+    each.collect()
+}
+
+#[test]
+fn two_contacts_30_mm_apart_stay_two() {
+    let touches = vec![Touch::resting(0.0, 60.0, 0.0, 0.0, 3.0), Touch::resting(0.0, 60.0, 0.03, 0.0, 5.0)];
+    let mut scenario = scenario(touches, 30.0);
+    // Coarse skins, and each with a bias of its own.
+    scenario.skins.iter_mut().for_each(|s| s.position = 3e-3);
+    let mut ids: Option<Vec<u32>> = None;
+    scenario.run(|moment| {
+        if moment.t < SETTLE {
+            return;
+        }
+        let found = &moment.state.contacts;
+        assert_eq!(found.len(), 2, "at {} s: {found:?}", moment.t);
+        assert!(found.iter().all(|c| c.skins.len() == 2), "at {} s: {found:?}", moment.t);
+        let now: Vec<u32> =
+            errors(moment).iter().map(|(_, e)| e.as_ref().unwrap().1.contact.track_id).collect();
+        assert_eq!(*ids.get_or_insert(now.clone()), now, "at {} s", moment.t);
+    });
+    assert!(ids.is_some());
+}
+
+#[test]
+fn one_touch_of_two_skins_is_one_contact() {
+    for seed in 0..20 {
+        let mut scenario = scenario(vec![Touch::resting(0.0, 9.0, 0.01, 0.02, 4.0)], 2.0);
+        scenario.seed = seed;
+        scenario.run(|moment| {
+            if moment.t < SETTLE {
+                return;
+            }
+            let [touch] = moment.state.contacts.as_slice() else {
+                panic!("seed {seed} at {} s: {:?}", moment.t, moment.state.contacts)
+            };
+            assert_eq!(touch.skins.len(), 2);
+            // Gains of 3 %, noise of 0.1 N.
+            assert!((moment.state.net.force.z + 4.0).abs() < 0.8, "{:?}", moment.state.net);
+        });
+    }
+}
+
+/// Ten touches that slide, rest and end, skins that miss, invent and rename contacts.
+#[test]
+fn identities_switch_once_in_1000_contact_seconds_at_most() {
+    let mut touches = Vec::new();
+    for k in 0..10 {
+        let (x, y) = (f64::from(k % 5) * 0.06 - 0.12, f64::from(k / 5) * 0.06 - 0.03);
+        touches.push(Touch::resting(0.1 * f64::from(k), 101.0, x, y, 2.0 + f64::from(k)));
+    }
+    let mut scenario = scenario(touches, 100.0);
+    for skin in &mut scenario.skins {
+        (skin.miss, skin.clutter, skin.rename) = (0.02, 0.02, 0.002);
+        skin.position = 1.5e-3;
+    }
+    scenario.rate = 50.0;
+    let (mut of_touch, mut switches, mut lost, mut asked): (HashMap<usize, u32>, u32, u32, u32) =
+        Default::default();
+    let mut more = 0;
+    scenario.run(|moment| {
+        if moment.t < 1.1 + SETTLE {
+            return;
+        }
+        for (touch, error) in errors(moment) {
+            asked += 1;
+            match error {
+                Some((_, found)) => {
+                    let id = found.contact.track_id;
+                    switches += u32::from(of_touch.insert(touch, id).is_some_and(|before| before != id));
+                }
+                None => lost += 1,
+            }
+        }
+        more += moment.state.contacts.len().saturating_sub(moment.truth.len());
+    });
+    let seconds = f64::from(asked) / scenario.rate;
+    assert!(seconds > 980.0);
+    assert!(f64::from(switches) <= seconds / 1000.0, "{switches} switches in {seconds} s");
+    assert_eq!(lost, 0, "of {asked}");
+    assert!(more as f64 <= 0.001 * f64::from(asked), "{more} contacts too many in {asked}");
+}
+
+/// Bounds of the mean of a χ² variable with `n` degrees of freedom, divided by n, that 95 % of cases are within (Wilson and Hilferty
+/// 1931).
+fn band(n: f64) -> (f64, f64) {
+    let bound = |z: f64| (1.0 - 2.0 / (9.0 * n) + z * (2.0 / (9.0 * n)).sqrt()).powi(3);
+    (bound(-1.96), bound(1.96))
+}
+
+/// Normalised squared errors of touches that move as the model says, by skins whose errors stay as they are said to.
+#[test]
+fn covariances_are_honest() {
+    let (mut position, mut force, mut velocity, mut n) = (0.0, 0.0, 0.0, 0.0);
+    for seed in 0..40 {
+        let touches = (0..6)
+            .map(|k| Touch::resting(0.0, 9.0, f64::from(k % 3) * 0.2, f64::from(k / 3) * 0.2, 8.0))
+            .collect();
+        let mut scenario = scenario(touches, 0.8);
+        (scenario.seed, scenario.moves) = (100 + seed, true);
+        scenario.settings.gain_deviation = 0.02;
+        // The gain's error is that of the first force: forces must not change too much.
+        scenario.settings.force_change = 2.0;
+        scenario.rate = 20.0;
+        scenario.skins[1].position = 2e-3;
+        let last = (scenario.duration * scenario.rate) as usize - 1;
+        scenario.run(|moment| {
+            if (moment.t * 20.0).round() as usize != last {
+                return;
+            }
+            for (touch, error) in errors(moment) {
+                let (error, found) = error.unwrap();
+                let truth = &moment.truth.iter().find(|(i, _)| *i == touch).unwrap().1;
+                // All in the frame of the contact's link; chest and body have the same axes, the plate is turned.
+                let turn = match found.link {
+                    1 => nalgebra::UnitQuaternion::identity(),
+                    _ => nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, -0.5),
+                };
+                let nees = |e: Vector3<f64>, p: Matrix3<f64>| {
+                    (turn * e).dot(&(p.try_inverse().unwrap() * (turn * e)))
+                };
+                position += nees(error, found.contact.position_covariance);
+                force +=
+                    nees(turn.inverse() * found.contact.force - truth.force, found.contact.force_covariance);
+                velocity += nees(turn.inverse() * found.velocity - truth.velocity, found.velocity_covariance);
+                n += 3.0;
+            }
+        });
+    }
+    assert_eq!(n, 720.0);
+    let (low, high) = band(n);
+    for (what, sum) in [("position", position), ("force", force), ("velocity", velocity)] {
+        let mean = sum / n;
+        assert!((low..high).contains(&mean), "{what}: {mean} is not within {low}..{high}");
+    }
+}
+
+#[test]
+fn a_contact_of_five_minutes_stays() {
+    let mut scenario = scenario(vec![Touch::resting(0.0, 400.0, 0.01, 0.02, 4.0)], 300.0);
+    scenario.skins.iter_mut().for_each(|s| (s.rate, s.miss) = (20.0, 0.02));
+    scenario.rate = 10.0;
+    let mut id = None;
+    scenario.run(|moment| {
+        if moment.t < 0.3 {
+            return;
+        }
+        let [touch] = moment.state.contacts.as_slice() else {
+            panic!("at {} s: {:?}", moment.t, moment.state.contacts)
+        };
+        assert_eq!(*id.get_or_insert(touch.contact.track_id), touch.contact.track_id);
+        assert!((touch.contact.force.z + 4.0).abs() < 1.0, "at {} s: {:?}", moment.t, touch.contact.force);
+    });
+    assert!(id.is_some());
+}
+
+/// Root mean square error of the position beside that of the mean of the last readings of both skins, and of the better skin.
+#[test]
+fn it_is_better_than_an_average_and_than_the_best_skin() {
+    let (mut fused, mut average, mut best, mut n) = (0.0, 0.0, 0.0, 0.0);
+    for seed in 0..60 {
+        let mut scenario = scenario(vec![Touch::resting(0.0, 9.0, 0.01, 0.02, 4.0)], 0.6);
+        (scenario.seed, scenario.moves) = (500 + seed, true);
+        (scenario.skins[0].position, scenario.skins[1].position) = (2e-3, 4e-3);
+        scenario.rate = 20.0;
+        scenario.run(|moment| {
+            if moment.t < 0.2 {
+                return;
+            }
+            let ([(_, truth)], [a], [b]) =
+                (moment.truth.as_slice(), moment.last[0].as_slice(), moment.last[1].as_slice())
+            else {
+                panic!("one touch")
+            };
+            let error = errors(moment)[0].1.as_ref().unwrap().0;
+            fused += error.norm_squared();
+            average += ((a + b) * 0.5 - truth.position).norm_squared();
+            best += (a - truth.position).norm_squared();
+            n += 1.0;
+        });
+    }
+    let [fused, average, best] = [fused, average, best].map(|sum: f64| (sum / n).sqrt());
+    assert!(fused < 0.9 * average.min(best), "fused {fused} m, average {average} m, best skin {best} m");
+}
