@@ -109,6 +109,17 @@ impl Thumb {
         }
     }
 
+    /// \[1/m\] mean of both curvatures of the outside at the way `s`.
+    #[must_use]
+    pub fn curvature(&self, s: f64) -> f64 {
+        if s <= self.cap {
+            1.0 / self.tip
+        } else {
+            // A cone is straight along its meridians.
+            0.5 * self.slope[1] / self.meridian(s, 0.0)[0]
+        }
+    }
+
     /// \[m²\] of the outside from the tip down to the way `s`.
     #[must_use]
     pub fn area(&self, s: f64) -> f64 {

@@ -208,7 +208,7 @@ impl Basis {
                 (s <= elastomer.end()).then(|| on(s, phi))
             })
             .collect();
-        let task = Task { elastomer, grid, places, reach, at_points, at_grid, meshed };
+        let task = Task { elastomer, grid, places, reach, meshed, at_points, at_grid };
         let solid = task.meshed.solid(elastomer.young_modulus, elastomer.poisson_ratio)?;
         let blocks = task.places.len().div_ceil(TOGETHER);
         let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::with_capacity(blocks)));
@@ -290,6 +290,21 @@ impl Basis {
         {
             each(*neighbour as usize, f64::from(f.x * v[0] + f.y * v[1] + f.z * v[2]));
         }
+    }
+
+    /// \[m\] by which points of the outside give way inwards under a force \[N\] that they share, in the mean by their shares: each
+    /// point comes once, in rising order.
+    #[must_use]
+    pub fn mean_give(&self, shares: &[(usize, f64)], force: &Vector3<f64>) -> f64 {
+        let mut mean = 0.0;
+        for (point, share) in shares {
+            self.give(*point, &(force * *share), |neighbour, by| {
+                if let Ok(place) = shares.binary_search_by_key(&neighbour, |(p, _)| *p) {
+                    mean += by * shares[place].1;
+                }
+            });
+        }
+        mean
     }
 }
 

@@ -42,21 +42,38 @@ pub fn contact_radius(modulus: f64, radius: f64, force: f64) -> f64 {
 /// Shares of a contact's force on the points of the outside.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Footprint {
-    /// Points and their shares; a point may come more than once.
+    /// Points, each once, and their shares; they sum to 1.
     pub shares: Vec<(usize, f64)>,
     /// \[m\] by which the sphere's mean height over the contact is above its lowest point.
     pub height: f64,
 }
 
+/// \[m\] of a sphere that touches a plane as a sphere of `diameter` \[m\] touches the outside at the way `s`: curvatures add up (H. Hertz).
+#[must_use]
+pub fn relative_radius(thumb: &Thumb, s: f64, diameter: f64) -> f64 {
+    1.0 / (2.0 / diameter + thumb.curvature(s))
+}
+
 impl Footprint {
-    /// Of a sphere of `diameter` \[m\] at a point of the outside whose contact has the radius `contact` \[m\].
+    /// Of a sphere that presses with `force` \[N\] at a point of the outside; `modulus` \[Pa\] is E/(1 − ν²).
     #[must_use]
-    pub fn new(thumb: &Thumb, rings: &Rings, at: &Point3<f64>, diameter: f64, contact: f64) -> Self {
+    pub fn of_sphere(
+        thumb: &Thumb,
+        rings: &Rings,
+        at: &Point3<f64>,
+        [diameter, force, modulus]: [f64; 3],
+    ) -> Self {
+        let radius = relative_radius(thumb, thumb.locate(at).0, diameter);
+        Self::new(thumb, rings, at, radius, contact_radius(modulus, radius, force))
+    }
+
+    /// Of a sphere of the relative `radius` \[m\] at a point of the outside whose contact has the radius `contact` \[m\].
+    #[must_use]
+    pub fn new(thumb: &Thumb, rings: &Rings, at: &Point3<f64>, radius: f64, contact: f64) -> Self {
         let (s, azimuth, _) = thumb.locate(at);
         let (centre, normal) = thumb.point(s, azimuth, 0.0);
         let [first, second] = tangents(&normal);
         let golden = PI * (3.0 - 5f64.sqrt());
-        let radius = diameter / 2.0;
         let (mut shares, mut height) = (Vec::with_capacity(4 * SPIRAL), 0.0);
         let share = 1.0 / SPIRAL as f64;
         for k in 0..SPIRAL {
@@ -68,6 +85,15 @@ impl Footprint {
             shares.extend(rings.weights(s, azimuth).map(|(point, w)| (point, w * share)));
             height += share * (radius - (radius * radius - r * r).max(0.0).sqrt());
         }
+        // Points of the spiral share points of the outside: each of these comes once.
+        shares.sort_unstable_by_key(|(point, _)| *point);
+        shares.dedup_by(|later, first| {
+            let same = later.0 == first.0;
+            if same {
+                first.1 += later.1;
+            }
+            same
+        });
         Self { shares, height }
     }
 }
@@ -107,7 +133,7 @@ mod tests {
         let places = rings.places();
         for (s, azimuth) in [(0.03, 1.0), (0.002, -2.0), (0.055, 3.0)] {
             let (at, _) = thumb.point(s, azimuth, 0.0);
-            let footprint = Footprint::new(&thumb, &rings, &at, 0.004, 0.0015);
+            let footprint = Footprint::new(&thumb, &rings, &at, 0.002, 0.0015);
             let sum: f64 = footprint.shares.iter().map(|(_, w)| w).sum();
             assert_relative_eq!(sum, 1.0, max_relative = 1e-12);
             let middle: Vector3<f64> = footprint
