@@ -1,8 +1,70 @@
-//! A camera inside a soft thumb (thesis, chapter 6): the mechanics of its skin.
+//! A camera inside a soft thumb (thesis, chapter 6): an elastomer over a stiff skeleton, lit from within by lamps of three colours, whose
+//! deformation a fisheye camera sees.
 //!
-//! Forces on the points of the outside ([`surface`]) become displacements of the inside, which the camera sees ([`elastic`]). The family is not
-//! registered yet: lens, light, wire and effects are missing.
+//! Forces on the points of the outside ([`surface`]) become displacements of the inside ([`elastic`]), these change how it looks ([`optics`]),
+//! and [`model`] answers with pictures and with the means of their blocks.
 
+pub mod effects;
 pub mod elastic;
+pub mod model;
+pub mod optics;
+pub mod parameters;
 pub mod shape;
 pub mod surface;
+
+use std::sync::Arc;
+
+use dermis_model::ForwardModel;
+use dermis_sensor::Sensor;
+use dermis_skin::{EffectInfo, Family, FieldFault, ModelError, Rated, SkinDescription, TipKind};
+
+/// What a skin description names in `sensor` for this family.
+pub const SENSOR: &str = "insight";
+
+/// The family.
+pub const FAMILY: &dyn Sensor = &Insight;
+
+#[derive(Debug)]
+struct Insight;
+
+impl Family for Insight {
+    fn name(&self) -> &'static str {
+        SENSOR
+    }
+
+    fn complete(&self, skin: &mut SkinDescription) -> Result<(), FieldFault> {
+        parameters::complete(skin)
+    }
+
+    /// As chapter 6 of the thesis presses its thumb.
+    fn rated(&self, _: &SkinDescription) -> Rated {
+        Rated { force: [0.03, 1.6], diameter: 0.004, tip: TipKind::Sphere }
+    }
+}
+
+impl Sensor for Insight {
+    fn about(&self) -> &'static str {
+        "Reads the camera inside a soft thumb and publishes its contacts"
+    }
+
+    fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
+        Ok(Arc::new(model::ThumbModel::new(skin)?))
+    }
+
+    fn check_medium(&self, skin: &SkinDescription) -> Result<(), ModelError> {
+        skin.check_medium(|| parameters::check(skin))
+    }
+
+    fn effects(&self) -> &'static [EffectInfo] {
+        effects::EFFECTS
+    }
+}
+
+/// Stimulus → numbers and pictures, for skins whose `medium` says what the thumb is made of.
+///
+/// # Errors
+///
+/// [`ModelError::Description`] where the thumb cannot be.
+pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
+    FAMILY.model(skin)
+}

@@ -409,7 +409,7 @@ mod tests {
             let mut found = 0.0;
             basis.give(from, &-normal(from), |k, by| {
                 if k == to {
-                    found = by
+                    found = by;
                 }
             });
             found

@@ -67,9 +67,29 @@ impl Footprint {
         Self::new(thumb, rings, at, radius, contact_radius(modulus, radius, force))
     }
 
+    /// Of a flat punch of `diameter` \[m\], whose pressure rises towards its edge (M. A. Sadowsky, 1928).
+    #[must_use]
+    pub fn of_punch(thumb: &Thumb, rings: &Rings, at: &Point3<f64>, diameter: f64) -> Self {
+        let radius = diameter / 2.0;
+        let within = |share: f64| radius * (1.0 - (1.0 - share).powi(2)).sqrt();
+        Self::spread(thumb, rings, at, within, |_| 0.0)
+    }
+
     /// Of a sphere of the relative `radius` \[m\] at a point of the outside whose contact has the radius `contact` \[m\].
     #[must_use]
     pub fn new(thumb: &Thumb, rings: &Rings, at: &Point3<f64>, radius: f64, contact: f64) -> Self {
+        let within = |share: f64| contact * (1.0 - (1.0 - share).powf(2.0 / 3.0)).sqrt();
+        Self::spread(thumb, rings, at, within, |r| radius - (radius * radius - r * r).max(0.0).sqrt())
+    }
+
+    /// Of a tip whose force lies to a share within the radius `within`, and whose face is so high at a radius, all \[m\].
+    fn spread(
+        thumb: &Thumb,
+        rings: &Rings,
+        at: &Point3<f64>,
+        within: impl Fn(f64) -> f64,
+        face: impl Fn(f64) -> f64,
+    ) -> Self {
         let (s, azimuth, _) = thumb.locate(at);
         let (centre, normal) = thumb.point(s, azimuth, 0.0);
         let [first, second] = tangents(&normal);
@@ -77,13 +97,11 @@ impl Footprint {
         let (mut shares, mut height) = (Vec::with_capacity(4 * SPIRAL), 0.0);
         let share = 1.0 / SPIRAL as f64;
         for k in 0..SPIRAL {
-            // Within this distance lies this share of Hertz's force.
-            let within = (k as f64 + 0.5) * share;
-            let r = contact * (1.0 - (1.0 - within).powf(2.0 / 3.0)).sqrt();
+            let r = within((k as f64 + 0.5) * share);
             let (sin, cos) = (golden * k as f64 % TAU).sin_cos();
             let (s, azimuth, _) = thumb.locate(&(centre + (first * cos + second * sin) * r));
             shares.extend(rings.weights(s, azimuth).map(|(point, w)| (point, w * share)));
-            height += share * (radius - (radius * radius - r * r).max(0.0).sqrt());
+            height += share * face(r);
         }
         // Points of the spiral share points of the outside: each of these comes once.
         shares.sort_unstable_by_key(|(point, _)| *point);

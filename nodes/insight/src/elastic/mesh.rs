@@ -72,7 +72,7 @@ pub struct Elastomer {
     pub skeleton: Skeleton,
     /// The thin zone.
     pub fovea: Option<Fovea>,
-    /// Quads around a quarter of the mesh.
+    /// Quads around a quarter of the mesh: an even number, as the tip is divided like half of a cube.
     pub around: usize,
     /// Cells through the thickness.
     pub layers: usize,
@@ -140,6 +140,24 @@ impl Elastomer {
             || self.skeleton.meridians.iter().any(along)
     }
 
+    /// \[m\] of each layer of nodes above the inside, and the layers that beams reach through. Their faces lie on layers, so that
+    /// a skeleton that lies a little deeper is another one.
+    fn levels(&self) -> (Vec<f64>, std::ops::RangeInclusive<usize>) {
+        let Skeleton { beam, inside, .. } = self.skeleton;
+        let parts = [inside, beam, (self.thickness - inside - beam).max(0.0)];
+        let share = |part: f64| (part / self.thickness * self.layers as f64).round() as usize;
+        let most = self.layers.saturating_sub(1);
+        let below = if inside > 0.0 { share(inside).clamp(1, most.max(1)) } else { 0 };
+        let within = share(beam).clamp(1, (self.layers - below).max(1));
+        let above = self.layers.saturating_sub(below + within);
+        let mut levels = vec![0.0];
+        for (part, cells) in parts.into_iter().zip([below, within, above]) {
+            let from = levels[levels.len() - 1];
+            levels.extend((1..=cells).map(|i| from + part * i as f64 / cells as f64));
+        }
+        (levels, below..=below + within)
+    }
+
     /// Lines along which rings of nodes lie, from the crown down to the end.
     fn lines(&self) -> Vec<f64> {
         let (half, end) = (self.skeleton.beam / 2.0, self.end());
@@ -184,17 +202,16 @@ impl Elastomer {
                 [s, p.y.atan2(p.x)]
             })
             .collect();
-        let (inside, beam) = (self.skeleton.inside, self.skeleton.beam);
+        let (levels, within) = self.levels();
+        let reaches = levels[levels.len() - 1];
         let mut held = Vec::with_capacity(hexes.nodes.len());
         for (i, node) in hexes.nodes.iter_mut().enumerate() {
             let [s, azimuth] = places[i % count];
-            let share = (i / count) as f64 / self.layers as f64;
+            let (layer, share) = (i / count, levels[i / count] / reaches);
             let thickness = self.thickness_at(s, azimuth);
             *node = self.thumb.point(s, azimuth, (1.0 - share) * thickness).0;
-            // By the layer of the nominal thickness: also where the elastomer is thinner, a beam has as many of them.
-            let from_inside = share * self.thickness;
-            let within = from_inside >= inside - 1e-9 && from_inside <= inside + beam + 1e-9;
-            held.push(s >= self.end() - 1e-9 || (within && self.beam_at(s, azimuth)));
+            // Also where the elastomer is thinner, a beam has as many layers.
+            held.push(s >= self.end() - 1e-9 || (within.contains(&layer) && self.beam_at(s, azimuth)));
         }
         Ok(Meshed::new(hexes, held, count))
     }
