@@ -11,12 +11,16 @@ pub mod optics;
 pub mod parameters;
 pub mod shape;
 pub mod surface;
+pub mod verify;
+pub mod wire;
 
 use std::sync::Arc;
 
-use dermis_model::ForwardModel;
-use dermis_sensor::Sensor;
-use dermis_skin::{EffectInfo, Family, FieldFault, ModelError, Rated, SkinDescription, TipKind};
+use dermis_model::{Case, ForwardModel};
+use dermis_sensor::{Decoder, DecoderOptions, Encoder, FrameReader, FrameWriter, Sensor};
+use dermis_skin::{
+    EffectInfo, Family, FieldFault, ModelError, Rated, SkinDescription, TipKind, WireProtocol,
+};
 
 /// What a skin description names in `sensor` for this family.
 pub const SENSOR: &str = "insight";
@@ -55,9 +59,45 @@ impl Sensor for Insight {
         skin.check_medium(|| parameters::check(skin))
     }
 
+    /// Of the camera's own wire; the wires that every family speaks carry the means alone.
+    fn decoder(
+        &self,
+        skin: &SkinDescription,
+        options: DecoderOptions,
+    ) -> Result<Box<dyn Decoder>, ModelError> {
+        if speaks_jpeg(skin) {
+            let (size, blocks) = parameters::picture_of(skin)?;
+            return Ok(Box::new(wire::PictureReader::new(size, blocks)));
+        }
+        let reader = FrameReader::new(skin).ok_or_else(|| unknown_wire(skin))?;
+        Ok(Box::new(if options.device_time { reader.with_device_time() } else { reader }))
+    }
+
+    fn encoder(&self, skin: &SkinDescription) -> Result<Box<dyn Encoder>, ModelError> {
+        if speaks_jpeg(skin) {
+            return Ok(Box::new(wire::PictureWriter::default()));
+        }
+        Ok(Box::new(FrameWriter::new(skin).ok_or_else(|| unknown_wire(skin))?))
+    }
+
     fn effects(&self) -> &'static [EffectInfo] {
         effects::EFFECTS
     }
+
+    fn validation_cases(&self) -> Result<Vec<Case>, String> {
+        verify::cases().map_err(|error| error.to_string())
+    }
+}
+
+fn speaks_jpeg(skin: &SkinDescription) -> bool {
+    skin.wire.protocol == WireProtocol::Family(wire::NAME.to_owned())
+}
+
+fn unknown_wire(skin: &SkinDescription) -> ModelError {
+    skin.refusal(
+        "wire.protocol",
+        format!("must be \"{}\" (pictures), \"native\" or \"ascii\" (their means)", wire::NAME),
+    )
 }
 
 /// Stimulus → numbers and pictures, for skins whose `medium` says what the thumb is made of.

@@ -8,7 +8,7 @@ use dermis_skin::{FieldFault, ModelError, SkinDescription, SurfaceSpec};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use serde::Deserialize;
 
-pub use complete::{check, complete};
+pub use complete::{check, complete, picture_of};
 
 use crate::elastic::Grid;
 use crate::elastic::mesh::{Elastomer, Fovea, Skeleton};

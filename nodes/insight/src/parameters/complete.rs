@@ -63,3 +63,12 @@ fn fault(error: ModelError) -> FieldFault {
 pub fn check(skin: &SkinDescription) -> Result<(), ModelError> {
     MediumSpec::read(skin).map(drop)
 }
+
+/// Pixels across and down of a skin's picture, and the blocks of them that are its numbers.
+///
+/// # Errors
+///
+/// [`ModelError::Description`] names the field.
+pub fn picture_of(skin: &SkinDescription) -> Result<([u32; 2], [u32; 2]), ModelError> {
+    MediumSpec::read(skin).map(|spec| (spec.camera.size, spec.blocks))
+}
