@@ -21,6 +21,8 @@ pub enum Name {
     Shell,
     /// Frames per second of the panel of fabric, against scipy and pyEIT.
     Ert,
+    /// Pictures per second of the soft thumb; beside real frames where `DERMIS_DATA` names the folder of the recordings.
+    Insight,
     /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
     Gap,
     /// The node of the limb at its rate, by the bundles for one and for two contacts.
@@ -49,7 +51,16 @@ const PROGRAMS: [&str; 3] = ["dermis", "dermis-train", "dermis-bench"];
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let names = match options.names.as_slice() {
         [] => {
-            vec![Name::Model, Name::Shell, Name::Ert, Name::Node, Name::Limb, Name::Publish, Name::Recording]
+            vec![
+                Name::Model,
+                Name::Shell,
+                Name::Ert,
+                Name::Insight,
+                Name::Node,
+                Name::Limb,
+                Name::Publish,
+                Name::Recording,
+            ]
         }
         names => names.to_vec(),
     };
@@ -94,6 +105,11 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                     Ok(python) => _ = command.arg("--peer-python").arg(python),
                     Err(why) => eprintln!("scipy and pyEIT are left out, they cannot be installed: {why:#}"),
                 }
+            }
+            if name == Name::Insight
+                && let Some(data) = std::env::var_os("DERMIS_DATA")
+            {
+                command.arg("--frames").arg(Path::new(&data).join("insight_frames"));
             }
             if name == Name::Shell {
                 if let Some(why) = environment::calculix() {
