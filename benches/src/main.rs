@@ -3,6 +3,7 @@
 mod device;
 mod ert;
 mod gap;
+mod insight;
 mod limb;
 mod machine;
 mod model;
@@ -49,6 +50,9 @@ enum Command {
     Shell(shell::Options),
     /// Frames per second of the panel of fabric's forward model with its noise, against scipy and pyEIT on the same sheet.
     Ert(ert::Options),
+    /// Pictures per second of the soft thumb's forward model with its noise, at both sizes; with recorded frames, how their statistics
+    /// compare.
+    Insight(insight::Options),
     /// A diagnosis of ten thousand contacts on a fabric of 784 channels: seconds after its signatures are kept, and memory.
     Gap(gap::Options),
     /// The node of the limb at its rate, by the bundles that look for one and for two contacts: latency, frames without an answer,
@@ -80,6 +84,7 @@ fn main() -> Result<()> {
         Command::Model(options) => model::run(&options)?,
         Command::Shell(options) => shell::run(&options)?,
         Command::Ert(options) => ert::run(&options)?,
+        Command::Insight(options) => insight::run(&options)?,
         Command::Gap(options) => gap::run(&options)?,
         Command::Limb(options) => limb::run(&options)?,
         Command::Start(options) => start::run(&options)?,

@@ -168,7 +168,8 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Command::Node(_)
         | Command::Reflex(_)
         | Command::Fusion(_)
-        | Command::Bridge(_) | Command::Device(_) => "info",
+        | Command::Bridge(_)
+        | Command::Device(_) => "info",
         _ => "warn",
     };
     let format = match log::Format::choose(cli.log_format) {

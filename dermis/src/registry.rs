@@ -10,8 +10,12 @@ use dermis_skin::SkinDescription;
 use dermis_studies::Families;
 
 /// The families that ship, one line each.
-pub static SHIPPED: Registry =
-    Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY, dermis_ert::FAMILY]);
+pub static SHIPPED: Registry = Registry::new(&[
+    dermis_barodome::FAMILY,
+    dermis_hapdef::FAMILY,
+    dermis_ert::FAMILY,
+    dermis_insight::FAMILY,
+]);
 
 static CHOSEN: OnceLock<&'static Registry> = OnceLock::new();
 

@@ -23,6 +23,8 @@ pub enum Name {
     Shell,
     /// Frames per second of the panel of fabric, against scipy and pyEIT.
     Ert,
+    /// Pictures per second of the soft thumb; beside real frames where `DERMIS_DATA` names the folder of the recordings.
+    Insight,
     /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
     Gap,
     /// The node of the limb at its rate, by the bundles for one and for two contacts.
@@ -55,6 +57,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                 Name::Model,
                 Name::Shell,
                 Name::Ert,
+                Name::Insight,
                 Name::Node,
                 Name::Reflex,
                 Name::Limb,
@@ -106,6 +109,11 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                     Ok(python) => _ = command.arg("--peer-python").arg(python),
                     Err(why) => eprintln!("scipy and pyEIT are left out, they cannot be installed: {why:#}"),
                 }
+            }
+            if name == Name::Insight
+                && let Some(data) = std::env::var_os("DERMIS_DATA")
+            {
+                command.arg("--frames").arg(Path::new(&data).join("insight_frames"));
             }
             if name == Name::Shell {
                 if let Some(why) = environment::calculix() {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use dermis_model::{DeviceState, ForwardModel, Indentation, Stimulus, Untouched, Wrapper};
-use dermis_skin::ModelError;
+use dermis_skin::{Image, ModelError};
 use nalgebra::{DMatrix, Point3};
 use serde::{Deserialize, Serialize};
 
@@ -323,6 +323,15 @@ impl DeviceState for CorrectedState<'_> {
     fn step(&mut self, time: f64, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
         self.inner.step(time, stimulus, out)?;
         self.corrected.correct(stimulus, out)
+    }
+
+    fn capture(
+        &mut self,
+        time: f64,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        self.inner.capture(time, stimulus, noise)
     }
 
     fn quantize(&mut self, readings: &mut [f64]) {

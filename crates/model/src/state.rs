@@ -5,7 +5,7 @@
 //! no memory of its own, but whose medium and transducers have, implements [`Memory`] and puts it behind its model with
 //! [`Stepped`].
 
-use dermis_skin::ModelError;
+use dermis_skin::{Image, ModelError};
 
 use crate::{ForwardModel, Stimulus};
 
@@ -25,6 +25,23 @@ pub trait DeviceState: Send {
     ///
     /// [`ModelError::Stimulus`] where the model has no answer.
     fn step(&mut self, time: f64, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError>;
+
+    /// The picture that the skin's camera takes at `time` \[s\] under `stimulus`, in place of [`step`](Self::step), with what the device
+    /// remembers; `noise` as for [`ForwardModel::capture`]. `None`, the default, where the model's own picture is the device's, or
+    /// there is no camera.
+    ///
+    /// # Errors
+    ///
+    /// As [`step`](Self::step).
+    fn capture(
+        &mut self,
+        time: f64,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        let _ = (time, stimulus, noise);
+        Ok(None)
+    }
 
     /// Changes noisy readings as the converter does: range, resolution.
     fn quantize(&mut self, readings: &mut [f64]) {

@@ -211,6 +211,19 @@ impl DeviceState for CommonEffectsState<'_> {
         Ok(())
     }
 
+    fn capture(
+        &mut self,
+        time: f64,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        let effects = &self.device.effects;
+        if effects.rig.is_empty() {
+            return self.inner.capture(time, stimulus, noise);
+        }
+        self.inner.capture(time, &effects.real(stimulus, self.device.model.surface()), noise)
+    }
+
     fn quantize(&mut self, readings: &mut [f64]) {
         self.inner.quantize(readings);
     }

@@ -89,7 +89,11 @@ impl<'a> Sampler<'a> {
     ) -> Result<(), ModelError> {
         self.state.apply_to_stimulus(time, stimulus);
         let rng = &mut self.rng;
-        frame.image = self.model.capture(stimulus, &mut || rng.sample(StandardNormal))?;
+        let mut noise = || rng.sample(StandardNormal);
+        frame.image = match self.state.capture(time, stimulus, &mut noise)? {
+            Some(image) => Some(image),
+            None => self.model.capture(stimulus, &mut noise)?,
+        };
         let seen = frame.image.as_ref().is_some_and(|image| self.model.observe(image, &mut self.clean));
         if !seen {
             self.state.step(time, stimulus, &mut self.clean)?;

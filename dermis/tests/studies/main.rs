@@ -12,8 +12,12 @@ use dermis_sensor::Registry;
 use dermis_skin::SkinDescription;
 use dermis_studies::Families;
 
-const SENSORS: Registry =
-    Registry::new(&[dermis_barodome::FAMILY, dermis_hapdef::FAMILY, dermis_ert::FAMILY]);
+const SENSORS: Registry = Registry::new(&[
+    dermis_barodome::FAMILY,
+    dermis_hapdef::FAMILY,
+    dermis_ert::FAMILY,
+    dermis_insight::FAMILY,
+]);
 const FAMILIES: Families = Families::new(&SENSORS);
 
 fn path(skin: &str) -> std::path::PathBuf {

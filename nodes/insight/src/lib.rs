@@ -1,0 +1,110 @@
+//! A camera inside a soft thumb (thesis, chapter 6): an elastomer over a stiff skeleton, lit from within by lamps of three colours, whose
+//! deformation a fisheye camera sees.
+//!
+//! Forces on the points of the outside ([`surface`]) become displacements of the inside ([`elastic`]), these change how it looks ([`optics`]),
+//! and [`model`] answers with pictures and with the means of their blocks.
+
+pub mod effects;
+pub mod elastic;
+pub mod model;
+pub mod optics;
+pub mod parameters;
+pub mod shape;
+pub mod surface;
+pub mod verify;
+pub mod wire;
+
+use std::sync::Arc;
+
+use dermis_model::{Case, ForwardModel};
+use dermis_sensor::{Decoder, DecoderOptions, Encoder, FrameReader, FrameWriter, Sensor};
+use dermis_skin::{
+    EffectInfo, Family, FieldFault, ModelError, Rated, SkinDescription, TipKind, WireProtocol,
+};
+
+/// What a skin description names in `sensor` for this family.
+pub const SENSOR: &str = "insight";
+
+/// The family.
+pub const FAMILY: &dyn Sensor = &Insight;
+
+#[derive(Debug)]
+struct Insight;
+
+impl Family for Insight {
+    fn name(&self) -> &'static str {
+        SENSOR
+    }
+
+    fn complete(&self, skin: &mut SkinDescription) -> Result<(), FieldFault> {
+        parameters::complete(skin)
+    }
+
+    /// As chapter 6 of the thesis presses its thumb.
+    fn rated(&self, _: &SkinDescription) -> Rated {
+        Rated { force: [0.03, 1.6], diameter: 0.004, tip: TipKind::Sphere }
+    }
+}
+
+impl Sensor for Insight {
+    fn about(&self) -> &'static str {
+        "Reads the camera inside a soft thumb and publishes its contacts"
+    }
+
+    fn nominal(&self, skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
+        Ok(Arc::new(model::ThumbModel::new(skin)?))
+    }
+
+    fn check_medium(&self, skin: &SkinDescription) -> Result<(), ModelError> {
+        skin.check_medium(|| parameters::check(skin))
+    }
+
+    /// Of the camera's own wire; the wires that every family speaks carry the means alone.
+    fn decoder(
+        &self,
+        skin: &SkinDescription,
+        options: DecoderOptions,
+    ) -> Result<Box<dyn Decoder>, ModelError> {
+        if speaks_jpeg(skin) {
+            let (size, blocks) = parameters::picture_of(skin)?;
+            return Ok(Box::new(wire::PictureReader::new(size, blocks)));
+        }
+        let reader = FrameReader::new(skin).ok_or_else(|| unknown_wire(skin))?;
+        Ok(Box::new(if options.device_time { reader.with_device_time() } else { reader }))
+    }
+
+    fn encoder(&self, skin: &SkinDescription) -> Result<Box<dyn Encoder>, ModelError> {
+        if speaks_jpeg(skin) {
+            return Ok(Box::new(wire::PictureWriter::default()));
+        }
+        Ok(Box::new(FrameWriter::new(skin).ok_or_else(|| unknown_wire(skin))?))
+    }
+
+    fn effects(&self) -> &'static [EffectInfo] {
+        effects::EFFECTS
+    }
+
+    fn validation_cases(&self) -> Result<Vec<Case>, String> {
+        verify::cases().map_err(|error| error.to_string())
+    }
+}
+
+fn speaks_jpeg(skin: &SkinDescription) -> bool {
+    skin.wire.protocol == WireProtocol::Family(wire::NAME.to_owned())
+}
+
+fn unknown_wire(skin: &SkinDescription) -> ModelError {
+    skin.refusal(
+        "wire.protocol",
+        format!("must be \"{}\" (pictures), \"native\" or \"ascii\" (their means)", wire::NAME),
+    )
+}
+
+/// Stimulus → numbers and pictures, for skins whose `medium` says what the thumb is made of.
+///
+/// # Errors
+///
+/// [`ModelError::Description`] where the thumb cannot be.
+pub fn model(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, ModelError> {
+    FAMILY.model(skin)
+}

@@ -1,0 +1,305 @@
+//! Stimulus → numbers and pictures.
+//!
+//! Contacts become forces on the points of the outside, these displacements of the inside ([`Basis`]), these changes of colour
+//! ([`Shading`]), and these numbers or a picture ([`Picture`]).
+//!
+//! Assumptions: displacements are linear in forces (unless an effect stiffens them); the camera and its lamps do not move; what a touch changes
+//! is smooth over the grid of the inside.
+//!
+//! Cost: the first touch of a design computes its basis, one to two minutes for the thumb that ships, which is then kept on disk. After that,
+//! 0.3 ms a response.
+
+mod state;
+#[cfg(test)]
+pub(crate) mod tests;
+
+use std::cell::RefCell;
+use std::sync::{Arc, OnceLock};
+
+use dermis_model::{DeviceState, ForwardModel, Indentation, Stimulus, TipShape};
+use dermis_skin::{Image, ModelError, PixelFormat, SkinDescription, Surface};
+use nalgebra::{Point3, Vector3};
+
+use crate::effects::{self, Dynamics};
+use crate::elastic::basis::{Basis, Field};
+use crate::elastic::contact::{Footprint, gripping};
+use crate::optics::light::COLOURS;
+use crate::optics::picture::{Picture, means};
+use crate::optics::shading::{Changes, Shading};
+use crate::parameters::Parameters;
+
+use state::Device;
+
+/// \[K\] that lamps are given for.
+const STANDARD_TEMPERATURE: f64 = 293.15;
+/// Factor of the lamps' light, whatever the temperature.
+const FACTORS: [f64; 2] = [0.1, 10.0];
+/// \[N\] up to which a tip's force is looked for.
+const STRONGEST: f64 = 100.0;
+
+/// A camera inside of a soft thumb.
+#[derive(Debug)]
+pub struct ThumbModel {
+    skin: String,
+    parameters: Parameters,
+    surface: Surface,
+    shading: Shading,
+    picture: Picture,
+    noise: Vec<f64>,
+    dynamics: Dynamics,
+    basis: OnceLock<Result<Arc<Basis>, String>>,
+}
+
+/// Memory that frames share on a thread.
+#[derive(Debug, Default)]
+struct Scratch {
+    field: Field,
+    changes: Changes,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+impl ThumbModel {
+    /// The model of a skin. Makes the table of its picture: 0.1 s for 410 × 308 pixels.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Description`] names the field that is missing, unknown or impossible, effects included.
+    pub fn new(skin: &SkinDescription) -> Result<Self, ModelError> {
+        let mut parameters = Parameters::nominal(skin)?;
+        effects::shape(skin, &mut parameters)?;
+        let numbers = parameters.blocks.iter().product::<u32>() as usize * COLOURS;
+        if skin.channels().len() != numbers {
+            let reason = format!(
+                "are {} and must be {numbers}: red, green and blue of every block of `medium.blocks`; leave them out, and they follow",
+                skin.channels().len()
+            );
+            return Err(skin.refusal("channels", reason));
+        }
+        let Parameters { elastomer, grid, camera, texture, noise, blocks, .. } = &parameters;
+        let shading = Shading::lit(elastomer, *grid, camera, parameters.light.clone(), parameters.ambient);
+        let picture = Picture::new(elastomer, camera, &shading, texture, *noise, *blocks);
+        Ok(Self {
+            skin: skin.name.clone(),
+            surface: skin.surface(),
+            shading,
+            picture,
+            noise: skin.channel_noise(),
+            dynamics: Dynamics::new(skin)?,
+            basis: OnceLock::new(),
+            parameters,
+        })
+    }
+
+    /// What it is computed from.
+    #[must_use]
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// The lit inside.
+    #[must_use]
+    pub fn shading(&self) -> &Shading {
+        &self.shading
+    }
+
+    /// What the elastomer does; computed, or found on disk, by the first that asks.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Description`] where the elastomer cannot be meshed.
+    pub fn basis(&self) -> Result<&Basis, ModelError> {
+        let Parameters { elastomer, rings, grid, reach, .. } = &self.parameters;
+        let made = self
+            .basis
+            .get_or_init(|| Basis::of(elastomer, rings, *grid, *reach).map_err(|error| error.to_string()));
+        made.as_deref().map_err(|reason| ModelError::Description {
+            skin: self.skin.clone(),
+            field: "medium".into(),
+            reason: reason.clone(),
+        })
+    }
+
+    /// The points that a contact's force is shared among, and that force; nothing where it does not press.
+    fn footprint(
+        &self,
+        index: usize,
+        contact: &Indentation,
+    ) -> Result<Option<(Footprint, Vector3<f64>)>, ModelError> {
+        let normal = contact.check_any_tip(index, &self.surface)?;
+        let pressing = -contact.force.dot(&normal);
+        let Some(footprint) = self.under(&contact.position, &contact.tip.shape, pressing) else {
+            let reason = format!(
+                "its tip is a {}, and this model knows spheres and flat punches: give a tip of shape \"sphere\" or \"flat-punch\"",
+                contact.tip.shape.name()
+            );
+            return Err(ModelError::Stimulus { index, reason });
+        };
+        Ok((pressing > 0.0).then(|| (footprint, gripping(contact, &normal, self.parameters.friction))))
+    }
+
+    fn under(&self, at: &Point3<f64>, tip: &TipShape, force: f64) -> Option<Footprint> {
+        let Parameters { elastomer, rings, .. } = &self.parameters;
+        let modulus = self.parameters.modulus();
+        match *tip {
+            TipShape::Sphere { diameter } => {
+                Some(Footprint::of_sphere(&elastomer.thumb, rings, at, [diameter, force, modulus]))
+            }
+            TipShape::FlatPunch { diameter } => {
+                Some(Footprint::of_punch(&elastomer.thumb, rings, at, diameter))
+            }
+            _ => None,
+        }
+    }
+
+    /// Displacements of the inside.
+    fn displace(&self, stimulus: &Stimulus, field: &mut Field) -> Result<(), ModelError> {
+        let Parameters { grid, stiffness, stiffening, flex, elastomer, .. } = &self.parameters;
+        field.clear(grid);
+        let mut total = Vector3::zeros();
+        for (index, contact) in stimulus.contacts.iter().enumerate() {
+            let Some((footprint, force)) = self.footprint(index, contact)? else { continue };
+            let basis = self.basis()?;
+            for (point, share) in &footprint.shares {
+                basis.add(*point, &(force * (share / stiffness)), field);
+            }
+            total += force;
+        }
+        if stimulus.gravity != Vector3::zeros() {
+            self.basis()?.add_weight(&(stimulus.gravity / *stiffness), field);
+        }
+        if *stiffening > 0.0 {
+            let most =
+                field.values.as_chunks::<3>().0.iter().map(|u| u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
+            let share = f64::from(most.fold(0.0, f32::max)) / elastomer.thickness.powi(2);
+            let factor = (1.0 / (1.0 + stiffening * share)) as f32;
+            field.values.iter_mut().for_each(|u| *u *= factor);
+        }
+        if *flex > 0.0 && total != Vector3::zeros() {
+            self.shading.sway(&(total * *flex), field);
+        }
+        Ok(())
+    }
+
+    /// Factor of what a picture says, at a temperature \[K\].
+    fn brighter(&self, temperature: f64) -> f64 {
+        let change = 1.0 + self.parameters.per_kelvin * (temperature - STANDARD_TEMPERATURE);
+        change.clamp(FACTORS[0], FACTORS[1]).powf(1.0 / self.parameters.light.gamma)
+    }
+
+    fn image(&self, data: Vec<u8>) -> Option<Image> {
+        let [width, height] = self.picture.size();
+        Image::new(width, height, PixelFormat::Rgb8, data)
+    }
+}
+
+/// The seed of a picture's noise, of a source of normal numbers; none where they are all 0.
+fn seed(noise: &mut dyn FnMut() -> f64) -> Option<u64> {
+    let [a, b] = [noise(), noise()];
+    (a != 0.0 || b != 0.0).then(|| a.to_bits() ^ b.to_bits().rotate_left(32))
+}
+
+impl ForwardModel for ThumbModel {
+    fn channels(&self) -> usize {
+        self.noise.len()
+    }
+
+    fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
+        debug_assert_eq!(out.len(), self.channels());
+        SCRATCH.with_borrow_mut(|Scratch { field, changes }| {
+            self.displace(stimulus, field)?;
+            self.shading.changes(field, changes);
+            self.picture.respond(&[(changes, 1.0)], self.brighter(stimulus.temperature), out);
+            Ok(())
+        })
+    }
+
+    fn noise(&self) -> &[f64] {
+        &self.noise
+    }
+
+    fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
+        out.fill(0.0);
+        for (index, contact) in stimulus.contacts.iter().enumerate() {
+            let Some((footprint, force)) = self.footprint(index, contact)? else { continue };
+            let basis = self.basis()?;
+            for (point, share) in &footprint.shares {
+                basis.give(*point, &(force * (share / self.parameters.stiffness)), |k, by| out[k] += by);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Contacts that are a few millimetres apart change other nodes; shading is nearly linear in what the rest of them share.
+    fn superposes(&self) -> bool {
+        self.parameters.stiffening == 0.0
+    }
+
+    fn capture(
+        &self,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        SCRATCH.with_borrow_mut(|Scratch { field, changes }| {
+            self.displace(stimulus, field)?;
+            self.shading.changes(field, changes);
+            let brighter = self.brighter(stimulus.temperature);
+            Ok(self.image(self.picture.render(&[(changes, 1.0)], brighter, seed(noise))))
+        })
+    }
+
+    fn observe(&self, image: &Image, out: &mut [f64]) -> bool {
+        let size = self.picture.size();
+        let fits = [image.width(), image.height()] == size && image.format() == PixelFormat::Rgb8;
+        if fits && out.len() == self.picture.numbers() {
+            means(size, self.parameters.blocks, image.data(), out);
+        }
+        fits
+    }
+
+    fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
+        Box::new(Device::new(self, self.dynamics.start(seed)))
+    }
+
+    fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
+        self.force_of_tip(at, &TipShape::Sphere { diameter }, depth)
+    }
+
+    fn depth_at(&self, at: &Point3<f64>, diameter: f64, force: f64) -> Option<f64> {
+        self.depth_of_tip(at, &TipShape::Sphere { diameter }, force)
+    }
+
+    fn force_of_tip(&self, at: &Point3<f64>, tip: &TipShape, depth: f64) -> Option<f64> {
+        if depth <= 0.0 {
+            return (depth == 0.0).then_some(0.0);
+        }
+        let (mut low, mut high) = (0.0, STRONGEST);
+        if self.depth_of_tip(at, tip, high)? < depth {
+            return None;
+        }
+        for _ in 0..50 {
+            let middle = f64::midpoint(low, high);
+            if self.depth_of_tip(at, tip, middle)? < depth { low = middle } else { high = middle }
+        }
+        Some(f64::midpoint(low, high))
+    }
+
+    /// Of the points under the tip, in the mean, and of its own shape.
+    fn depth_of_tip(&self, at: &Point3<f64>, tip: &TipShape, force: f64) -> Option<f64> {
+        tip.check().ok()?;
+        if !(0.0..=STRONGEST).contains(&force) {
+            return None;
+        }
+        let footprint = self.under(at, tip, force)?;
+        let (_, normal) = self.surface.project(at);
+        let give =
+            self.basis().ok()?.mean_give(&footprint.shares, &(normal * (-force / self.parameters.stiffness)));
+        Some(give + footprint.height)
+    }
+}

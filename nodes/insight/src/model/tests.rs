@@ -1,0 +1,242 @@
+use dermis_model::{Indentation, Stimulus};
+use dermis_skin::{Effect, SkinDescription};
+use nalgebra::Vector3;
+
+use super::*;
+
+/// A thumb in few cells and pixels.
+pub const SMALL: &str = r#"
+schema = "dermis-skin/1"
+name = "small"
+sensor = "insight"
+description = "a thumb of a test"
+kind = "simulated"
+frame_id = "thumb_link"
+unit = "1"
+rate = 40.0
+noise = 0.001
+range = [0.0, 1.0]
+surface = { type = "thumb", radius = 0.020, height = 0.070, tip = 0.009, end = 0.0115, spacing = 0.005 }
+
+[medium]
+blocks = [10, 8]
+skeleton = { beam = 0.0016, inside = 0.0008, rings = [0.020, 0.036, 0.052], meridians = [{ count = 4, from = 0.012, azimuth = 0.0 }] }
+fovea = { from_tip = 0.028, azimuth = 0.8, size = [0.013, 0.011], thickness = 0.0012 }
+
+[medium.elastomer]
+thickness = 0.004
+young_modulus = 70e3
+poisson_ratio = 0.49
+density = 1070.0
+friction = 1.0
+cells = [24, 5]
+grid = 0.004
+reach = 0.012
+
+[medium.camera]
+size = [104, 80]
+focal = 795.0
+height = 0.003
+gains = [1.0, 1.0, 2.0]
+exposure = 1.0
+gamma = 2.2
+blue_sees = [0.05, 0.1]
+
+[medium.lamps]
+colours = "RGBRGRBG"
+azimuth = 0.0
+radius = 0.009
+height = 0.003
+drive = [1.0, 1.0, 0.5]
+hole = 0.0025
+tilt = 0.0523599
+beam = 0.005
+spread = 0.21
+
+[medium.finish]
+diffuse = 0.5
+specular = 0.3
+shininess = 12.0
+ambient = 0.1
+
+[medium.noise]
+difference = 0.012
+read = 0.004
+"#;
+
+pub fn skin(text: &str) -> SkinDescription {
+    dermis_skin::register(crate::FAMILY);
+    SkinDescription::from_toml(text, "small").unwrap()
+}
+
+pub fn small(effects: Vec<Effect>) -> SkinDescription {
+    let mut small = skin(SMALL);
+    small.effects = effects;
+    small
+}
+
+/// A ball of 4 mm that presses straight at a place of the outside, with some shear.
+pub fn press(model: &ThumbModel, s: f64, azimuth: f64, force: f64, shear: f64) -> Indentation {
+    let (p, _) = model.parameters().elastomer.thumb.point(s, azimuth, 0.0);
+    let (at, normal) = model.surface().project(&p);
+    let along = dermis_model::tangents(&normal)[0];
+    Indentation::sphere(at, -normal * force + along * shear, 0.004)
+}
+
+fn touched(contacts: Vec<Indentation>) -> Stimulus {
+    Stimulus { contacts, ..Stimulus::default() }
+}
+
+fn read(model: &ThumbModel, stimulus: &Stimulus) -> Vec<f64> {
+    let mut out = vec![0.0; model.channels()];
+    model.response(stimulus, &mut out).unwrap();
+    out
+}
+
+fn rms(a: &[f64], b: &[f64]) -> f64 {
+    (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / a.len() as f64).sqrt()
+}
+
+#[test]
+fn its_numbers_are_means_over_blocks_of_its_picture() {
+    let model = ThumbModel::new(&small(vec![])).unwrap();
+    for contacts in
+        [vec![], vec![press(&model, 0.03, 0.7, 0.5, 0.2)], vec![press(&model, 0.006, -2.0, 0.3, 0.0)]]
+    {
+        let stimulus = touched(contacts);
+        let found = read(&model, &stimulus);
+        let image = model.capture(&stimulus, &mut || 0.0).unwrap().unwrap();
+        let mut seen = vec![0.0; found.len()];
+        assert!(model.observe(&image, &mut seen));
+        // Bytes round by 1/510; pixels that come to the end of the scale or leave it differ.
+        assert!(rms(&found, &seen) < 2e-3, "{}", rms(&found, &seen));
+        assert!(found.iter().zip(&seen).all(|(a, b)| (a - b).abs() < 0.02));
+    }
+    let other = Image::new(2, 1, PixelFormat::Rgb8, vec![0; 6]).unwrap();
+    assert!(!model.observe(&other, &mut vec![0.0; model.channels()]));
+}
+
+#[test]
+fn a_press_changes_what_the_camera_sees_there_and_more_the_harder_it_is() {
+    let model = ThumbModel::new(&small(vec![])).unwrap();
+    let idle = read(&model, &Stimulus::default());
+    assert!(idle.iter().all(|v| (0.0..=1.0).contains(v)));
+    let mut last = 0.0;
+    for force in [0.1, 0.3, 1.0] {
+        let found = read(&model, &touched(vec![press(&model, 0.03, 2.0, force, 0.0)]));
+        let off = rms(&found, &idle);
+        assert!(off > 1.5 * last && off > 1e-4, "{force} N: {off}");
+        last = off;
+        // The block that changes most sees the place that is pressed. Its pixels cover 12°, 5 mm to either side there, and more along the wall,
+        // which rays meet at 19°.
+        let taxels = &small(vec![]).taxels;
+        let change = |k: usize| (0..3).map(|c| (found[3 * k + c] - idle[3 * k + c]).abs()).sum::<f64>();
+        let most = (0..taxels.len()).max_by(|a, b| change(*a).total_cmp(&change(*b))).unwrap();
+        let at = press(&model, 0.03, 2.0, force, 0.0).position;
+        assert!((taxels[most].point() - at).norm() < 0.02, "{most}");
+    }
+}
+
+#[test]
+fn shear_is_seen_and_slips_beyond_friction() {
+    let model = ThumbModel::new(&small(vec![])).unwrap();
+    let of = |shear: f64| read(&model, &touched(vec![press(&model, 0.03, 2.0, 0.4, shear)]));
+    let straight = of(0.0);
+    let idle = read(&model, &Stimulus::default());
+    assert!(rms(&of(0.2), &straight) > 0.05 * rms(&straight, &idle));
+    assert!(rms(&of(0.4), &of(0.8)) < 1e-12);
+}
+
+#[test]
+fn contacts_that_lie_apart_add_up() {
+    let model = ThumbModel::new(&small(vec![])).unwrap();
+    let [a, b] = [press(&model, 0.03, 0.5, 0.3, 0.1), press(&model, 0.045, 2.5, 0.5, 0.0)];
+    let idle = read(&model, &Stimulus::default());
+    let [one, other, both] =
+        [vec![a.clone()], vec![b.clone()], vec![a, b]].map(|contacts| read(&model, &touched(contacts)));
+    let sum: Vec<f64> = one.iter().zip(&other).zip(&idle).map(|((a, b), i)| a + b - i).collect();
+    assert!(rms(&sum, &both) < 0.02 * rms(&both, &idle), "{} of {}", rms(&sum, &both), rms(&both, &idle));
+}
+
+#[test]
+fn depth_and_force_are_each_other_s_inverse() {
+    let model = ThumbModel::new(&small(vec![])).unwrap();
+    let at = press(&model, 0.028, 2.0, 0.3, 0.0).position;
+    let mut last = 0.0;
+    for force in [0.05, 0.3, 1.0] {
+        let depth = model.depth_at(&at, 0.004, force).unwrap();
+        assert!(depth > last);
+        last = depth;
+        let back = model.force_at(&at, 0.004, depth).unwrap();
+        assert!((back / force - 1.0).abs() < 1e-6, "{force} N at {depth} m is {back} N");
+    }
+    assert_eq!(model.force_at(&at, 0.004, 0.0), Some(0.0));
+    assert!(model.force_at(&at, 0.004, 1.0).is_none());
+    let mut give = vec![0.0; model.surface().points.len()];
+    assert!(model.displacement(&touched(vec![press(&model, 0.028, 2.0, 0.3, 0.0)]), &mut give).unwrap());
+    let most = (0..give.len()).max_by(|a, b| give[*a].total_cmp(&give[*b])).unwrap();
+    assert!((model.surface().points[most] - at).norm() < 0.006 && give[most] > 1e-4, "{}", give[most]);
+}
+
+#[test]
+fn weight_is_seen_by_the_way_it_pulls() {
+    let model = ThumbModel::new(&small(vec![])).unwrap();
+    let of = |gravity: [f64; 3]| {
+        read(&model, &Stimulus { gravity: Vector3::from(gravity), ..Stimulus::default() })
+    };
+    let idle = of([0.0; 3]);
+    let [a, b, c] = [of([9.81, 0.0, 0.0]), of([-9.81, 0.0, 0.0]), of([19.62, 0.0, 0.0])];
+    assert!(rms(&a, &idle) > 1e-6);
+    let linear = rms(&c, &idle) / rms(&a, &idle);
+    assert!((linear - 2.0).abs() < 0.1 && rms(&a, &b) > 1.8 * rms(&a, &idle), "{linear}");
+}
+
+#[test]
+fn noise_is_what_it_was_asked_to_be_and_another_each_time() {
+    let model = ThumbModel::new(&small(vec![])).unwrap();
+    let take = |seed: f64| model.capture(&Stimulus::default(), &mut || seed).unwrap().unwrap();
+    let [clean, a, b, again] = [0.0, 0.3, -1.7, 0.3].map(take);
+    assert_eq!(a, again);
+    let difference = |p: &Image, q: &Image| {
+        let square = |(p, q): (&u8, &u8)| (f64::from(*p) - f64::from(*q)).powi(2);
+        (p.data().iter().zip(q.data()).map(square).sum::<f64>() / p.data().len() as f64).sqrt() / 255.0
+    };
+    let both = difference(&a, &b);
+    // For a picture whose mean is not the one that noise is said for.
+    assert!((0.009..0.015).contains(&both), "{both}");
+    assert!((difference(&a, &clean) * 2f64.sqrt() / both - 1.0).abs() < 0.1);
+}
+
+#[test]
+fn tips_of_other_shapes_are_refused_with_those_that_are_known() {
+    let model = ThumbModel::new(&small(vec![])).unwrap();
+    let mut contact = press(&model, 0.03, 2.0, 0.4, 0.0);
+    contact.tip.shape = TipShape::FlatPunch { diameter: 0.004 };
+    assert!(model.response(&touched(vec![contact.clone()]), &mut vec![0.0; model.channels()]).is_ok());
+    contact.tip.shape = TipShape::Box { size: [0.01, 0.01] };
+    let error = model.response(&touched(vec![contact]), &mut vec![0.0; model.channels()]).unwrap_err();
+    assert!(error.to_string().contains("box") && error.to_string().contains("flat-punch"), "{error}");
+}
+
+#[test]
+fn numbers_that_cannot_be_are_refused_by_field() {
+    dermis_skin::register(crate::FAMILY);
+    for (from, to, field) in [
+        ("thickness = 0.004", "thickness = 0.04", "medium.elastomer.thickness"),
+        ("spacing = 0.005", "spacing = 1e-5", "surface.spacing"),
+        ("tip = 0.009", "tip = 0.03", "surface.tip"),
+        ("\"RGBRGRBG\"", "\"RGX\"", "medium.lamps.colours"),
+        ("size = [104, 80]", "size = [104, 80000]", "medium.camera.size[1]"),
+        ("blocks = [10, 8]", "blocks = [10, 800]", "medium.blocks[1]"),
+        ("difference = 0.012", "difference = 0.001", "medium.noise.difference"),
+        ("beam = 0.0016, inside", "beam = 0.0016, colour = 1.0, inside", "medium.skeleton.colour"),
+    ] {
+        let text = SMALL.replace(from, to);
+        assert_ne!(text, SMALL);
+        let error = match SkinDescription::from_toml(&text, "small") {
+            Err(error) => error.to_string(),
+            Ok(skin) => ThumbModel::new(&skin).unwrap_err().to_string(),
+        };
+        assert!(error.contains(field), "{field}: {error}");
+    }
+}

@@ -1,0 +1,11 @@
+//! What the camera sees of the inside: lens, lamps, and the table from which pictures are made.
+
+pub mod lens;
+pub mod light;
+pub mod picture;
+pub mod shading;
+
+pub use lens::Camera;
+pub use light::{Lamp, Light};
+pub use picture::{Noise, Picture};
+pub use shading::Shading;

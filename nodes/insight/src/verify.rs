@@ -1,0 +1,172 @@
+//! Figures of the thumb's physics, computed now, against closed forms and the thesis: I1, I3, I4 and I5.
+
+use std::f64::consts::FRAC_PI_2;
+
+use dermis_mechanics::MechanicsError;
+use dermis_mechanics::fem::{HexMesh, Solid};
+use dermis_model::Case;
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+
+use crate::optics::lens::field_of_view;
+use crate::optics::light::{Beam, COLOURS, Finish, Lamp};
+use crate::optics::picture::Noise;
+use crate::optics::{Camera, Light};
+
+/// Every case of this family.
+///
+/// # Errors
+///
+/// [`MechanicsError`] where a case cannot be computed at all.
+pub fn cases() -> Result<Vec<Case>, MechanicsError> {
+    let mut cases = Vec::new();
+    for poisson in [0.49, 0.4999] {
+        cases.push(tube(poisson)?);
+    }
+    cases.extend(fields_of_view());
+    cases.push(round_trip());
+    cases.extend([point_lamp(), furnace(), noise()]);
+    Ok(cases)
+}
+
+/// A tube under inner pressure in plane strain (G. Lamé): what locks is too stiff by far.
+fn tube(poisson: f64) -> Result<Case, MechanicsError> {
+    let (a, b, young, p) = (0.010, 0.0172, 70e3, 1e3);
+    let exact =
+        (1.0 + poisson) / young * p * a * a / (b * b - a * a) * ((1.0 - 2.0 * poisson) * a + b * b / a);
+    let (cells, through) = (24_u32, 8_u32);
+    let angle = |i: u32| FRAC_PI_2 * f64::from(i) / f64::from(cells);
+    let radii: Vec<f64> = (0..=through).map(|i| a + (b - a) * f64::from(i) / f64::from(through)).collect();
+    let angles: Vec<f64> = (0..=cells).map(angle).collect();
+    let mut mesh = HexMesh::block([&radii, &angles, &[0.0, 1e-3]]);
+    let polar: Vec<[f64; 2]> = mesh.nodes.iter().map(|n| [n.x, n.y]).collect();
+    for (n, [r, t]) in mesh.nodes.iter_mut().zip(&polar) {
+        (n.x, n.y) = (r * t.cos(), r * t.sin());
+    }
+    let near = |t: f64, at: f64| (t - at).abs() < 1e-9;
+    let held = |i: usize, _: &Point3<f64>| [near(polar[i][1], FRAC_PI_2), near(polar[i][1], 0.0), true];
+    let solid = Solid::new(mesh, young, poisson, held)?;
+    // Pressure on the chords of the inner wall, by halves at both of their ends and at both ends of the tube.
+    let chord = 2.0 * a * (FRAC_PI_2 / f64::from(cells) / 2.0).sin();
+    let inner: Vec<usize> = (0..polar.len()).filter(|i| near(polar[*i][0], a)).collect();
+    let load = |i: &usize| {
+        let t = polar[*i][1];
+        let share = if near(t, 0.0) || near(t, FRAC_PI_2) { 0.5 } else { 1.0 };
+        (*i, Vector3::new(t.cos(), t.sin(), 0.0) * (p * chord * 1e-3 * share / 2.0))
+    };
+    let moved = solid.displacements(&[inner.iter().map(load).collect()]);
+    let radial = |i: &usize| {
+        let t = polar[*i][1];
+        moved[0][*i].x * t.cos() + moved[0][*i].y * t.sin()
+    };
+    let mean = inner.iter().map(radial).sum::<f64>() / inner.len() as f64;
+    Ok(Case::relative(
+        format!("I1-{poisson}"),
+        format!("tube of 10 and 17.2 mm under 1 kPa, ν = {poisson}: how far its inside moves"),
+        "Lamé's closed form, plane strain",
+        "m",
+        [mean, exact],
+        0.01,
+    ))
+}
+
+/// Pixels of a mode's picture that are as large as those of the first mode, and its field of view \[°\], across and down (thesis, Table 6.2).
+const MODES: [([f64; 2], [f64; 2]); 3] =
+    [([1640.0, 1232.0], [123.8, 91.0]), ([1280.0, 720.0], [94.7, 52.7]), ([640.0, 480.0], [46.8, 34.8])];
+/// \[pixels\]
+const FOCAL: f64 = 795.0;
+
+fn fields_of_view() -> Vec<Case> {
+    let of = |(mode, (pixels, degrees)): (usize, &([f64; 2], [f64; 2]))| {
+        [0, 1].map(|k| {
+            let way = ["across", "down"][k];
+            Case::relative(
+                format!("I3-{}-{way}", mode + 1),
+                format!("field of view of mode {} {way}, equisolid lens of {FOCAL} pixels", mode + 1),
+                "thesis, Table 6.2",
+                "rad",
+                [field_of_view(pixels[k], FOCAL), degrees[k].to_radians()],
+                0.01,
+            )
+        })
+    };
+    MODES.iter().enumerate().flat_map(of).collect()
+}
+
+/// From pixels to directions and back, all over the largest picture.
+fn round_trip() -> Case {
+    let camera = Camera {
+        size: [1640, 1232],
+        focal: FOCAL,
+        position: Point3::new(0.0, 0.0, 0.003),
+        orientation: Rotation3::identity(),
+    };
+    let off = |i: u32| {
+        let at = [f64::from(i % 41) * 40.0, f64::from(i / 41) * 44.0];
+        camera
+            .direction(at)
+            .and_then(|direction| camera.project(&(camera.position + direction * 0.03)))
+            .map_or(f64::INFINITY, |[x, y]| (x - at[0]).hypot(y - at[1]))
+    };
+    let worst = (0..41 * 29).map(off).fold(0.0, f64::max);
+    let what = "pixel to direction to pixel, all over the picture: the largest difference";
+    Case::new("I3-round-trip", what, "identity", "px", [worst, 0.0], (0.01, 1.0))
+}
+
+/// A lamp whose beam is as wide as everything.
+fn wide_lamp() -> Light {
+    Light {
+        lamps: vec![Lamp { position: Point3::origin(), axis: Vector3::z(), power: [1.0; COLOURS] }],
+        beam: Beam { radius: 1.0, spread: 100.0, edge: 1e-3 },
+        finish: Finish { diffuse: 1.0, specular: 0.0, shininess: 1.0 },
+        ambient: [0.0; COLOURS],
+        sensor: Matrix3::identity(),
+        gamma: 1.0,
+    }
+}
+
+/// Light of a point lamp on a plane, beside its axis: I cos θ / d², by the value below the lamp.
+fn point_lamp() -> Case {
+    let light = wide_lamp();
+    let (height, beside) = (0.02, 0.015);
+    let on = |x: f64| light.irradiance(&light.lamps[0], &Point3::new(x, 0.0, height), &-Vector3::z());
+    let far = height.hypot(beside);
+    let exact = (height / far) * (height / far).powi(2);
+    let what = "light of a point lamp on a plane, 15 mm beside its foot of 20 mm, over the light there";
+    Case::relative("I4-lamp", what, "cos θ / d²", "", [on(beside) / on(0.0), exact], 5e-3)
+}
+
+/// A white furnace: a lamp in the middle of a ball. What falls on the ball is what the lamp sends, whatever the ball's size.
+fn furnace() -> Case {
+    let light = wide_lamp();
+    let flux = |radius: f64| {
+        let rings = 200;
+        let ring = |i: i32| {
+            // The lamp sends forwards only.
+            let polar = FRAC_PI_2 * (f64::from(i) + 0.5) / f64::from(rings);
+            let outwards = Vector3::new(polar.sin(), 0.0, polar.cos());
+            let area = polar.sin() * radius * radius;
+            area * light.irradiance(&light.lamps[0], &Point3::from(outwards * radius), &-outwards)
+        };
+        (0..rings).map(ring).sum::<f64>()
+    };
+    let what = "light on a ball around a lamp, over that on a ball of a third of the radius";
+    Case::relative("I4-furnace", what, "conservation of energy", "", [flux(0.03) / flux(0.01), 1.0], 5e-3)
+}
+
+/// The noise of a pixel of the brightness that it is said for.
+fn noise() -> Case {
+    let noise = Noise { shot: (0.5 * 0.012f64.powi(2) - 0.004f64.powi(2)) / 0.4, read: 0.004 };
+    let got = 2f64.sqrt() * noise.deviation(0.4);
+    let what = "root mean square of the difference of two untouched pictures, at a brightness of 0.4";
+    Case::relative("I5-idle", what, "thesis, section 6.4.3", "", [got, 0.012], 0.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_case_passes() {
+        dermis_model::suite::all_pass(&cases().unwrap());
+    }
+}

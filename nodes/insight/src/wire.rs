@@ -1,0 +1,379 @@
+//! The camera's own wire: over TCP, the host writes a request of up to 256 bytes, and the device answers with the length of a JPEG picture
+//! (u32, little-endian) and the picture.
+//!
+//! Nothing in it marks a beginning. Where a length cannot be, or no JPEG follows, bytes are passed over until a length and the beginning of a
+//! JPEG come again. Lengths and sizes are bounded before anything is decoded: a picture has at most as many bytes as its pixels, and must be
+//! of the skin's size, or a whole multiple of it up to eight, which is reduced to means.
+//!
+//! There is no clock and no number in an answer: frames are stamped on arrival and counted here.
+
+use std::io::Cursor;
+
+use dermis_sensor::{Decoder, Encoder};
+use dermis_skin::{Frame, Image, PixelFormat};
+use dermis_transport::framing::{DecoderStats, Rejection};
+use dermis_transport::{ClockState, DeviceClock};
+use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
+use image::{ColorType, ExtendedColorType, ImageDecoder};
+
+use crate::optics::light::COLOURS;
+use crate::optics::picture::means;
+
+/// As skin files name it.
+pub const NAME: &str = "insight-jpeg";
+
+/// What the host asks with; the device takes up to [`REQUEST_MAX`] bytes for one request, whatever they are.
+const REQUEST: &[u8] = b"picture\n";
+/// \[bytes\] of a request at most.
+const REQUEST_MAX: usize = 256;
+/// \[bytes\] of the length before a picture.
+const HEAD: usize = 4;
+/// How a JPEG begins.
+const BEGINS: [u8; 3] = [0xff, 0xd8, 0xff];
+/// \[bytes\] of the shortest JPEG that can be, nearly: its tables alone take more.
+const LEAST: usize = 100;
+/// Times that a device's picture is as wide and high as the skin's, at most.
+const MULTIPLE: u32 = 8;
+/// Of the JPEG pictures of a simulated device.
+const QUALITY: u8 = 92;
+/// \[ns\] after which a request that was not answered is made again.
+const OVERDUE: i64 = 1_000_000_000;
+
+/// Asks for pictures and reads them.
+#[derive(Debug)]
+pub struct PictureReader {
+    size: [u32; 2],
+    blocks: [u32; 2],
+    buffer: Vec<u8>,
+    stats: DecoderStats,
+    clock: DeviceClock,
+    /// When the request was made that is not answered yet.
+    asked: Option<i64>,
+    sequence: u64,
+}
+
+impl PictureReader {
+    /// For pictures of `size` pixels whose means over `blocks` are a frame's numbers.
+    #[must_use]
+    pub fn new(size: [u32; 2], blocks: [u32; 2]) -> Self {
+        Self {
+            size,
+            blocks,
+            buffer: Vec::new(),
+            stats: DecoderStats::new(most_bytes(size)),
+            clock: DeviceClock::new(),
+            asked: None,
+            sequence: 0,
+        }
+    }
+
+    /// Bytes to pass over until an answer may begin, and its picture's length where that is known.
+    fn next(&self) -> (usize, Option<usize>) {
+        let most = most_bytes(self.size);
+        let begins = |at: usize| {
+            let head = &self.buffer[at..];
+            let known = head.len().min(HEAD + BEGINS.len());
+            let length = head.first_chunk().map(|bytes| u32::from_le_bytes(*bytes) as usize);
+            // What has not come yet may be right.
+            let fits = length.is_none_or(|length| (LEAST..=most).contains(&length));
+            fits && head.get(HEAD..known).is_none_or(|begin| BEGINS.starts_with(begin))
+        };
+        let at = (0..self.buffer.len()).find(|at| begins(*at)).unwrap_or(self.buffer.len());
+        let head = &self.buffer[at..];
+        let whole = head.len() >= HEAD + BEGINS.len();
+        (at, head.first_chunk().filter(|_| whole).map(|bytes| u32::from_le_bytes(*bytes) as usize))
+    }
+
+    fn frame(&mut self, jpeg: &[u8], received_ns: i64) -> Option<Frame> {
+        let image = match decode(jpeg, self.size) {
+            Ok(image) => image,
+            Err(reason) => {
+                self.stats.reject(Rejection::Format, || reason);
+                return None;
+            }
+        };
+        let mut values = vec![0.0; self.blocks.iter().product::<u32>() as usize * COLOURS];
+        means(self.size, self.blocks, image.data(), &mut values);
+        self.stats.frames += 1;
+        let stamp = self.clock.stamp(None, received_ns);
+        let mut frame = Frame::new(stamp, self.sequence, values.iter().map(|v| *v as f32).collect());
+        self.sequence += 1;
+        frame.image = Some(image);
+        Some(frame)
+    }
+}
+
+impl Decoder for PictureReader {
+    fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<Frame>) {
+        self.stats.take_in(bytes);
+        self.buffer.extend_from_slice(bytes);
+        loop {
+            let (skip, length) = self.next();
+            if skip > 0 {
+                self.stats.reject(Rejection::Length, || {
+                    format!("{skip} bytes are no length of a picture with a JPEG behind it; is this another device?")
+                });
+                self.buffer.drain(..skip);
+            }
+            let Some(end) = length.map(|length| HEAD + length).filter(|end| *end <= self.buffer.len()) else {
+                return;
+            };
+            let jpeg: Vec<u8> = self.buffer.drain(..end).skip(HEAD).collect();
+            self.asked = None;
+            if let Some(frame) = self.frame(&jpeg, received_ns) {
+                self.stats.valid(self.buffer.len());
+                out.push(frame);
+            }
+        }
+    }
+
+    fn request(&mut self, now_ns: i64) -> Option<Vec<u8>> {
+        if self.asked.is_some_and(|at| now_ns - at < OVERDUE) {
+            return None;
+        }
+        self.asked = Some(now_ns);
+        Some(REQUEST.to_vec())
+    }
+
+    fn gap(&mut self) {
+        self.buffer.clear();
+        self.asked = None;
+    }
+
+    fn stats(&self) -> &DecoderStats {
+        &self.stats
+    }
+
+    fn clock(&self) -> ClockState {
+        self.clock.state()
+    }
+
+    fn clock_jumps(&self) -> u64 {
+        self.clock.resets()
+    }
+}
+
+/// \[bytes\] of a JPEG of the largest picture that is taken, at most: as many as its pixels have, and a header.
+fn most_bytes([width, height]: [u32; 2]) -> usize {
+    let pixels = width as usize * height as usize * (MULTIPLE * MULTIPLE) as usize;
+    (pixels * COLOURS).clamp(1 << 16, 1 << 26)
+}
+
+/// A picture of `size` pixels, or of a whole multiple of them.
+fn decode(jpeg: &[u8], [width, height]: [u32; 2]) -> Result<Image, String> {
+    let wrong = |error: image::ImageError| format!("a picture is no JPEG that can be read: {error}");
+    // Reads the header only.
+    let decoder = JpegDecoder::new(Cursor::new(jpeg)).map_err(wrong)?;
+    let (wide, high) = decoder.dimensions();
+    let times = wide / width.max(1);
+    if decoder.color_type() != ColorType::Rgb8
+        || !(1..=MULTIPLE).contains(&times)
+        || [wide, high] != [width * times, height * times]
+    {
+        return Err(format!(
+            "a picture has {wide} x {high} pixels ({:?}), and this skin's has {width} x {height} in colour, or a whole multiple of that up \
+             to {MULTIPLE}: set `medium.camera.size`, or the camera",
+            decoder.color_type()
+        ));
+    }
+    let mut data = vec![0; wide as usize * high as usize * COLOURS];
+    decoder.read_image(&mut data).map_err(wrong)?;
+    if times > 1 {
+        data = reduced(&data, [width as usize, height as usize], times as usize);
+    }
+    Image::new(width, height, PixelFormat::Rgb8, data).ok_or_else(|| "a picture has too few bytes".to_owned())
+}
+
+/// Means over squares of `times` pixels.
+fn reduced(data: &[u8], [width, height]: [usize; 2], times: usize) -> Vec<u8> {
+    let mut sums = vec![0_u32; width * COLOURS];
+    let mut out = Vec::with_capacity(width * height * COLOURS);
+    let half = (times * times / 2) as u32;
+    for rows in data.chunks_exact(width * times * COLOURS * times) {
+        sums.fill(0);
+        for row in rows.chunks_exact(width * times * COLOURS) {
+            for (sum, square) in
+                sums.as_chunks_mut::<COLOURS>().0.iter_mut().zip(row.chunks_exact(times * COLOURS))
+            {
+                for pixel in square.as_chunks::<COLOURS>().0 {
+                    sum.iter_mut().zip(pixel).for_each(|(s, v)| *s += u32::from(*v));
+                }
+            }
+        }
+        out.extend(sums.iter().map(|sum| ((sum + half) / (times * times) as u32) as u8));
+    }
+    out
+}
+
+/// Answers requests with pictures.
+#[derive(Debug, Default)]
+pub struct PictureWriter {
+    bytes: Vec<u8>,
+}
+
+impl Encoder for PictureWriter {
+    fn encode(&mut self, frame: &Frame, _: u64) -> Result<&[u8], String> {
+        let image = frame.image.as_ref().ok_or("sends pictures, and there is none")?;
+        let colour = match image.format() {
+            PixelFormat::Rgb8 => ExtendedColorType::Rgb8,
+            PixelFormat::Mono8 => ExtendedColorType::L8,
+        };
+        self.bytes.clear();
+        self.bytes.extend_from_slice(&[0; HEAD]);
+        JpegEncoder::new_with_quality(&mut self.bytes, QUALITY)
+            .encode(image.data(), image.width(), image.height(), colour)
+            .map_err(|error| format!("cannot make a JPEG of {image:?}: {error}"))?;
+        let length = u32::try_from(self.bytes.len() - HEAD).map_err(|_| "a picture is too large")?;
+        self.bytes[..HEAD].copy_from_slice(&length.to_le_bytes());
+        Ok(&self.bytes)
+    }
+
+    fn on_request(&self) -> bool {
+        true
+    }
+
+    /// Each line is a request; so is whatever comes without an end of line, up to 256 bytes, as the original device takes it.
+    fn asked(&mut self, bytes: &[u8]) -> usize {
+        let lines = bytes.iter().filter(|byte| **byte == b'\n').count();
+        if lines > 0 { lines } else { bytes.len().div_ceil(REQUEST_MAX) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SIZE: [u32; 2] = [40, 24];
+    const BLOCKS: [u32; 2] = [4, 3];
+
+    fn pixels([width, height]: [u32; 2], shade: u8) -> Image {
+        let value = |i: u32| {
+            let (x, y) = (i / 3 % width, i / 3 / width);
+            (u32::from(shade) + 100 * x / width + 60 * y / height) as u8
+        };
+        let data: Vec<u8> = (0..width * height * 3).map(value).collect();
+        Image::new(width, height, PixelFormat::Rgb8, data).unwrap()
+    }
+
+    fn answer(image: Image) -> Vec<u8> {
+        let mut frame = Frame::new(0, 0, Vec::new());
+        frame.image = Some(image);
+        PictureWriter::default().encode(&frame, 0).unwrap().to_vec()
+    }
+
+    fn read(pieces: &[&[u8]]) -> (Vec<Frame>, DecoderStats) {
+        let mut reader = PictureReader::new(SIZE, BLOCKS);
+        let mut frames = Vec::new();
+        pieces.iter().for_each(|piece| reader.push(piece, 5, &mut frames));
+        (frames, reader.stats().clone())
+    }
+
+    #[test]
+    fn a_picture_and_its_means_come_through() {
+        let (frames, stats) = read(&[&answer(pixels(SIZE, 20)), &answer(pixels(SIZE, 60))]);
+        assert_eq!((frames.len(), stats.frames, stats.rejected.total()), (2, 2, 0));
+        assert_eq!(frames.iter().map(|f| f.sequence).collect::<Vec<_>>(), [0, 1]);
+        for (frame, shade) in frames.iter().zip([20, 60]) {
+            let wanted = pixels(SIZE, shade);
+            let image = frame.image.as_ref().unwrap();
+            let off = image.data().iter().zip(wanted.data()).map(|(a, b)| a.abs_diff(*b)).max();
+            assert!(off <= Some(6), "{off:?}");
+            let mut means_of = vec![0.0; 36];
+            means(SIZE, BLOCKS, wanted.data(), &mut means_of);
+            assert!(frame.values.iter().zip(&means_of).all(|(a, b)| (f64::from(*a) - b).abs() < 0.01));
+        }
+    }
+
+    #[test]
+    fn a_larger_camera_is_reduced_and_another_refused() {
+        let (frames, _) = read(&[&answer(pixels([160, 96], 20))]);
+        let image = frames[0].image.as_ref().unwrap();
+        let off = image.data().iter().zip(pixels(SIZE, 20).data()).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!([image.width(), image.height()] == SIZE && off <= Some(6), "{off:?}");
+        for other in [[20, 12], [80, 96], [400, 240], [41, 24]] {
+            let (frames, stats) = read(&[&answer(pixels(other, 20)), &answer(pixels(SIZE, 20))]);
+            assert_eq!((frames.len(), stats.rejected.format), (1, 1), "{other:?}");
+        }
+    }
+
+    /// A header of 65,535 x 65,535 pixels would take 12 GB: it is refused before that.
+    #[test]
+    fn a_decompression_bomb_is_refused_by_its_header() {
+        let mut bomb = answer(pixels(SIZE, 20));
+        let at = bomb.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
+        bomb[at + 5..at + 9].fill(0xff);
+        let (frames, stats) = read(&[&bomb, &answer(pixels(SIZE, 20))]);
+        assert_eq!((frames.len(), stats.rejected.format), (1, 1));
+        let said = stats.last_rejection.unwrap();
+        assert!(said.contains("65535 x 65535") || said.contains("no JPEG"), "{said}");
+    }
+
+    #[test]
+    fn a_length_that_cannot_be_is_passed_over() {
+        let good = answer(pixels(SIZE, 20));
+        for length in [0_u32, 3, u32::MAX, 1 << 27] {
+            let mut bad = good.clone();
+            bad[..HEAD].copy_from_slice(&length.to_le_bytes());
+            let (frames, stats) = read(&[&bad, &good]);
+            assert_eq!(frames.len(), 1, "{length}");
+            assert!(stats.rejected.length >= 1);
+        }
+    }
+
+    #[test]
+    fn a_request_is_made_again_where_no_answer_comes() {
+        let mut reader = PictureReader::new(SIZE, BLOCKS);
+        assert_eq!(reader.request(0).as_deref(), Some(REQUEST));
+        assert_eq!(reader.request(1_000_000), None);
+        assert_eq!(reader.request(OVERDUE).as_deref(), Some(REQUEST));
+        reader.push(&answer(pixels(SIZE, 20)), 5, &mut Vec::new());
+        assert!(reader.request(OVERDUE + 1).is_some());
+        let mut writer = PictureWriter::default();
+        assert_eq!(
+            [writer.asked(REQUEST), writer.asked(b"x"), writer.asked(b""), writer.asked(&[7; 300])],
+            [1, 1, 0, 2]
+        );
+        assert!(writer.on_request() && writer.encode(&Frame::new(0, 0, vec![]), 0).is_err());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn pictures_are_read_however_they_are_cut(
+            cuts in proptest::collection::vec(1..200usize, 1..40),
+            noise in proptest::collection::vec(any::<u8>(), 0..20),
+        ) {
+            let mut stream = noise.clone();
+            // Noise may look like a length; a zero after it ends that.
+            stream.extend([0; 8]);
+            (0..3).for_each(|i| stream.extend(answer(pixels(SIZE, 20 * i))));
+            let (mut reader, mut frames) = (PictureReader::new(SIZE, BLOCKS), Vec::new());
+            let mut rest = &stream[..];
+            for cut in cuts.iter().cycle() {
+                let (piece, left) = rest.split_at((*cut).min(rest.len()));
+                reader.push(piece, 5, &mut frames);
+                rest = left;
+                if rest.is_empty() { break }
+            }
+            prop_assert_eq!(frames.len(), 3);
+        }
+
+        #[test]
+        fn nothing_makes_it_panic_or_keep_more_than_one_picture(
+            bytes in proptest::collection::vec(any::<u8>(), 0..2000),
+            flip in proptest::collection::vec((0..2000usize, any::<u8>()), 0..8),
+        ) {
+            let mut damaged = answer(pixels(SIZE, 20));
+            for (at, value) in flip {
+                if let Some(byte) = damaged.get_mut(at) { *byte = value }
+            }
+            let (mut reader, mut frames) = (PictureReader::new(SIZE, BLOCKS), Vec::new());
+            for piece in [&bytes[..], &damaged, &bytes] {
+                reader.push(piece, 5, &mut frames);
+                prop_assert!(reader.buffer.len() <= HEAD + most_bytes(SIZE));
+            }
+        }
+    }
+}
