@@ -49,9 +49,32 @@ pub fn estimator(
     runtime: &Runtime,
 ) -> Result<Box<dyn Estimator>, SetupError> {
     let bundles = bundles.iter().map(|folder| Bundle::load(folder, skin)).collect::<Result<Vec<_>, _>>()?;
+    let models = Models::load(sensor, skin, &bundles, runtime)?;
+    ready(sensor, skin, masked, models)
+}
+
+/// The estimator of a skin that has no bundle: contacts are found on its forward model.
+///
+/// # Errors
+///
+/// As [`SkinEstimator::new`] and [`Models::inverted`].
+pub fn inverting(
+    sensor: &dyn Sensor,
+    skin: &SkinDescription,
+    masked: &[String],
+) -> Result<Box<dyn Estimator>, SetupError> {
+    ready(sensor, skin, masked, Models::inverted(sensor, skin)?)
+}
+
+/// An estimator with its models, which gives the maps that are theirs.
+fn ready(
+    sensor: &dyn Sensor,
+    skin: &SkinDescription,
+    masked: &[String],
+    models: Models,
+) -> Result<Box<dyn Estimator>, SetupError> {
     let mut estimator = SkinEstimator::new(skin, masked)?;
     estimator.set_check(frame_check(sensor, skin)?);
-    let models = Models::load(sensor, skin, &bundles, runtime)?;
     let maps = models.own_maps();
     estimator.set_models(models);
     estimator.want_maps(maps);

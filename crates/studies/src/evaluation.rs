@@ -35,8 +35,11 @@ pub struct Request {
     #[arg(long)]
     pub skin: PathBuf,
     /// Model bundle; several may give different outputs.
-    #[arg(long, required = true)]
+    #[arg(long, required_unless_present = "invert")]
     pub model: Vec<PathBuf>,
+    /// Without a bundle: find the contacts on the skin's forward model, as a node does that has none.
+    #[arg(long, conflicts_with_all = ["model", "held_out", "beside"])]
+    pub invert: bool,
     /// Only what the (first) model did not see in training, as its data card says; for bags that it was trained on.
     #[arg(long)]
     pub held_out: bool,
@@ -78,6 +81,7 @@ impl Default for Request {
         Self {
             skin: PathBuf::new(),
             model: Vec::new(),
+            invert: false,
             held_out: false,
             split: None,
             unattended: false,
@@ -150,7 +154,10 @@ impl Serialize for Findings {
 /// Where skin, bundles or bags cannot be read. A requirement that is missed is a finding.
 pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
-    let mut estimator = families.estimator(&skin, &options.model)?;
+    let mut estimator = match options.invert {
+        true => families.inverting(&skin)?,
+        false => families.estimator(&skin, &options.model)?,
+    };
     let mut how = options.labels.options()?;
     how.tare_when_idle = !options.unattended;
     let data = Dataset::from_bags(&options.bags, &skin, &how)?;

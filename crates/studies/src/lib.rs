@@ -77,6 +77,15 @@ impl Families {
         let runtime = Runtime::load(&RuntimeConfig::default())?;
         Ok(dermis_estimate::estimator(self.of(skin)?, skin, bundles, &[], runtime)?)
     }
+
+    /// What finds the contacts of a skin without a bundle, on its forward model.
+    ///
+    /// # Errors
+    ///
+    /// Where the skin has no forward model.
+    pub fn inverting(&self, skin: &SkinDescription) -> Result<Box<dyn Estimator>> {
+        Ok(dermis_estimate::inverting(self.of(skin)?, skin, &[])?)
+    }
 }
 
 /// Frames that a figure leaves out, and why; the figure with everything stands before it where there is one.
