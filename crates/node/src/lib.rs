@@ -26,6 +26,8 @@ mod executor;
 #[cfg(feature = "hiroz")]
 mod hiroz_backend;
 mod lifecycle;
+#[cfg(feature = "test-suite")]
+pub mod memory;
 mod names;
 pub mod network;
 mod node;

@@ -1,7 +1,6 @@
-//! The node over the embedded backend, in one process.
+//! The node over a backend that carries messages within the process.
 
-use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicU32;
+use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Instant;
 
@@ -10,12 +9,12 @@ use dermis_msgs::geometry_msgs::msg::{TwistStamped, Vector3};
 use dermis_msgs::msg::Contact;
 use dermis_msgs::std_msgs::msg::{Bool, Float64, Header};
 use dermis_msgs::std_srvs::srv::TriggerRequest;
-use dermis_node::network::SessionOptions;
-use dermis_node::{HirozBackend, HirozConfig, Level, NodeOptions, Publisher};
+use dermis_node::memory::Memory;
+use dermis_node::{Level, NodeOptions, Publisher};
 
 use super::*;
 
-const WAIT: Duration = Duration::from_secs(60);
+const WAIT: Duration = Duration::from_secs(20);
 
 const RULES: &str = r#"
 schema = "dermis-reflex/1"
@@ -24,7 +23,7 @@ start = "clear"
 [inputs.palm]
 kind = "skin"
 topic = "contacts"
-timeout = 2.0
+timeout = 0.5
 [actions.stop]
 kind = "bool"
 topic = "stop"
@@ -54,53 +53,23 @@ actions = ["stop", "slow", "twist", "power", "goals"]
 struct Bench {
     _folder: tempfile::TempDir,
     rules: PathBuf,
-    namespace: String,
-    domain: u16,
+    backend: Memory,
 }
 
 impl Bench {
     fn new(rules: &str) -> Self {
-        static NEXT: AtomicU32 = AtomicU32::new(0);
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rules.toml");
         std::fs::write(&path, rules).unwrap();
-        Self {
-            _folder: folder,
-            rules: path,
-            namespace: format!("/r{}_{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)),
-            domain: u16::try_from(1 + std::process::id() % 100).unwrap(),
-        }
-    }
-
-    fn backend() -> HirozBackend {
-        // Networks of different tests do not see each other.
-        let scouting_port = 20_000 + u16::try_from(std::process::id() % 10_000).unwrap();
-        let session = SessionOptions {
-            local_router: false,
-            scouting_port: Some(scouting_port),
-            ..SessionOptions::default()
-        };
-        HirozBackend::new(HirozConfig { session, ..HirozConfig::default() })
-    }
-
-    fn config(&self, rules: &Path) -> Config {
-        let network =
-            dermis_node::NetworkChoice { network: Some(dermis_node::Reach::Loopback), zenoh_config: None };
-        Config {
-            namespace: self.namespace.clone(),
-            domain_id: Some(self.domain),
-            network,
-            ..Config::new(rules)
-        }
+        Self { _folder: folder, rules: path, backend: Memory::default() }
     }
 
     fn start(&self) -> ReflexNode {
-        ReflexNode::start(&self.config(&self.rules), &Self::backend()).unwrap()
+        ReflexNode::start(&Config::new(&self.rules), &self.backend).unwrap()
     }
 
     fn observer(&self) -> Node {
-        let options = NodeOptions::new("observer").namespace(&self.namespace).domain_id(self.domain);
-        Node::open(options.localhost_only(true), &Self::backend()).unwrap()
+        Node::open(NodeOptions::new("observer"), &self.backend).unwrap()
     }
 }
 
@@ -209,7 +178,7 @@ fn a_touch_does_all_that_the_rule_says_until_it_is_released() {
     assert_eq!(status.level, Level::Warn);
     assert!(status.message.contains("acts until it is released: a force of 6 N"), "{}", status.message);
 
-    let release = observer.client::<Trigger>(&format!("{}/test_reflex/release", bench.namespace)).unwrap();
+    let release = observer.client::<Trigger>("/test_reflex/release").unwrap();
     let answer = release.call_blocking(&TriggerRequest::default(), WAIT).unwrap();
     assert!(
         !answer.success && answer.message.contains("a force of 6 N on skin `palm`"),
@@ -263,7 +232,7 @@ fn a_node_that_is_not_active_says_so_and_goes_on_where_it_was() {
     let life = reflex.node().lifecycle().unwrap();
     life.take(Transition::Deactivate).unwrap();
     assert!(reflex.diagnosis().message.contains("guards nothing"));
-    let release = observer.client::<Trigger>(&format!("{}/test_reflex/release", bench.namespace)).unwrap();
+    let release = observer.client::<Trigger>("/test_reflex/release").unwrap();
     let answer = release.call_blocking(&TriggerRequest::default(), WAIT).unwrap();
     assert!(!answer.success && answer.message.contains("not active"), "{}", answer.message);
     life.take(Transition::Activate).unwrap();
@@ -276,12 +245,11 @@ fn a_node_that_is_not_active_says_so_and_goes_on_where_it_was() {
 #[test]
 fn rules_that_cannot_be_used_are_refused_before_ros_is_asked() {
     let bench = Bench::new("schema = 'dermis-reflex/1'\nname = 'x'\n");
-    let refused =
-        ReflexNode::start(&bench.config(&bench.rules), &Bench::backend()).err().unwrap().to_string();
+    let refused = ReflexNode::start(&Config::new(&bench.rules), &bench.backend).err().unwrap().to_string();
     assert!(refused.starts_with("rule file ") && refused.contains("missing field"), "{refused}");
-    let refused = crate::check(&bench.config(Path::new("nowhere.toml"))).unwrap_err().to_string();
+    let refused = crate::check(&Config::new("nowhere.toml")).unwrap_err().to_string();
     assert!(refused.contains("nowhere.toml: cannot be read"), "{refused}");
     let bench = Bench::new(RULES);
-    let said = crate::check(&bench.config(&bench.rules)).unwrap();
+    let said = crate::check(&Config::new(&bench.rules)).unwrap();
     assert!(said.ends_with("rules.toml: 1 rule on 1 input, with 5 actions"), "{said}");
 }
