@@ -226,10 +226,16 @@ impl Maps {
     pub fn append(&mut self, map: MapTarget, truth: &Truth, out: &mut Vec<f64>) -> Result<(), LearnError> {
         let start = out.len();
         out.resize(start + self.len(map), 0.0);
-        let Some(stimulus) = stimulus(truth) else {
+        let Some(mut stimulus) = stimulus(truth) else {
             out[start..].fill(f64::NAN);
             return Ok(());
         };
+        if map.needs_model() {
+            // A force cell's noise pulls at the skin now and then, which no forward model knows.
+            let normals = truth.contacts.iter().map(|c| c.normal);
+            let all = stimulus.contacts.into_iter().zip(normals);
+            stimulus.contacts = all.filter(|(c, normal)| c.force.dot(normal) < 0.0).map(|(c, _)| c).collect();
+        }
         if stimulus.contacts.is_empty() {
             return Ok(());
         }
@@ -442,9 +448,11 @@ mod tests {
         let mut signal = Vec::new();
         maps.append(MapTarget::Signal, &truth(vec![contact(0.0, 0.0, 3.0)]), &mut signal).unwrap();
         maps.append(MapTarget::Signal, &truth(Vec::new()), &mut signal).unwrap();
+        // Where the force cell's noise pulls, nothing presses.
+        maps.append(MapTarget::Signal, &truth(vec![contact(0.0, 0.0, -0.02)]), &mut signal).unwrap();
         let channels = skin.channels().len();
         assert!(signal[..channels].iter().all(|v| (v - 6.0).abs() < 1e-12), "{signal:?}");
-        assert!(signal.len() == 2 * channels && signal[channels..].iter().all(|v| *v == 0.0));
+        assert!(signal.len() == 3 * channels && signal[channels..].iter().all(|v| *v == 0.0));
     }
 
     #[test]
