@@ -251,7 +251,13 @@ impl Reflex {
     /// What is sent when the node ends.
     #[must_use]
     pub fn last_words(&self) -> Vec<Command> {
-        if self.rules.at_end == AtEnd::Act { self.outputs.last_words() } else { Vec::new() }
+        if self.rules.at_end == AtEnd::Act { self.stop_commands() } else { Vec::new() }
+    }
+
+    /// What every action that publishes sends when it acts.
+    #[must_use]
+    pub fn stop_commands(&self) -> Vec<Command> {
+        self.outputs.stop_commands()
     }
 
     /// When [`tick`](Self::tick) has to be called at the latest; `None`: not before something else happens.

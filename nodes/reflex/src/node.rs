@@ -77,7 +77,7 @@ impl ReflexNode {
         let keeper = Arc::clone(&guard);
         let timekeeper = std::thread::Builder::new()
             .name("dermis-reflex-time".to_owned())
-            .spawn(move || keeper.keep_time())
+            .spawn(move || keeper.keep_time_always())
             .map_err(RunError::Thread)?;
         let running = Self {
             node,

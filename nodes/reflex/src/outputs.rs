@@ -117,9 +117,9 @@ impl Outputs {
         };
     }
 
-    /// What is sent when the node ends, where that is to act.
+    /// What every output that is no call sends when all of its actions act.
     #[must_use]
-    pub fn last_words(&self) -> Vec<Command> {
+    pub fn stop_commands(&self) -> Vec<Command> {
         let mut commands = Vec::new();
         for output in &self.outputs {
             let smallest = output.wanted(&self.actions, &vec![true; self.actions.len()]);
@@ -244,7 +244,7 @@ mod tests {
         assert_eq!(orders(&mut outputs, 1, &[true, true]), [Order::Scale(0.2)]);
         assert_eq!(orders(&mut outputs, 2, &[true, false]), [Order::Scale(0.5)]);
         assert_eq!(orders(&mut outputs, 3, &[false, false]), [Order::Scale(1.0)]);
-        let commands = outputs.last_words();
+        let commands = outputs.stop_commands();
         assert_eq!(commands, [Command { action: 0, order: Order::Scale(0.2) }]);
     }
 
@@ -284,7 +284,7 @@ mod tests {
         assert_eq!(orders(&mut outputs, 3, &[true]), [Order::Call]);
         outputs.answered(0, true, 4 * MS);
         assert_eq!(outputs.next_wake(), None);
-        assert!(outputs.last_words().is_empty(), "nobody waits for a call at the end");
+        assert!(outputs.stop_commands().is_empty(), "nobody waits for a call at the end");
     }
 
     #[test]

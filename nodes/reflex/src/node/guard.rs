@@ -1,5 +1,6 @@
 //! What the threads of the node share.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
@@ -190,8 +191,22 @@ impl Guard {
         self.senders.end();
     }
 
+    /// [`Self::keep_time`], and again after a panic: without it no timeout would ever act. A panic is a stop.
+    pub(super) fn keep_time_always(&self) {
+        while catch_unwind(AssertUnwindSafe(|| self.keep_time())).is_err() {
+            tracing::error!(
+                "the thread that keeps the reflexes' time panicked: it stops the robot, and goes on"
+            );
+            let stamp = self.node.clock().now();
+            for command in self.lock().reflex.stop_commands() {
+                self.senders.send(command, stamp);
+            }
+            std::thread::sleep(PARTING);
+        }
+    }
+
     /// Calls the state machine when it asked to be called, until the node ends.
-    pub(super) fn keep_time(&self) {
+    fn keep_time(&self) {
         let mut core = self.lock();
         while !core.ended {
             let wanted = core.reflex.next_wake().filter(|_| self.is_active());
