@@ -207,8 +207,9 @@ impl Tracks {
                 i += 1;
                 continue;
             };
-            // The older one keeps its identity.
-            let (keep, gone) = if self.tracks[j].born < self.tracks[i].born { (j, i) } else { (i, j) };
+            // What is published already keeps its identity, the older one of two.
+            let rank = |t: &Track| (t.id == 0, t.id, t.born);
+            let (keep, gone) = if rank(&self.tracks[j]) < rank(&self.tracks[i]) { (j, i) } else { (i, j) };
             let mut taken = self.tracks[gone].clone();
             taken.predict(self.at, s);
             let track = &mut self.tracks[keep];
@@ -291,16 +292,21 @@ pub(crate) struct Identities {
 }
 
 impl Identities {
+    /// The identity that a contact of these skins had a moment ago and that is not in use.
+    fn before(&self, track: &Track, used: &[u32], s: &Settings) -> Option<u32> {
+        let known = track.sources.iter().filter(|source| source.track != 0).filter_map(|source| {
+            let (id, seen) = self.known.get(&(source.skin, source.track))?;
+            (seconds(*seen, track.seen) <= 2.0 * s.hold.max(0.05)).then_some(*id)
+        });
+        known.filter(|id| !used.contains(id)).min()
+    }
+
     /// Gives every track that is published an identity: its own, or that which its skins' contacts had a moment ago, or a new one.
     fn give(&mut self, tracks: &mut [Track], at: Stamp, s: &Settings) {
         let mut used: Vec<u32> = tracks.iter().map(|t| t.id).filter(|id| *id != 0).collect();
         for track in tracks.iter_mut().filter(|t| t.hits >= s.births) {
             if track.id == 0 {
-                let before = track.sources.iter().filter_map(|source| {
-                    let (id, seen) = self.known.get(&(source.skin, source.track))?;
-                    (source.track != 0 && seconds(*seen, at) <= 2.0 * s.hold.max(0.05)).then_some(*id)
-                });
-                track.id = before.filter(|id| !used.contains(id)).min().unwrap_or_else(|| {
+                track.id = self.before(track, &used, s).unwrap_or_else(|| {
                     self.last = self.last.checked_add(1).unwrap_or(1);
                     self.last
                 });
@@ -312,6 +318,15 @@ impl Identities {
         }
         if self.known.len() > MOST_TRACKS {
             self.known.retain(|_, (_, seen)| seconds(*seen, at) < 1.0);
+        }
+    }
+
+    /// Gives the tracks that published ones are made from what those were given.
+    fn repeat(&self, tracks: &mut [Track], s: &Settings) {
+        let mut used: Vec<u32> = tracks.iter().map(|t| t.id).filter(|id| *id != 0).collect();
+        for track in tracks.iter_mut().filter(|t| t.id == 0) {
+            track.id = self.before(track, &used, s).unwrap_or(0);
+            used.push(track.id);
         }
     }
 
@@ -394,16 +409,8 @@ impl Group {
                 self.current.work(report, s);
             }
         }
-        identities.give(&mut self.settled.tracks, at, s);
-        for track in &mut self.current.tracks {
-            if track.id == 0
-                && let Some(same) =
-                    self.settled.tracks.iter().find(|t| t.id != 0 && t.born == track.born && shares(t, track))
-            {
-                track.id = same.id;
-            }
-        }
         identities.give(&mut self.current.tracks, at, s);
+        identities.repeat(&mut self.settled.tracks, s);
         let mut shown: Vec<Track> =
             self.current.tracks.iter().filter(|t| t.hits >= s.births).cloned().collect();
         for track in &mut shown {
@@ -421,11 +428,6 @@ impl Group {
         }
         self.dirty = true;
     }
-}
-
-/// Whether a skin calls both the same.
-fn shares(a: &Track, b: &Track) -> bool {
-    a.sources.iter().any(|s| b.is_felt_as(s.skin, s.track))
 }
 
 #[cfg(test)]

@@ -347,6 +347,7 @@ impl Track {
             (Some(a), Some(b)) => a.merged(b).or_else(|| Some(a.clone())),
             (a, b) => a.clone().or_else(|| b.clone()),
         };
+        self.id = if self.id == 0 { other.id } else { self.id };
         self.sources.extend(other.sources.iter().cloned());
         self.sources.sort_by(|a, b| a.spread.total_cmp(&b.spread).then(a.skin.cmp(&b.skin)));
         self.born = self.born.min(other.born);
