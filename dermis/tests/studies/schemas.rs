@@ -336,7 +336,7 @@ fn a_skins_keys_are_those_that_its_reader_knows() {
     let [grid, dome, shin, eflesh] =
         ["baro-grid", "baro-dome", "hapdef-shin", "eflesh"].map(|name| format!("launch/skins/{name}.toml"));
     let bore = "launch/gap/tactile-fsi-air.toml".to_owned();
-    let ert = "launch/skins/ert-panel.toml".to_owned();
+    let [ert, thumb] = ["ert-panel", "insight-thumb"].map(|name| format!("launch/skins/{name}.toml"));
     for (file, at, schema) in [
         (&grid, "", ""),
         (&grid, "/surface", "/properties/surface/oneOf/0"),
@@ -356,6 +356,15 @@ fn a_skins_keys_are_those_that_its_reader_knows() {
         (&ert, "/medium/foam", "/allOf/2/then/properties/medium/properties/foam"),
         (&ert, "/medium/top", "/allOf/2/then/properties/medium/properties/top"),
         (&ert, "/medium/drive", "/allOf/2/then/properties/medium/properties/drive"),
+        (&thumb, "/surface", "/properties/surface/oneOf/4"),
+        (&thumb, "/medium", "/allOf/3/then/properties/medium"),
+        (&thumb, "/medium/elastomer", "/allOf/3/then/properties/medium/properties/elastomer"),
+        (&thumb, "/medium/skeleton", "/allOf/3/then/properties/medium/properties/skeleton"),
+        (&thumb, "/medium/fovea", "/allOf/3/then/properties/medium/properties/fovea"),
+        (&thumb, "/medium/camera", "/allOf/3/then/properties/medium/properties/camera"),
+        (&thumb, "/medium/lamps", "/allOf/3/then/properties/medium/properties/lamps"),
+        (&thumb, "/medium/finish", "/allOf/3/then/properties/medium/properties/finish"),
+        (&thumb, "/medium/noise", "/allOf/3/then/properties/medium/properties/noise"),
     ] {
         Probe { kind: "skin", file, at, schema }.check(read);
     }

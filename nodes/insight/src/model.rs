@@ -79,7 +79,13 @@ impl ThumbModel {
             return Err(skin.refusal("channels", reason));
         }
         let Parameters { elastomer, grid, camera, texture, noise, blocks, .. } = &parameters;
-        let shading = Shading::lit(elastomer, *grid, camera, parameters.light.clone(), parameters.ambient);
+        let shading = Shading::lit(
+            elastomer,
+            *grid,
+            camera,
+            parameters.light.clone(),
+            (parameters.ambient, texture.ridges.as_ref()),
+        );
         let picture = Picture::new(elastomer, camera, &shading, texture, *noise, *blocks);
         Ok(Self {
             skin: skin.name.clone(),

@@ -15,6 +15,7 @@ use crate::elastic::mesh::{Elastomer, Fovea, Skeleton};
 use crate::optics::lens::FULL_WIDTH;
 use crate::optics::light::{Beam, COLOURS, Finish, Lamp};
 use crate::optics::picture::Texture;
+use crate::optics::shading::Ridges;
 use crate::optics::{Camera, Light, Noise};
 use crate::shape::Thumb;
 use crate::surface::Rings;
@@ -45,6 +46,7 @@ struct MediumSpec {
     elastomer: ElastomerSpec,
     skeleton: Skeleton,
     fovea: Option<Fovea>,
+    ridges: Option<Ridges>,
     camera: CameraSpec,
     lamps: LampsSpec,
     finish: FinishSpec,
@@ -227,6 +229,13 @@ impl MediumSpec {
                 ("fovea.size[1]", fovea.size[1], [1e-3, 0.1]),
             ]);
         }
+        if let Some(ridges) = &self.ridges {
+            limits.extend([
+                ("ridges.pitch", ridges.pitch, [2e-4, 0.02]),
+                ("ridges.count", f64::from(ridges.count), [1.0, 1e3]),
+                ("ridges.height", ridges.height, [0.0, 0.5 * ridges.pitch]),
+            ]);
+        }
         limits
     }
 
@@ -333,7 +342,7 @@ impl Parameters {
             light,
             ambient: spec.finish.ambient,
             per_kelvin: 0.0,
-            texture: Texture::default(),
+            texture: Texture { ridges: spec.ridges, ..Texture::default() },
             noise: Noise {
                 shot: (0.5 * spec.noise.difference.powi(2) - spec.noise.read.powi(2)) / NOISE_AT,
                 read: spec.noise.read,

@@ -191,6 +191,31 @@ fn weight_is_seen_by_the_way_it_pulls() {
     assert!((linear - 2.0).abs() < 0.1 && rms(&a, &b) > 1.8 * rms(&a, &idle), "{linear}");
 }
 
+/// Ridges that move change a picture by more than the shape that moves them.
+#[test]
+fn ridges_make_small_displacements_visible() {
+    let ridges = "ridges = { pitch = 0.003, count = 24, height = 0.0005 }\nblocks";
+    let [smooth, ridged] = [SMALL.to_owned(), SMALL.replacen("blocks", ridges, 1)].map(|text| {
+        let model = ThumbModel::new(&skin(&text)).unwrap();
+        let weight = Stimulus { gravity: Vector3::new(98.1, 0.0, 0.0), ..Stimulus::default() };
+        let press = touched(vec![press(&model, 0.03, 2.0, 0.5, 0.1)]);
+        let [idle, heavy, pressed] = [&Stimulus::default(), &weight, &press].map(|stimulus| {
+            let image = model.capture(stimulus, &mut || 0.0).unwrap().unwrap();
+            let mut seen = vec![0.0; model.channels()];
+            assert!(model.observe(&image, &mut seen));
+            assert!(rms(&read(&model, stimulus), &seen) < 4e-3, "{}", rms(&read(&model, stimulus), &seen));
+            image
+        });
+        let difference = |a: &Image, b: &Image| {
+            let [a, b] = [a, b].map(|image| image.data().iter().map(|v| f64::from(*v)).collect::<Vec<_>>());
+            rms(&a, &b)
+        };
+        [difference(&heavy, &idle), difference(&pressed, &idle)]
+    });
+    // Of a press, some ridges move by more than a wave: four times and 1.3 times as much.
+    assert!(ridged[0] > 2.0 * smooth[0] && ridged[1] > 1.1 * smooth[1], "{ridged:?} {smooth:?}");
+}
+
 #[test]
 fn noise_is_what_it_was_asked_to_be_and_another_each_time() {
     let model = ThumbModel::new(&small(vec![])).unwrap();

@@ -1,7 +1,8 @@
 //! From the lit inside to pictures, and to the numbers of a frame.
 //!
 //! A table holds for every pixel which cell of the grid it sees and what it says where nothing touches. A touch adds what its nodes change,
-//! linear in between. The numbers of a frame are means over blocks of pixels. They follow from the nodes' changes by a sparse matrix, so
+//! linear in between. Where the inside has ridges, the table also has what a pixel says more where a ridge moves by a radian of its phase; it is a
+//! mean over parts of a pixel, and the change its first harmonic. The numbers of a frame are means over blocks of pixels. They follow from the nodes' changes by a sparse matrix, so
 //! that they need no pictures: a pixel at the end of its scale has no part in it.
 //!
 //! Noise has the variance a·I + b² of a pixel that says I: a table of standard normal numbers, which each row reads from another place. One
@@ -18,8 +19,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use super::lens::Camera;
-use super::light::COLOURS;
-use super::shading::{Changes, Shading, inside};
+use super::light::{COLOURS, Light};
+use super::shading::{CHANGES, Changes, Ridges, Shading, inside};
 use crate::elastic::basis::Grid;
 use crate::elastic::mesh::Elastomer;
 
@@ -74,6 +75,8 @@ pub struct Texture {
     pub glints: Vec<(Point3<f64>, f64, f64)>,
     /// \[pixels\], standard deviation of the lens' blur.
     pub blur: f64,
+    /// Ridges of the inside.
+    pub ridges: Option<Ridges>,
 }
 
 /// What makes pictures.
@@ -85,6 +88,8 @@ pub struct Picture {
     pixels: Vec<Pixel>,
     /// Factor of each pixel's changes; 1 everywhere where empty.
     texture: Vec<f32>,
+    /// What each pixel says more for each radian of the ridges' phases, in parts of [`RADIAN`]; none where empty.
+    ridges: Vec<[[i16; COLOURS]; 2]>,
     noise: Noise,
     blocks: [u32; 2],
     /// Means over blocks, of all pixels and of those that are not saturated, per number.
@@ -93,8 +98,16 @@ pub struct Picture {
     /// Of each node of the grid with one column more: where its blocks begin.
     starts: Vec<u32>,
     /// Blocks, and what a change at the node changes of their means.
-    weights: Vec<(u32, [f32; COLOURS])>,
+    weights: Vec<(u32, [[f32; COLOURS]; 3])>,
 }
+
+/// Parts of full scale in which the table of ridges counts.
+const RADIAN: f32 = 1.0 / 8192.0;
+/// \[rad\] by which ridges are moved for a difference.
+const MOVED: f64 = 0.3;
+/// Pixels of a row below which a pixel is looked at in parts, and such parts along a side at most.
+const FINE: u32 = 1640;
+const PARTS: u32 = 4;
 
 /// Where rays from the camera meet the inside: (s, φ) of a place of the picture, found by Newton's method on the depth below the outside.
 #[must_use]
@@ -146,6 +159,16 @@ impl Picture {
             }
         };
         let mut pixels = in_parallel(width * height, see);
+        let mut ridges = Vec::new();
+        if let Some(known) = &texture.ridges {
+            let place = |i: usize| [i % width, i / width];
+            let ridged = in_parallel(width * height, |i| ridged(elastomer, camera, light, known, place(i)));
+            ridges.reserve_exact(ridged.len());
+            for (pixel, (base, moved)) in pixels.iter_mut().zip(ridged) {
+                pixel.base = base;
+                ridges.push(moved.map(|of| of.map(|v| (v / RADIAN).clamp(-32e3, 32e3) as i16)));
+            }
+        }
         let albedo = factors(&grid, &texture.albedo, light.gamma);
         let mut factor = Vec::new();
         if !albedo.is_empty() {
@@ -167,6 +190,7 @@ impl Picture {
             wide,
             pixels,
             texture: factor,
+            ridges,
             noise,
             blocks,
             means: Vec::new(),
@@ -194,6 +218,12 @@ impl Picture {
         block_of(self.size, self.blocks, pixel)
     }
 
+    /// What a pixel says more for each radian of the ridges' phases.
+    fn moved(&self, pixel: usize) -> [[f32; COLOURS]; 2] {
+        let of = |moved: &[[i16; COLOURS]; 2]| moved.map(|of| of.map(|v| f32::from(v) * RADIAN));
+        self.ridges.get(pixel).map_or([[0.0; COLOURS]; 2], of)
+    }
+
     fn factor(&self, pixel: usize) -> f32 {
         self.texture.get(pixel).copied().unwrap_or(1.0)
     }
@@ -206,7 +236,7 @@ impl Picture {
         }
         self.means = vec![0.0; count * COLOURS];
         self.free = vec![0.0; count * COLOURS];
-        let mut found: HashMap<(u32, u32), [f32; COLOURS]> = HashMap::new();
+        let mut found: HashMap<(u32, u32), [[f32; COLOURS]; 3]> = HashMap::new();
         for (i, pixel) in self.pixels.iter().enumerate() {
             let block = self.block(i);
             let share = 1.0 / pixels_of[block] as f32;
@@ -217,9 +247,14 @@ impl Picture {
             }
             for (node, weight) in pixel.corners(self.wide) {
                 if weight > 0.0 {
-                    let sum = found.entry((node as u32, block as u32)).or_insert([0.0; COLOURS]);
+                    let sum = found.entry((node as u32, block as u32)).or_insert([[0.0; COLOURS]; 3]);
                     let by = weight * self.factor(i);
-                    sum.iter_mut().zip(open).for_each(|(s, o)| *s += by * o);
+                    let [along, around] = self.moved(i);
+                    for (colour, open) in open.iter().enumerate() {
+                        sum[0][colour] += by * open;
+                        sum[1][colour] += by * open * along[colour];
+                        sum[2][colour] += by * open * around[colour];
+                    }
                 }
             }
         }
@@ -252,10 +287,11 @@ impl Picture {
                 for (block, weights) in &self.weights[from..to] {
                     let by = by_row[(block / columns) as usize];
                     let place = *block as usize * COLOURS;
-                    let values = out[place..place + COLOURS].iter_mut();
-                    values
-                        .zip(weights.iter().zip(change))
-                        .for_each(|(v, (w, c))| *v += f64::from(by * w * c));
+                    let [own, along, around] = weights;
+                    for (colour, value) in out[place..place + COLOURS].iter_mut().enumerate() {
+                        let ridges = along[colour] * change[COLOURS] + around[colour] * change[COLOURS + 1];
+                        *value += f64::from(by * (own[colour] * change[colour] + ridges));
+                    }
                 }
             }
         }
@@ -305,8 +341,14 @@ impl Picture {
                 let by = share * self.factor(y * width + x);
                 let [a, b, c, d] =
                     pixel.corners(self.wide).map(|(node, weight)| (&changes.values[node], by * weight));
-                for (colour, v) in value.iter_mut().enumerate() {
-                    *v += a.0[colour] * a.1 + b.0[colour] * b.1 + c.0[colour] * c.1 + d.0[colour] * d.1;
+                let change: [f32; CHANGES] =
+                    std::array::from_fn(|k| a.0[k] * a.1 + b.0[k] * b.1 + c.0[k] * c.1 + d.0[k] * d.1);
+                value.iter_mut().zip(change).for_each(|(v, c)| *v += c);
+                if !self.ridges.is_empty() {
+                    let [along, around] = self.moved(y * width + x);
+                    for (colour, v) in value.iter_mut().enumerate() {
+                        *v += along[colour] * change[COLOURS] + around[colour] * change[COLOURS + 1];
+                    }
                 }
             }
         }
@@ -318,6 +360,38 @@ impl Picture {
 fn shares(shown: &[(&Changes, f64)], down: f64) -> [f32; 2] {
     let before = shown.get(1).map_or(0.0, |(_, skew)| (skew * (1.0 - down)).clamp(0.0, 1.0));
     [(1.0 - before) as f32, before as f32]
+}
+
+/// What a pixel of a ridged inside says, in the mean over its parts, and what it says more for each radian of the ridges' phases.
+fn ridged(
+    elastomer: &Elastomer,
+    camera: &Camera,
+    light: &Light,
+    ridges: &Ridges,
+    [x, y]: [usize; 2],
+) -> ([f32; COLOURS], [[f32; COLOURS]; 2]) {
+    let parts = FINE.div_ceil(camera.size[0]).clamp(1, PARTS);
+    let share = 1.0 / (parts * parts) as f32;
+    let (mut base, mut moved) = ([0.0; COLOURS], [[0.0; COLOURS]; 2]);
+    for part in 0..parts * parts {
+        let within = |k: u32| (f64::from(k) + 0.5) / f64::from(parts);
+        let at = [x as f64 + within(part % parts), y as f64 + within(part / parts)];
+        let place = meets(elastomer, camera, at).unwrap_or([elastomer.thumb.length(), 0.0]);
+        let (p, normal) = inside(elastomer, place[0], place[1]);
+        let view = (camera.position - p).try_normalize(1e-9).unwrap_or_else(Vector3::z);
+        let (phases, along) = ridges.phases(elastomer, place, &normal);
+        let seen =
+            |phases: [f64; 2]| light.seen(light.radiance(&p, &ridges.tilted(&normal, phases, &along), &view));
+        base.iter_mut().zip(seen(phases)).for_each(|(sum, v)| *sum += share * v);
+        for (k, moved) in moved.iter_mut().enumerate() {
+            let by = |by: f64| seen(std::array::from_fn(|i| if i == k { phases[i] + by } else { phases[i] }));
+            let (more, less) = (by(MOVED), by(-MOVED));
+            // The derivative of a first harmonic, by a difference over a part of its wave.
+            let scale = share / (2.0 * MOVED.sin()) as f32;
+            moved.iter_mut().zip(more.iter().zip(less)).for_each(|(sum, (a, b))| *sum += scale * (a - b));
+        }
+    }
+    (base, moved)
 }
 
 /// Block of a pixel: blocks are as equal as whole pixels let them be.

@@ -5,7 +5,11 @@
 //! direction. The normal there is that of the displaced grid. So the change of a pixel's colour is found in its own place, to first
 //! order in the displacement over its width.
 //!
+//! Ridges are too fine for the grid. What a displacement does to them is that they move: a pixel then sees another phase of them.
+//!
 //! Cost: nodes that neither move nor have a neighbour that does are passed over; 0.3 µs for any other.
+
+use std::f64::consts::TAU;
 
 use nalgebra::{Point3, Vector3};
 
@@ -17,6 +21,53 @@ use crate::elastic::mesh::Elastomer;
 /// Least cosine between ray and normal: rays that graze the surface see it move no further than this lets them.
 const GRAZING: f64 = 0.05;
 
+/// Ridges of the inside, moulded along its rings and its meridians: waves of the surface's height, and of its slope.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ridges {
+    /// \[m\] along the meridian from ridge to ridge.
+    pub pitch: f64,
+    /// Ridges around.
+    pub count: u32,
+    /// \[m\] from trough to crest.
+    pub height: f64,
+}
+
+/// Directions of a place of the inside in which ridges follow each other, times what a metre along them changes of the ridges' phases \[rad\].
+type Phases = [Vector3<f64>; 2];
+
+impl Ridges {
+    /// Phases \[rad\] of the ridges at (s, φ), and how they change from there; `normal` points inwards.
+    #[must_use]
+    pub fn phases(
+        &self,
+        elastomer: &Elastomer,
+        [s, azimuth]: [f64; 2],
+        normal: &Vector3<f64>,
+    ) -> ([f64; 2], Phases) {
+        let (sin, cos) = azimuth.sin_cos();
+        let around = Vector3::new(-sin, cos, 0.0);
+        let depth = elastomer.thickness_at(s, azimuth);
+        let r = elastomer.thumb.meridian(s, depth)[0];
+        // On the tip, the inside is shorter than the outside that s is measured on.
+        let shorter =
+            if s < elastomer.thumb.cap() { 1.0 - depth * elastomer.thumb.curvature(s) } else { 1.0 };
+        let wave = TAU / self.pitch;
+        let count = f64::from(self.count);
+        // Ridges along meridians end where they would be closer than those along rings.
+        let closest = if r * wave >= count { count / r } else { 0.0 };
+        let phases = [wave * s, count * azimuth];
+        (phases, [around.cross(normal) * (wave / shorter), around * closest])
+    }
+
+    /// The inward normal with the ridges' slopes.
+    #[must_use]
+    pub fn tilted(&self, normal: &Vector3<f64>, phases: [f64; 2], along: &Phases) -> Vector3<f64> {
+        let slope = |k: usize| along[k] * (0.5 * self.height * phases[k].sin());
+        (normal + slope(0) + slope(1)).normalize()
+    }
+}
+
 /// What is known of a node of the grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Node {
@@ -27,6 +78,8 @@ struct Node {
     of_grid: Vector3<f64>,
     /// Unit, from the camera.
     ray: Vector3<f64>,
+    /// Of ridges.
+    along: Phases,
 }
 
 /// The lit inside.
@@ -42,30 +95,33 @@ pub struct Shading {
 /// Changes of colours by node, a column more than the grid has: the last is the first again. And the rows that have any.
 #[derive(Debug, Clone, Default)]
 pub struct Changes {
-    /// Row by row.
-    pub values: Vec<[f32; COLOURS]>,
+    /// Row by row: of each colour, and of ridges' phases, as the negative sine of how far they have moved.
+    pub values: Vec<[f32; CHANGES]>,
     /// First row, and the one after the last.
     pub rows: [usize; 2],
     /// Nodes whose rows and columns (of the grid with one column more) have a value.
     pub nodes: Vec<u32>,
 }
 
+/// Numbers of a node that changes.
+pub const CHANGES: usize = COLOURS + 2;
+
 impl Changes {
     fn clear(&mut self, grid: &Grid) {
         let size = grid.rows * (grid.columns + 1);
         if self.values.len() == size {
             for node in self.nodes.drain(..) {
-                self.values[node as usize] = [0.0; COLOURS];
+                self.values[node as usize] = [0.0; CHANGES];
             }
         } else {
             self.values.clear();
-            self.values.resize(size, [0.0; COLOURS]);
+            self.values.resize(size, [0.0; CHANGES]);
             self.nodes.clear();
         }
         self.rows = [grid.rows, 0];
     }
 
-    fn set(&mut self, grid: &Grid, [row, column]: [usize; 2], value: [f32; COLOURS]) {
+    fn set(&mut self, grid: &Grid, [row, column]: [usize; 2], value: [f32; CHANGES]) {
         let wide = grid.columns + 1;
         self.values[row * wide + column] = value;
         self.nodes.push((row * wide + column) as u32);
@@ -103,13 +159,21 @@ pub fn inside(elastomer: &Elastomer, s: f64, azimuth: f64) -> (Point3<f64>, Vect
 impl Shading {
     /// The inside of an elastomer, lit and seen.
     #[must_use]
-    pub fn new(elastomer: &Elastomer, grid: Grid, camera: &Camera, light: Light) -> Self {
+    pub fn new(
+        elastomer: &Elastomer,
+        grid: Grid,
+        camera: &Camera,
+        light: Light,
+        ridges: Option<&Ridges>,
+    ) -> Self {
         let mut nodes: Vec<Node> = (0..grid.count())
             .map(|node| {
                 let [s, azimuth] = grid.place(node);
                 let (position, normal) = inside(elastomer, s, azimuth);
                 let ray = (position - camera.position).try_normalize(1e-9).unwrap_or_else(Vector3::z);
-                Node { position, normal, of_grid: normal, ray }
+                let none = [Vector3::zeros(); 2];
+                let along = ridges.map_or(none, |ridges| ridges.phases(elastomer, [s, azimuth], &normal).1);
+                Node { position, normal, of_grid: normal, ray, along }
             })
             .collect();
         let place = |node: usize| nodes[node].position;
@@ -125,7 +189,13 @@ impl Shading {
 
     /// The same with light that the inside has reflected once: a share of the mean light on it, everywhere alike.
     #[must_use]
-    pub fn lit(elastomer: &Elastomer, grid: Grid, camera: &Camera, mut light: Light, ambient: f64) -> Self {
+    pub fn lit(
+        elastomer: &Elastomer,
+        grid: Grid,
+        camera: &Camera,
+        mut light: Light,
+        (ambient, ridges): (f64, Option<&Ridges>),
+    ) -> Self {
         let (mut sum, mut area) = ([0.0; COLOURS], 0.0);
         for node in 0..grid.count() {
             let [s, azimuth] = grid.place(node);
@@ -138,7 +208,7 @@ impl Shading {
             }
         }
         light.ambient = sum.map(|sum| ambient * sum / area);
-        Self::new(elastomer, grid, camera, light)
+        Self::new(elastomer, grid, camera, light, ridges)
     }
 
     /// Adds what the whole skeleton gives way, clamped at its base: `top` \[m\] at the highest point, with the square of the height.
@@ -181,14 +251,21 @@ impl Shading {
                 if !neighbours(&self.grid, node).into_iter().any(moves) && !moves(node) {
                     continue;
                 }
-                let Node { position, normal, of_grid, ray } = &self.nodes[node];
+                let Node { position, normal, of_grid, ray, along } = &self.nodes[node];
                 let turned = normal + normal_of(&self.grid, node, place, of_grid) - of_grid;
                 let turned = turned.try_normalize(1e-9).unwrap_or(*normal);
                 let facing = -ray.dot(normal);
-                let on = -moved(node).dot(normal) / facing.max(GRAZING);
+                let u = moved(node);
+                let on = -u.dot(normal) / facing.max(GRAZING);
                 let seen = self.light.seen(self.light.radiance(&(position + ray * on), &turned, &-ray));
                 let before = &self.seen[node];
-                out.set(&self.grid, [row, column], std::array::from_fn(|c| seen[c] - before[c]));
+                // Along the surface, ridges move by what is left of u where the ray meets it.
+                let ridges = along.map(|along| -(u + ray * on).dot(&along).sin() as f32);
+                let value =
+                    std::array::from_fn(
+                        |c| if c < COLOURS { seen[c] - before[c] } else { ridges[c - COLOURS] },
+                    );
+                out.set(&self.grid, [row, column], value);
             }
         }
     }
