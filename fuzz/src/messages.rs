@@ -52,6 +52,9 @@ pub fn kinds() -> &'static [Kind] {
 
 fn all() -> Vec<Kind> {
     vec![
+        kind::<dermis_msgs::action_msgs::msg::GoalInfo>(),
+        kind::<dermis_msgs::action_msgs::srv::CancelGoalRequest>(),
+        kind::<dermis_msgs::action_msgs::srv::CancelGoalResponse>(),
         kind::<dermis_msgs::builtin_interfaces::msg::Duration>(),
         kind::<dermis_msgs::builtin_interfaces::msg::Time>(),
         kind::<dermis_msgs::msg::BodyContact>(),
@@ -79,6 +82,8 @@ fn all() -> Vec<Kind> {
         kind::<dermis_msgs::geometry_msgs::msg::Quaternion>(),
         kind::<dermis_msgs::geometry_msgs::msg::Transform>(),
         kind::<dermis_msgs::geometry_msgs::msg::TransformStamped>(),
+        kind::<dermis_msgs::geometry_msgs::msg::Twist>(),
+        kind::<dermis_msgs::geometry_msgs::msg::TwistStamped>(),
         kind::<dermis_msgs::geometry_msgs::msg::Vector3>(),
         kind::<dermis_msgs::geometry_msgs::msg::Vector3Stamped>(),
         kind::<dermis_msgs::geometry_msgs::msg::Wrench>(),
@@ -141,6 +146,7 @@ fn all() -> Vec<Kind> {
         kind::<dermis_msgs::std_srvs::srv::TriggerRequest>(),
         kind::<dermis_msgs::std_srvs::srv::TriggerResponse>(),
         kind::<dermis_msgs::tf2_msgs::msg::TFMessage>(),
+        kind::<dermis_msgs::unique_identifier_msgs::msg::UUID>(),
         kind::<dermis_msgs::visualization_msgs::msg::Marker>(),
         kind::<dermis_msgs::visualization_msgs::msg::MarkerArray>(),
         kind::<dermis_msgs::visualization_msgs::msg::MeshFile>(),
