@@ -236,9 +236,15 @@ impl Fuser {
         if state.intake.take_restart() {
             self.identities.forget(skin);
         }
-        if verdict != Verdict::Use {
-            self.watch(now);
-            return false;
+        match verdict {
+            Verdict::Use => {}
+            // What is refused changes nothing until somebody asks: there may be a flood of it.
+            Verdict::Refused => return false,
+            Verdict::Blind => {
+                state.felt = false;
+                self.groups[state.group].lose(skin);
+                return false;
+            }
         }
         let stamp = report.header.stamp.as_nanos();
         let top_from_skin = state.top_from_skin;

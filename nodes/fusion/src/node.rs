@@ -33,6 +33,8 @@ const KEPT: usize = 10;
 const WAITING: usize = 64;
 /// Shortest time between two answers.
 const LEAST_PERIOD: Duration = Duration::from_millis(1);
+/// After which a report that came too soon after an answer has its own.
+const TRAILING: Duration = Duration::from_millis(2);
 /// Longest time between two answers.
 const HEARTBEAT: Duration = Duration::from_millis(100);
 /// Shortest time between two marker messages: viewers draw 30 times a second.
@@ -95,6 +97,8 @@ struct Core {
     publishers: Publishers,
     sequence: u64,
     answered: Option<Instant>,
+    /// Whether a report has come since the last answer.
+    pending: bool,
     markers_sent: Option<Instant>,
     arrows: bool,
     /// What was last wrong with each skin.
@@ -171,6 +175,7 @@ impl FusionNode {
                 publishers,
                 sequence: 0,
                 answered: None,
+                pending: false,
                 markers_sent: None,
                 arrows: false,
                 texts: vec![String::new(); skins],
@@ -184,7 +189,7 @@ impl FusionNode {
         shared.follow();
         let subscriptions = shared.subscribe()?;
         let ticking = Arc::downgrade(&shared);
-        let period = if shared.eager { HEARTBEAT } else { Duration::from_secs_f64(1.0 / config.rate) };
+        let period = if shared.eager { TRAILING } else { Duration::from_secs_f64(1.0 / config.rate) };
         let timer = node.timer(period.min(HEARTBEAT), move || {
             if let Some(shared) = ticking.upgrade() {
                 shared.tick();
@@ -378,6 +383,7 @@ impl Shared {
         let now = self.node.clock().now();
         let mut core = self.lock();
         core.fuser.take(skin, message, publisher, now);
+        core.pending = true;
         if self.eager && core.answered.is_none_or(|at| at.elapsed() >= LEAST_PERIOD) {
             self.answer(&mut core);
         }
@@ -407,15 +413,17 @@ impl Shared {
         }
     }
 
-    /// Answers at the configured rate, or where no report did.
+    /// Answers at the configured rate, or what no report answered.
     fn tick(&self) {
         // With simulated time there is none before the first message of the clock.
         if !self.active.load(Ordering::Acquire) || self.node.clock().now() == 0 {
             return;
         }
         let mut core = self.lock();
-        // Where reports are answered, only their silence needs an answer; a timer ticks a little early or late.
-        if !self.eager || core.answered.is_none_or(|at| at.elapsed() * 10 >= HEARTBEAT * 9) {
+        // Where reports are answered, those need an answer that came too soon after the last one, and their silence.
+        let due = !self.eager || core.pending;
+        // A timer ticks a little early or late.
+        if due || core.answered.is_none_or(|at| at.elapsed() * 10 >= HEARTBEAT * 9) {
             self.answer(&mut core);
         }
     }
@@ -425,6 +433,7 @@ impl Shared {
         let now = self.node.clock().now();
         let state = core.fuser.state(now);
         core.answered = Some(Instant::now());
+        core.pending = false;
         core.sequence += 1;
         core.answers = (core.answers.0 + 1, core.answers.1.saturating_add(now.saturating_sub(state.stamp)));
         let (robot, publishers, sequence) = (&self.robot, &core.publishers, core.sequence);
