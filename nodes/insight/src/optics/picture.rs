@@ -107,7 +107,7 @@ const RADIAN: f32 = 1.0 / 8192.0;
 const MOVED: f64 = 0.3;
 /// Pixels of a row below which a pixel is looked at in parts, and such parts along a side at most.
 const FINE: u32 = 1640;
-const PARTS: u32 = 4;
+const PARTS: u32 = 2;
 
 /// Where rays from the camera meet the inside: (s, φ) of a place of the picture, found by Newton's method on the depth below the outside.
 #[must_use]
