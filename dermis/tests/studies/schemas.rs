@@ -361,6 +361,7 @@ fn a_skins_keys_are_those_that_its_reader_knows() {
         (&thumb, "/medium/elastomer", "/allOf/3/then/properties/medium/properties/elastomer"),
         (&thumb, "/medium/skeleton", "/allOf/3/then/properties/medium/properties/skeleton"),
         (&thumb, "/medium/fovea", "/allOf/3/then/properties/medium/properties/fovea"),
+        (&thumb, "/medium/ridges", "/allOf/3/then/properties/medium/properties/ridges"),
         (&thumb, "/medium/camera", "/allOf/3/then/properties/medium/properties/camera"),
         (&thumb, "/medium/lamps", "/allOf/3/then/properties/medium/properties/lamps"),
         (&thumb, "/medium/finish", "/allOf/3/then/properties/medium/properties/finish"),

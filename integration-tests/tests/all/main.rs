@@ -13,6 +13,7 @@ mod gap;
 mod gap_check;
 mod gap_faults;
 mod hapdef;
+mod insight;
 mod instances;
 mod launch;
 mod layouts;

@@ -4,6 +4,7 @@ pub mod lens;
 pub mod light;
 pub mod picture;
 pub mod shading;
+pub mod table;
 
 pub use lens::Camera;
 pub use light::{Lamp, Light};

@@ -3,8 +3,8 @@
 use dermis_skin::{Channel, FieldFault, ModelError, SkinDescription, Taxel};
 
 use super::{MediumSpec, Parameters, shape};
-use crate::optics::picture::meets;
 use crate::optics::shading::inside;
+use crate::optics::table::meets;
 
 /// Fills in the shape, and taxels and channels that a skin file leaves out: 20 × 15 blocks of pixels make 900 channels.
 ///
