@@ -76,6 +76,15 @@ fn of_bins<'a>(which: &str, all: &'a Ratio, bins: &'a [RatioBin]) -> Vec<(String
     .collect()
 }
 
+/// A number that leaves room to its neighbour in a table: bounds of contacts that no reading tells apart have no end.
+fn short(value: f64) -> String {
+    match value.abs() {
+        v if v < 1e3 || v.is_nan() => format!("{value:.3}"),
+        v if v < 1e6 => format!("{value:.0}"),
+        _ => format!("{value:.0e}"),
+    }
+}
+
 impl fmt::Display for AgainstBound {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (unit, factor) = if self.unit == "m" { ("mm", 1e3) } else { (self.unit.as_str(), 1.0) };
@@ -91,17 +100,29 @@ impl fmt::Display for AgainstBound {
             let [error, bound, median, of] = [r.error_rms, r.bound_rms, r.error_median, r.bound_median];
             writeln!(
                 f,
-                "  {name:<34}{:>9}{:>9.2} %{:>10.3}{:>9.3}{:>9.2}{:>9.3}{:>8.3}{:>14.2}",
+                "  {name:<34}{:>9}{:>9.2} %{:>10}{:>9}{:>9.2}{:>9}{:>8}{:>14.2}",
                 r.samples,
                 r.not_found * 100.0,
-                error * factor,
-                bound * factor,
+                short(error * factor),
+                short(bound * factor),
                 r.ratio_of_rms,
-                median * factor,
-                of * factor,
+                short(median * factor),
+                short(of * factor),
                 r.median_ratio
             )?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::short;
+
+    #[test]
+    fn every_number_leaves_room_to_its_neighbour() {
+        let shown = [0.0, 45.376_9, 999.999_4, 1200.4, 908_872.986, 6.216_508e9, f64::NAN].map(short);
+        assert_eq!(shown, ["0.000", "45.377", "999.999", "1200", "908873", "6e9", "NaN"]);
+        assert!(shown.iter().all(|text| text.len() < 8));
     }
 }

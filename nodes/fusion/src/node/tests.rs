@@ -1,15 +1,12 @@
 //! The node with messages in memory.
 
-#[path = "memory.rs"]
-mod memory;
-
 use std::sync::mpsc::{Receiver, channel};
 
+use dermis_node::memory::Memory;
 use dermis_node::{Level, ParameterValue, State};
 
 use super::*;
 use crate::testing::{contact, report, write_robot};
-use memory::Memory;
 
 const WAIT: Duration = Duration::from_secs(20);
 
