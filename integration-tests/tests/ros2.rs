@@ -89,6 +89,32 @@ fn recipe(name: &str, parameters: &[&str]) -> Option<Peer> {
 }
 
 #[test]
+fn velocities_pass_while_the_reflexes_say_so() {
+    let Some(mut gate) = recipe("gate.py", &["timeout:=1.0"]) else { return };
+    gate.expect("STOP", SOON);
+    let Some(mut rclpy) = Rclpy::start("reflex_stand_in") else { return };
+    rclpy.tell(&json!({"do": "subscribe", "topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}));
+    rclpy.tell(&json!({"do": "publish", "topic": "/cmd_vel_raw", "type": "geometry_msgs/msg/Twist",
+        "period": 0.05, "value": {"linear": {"x": 0.5}}}));
+    let speed = |said: &Value| said["value"]["linear"]["x"].as_f64();
+    let zero = rclpy.event("message", |said| said["topic"] == "/cmd_vel");
+    assert_eq!(speed(&zero), Some(0.0), "nobody has said that it may move");
+    let stop = |rclpy: &mut Rclpy, stop: bool, period: Value| {
+        rclpy.tell(&json!({"do": "publish", "topic": "/stop", "type": "std_msgs/msg/Bool",
+            "period": period, "value": {"data": stop}}));
+    };
+    stop(&mut rclpy, false, json!(0.1));
+    rclpy.event("message", |said| said["topic"] == "/cmd_vel" && speed(said) == Some(0.5));
+    stop(&mut rclpy, true, json!(0.1));
+    rclpy.event("message", |said| said["topic"] == "/cmd_vel" && speed(said) == Some(0.0));
+    stop(&mut rclpy, false, json!(0.1));
+    rclpy.event("message", |said| said["topic"] == "/cmd_vel" && speed(said) == Some(0.5));
+    // One more word that it may, and then silence.
+    stop(&mut rclpy, false, Value::Null);
+    rclpy.event("message", |said| said["topic"] == "/cmd_vel" && speed(said) == Some(0.0));
+}
+
+#[test]
 fn contacts_mark_cells_of_a_grid() {
     let Some(mut cells) = recipe("cloud.py", &["cell:=0.002"]) else { return };
     let Some(mut map) = Rclpy::start("map") else { return };

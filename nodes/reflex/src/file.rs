@@ -162,10 +162,10 @@ fn parse(text: &str, file: &str) -> Result<RawRules, RuleFileError> {
     })
 }
 
-/// `rules.1.name` as `rules[1].name`.
+/// `rules.1.force.?.above` as `rules[1].force.above`: a question mark is a key that may be absent.
 fn with_indices(path: &str) -> String {
     let mut out = String::with_capacity(path.len());
-    for part in path.split('.') {
+    for part in path.split('.').filter(|part| *part != "?") {
         if part.bytes().all(|b| b.is_ascii_digit()) {
             out += &format!("[{part}]");
         } else {

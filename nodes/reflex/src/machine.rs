@@ -213,6 +213,12 @@ impl Reflex {
         self.step(now)
     }
 
+    /// Goes on after [`last_words`](Self::last_words) were sent: every output says where it stands.
+    pub fn resume(&mut self, now: Duration) -> Done {
+        self.outputs.announce();
+        self.tick(now)
+    }
+
     /// A call of an action was answered, with success or not, or not in time.
     pub fn answered(&mut self, action: usize, success: bool, now: Duration) -> Done {
         let now = self.forward(now);

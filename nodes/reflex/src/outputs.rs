@@ -60,6 +60,8 @@ pub struct Outputs {
     actions: Vec<Action>,
     outputs: Vec<Output>,
     started: bool,
+    /// Whether every output says where it stands with the next update.
+    announce: bool,
 }
 
 impl Outputs {
@@ -81,17 +83,18 @@ impl Outputs {
                 None => outputs.push(Output { members: vec![i], level: None, next: None, call: Call::Idle }),
             }
         }
-        Self { actions, outputs, started: false }
+        Self { actions, outputs, started: false, announce: false }
     }
 
     /// Takes which actions act now, one truth value each, and adds what is to be sent at `now`.
     pub fn update(&mut self, now: Duration, acting: &[bool], commands: &mut Vec<Command>) {
         let start = !std::mem::replace(&mut self.started, true);
+        let announce = std::mem::take(&mut self.announce);
         for output in &mut self.outputs {
             let level = output.wanted(&self.actions, acting);
             let action = &self.actions[output.members[0]];
             let changed = level != output.level;
-            let announced = start && action.heartbeat.is_some();
+            let announced = announce || (start && action.heartbeat.is_some());
             let due = output.next.is_some_and(|next| next <= now);
             if changed && level.is_some() && output.level.is_none() && output.call == Call::Waiting {
                 output.call = Call::WaitingForOld;
@@ -101,6 +104,11 @@ impl Outputs {
                 output.send(action, now, commands);
             }
         }
+    }
+
+    /// Has every output say where it stands with the next update: somebody sent something else in between.
+    pub fn announce(&mut self) {
+        self.announce = true;
     }
 
     /// A call was answered, with success or not, or not in time.
@@ -246,6 +254,15 @@ mod tests {
         assert_eq!(orders(&mut outputs, 3, &[false, false]), [Order::Scale(1.0)]);
         let commands = outputs.stop_commands();
         assert_eq!(commands, [Command { action: 0, order: Order::Scale(0.2) }]);
+    }
+
+    #[test]
+    fn what_was_said_in_between_is_set_right() {
+        let mut outputs = outputs(vec![bool_(), scale(0.2)], None);
+        assert_eq!(orders(&mut outputs, 0, &[false, true]), [Order::Scale(0.2)]);
+        outputs.announce();
+        assert_eq!(orders(&mut outputs, 1, &[false, true]), [Order::Bool(false), Order::Scale(0.2)]);
+        assert_eq!(orders(&mut outputs, 2, &[false, true]), []);
     }
 
     #[test]

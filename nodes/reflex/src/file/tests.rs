@@ -141,6 +141,7 @@ fn refusals_name_file_line_and_field() {
     insta::assert_snapshot!(changed("timeout = 0.02", "timeout = 0.0"), @"rule file arm.toml: line 17: field `inputs.palm.timeout`: is 0 and must be between 0.0001 and 86400");
     insta::assert_snapshot!(changed("timeout = 0.02\n", ""), @"rule file arm.toml: line 12: field `inputs.palm`: missing field `timeout`");
     insta::assert_snapshot!(changed("latch = false", "lach = false"), @"rule file arm.toml: line 67: field `rules[1].lach`: is not known; remove it or correct its spelling");
+    insta::assert_snapshot!(changed("{ above = 12.0 }", "{ abov = 12.0 }"), @"rule file arm.toml: line 55: field `rules[0].pressure.abov`: is not known; remove it or correct its spelling");
     insta::assert_snapshot!(changed("topic = \"scale\"", "tpoic = \"scale\""), @"rule file arm.toml: line 34: field `actions.slow.tpoic`: is not known; remove it or correct its spelling");
     insta::assert_snapshot!(changed("release = 4.0", "release = 5.5"), @"rule file arm.toml: line 54: field `rules[0].force.release`: is 5.5 and may not be larger than `above`, 5");
     insta::assert_snapshot!(changed("force = 4.0", "force = 1.5"), @"rule file arm.toml: line 24: field `limits.hand.transient.force`: is below that of a quasi-static contact; a short contact is allowed no less than a long one");

@@ -397,6 +397,12 @@ fn the_last_words_are_to_stop() {
     let rig = Rig::new("clear", FORCE);
     let orders: Vec<Order> = rig.reflex.last_words().iter().map(|command| command.order).collect();
     assert_eq!(orders, [Order::Scale(0.2), Order::Bool(true)], "in the order of the actions' names");
+    // Who goes on says where it stands.
+    let mut rig = Rig::new("clear", FORCE);
+    rig.quietly(300 * MS);
+    let now = rig.now;
+    let orders: Vec<Order> = rig.reflex.resume(now).commands.iter().map(|command| command.order).collect();
+    assert_eq!(orders, [Order::Scale(1.0), Order::Bool(false)]);
     let mut silent = rules("clear", FORCE);
     silent.at_end = AtEnd::Silent;
     assert!(Reflex::new(silent, Duration::ZERO).last_words().is_empty());

@@ -40,6 +40,8 @@ pub(super) struct Core {
     pub(super) figures: Figures,
     /// What the thread that keeps the time sleeps until; `None`: until it is woken.
     sleeps_until: Option<Duration>,
+    /// Whether it guarded before, and said that it does not any more.
+    paused: bool,
     ended: bool,
 }
 
@@ -55,7 +57,8 @@ pub(super) struct Guard {
 
 impl Guard {
     pub(super) fn new(node: Node, reflex: Reflex, senders: Senders) -> Self {
-        let core = Core { reflex, figures: Figures::default(), sleeps_until: None, ended: false };
+        let core =
+            Core { reflex, figures: Figures::default(), sleeps_until: None, paused: false, ended: false };
         Self {
             node,
             active: AtomicBool::new(false),
@@ -170,9 +173,10 @@ impl Guard {
         }
         let now = self.now();
         let done = if active {
-            core.reflex.tick(now)
+            if core.paused { core.reflex.resume(now) } else { core.reflex.tick(now) }
         } else {
             // From now on nobody guards.
+            core.paused = true;
             Done { commands: core.reflex.last_words(), events: Vec::new() }
         };
         let events = self.carry_out(&mut core, done);

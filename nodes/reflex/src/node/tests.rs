@@ -240,6 +240,15 @@ fn a_node_that_is_not_active_says_so_and_goes_on_where_it_was() {
         reflex.diagnosis().message.contains("acts until it is released"),
         "a transition releases nothing"
     );
+    let deadline = Instant::now() + WAIT;
+    while !release.call_blocking(&TriggerRequest::default(), WAIT).unwrap().success {
+        assert!(Instant::now() < deadline, "{:?}", reflex.diagnosis());
+    }
+    // A node that goes on takes back what it said when it stopped.
+    life.take(Transition::Deactivate).unwrap();
+    while stop.try_recv().is_ok() {}
+    life.take(Transition::Activate).unwrap();
+    expect(&stop, "it may move", |stop| !stop.data);
 }
 
 #[test]
