@@ -14,7 +14,8 @@
 //! what they make of the tracks is computed again where one comes in between. So the answer is the same for every order of arrival.
 //!
 //! Cost: each report is worked in twice, and once more for each report that it overtakes. A pair of contact and track that are far from
-//! each other costs a distance; assignments are solved for each set of contacts that compete with one another.
+//! each other costs a distance, so that the cost grows with the product of both from some hundred on; assignments are solved for each
+//! set of contacts that compete with one another.
 
 use std::collections::{HashMap, VecDeque};
 

@@ -328,12 +328,15 @@ impl Track {
     /// covariances.
     pub(crate) fn looks_like(&self, other: &Self, gate: f64) -> bool {
         let (Some(a), Some(b)) = (&self.place, &other.place) else { return false };
-        let (difference, (_, of_a), (_, of_b)) =
-            ((a.mean - b.mean).fixed_rows::<3>(0).into_owned(), a.head(), b.head());
-        difference.norm_squared() <= gate * (of_a + of_b).trace()
-            && !self.sources.iter().any(|s| other.is_felt_by(s.skin))
+        // Most pairs end here.
+        if self.sources.iter().any(|s| other.is_felt_by(s.skin)) {
+            return false;
+        }
+        let difference = (a.mean - b.mean).fixed_rows::<3>(0).into_owned();
+        let sum = a.head().1 + b.head().1;
+        difference.norm_squared() <= gate * sum.trace()
             && self.normal().dot(&other.normal()) > LEAST_COSINE
-            && (of_a + of_b).try_inverse().is_some_and(|i| difference.dot(&(i * difference)) <= gate)
+            && sum.try_inverse().is_some_and(|i| difference.dot(&(i * difference)) <= gate)
     }
 
     /// Takes in a track that is the same contact, for the same instant.
