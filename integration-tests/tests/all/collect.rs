@@ -210,6 +210,6 @@ fn effects_are_listed_for_people_and_programs() {
     assert!(out.status.success() && text.contains("relaxation") && text.contains("Pa"), "{text}");
     assert!(
         refused(dermis().args(["effects", "eel"]))
-            .contains("neither a sensor family (barodome, hapdef, ert) nor")
+            .contains("neither a sensor family (barodome, hapdef, ert, insight) nor")
     );
 }
