@@ -105,3 +105,21 @@ fn pictures_remember_as_numbers_do() {
     // At once half of it, after four times the time all but 0.9 %; bytes round some of both away.
     assert!(off(&later) > 1.3 * off(&first), "{} {}", off(&first), off(&later));
 }
+
+/// The rig's errors, which every family shares, reach the pictures of devices that remember.
+#[test]
+fn pictures_that_remember_are_of_what_really_touches() {
+    let creep = || Effect::new("creep").with("share", 0.5).with("time", 0.5);
+    let model = |effects| crate::model(&small(effects)).unwrap();
+    let nominal = ThumbModel::new(&small(vec![])).unwrap();
+    let picture = |effects: Vec<Effect>, force: f64| {
+        let stimulus =
+            Stimulus { contacts: vec![press(&nominal, 0.03, 1.0, force, 0.0)], ..Stimulus::default() };
+        let device = model(effects);
+        let mut state = device.start(0);
+        state.capture(0.0, &stimulus, &mut || 0.0).unwrap().unwrap()
+    };
+    let said = picture(vec![creep(), Effect::new("force-scale").with("factor", 1.1)], 1.0);
+    assert_eq!(said, picture(vec![creep()], 1.1));
+    assert_ne!(said, picture(vec![creep()], 1.0));
+}
