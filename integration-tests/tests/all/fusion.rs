@@ -68,7 +68,7 @@ fn launch_file(folder: &Path) -> std::path::PathBuf {
     namespace: one/palm
     node: barodome
     config: {{skin: {skin}, models: [{model}], source: 'serial://${{tmp}}/palm', instance: palm, frame_id: palm_skin}}
-    after: [one/device]
+    after: [device]
   - name: fusion
     dermis: fusion --robot {robot} --namespace /one
 ",
