@@ -127,32 +127,19 @@ impl SkinNode {
 
     /// Follows the lifecycle: reads while active, ends with it.
     fn manage(&self, autostart: bool) -> Result<(), NodeError> {
-        let life = self.node.lifecycle()?;
-        for (transition, active) in [(Transition::Activate, true), (Transition::Deactivate, false)] {
-            let shared = Arc::downgrade(&self.shared);
-            life.on(transition, move |_| {
-                if let Some(shared) = shared.upgrade() {
-                    shared.active.store(active, Ordering::Release);
-                }
-                Ok(())
-            });
-        }
-        let node = self.node.clone();
         let shared = Arc::downgrade(&self.shared);
-        life.on(Transition::Shutdown, move |_| {
+        self.node.lifecycle()?.on(Transition::Shutdown, move |_| {
             if let Some(shared) = shared.upgrade() {
                 shared.stop.store(true, Ordering::Release);
             }
-            // The node must not wait for the callback that asks it to end.
-            let node = node.clone();
-            std::thread::spawn(move || node.shutdown());
             Ok(())
         });
-        if autostart {
-            life.take(Transition::Configure)?;
-            life.take(Transition::Activate)?;
-        }
-        Ok(())
+        let shared = Arc::downgrade(&self.shared);
+        self.node.work_while_active(autostart, move |active| {
+            if let Some(shared) = shared.upgrade() {
+                shared.active.store(active, Ordering::Release);
+            }
+        })
     }
 
     /// The ROS node: names, parameters, lifecycle, clock.

@@ -1,14 +1,10 @@
-//! The node's options on a command line, and the program.
+//! The node's options on a command line.
 
 use std::path::PathBuf;
-use std::process::ExitCode;
 
-use clap::{Args, Command, FromArgMatches};
-use dermis_node::{HirozBackend, NetworkChoice};
+use clap::Args;
+use dermis_node::NetworkChoice;
 use dermis_perception::cli::NetworkArguments;
-use dermis_perception::cli::log_limit::LogLimit;
-use tracing_subscriber::layer::SubscriberExt as _;
-use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::config::{Config, ConfigError, Transforms};
 
@@ -69,31 +65,6 @@ impl Arguments {
         config.namespace = self.namespace.unwrap_or(config.namespace);
         config.remap.extend(self.remap);
         Ok(config)
-    }
-}
-
-/// The whole of the program: options, log, the node over the embedded backend until it is stopped.
-#[must_use]
-pub fn program(name: &'static str, version: &'static str) -> ExitCode {
-    dermis_io::pipe::end_quietly();
-    let options = Arguments::augment_args(Command::new(name).version(version).about(ABOUT)).get_matches();
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into());
-    let limit = LogLimit::default();
-    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
-    tracing_subscriber::registry().with(filter).with(limit.clone()).with(lines).init();
-    let run = || -> Result<(), Box<dyn std::error::Error>> {
-        let config = Arguments::from_arg_matches(&options)?.into_config()?;
-        let runtime = tokio::runtime::Runtime::new()?;
-        Ok(runtime.block_on(crate::run(&config, &HirozBackend::default()))?)
-    };
-    let done = run();
-    limit.finish();
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("{name}: {error}");
-            ExitCode::FAILURE
-        }
     }
 }
 

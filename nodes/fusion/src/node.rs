@@ -17,7 +17,7 @@ use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::visualization_msgs::msg::MarkerArray;
 use dermis_node::{
     Backend, Node, NodeError, NodeOptions, ParameterDescriptor, Publisher, Qos, Status, Subscription, Timer,
-    Transition, parse_remapping,
+    parse_remapping,
 };
 
 use crate::config::{Config, Transforms};
@@ -196,7 +196,16 @@ impl FusionNode {
             }
         });
         let running = Self { shared, _subscriptions: subscriptions, _timer: timer };
-        running.manage(config.autostart)?;
+        let shared = Arc::downgrade(&running.shared);
+        running.shared.node.work_while_active(config.autostart, move |active| {
+            if let Some(shared) = shared.upgrade() {
+                shared.lock().fuser.reset(shared.limits);
+                shared.active.store(active, Ordering::Release);
+                if active {
+                    shared.publish_fixed();
+                }
+            }
+        })?;
         Ok(running)
     }
 
@@ -204,36 +213,6 @@ impl FusionNode {
     #[must_use]
     pub fn node(&self) -> &Node {
         &self.shared.node
-    }
-
-    /// Follows the lifecycle: listens while active, ends with it.
-    fn manage(&self, autostart: bool) -> Result<(), NodeError> {
-        let life = self.shared.node.lifecycle()?;
-        for (transition, active) in [(Transition::Activate, true), (Transition::Deactivate, false)] {
-            let shared = Arc::downgrade(&self.shared);
-            life.on(transition, move |_| {
-                if let Some(shared) = shared.upgrade() {
-                    shared.lock().fuser.reset(shared.limits);
-                    shared.active.store(active, Ordering::Release);
-                    if active {
-                        shared.publish_fixed();
-                    }
-                }
-                Ok(())
-            });
-        }
-        let node = self.shared.node.clone();
-        life.on(Transition::Shutdown, move |_| {
-            // The node must not wait for the callback that asks it to end.
-            let node = node.clone();
-            std::thread::spawn(move || node.shutdown());
-            Ok(())
-        });
-        if autostart {
-            life.take(Transition::Configure)?;
-            life.take(Transition::Activate)?;
-        }
-        Ok(())
     }
 }
 

@@ -19,9 +19,7 @@ use dermis_msgs::Message;
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::msg::{BodyContacts, ContactArray};
 use dermis_msgs::std_srvs::srv::{Trigger, TriggerResponse};
-use dermis_node::{
-    Backend, MessageInfo, Node, NodeError, Qos, ServiceServer, Status, Subscription, Transition,
-};
+use dermis_node::{Backend, MessageInfo, Node, NodeError, Qos, ServiceServer, Status, Subscription};
 
 use crate::config::{Config, RunError};
 use crate::machine::{Done, Reflex};
@@ -86,35 +84,13 @@ impl ReflexNode {
             _subscriptions: subscriptions,
             _release: release,
         };
-        running.manage(config.autostart)?;
+        let guard = Arc::downgrade(&running.guard);
+        running.node.work_while_active(config.autostart, move |active| {
+            if let Some(guard) = guard.upgrade() {
+                guard.activate(active);
+            }
+        })?;
         Ok(running)
-    }
-
-    /// Follows the lifecycle: guards while active.
-    fn manage(&self, autostart: bool) -> Result<(), NodeError> {
-        let life = self.node.lifecycle()?;
-        for (transition, active) in
-            [(Transition::Activate, true), (Transition::Deactivate, false), (Transition::Shutdown, false)]
-        {
-            let guard = Arc::downgrade(&self.guard);
-            let node = self.node.clone();
-            life.on(transition, move |_| {
-                if let Some(guard) = guard.upgrade() {
-                    guard.activate(active);
-                }
-                if transition == Transition::Shutdown {
-                    // The node must not wait for the callback that asks it to end.
-                    let node = node.clone();
-                    std::thread::spawn(move || node.shutdown());
-                }
-                Ok(())
-            });
-        }
-        if autostart {
-            life.take(Transition::Configure)?;
-            life.take(Transition::Activate)?;
-        }
-        Ok(())
     }
 
     /// The ROS node: names, lifecycle, clock.

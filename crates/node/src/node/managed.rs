@@ -1,6 +1,7 @@
 //! The managed life of a node: its services and `~/transition_event`.
 
 use std::any::Any;
+use std::sync::Arc;
 
 use dermis_msgs::lifecycle_msgs::msg::TransitionEvent;
 use dermis_msgs::lifecycle_msgs::srv as lifecycle_srv;
@@ -8,11 +9,45 @@ use dermis_msgs::lifecycle_msgs::srv as lifecycle_srv;
 use super::Node;
 use crate::error::NodeError;
 use crate::executor::lock;
-use crate::lifecycle::Lifecycle;
+use crate::lifecycle::{Lifecycle, Transition};
 use crate::pubsub::Publisher;
 use crate::service::ServiceServer;
 
 impl Node {
+    /// Lives a node that works while it is active: `work` is told whether to, with each transition. A shutdown ends the node. With
+    /// `autostart` it is configured and activated at once.
+    ///
+    /// # Errors
+    ///
+    /// As [`lifecycle`](Self::lifecycle), and where a callback refuses to start.
+    pub fn work_while_active(
+        &self,
+        autostart: bool,
+        work: impl Fn(bool) + Send + Sync + 'static,
+    ) -> Result<(), NodeError> {
+        let life = self.lifecycle()?;
+        let work = Arc::new(work);
+        for (transition, active) in
+            [(Transition::Activate, true), (Transition::Deactivate, false), (Transition::Shutdown, false)]
+        {
+            let (work, node) = (Arc::clone(&work), self.clone());
+            life.on(transition, move |_| {
+                work(active);
+                if transition == Transition::Shutdown {
+                    // The node must not wait for the callback that asks it to end.
+                    let node = node.clone();
+                    std::thread::spawn(move || node.shutdown());
+                }
+                Ok(())
+            });
+        }
+        if autostart {
+            life.take(Transition::Configure)?;
+            life.take(Transition::Activate)?;
+        }
+        Ok(())
+    }
+
     /// Its managed life. The first call announces the lifecycle services and `~/transition_event`; the
     /// node is Unconfigured then. A node that never calls this is not managed.
     ///

@@ -3,7 +3,7 @@
 use std::sync::mpsc::{Receiver, channel};
 
 use dermis_node::memory::Memory;
-use dermis_node::{Level, ParameterValue, State};
+use dermis_node::{Level, ParameterValue, State, Transition};
 
 use super::*;
 use crate::testing::{contact, report, write_robot};

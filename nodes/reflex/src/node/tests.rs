@@ -10,7 +10,7 @@ use dermis_msgs::msg::Contact;
 use dermis_msgs::std_msgs::msg::{Bool, Float64, Header};
 use dermis_msgs::std_srvs::srv::TriggerRequest;
 use dermis_node::memory::Memory;
-use dermis_node::{Level, NodeOptions, Publisher};
+use dermis_node::{Level, NodeOptions, Publisher, Transition};
 
 use super::*;
 
