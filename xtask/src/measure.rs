@@ -59,6 +59,9 @@ pub enum Measurement {
     Start,
     /// The diagnosis of gaps on packs with withheld causes, for the row of barometers, the pad and the limb.
     Gap,
+    /// One to six contacts on the simulated conductive panel, found by inversion of its forward model, beside the Cramér–Rao bound of the
+    /// very same frames. Written to benches/results/ert-inversion.json.
+    Panel,
     /// Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, written to benches/results/ert-tables.json; the result says
     /// what is reduced.
     ErtTables(ert::Sizes),
@@ -85,6 +88,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Hapdefx(options) => hapdefx::run(root, options)?,
         Measurement::Start => start(root)?,
         Measurement::Gap => gap(root)?,
+        Measurement::Panel => ert::inversion(root)?,
         Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,

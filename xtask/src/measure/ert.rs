@@ -14,7 +14,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use toml::{Table, Value as Toml};
 
-use super::{evaluation, scratch};
+use super::{PROGRAM, evaluation, scratch};
 use crate::run::{cargo, run as execute, target_dir};
 
 const SKIN: &str = "launch/skins/ert-panel.toml";
@@ -23,6 +23,7 @@ const EFFECTS: &str = "launch/effects/ert-default.toml";
 const THESIS: &str = "launch/train/ert-panel-thesis.toml";
 const TRANSFER: &str = "launch/train/ert-panel-transfer.toml";
 const RESULT: &str = "benches/results/ert-tables.json";
+const INVERSION: &str = "benches/results/ert-inversion.json";
 
 /// Pixel and diameter \[mm\] of maps 1 to 12.
 const MAPS: [[u32; 2]; 12] = [
@@ -97,10 +98,29 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
         "table_4_4": structure(root)?,
         "table_4_5": work.maps()?,
     });
-    let path = root.join(RESULT);
-    let text = serde_json::to_string_pretty(&value)? + "\n";
-    std::fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))?;
+    write(root, RESULT, &value)?;
     Ok(value)
+}
+
+/// Contacts by inversion of the forward model on the presses of the plan that models are measured on, and writes the result beside the
+/// others.
+pub(super) fn inversion(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(PROGRAM))?;
+    let (dermis, bag) = (target_dir(root).join("release/dermis"), scratch(root, "panel")?.join("hex"));
+    let mut collect = Command::new(&dermis);
+    collect.args(["collect", SKIN, "--plan", "launch/plans/ert-panel-hex-evaluate.toml", "--out"]).arg(&bag);
+    execute(collect.current_dir(root))?;
+    let mut evaluate = Command::new(&dermis);
+    evaluate.args(["evaluate", "--invert", "--json", "--skin", SKIN]).arg(&bag).current_dir(root);
+    let value = evaluation(&mut evaluate)?;
+    write(root, INVERSION, &value)?;
+    Ok(value)
+}
+
+fn write(root: &Path, file: &str, value: &Value) -> Result<()> {
+    let path = root.join(file);
+    let text = serde_json::to_string_pretty(value)? + "\n";
+    std::fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 /// What is less than in the thesis, in words and numbers.
