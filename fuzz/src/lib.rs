@@ -10,6 +10,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use dermis_bag::{BagError, BagReader};
+use dermis_body::Body;
 use dermis_inference::Manifest;
 use dermis_launch::{Host, NodeRequest, Refusal};
 use dermis_learn::LabelMap;
@@ -28,13 +29,14 @@ use tempfile::TempDir;
 pub type Target = fn(&[u8]);
 
 /// Every target by its name, which is also that of its folder in `corpus/`.
-pub const TARGETS: [(&str, Target); 12] = [
+pub const TARGETS: [(&str, Target); 13] = [
     ("bundle", bundle),
     ("labels", labels),
     ("launch", launch),
     ("mesh", mesh),
     ("plan", plan),
     ("skin", skin),
+    ("urdf", urdf),
     ("frames", frames),
     ("cdr", cdr),
     ("json", json),
@@ -306,6 +308,23 @@ pub fn skin(data: &[u8]) {
 pub fn plan(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     reads_back(text, |t| Plan::from_toml(t, "plan.toml"), toml::to_string);
+}
+
+/// A robot's body, and where its links are.
+pub fn urdf(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    match Body::from_urdf(text, "robot.urdf") {
+        Ok(body) => {
+            let poses = body.poses(&vec![0.0; body.coordinates().len()]);
+            for link in 0..body.links().len() {
+                let (top, _) = body.rigid_top(link);
+                assert_eq!(body.rigid_top(top).0, top, "the top of a link has a top of its own");
+                let columns = poses.jacobian(link, &poses.root_from(link).translation.vector.into()).ncols();
+                assert_eq!(columns, body.coordinates().len());
+            }
+        }
+        Err(error) => one_sentence(&error),
+    }
 }
 
 /// The manifest of a model bundle.

@@ -102,6 +102,11 @@ fn skin() {
 }
 
 #[test]
+fn urdf() {
+    replay("urdf");
+}
+
+#[test]
 fn every_target_is_replayed_and_every_message_is_fuzzed() {
     let folders = std::fs::read_dir(root().join("fuzz/corpus")).expect("a corpus");
     let folders: BTreeSet<String> =
