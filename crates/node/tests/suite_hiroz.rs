@@ -139,6 +139,8 @@ fn a_stream_is_a_reliable_publisher_to_others() {
             rx.try_recv().is_ok()
         }
     });
+    // Waiting took one sample; two more follow each other.
+    stream.publish(&Text { data: "early".to_owned() }).unwrap();
     stream.publish(&Text { data: "late".to_owned() }).unwrap();
     loop {
         let (data, sent) = expect_next(&from_ros, "the last word");
