@@ -2,7 +2,7 @@
 //! a search took longer than frames come, and what all of that costs.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -17,9 +17,9 @@ use rand_distr::StandardNormal;
 use serde_json::{Value, json};
 
 use crate::device::Device;
-use crate::machine::{Process, cpu_time};
-use crate::node::{PATIENCE, Pace, percentile};
-use crate::subscriber::{Arrival, Choice, isolated, start};
+use crate::machine::cpu_time;
+use crate::node::{PATIENCE, Pace, number, percentile};
+use crate::subscriber::{Arrival, Choice, spawn, start};
 
 /// Scenes that are played, each with contacts of its own.
 const SCENES: usize = 24;
@@ -149,11 +149,7 @@ fn measure(options: &Options, mut device: Device, model: &Path, domain: u16) -> 
     command.arg("hapdef").arg("--skin").arg(options.root.join("launch/skins/hapdef-shin.toml"));
     command.arg("--model").arg(model).arg("--source").arg(format!("serial://{}", device.path()));
     command.args(["--backend", "hiroz", "--strict"]).env("DERMIS_LOG", "error");
-    let node = isolated(&mut command, domain)
-        .stdout(Stdio::null())
-        .spawn()
-        .with_context(|| format!("{} cannot be started", command.get_program().display()))?;
-    let node = Process(node);
+    let node = spawn(&mut command, domain)?;
     let begun = Instant::now();
     let mut pace = Pace::new(options.rate);
     while !arrivals.try_iter().any(|a| a.status == ContactArray::STATUS_OK) {
@@ -212,7 +208,6 @@ fn summary(seen: &[Arrival], sent: &[i64], frames: u64, rate: f64, cores: f64) -
 }
 
 fn table(rows: &[Value], rate: f64) {
-    let number = |v: &Value, digits: usize| v.as_f64().map_or("-".into(), |x| format!("{x:.digits$}"));
     eprintln!(
         "\n{:<28} {:>8} {:>8} {:>9} {:>15} {:>15} {:>12} {:>7}",
         "bundle", "p50 ms", "p99 ms", "max ms", "touched p50 ms", "touched p99 ms", "passed over", "cores"

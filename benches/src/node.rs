@@ -1,7 +1,7 @@
 //! The straight way, measured: bytes on a line → message at a subscriber in another process.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
@@ -13,8 +13,10 @@ use serde_json::{Value, json};
 
 use crate::device::Device;
 use crate::machine::{Process, cpu_time};
-use crate::subscriber::{Arrival, Choice, isolated, start};
+use crate::subscriber::{Arrival, Choice, domain_of, spawn, start};
 
+/// The pad.
+pub const SKIN: &str = "launch/skins/baro-grid.toml";
 /// Frames under way at most while the rate is measured: as many as a line of 4 KiB holds, several times over.
 const WINDOW: u64 = 256;
 /// Longest wait for a node to report its first calibrated frame.
@@ -97,9 +99,8 @@ pub fn run(options: &Options) -> Result<Value> {
     let mut rows = Vec::new();
     for (i, candidate) in candidates.iter().enumerate() {
         eprintln!("measuring {}", candidate.name);
-        let domain = 60 + (std::process::id() % 20) as u16 * 2 + (i % 2) as u16;
-        let row =
-            measure(options, candidate, bundle.path(), domain).with_context(|| candidate.name.to_owned())?;
+        let row = measure(options, candidate, bundle.path(), domain_of(i))
+            .with_context(|| candidate.name.to_owned())?;
         rows.push(row);
     }
     let peer = rows.iter().find(|r| r["name"] == "rclpy + onnxruntime").cloned();
@@ -150,14 +151,25 @@ pub fn learned_only(root: &Path) -> Result<tempfile::TempDir> {
     Ok(to)
 }
 
+/// Our node of the pad that a device stands for.
+pub fn skin_node(
+    programs: &Path,
+    backend: Choice,
+    (skin, model): (&Path, &Path),
+    device: &Device,
+) -> Command {
+    let mut command = Command::new(programs.join("dermis"));
+    command.arg("barodome").arg("--skin").arg(skin).arg("--model").arg(model);
+    command.arg("--source").arg(format!("serial://{}", device.path()));
+    command.args(["--backend", backend.name(), "--strict"]).env("DERMIS_LOG", "error");
+    command
+}
+
 fn command(options: &Options, candidate: &Candidate, model: &Path, device: &Device) -> Command {
-    let skin = options.root.join("launch/skins/baro-grid.toml");
+    let skin = options.root.join(SKIN);
     match &candidate.kind {
         Kind::Ours { programs, onnxruntime } => {
-            let mut c = Command::new(programs.join("dermis"));
-            c.arg("barodome").arg("--skin").arg(skin).arg("--model").arg(model);
-            c.arg("--source").arg(format!("serial://{}", device.path()));
-            c.args(["--backend", candidate.backend.name(), "--strict"]).env("DERMIS_LOG", "error");
+            let mut c = skin_node(programs, candidate.backend, (&skin, model), device);
             c.env_remove("VIRTUAL_ENV");
             match onnxruntime {
                 Some(library) => c.env("ORT_DYLIB_PATH", library),
@@ -178,15 +190,10 @@ fn command(options: &Options, candidate: &Candidate, model: &Path, device: &Devi
 }
 
 fn measure(options: &Options, candidate: &Candidate, model: &Path, domain: u16) -> Result<Value> {
-    let skin = SkinDescription::load(options.root.join("launch/skins/baro-grid.toml"))?;
+    let skin = SkinDescription::load(options.root.join(SKIN))?;
     let mut device = Device::new(&skin, 1)?;
     let (subscriber, arrivals) = start(candidate.backend, domain)?;
-    let mut command = command(options, candidate, model, &device);
-    let node = isolated(&mut command, domain)
-        .stdout(Stdio::null())
-        .spawn()
-        .with_context(|| format!("{} cannot be started", command.get_program().display()))?;
-    let node = Process(node);
+    let node = spawn(&mut command(options, candidate, model, &device), domain)?;
 
     // The zero is taken from untouched frames.
     let begun = Instant::now();
@@ -343,8 +350,12 @@ impl Pace {
     }
 }
 
+/// A number for a table; a dash where there is none.
+pub fn number(value: &Value, digits: usize) -> String {
+    value.as_f64().map_or("-".into(), |x| format!("{x:.digits$}"))
+}
+
 fn table(rows: &[Value], options: &Options) {
-    let number = |v: &Value, digits: usize| v.as_f64().map_or("-".into(), |x| format!("{x:.digits$}"));
     eprintln!(
         "\n{:<30} {:>14} {:>8} {:>13} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
         "node",

@@ -7,10 +7,10 @@
 //! as it has cores.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -20,8 +20,8 @@ use serde_json::{Value, json};
 
 use crate::device::Device;
 use crate::machine::{Process, cpu_time};
-use crate::node::{PATIENCE, Pace, learned_only, percentile};
-use crate::subscriber::{Arrival, Choice, isolated, start_stops};
+use crate::node::{PATIENCE, Pace, SKIN, learned_only, number, percentile, skin_node};
+use crate::subscriber::{Arrival, Choice, domain_of, spawn, start_stops};
 
 /// Frames without touch between two trials, at least.
 const PAUSE: usize = 80;
@@ -89,8 +89,8 @@ pub fn run(options: &Options) -> Result<Value> {
     let mut measured = Vec::new();
     for (i, row) in rows.iter().enumerate() {
         eprintln!("measuring {}", row.name);
-        let domain = 60 + (std::process::id() % 20) as u16 * 2 + (i % 2) as u16;
-        measured.push(measure(options, row, bundle.path(), domain).with_context(|| row.name.to_owned())?);
+        let found = measure(options, row, bundle.path(), domain_of(i));
+        measured.push(found.with_context(|| row.name.to_owned())?);
     }
     table(&measured, options);
     Ok(json!({ "rate_hz": options.rate, "trials": options.trials, "limit_n": LIMIT, "rows": measured }))
@@ -111,21 +111,12 @@ fn rules(options: &Options, folder: &Path) -> Result<PathBuf> {
     Ok(path)
 }
 
-fn spawn(command: &mut Command, domain: u16) -> Result<Process> {
-    let child = isolated(command, domain).stdout(Stdio::null()).spawn();
-    Ok(Process(child.with_context(|| format!("{} cannot be started", command.get_program().display()))?))
-}
-
 fn measure(options: &Options, row: &Row, model: &Path, domain: u16) -> Result<Value> {
-    let file = options.root.join("launch/skins/baro-grid.toml");
+    let file = options.root.join(SKIN);
     let mut device = Device::new(&SkinDescription::load(&file)?, 1)?;
     let folder = tempfile::tempdir()?;
     let (_subscriber, stops) = start_stops(row.backend, domain)?;
-    let mut skin = Command::new(row.programs.join("dermis"));
-    skin.arg("barodome").arg("--skin").arg(&file).arg("--model").arg(model);
-    skin.arg("--source").arg(format!("serial://{}", device.path()));
-    skin.args(["--backend", row.backend.name(), "--strict"]).env("DERMIS_LOG", "error");
-    let _skin = spawn(&mut skin, domain)?;
+    let _skin = spawn(&mut skin_node(&row.programs, row.backend, (&file, model), &device), domain)?;
     let mut stopper = match &row.stopper {
         Stopper::Ours => {
             let mut command = Command::new(row.programs.join("dermis"));
@@ -160,6 +151,9 @@ fn warm_up(options: &Options, device: &mut Device, stops: &Receiver<Arrival>) ->
             pace.wait();
         }
         stops.try_iter().count();
+        if stops.try_recv() == Err(TryRecvError::Disconnected) {
+            bail!("the subscriber ended");
+        }
         for _ in 0..LONGEST {
             device.send(true)?;
             pace.wait();
@@ -248,7 +242,6 @@ impl Drop for Busy {
 }
 
 fn table(rows: &[Value], options: &Options) {
-    let number = |v: &Value, digits: usize| v.as_f64().map_or("-".into(), |x| format!("{x:.digits$}"));
     eprintln!(
         "\n{:<22} {:>8} {:>9} {:>9} {:>9} {:>11} {:>7} {:>7}",
         "reflexes", "machine", "p50 ms", "p99 ms", "max ms", "p50 frames", "missed", "cores"

@@ -185,6 +185,21 @@ fn start_with(backend: Choice, domain: u16, more: &[&str]) -> Result<(Process, R
     Ok((Process(child), arrivals(pipe)))
 }
 
+/// Starts a command in a ROS domain of its own; what it prints is dropped.
+///
+/// # Errors
+///
+/// Where it cannot be started.
+pub fn spawn(command: &mut std::process::Command, domain: u16) -> Result<Process> {
+    let child = isolated(command, domain).stdout(std::process::Stdio::null()).spawn();
+    Ok(Process(child.with_context(|| format!("{} cannot be started", command.get_program().display()))?))
+}
+
+/// The ROS domain of a row of a table: of this run, and not that of the row before, whose processes may still leave it.
+pub fn domain_of(row: usize) -> u16 {
+    60 + (std::process::id() % 20) as u16 * 2 + (row % 2) as u16
+}
+
 /// A command in a ROS domain of its own, on this machine only.
 pub fn isolated(command: &mut std::process::Command, domain: u16) -> &mut std::process::Command {
     command.env("ROS_DOMAIN_ID", domain.to_string()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
