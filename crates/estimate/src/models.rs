@@ -286,7 +286,7 @@ impl Pipeline {
             .map_err(|source| SetupError::NotInvertible { skin: skin.name.clone(), source })?;
         let mut settings = settings_without_bundle(skin);
         if settings.contacts > 1 && !model.superposes() {
-            // Contacts change what the others do: refining all of them takes long, but rarely anew where they are followed.
+            // All contacts are refined together there, which takes long: this search follows them from frame to frame.
             settings.search = Search::Pairs;
         }
         let force_range = Some([0.0, settings.force_max]);

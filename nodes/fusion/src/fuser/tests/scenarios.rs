@@ -111,6 +111,7 @@ fn identities_switch_once_in_1000_contact_seconds_at_most() {
         more += moment.state.contacts.len().saturating_sub(moment.truth.len());
     });
     let seconds = f64::from(asked) / scenario.rate;
+    println!("{switches} switches in {seconds} contact-seconds");
     assert!(seconds > 980.0);
     assert!(f64::from(switches) <= seconds / 1000.0, "{switches} switches in {seconds} s");
     assert_eq!(lost, 0, "of {asked}");
@@ -216,5 +217,6 @@ fn it_is_better_than_an_average_and_than_the_best_skin() {
         });
     }
     let [fused, average, best] = [fused, average, best].map(|sum: f64| (sum / n).sqrt());
+    println!("root mean square: fused {fused} m, average {average} m, best skin {best} m");
     assert!(fused < 0.9 * average.min(best), "fused {fused} m, average {average} m, best skin {best} m");
 }
