@@ -63,7 +63,8 @@ pub enum Search {
     #[default]
     Greedy,
     /// The first two among all pairs of places ([`Inverter::search`]), and from frame to frame ([`Inverter::follow`]): where
-    /// elements are few and each responds to half of the surface.
+    /// elements are few and each responds to half of the surface. Where contacts change what others do, no pairs are added up, and
+    /// following is what is left of it.
     Pairs,
 }
 
