@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError, TryRecvError};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use dermis_node::backend::{BackendError, MessageSink, RawMessage};
@@ -174,7 +174,7 @@ fn deliver(state: &mut State) {
                 payload: Bytes::from(payload),
                 // r2r takes messages with rcl's information about them, but does not hand that on.
                 source_ns: None,
-                received_ns: now_ns(),
+                received_ns: dermis_node::system_now(),
                 publication: None,
             });
         }
@@ -192,10 +192,4 @@ fn deliver(state: &mut State) {
         }
         open
     });
-}
-
-fn now_ns() -> i64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |d| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX))
 }

@@ -35,8 +35,9 @@ struct Inner {
 #[derive(Clone)]
 pub struct Clock(Arc<Inner>);
 
-/// The system clock, ns since the epoch.
-pub(crate) fn system_now() -> i64 {
+/// The system clock, ns since the epoch: that of [`MessageInfo::received_ns`](crate::MessageInfo::received_ns).
+#[must_use]
+pub fn system_now() -> i64 {
     SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))

@@ -41,7 +41,7 @@ pub mod suite;
 mod watch;
 
 pub use backend::{Backend, BackendError, Publication};
-pub use clock::{Clock, ClockJump};
+pub use clock::{Clock, ClockJump, system_now};
 pub use dermis_msgs::sequence::Losses;
 pub use diagnostics::{Diagnostics, Level, Status};
 pub use error::NodeError;

@@ -3,7 +3,9 @@
 //! [`Fuser`] takes messages as they come and answers with a [`BodyState`] whenever it is asked. It opens nothing and reads no clock: whoever
 //! calls it says what time it is.
 
-use dermis_body::{HistoryLimits, JointHistory, JointKind, JointsAt, Poses, Refused, Robot, Wrench};
+use dermis_body::{
+    HistoryLimits, JointHistory, JointKind, JointsAt, Poses, Refused, Robot, SkinOnBody, Wrench,
+};
 use dermis_msgs::msg::ContactArray;
 use dermis_skin::{Contact, ForceComponents, Stamp};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
@@ -126,6 +128,16 @@ fn worse(a: u8, b: u8) -> u8 {
     if badness(b) > badness(a) { b } else { a }
 }
 
+/// Of a skin that nothing was heard of yet.
+fn intake(skin: &SkinOnBody) -> Intake {
+    Intake::new(&skin.name, &skin.frame_id, &contacts_topic(skin), skin.timeout)
+}
+
+/// Where the contacts of a skin come from.
+pub(crate) fn contacts_topic(skin: &SkinOnBody) -> String {
+    format!("{}/contacts", skin.namespace)
+}
+
 /// The skins of a robot, merged.
 #[derive(Debug)]
 pub struct Fuser {
@@ -172,9 +184,8 @@ impl Fuser {
             if !links.contains(&skin.link) {
                 links.push(skin.link);
             }
-            let topic = format!("{}/contacts", skin.namespace);
             skins.push(SkinState {
-                intake: Intake::new(&skin.name, &skin.frame_id, &topic, skin.timeout),
+                intake: intake(skin),
                 group,
                 top_from_skin: top_from_link * skin.pose,
                 felt: false,
@@ -306,8 +317,7 @@ impl Fuser {
     /// Forgets every contact and joint state: the clock jumped back.
     pub fn reset(&mut self, limits: HistoryLimits) {
         for (state, skin) in self.skins.iter_mut().zip(&self.robot.skins) {
-            let topic = format!("{}/contacts", skin.namespace);
-            state.intake = Intake::new(&skin.name, &skin.frame_id, &topic, skin.timeout);
+            state.intake = intake(skin);
             state.felt = false;
         }
         self.groups.iter_mut().for_each(|group| *group = Group::default());

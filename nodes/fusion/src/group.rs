@@ -17,6 +17,7 @@
 //! each other costs a distance, so that the cost grows with the product of both from some hundred on; assignments are solved for each
 //! set of contacts that compete with one another.
 
+use std::cell::LazyCell;
 use std::collections::{HashMap, VecDeque};
 
 use dermis_skin::{Stamp, assign};
@@ -153,14 +154,15 @@ impl Tracks {
                 }
             }
         }
+        // Most contacts compete with none.
+        let costs =
+            LazyCell::new(|| pairs.iter().map(|(d, t, cost)| ((*d, *t), *cost)).collect::<HashMap<_, _>>());
         let mut chosen = vec![None; detections.len()];
         for (rows, columns) in competitors(&pairs, detections.len(), self.tracks.len()) {
             if let ([d], [t]) = (rows.as_slice(), columns.as_slice()) {
                 chosen[*d] = Some(*t);
                 continue;
             }
-            let mut costs: HashMap<(usize, usize), f64> = HashMap::new();
-            costs.extend(pairs.iter().map(|(d, t, cost)| ((*d, *t), *cost)));
             // Each detection may begin a track instead.
             let none = s.gate + CONTRADICTION + 2.0 * SWITCH;
             let cost = |r: usize, c: usize| match columns.get(c) {

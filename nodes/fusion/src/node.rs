@@ -21,7 +21,7 @@ use dermis_node::{
 };
 
 use crate::config::{Config, Transforms};
-use crate::fuser::{BodyState, Fuser, FuserError};
+use crate::fuser::{BodyState, Fuser, FuserError, contacts_topic};
 use crate::messages;
 use crate::settings::{BIRTHS, FIELDS};
 
@@ -305,19 +305,9 @@ impl Shared {
     /// Follows parameters, the clock and diagnostics.
     fn follow(self: &Arc<Self>) {
         let shared = Arc::downgrade(self);
-        self.node.parameters().on_changed(move |name, value| {
-            let Some(shared) = shared.upgrade() else { return };
-            let mut core = shared.lock();
-            let mut settings = *core.fuser.settings();
-            match (FIELDS.iter().find(|field| field.name == name), value.as_f64(), value.as_i64()) {
-                (Some(field), Some(value), _) => (field.set)(&mut settings, value),
-                (None, _, Some(births)) if name == "births" => {
-                    settings.births = u32::try_from(births).unwrap_or(settings.births);
-                }
-                _ => return,
-            }
-            if let Err(error) = core.fuser.set_settings(settings) {
-                tracing::warn!("{error}");
+        self.node.parameters().on_changed(move |_, _| {
+            if let Some(shared) = shared.upgrade() {
+                shared.take_parameters();
             }
         });
         let shared = Arc::downgrade(self);
@@ -337,7 +327,7 @@ impl Shared {
         let qos = Qos::sensor_data().with_depth(WAITING);
         let mut all = Vec::new();
         for (index, skin) in self.robot.skins.iter().enumerate() {
-            let topic = format!("{}/contacts", skin.namespace);
+            let topic = contacts_topic(skin);
             let shared = Arc::downgrade(self);
             all.push(self.node.subscribe(&topic, qos, move |message: ContactArray, info| {
                 if let Some(shared) = shared.upgrade() {

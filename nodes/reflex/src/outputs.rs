@@ -70,14 +70,7 @@ impl Outputs {
     pub fn new(actions: Vec<Action>) -> Self {
         let mut outputs: Vec<Output> = Vec::with_capacity(actions.len());
         for (i, action) in actions.iter().enumerate() {
-            let shared = |output: &&mut Output| {
-                let first = &actions[output.members[0]].kind;
-                let scales = matches!(
-                    (first, &action.kind),
-                    (ActionKind::SpeedScale { .. }, ActionKind::SpeedScale { .. })
-                );
-                scales && first.target() == action.kind.target()
-            };
+            let shared = |output: &&mut Output| actions[output.members[0]].kind.scales_with(&action.kind);
             match outputs.iter_mut().find(shared) {
                 Some(output) => output.members.push(i),
                 None => outputs.push(Output { members: vec![i], level: None, next: None, call: Call::Idle }),

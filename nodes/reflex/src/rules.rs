@@ -349,6 +349,13 @@ impl ActionKind {
         }
     }
 
+    /// Whether both are speed scales on one topic, of which the smallest counts.
+    #[must_use]
+    pub fn scales_with(&self, other: &Self) -> bool {
+        let scales = |kind: &Self| matches!(kind, Self::SpeedScale { .. });
+        scales(self) && scales(other) && self.target() == other.target()
+    }
+
     /// Whether it is a call, which is answered, and no message.
     #[must_use]
     pub const fn is_call(&self) -> bool {

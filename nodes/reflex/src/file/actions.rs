@@ -94,10 +94,7 @@ pub(super) fn check_targets(actions: &[Action]) -> Result<(), Wrong> {
             other.kind.is_call() == action.kind.is_call() && other.kind.target() == action.kind.target()
         };
         let Some(other) = actions[..i].iter().find(same) else { continue };
-        let scales = matches!(
-            (&action.kind, &other.kind),
-            (ActionKind::SpeedScale { .. }, ActionKind::SpeedScale { .. })
-        );
+        let scales = action.kind.scales_with(&other.kind);
         if scales && (action.repeat, action.heartbeat) != (other.repeat, other.heartbeat) {
             let reason = format!(
                 "shares its topic with `{}`; give both the same `repeat` and `heartbeat`",

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-use dermis_node::{LogLevel, Node};
+use dermis_node::{LogLevel, Node, system_now};
 
 use super::senders::{Senders, start_caller};
 use crate::machine::{Done, Event, Reflex};
@@ -116,7 +116,7 @@ impl Guard {
             let done = call(&mut core.reflex, self.now());
             let events = self.carry_out(&mut core, done);
             if let Some(received_ns) = received_ns {
-                core.figures.count(system_now_ns().saturating_sub(received_ns));
+                core.figures.count(system_now().saturating_sub(received_ns));
             }
             events
         };
@@ -234,10 +234,4 @@ impl Guard {
             core.sleeps_until = Some(Duration::ZERO);
         }
     }
-}
-
-/// The system's clock, ns since the epoch: that of [`dermis_node::MessageInfo::received_ns`].
-fn system_now_ns() -> i64 {
-    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    since.map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }

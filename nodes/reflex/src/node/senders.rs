@@ -55,9 +55,7 @@ impl Senders {
                     Sender::TwistStamped(node.stream_publisher(topic, KEPT)?, frame.clone())
                 }
                 ActionKind::SpeedScale { topic, .. } => {
-                    let before = actions[..i].iter().any(|other| {
-                        matches!(&other.kind, ActionKind::SpeedScale { topic: other, .. } if other == topic)
-                    });
+                    let before = actions[..i].iter().any(|other| other.kind.scales_with(&action.kind));
                     if before { Sender::Shared } else { Sender::Scale(node.stream_publisher(topic, KEPT)?) }
                 }
                 ActionKind::Trigger { service } => call(Caller::Trigger(node.client(service)?)),
