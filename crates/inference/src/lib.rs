@@ -27,6 +27,7 @@ mod normalisation;
 pub mod onnx;
 mod outputs;
 mod peaks;
+mod rows;
 mod runtime;
 mod runtime_config;
 pub mod trial;

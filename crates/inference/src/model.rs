@@ -10,6 +10,7 @@ use tract_onnx::prelude::{Framework, InferenceModelExt, IntoRunnable, TractError
 
 use crate::interface::{Interface, elements};
 use crate::onnx;
+use crate::rows::Plan;
 use crate::runtime::Runtime;
 
 /// A graph that cannot be loaded or run.
@@ -115,6 +116,9 @@ pub enum ModelError {
 const REHEARSALS: usize = 9;
 /// Range of a normalised reading: deviations from its mean.
 const NORMALISED: [f32; 2] = [-3.0, 3.0];
+/// Difference of two ways to evaluate a dense network that is rounding, as a share of the largest answer: sums of hundreds of products
+/// of 24 bits, and sigmoids that runtimes approximate to some 1e-6.
+const ROUNDING: f32 = 1e-4;
 
 /// One loaded graph; runs on the calling thread.
 #[derive(Debug)]
@@ -127,10 +131,20 @@ pub struct Model {
 /// What evaluates it.
 #[derive(Debug)]
 enum Engine {
-    Native { session: Session, inputs: Vec<(String, Tensor<f32>)>, outputs: Vec<String> },
+    Native {
+        session: Session,
+        inputs: Vec<(String, Tensor<f32>)>,
+        outputs: Vec<String>,
+    },
     // One state for all runs: a new one for each costs as much again as the arithmetic, and what operators keep for a
     // state that has gone is not all given back.
-    Embedded { state: TypedSimpleState, inputs: Vec<Part>, outputs: Vec<usize> },
+    Embedded {
+        state: TypedSimpleState,
+        inputs: Vec<Part>,
+        outputs: Vec<usize>,
+    },
+    /// In the place of the embedded runtime where all tensors are rows.
+    Rows(Box<Plan>),
 }
 
 /// An input tensor in the order of the graph: which of the numbers that go in are its own.
@@ -177,7 +191,31 @@ impl Model {
         // Shapes inside of a graph are only known to fit once it has run.
         let first = || model.run(&vec![0.0; input_len], &mut Vec::new());
         caught(first).map_err(refused)?.map_err(|e| refused(e.to_string()))?;
+        if matches!(model.engine, Engine::Embedded { .. })
+            && let Some(plan) = model.plan(bytes, interface)
+        {
+            model.engine = Engine::Rows(plan);
+        }
         Ok(model)
+    }
+
+    /// The graph as a sequence of loops over rows, where it is one and answers as it does now.
+    fn plan(&mut self, bytes: &[u8], interface: &Interface) -> Option<Box<Plan>> {
+        let mut plan = Box::new(Plan::translate(bytes, interface)?);
+        let (mut inputs, mut answers, mut row) = (Vec::new(), Vec::new(), vec![0.0; self.input_len]);
+        let mut drawn = Plausible::default();
+        for _ in 0..REHEARSALS {
+            self.append(&row, &mut answers).ok()?;
+            inputs.extend_from_slice(&row);
+            drawn.next(&[], &mut row);
+        }
+        let agrees = plan.agrees(&inputs, &answers, ROUNDING);
+        if !agrees {
+            tracing::debug!(
+                "the translation of a dense network answers otherwise than the embedded runtime; it is not used"
+            );
+        }
+        agrees.then_some(plan)
     }
 
     /// Numbers that [`run`](Self::run) takes.
@@ -200,19 +238,10 @@ impl Model {
     /// [`ModelError::OutputNotFinite`], and as [`run`](Self::run).
     pub fn rehearse(&mut self, ranges: &[[f32; 2]]) -> Result<(), ModelError> {
         let (mut input, mut output) = (vec![0.0; self.input_len], Vec::new());
-        // Numbers from −1 to 1 of an xorshift generator: any will do.
-        let mut state = 0x9e37_79b9_7f4a_7c15_u64;
+        let mut drawn = Plausible::default();
         for run in 0..REHEARSALS {
             if run > 0 {
-                let share = if run % 2 == 0 { 1.0 / 3.0 } else { 1.0 };
-                for (i, value) in input.iter_mut().enumerate() {
-                    state ^= state << 13;
-                    state ^= state >> 7;
-                    state ^= state << 17;
-                    let [low, high] = ranges.get(i).copied().unwrap_or(NORMALISED);
-                    let place = share * ((state >> 40) as f32 / (1u32 << 23) as f32 - 1.0);
-                    *value = 0.5 * (low + high) + 0.5 * (high - low) * place;
-                }
+                drawn.next(ranges, &mut input);
             }
             self.run(&input, &mut output)?;
             if let Some((index, value)) = output.iter().enumerate().find(|(_, v)| !v.is_finite()) {
@@ -304,8 +333,40 @@ impl Model {
                     output.extend(values.to_plain_array_view::<f32>().map_err(run)?.iter());
                 }
             }
+            Engine::Rows(plan) => plan.run(input, output),
         }
         check_len(output.len() - before, self.output_len)
+    }
+}
+
+/// Draws inputs, the same ones each time.
+struct Plausible {
+    state: u64,
+    drawn: u32,
+}
+
+impl Default for Plausible {
+    fn default() -> Self {
+        Self { state: 0x9e37_79b9_7f4a_7c15, drawn: 0 }
+    }
+}
+
+impl Plausible {
+    /// Fills `input` with numbers from all of `ranges`, every other time from their middle third. A number beyond the last range is a
+    /// normalised reading.
+    fn next(&mut self, ranges: &[[f32; 2]], input: &mut [f32]) {
+        self.drawn += 1;
+        let share = if self.drawn.is_multiple_of(2) { 1.0 / 3.0 } else { 1.0 };
+        // Numbers from −1 to 1 of an xorshift generator: any will do.
+        let state = &mut self.state;
+        for (i, value) in input.iter_mut().enumerate() {
+            *state ^= *state << 13;
+            *state ^= *state >> 7;
+            *state ^= *state << 17;
+            let [low, high] = ranges.get(i).copied().unwrap_or(NORMALISED);
+            let place = share * ((*state >> 40) as f32 / (1u32 << 23) as f32 - 1.0);
+            *value = 0.5 * (low + high) + 0.5 * (high - low) * place;
+        }
     }
 }
 

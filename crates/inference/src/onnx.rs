@@ -4,12 +4,14 @@
 
 mod check;
 mod constants;
+mod graph;
 
 use onnx_rs::ast;
 
 pub(crate) use check::check;
 pub use check::{GraphTensor, Signature, listed, with_batch_of_one};
 pub(crate) use constants::{check as check_constants, unbounded};
+pub(crate) use graph::{Graph, GraphNode, Tensor};
 
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 8;

@@ -39,7 +39,7 @@ mod url;
 pub use clock::{ClockState, DeviceClock};
 pub use error::TransportError;
 pub use pty::Pty;
-pub use source::{Event, Source, SourceOptions, SourceStats};
+pub use source::{Event, Source, SourceOptions, SourceStats, SourceWatch};
 pub use url::{Newcomer, Parity, Sender, SourceUrl};
 
 /// Host time now \[ns since the Unix epoch\], the clock that every `received_ns` of this crate is on.

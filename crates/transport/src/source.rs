@@ -241,10 +241,28 @@ impl Source {
         self.queue.stats()
     }
 
+    /// A handle to [`stats`](Self::stats) for others than the consumer.
+    #[must_use]
+    pub fn watch(&self) -> SourceWatch {
+        SourceWatch(Arc::clone(&self.queue))
+    }
+
     /// Where the bytes come from.
     #[must_use]
     pub fn url(&self) -> &SourceUrl {
         &self.url
+    }
+}
+
+/// What a source did so far; it outlives the source.
+#[derive(Debug, Clone)]
+pub struct SourceWatch(Arc<Queue>);
+
+impl SourceWatch {
+    /// See [`Source::stats`].
+    #[must_use]
+    pub fn stats(&self) -> SourceStats {
+        self.0.stats()
     }
 }
 

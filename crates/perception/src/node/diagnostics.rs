@@ -148,7 +148,7 @@ fn decoding(status: &mut Status, core: &Core) {
 
 /// What the link counted; returns how many datagrams and connections of other senders were refused so far.
 fn link(status: &mut Status, core: &Core, active: bool) -> u64 {
-    let source = &core.source;
+    let source = core.source();
     status.value("reconnects", source.connects.saturating_sub(1));
     status.value("disconnects", source.disconnects);
     status.value("bytes dropped", source.dropped_bytes);

@@ -11,7 +11,7 @@ use dermis_inference::{Limits, Runtime};
 use dermis_node::Node;
 use dermis_sensor::{Decoder, Sensor};
 use dermis_skin::{Mount, SkinDescription, Surface};
-use dermis_transport::{SourceStats, SourceUrl};
+use dermis_transport::{SourceStats, SourceUrl, SourceWatch};
 
 use super::kept_zero::KeptZero;
 use super::publishers::{Job, Publishers};
@@ -60,7 +60,8 @@ pub(super) struct Core {
     /// Of the latest frame.
     pub(super) sequence: u64,
     pub(super) figures: Figures,
-    pub(super) source: SourceStats,
+    /// Since the node was active for the first time.
+    pub(super) source: Option<SourceWatch>,
     /// Datagrams and connections of other senders that had been refused at the last diagnosis.
     pub(super) refused: u64,
     /// Why the skin is blind, if it is: status and sentence.
@@ -132,7 +133,7 @@ impl Shared {
                 loading,
                 sequence: 0,
                 figures: Figures::default(),
-                source: SourceStats::default(),
+                source: None,
                 refused: 0,
                 blind: None,
                 jumps: (0, None),
@@ -153,6 +154,11 @@ impl Shared {
 }
 
 impl Core {
+    /// What the source did so far.
+    pub(super) fn source(&self) -> SourceStats {
+        self.source.as_ref().map(SourceWatch::stats).unwrap_or_default()
+    }
+
     /// Bytes are missing.
     pub(super) fn gap(&mut self) {
         if let Some(decoder) = &mut self.decoder {

@@ -89,9 +89,12 @@ impl<'a> Worker<'a> {
                 self.enter();
             }
             let source = source.get_or_insert_with(|| {
-                self.early
+                let source = self
+                    .early
                     .take()
-                    .unwrap_or_else(|| Source::open(self.shared.url.clone(), SourceOptions::default()))
+                    .unwrap_or_else(|| Source::open(self.shared.url.clone(), SourceOptions::default()));
+                self.shared.lock().source = Some(source.watch());
+                source
             });
             self.turn(source);
             self.shared.progress.notify_all();
@@ -136,7 +139,6 @@ impl<'a> Worker<'a> {
             (false, false) => None,
         };
         let mut core = shared.lock();
-        core.source = source.stats();
         core = self.receive(core, source, event);
         // Measured before a frame is processed, which may take long: what comes meanwhile is in the queue.
         let silence = self.last_frame.elapsed();
@@ -289,8 +291,9 @@ impl Shared {
         if let Some(diagnosis) = stats.and_then(|s| s.diagnosis(Some(&self.url))) {
             return (ContactArray::STATUS_FAULT, format!("skin `{name}` on {}: {diagnosis}", self.url));
         }
-        let why = if !core.source.connected {
-            core.source.last_reason.clone().unwrap_or_else(|| format!("{} is not connected yet", self.url))
+        let source = core.source();
+        let why = if !source.connected {
+            source.last_reason.unwrap_or_else(|| format!("{} is not connected yet", self.url))
         } else if stats.is_some_and(|s| s.bytes_since_valid > 0) {
             format!("{} sends bytes, but no whole frame yet", self.url)
         } else {
