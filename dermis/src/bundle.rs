@@ -23,10 +23,10 @@ pub struct New {
     /// Skin description.
     #[arg(long)]
     skin: PathBuf,
-    /// The model: one input with the readings, one output, 32-bit floats, batch of 1 or free.
+    /// The model: one input with the readings, 32-bit floats, batch of 1 or free. Of several outputs, the numbers are taken in its order.
     #[arg(long)]
     onnx: PathBuf,
-    /// What each number of its output is, in order, e.g. `position.x,position.y,force.normal`.
+    /// What each number of its outputs is, in order, e.g. `position.x,position.y,force.normal`.
     #[arg(long, required = true, value_delimiter = ',')]
     outputs: Vec<String>,
     /// Folder of the bundle; an older bundle is replaced.

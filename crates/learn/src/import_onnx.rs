@@ -6,7 +6,7 @@ use std::path::Path;
 use dermis_inference::onnx::{GraphTensor, Signature, listed, with_batch_of_one};
 use dermis_inference::{
     Baseline, BundleWriter, FeatureConfig, Interface, Limits, Link, Manifest, Missing, Model, OutputConfig,
-    OutputSpec, Outputs, Runtime, RuntimeKind, Taps, TrainingSection, rehearse_embedded,
+    OutputSpec, Outputs, Runtime, RuntimeKind, Taps, TensorPort, TrainingSection, rehearse_embedded,
 };
 use dermis_skin::{ImageGrid, SkinDescription};
 use serde::{Deserialize, Serialize};
@@ -202,9 +202,9 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
     };
     let of = if wiring.image.is_some() { "numbers of `image`" } else { "channels" };
     let wanted = format!("{} numbers for the {numbers} {of} of skin `{}`", features.input_len(), skin.name);
-    let input = only(&signature.inputs, "input", features.input_len(), &wanted, &place, &mut findings);
+    let inputs = ports(&signature.inputs, "input", features.input_len(), &wanted, &place, &mut findings);
     let wanted = format!("{} numbers for {}", outputs.len(), request.outputs.join(", "));
-    let output = only(&signature.outputs, "output", outputs.len(), &wanted, &place, &mut findings);
+    let outs = ports(&signature.outputs, "output", outputs.len(), &wanted, &place, &mut findings);
     let foreign: Vec<String> = signature
         .opsets
         .iter()
@@ -218,16 +218,10 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
             "not every runtime knows them",
         );
     }
-    let (Some(input), Some(output), false) = (input, output, findings.is_fatal()) else {
+    let (Some(inputs), Some(outs), false) = (inputs, outs, findings.is_fatal()) else {
         return Err(LearnError::Unfit(findings));
     };
-    let interface = Interface {
-        input: input.name.clone(),
-        input_shape: input.fixed().unwrap_or_default(),
-        output: output.name.clone(),
-        output_shape: output.fixed().unwrap_or_default(),
-        ..Interface::default()
-    };
+    let interface = Interface::of(&inputs, &outs);
     let (model, runtimes) = trial(request, &graph, &interface, &signature, &place)?;
 
     let decoder = Outputs::new(outputs.clone())?;
@@ -374,49 +368,65 @@ fn outputs(names: &[String], wiring: &Wiring, findings: &mut Findings) -> Output
     config
 }
 
-/// The only tensor on one side of a graph, where it has as many numbers as are needed.
-fn only<'a>(
-    tensors: &'a [GraphTensor],
+/// The tensors on one side of a graph, in its order, where they have as many numbers together as are needed. Readings go into one.
+fn ports(
+    tensors: &[GraphTensor],
     side: &str,
     numbers: usize,
     wanted: &str,
     place: &str,
     findings: &mut Findings,
-) -> Option<&'a GraphTensor> {
-    let [tensor] = tensors else {
+) -> Option<Vec<TensorPort>> {
+    let wrong = match tensors {
+        [] => Some("one is needed"),
+        [_, _, ..] if side == "input" => {
+            Some("one is needed; concatenate them along their last axis before the export")
+        }
+        _ => None,
+    };
+    if let Some(needed) = wrong {
         findings.fatal(
             place,
             format!("has {} {side}s: {}", tensors.len(), listed(tensors)),
-            format!("one is needed, with {wanted}; concatenate them along their last axis before the export"),
+            format!("{needed}, with {wanted}"),
         );
         return None;
-    };
-    let Some(shape) = tensor.fixed().filter(|_| tensor.is_float()) else {
-        let what = if tensor.is_float() { "leaves dimensions free" } else { "is not of 32-bit floats" };
-        findings.fatal(
-            place,
-            format!("{side} {tensor} {what}"),
-            "export it with float32 tensors of fixed shapes; only the batch, the first dimension, may be free",
-        );
+    }
+    let mut ports = Vec::new();
+    for tensor in tensors {
+        let Some(shape) = tensor.fixed().filter(|_| tensor.is_float()) else {
+            let what = if tensor.is_float() { "leaves dimensions free" } else { "is not of 32-bit floats" };
+            findings.fatal(
+                place,
+                format!("{side} {tensor} {what}"),
+                "export it with float32 tensors of fixed shapes; only the batch, the first dimension, may be free",
+            );
+            continue;
+        };
+        ports.push(TensorPort { name: tensor.name.clone(), shape });
+    }
+    if ports.len() < tensors.len() {
         return None;
-    };
-    if shape.iter().product::<usize>() != numbers {
+    }
+    let found = ports
+        .iter()
+        .map(|port| port.shape.iter().product::<usize>())
+        .fold(0_usize, |sum, count| sum.saturating_add(count));
+    if found != numbers {
         let hint = if side == "input" {
             "train it on those channels, or say in a file of `--input` which taps, low_pass and difference it takes"
         } else {
             "name each number that comes out, in order, in `--outputs`"
         };
-        findings.fatal(
-            place,
-            format!(
-                "{side} {tensor} has {} numbers where there are {wanted}",
-                shape.iter().product::<usize>()
-            ),
-            hint,
-        );
+        let has = if let [tensor] = tensors {
+            format!("{side} {tensor} has {found} numbers")
+        } else {
+            format!("{side}s {} have {found} numbers together", listed(tensors))
+        };
+        findings.fatal(place, format!("{has} where there are {wanted}"), hint);
         return None;
     }
-    Some(tensor)
+    Some(ports)
 }
 
 #[cfg(test)]

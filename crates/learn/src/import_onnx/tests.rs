@@ -62,6 +62,41 @@ fn a_graph_of_someone_else_becomes_a_bundle_that_is_measured() {
 }
 
 #[test]
+fn outputs_of_a_graph_with_several_are_taken_in_its_order() {
+    let dir = tempfile::tempdir().unwrap();
+    let (onnx, out, skin, data) =
+        (dir.path().join("heads.onnx"), dir.path().join("bundle"), skin(), presses(40, 2));
+    // One input for each channel, a head for the force and one for the place.
+    let mut g = GraphBuilder::new("heads");
+    let (first, second) = (g.input("first", &[1, 1]), g.input("second", &[1, 1]));
+    let factor =
+        |g: &mut GraphBuilder, name: &str, values: &[f32]| g.constant(name, &[1, values.len()], values);
+    let newton = factor(&mut g, "newton", &[0.0501]);
+    let metre = factor(&mut g, "metre", &[1e-1, 0.0]);
+    let force = g.mul(&second, &newton);
+    let place = g.mul(&first, &metre);
+    g.output("force", &force, &[1, 1]);
+    g.output("place", &place, &[1, 2]);
+    std::fs::write(&onnx, g.finish().unwrap()).unwrap();
+    let outputs = names("force.normal,position.x,position.y");
+    let request = ImportRequest {
+        skin: &skin,
+        onnx: &onnx,
+        outputs: &outputs,
+        wiring: &wiring(),
+        data: Some((&data, None)),
+        out: &out,
+        runtime: runtime(),
+    };
+    let figures = import_onnx(&request).unwrap().measured.unwrap().figures();
+    assert!(figures["position_rms"] < 1e-6 && figures["force_normal_rms"] < 0.01, "{figures:?}");
+    let bundle = Bundle::load(&out, &skin).unwrap();
+    let interface = &bundle.manifest().model.interface;
+    assert_eq!((interface.output.as_str(), interface.more_outputs[0].name.as_str()), ("force", "place"));
+    bundle.session(runtime()).unwrap();
+}
+
+#[test]
 fn what_does_not_fit_is_said_at_once() {
     let dir = tempfile::tempdir().unwrap();
     let (onnx, out, skin) = (inverse(dir.path()), dir.path().join("bundle"), skin());
@@ -99,7 +134,7 @@ fn what_does_not_fit_is_said_at_once() {
     g.output("b", &y, &[1, 2]);
     g.output("c", &x, &[1, 2]);
     std::fs::write(&other, g.finish().unwrap()).unwrap();
-    insta::assert_snapshot!(told("force.normal,contact", &Wiring::default(), &other), @"model file DIR/other.onnx: has 2 outputs: `b` [1, 2] and `c` [1, 2]: one is needed, with 2 numbers for force.normal, contact; concatenate them along their last axis before the export");
+    insta::assert_snapshot!(told("force.normal,contact", &Wiring::default(), &other), @"model file DIR/other.onnx: outputs `b` [1, 2] and `c` [1, 2] have 4 numbers together where there are 2 numbers for force.normal, contact: name each number that comes out, in order, in `--outputs`");
     std::fs::write(&other, "PK").unwrap();
     insta::assert_snapshot!(told("force.normal", &Wiring::default(), &other), @"model file DIR/other.onnx: is not an ONNX model: it holds no graph; export it again");
     assert!(!out.exists());
