@@ -5,4 +5,6 @@ pub mod benchmark;
 pub mod closing;
 pub mod diagnosis;
 pub mod generation;
+pub mod planning;
+pub mod protocol;
 mod scorecard;
