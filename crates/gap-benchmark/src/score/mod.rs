@@ -1,5 +1,6 @@
 //! What a tool answered on a benchmark set, compared to what was withheld: counts with Wilson's intervals.
 
+mod cells;
 mod scorecard;
 mod scores;
 #[cfg(test)]
@@ -11,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::set::GroundTruth;
 
+pub use cells::{Auroc, CellScores, Cells, cell};
 pub use scorecard::Scorecard;
 pub use scores::{Aim, Scores, median};
 
@@ -103,6 +105,9 @@ pub struct Answer {
     pub elsewhere: Option<f64>,
     /// Share of the gap that it leaves unexplained; 0 where it sees none.
     pub unexplained: Option<f64>,
+    /// How much speaks for "none of the known effects", the more the surer; the unexplained share counts where it says none.
+    #[serde(default)]
+    pub evidence: Option<f64>,
     /// Axes along which it sees the gap, the most telling first.
     pub axes: Vec<String>,
     /// Channel where it sees the largest gap.

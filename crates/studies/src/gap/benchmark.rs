@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_gap::{SampleOptions, Samples, Simulator};
-use dermis_gap_benchmark::score::{Answer, Mapping, Named, Scorecard};
+use dermis_gap_benchmark::score::{self, Answer, Mapping, Named, Scorecard};
 use dermis_gap_benchmark::set::{self, Case, GroundTruth, Manifest};
 use dermis_skin::{Effect, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
@@ -21,7 +21,7 @@ use crate::{Families, Progress};
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Request {
-    /// Folder of a pack; several of one skin are scored together.
+    /// Folder of a pack; several are scored together, of one skin or of several.
     #[arg(long, required = true, value_name = "DIR")]
     pub pack: Vec<PathBuf>,
     /// Folder of the secrets of each pack, in the same order. Without them the reports are written and sealed, and nothing is
@@ -135,8 +135,8 @@ pub fn run(
     // From here on the reports must not change: their hashes lie on the disk.
     let mapping = Mapping::from_toml(Mapping::TEXT).map_err(anyhow::Error::msg)?;
     let mut cases: Vec<Opened> = Vec::new();
-    for (((manifest, secrets), (out, _)), pack) in
-        packs.iter().zip(&options.secret).zip(&seals).zip(&options.pack)
+    for (index, (((manifest, secrets), (out, _)), pack)) in
+        packs.iter().zip(&options.secret).zip(&seals).zip(&options.pack).enumerate()
     {
         for case in &manifest.cases {
             let path = report(out, case);
@@ -151,25 +151,33 @@ pub fn run(
                 report: read,
                 bag: pack.join(&case.bag),
                 presses: case.presses,
+                pack: index,
             });
         }
     }
     let library = library(&cases);
-    let skin = SkinDescription::load(options.pack[0].join("skin.toml"))?;
+    let skins: Vec<SkinDescription> = options
+        .pack
+        .iter()
+        .map(|pack| SkinDescription::load(pack.join("skin.toml")))
+        .collect::<Result<_, _>>()?;
     if !options.no_elsewhere {
-        elsewhere(&skin, &mut cases, options, families, progress)?;
+        elsewhere(&skins, &mut cases, options, families, progress)?;
     }
     let card = Scorecard::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
     let baselines = if options.no_baselines {
         Vec::new()
     } else {
-        baselines(&skin, &cases, &mapping, &library, families, progress)?
+        baselines(&skins, &cases, &mapping, &library, families, progress)?
     };
+    let mut names: Vec<&str> = skins.iter().map(|skin| skin.name.as_str()).collect();
+    names.dedup();
+    let name = names.join(", ");
     let head = serde_json::json!({
         "schema": "gap-check/1",
         "tool": format!("dermis {}", env!("CARGO_PKG_VERSION")),
         "command": command(options),
-        "skin": skin.name,
+        "skin": name,
         "mapping_sha256": set::sha256(Mapping::TEXT.as_bytes()),
         "packs": packs.iter().zip(&options.pack).zip(&seals).map(|((manifest, dir), (_, seal))| {
             Ok(serde_json::json!({ "kind": manifest.kind, "cases": manifest.cases.len(), "generator": manifest.generator,
@@ -177,15 +185,17 @@ pub fn run(
         }).collect::<Result<Vec<_>>>()?,
         "library": library,
     });
+    let within = mapping.within(&library);
     let cases = cases
         .iter()
         .map(|c| {
             let s = &c.secret;
-            serde_json::json!({ "case": s.case, "kind": s.kind, "gap": s.gap, "noise": s.noise,
+            serde_json::json!({ "case": s.case, "pack": c.pack + 1, "skin": skins[c.pack].name, "kind": s.kind,
+                "cell": score::cell(s, &within), "disturbance": s.disturbance, "gap": s.gap, "noise": s.noise,
                 "unexplained": s.unexplained, "causes": s.causes, "answer": c.answer })
         })
         .collect();
-    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: skin.name, card, baselines, cases })))
+    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: name, card, baselines, cases })))
 }
 
 /// A case whose secret is open.
@@ -195,6 +205,8 @@ struct Opened {
     report: Value,
     bag: PathBuf,
     presses: usize,
+    /// Which pack it is of.
+    pack: usize,
 }
 
 /// How this check was called.
@@ -225,19 +237,20 @@ fn library(cases: &[Opened]) -> BTreeSet<String> {
 
 /// Tries what each report switches on in another recording of the same reference device, which no report has seen.
 fn elsewhere(
-    skin: &SkinDescription,
+    skins: &[SkinDescription],
     cases: &mut [Opened],
     options: &Request,
     families: &Families,
     progress: &dyn Progress,
 ) -> Result<()> {
     let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
-    let simulator = Simulator { skin, effects: families.of(skin)?.effects(), make: &make };
-    let sigma = skin.channel_noise();
     let open: Vec<&mut Opened> = cases.iter_mut().filter(|c| c.answer.residual_reduction.is_some()).collect();
     progress.begin("recording again");
     let (count, done) = (open.len().max(1), AtomicUsize::new(0));
     let one = |case: &Opened| -> Result<Option<f64>> {
+        let skin = &skins[case.pack];
+        let simulator = Simulator { skin, effects: families.of(skin)?.effects(), make: &make };
+        let sigma = skin.channel_noise();
         let mut effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
             .with_context(|| format!("{}: field `corrected` of its report", case.secret.case))?;
         // A hum has another phase in every recording, and counts as noise where it is named.
@@ -288,7 +301,7 @@ fn elsewhere(
 
 /// Cards of the baselines on the same cases.
 fn baselines(
-    skin: &SkinDescription,
+    skins: &[SkinDescription],
     cases: &[Opened],
     mapping: &Mapping,
     library: &BTreeSet<String>,
@@ -301,6 +314,7 @@ fn baselines(
     for (n, case) in cases.iter().enumerate() {
         // Cases of the same pack and presses have the same signatures.
         let key = (case.bag.parent().map(Path::to_owned).unwrap_or_default(), case.presses);
+        let skin = &skins[case.pack];
         answers.push(super::baselines::answers(skin, families, &case.bag, &key, &mut columns)?);
         progress.at((n + 1) as f64 / cases.len() as f64);
     }
@@ -415,6 +429,7 @@ fn answer(report: &Value) -> Answer {
         ..Answer::default()
     };
     answer.unexplained = if answer.gap { report["unknown"]["share"].as_f64() } else { None };
+    answer.evidence = if answer.gap { report["unknown"]["evidence"].as_f64() } else { None };
     let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
     answer.axes = list(&report["where"]).iter().map(|axis| text(&axis["axis"])).collect();
     let fvu = |bin: &Value| bin["fvu"].as_f64().unwrap_or(0.0);
