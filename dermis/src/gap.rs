@@ -274,7 +274,10 @@ fn check(options: &Check) -> Result<()> {
         benchmark::Findings::Scored(scored) => scored,
     };
     let whole = serde_json::to_value(&scored)?;
-    let markdown = report::markdown(&scored.head, &scored.card, &scored.baselines);
+    let mut markdown = report::markdown(&scored.head, &scored.card, &scored.baselines);
+    for (number, card) in scored.followed.iter().enumerate() {
+        markdown.push_str(&format!("\n## After {} follow-ups\n{}", number + 1, card.cells.table()));
+    }
     let pretty = |value: &Value| Ok::<_, serde_json::Error>(serde_json::to_string_pretty(value)? + "\n");
     output::save(
         &options.request.out,

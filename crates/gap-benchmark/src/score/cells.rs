@@ -122,7 +122,7 @@ impl Cells {
         }
         let cell = cell(truth, mapping);
         let yes = |so: bool| f64::from(u8::from(so));
-        let right = |name: &String| truth.causes.iter().any(|t| mapping.of(&t.cause.id).contains(name));
+        let right = |name: &String| truth.causes.iter().any(|t| mapping.right(&t.cause.id, name));
         let hit = |named: &Named| named.class.iter().any(right);
         let sure = |named: &&Named| named.firm && named.class.len() == 1;
         let scores = self.cells.entry(cell).or_default();
@@ -145,8 +145,7 @@ impl Cells {
         scores.firm_wrong = scores.firm_wrong.and(yes(wrong));
         scores.seen = scores.seen.and(yes(answer.gap));
         if truth.causes.len() > 1 {
-            let named =
-                |id: &str| answer.named.iter().flat_map(|n| &n.class).any(|n| mapping.of(id).contains(n));
+            let named = |id: &str| answer.named.iter().flat_map(|n| &n.class).any(|n| mapping.right(id, n));
             scores.all = scores.all.and(yes(truth.causes.iter().all(|t| named(&t.cause.id))));
         }
         let withheld: Vec<&str> = truth.causes.iter().map(|t| t.cause.id.as_str()).collect();

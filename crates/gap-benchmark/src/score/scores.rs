@@ -105,7 +105,7 @@ impl Scores {
         library: &BTreeSet<String>,
     ) {
         self.cases += 1;
-        let right = |name: &String| truth.causes.iter().any(|t| mapping.of(&t.cause.id).contains(name));
+        let right = |name: &String| truth.causes.iter().any(|t| mapping.right(&t.cause.id, name));
         let hit = |class: &[String]| class.iter().any(right);
         for named in answer.named.iter().filter(|n| n.firm && n.class.len() == 1) {
             // A control may hold a cause that is too weak to matter: naming it right is no mistake.
@@ -125,8 +125,8 @@ impl Scores {
             Kind::Pairs | Kind::Triples => {
                 if mapping.holds(truth) {
                     let found = truth.causes.iter().map(|t| {
-                        let names = mapping.of(&t.cause.id);
-                        answer.named.iter().any(|n| n.class.iter().any(|name| names.contains(name)))
+                        let right = |name: &String| mapping.right(&t.cause.id, name);
+                        answer.named.iter().any(|n| n.class.iter().any(right))
                     });
                     let found: Vec<bool> = found.collect();
                     let all = yes(found.iter().all(|f| *f));

@@ -321,6 +321,32 @@ pub fn record_again(skin: &SkinDescription, truth: &GroundTruth, dir: &Path) -> 
     crate::record(skin, &*device.model(), &script, &readings, dir, None)
 }
 
+/// Presses the reference device of a ground truth as a plan says, with its noise, after it was switched on anew; the material is as it was
+/// at first. The bag is `dir`.
+///
+/// # Errors
+///
+/// [`BenchmarkError`] where the ground truth is of another skin, the plan does not fit it, or the bag cannot be written.
+pub fn press(
+    skin: &SkinDescription,
+    truth: &GroundTruth,
+    plan: &str,
+    seed: u64,
+    dir: &Path,
+) -> Result<(), BenchmarkError> {
+    let causes: Vec<Cause> = truth.causes.iter().map(|withheld| withheld.cause.clone()).collect();
+    let device = crate::reference_device(skin, &truth.numerics, &causes)?;
+    let rig = crate::rig(skin, truth.size)?;
+    let seed = truth.salt.bytes().fold(seed ^ 0xf011, |seed, b| seed.rotate_left(7) ^ u64::from(b));
+    let mut script = Script::of_plan(plan, &device.model(), rig.rate, seed)?;
+    let heavy = truth.disturbance == Disturbance::HeavyTails;
+    let mut readings = device.readings(&script, Some(Noise { seed, factor: truth.noise, heavy }))?;
+    if truth.disturbance == Disturbance::LostFrames {
+        lose(&mut script, &mut readings, skin.channels().len(), seed);
+    }
+    crate::record(skin, &*device.model(), &script, &readings, dir, Some(seed))
+}
+
 /// Makes a benchmark set in the folder `dir` and its ground truths in `ground_truths`, neither of which may hold one yet. `skin_text` is the skin file,
 /// which goes into the benchmark set. `done` is called for every case that is finished, and ends the work where it returns `false`; what is
 /// there by then is a valid, smaller set.

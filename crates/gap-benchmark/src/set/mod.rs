@@ -17,7 +17,7 @@ use sha2::{Digest, Sha256};
 
 use crate::{BenchmarkError, Cause, Numerics, Region};
 
-pub use generate::{generate, record_again};
+pub use generate::{generate, press, record_again};
 
 /// Schema of a manifest.
 pub const SET_SCHEMA: &str = "gap-benchmark-set/1";

@@ -8,12 +8,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_gap::{SampleOptions, Samples, Simulator};
-use dermis_gap_benchmark::score::{self, Answer, Mapping, Named, Scorecard};
+use dermis_gap_benchmark::score::{self, Answer, Mapping, Named, SAME, Scorecard};
 use dermis_gap_benchmark::set::{self, Case, GroundTruth, Manifest};
 use dermis_skin::{Effect, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
 
+use super::follow_ups::{Asking, ask};
 use super::scorecard;
 use crate::{Families, Progress};
 
@@ -41,6 +42,13 @@ pub struct Request {
     /// Do not try what reports switch on in another recording of the same reference device.
     #[arg(long)]
     pub no_elsewhere: bool,
+    /// How often each case may ask for presses (`dermis gap next`), which its reference device does, before it answers again; scored beside
+    /// the first answers. Needs the secrets.
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    pub follow_ups: usize,
+    /// Minutes of pressing that a case may ask for each time.
+    #[arg(long, value_name = "MIN", default_value_t = Request::default().follow_up_minutes)]
+    pub follow_up_minutes: f64,
     /// Passed on to every diagnosis, e.g. --resamples 0.
     #[arg(last = true)]
     pub diagnose: Vec<String>,
@@ -55,6 +63,8 @@ impl Default for Request {
             jobs: 1,
             no_baselines: false,
             no_elsewhere: false,
+            follow_ups: 0,
+            follow_up_minutes: 3.0,
             diagnose: Vec::new(),
         }
     }
@@ -79,6 +89,8 @@ pub struct BenchmarkScores {
     pub skin: String,
     /// Of the diagnosis.
     pub card: Scorecard,
+    /// After each number of follow-ups, from one on.
+    pub followed: Vec<Scorecard>,
     /// Of simpler ways.
     pub baselines: Vec<(String, Scorecard)>,
     /// Every case with its answer.
@@ -89,7 +101,7 @@ impl BenchmarkScores {
     /// Without the single cases.
     #[must_use]
     pub fn summary(&self) -> Value {
-        scorecard::json(&self.head, &self.card, &self.baselines)
+        scorecard::json(&self.head, &self.card, &self.followed, &self.baselines)
     }
 }
 
@@ -165,6 +177,12 @@ pub fn run(
         elsewhere(&skins, &mut cases, options, families, progress)?;
     }
     let card = Scorecard::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
+    let mut followed = Vec::new();
+    for times in 1..=options.follow_ups {
+        let answers = follow(times, &skins, &cases, &seals, options, families, diagnosis, progress)?;
+        let of = cases.iter().zip(&answers).map(|(case, answer)| (&case.secret, answer));
+        followed.push(Scorecard::new(of, &mapping, &library));
+    }
     let baselines = if options.no_baselines {
         Vec::new()
     } else {
@@ -195,7 +213,7 @@ pub fn run(
                 "unexplained": s.unexplained, "causes": s.causes, "answer": c.answer })
         })
         .collect();
-    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: name, card, baselines, cases })))
+    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: name, card, followed, baselines, cases })))
 }
 
 /// A case whose secret is open.
@@ -297,6 +315,44 @@ fn elsewhere(
         workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| bail!("a recording was cut off")))
     })?;
     Ok(())
+}
+
+/// Answers of all cases after they have asked so many times.
+#[expect(clippy::too_many_arguments, reason = "what a whole benchmark knows")]
+fn follow(
+    times: usize,
+    skins: &[SkinDescription],
+    cases: &[Opened],
+    seals: &[(PathBuf, String)],
+    options: &Request,
+    families: &Families,
+    diagnosis: Diagnose<'_>,
+    progress: &dyn Progress,
+) -> Result<Vec<Answer>> {
+    progress.begin("following up");
+    let mut answers = Vec::new();
+    for (n, case) in cases.iter().enumerate() {
+        let (out, _) = &seals[case.pack];
+        let skin_file = options.pack[case.pack].join("skin.toml");
+        let asking = Asking {
+            skin_file: &skin_file,
+            skin: &skins[case.pack],
+            truth: &case.secret,
+            bag: &case.bag,
+            report: out.join(format!("{}.json", case.secret.case)),
+            folder: out.join("follow-ups").join(&case.secret.case),
+        };
+        let minutes = options.follow_up_minutes;
+        let path = ask(&asking, (times, minutes), &options.diagnose, families, diagnosis)
+            .with_context(|| case.secret.case.clone())?;
+        let text = dermis_io::read(&path, dermis_io::REPORT)
+            .with_context(|| format!("{} cannot be read", path.display()))?;
+        answers.push(answer(&serde_json::from_slice(&text)?));
+        if !progress.at((n + 1) as f64 / cases.len() as f64) {
+            bail!("interrupted; call it again to go on");
+        }
+    }
+    Ok(answers)
 }
 
 /// Cards of the baselines on the same cases.
@@ -441,13 +497,18 @@ fn answer(report: &Value) -> Answer {
     for effect in report["effects"].as_array().into_iter().flatten() {
         let mut named = Named { firm: effect["tier"] == "strict", ..Named::default() };
         for member in effect["class"].as_array().into_iter().flatten() {
-            named.class.push(member.as_str().map_or_else(|| text(&member["name"]), str::to_owned));
+            let name = member.as_str().map_or_else(|| text(&member["name"]), str::to_owned);
+            // Another name of the member before it is no other answer.
+            match named.class.last_mut().filter(|_| member["alias"] == true) {
+                Some(last) => last.push_str(&format!("{SAME}{name}")),
+                None => named.class.push(name),
+            }
         }
         let label = text(&effect["label"]);
         if named.class.is_empty() {
             named.class.push(label.clone());
         }
-        let first = named.class[0].clone();
+        let first = named.class[0].split(SAME).next().unwrap_or_default().to_owned();
         let mut parameters = BTreeMap::new();
         for theta in effect["theta"].as_array().into_iter().flatten() {
             if let Some(value) = theta["value"].as_f64() {
@@ -484,6 +545,15 @@ mod tests {
         assert!(answer.named[0].firm && !answer.named[1].firm);
         assert_eq!(answer.named[0].parameters["thickness.change"], (-0.001, Some([-0.002, 0.0])));
         assert_eq!((answer.residual_reduction, answer.interval), (Some([0.9, 0.8]), Some([0.7, 0.95])));
+        let named = |class: serde_json::Value| {
+            let effects = serde_json::json!([{ "label": "modulus", "tier": "strict", "class": class }]);
+            super::answer(&serde_json::json!({ "verdict": "named", "effects": effects })).named[0]
+                .class
+                .clone()
+        };
+        let alias = serde_json::json!({ "name": "medium.young_modulus", "alias": true });
+        let class = serde_json::json!([{ "name": "modulus" }, alias, { "name": "thickness" }]);
+        assert_eq!(named(class), ["modulus = medium.young_modulus", "thickness"]);
         assert!(!super::answer(&serde_json::json!({ "verdict": "no-gap-beyond-noise" })).gap);
     }
 }

@@ -34,13 +34,21 @@ fn group(cards: &BTreeMap<String, Scores>) -> Value {
 }
 
 /// The summary without the single cases. `head` says which tool, command and packs.
-pub(super) fn json(head: &Value, card: &Scorecard, baselines: &[(String, Scorecard)]) -> Value {
+pub(super) fn json(
+    head: &Value,
+    card: &Scorecard,
+    followed: &[Scorecard],
+    baselines: &[(String, Scorecard)],
+) -> Value {
     let mut summary = head.clone();
     summary["headline"] = scores(&card.headline);
     summary["all"] = scores(&card.all);
     summary["by_gap"] = group(&card.by_gap);
     summary["by_noise"] = group(&card.by_noise);
     summary["cells"] = cells(&card.cells);
+    if !followed.is_empty() {
+        summary["follow_ups"] = followed.iter().map(|card| cells(&card.cells)).collect();
+    }
     summary["confusion"] = json!(card.headline.confusion);
     summary["not_in_library"] = json!(card.not_in_library);
     summary["baselines"] = baselines
@@ -94,7 +102,7 @@ mod tests {
         card.headline.cases = 3;
         card.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
         let head = json!({ "skin": "s", "command": "c", "tool": "t", "packs": [] });
-        let summary = json(&head, &card, &[]);
+        let summary = json(&head, &card, &[], &[]);
         let top1 = &summary["headline"]["scores"]["top-1, class-weighted"];
         assert_eq!((top1["of"].as_u64(), top1["reached"].as_bool()), (Some(3), Some(false)));
     }
