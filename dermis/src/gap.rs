@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
 use dermis_gap::{Diagnosis, Report};
 use dermis_report::gap as report;
-use dermis_studies::gap::{benchmark, closing, diagnosis};
+use dermis_studies::gap::{benchmark, closing, diagnosis, planning};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
 
@@ -24,6 +24,10 @@ pub enum Gap {
     Diagnose(Box<Diagnose>),
     /// Diagnose, switch on in the skin's description what was found, and train on the corrected simulation.
     Close(Box<Close>),
+    /// Write the first protocol of a skin: what to press so that a diagnosis can tell causes apart.
+    Plan(Plan),
+    /// Design the next presses: those that best tell apart what a report leaves open.
+    Next(Next),
     /// Check the diagnosis on recordings whose causes are withheld.
     #[command(subcommand)]
     Benchmark(Benchmark),
@@ -64,6 +68,38 @@ pub struct Close {
     output: Output,
 }
 
+/// Which skin, and where its first protocol goes.
+#[derive(Args)]
+pub struct Plan {
+    #[command(flatten)]
+    request: planning::PlanRequest,
+    #[command(flatten)]
+    output: PlanOutput,
+}
+
+/// Which report, and where the next presses go.
+#[derive(Args)]
+pub struct Next {
+    #[command(flatten)]
+    request: planning::NextRequest,
+    #[command(flatten)]
+    output: PlanOutput,
+}
+
+/// Where presses to come go.
+#[derive(Args)]
+struct PlanOutput {
+    /// Plan file to write, for `dermis collect` and `dermis device simulate`.
+    #[arg(short, long, value_name = "FILE")]
+    out: PathBuf,
+    /// File for the instructions (Markdown) that are printed otherwise.
+    #[arg(long, value_name = "FILE")]
+    instructions: Option<PathBuf>,
+    /// One JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
 /// Where the report goes.
 #[derive(Args)]
 struct Output {
@@ -96,6 +132,11 @@ pub fn run(gap: &Gap) -> Result<()> {
             print(&found.report, options.output.json)
         }
         Gap::Close(options) => close(options),
+        Gap::Plan(options) => {
+            let found = planning::plan(&options.request, &families())?;
+            planned(&options.output, &found)
+        }
+        Gap::Next(options) => next(options),
         Gap::Benchmark(Benchmark::Generate(options)) | Gap::MakePack(options) => pack::run(options),
         Gap::Benchmark(Benchmark::Run(options)) | Gap::Check(options) => check(options),
         Gap::Schema => {
@@ -136,6 +177,40 @@ fn write(out: &Path, found: &Diagnosis) -> Result<()> {
             ("skin.toml", format!("{comment}{}", dermis_gap::skin_text(&found.corrected)?)),
         ],
     )
+}
+
+fn next(options: &Next) -> Result<()> {
+    let progress = ProgressBar::new(0).with_style(ProgressStyle::with_template(
+        "simulating presses to come {wide_bar} {human_pos}/{human_len}, {eta} left",
+    )?);
+    let stop = crate::interrupt::stop_on_interrupt()?;
+    let found = planning::next(&options.request, &families(), &progress, &stop)?;
+    progress.finish_and_clear();
+    planned(&options.output, &found)
+}
+
+/// Writes the plan, and says what to do.
+fn planned(output: &PlanOutput, found: &planning::Planned) -> Result<()> {
+    let write = |path: &Path, text: &str| {
+        std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+    };
+    write(&output.out, &found.protocol.plan_text())?;
+    let text = report::instructions(found, &output.out.display().to_string());
+    if let Some(path) = &output.instructions {
+        write(path, &text)?;
+    }
+    match &output.instructions {
+        Some(path) if !output.json => {
+            let (presses, minutes) = (found.presses, found.minutes);
+            println!(
+                "{}: {presses} presses, {minutes:.1} min; instructions in {}",
+                output.out.display(),
+                path.display()
+            );
+            Ok(())
+        }
+        _ => output::print(output.json, found, &text),
+    }
 }
 
 fn close(options: &Close) -> Result<()> {
@@ -199,7 +274,10 @@ fn check(options: &Check) -> Result<()> {
         benchmark::Findings::Scored(scored) => scored,
     };
     let whole = serde_json::to_value(&scored)?;
-    let markdown = report::markdown(&scored.head, &scored.card, &scored.baselines);
+    let mut markdown = report::markdown(&scored.head, &scored.card, &scored.baselines);
+    for (number, card) in scored.followed.iter().enumerate() {
+        markdown.push_str(&format!("\n## After {} follow-ups\n{}", number + 1, card.cells.table()));
+    }
     let pretty = |value: &Value| Ok::<_, serde_json::Error>(serde_json::to_string_pretty(value)? + "\n");
     output::save(
         &options.request.out,
@@ -210,5 +288,18 @@ fn check(options: &Check) -> Result<()> {
             ("summary.svg", report::svg(&scored.skin, &scored.card, &scored.baselines)?),
         ],
     )?;
+    let single: Vec<(String, String)> = scored
+        .cases
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|case| {
+            let text = |key: &str| case[key].as_str().unwrap_or_default().to_owned();
+            Ok((format!("{}-{}-{}.json", case["pack"], text("skin"), text("case")), pretty(case)?))
+        })
+        .collect::<Result<_>>()?;
+    let single: Vec<(&str, String)> =
+        single.iter().map(|(name, text)| (name.as_str(), text.clone())).collect();
+    output::save(&options.request.out.join("cases"), &single)?;
     output::print(options.json, &whole, &markdown)
 }

@@ -24,6 +24,47 @@ pub struct CauseInfo {
     pub signed: bool,
     /// Whether the literature lists it among the effects of such a sensor, so that a library should know it.
     pub listed: bool,
+    /// What its cases are counted as.
+    pub cell: Cell,
+}
+
+/// What a case counts as: rates of different cells say different things of a tool, and are never averaged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Cell {
+    /// The cause does not come again with the same press: no model of the skin takes it away.
+    DoesNotRepeat,
+    /// A library holds the cause, and its law is the one that libraries have.
+    SameLaw,
+    /// A library holds the cause, with another law.
+    OtherLaw,
+    /// A number of the skin's description is another one.
+    DesignNumber,
+    /// Systematic, and in no library.
+    Foreign,
+    /// Two causes.
+    TwoCauses,
+    /// Three causes, or one that the recording cannot tell from another.
+    Hard,
+    /// No cause.
+    Controls,
+}
+
+impl Cell {
+    /// As tables call it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::DoesNotRepeat => "does not repeat",
+            Self::SameLaw => "in the library, same law",
+            Self::OtherLaw => "in the library, another law",
+            Self::DesignNumber => "design number off",
+            Self::Foreign => "systematic and foreign",
+            Self::TwoCauses => "two causes",
+            Self::Hard => "three causes, or confounded",
+            Self::Controls => "controls",
+        }
+    }
 }
 
 impl CauseInfo {
@@ -36,7 +77,14 @@ impl CauseInfo {
         signed: bool,
         listed: bool,
     ) -> Self {
-        Self { id, what, source, size, signed, listed }
+        let cell = if listed { Cell::SameLaw } else { Cell::Foreign };
+        Self { id, what, source, size, signed, listed, cell }
+    }
+
+    /// Counted as this.
+    pub(crate) const fn cell(mut self, cell: Cell) -> Self {
+        self.cell = cell;
+        self
     }
 
     /// Size in its SI unit.

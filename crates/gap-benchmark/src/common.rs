@@ -1,6 +1,6 @@
 //! Causes that skins of every kind can have: of cables, converters, drivers, tips and mounts. Sizes are those of a layer.
 
-use crate::cause::CauseInfo;
+use crate::cause::{CauseInfo, Cell};
 
 pub(crate) const DRAGGING_TIP: CauseInfo = CauseInfo::new(
     "dragging-tip",
@@ -9,7 +9,8 @@ pub(crate) const DRAGGING_TIP: CauseInfo = CauseInfo::new(
     ("friction", "1", 1.2),
     false,
     true,
-);
+)
+.cell(Cell::OtherLaw);
 
 pub(crate) const SOFT_CEILING: CauseInfo = CauseInfo::new(
     "soft-ceiling",
@@ -18,7 +19,8 @@ pub(crate) const SOFT_CEILING: CauseInfo = CauseInfo::new(
     ("depth", "1", 0.95),
     false,
     true,
-);
+)
+.cell(Cell::OtherLaw);
 
 pub(crate) const LATE_STAMPS: CauseInfo = CauseInfo::new(
     "late-stamps",
@@ -63,7 +65,8 @@ pub(crate) const CABLE_TUG: CauseInfo = CauseInfo::new(
     ("deviation", "Pa", 9000.0),
     true,
     false,
-);
+)
+.cell(Cell::DoesNotRepeat);
 
 pub(crate) const WEARING: CauseInfo = CauseInfo::new(
     "wearing",
@@ -81,7 +84,8 @@ pub(crate) const STALE_FRAMES: CauseInfo = CauseInfo::new(
     ("share", "1", 0.9),
     false,
     false,
-);
+)
+.cell(Cell::DoesNotRepeat);
 
 pub(crate) const UNEVEN_STEPS: CauseInfo = CauseInfo::new(
     "uneven-steps",
@@ -90,7 +94,8 @@ pub(crate) const UNEVEN_STEPS: CauseInfo = CauseInfo::new(
     ("depth", "1", 0.9),
     false,
     false,
-);
+)
+.cell(Cell::DoesNotRepeat);
 
 pub(crate) const SAGGING_SUPPLY: CauseInfo = CauseInfo::new(
     "sagging-supply",
@@ -106,6 +111,74 @@ pub(crate) const BUMPED_MOUNT: CauseInfo = CauseInfo::new(
     "from one moment on the skin lies beside its place",
     "a loose screw",
     ("shift", "m", 0.004),
+    false,
+    false,
+)
+.cell(Cell::DoesNotRepeat);
+
+pub(crate) const PREISACH_FRICTION: CauseInfo = CauseInfo::new(
+    "preisach-friction",
+    "loading reads less than unloading, whatever the speed, by relays that switch up at one level and down at a lower one",
+    "Preisach 1935, Mayergoyz 1986; narrow relays most often",
+    ("share", "1", 0.9),
+    false,
+    true,
+)
+.cell(Cell::OtherLaw);
+
+pub(crate) const SLIPPING_ELEMENTS: CauseInfo = CauseInfo::new(
+    "slipping-elements",
+    "loading reads less than unloading, whatever the speed, by springs that slip one after another",
+    "Maxwell slip; Iwan 1966",
+    ("half-width", "1", 0.5),
+    false,
+    true,
+)
+.cell(Cell::OtherLaw);
+
+pub(crate) const STANDARD_SOLID: CauseInfo = CauseInfo::new(
+    "standard-solid",
+    "a reading that is held goes towards another one with one time constant, from 0.5 to 5 s",
+    "Zener's standard linear solid",
+    ("share", "1", 0.7),
+    false,
+    true,
+);
+
+pub(crate) const WEARING_LOGARITHMIC: CauseInfo = CauseInfo::new(
+    "wearing-logarithmic",
+    "readings fade with the logarithm of the number of presses near a channel",
+    "fatigue after Basquin",
+    ("loss", "1", 0.9),
+    false,
+    true,
+)
+.cell(Cell::OtherLaw);
+
+pub(crate) const BENDING_OVER: CauseInfo = CauseInfo::new(
+    "bending-over",
+    "readings bend over towards a ceiling, from the smallest on",
+    "algebraic saturation, v / (1 + |v / c|³)^(1/3)",
+    ("depth", "1", 0.95),
+    false,
+    true,
+)
+.cell(Cell::OtherLaw);
+
+pub(crate) const SOFT_SPOT: CauseInfo = CauseInfo::new(
+    "soft-spot",
+    "around one place the skin gives way more and reads more, the more the harder it is pressed",
+    "local damage or cure",
+    ("rise", "1", 3.0),
+    false,
+    false,
+);
+
+pub(crate) const PERMANENT_SET: CauseInfo = CauseInfo::new(
+    "permanent-set",
+    "what a channel has been pressed to leaves a share of it behind for good",
+    "compression set of rubber, plastic strain",
+    ("share", "1", 0.4),
     false,
     false,
 );

@@ -18,7 +18,7 @@ use rand::Rng;
 
 use crate::cause::{Cause, CauseInfo, Causes};
 use crate::script::{Rig, Script};
-use crate::{BenchmarkError, Numerics, ReferenceDevice, Region, memory};
+use crate::{BenchmarkError, Noise, Numerics, ReferenceDevice, Region, laws, memory};
 use depth::Layer;
 use field::{Field, Grain, Profile};
 use tip::Tip;
@@ -89,7 +89,7 @@ impl LayerDevice {
 
     /// Where a cause sits on the surface.
     pub fn place(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
-        if cause.id != "cavity" {
+        if !["cavity", "soft-spot"].contains(&cause.id.as_str()) {
             return None;
         }
         let elements: Vec<Point3<f64>> =
@@ -129,13 +129,22 @@ impl LayerDevice {
                 element.z = element.z.clamp(-mean - AROUND, -mean + AROUND);
             }
         }
-        let poisson = crate::number(skin, "poisson_ratio")?.min(0.4995);
+        for element in &mut elements {
+            element.z = (element.z + causes.size("built-depth")).clamp(-mean - AROUND, -mean + AROUND);
+        }
+        let middle = elements.iter().map(|e| e.xy().coords).sum::<Vector2<f64>>() / elements.len() as f64;
+        for element in &mut elements {
+            let away = (element.xy().coords - middle) * causes.size("built-pitch");
+            *element += Vector3::new(away.x, away.y, 0.0);
+        }
+        let poisson = crate::number(skin, "poisson_ratio")? * (1.0 - causes.size("built-poisson"));
+        let poisson = poisson.min(0.4995);
         let slip = match skin.medium.get("base") {
             Some(toml::Value::String(base)) if base == "slip" => 1.0,
             Some(toml::Value::Float(share)) => *share,
             _ => 0.0,
         };
-        let thickness = drawn + causes.size("other-thickness");
+        let thickness = drawn * (1.0 + causes.size("built-thickness")) + causes.size("other-thickness");
         let layer = Layer {
             thickness,
             poisson,
@@ -285,14 +294,16 @@ impl ReferenceDevice for LayerDevice {
         Arc::clone(&self.skin) as Arc<dyn ForwardModel>
     }
 
-    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, BenchmarkError> {
+    fn readings(&self, script: &Script, noise: Option<Noise>) -> Result<Vec<f64>, BenchmarkError> {
         let channels = self.skin.elements.len();
         let mut readings = self.pressed(script)?;
+        self.locally(script, &mut readings);
         self.remember(script, &mut readings);
+        laws::remember(&self.causes, script, channels, 1.0, &mut readings);
         memory::gains(&self.causes, script, channels, &mut readings);
         memory::electronics(&self.causes, script, channels, &mut readings);
-        if let Some((seed, factor)) = noise {
-            crate::add_noise(&self.skin.noise, (seed, factor), &mut readings);
+        if let Some(noise) = noise {
+            crate::add_noise(&self.skin.noise, noise, &mut readings);
         }
         memory::converter(&self.causes, script, channels, &mut readings);
         memory::limit(&self.skin.range, &mut readings);
@@ -329,6 +340,23 @@ impl LayerDevice {
             self.skin.response(&stimulus, row)?;
         }
         Ok(readings)
+    }
+
+    /// What differs from place to place.
+    fn locally(&self, script: &Script, readings: &mut [f64]) {
+        let elements = &self.skin.elements;
+        if let Some((cause, rise)) = self.causes.get("soft-spot") {
+            let at = cavity_at(elements, cause);
+            let at = Point3::new(at.x, at.y, 0.0);
+            laws::soft_spot(script, elements.len(), (&at, CAVITY), rise, readings);
+        }
+        if let Some((cause, loss)) = self.causes.get("crack") {
+            let through = cavity_at(elements, cause);
+            let turn = cause.normals(1)[0] * 0.4;
+            let across = Vector2::new(turn.cos(), turn.sin());
+            let flat: Vec<_> = elements.iter().map(Point3::xy).collect();
+            laws::crack(script, &flat, (&through.into(), &across), loss, readings);
+        }
     }
 
     /// What the material makes of it, which remembers.

@@ -10,6 +10,7 @@
 mod cause;
 mod common;
 mod error;
+mod laws;
 mod layer;
 mod memory;
 mod record;
@@ -25,7 +26,7 @@ use dermis_skin::SkinDescription;
 use rand::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
-pub use cause::{Cause, CauseInfo, parameters};
+pub use cause::{Cause, CauseInfo, Cell, parameters};
 pub use error::BenchmarkError;
 pub use record::record;
 pub use script::{Climate, Instant, Rig, Script};
@@ -68,18 +69,29 @@ impl Numerics {
     }
 }
 
+/// Noise of a reference device.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Noise {
+    /// What it is drawn by.
+    pub seed: u64,
+    /// So many times that of the skin's channels.
+    pub factor: f64,
+    /// Whether its tails are heavy and channels differ, instead of Gaussian and alike.
+    pub heavy: bool,
+}
+
 /// A skin as it would be in reality.
 pub trait ReferenceDevice: Send + Sync {
     /// What of it does not change with time, and how deep tips sink in: what a [`Script`] needs.
     fn model(&self) -> Arc<dyn ForwardModel>;
 
-    /// One reading a channel, row after row, one row an instant of `script`, in the unit of the skin; with noise of this seed and
-    /// so many times that of the skin's channels.
+    /// One reading a channel, row after row, one row an instant of `script`, in the unit of the skin; with this
+    /// noise.
     ///
     /// # Errors
     ///
     /// [`BenchmarkError::Model`] where the script holds a contact that cannot be.
-    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, BenchmarkError>;
+    fn readings(&self, script: &Script, noise: Option<Noise>) -> Result<Vec<f64>, BenchmarkError>;
 }
 
 /// The reference device that is like a skin.
@@ -146,6 +158,13 @@ pub fn causes(skin: &SkinDescription) -> Result<&'static [CauseInfo], BenchmarkE
     } else {
         Err(unlike(skin))
     }
+}
+
+/// What cases of a cause count as; `None` of a cause that no reference device has.
+#[must_use]
+pub fn cell_of(id: &str) -> Option<Cell> {
+    let all = layer::LayerDevice::causes().iter().chain(shell::ShellDevice::causes());
+    all.into_iter().find(|k| k.id == id).map(|k| k.cell)
 }
 
 /// What a rig presses such a skin with, `size` times the usual 150 presses.

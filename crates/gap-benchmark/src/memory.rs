@@ -3,11 +3,12 @@
 use rand::Rng;
 use rand_distr::StandardNormal;
 
+use crate::Noise;
 use crate::cause::{Cause, Causes};
 use crate::script::Script;
 
 /// Root mean square of the largest tenth of what is read: the scale of a large reading.
-fn scale(readings: &[f64]) -> f64 {
+pub(crate) fn scale(readings: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = readings.iter().map(|v| v.abs()).filter(|v| *v > 0.0).collect();
     sizes.sort_by(f64::total_cmp);
     sizes.get(sizes.len() * 19 / 20).copied().unwrap_or(1.0).max(f64::MIN_POSITIVE)
@@ -293,12 +294,30 @@ pub(crate) fn limit(ranges: &[Option<[f64; 2]>], readings: &mut [f64]) {
     }
 }
 
-/// Adds Gaussian noise, `factor` times that of each channel.
-pub(crate) fn add_noise(noise: &[f64], (seed, factor): (u64, f64), readings: &mut [f64]) {
-    let mut rng = <rand_chacha::ChaCha8Rng as rand::SeedableRng>::seed_from_u64(seed);
+/// Adds noise, so many times that of each channel.
+pub(crate) fn add_noise(noise: &[f64], how: Noise, readings: &mut [f64]) {
+    let mut rng = <rand_chacha::ChaCha8Rng as rand::SeedableRng>::seed_from_u64(how.seed);
+    if how.heavy {
+        // Each channel with a deviation of its own, and three degrees of freedom: one value in a hundred is beyond 2.6 deviations on
+        // either side. Student's t has a variance of 3.
+        let own: Vec<f64> = noise
+            .iter()
+            .map(|sigma| {
+                how.factor * sigma * (0.3 * rng.sample::<f64, _>(StandardNormal)).exp() / 3f64.sqrt()
+            })
+            .collect();
+        for row in readings.chunks_mut(noise.len()) {
+            for (value, sigma) in row.iter_mut().zip(&own) {
+                let mut normal = || rng.sample::<f64, _>(StandardNormal);
+                let square = (0..3).map(|_| normal().powi(2)).sum::<f64>() / 3.0;
+                *value += sigma * normal() / square.max(1e-6).sqrt();
+            }
+        }
+        return;
+    }
     for row in readings.chunks_mut(noise.len()) {
         for (value, sigma) in row.iter_mut().zip(noise) {
-            *value += factor * sigma * rng.sample::<f64, _>(StandardNormal);
+            *value += how.factor * sigma * rng.sample::<f64, _>(StandardNormal);
         }
     }
 }

@@ -169,6 +169,30 @@ impl Script {
         Ok(script)
     }
 
+    /// A plan that somebody asked for, in one session at the temperature that stimuli have by default.
+    ///
+    /// # Errors
+    ///
+    /// [`BenchmarkError::Testbed`] where it is no plan, or does not fit the skin.
+    pub fn of_plan(
+        text: &str,
+        model: &Arc<dyn ForwardModel>,
+        rate: f64,
+        seed: u64,
+    ) -> Result<Self, BenchmarkError> {
+        let plan = Plan::from_toml(text, "follow-up")?;
+        let timeline = Timeline::new(&plan, model, seed)?;
+        let step = 1.0 / rate;
+        let count = (timeline.duration() / step).ceil() as usize;
+        let instant = |i: usize| {
+            let time = i as f64 * step;
+            Instant { time, session: 0, moment: timeline.at(time) }
+        };
+        let instants: Vec<Instant> = (0..count).map(instant).collect();
+        let quiet = instants.iter().take_while(|i| i.moment.stimulus.contacts.is_empty()).count();
+        Ok(Self { step, instants, quiet })
+    }
+
     /// Sets the temperature of every instant.
     fn warm(&mut self, climate: Climate) {
         let whole = self.instants.last().map_or(1.0, |i| i.time);

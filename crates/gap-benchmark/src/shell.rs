@@ -16,7 +16,7 @@ use rand::Rng;
 
 use crate::cause::{Cause, CauseInfo, Causes};
 use crate::script::{Rig, Script};
-use crate::{BenchmarkError, Numerics, ReferenceDevice, Region, memory};
+use crate::{BenchmarkError, Noise, Numerics, ReferenceDevice, Region, laws, memory};
 use panel::{Build, Gauge, Influence, Shape};
 use plate::Material;
 
@@ -42,6 +42,11 @@ const THIN: f64 = 0.015;
 fn thin_at(shape: &Shape, cause: &Cause) -> [f64; 2] {
     let mut rng = cause.rng();
     [0.35 * shape.size[0], 0.35 * shape.size[1]].map(|half| rng.random_range(-half..half))
+}
+
+/// Where a soft spot is.
+fn soft_at(surface: &Surface, cause: &Cause) -> Point3<f64> {
+    surface.points[cause.rng().random_range(0..surface.points.len())]
 }
 
 /// The reference device.
@@ -71,6 +76,10 @@ impl ShellDevice {
 
     /// Where a cause sits on the surface.
     pub fn place(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
+        if cause.id == "soft-spot" {
+            let at = soft_at(&skin.surface(), cause);
+            return Some(Region::Place { at: at.coords.into(), within: 2.0 * THIN });
+        }
         let shape = Shape::of(&skin.surface).filter(|_| cause.id == "broken-beam")?;
         let [x, arc] = thin_at(&shape, cause);
         let (sin, cos) = (arc / shape.radius).sin_cos();
@@ -89,12 +98,13 @@ impl ShellDevice {
         let wrong = |field: &str, reason: &str| BenchmarkError::skin(skin, field, reason);
         let causes = Causes::new(causes::CAUSES, causes)?;
         let shape = Shape::of(&skin.surface).ok_or_else(|| crate::unlike(skin))?;
-        let wall = crate::number(skin, "thickness")?;
+        let wall = crate::number(skin, "thickness")? * (1.0 + causes.size("built-wall"));
         let young = crate::number(skin, "young_modulus")? * (1.0 + causes.size("stiffer-wall"));
         let size = match skin.medium.get("gauge").and_then(|g| g.as_array()).map(Vec::as_slice) {
             Some([along, across]) => [along, across].map(|v| v.as_float().unwrap_or(0.005)),
             _ => return Err(wrong("medium.gauge", "is missing: two lengths along and across the axis")),
         };
+        let size = size.map(|v| v * (1.0 + causes.size("built-gauge")));
         let mut gauges = Vec::new();
         for index in skin.channel_taxels() {
             let taxel = &skin.taxels[index];
@@ -153,7 +163,7 @@ impl ShellDevice {
             &Build {
                 material: Material {
                     young: [young, young * (1.0 - causes.size("printed-direction"))],
-                    poisson: crate::number(skin, "poisson_ratio")?,
+                    poisson: crate::number(skin, "poisson_ratio")? * (1.0 - causes.size("built-poisson")),
                 },
                 thickness: &thickness,
                 wall,
@@ -174,6 +184,7 @@ impl ShellDevice {
             influence,
             radius: shape.radius,
             patch: crate::number(skin, "patch").unwrap_or(0.005)
+                * (1.0 + causes.size("built-patch"))
                 * if numerics.flattening { 1.1 } else { 1.25 },
             stretching: causes.size("stretching"),
             askew,
@@ -227,7 +238,7 @@ impl ReferenceDevice for ShellDevice {
         Arc::clone(&self.panel) as Arc<dyn ForwardModel>
     }
 
-    fn readings(&self, script: &Script, noise: Option<(u64, f64)>) -> Result<Vec<f64>, BenchmarkError> {
+    fn readings(&self, script: &Script, noise: Option<Noise>) -> Result<Vec<f64>, BenchmarkError> {
         let channels = self.panel.noise.len();
         let friction = self.causes.size("dragging-tip");
         let mut readings = vec![0.0; channels * script.instants.len()];
@@ -262,17 +273,22 @@ impl ReferenceDevice for ShellDevice {
             }
             before = now;
         }
+        if let Some((cause, rise)) = self.causes.get("soft-spot") {
+            let at = soft_at(&self.panel.surface, cause);
+            laws::soft_spot(script, channels, (&at, THIN), rise, &mut readings);
+        }
         if let Some((_, width)) = self.causes.get("rubbing-joint") {
             memory::bouc_wen(channels, width, &mut readings);
         }
         if let Some((_, share)) = self.causes.get("flowing-plastic") {
             memory::creep(script, channels, (-share, 0.25), &mut readings);
         }
+        laws::remember(&self.causes, script, channels, -1.0, &mut readings);
         memory::gains(&self.causes, script, channels, &mut readings);
         memory::electronics(&self.causes, script, channels, &mut readings);
         memory::zeros(&self.causes, script, channels, &mut readings);
-        if let Some((seed, factor)) = noise {
-            crate::add_noise(&self.panel.noise, (seed, factor), &mut readings);
+        if let Some(noise) = noise {
+            crate::add_noise(&self.panel.noise, noise, &mut readings);
         }
         memory::converter(&self.causes, script, channels, &mut readings);
         memory::limit(&self.panel.range, &mut readings);

@@ -314,6 +314,30 @@ pub(crate) mod experiments {
     pub const LISTED: usize = 5;
 }
 
+/// Presses to come.
+pub(crate) mod protocol {
+    /// Points of a surface that places are chosen from, about. Chosen: bounds the responses of the model.
+    pub const CANDIDATES: usize = 400;
+    /// Share of the largest signal that a place must give to be pressed. Chosen.
+    pub const SEEN: f64 = 0.02;
+    /// \[s\] from one place to the next, on a rig with motors. Chosen.
+    pub const MOVE: f64 = 2.0;
+    /// \[s\] to change the tip once. Chosen.
+    pub const TIP_CHANGE: f64 = 20.0;
+    /// Places whose presses are compared by a design. Chosen: bounds the simulations.
+    pub const PLACES: usize = 24;
+    /// Directions that a rival is fitted in, at most. Chosen.
+    pub const COLUMNS: usize = 24;
+    /// Probability of confusion below which a question is asked no further: simulators are never as good as a hundredth of the limit that
+    /// settles it. Chosen.
+    pub const ENOUGH: f64 = 1e-4;
+    /// Share of what a hypothesis changes that its rival may leave over all presses of the menu for both to be one thing: one minus the share
+    /// that makes two signatures one. Chosen.
+    pub const ALIKE: f64 = 0.03;
+    /// Probability of confusion that remains after all presses of the menu at all places where a rig cannot tell two names. Chosen.
+    pub const UNTELLABLE: f64 = 0.2;
+}
+
 /// 95 % and 90 % of a normal distribution, half widths in standard deviations.
 pub(crate) const Z95: f64 = 1.96;
 /// See [`Z95`].

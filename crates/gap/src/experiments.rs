@@ -1,5 +1,6 @@
 //! Which experiment would tell apart what this recording cannot.
 
+use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 
 use dermis_model::{Indentation, Stimulus};
@@ -10,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::algebra::normal;
 use crate::constants::experiments::{LISTED, SETTLED, TRUST};
+use crate::constants::protocol::UNTELLABLE;
 use crate::recording::{FrameLabel, Recording};
 use crate::samples::{Sample, Samples};
 
@@ -51,6 +53,13 @@ struct Menu {
     warm: f64,
 }
 
+/// How far an experiment puts two members apart.
+struct Told {
+    pair: (usize, usize),
+    /// In deviations squared.
+    apart: f64,
+}
+
 /// Ranks experiments by how well they tell the members of a class apart in a minute. Each member is the effects that make it.
 #[must_use]
 pub fn rank(
@@ -70,14 +79,14 @@ pub fn rank(
     let middle = held[held.len() / 2];
     // Presses to come are simulated as they will be read; trust in a model goes with what touches make of it.
     let zero = simulator.zero_level(&Recording::default()).unwrap_or_default();
-    let mut found = Vec::new();
+    let mut told: Vec<(Menu, Vec<Told>)> = Vec::new();
     for menu in menu(simulator, middle, force) {
         let Some((recording, samples)) = carried_out(simulator, &menu) else { continue };
         let skins: Vec<_> = members.iter().map(|(_, effects)| simulator.with(effects)).collect();
         let hidden = ProgressBar::hidden();
         let Ok(read) = simulator.many(&skins, &recording, (&samples, true), stop, &hidden) else { continue };
         let noise = simulator.skin.channel_noise();
-        let mut worst: Option<(f64, usize, usize)> = None;
+        let mut pairs = Vec::new();
         for a in 0..members.len() {
             for b in 0..a {
                 let (Ok(x), Ok(y)) = (&read[a], &read[b]) else { continue };
@@ -93,22 +102,32 @@ pub fn rank(
                     })
                     .sum();
                 // What is wrong with a model is wrong in all frames of a press alike.
-                let apart =
-                    apart / (x.len() as f64 / noise.len() as f64 / menu.presses.len().max(1) as f64).max(1.0);
-                if worst.is_none_or(|w| apart < w.0) {
-                    worst = Some((apart, a, b));
-                }
+                let frames = x.len() as f64 / noise.len() as f64 / menu.presses.len().max(1) as f64;
+                pairs.push(Told { pair: (a, b), apart: apart / frames.max(1.0) });
             }
         }
-        if let Some((apart, a, b)) = worst {
+        told.push((menu, pairs));
+    }
+    // Two that nothing on the menu tells apart are two names of one thing: no experiment is for them.
+    let confusion = |apart: f64| normal(-apart.sqrt() / 2.0);
+    let tellable: BTreeSet<(usize, usize)> = told
+        .iter()
+        .flat_map(|(_, pairs)| pairs)
+        .filter(|t| confusion(t.apart) < UNTELLABLE)
+        .map(|t| t.pair)
+        .collect();
+    let mut found = Vec::new();
+    for (menu, pairs) in &told {
+        let of = pairs.iter().filter(|t| tellable.contains(&t.pair));
+        if let Some(Told { pair: (a, b), apart }) = of.min_by(|s, t| s.apart.total_cmp(&t.apart)) {
             found.push((
                 apart / menu.minutes,
                 Experiment {
                     id: menu.id.to_owned(),
                     what: menu.what.to_owned(),
                     minutes: menu.minutes,
-                    separates: vec![members[a].0.clone(), members[b].0.clone()],
-                    p_confuse_after: normal(-apart.sqrt() / 2.0),
+                    separates: vec![members[*a].0.clone(), members[*b].0.clone()],
+                    p_confuse_after: confusion(*apart),
                 },
             ));
         }

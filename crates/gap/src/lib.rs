@@ -30,6 +30,7 @@ mod explainability;
 mod mains_interference;
 mod noise;
 mod nonlinear_refinement;
+pub mod protocol;
 mod quantization;
 mod read;
 mod recording;

@@ -110,11 +110,11 @@ pub fn measure(
             s.pairs += 1.0;
         }
     }
-    // Presses that were done alike: same place, same force, same tip, same phase.
-    let mut places: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
+    // Presses that were done alike: same place, same force, same tip, same phase; a group holds places whole, whichever run they are of.
+    let mut places: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (i, r) in samples.list.iter().enumerate() {
         if r.phase == Phase::Hold && r.contacts == 1 {
-            places.entry(r.location).or_default().push(i);
+            places.entry(r.group).or_default().push(i);
         }
     }
     let (mut again, mut repeats) = (0.0, 0usize);

@@ -1,6 +1,6 @@
 //! Bags → recordings.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use dermis_bag::{BagReader, BagSkin, Filter, SkinChoice};
 use dermis_learn::{Dataset, DatasetOptions, LabelMap};
@@ -39,6 +39,7 @@ pub fn read(
         .iter()
         .map(|b| b.as_ref().file_name().unwrap_or(b.as_ref().as_os_str()).to_string_lossy().into_owned())
         .collect();
+    twice(bags)?;
     let mut recording = Recording::new(names.join(", "), skin.channels().len());
     match map {
         Some(map) => mapped(bags, skin, map, instance, &mut recording)?,
@@ -49,6 +50,24 @@ pub fn read(
         }
     }
     Ok(recording)
+}
+
+/// Refuses a bag that is named twice: its presses would count as repeats that agree perfectly.
+fn twice(bags: &[impl AsRef<Path>]) -> Result<(), GapError> {
+    let mut seen: Vec<PathBuf> = Vec::new();
+    for bag in bags {
+        let path = bag.as_ref().canonicalize().unwrap_or_else(|_| bag.as_ref().to_owned());
+        if seen.contains(&path) {
+            return Err(GapError::Recording {
+                place: bag.as_ref().display().to_string(),
+                reason:
+                    "is named twice: its presses would be repeats of themselves; name each recording once"
+                        .to_owned(),
+            });
+        }
+        seen.push(path);
+    }
+    Ok(())
 }
 
 fn own(
@@ -139,10 +158,18 @@ fn own(
     let run = recording.labels.last().map_or(0, |m| m.run + 1);
     // A bag may hold several sessions, and several bags sessions of one name.
     let first_session = recording.sessions.len();
+    let mut names: Vec<&String> = Vec::new();
     for truth in &truths {
         let name = if truth.session.is_empty() { &place } else { &truth.session };
-        if !recording.sessions[first_session..].contains(name) {
-            recording.sessions.push(name.clone());
+        if !names.contains(&name) {
+            names.push(name);
+            // The same plan makes sessions of one name, and they are two all the same.
+            let taken = recording.sessions.contains(name);
+            recording.sessions.push(if taken {
+                format!("{name} ({run})", run = run + 1)
+            } else {
+                name.clone()
+            });
         }
     }
     let mut session = first_session;
@@ -169,7 +196,7 @@ fn own(
             None => doubts.unknown += 1,
             Some(truth) => {
                 let name = if truth.session.is_empty() { &place } else { &truth.session };
-                let within = recording.sessions[first_session..].iter().position(|s| s == name);
+                let within = names.iter().position(|n| *n == name);
                 session = first_session + within.unwrap_or(0);
                 label.press = truth.press;
                 label.location = truth.location;

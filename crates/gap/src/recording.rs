@@ -1,9 +1,12 @@
 //! What was done to a skin, and what it read: the input of every diagnosis.
 
-use dermis_model::{Stimulus, TipShape};
+use std::collections::BTreeMap;
+
+use dermis_model::{Indentation, Stimulus, TipShape};
 use dermis_skin::Phase;
 use sha2::{Digest, Sha256};
 
+use crate::constants::noise::SAME_PLACE;
 use crate::constants::reading::{ZERO_AT_START, ZERO_BEFORE_PRESS};
 
 /// What is known of one frame of a recording besides its readings.
@@ -108,6 +111,44 @@ impl Recording {
     #[must_use]
     pub fn session_of(&self, frame: usize) -> u32 {
         self.session.get(frame).or(self.labels.get(frame).map(|m| &m.run)).copied().unwrap_or(0)
+    }
+
+    /// For each frame the first run and place of that run at which the same was pressed: a place keeps its identity over the runs of
+    /// a recording, so that what was learned of it in one run is not held out in another.
+    ///
+    /// Within a run the rig says which presses share a place. Those of different runs do where all of their contacts lie within
+    /// the distance of a press that is done again: several bags count their places anew.
+    #[must_use]
+    pub(crate) fn places(&self) -> Vec<(u32, u32)> {
+        let own = |m: &FrameLabel| {
+            // A press without a place is a place of its own.
+            let location = if m.location == 0 { u32::MAX - m.press as u32 } else { m.location };
+            (m.run, location)
+        };
+        let mut first: BTreeMap<(u32, u32), (u32, u32)> = BTreeMap::new();
+        if self.labels.first().map(|m| m.run) != self.labels.last().map(|m| m.run) {
+            let mut known: Vec<(&[Indentation], (u32, u32))> = Vec::new();
+            for m in &self.labels {
+                let contacts = m.stimulus.as_ref().map_or(&[][..], |s| &s.contacts);
+                if contacts.is_empty() || first.contains_key(&own(m)) {
+                    continue;
+                }
+                let alike = |with: &[Indentation]| {
+                    with.len() == contacts.len()
+                        && with
+                            .iter()
+                            .zip(contacts)
+                            .all(|(a, b)| (a.position - b.position).amax() < SAME_PLACE)
+                };
+                let before = known.iter().find(|(with, (run, _))| *run != m.run && alike(with));
+                let place = before.map_or(own(m), |(_, place)| *place);
+                if before.is_none() {
+                    known.push((contacts, place));
+                }
+                first.insert(own(m), place);
+            }
+        }
+        self.labels.iter().map(|m| first.get(&own(m)).copied().unwrap_or(own(m))).collect()
     }
 
     /// Readings of one frame.
@@ -348,6 +389,33 @@ mod tests {
             assert!(all[..i].iter().all(|b| a != b), "{i}");
         }
         assert_eq!(all[0], hash(&|s| s.contacts[0].tip.orientation = turned(0.3)), "a sphere was turned");
+    }
+
+    #[test]
+    fn a_place_keeps_its_identity_over_the_runs_of_a_recording() {
+        let mut recording = Recording::new("three bags", 1);
+        let mut press = |run: u32, location: u32, x: f64| {
+            let at = Point3::new(x, 0.0, 0.0);
+            let contact = Indentation::sphere(at, Vector3::new(0.0, 0.0, -1.0), 0.004);
+            let label = FrameLabel {
+                time: 0.0,
+                run,
+                press: u64::from(location),
+                location,
+                phase: Phase::Hold,
+                stimulus: Some(Stimulus { contacts: vec![contact], ..Stimulus::default() }),
+                temperature: f64::NAN,
+            };
+            recording.push(label, &[0.0]);
+        };
+        press(0, 1, 0.001);
+        press(0, 2, 0.005);
+        // Within a run the rig says which places are one.
+        press(0, 3, 0.005);
+        press(1, 1, 0.005);
+        press(1, 2, 0.0051);
+        press(2, 1, 0.0010001);
+        assert_eq!(recording.places(), [(0, 1), (0, 2), (0, 3), (0, 2), (1, 2), (0, 1)]);
     }
 
     #[test]

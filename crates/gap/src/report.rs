@@ -9,6 +9,7 @@ use crate::checks::Missing;
 use crate::consistency_checks::ConsistencyCheck;
 use crate::experiments::Experiment;
 use crate::noise::Gap;
+use crate::protocol::design::Hypothesis;
 use crate::recording::Problem;
 use crate::select::Tier;
 
@@ -243,6 +244,9 @@ pub struct Report {
     pub unknown: Unknown,
     /// What to do next, the best first.
     pub next_experiments: Vec<Experiment>,
+    /// What the next presses are to tell apart: the members of a class that is open, as they would be switched on.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub hypotheses: Vec<Hypothesis>,
     /// An estimator trained before and after, where that was done.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub downstream: Vec<Downstream>,

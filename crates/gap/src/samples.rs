@@ -155,12 +155,12 @@ impl Samples {
 
         // Places make groups; those of idle stretches are stretches.
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        let place_of = recording.places();
         let mut places: BTreeMap<(u32, u32), usize> = BTreeMap::new();
         for (frame, number, _) in &chosen {
             if *number != usize::MAX {
-                let m = &recording.labels[*frame];
                 let next = places.len();
-                places.entry((m.run, place(m.location, m.press))).or_insert(next);
+                places.entry(place_of[*frame]).or_insert(next);
             }
         }
         let most = options.groups.max(8) * 9 / 10;
@@ -179,7 +179,7 @@ impl Samples {
                 idle_seen += 1;
                 touched + stretch
             } else {
-                let index = places[&(label.run, place(label.location, label.press))];
+                let index = places[&place_of[frame]];
                 order[index] % touched.max(1)
             };
             let first = label.stimulus.as_ref().and_then(|s| s.contacts.first());

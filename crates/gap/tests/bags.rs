@@ -6,7 +6,7 @@ use std::path::Path;
 
 use dermis_bag::{BagQos, BagWriter};
 use dermis_fixtures::SkinFile;
-use dermis_gap::{GapError, Phase, Recording};
+use dermis_gap::{GapError, Phase, Recording, SampleOptions, Samples};
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3};
 use dermis_msgs::msg::{Indentation, IndentationContact, SkinGeometry, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
@@ -92,6 +92,30 @@ fn ground_truth_in_millimetres_or_turned_is_named() {
     let pulled = read(1.0, -1.0);
     let problem = pulled.problems.iter().find(|p| p.code == "frame").unwrap();
     assert!(problem.fatal && problem.what.contains("turn its sign"), "{}", problem.what);
+}
+
+#[test]
+fn several_bags_are_one_recording_of_one_device() {
+    let dir = tempfile::tempdir().unwrap();
+    let bags = ["first", "second"].map(|name| dir.path().join(name));
+    bags.iter().for_each(|path| bag(path, &skin(), 1.0, 1.0));
+    let both = dermis_gap::read(&bags, &skin(), None, None).unwrap();
+    assert_eq!((both.labels.len(), both.contacts()), (400, 40));
+    // Sessions of one name are two, and time and press count from the beginning of each bag.
+    assert_eq!(both.sessions, ["first", "first (2)"]);
+    let (a, b) = (&both.labels[33], &both.labels[233]);
+    assert_eq!((a.run, b.run, a.press, b.press, a.time), (0, 1, 4, 4, b.time));
+    assert_eq!((both.session_of(33), both.session_of(233)), (0, 1));
+    // All presses are at one place: held out in one bag, they are held out in both.
+    let samples = Samples::draw(&both, &[true; 2], &SampleOptions::default());
+    let touched = || samples.list.iter().filter(|s| s.contacts > 0);
+    for sample in touched().filter(|s| s.location.0 == 1) {
+        let same = touched().find(|s| s.location.0 == 0 && s.location.1 == 1).unwrap();
+        assert_eq!(sample.group, same.group);
+    }
+    let twice = dermis_gap::read(&[&bags[0], &bags[1], &bags[0]], &skin(), None, None).unwrap_err();
+    let twice = twice.to_string().replace(&bags[0].display().to_string(), "BAG");
+    insta::assert_snapshot!(twice, @"BAG: is named twice: its presses would be repeats of themselves; name each recording once");
 }
 
 #[test]

@@ -1,10 +1,12 @@
 //! Diagnoses of a gap, and scores of the diagnosis.
 
 mod page;
+mod protocol;
 mod scorecard;
 mod text;
 
 pub use page::html;
+pub use protocol::instructions;
 pub use scorecard::{markdown, svg};
 pub use text::text;
 

@@ -4,5 +4,8 @@ mod baselines;
 pub mod benchmark;
 pub mod closing;
 pub mod diagnosis;
+mod follow_ups;
 pub mod generation;
+pub mod planning;
+pub mod protocol;
 mod scorecard;

@@ -1,6 +1,6 @@
 //! What can make a layer with pressure-reading elements differ from its design.
 
-use crate::cause::CauseInfo;
+use crate::cause::{CauseInfo, Cell};
 use crate::common;
 
 /// All of them.
@@ -12,7 +12,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("relative-change", "1", 0.6),
         true,
         true,
-    ),
+    )
+    .cell(Cell::DesignNumber),
     CauseInfo::new(
         "other-thickness",
         "the layer is thicker or thinner than drawn, with a slight wedge; elements keep their distance from the surface",
@@ -20,7 +21,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("change", "m", 0.004),
         true,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "loose-base",
         "the layer is held along the base by a weak shear spring instead of a bond",
@@ -28,7 +30,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("slip", "1", 1.0),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "displaced-elements",
         "every element lies elsewhere than drawn, independently along all axes",
@@ -77,7 +80,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("loss", "1", 0.7),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "inner-friction",
         "loading reads less than unloading, whatever the speed",
@@ -85,7 +89,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("half-width", "1", 0.5),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "creeping",
         "a reading that is held fades and leaves its negative behind, over a continuous spectrum of times",
@@ -93,7 +98,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("share", "1", 0.8),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "air-pocket",
         "air in each port is compressed by Boyle's law, and expands with the temperature",
@@ -101,7 +107,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("share", "1", 0.8),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "weather",
         "the pressure of the air wanders, and with it every reading",
@@ -109,7 +116,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("deviation", "Pa", 3000.0),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "bus-order",
         "elements are read one after another on a bus and stamped with the end of the scan",
@@ -194,4 +202,56 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
     common::UNEVEN_STEPS,
     common::SAGGING_SUPPLY,
     common::BUMPED_MOUNT,
+    common::PREISACH_FRICTION,
+    common::SLIPPING_ELEMENTS,
+    common::STANDARD_SOLID,
+    common::WEARING_LOGARITHMIC,
+    common::BENDING_OVER,
+    common::SOFT_SPOT,
+    common::PERMANENT_SET,
+    CauseInfo::new(
+        "crack",
+        "the layer is cut along a line; what is pressed on one side arrives on the other in part only",
+        "tear of a cast layer",
+        ("loss", "1", 1.0),
+        false,
+        false,
+    ),
+    // Numbers of the description that the device was not built with.
+    CauseInfo::new(
+        "built-thickness",
+        "the layer was cast thicker or thinner than its description says, everywhere alike",
+        "another spacer in the mould",
+        ("relative-change", "1", 0.4),
+        true,
+        true,
+    )
+    .cell(Cell::DesignNumber),
+    CauseInfo::new(
+        "built-poisson",
+        "the elastomer is more compressible than its description says",
+        "fillers and bubbles",
+        ("relative-loss", "1", 0.3),
+        false,
+        true,
+    )
+    .cell(Cell::DesignNumber),
+    CauseInfo::new(
+        "built-depth",
+        "all elements lie deeper or less deep than their description says, by the same way",
+        "another circuit board in the mould",
+        ("change", "m", 0.002),
+        true,
+        true,
+    )
+    .cell(Cell::DesignNumber),
+    CauseInfo::new(
+        "built-pitch",
+        "all elements lie farther from or nearer to their middle than their description says, by the same factor",
+        "another circuit board in the mould",
+        ("relative-change", "1", 0.25),
+        true,
+        true,
+    )
+    .cell(Cell::DesignNumber),
 ];

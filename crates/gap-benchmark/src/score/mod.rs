@@ -1,5 +1,6 @@
 //! What a tool answered on a benchmark set, compared to what was withheld: counts with Wilson's intervals.
 
+mod cells;
 mod scorecard;
 mod scores;
 #[cfg(test)]
@@ -11,8 +12,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::set::GroundTruth;
 
+pub use cells::{Auroc, CellScores, Cells, cell};
 pub use scorecard::Scorecard;
 pub use scores::{Aim, Scores, median};
+
+/// Between names that a tool says are of one thing: together they count as one answer.
+pub const SAME: &str = " = ";
 
 /// Which of a tool's names are right for a cause.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -56,6 +61,12 @@ impl Mapping {
         self.causes.get(cause).map_or(&[], |a| &a.names)
     }
 
+    /// Whether a name is right for a cause. A name may be several of one thing, joined by [`SAME`].
+    #[must_use]
+    pub fn right(&self, cause: &str, name: &str) -> bool {
+        name.split(SAME).any(|name| self.of(cause).iter().any(|n| n == name))
+    }
+
     /// The mapping for a tool that has the effects of `library` only: a cause without any of its names is outside of the library.
     #[must_use]
     pub fn within(&self, library: &BTreeSet<String>) -> Self {
@@ -73,7 +84,7 @@ impl Mapping {
 /// An effect that a tool names, with all that it cannot tell apart from it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Named {
-    /// All names that would explain it as well, the label first.
+    /// All names that would explain it as well, the label first; names of one thing are one member ([`SAME`]).
     pub class: Vec<String>,
     /// Whether the tool stands by it, or says that it may be the model discrepancy of its own simulator as well.
     pub firm: bool,
@@ -103,6 +114,9 @@ pub struct Answer {
     pub elsewhere: Option<f64>,
     /// Share of the gap that it leaves unexplained; 0 where it sees none.
     pub unexplained: Option<f64>,
+    /// How much speaks for "none of the known effects", the more the surer; the unexplained share counts where it says none.
+    #[serde(default)]
+    pub evidence: Option<f64>,
     /// Axes along which it sees the gap, the most telling first.
     pub axes: Vec<String>,
     /// Channel where it sees the largest gap.
@@ -120,7 +134,11 @@ impl Answer {
         let (said, count) = match self.named.first() {
             _ if self.unknown => (right.is_empty(), 1.0),
             Some(first) if !first.class.is_empty() => {
-                let hits = first.class.iter().filter(|n| right.contains(n)).count();
+                let hits = first
+                    .class
+                    .iter()
+                    .filter(|n| n.split(SAME).any(|n| right.iter().any(|r| r == n)))
+                    .count();
                 (hits > 0, first.class.len() as f64 / (hits.max(1) as f64))
             }
             _ => (false, 1.0),

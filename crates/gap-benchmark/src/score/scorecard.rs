@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use super::{Aim, Answer, Mapping, Scores};
+use super::{Aim, Answer, Cells, Mapping, Scores};
 use crate::set::GroundTruth;
 
 /// Scores of a whole benchmark set: all cases, those with a gap of at least three times the floor, and those of each gap and noise.
@@ -19,6 +19,8 @@ pub struct Scorecard {
     pub by_gap: BTreeMap<String, Scores>,
     /// By noise in multiples of the skin's, of those of the headline.
     pub by_noise: BTreeMap<String, Scores>,
+    /// Apart by what is withheld.
+    pub cells: Cells,
     /// Names that the mapping accepts and the tool does not have.
     pub not_in_library: Vec<String>,
 }
@@ -37,6 +39,7 @@ impl Scorecard {
         let mapping = mapping.within(library);
         for (truth, answer) in cases {
             scorecard.all.add(truth, answer, &mapping, library);
+            scorecard.cells.add(truth, answer, &mapping);
             let gap = scorecard.by_gap.entry(format!("{}", truth.gap)).or_default();
             gap.add(truth, answer, &mapping, library);
             if truth.gap == 0.0 || truth.gap >= 3.0 {
@@ -90,6 +93,7 @@ impl Scorecard {
             }
             text.push_str(" |\n");
         }
+        text.push_str(&self.cells.table());
         if !s.confusion.is_empty() {
             text.push_str("\n| withheld | answered first |\n|---|---|\n");
             for (cause, answers) in &s.confusion {

@@ -105,7 +105,7 @@ impl Scores {
         library: &BTreeSet<String>,
     ) {
         self.cases += 1;
-        let right = |name: &String| truth.causes.iter().any(|t| mapping.of(&t.cause.id).contains(name));
+        let right = |name: &String| truth.causes.iter().any(|t| mapping.right(&t.cause.id, name));
         let hit = |class: &[String]| class.iter().any(right);
         for named in answer.named.iter().filter(|n| n.firm && n.class.len() == 1) {
             // A control may hold a cause that is too weak to matter: naming it right is no mistake.
@@ -125,8 +125,8 @@ impl Scores {
             Kind::Pairs | Kind::Triples => {
                 if mapping.holds(truth) {
                     let found = truth.causes.iter().map(|t| {
-                        let names = mapping.of(&t.cause.id);
-                        answer.named.iter().any(|n| n.class.iter().any(|name| names.contains(name)))
+                        let right = |name: &String| mapping.right(&t.cause.id, name);
+                        answer.named.iter().any(|n| n.class.iter().any(right))
                     });
                     let found: Vec<bool> = found.collect();
                     let all = yes(found.iter().all(|f| *f));
@@ -143,7 +143,7 @@ impl Scores {
                 let sure = first.filter(|n| n.firm && n.class.len() == 1);
                 self.confounded_wrong.add(yes(sure.is_some_and(wrong)));
             }
-            Kind::Singles | Kind::OutOfLibrary if mapping.holds(truth) => {
+            _ if truth.kind != Kind::Confounded && mapping.holds(truth) => {
                 let found = first.is_some_and(|n| hit(&n.class));
                 self.class.add(yes(found));
                 self.class_sizes.extend(first.map(|n| n.class.len() as f64));
@@ -155,7 +155,7 @@ impl Scores {
                 self.unexplained[0].push(answer.unexplained.unwrap_or(0.0));
                 self.single(truth, answer, mapping, library);
             }
-            Kind::Singles | Kind::Confounded | Kind::OutOfLibrary => {
+            _ => {
                 self.unknown_found.add(yes(answer.unknown));
                 self.unknown_named.add(yes(answer.named.iter().any(|n| n.firm)));
                 self.unexplained[1].push(answer.unexplained.unwrap_or(0.0));

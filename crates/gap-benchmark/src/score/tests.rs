@@ -1,4 +1,5 @@
 use super::*;
+use crate::Cell;
 
 #[test]
 fn wilson_is_what_tables_say() {
@@ -79,6 +80,45 @@ fn answers_are_scored_by_what_the_library_holds() {
     let probability = right.probability(mapping.of("leads"), &library);
     assert!((probability - (0.45 + 0.05)).abs() < 1e-9, "{probability}");
     assert!(scorecard.table().contains("| friction |") || scorecard.table().contains("1× friction"));
+}
+
+#[test]
+fn cases_that_differ_in_kind_are_counted_apart() {
+    let mapping = Mapping::from_toml(Mapping::TEXT).unwrap();
+    let nothing = serde_json::Value::Null;
+    let of = |cause: &str| truth("singles", cause, &nothing);
+    for (cause, counts) in [
+        ("element-gains", Cell::SameLaw),
+        ("creeping", Cell::OtherLaw),
+        ("preisach-friction", Cell::OtherLaw),
+        ("built-poisson", Cell::DesignNumber),
+        ("cable-tug", Cell::DoesNotRepeat),
+        ("soft-spot", Cell::Foreign),
+        ("", Cell::Controls),
+    ] {
+        assert_eq!(cell(&of(cause), &mapping), counts, "{cause}");
+    }
+    // What a tool does not have is foreign to it, and what it has beyond the literature has a law of its own.
+    assert_eq!(cell(&of("element-gains"), &mapping.within(&BTreeSet::new())), Cell::Foreign);
+    assert_eq!(cell(&of("warming-up"), &mapping), Cell::OtherLaw);
+
+    let mut cells = Cells::default();
+    let known = of("creeping");
+    let right = says(&[&["relaxation = something.path", "modulus"]]);
+    let mut unknown = Answer { gap: true, unknown: true, unexplained: Some(0.9), ..Answer::default() };
+    cells.add(&known, &right, &mapping);
+    cells.add(&known, &unknown, &mapping);
+    unknown.evidence = Some(3.0);
+    cells.add(&of("soft-spot"), &unknown, &mapping);
+    cells.add(&of(""), &says(&[&["modulus"]]), &mapping);
+    let other = &cells.cells[&Cell::OtherLaw];
+    let of = |share: Share| (share.hits, share.of);
+    assert_eq!((of(other.first), of(other.class), of(other.unknown)), ((0.5, 2), (1.0, 2), (1.0, 2)));
+    assert_eq!((of(other.firm), of(other.loose)), ((0.0, 0), (1.0, 1)));
+    assert_eq!(of(cells.cells[&Cell::Foreign].unknown_only), (1.0, 1));
+    assert_eq!(of(cells.false_names[&crate::set::Disturbance::Plain]), (1.0, 1));
+    assert_eq!(cells.unknown.unwrap().value, 1.0);
+    assert!(cells.table().contains("| systematic and foreign | 1 |"), "{}", cells.table());
 }
 
 #[test]

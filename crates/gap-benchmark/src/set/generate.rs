@@ -9,11 +9,12 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Case, GROUND_TRUTH_SCHEMA, GroundTruth, Kind, MARGIN, Manifest, SET_SCHEMA, SetSpec, WithheldCause,
-    bag_hash, folder, generator, json, sha256, write,
+    Case, Disturbance, GROUND_TRUTH_SCHEMA, GroundTruth, Kind, MARGIN, Manifest, SET_SCHEMA, SetSpec,
+    WithheldCause, bag_hash, folder, generator, json, sha256, write,
 };
 use crate::{
-    BenchmarkError, Cause, CauseInfo, Climate, Numerics, ReferenceDevice, Script, parameters, unexplained,
+    BenchmarkError, Cause, CauseInfo, Cell, Climate, Noise, Numerics, ReferenceDevice, Script, parameters,
+    unexplained,
 };
 
 /// Requested gaps, in multiples of the floor.
@@ -38,12 +39,18 @@ fn confusable(info: &CauseInfo) -> bool {
     .contains(&info.id)
 }
 
+/// The causes that count as this.
+fn in_cell(known: &'static [CauseInfo], cell: Cell) -> Vec<&'static CauseInfo> {
+    known.iter().filter(|k| k.cell == cell).collect()
+}
+
 /// What one case is to hold.
 pub(super) struct Wanted {
     kind: Kind,
     pub(super) causes: Vec<&'static CauseInfo>,
     pub(super) gap: f64,
     pub(super) noise: f64,
+    pub(super) disturbance: Disturbance,
 }
 
 /// The cases of an order: every cause as often as any other, over all gaps and noise levels.
@@ -56,6 +63,11 @@ pub(super) fn wanted(order: &SetSpec, known: &'static [CauseInfo]) -> Vec<Wanted
             Kind::OutOfLibrary => known.iter().filter(|k| !k.listed).collect(),
             Kind::Confounded => known.iter().filter(|k| confusable(k)).collect(),
             Kind::Controls => Vec::new(),
+            Kind::DoesNotRepeat => in_cell(known, Cell::DoesNotRepeat),
+            Kind::SameLaw => in_cell(known, Cell::SameLaw),
+            Kind::OtherLaw => in_cell(known, Cell::OtherLaw),
+            Kind::DesignNumber => in_cell(known, Cell::DesignNumber),
+            Kind::Foreign => in_cell(known, Cell::Foreign),
         };
         let at_once = match kind {
             Kind::Controls => 0,
@@ -63,6 +75,10 @@ pub(super) fn wanted(order: &SetSpec, known: &'static [CauseInfo]) -> Vec<Wanted
             Kind::Triples => 3,
             _ => 1,
         };
+        // No device of this skin has such a cause.
+        if of.len() < at_once {
+            continue;
+        }
         let mut deck: Vec<&CauseInfo> = Vec::new();
         let mut dealt: BTreeMap<&str, usize> = BTreeMap::new();
         for i in 0..count {
@@ -86,8 +102,18 @@ pub(super) fn wanted(order: &SetSpec, known: &'static [CauseInfo]) -> Vec<Wanted
             });
             all.push(Wanted {
                 kind,
-                gap: if causes.is_empty() { 0.0 } else { GAPS[turn % GAPS.len()] },
+                gap: match turn % GAPS.len() {
+                    _ if causes.is_empty() => 0.0,
+                    // A cell is of gaps that matter.
+                    turn if order.cells => GAPS[turn % 2],
+                    turn => GAPS[turn],
+                },
                 noise: NOISES[turn % NOISES.len()],
+                disturbance: if kind == Kind::Controls && order.cells {
+                    Disturbance::ALL[i % Disturbance::ALL.len()]
+                } else {
+                    Disturbance::Plain
+                },
                 causes,
             });
         }
@@ -147,12 +173,18 @@ fn make(
     let nominal = crate::reference_device(skin, &numerics, &[])?;
     let script = Script::draw(&nominal.model(), &rig, climate, script_seed)?;
     let clean = nominal.readings(&script, None)?;
-    let floor = noise_share(&clean, skin, &script, wanted.noise) + MARGIN;
 
     let moved = |causes: &[Cause]| -> Result<f64, BenchmarkError> {
         let other = crate::reference_device(skin, &numerics, causes)?.readings(&script, None)?;
         Ok(unexplained(&clean, &other, &script, channels))
     };
+    let noise = match wanted.disturbance {
+        Disturbance::Louder => rng.random_range(1.3..2.0),
+        // As the skin's description says.
+        _ if order.cells && wanted.kind == Kind::Controls => 1.0,
+        _ => wanted.noise,
+    };
+    let floor = noise_share(&clean, skin, &script, noise) + MARGIN;
     let mut causes = Vec::new();
     let mut alone = Vec::new();
     let mut gap = wanted.gap;
@@ -212,8 +244,12 @@ fn make(
     };
     let device = crate::reference_device(skin, &numerics, &causes)?;
     // How deep a tip sinks in is what the rig sees of this reference device.
-    let script = Script::draw(&device.model(), &rig, climate, script_seed)?;
-    let readings = device.readings(&script, Some((noise_seed, wanted.noise)))?;
+    let mut script = Script::draw(&device.model(), &rig, climate, script_seed)?;
+    let heavy = wanted.disturbance == Disturbance::HeavyTails;
+    let mut readings = device.readings(&script, Some(Noise { seed: noise_seed, factor: noise, heavy }))?;
+    if wanted.disturbance == Disturbance::LostFrames {
+        lose(&mut script, &mut readings, channels, noise_seed);
+    }
     let known = crate::causes(skin)?;
     let truth = GroundTruth {
         schema: GROUND_TRUTH_SCHEMA.to_owned(),
@@ -233,7 +269,8 @@ fn make(
             })
             .collect(),
         gap,
-        noise: wanted.noise,
+        noise,
+        disturbance: wanted.disturbance,
         floor,
         alone,
         numerics,
@@ -241,6 +278,30 @@ fn make(
         size: order.size,
     };
     Ok(Made { truth, presses, script, readings, device, seed: script_seed ^ 0x7a51 })
+}
+
+/// Share of frames that are lost, and frames of a burst at most.
+const LOST: (f64, u32) = (0.1, 12);
+
+/// Loses frames, single ones and bursts: what a full buffer drops.
+fn lose(script: &mut Script, readings: &mut Vec<f64>, channels: usize, seed: u64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x105e);
+    let mean = f64::from(1 + LOST.1) / 2.0;
+    let mut left = 0;
+    let kept: Vec<bool> = (0..script.instants.len())
+        .map(|i| {
+            if left == 0 && i > script.quiet && rng.random::<f64>() < LOST.0 / mean {
+                left = rng.random_range(1..=LOST.1);
+            }
+            let lost = left > 0;
+            left = left.saturating_sub(1);
+            !lost
+        })
+        .collect();
+    let mut rows = kept.iter();
+    script.instants.retain(|_| rows.next().copied().unwrap_or(true));
+    let all = readings.chunks(channels).zip(&kept).filter(|(_, kept)| **kept);
+    *readings = all.flat_map(|(row, _)| row.to_vec()).collect();
 }
 
 /// Records the reference device of a ground truth once more in the bag `dir`: with other presses, without noise, and with the exact ground truth, so
@@ -258,6 +319,32 @@ pub fn record_again(skin: &SkinDescription, truth: &GroundTruth, dir: &Path) -> 
     let script = Script::draw(&device.model(), &rig, climate, seed)?;
     let readings = device.readings(&script, None)?;
     crate::record(skin, &*device.model(), &script, &readings, dir, None)
+}
+
+/// Presses the reference device of a ground truth as a plan says, with its noise, after it was switched on anew; the material is as it was
+/// at first. The bag is `dir`.
+///
+/// # Errors
+///
+/// [`BenchmarkError`] where the ground truth is of another skin, the plan does not fit it, or the bag cannot be written.
+pub fn press(
+    skin: &SkinDescription,
+    truth: &GroundTruth,
+    plan: &str,
+    seed: u64,
+    dir: &Path,
+) -> Result<(), BenchmarkError> {
+    let causes: Vec<Cause> = truth.causes.iter().map(|withheld| withheld.cause.clone()).collect();
+    let device = crate::reference_device(skin, &truth.numerics, &causes)?;
+    let rig = crate::rig(skin, truth.size)?;
+    let seed = truth.salt.bytes().fold(seed ^ 0xf011, |seed, b| seed.rotate_left(7) ^ u64::from(b));
+    let mut script = Script::of_plan(plan, &device.model(), rig.rate, seed)?;
+    let heavy = truth.disturbance == Disturbance::HeavyTails;
+    let mut readings = device.readings(&script, Some(Noise { seed, factor: truth.noise, heavy }))?;
+    if truth.disturbance == Disturbance::LostFrames {
+        lose(&mut script, &mut readings, skin.channels().len(), seed);
+    }
+    crate::record(skin, &*device.model(), &script, &readings, dir, Some(seed))
 }
 
 /// Makes a benchmark set in the folder `dir` and its ground truths in `ground_truths`, neither of which may hold one yet. `skin_text` is the skin file,

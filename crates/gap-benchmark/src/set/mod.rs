@@ -17,7 +17,7 @@ use sha2::{Digest, Sha256};
 
 use crate::{BenchmarkError, Cause, Numerics, Region};
 
-pub use generate::{generate, record_again};
+pub use generate::{generate, press, record_again};
 
 /// Schema of a manifest.
 pub const SET_SCHEMA: &str = "gap-benchmark-set/1";
@@ -36,6 +36,17 @@ pub const FULL: [(Kind, usize); 6] = [
     (Kind::Triples, 20),
     (Kind::Confounded, 20),
 ];
+/// Kinds whose cases are scored apart, each as one cell of the scorecard.
+pub const CELLS: [Kind; 7] = [
+    Kind::DoesNotRepeat,
+    Kind::SameLaw,
+    Kind::OtherLaw,
+    Kind::DesignNumber,
+    Kind::Foreign,
+    Kind::Pairs,
+    Kind::Controls,
+];
+
 /// What is withheld in the cases of a benchmark set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -54,6 +65,16 @@ pub enum Kind {
     ///
     /// The temperature only rises, or nothing else shows it.
     Confounded,
+    /// A cause that does not come again with the same press.
+    DoesNotRepeat,
+    /// A cause of the literature with the usual law.
+    SameLaw,
+    /// A cause of the literature with another law.
+    OtherLaw,
+    /// A number of the skin's description that is another one.
+    DesignNumber,
+    /// A systematic cause that no library holds.
+    Foreign,
 }
 
 impl Kind {
@@ -67,8 +88,33 @@ impl Kind {
             Self::Controls => "controls",
             Self::OutOfLibrary => "out-of-library",
             Self::Confounded => "confounded",
+            Self::DoesNotRepeat => "does-not-repeat",
+            Self::SameLaw => "same-law",
+            Self::OtherLaw => "other-law",
+            Self::DesignNumber => "design-number",
+            Self::Foreign => "foreign",
         }
     }
+}
+
+/// What disturbs a recording without being a cause.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Disturbance {
+    /// Nothing.
+    #[default]
+    Plain,
+    /// Noise 30 to 100 % larger than the skin's description says.
+    Louder,
+    /// Noise with heavy tails, and other deviations from channel to channel.
+    HeavyTails,
+    /// Every tenth frame is lost, single ones and bursts.
+    LostFrames,
+}
+
+impl Disturbance {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Plain, Self::Louder, Self::HeavyTails, Self::LostFrames];
 }
 
 /// A cause, as the ground truth describes it.
@@ -106,6 +152,9 @@ pub struct GroundTruth {
     pub gap: f64,
     /// Noise, in multiples of the skin's.
     pub noise: f64,
+    /// What disturbs the recording besides.
+    #[serde(default)]
+    pub disturbance: Disturbance,
     /// Fraction of variance that noise and practical margin make up.
     pub floor: f64,
     /// Fraction of variance that the causes move, noise-free: measured, not requested.
@@ -164,14 +213,22 @@ pub struct SetSpec {
     pub seed: u64,
     /// How many presses a case has, compared to the usual 150.
     pub size: f64,
+    /// Whether it is made for a scorecard whose cells are apart: gaps of 3 and 10 floors only, and disturbed controls.
+    pub cells: bool,
 }
 
 impl SetSpec {
+    /// So many cases of each cell of the scorecard.
+    #[must_use]
+    pub fn cells(count: usize, seed: u64, size: f64) -> Self {
+        Self { cases: CELLS.map(|kind| (kind, count)).to_vec(), seed, size, cells: true }
+    }
+
     /// The proportions of a full benchmark set, at `share` of its cases, at least one of each kind.
     #[must_use]
     pub fn mixed(share: f64, seed: u64, size: f64) -> Self {
         let scaled = |count: usize| (count as f64 * share).round().max(1.0) as usize;
-        Self { cases: FULL.map(|(kind, count)| (kind, scaled(count))).to_vec(), seed, size }
+        Self { cases: FULL.map(|(kind, count)| (kind, scaled(count))).to_vec(), seed, size, cells: false }
     }
 
     /// Number of cases.

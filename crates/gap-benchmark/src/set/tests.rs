@@ -8,7 +8,7 @@ use super::*;
 const LINE: &str = include_str!("../../../../launch/skins/baro-line.toml");
 
 fn order(kind: Kind, count: usize) -> SetSpec {
-    SetSpec { cases: vec![(kind, count)], seed: 11, size: 0.12 }
+    SetSpec { cases: vec![(kind, count)], seed: 11, size: 0.12, cells: false }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What can make a shell with strain gauges differ from its design.
 
-use crate::cause::CauseInfo;
+use crate::cause::{CauseInfo, Cell};
 use crate::common;
 
 /// All of them.
@@ -12,7 +12,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("relative-change", "1", 0.5),
         true,
         true,
-    ),
+    )
+    .cell(Cell::DesignNumber),
     CauseInfo::new(
         "uneven-wall",
         "the wall is thicker here and thinner there, in waves of some centimetres",
@@ -28,7 +29,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("loss", "1", 0.85),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "yielding-clamp",
         "both ends are held by springs instead of a rigid clamp",
@@ -44,7 +46,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("power", "1", 0.7),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "gauge-factors",
         "every gauge has a gain of its own",
@@ -101,7 +104,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("share", "1", 0.8),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "warm-zero",
         "zeros move with the temperature, each gauge's differently and a little curved",
@@ -109,7 +113,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("coefficient", "1/K", 6e-5),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "walking-zero",
         "zeros follow a random walk",
@@ -142,7 +147,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         ("half-width", "1", 0.5),
         false,
         true,
-    ),
+    )
+    .cell(Cell::OtherLaw),
     CauseInfo::new(
         "broken-beam",
         "the wall is thin in one place, as after a crack",
@@ -154,4 +160,48 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
     common::UNEVEN_STEPS,
     common::SAGGING_SUPPLY,
     CauseInfo { size: ("shift", "m", 0.02), ..common::BUMPED_MOUNT },
+    common::PREISACH_FRICTION,
+    common::SLIPPING_ELEMENTS,
+    common::STANDARD_SOLID,
+    common::WEARING_LOGARITHMIC,
+    common::BENDING_OVER,
+    common::SOFT_SPOT,
+    common::PERMANENT_SET,
+    // Numbers of the description that the device was not built with.
+    CauseInfo::new(
+        "built-wall",
+        "the wall was printed thicker or thinner than its description says, everywhere alike",
+        "another nozzle or slice",
+        ("relative-change", "1", 0.4),
+        true,
+        true,
+    )
+    .cell(Cell::DesignNumber),
+    CauseInfo::new(
+        "built-poisson",
+        "the wall's material is more compressible than its description says",
+        "porous print",
+        ("relative-loss", "1", 0.8),
+        false,
+        true,
+    )
+    .cell(Cell::DesignNumber),
+    CauseInfo::new(
+        "built-gauge",
+        "gauges are longer or shorter than their description says",
+        "another type of foil",
+        ("relative-change", "1", 0.9),
+        true,
+        true,
+    )
+    .cell(Cell::DesignNumber),
+    CauseInfo::new(
+        "built-patch",
+        "a touch presses over a wider or narrower patch than the description says",
+        "another tip pad",
+        ("relative-change", "1", 0.9),
+        true,
+        true,
+    )
+    .cell(Cell::DesignNumber),
 ];

@@ -153,6 +153,7 @@ pub fn diagnose(
     };
     let interference = interference.and_then(|i| i.effect);
     let members = report::finish(&mut report, &data, &measured, explained, scope, interference);
+    report.hypotheses = report::hypotheses(&report, &members);
     report.next_experiments = crate::experiments::rank(simulator, &members, samples, &options.stop);
     report.sentence = report::sentence(&report);
     report.provenance.seconds[1] = seconds();

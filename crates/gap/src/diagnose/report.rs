@@ -15,6 +15,7 @@ use crate::constants::report::{
 use crate::constants::select::{CLEARLY, SURELY};
 use crate::effects::{self, Covariate, Evidence};
 use crate::noise::Gap;
+use crate::protocol::design::Hypothesis;
 use crate::recording::{Recording, hex};
 use crate::report::{
     Alternative, DataSummary, NamedEffect, Provenance, Report, SCHEMA, UnconfirmedEffect, Unknown, Value,
@@ -69,6 +70,7 @@ pub(super) fn begin(
         held_out: None,
         unknown: Unknown::default(),
         next_experiments: Vec::new(),
+        hypotheses: Vec::new(),
         downstream: Vec::new(),
         corrected: Vec::new(),
         provenance: Provenance {
@@ -379,6 +381,20 @@ fn suspects(candidates: &[Candidate], selection: &Selection, floor: f64) -> Vec<
     found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     found.truncate(SUSPECTS);
     found
+}
+
+/// Members of a class that is open, with how open they are.
+pub(super) fn hypotheses(report: &Report, members: &Members) -> Vec<Hypothesis> {
+    let open = |name: &str| {
+        let of = report.effects.iter().flat_map(|e| &e.class).find(|a| a.name == name);
+        of.map_or(0.5, |a| a.p_confuse)
+    };
+    let of = members.iter().map(|(name, effects)| Hypothesis {
+        name: name.clone(),
+        effects: effects.clone(),
+        p_confuse: open(name),
+    });
+    of.collect()
 }
 
 /// An effect that something else than the size of a residual shows; its gain is still to come.

@@ -1,5 +1,6 @@
 //! Recordings of devices that are made by other laws than the model.
 
+use dermis_gap::protocol::Block;
 use dermis_gap::{FrameLabel, Phase, Recording};
 use dermis_model::{Indentation, Stimulus};
 use nalgebra::{Point3, Vector3};
@@ -54,10 +55,7 @@ pub(crate) fn device() -> Device {
 
 /// Presses at random places: load, hold, unload, rest; what the device reads.
 pub(crate) fn recorded(device: &Device, presses: usize, repeats: usize, seed: u64) -> Recording {
-    let skin = skin();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut recording = Recording::new("toy device", 6);
-    recording.sessions.push("one".to_owned());
     let dt = 0.02;
     let mut frames: Vec<Instant> = Vec::new();
     let mut t = 0.0;
@@ -95,6 +93,75 @@ pub(crate) fn recorded(device: &Device, presses: usize, repeats: usize, seed: u6
         }
     }
     idle(&mut t, &mut frames);
+    read(device, frames, (presses, 0), &mut rng)
+}
+
+/// Blocks of presses to come, as a rig does them in run `run`: what the device reads.
+pub(crate) fn pressed(device: &Device, blocks: &[Block], run: u32, seed: u64) -> Recording {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let dt = 0.02;
+    let (mut frames, mut t, mut number): (Vec<Instant>, f64, u64) = (Vec::new(), 0.0, 0);
+    let mut places: Vec<Point3<f64>> = Vec::new();
+    let mut idle = |t: &mut f64, frames: &mut Vec<Instant>| {
+        for _ in 0..60 {
+            frames.push((*t, Phase::Idle, 0, 0, Point3::origin(), 0.0, 0.0));
+            *t += dt;
+        }
+    };
+    idle(&mut t, &mut frames);
+    for block in blocks {
+        let known = places.iter().position(|p| *p == block.at);
+        let place = known.unwrap_or_else(|| {
+            places.push(block.at);
+            places.len() - 1
+        });
+        for press in &block.presses {
+            number += 1;
+            let ends = [press.load, press.load + press.hold, press.load + press.hold + press.unload];
+            let begin = t;
+            while t - begin < press.duration() {
+                let since = t - begin + dt;
+                let (phase, share) = if since < ends[0] {
+                    (Phase::Load, since / ends[0])
+                } else if since < ends[1] {
+                    (Phase::Hold, 1.0)
+                } else if since < ends[2] {
+                    (Phase::Unload, (ends[2] - since) / press.unload)
+                } else {
+                    (Phase::Approach, 0.0)
+                };
+                frames.push((t, phase, number, place as u32 + 1, block.at, share * press.force, 1.0));
+                t += dt;
+            }
+        }
+    }
+    idle(&mut t, &mut frames);
+    read(device, frames, (number as usize, run), &mut rng)
+}
+
+/// One recording after another, each in a run of its own.
+pub(crate) fn together(recordings: &[&Recording]) -> Recording {
+    let mut whole = Recording::new("together", 6);
+    for (run, of) in recordings.iter().enumerate() {
+        whole.sessions.push(format!("session {}", run + 1));
+        for (index, label) in of.labels.iter().enumerate() {
+            whole.push(FrameLabel { run: run as u32, ..label.clone() }, of.frame(index));
+        }
+    }
+    whole
+}
+
+/// What a device reads along these instants, with so many presses in all, in this run.
+fn read(
+    device: &Device,
+    frames: Vec<Instant>,
+    (presses, run): (usize, u32),
+    rng: &mut ChaCha8Rng,
+) -> Recording {
+    let skin = skin();
+    let dt = 0.02;
+    let mut recording = Recording::new("toy device", 6);
+    recording.sessions.push("one".to_owned());
     let gain = |k: usize| 1.0 + device.gains[k];
     let elastic = |k: usize, at: &Point3<f64>, force: f64| -> f64 {
         if force <= 0.0 {
@@ -149,7 +216,7 @@ pub(crate) fn recorded(device: &Device, presses: usize, repeats: usize, seed: u6
         };
         let stimulus = Some(Stimulus { contacts, ..Stimulus::default() });
         recording.push(
-            FrameLabel { time: t, run: 0, press, location, phase, stimulus, temperature: f64::NAN },
+            FrameLabel { time: t, run, press, location, phase, stimulus, temperature: f64::NAN },
             &values,
         );
     }

@@ -4,6 +4,7 @@
 
 mod device;
 mod model;
+mod next;
 mod schema;
 
 use dermis_gap::{Memory, Options, Recording, Report, Simulator, Tier, Verdict, diagnose};

@@ -8,12 +8,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use dermis_gap::{SampleOptions, Samples, Simulator};
-use dermis_gap_benchmark::score::{Answer, Mapping, Named, Scorecard};
+use dermis_gap_benchmark::score::{self, Answer, Mapping, Named, SAME, Scorecard};
 use dermis_gap_benchmark::set::{self, Case, GroundTruth, Manifest};
 use dermis_skin::{Effect, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
 
+use super::follow_ups::{Asking, ask};
 use super::scorecard;
 use crate::{Families, Progress};
 
@@ -21,7 +22,7 @@ use crate::{Families, Progress};
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Request {
-    /// Folder of a pack; several of one skin are scored together.
+    /// Folder of a pack; several are scored together, of one skin or of several.
     #[arg(long, required = true, value_name = "DIR")]
     pub pack: Vec<PathBuf>,
     /// Folder of the secrets of each pack, in the same order. Without them the reports are written and sealed, and nothing is
@@ -41,6 +42,13 @@ pub struct Request {
     /// Do not try what reports switch on in another recording of the same reference device.
     #[arg(long)]
     pub no_elsewhere: bool,
+    /// How often each case may ask for presses (`dermis gap next`), which its reference device does, before it answers again; scored beside
+    /// the first answers. Needs the secrets.
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    pub follow_ups: usize,
+    /// Minutes of pressing that a case may ask for each time.
+    #[arg(long, value_name = "MIN", default_value_t = Request::default().follow_up_minutes)]
+    pub follow_up_minutes: f64,
     /// Passed on to every diagnosis, e.g. --resamples 0.
     #[arg(last = true)]
     pub diagnose: Vec<String>,
@@ -55,6 +63,8 @@ impl Default for Request {
             jobs: 1,
             no_baselines: false,
             no_elsewhere: false,
+            follow_ups: 0,
+            follow_up_minutes: 3.0,
             diagnose: Vec::new(),
         }
     }
@@ -79,6 +89,8 @@ pub struct BenchmarkScores {
     pub skin: String,
     /// Of the diagnosis.
     pub card: Scorecard,
+    /// After each number of follow-ups, from one on.
+    pub followed: Vec<Scorecard>,
     /// Of simpler ways.
     pub baselines: Vec<(String, Scorecard)>,
     /// Every case with its answer.
@@ -89,7 +101,7 @@ impl BenchmarkScores {
     /// Without the single cases.
     #[must_use]
     pub fn summary(&self) -> Value {
-        scorecard::json(&self.head, &self.card, &self.baselines)
+        scorecard::json(&self.head, &self.card, &self.followed, &self.baselines)
     }
 }
 
@@ -135,8 +147,8 @@ pub fn run(
     // From here on the reports must not change: their hashes lie on the disk.
     let mapping = Mapping::from_toml(Mapping::TEXT).map_err(anyhow::Error::msg)?;
     let mut cases: Vec<Opened> = Vec::new();
-    for (((manifest, secrets), (out, _)), pack) in
-        packs.iter().zip(&options.secret).zip(&seals).zip(&options.pack)
+    for (index, (((manifest, secrets), (out, _)), pack)) in
+        packs.iter().zip(&options.secret).zip(&seals).zip(&options.pack).enumerate()
     {
         for case in &manifest.cases {
             let path = report(out, case);
@@ -151,25 +163,39 @@ pub fn run(
                 report: read,
                 bag: pack.join(&case.bag),
                 presses: case.presses,
+                pack: index,
             });
         }
     }
     let library = library(&cases);
-    let skin = SkinDescription::load(options.pack[0].join("skin.toml"))?;
+    let skins: Vec<SkinDescription> = options
+        .pack
+        .iter()
+        .map(|pack| SkinDescription::load(pack.join("skin.toml")))
+        .collect::<Result<_, _>>()?;
     if !options.no_elsewhere {
-        elsewhere(&skin, &mut cases, options, families, progress)?;
+        elsewhere(&skins, &mut cases, options, families, progress)?;
     }
     let card = Scorecard::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
+    let mut followed = Vec::new();
+    for times in 1..=options.follow_ups {
+        let answers = follow(times, &skins, &cases, &seals, options, families, diagnosis, progress)?;
+        let of = cases.iter().zip(&answers).map(|(case, answer)| (&case.secret, answer));
+        followed.push(Scorecard::new(of, &mapping, &library));
+    }
     let baselines = if options.no_baselines {
         Vec::new()
     } else {
-        baselines(&skin, &cases, &mapping, &library, families, progress)?
+        baselines(&skins, &cases, &mapping, &library, families, progress)?
     };
+    let mut names: Vec<&str> = skins.iter().map(|skin| skin.name.as_str()).collect();
+    names.dedup();
+    let name = names.join(", ");
     let head = serde_json::json!({
         "schema": "gap-check/1",
         "tool": format!("dermis {}", env!("CARGO_PKG_VERSION")),
         "command": command(options),
-        "skin": skin.name,
+        "skin": name,
         "mapping_sha256": set::sha256(Mapping::TEXT.as_bytes()),
         "packs": packs.iter().zip(&options.pack).zip(&seals).map(|((manifest, dir), (_, seal))| {
             Ok(serde_json::json!({ "kind": manifest.kind, "cases": manifest.cases.len(), "generator": manifest.generator,
@@ -177,15 +203,17 @@ pub fn run(
         }).collect::<Result<Vec<_>>>()?,
         "library": library,
     });
+    let within = mapping.within(&library);
     let cases = cases
         .iter()
         .map(|c| {
             let s = &c.secret;
-            serde_json::json!({ "case": s.case, "kind": s.kind, "gap": s.gap, "noise": s.noise,
+            serde_json::json!({ "case": s.case, "pack": c.pack + 1, "skin": skins[c.pack].name, "kind": s.kind,
+                "cell": score::cell(s, &within), "disturbance": s.disturbance, "gap": s.gap, "noise": s.noise,
                 "unexplained": s.unexplained, "causes": s.causes, "answer": c.answer })
         })
         .collect();
-    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: skin.name, card, baselines, cases })))
+    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: name, card, followed, baselines, cases })))
 }
 
 /// A case whose secret is open.
@@ -195,6 +223,8 @@ struct Opened {
     report: Value,
     bag: PathBuf,
     presses: usize,
+    /// Which pack it is of.
+    pack: usize,
 }
 
 /// How this check was called.
@@ -225,19 +255,20 @@ fn library(cases: &[Opened]) -> BTreeSet<String> {
 
 /// Tries what each report switches on in another recording of the same reference device, which no report has seen.
 fn elsewhere(
-    skin: &SkinDescription,
+    skins: &[SkinDescription],
     cases: &mut [Opened],
     options: &Request,
     families: &Families,
     progress: &dyn Progress,
 ) -> Result<()> {
     let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
-    let simulator = Simulator { skin, effects: families.of(skin)?.effects(), make: &make };
-    let sigma = skin.channel_noise();
     let open: Vec<&mut Opened> = cases.iter_mut().filter(|c| c.answer.residual_reduction.is_some()).collect();
     progress.begin("recording again");
     let (count, done) = (open.len().max(1), AtomicUsize::new(0));
     let one = |case: &Opened| -> Result<Option<f64>> {
+        let skin = &skins[case.pack];
+        let simulator = Simulator { skin, effects: families.of(skin)?.effects(), make: &make };
+        let sigma = skin.channel_noise();
         let mut effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
             .with_context(|| format!("{}: field `corrected` of its report", case.secret.case))?;
         // A hum has another phase in every recording, and counts as noise where it is named.
@@ -286,9 +317,47 @@ fn elsewhere(
     Ok(())
 }
 
+/// Answers of all cases after they have asked so many times.
+#[expect(clippy::too_many_arguments, reason = "what a whole benchmark knows")]
+fn follow(
+    times: usize,
+    skins: &[SkinDescription],
+    cases: &[Opened],
+    seals: &[(PathBuf, String)],
+    options: &Request,
+    families: &Families,
+    diagnosis: Diagnose<'_>,
+    progress: &dyn Progress,
+) -> Result<Vec<Answer>> {
+    progress.begin("following up");
+    let mut answers = Vec::new();
+    for (n, case) in cases.iter().enumerate() {
+        let (out, _) = &seals[case.pack];
+        let skin_file = options.pack[case.pack].join("skin.toml");
+        let asking = Asking {
+            skin_file: &skin_file,
+            skin: &skins[case.pack],
+            truth: &case.secret,
+            bag: &case.bag,
+            report: out.join(format!("{}.json", case.secret.case)),
+            folder: out.join("follow-ups").join(&case.secret.case),
+        };
+        let minutes = options.follow_up_minutes;
+        let path = ask(&asking, (times, minutes), &options.diagnose, families, diagnosis)
+            .with_context(|| case.secret.case.clone())?;
+        let text = dermis_io::read(&path, dermis_io::REPORT)
+            .with_context(|| format!("{} cannot be read", path.display()))?;
+        answers.push(answer(&serde_json::from_slice(&text)?));
+        if !progress.at((n + 1) as f64 / cases.len() as f64) {
+            bail!("interrupted; call it again to go on");
+        }
+    }
+    Ok(answers)
+}
+
 /// Cards of the baselines on the same cases.
 fn baselines(
-    skin: &SkinDescription,
+    skins: &[SkinDescription],
     cases: &[Opened],
     mapping: &Mapping,
     library: &BTreeSet<String>,
@@ -301,6 +370,7 @@ fn baselines(
     for (n, case) in cases.iter().enumerate() {
         // Cases of the same pack and presses have the same signatures.
         let key = (case.bag.parent().map(Path::to_owned).unwrap_or_default(), case.presses);
+        let skin = &skins[case.pack];
         answers.push(super::baselines::answers(skin, families, &case.bag, &key, &mut columns)?);
         progress.at((n + 1) as f64 / cases.len() as f64);
     }
@@ -415,6 +485,7 @@ fn answer(report: &Value) -> Answer {
         ..Answer::default()
     };
     answer.unexplained = if answer.gap { report["unknown"]["share"].as_f64() } else { None };
+    answer.evidence = if answer.gap { report["unknown"]["evidence"].as_f64() } else { None };
     let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
     answer.axes = list(&report["where"]).iter().map(|axis| text(&axis["axis"])).collect();
     let fvu = |bin: &Value| bin["fvu"].as_f64().unwrap_or(0.0);
@@ -426,13 +497,18 @@ fn answer(report: &Value) -> Answer {
     for effect in report["effects"].as_array().into_iter().flatten() {
         let mut named = Named { firm: effect["tier"] == "strict", ..Named::default() };
         for member in effect["class"].as_array().into_iter().flatten() {
-            named.class.push(member.as_str().map_or_else(|| text(&member["name"]), str::to_owned));
+            let name = member.as_str().map_or_else(|| text(&member["name"]), str::to_owned);
+            // Another name of the member before it is no other answer.
+            match named.class.last_mut().filter(|_| member["alias"] == true) {
+                Some(last) => last.push_str(&format!("{SAME}{name}")),
+                None => named.class.push(name),
+            }
         }
         let label = text(&effect["label"]);
         if named.class.is_empty() {
             named.class.push(label.clone());
         }
-        let first = named.class[0].clone();
+        let first = named.class[0].split(SAME).next().unwrap_or_default().to_owned();
         let mut parameters = BTreeMap::new();
         for theta in effect["theta"].as_array().into_iter().flatten() {
             if let Some(value) = theta["value"].as_f64() {
@@ -469,6 +545,15 @@ mod tests {
         assert!(answer.named[0].firm && !answer.named[1].firm);
         assert_eq!(answer.named[0].parameters["thickness.change"], (-0.001, Some([-0.002, 0.0])));
         assert_eq!((answer.residual_reduction, answer.interval), (Some([0.9, 0.8]), Some([0.7, 0.95])));
+        let named = |class: serde_json::Value| {
+            let effects = serde_json::json!([{ "label": "modulus", "tier": "strict", "class": class }]);
+            super::answer(&serde_json::json!({ "verdict": "named", "effects": effects })).named[0]
+                .class
+                .clone()
+        };
+        let alias = serde_json::json!({ "name": "medium.young_modulus", "alias": true });
+        let class = serde_json::json!([{ "name": "modulus" }, alias, { "name": "thickness" }]);
+        assert_eq!(named(class), ["modulus = medium.young_modulus", "thickness"]);
         assert!(!super::answer(&serde_json::json!({ "verdict": "no-gap-beyond-noise" })).gap);
     }
 }

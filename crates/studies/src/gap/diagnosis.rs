@@ -24,6 +24,10 @@ pub struct Request {
     /// Labelled bag of the real skin; several are sessions of one skin.
     #[arg(long, required = true, value_name = "BAG")]
     pub real: Vec<PathBuf>,
+    /// Another bag of the same device, recorded later: presses that `dermis gap next` asked for, say. All are diagnosed together, each
+    /// with its own zero, session and time; a place that several have is one place.
+    #[arg(long, value_name = "BAG")]
+    pub and: Vec<PathBuf>,
     /// Take the ground truth from a robot's pose and a force sensor's wrench, as this file maps them; see launch/labels/.
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
@@ -52,6 +56,7 @@ impl Default for Request {
         Self {
             skin: PathBuf::new(),
             real: Vec::new(),
+            and: Vec::new(),
             map: None,
             skin_instance: None,
             zero: Zero::AsRead,
@@ -95,8 +100,8 @@ pub fn diagnose(
 ) -> Result<Diagnosis> {
     let skin = SkinDescription::load(&options.skin)?;
     let map = options.map.as_ref().map(LabelMap::load).transpose()?;
-    let mut recording =
-        dermis_gap::read(&options.real, &skin, map.as_ref(), options.skin_instance.as_deref())?;
+    let bags: Vec<&PathBuf> = options.real.iter().chain(&options.and).collect();
+    let mut recording = dermis_gap::read(&bags, &skin, map.as_ref(), options.skin_instance.as_deref())?;
     recording.tare(match options.zero {
         Zero::AsRead => dermis_gap::Zero::AsRead,
         Zero::Start => dermis_gap::Zero::Start,

@@ -23,6 +23,11 @@ pub struct Request {
     #[arg(long, requires = "kind")]
     #[serde(default)]
     pub count: Option<usize>,
+    /// Cases of each cell of the scorecard (does not repeat; in the library with the same law, with another law; design number off;
+    /// systematic and foreign; two causes; controls), mixed, in place of a share of a full pack.
+    #[arg(long, value_name = "N", conflicts_with_all = ["kind", "share"])]
+    #[serde(default)]
+    pub cells: Option<usize>,
     /// Share of a full pack, which has 180 cases with one cause, 100 without, 60 with one that no library holds, 60 with two, 20
     /// with three and 20 with one that the recording cannot tell: `full`, `small` (0.15) or a number.
     #[arg(long, default_value = "full", value_parser = share)]
@@ -69,6 +74,9 @@ impl Request {
     /// How many cases of what.
     #[must_use]
     pub fn order(&self) -> SetSpec {
+        if let Some(count) = self.cells {
+            return SetSpec::cells(count, self.seed, self.size);
+        }
         let mut order = SetSpec::mixed(self.share, self.seed, self.size);
         if let Some(kind) = self.kind {
             order.cases.retain(|(of, _)| *of == kind);
@@ -131,6 +139,7 @@ mod tests {
             kind,
             skin: PathBuf::new(),
             count,
+            cells: None,
             share: 0.15,
             seed: 1,
             size: 1.0,

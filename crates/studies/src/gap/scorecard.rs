@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use dermis_gap_benchmark::score::{Aim, Scorecard, Scores};
+use dermis_gap_benchmark::score::{Aim, CellScores, Cells, Scorecard, Scores, Share};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 /// Rates with their intervals and middle values of one set of cases.
@@ -33,12 +34,21 @@ fn group(cards: &BTreeMap<String, Scores>) -> Value {
 }
 
 /// The summary without the single cases. `head` says which tool, command and packs.
-pub(super) fn json(head: &Value, card: &Scorecard, baselines: &[(String, Scorecard)]) -> Value {
+pub(super) fn json(
+    head: &Value,
+    card: &Scorecard,
+    followed: &[Scorecard],
+    baselines: &[(String, Scorecard)],
+) -> Value {
     let mut summary = head.clone();
     summary["headline"] = scores(&card.headline);
     summary["all"] = scores(&card.all);
     summary["by_gap"] = group(&card.by_gap);
     summary["by_noise"] = group(&card.by_noise);
+    summary["cells"] = cells(&card.cells);
+    if !followed.is_empty() {
+        summary["follow_ups"] = followed.iter().map(|card| cells(&card.cells)).collect();
+    }
     summary["confusion"] = json!(card.headline.confusion);
     summary["not_in_library"] = json!(card.not_in_library);
     summary["baselines"] = baselines
@@ -48,10 +58,42 @@ pub(super) fn json(head: &Value, card: &Scorecard, baselines: &[(String, Scoreca
     summary
 }
 
+/// A word as files say it.
+fn text(of: &impl Serialize) -> String {
+    json!(of).as_str().unwrap_or_default().to_owned()
+}
+
+/// Cells with their intervals.
+fn cells(of: &Cells) -> Value {
+    let share = |s: &Share| json!({ "value": s.value(), "wilson_95": s.interval(), "of": s.of });
+    let cell = |s: &CellScores| {
+        let mut value = json!({ "cases": s.cases, "confusion": s.confusion });
+        let rates = [
+            ("first_right", s.first),
+            ("class_holds", s.class),
+            ("firm_right", s.firm),
+            ("loose_right", s.loose),
+            ("unknown", s.unknown),
+            ("unknown_nothing_wrong", s.unknown_only),
+            ("firm_wrong", s.firm_wrong),
+            ("seen", s.seen),
+            ("all_of_several", s.all),
+        ];
+        for (name, rate) in rates.into_iter().filter(|(_, rate)| rate.of > 0) {
+            value[name] = share(&rate);
+        }
+        value
+    };
+    json!({
+        "cells": of.cells.iter().map(|(c, s)| (text(c), cell(s))).collect::<serde_json::Map<_, _>>(),
+        "false_names_on_controls":
+            of.false_names.iter().map(|(d, s)| (text(d), share(s))).collect::<serde_json::Map<_, _>>(),
+        "unknown_auroc": of.unknown,
+    })
+}
+
 #[cfg(test)]
 mod tests {
-    use dermis_gap_benchmark::score::Share;
-
     use super::*;
 
     #[test]
@@ -60,7 +102,7 @@ mod tests {
         card.headline.cases = 3;
         card.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
         let head = json!({ "skin": "s", "command": "c", "tool": "t", "packs": [] });
-        let summary = json(&head, &card, &[]);
+        let summary = json(&head, &card, &[], &[]);
         let top1 = &summary["headline"]["scores"]["top-1, class-weighted"];
         assert_eq!((top1["of"].as_u64(), top1["reached"].as_bool()), (Some(3), Some(false)));
     }

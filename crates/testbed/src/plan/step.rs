@@ -142,8 +142,14 @@ pub struct PressProfile {
     /// \[rad\] of that motion, about the outward normal from the link's x axis (from its y axis where x is the normal); drawn
     /// for each contact where absent.
     pub shear_direction: Option<f64>,
+    /// Range of how long it takes to full force \[s\], instead of the plan's.
+    pub load: Option<[f64; 2]>,
     /// Range of how long it holds \[s\], instead of the plan's.
     pub hold: Option<[f64; 2]>,
+    /// Range of how long it takes to let go \[s\], instead of the plan's.
+    pub unload: Option<[f64; 2]>,
+    /// Range of how long nothing touches after it \[s\], instead of the plan's.
+    pub gap: Option<[f64; 2]>,
     /// \[N\] levels at which a tip presses with less are left out, and so are presses of which nothing is left.
     pub least_force: Option<f64>,
 }

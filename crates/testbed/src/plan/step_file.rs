@@ -118,7 +118,13 @@ pub(super) struct StepFile {
     #[serde(skip_serializing_if = "Option::is_none")]
     shear_direction: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    load: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     hold: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unload: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gap: Option<[f64; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     least_force: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -128,7 +134,8 @@ pub(super) struct StepFile {
 }
 
 /// Keys of how it is pressed, the same for every kind of press that stands still.
-const MANNER: [&str; 5] = ["diameter", "shear", "shear_direction", "hold", "least_force"];
+const MANNER: [&str; 8] =
+    ["diameter", "shear", "shear_direction", "load", "hold", "unload", "gap", "least_force"];
 
 impl StepFile {
     const fn of(kind: Kind) -> Self {
@@ -151,7 +158,10 @@ impl StepFile {
             diameter: None,
             shear: None,
             shear_direction: None,
+            load: None,
             hold: None,
+            unload: None,
+            gap: None,
             least_force: None,
             radius: None,
             turn: None,
@@ -178,7 +188,10 @@ impl StepFile {
             ("diameter", self.diameter.is_some()),
             ("shear", self.shear.is_some()),
             ("shear_direction", self.shear_direction.is_some()),
+            ("load", self.load.is_some()),
             ("hold", self.hold.is_some()),
+            ("unload", self.unload.is_some()),
+            ("gap", self.gap.is_some()),
             ("least_force", self.least_force.is_some()),
             ("radius", self.radius.is_some()),
             ("turn", self.turn.is_some()),
@@ -289,7 +302,10 @@ impl StepFile {
             diameter: diameter.unwrap_or_default(),
             shear: self.shear.map(OneOrTwo::both),
             shear_direction: self.shear_direction,
+            load: self.load,
             hold: self.hold,
+            unload: self.unload,
+            gap: self.gap,
             least_force: self.least_force,
         };
         Ok(Step { action, profile })
@@ -346,12 +362,16 @@ impl From<Step> for StepFile {
                 lists(levels, Self { count, contacts, radius, turn, ..Self::of(Kind::Hex) })
             }
         };
-        let PressProfile { diameter, shear, shear_direction, hold, least_force } = step.profile;
+        let PressProfile { diameter, shear, shear_direction, load, hold, unload, gap, least_force } =
+            step.profile;
         Self {
             diameter: OneOrMore::of(diameter),
             shear: shear.map(OneOrTwo::from),
             shear_direction,
+            load,
             hold,
+            unload,
+            gap,
             least_force,
             ..file
         }

@@ -172,6 +172,13 @@ impl Checker<'_> {
         {
             return self.wrong("least_force", format!("is {force} N and must be positive"));
         }
-        profile.hold.map_or(Ok(()), |hold| self.plan.check_durations(field("hold"), hold))
+        let durations = [
+            ("load", profile.load),
+            ("hold", profile.hold),
+            ("unload", profile.unload),
+            ("gap", profile.gap),
+        ];
+        let mut named = durations.into_iter().filter_map(|(name, range)| Some((name, range?)));
+        named.try_for_each(|(name, range)| self.plan.check_durations(field(name), range))
     }
 }

@@ -38,7 +38,7 @@ impl Timeline {
             gravity: plan.gravity.unwrap_or_default().into(),
         };
         let draw = Draw::new(plan, &candidates, seed);
-        let mut schedule = Schedule { timeline, draw, step: 0, location: 0 };
+        let mut schedule = Schedule { timeline, draw, step: 0, location: 0, named: Vec::new() };
         for (i, step) in plan.steps.iter().enumerate() {
             schedule.step = i;
             schedule.carry_out(step)?;
@@ -73,6 +73,8 @@ struct Schedule<'a> {
     step: usize,
     /// Identity of the last place, from 1.
     location: u32,
+    /// Places that were named, and their identities.
+    named: Vec<(Point3<f64>, u32)>,
 }
 
 impl Schedule<'_> {
@@ -164,7 +166,16 @@ impl Schedule<'_> {
                 format!("({x}, {y}, {z}) m is nearer to the rim than the margin of {} m{or}", plan.margin);
             return Err(plan.wrong(field(), reason));
         }
+        // A place that is named again is the same place.
+        let before = self.named.iter().find(|(place, _)| *place == at).map(|(_, location)| *location);
+        if let Some(location) = before {
+            let last = std::mem::replace(&mut self.location, location);
+            let done = self.levels(at, levels, profile);
+            self.location = last;
+            return done;
+        }
         self.location += 1;
+        self.named.push((at, self.location));
         self.levels(at, levels, profile)
     }
 
@@ -291,9 +302,14 @@ impl Schedule<'_> {
         }
         let draw = &mut self.draw;
         let t = &draw.plan.timing;
-        let held = profile.hold.unwrap_or(t.hold);
+        let [loaded, held, unloaded, rested] = [
+            profile.load.unwrap_or(t.load),
+            profile.hold.unwrap_or(t.hold),
+            profile.unload.unwrap_or(t.unload),
+            profile.gap.unwrap_or(t.gap),
+        ];
         let [approach, load, hold, unload, gap] =
-            [t.approach, t.load, held, t.unload, t.gap].map(|range| draw.within(range));
+            [t.approach, loaded, held, unloaded, rested].map(|range| draw.within(range));
         let mut keys = Vec::with_capacity(4);
         let mut at = Key { end: approach, phase: Phase::Approach, level: 0.0, shear: 0.0, slide: 0.0 };
         keys.push(at);
@@ -308,7 +324,7 @@ impl Schedule<'_> {
             let [load, hold] = if i == 0 {
                 [load, hold]
             } else {
-                [t.load, held].map(|[low, high]| draw.more.random_range(low..=high))
+                [loaded, held].map(|[low, high]| draw.more.random_range(low..=high))
             };
             key = go(load, Key { phase: Phase::Load, level: *step, ..key });
             key = match slide {
@@ -316,7 +332,7 @@ impl Schedule<'_> {
                 None => go(hold, Key { phase: Phase::Hold, ..key }),
             };
             if sheared {
-                let [load, hold] = [t.load, held].map(|[low, high]| draw.more.random_range(low..=high));
+                let [load, hold] = [loaded, held].map(|[low, high]| draw.more.random_range(low..=high));
                 key = go(load, Key { phase: Phase::Load, shear: *step, ..key });
                 key = go(hold, Key { phase: Phase::Hold, ..key });
             }

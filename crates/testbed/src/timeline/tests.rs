@@ -428,6 +428,28 @@ fn named_places_lie_on_the_surface() {
     insta::assert_snapshot!(refused("[0.0, 0.0095, 0.0]"), @"plan some.toml: field `steps[0].at[1]`: (0, 0.0095, 0) m is nearer to the rim than the margin of 0.002 m");
 }
 
+#[test]
+fn a_step_may_be_done_at_another_speed_and_a_place_that_is_named_again_is_the_same() {
+    let place = "[[steps]]\nkind = \"places\"\nforces = [0.2]\nat = ";
+    let timeline = carried_out(&format!(
+        "{place}[[0.001, 0.0, 0.0], [0.003, 0.0, 0.0]]\n\
+         {place}[[0.003, 0.0, 0.0]]\nload = [0.5, 0.5]\nunload = [0.3, 0.3]\ngap = [1.0, 1.0]\n\
+         {place}[[0.005, 0.0, 0.0]]\n"
+    ))
+    .unwrap();
+    let mut seen: BTreeMap<u64, (u32, usize, usize)> = BTreeMap::new();
+    for moment in moments(&timeline).iter().filter(|m| m.press > 0) {
+        let of = seen.entry(moment.press).or_insert((moment.location, 0, 0));
+        of.0 = of.0.max(moment.location);
+        of.1 += usize::from(moment.phase == Phase::Load);
+        of.2 += usize::from(moment.phase == Phase::Unload);
+    }
+    let locations: Vec<u32> = seen.values().map(|(location, ..)| *location).collect();
+    assert_eq!(locations, [1, 2, 2, 3]);
+    let (quick, slow) = (seen[&1], seen[&3]);
+    assert!(slow.1 > 10 * quick.1 && slow.2 > 6 * quick.2, "{quick:?} {slow:?}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
