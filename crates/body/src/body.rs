@@ -2,6 +2,8 @@
 
 use nalgebra::{Isometry3, Unit, Vector3};
 
+use crate::dynamics::Inertia;
+
 /// How a joint moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointKind {
@@ -65,6 +67,8 @@ pub struct Joint {
 pub struct Body {
     pub(crate) name: String,
     pub(crate) links: Vec<String>,
+    /// One a link; `None` where the file does not tell.
+    pub(crate) inertias: Vec<Option<Inertia>>,
     pub(crate) joints: Vec<Joint>,
     /// Joint above each link; `None` for the root.
     pub(crate) above: Vec<Option<usize>>,

@@ -18,10 +18,10 @@ use crate::wrench::Wrench;
 /// Poses of all links for one set of joint positions.
 #[derive(Debug, Clone)]
 pub struct Poses<'a> {
-    body: &'a Body,
-    links: Vec<Isometry3<f64>>,
+    pub(crate) body: &'a Body,
+    pub(crate) links: Vec<Isometry3<f64>>,
     /// Axis and a point on it, in the frame of the root; one a joint.
-    axes: Vec<(Vector3<f64>, Point3<f64>)>,
+    pub(crate) axes: Vec<(Vector3<f64>, Point3<f64>)>,
 }
 
 impl Body {

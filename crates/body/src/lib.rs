@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`Body`] | which links and joints are there? (URDF) |
 //! | [`Poses`] | where is each link for these joint positions, and how does a point on a link move with the joints? |
+//! | [`Inertia`], [`Momentum`] | what does it take to move the links? |
 //! | [`JointHistory`] | where were the joints when a frame was acquired? |
 //! | [`Wrench`] | the same forces about another point, in another frame |
 //! | [`Robot`] | which skins are on which links? (robot file) |
@@ -37,6 +38,7 @@
 //! ```
 
 mod body;
+mod dynamics;
 mod history;
 mod kinematics;
 mod robot;
@@ -45,6 +47,7 @@ mod urdf;
 mod wrench;
 
 pub use body::{Body, Joint, JointKind, Limits, Mimic};
+pub use dynamics::{Inertia, Momentum};
 pub use history::{HistoryLimits, JointHistory, JointsAt, MissingJoint, Refused};
 pub use kinematics::Poses;
 pub use robot::{BodyTaxel, Robot, RobotError, SkinOnBody};

@@ -1,7 +1,8 @@
 //! URDF text → [`Body`].
 //!
-//! What is read: links, joints (fixed, revolute, continuous, prismatic, mimic), origins, axes and limits. Inertias, shapes,
+//! What is read: links and their inertias, joints (fixed, revolute, continuous, prismatic, mimic), origins, axes and limits. Shapes,
 //! transmissions and whatever else a file has are ignored: nothing here computes with them. xacro has to be expanded before.
+//! A link whose `inertial` has no mass is one without inertia.
 //!
 //! The XML is read by `roxmltree`: it gives a tree with line numbers, so that an error names the place; it refuses document type
 //! definitions, and with them entities that grow; it is one small crate without unsafe code. `urdf-rs` reads the same files, but
@@ -12,10 +13,11 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::body::{Body, Joint, JointKind, Limits, Mimic};
+use crate::dynamics::Inertia;
 
 /// Most XML nodes of a file.
 const NODES: u32 = 1 << 20;
@@ -102,6 +104,11 @@ struct Read<'a, 'i> {
     node: Node<'a, 'i>,
 }
 
+/// The first child with this tag.
+fn child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Option<Node<'a, 'i>> {
+    node.children().find(|n| n.has_tag_name(tag))
+}
+
 struct Reader<'a, 'i> {
     document: &'a Document<'i>,
     file: &'a str,
@@ -141,6 +148,7 @@ impl<'a, 'i> Reader<'a, 'i> {
             );
         }
         let (links, index) = self.links(robot)?;
+        let inertias = self.inertias(robot)?;
         let read = self.joints(robot, &index)?;
         let mut above = vec![None; links.len()];
         for (j, Read { joint, node, .. }) in read.iter().enumerate() {
@@ -157,7 +165,7 @@ impl<'a, 'i> Reader<'a, 'i> {
         let (joints, coordinates) = self.movers(read)?;
         let order = self.order(&links, &joints, root)?;
         let name = robot.attribute("name").unwrap_or_default().to_owned();
-        Ok(Body { name, links, joints, above, order, root, coordinates })
+        Ok(Body { name, links, inertias, joints, above, order, root, coordinates })
     }
 
     /// The children of the robot with this tag, each with its name.
@@ -188,6 +196,29 @@ impl<'a, 'i> Reader<'a, 'i> {
         Ok((named.into_iter().map(|(name, _)| name.to_owned()).collect(), index))
     }
 
+    fn inertias(&self, robot: Node<'a, 'i>) -> Result<Vec<Option<Inertia>>, UrdfError> {
+        let links = robot.children().filter(|n| n.has_tag_name("link"));
+        links.map(|link| child(link, "inertial").map_or(Ok(None), |n| self.inertia(n))).collect()
+    }
+
+    fn inertia(&self, node: Node<'_, '_>) -> Result<Option<Inertia>, UrdfError> {
+        let Some(mass) = child(node, "mass") else { return Ok(None) };
+        let mass = self.number(mass, "value", 0.0)?;
+        let pose = child(node, "origin").map_or(Ok(Isometry3::identity()), |n| self.origin(n))?;
+        let mut tensor = Matrix3::zeros();
+        if let Some(inertia) = child(node, "inertia") {
+            let keys =
+                [("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2)];
+            for (key, row, column) in keys {
+                let value = self.number(inertia, key, 0.0)?;
+                (tensor[(row, column)], tensor[(column, row)]) = (value, value);
+            }
+        }
+        let turn = pose.rotation.to_rotation_matrix();
+        let tensor = turn * tensor * turn.transpose();
+        Ok(Some(Inertia { mass, center: Point3::from(pose.translation.vector), tensor }))
+    }
+
     fn joints(
         &self,
         robot: Node<'a, 'i>,
@@ -203,7 +234,7 @@ impl<'a, 'i> Reader<'a, 'i> {
         node: Node<'a, 'i>,
         links: &HashMap<&'a str, usize>,
     ) -> Result<Read<'a, 'i>, UrdfError> {
-        let child_of = |tag: &str| node.children().find(|n| n.has_tag_name(tag));
+        let child_of = |tag: &str| child(node, tag);
         let kind = match node.attribute("type") {
             Some("fixed") => JointKind::Fixed,
             Some("revolute") => JointKind::Revolute,

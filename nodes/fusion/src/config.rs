@@ -18,6 +18,9 @@
 //!
 //! [settings]                   # see `Settings`
 //! hold = 0.05
+//!
+//! [torques]                    # see `TorqueSettings`; where it is there, unexplained joint torques are contacts
+//! deviation_share = 0.02
 //! ```
 
 use std::collections::BTreeMap;
@@ -29,6 +32,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cause::{Expected, SelfContact};
 use crate::settings::Settings;
+use crate::torque::TorqueSettings;
 
 /// Which coordinate frames are published.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
@@ -68,6 +72,10 @@ pub struct Config {
     /// Assumptions of the estimator.
     #[serde(default)]
     pub settings: Settings,
+    /// Assumptions of joint torques. Where it is there, what joints feel beyond what skins explain is a contact; otherwise only
+    /// a torque.
+    #[serde(default)]
+    pub torques: Option<TorqueSettings>,
     /// How long joint states count.
     #[serde(default)]
     pub joint_states: HistoryLimits,
@@ -145,6 +153,7 @@ impl Config {
             expected: Vec::new(),
             self_contact: Vec::new(),
             settings: Settings::default(),
+            torques: None,
             joint_states: HistoryLimits::default(),
             name: usual_name(),
             namespace: root(),

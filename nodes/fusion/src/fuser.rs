@@ -3,18 +3,19 @@
 //! [`Fuser`] takes messages as they come and answers with a [`BodyState`] whenever it is asked. It opens nothing and reads no clock: whoever
 //! calls it says what time it is.
 
-use dermis_body::{
-    HistoryLimits, JointHistory, JointKind, JointsAt, Poses, Refused, Robot, SkinOnBody, Wrench,
-};
+use dermis_body::{HistoryLimits, JointHistory, JointKind, JointsAt, Refused, Robot, SkinOnBody, Wrench};
 use dermis_msgs::msg::ContactArray;
-use dermis_skin::{Contact, ForceComponents, Stamp};
-use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use dermis_skin::{Contact, Stamp};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::cause::{Cause, CauseError, Causes, Expected, SelfContact};
 use crate::group::{Group, Identities, Report, Taken};
 use crate::intake::{Health, Intake, Verdict};
 use crate::settings::{SettingError, Settings};
-use crate::track::{Detection, Track, hide_unmeasured, seconds};
+use crate::torque::{JointValues, Observer, TorqueError, TorqueSettings, Torques, explained};
+use crate::touch::{BodyTouch, LinkLoad, load, place};
+use crate::track::{Detection, seconds};
+use crate::unknown::Unknowns;
 
 /// \[s\] by which the newest reading may be behind and still be the instant that an answer is for.
 const LONGEST_LAG: f64 = 0.1;
@@ -29,14 +30,17 @@ pub enum FuserError {
     /// An expected contact that cannot be.
     #[error(transparent)]
     Cause(#[from] CauseError),
+    /// Something of joint torques that cannot be.
+    #[error(transparent)]
+    Torque(#[from] TorqueError),
 }
 
 /// A skin as the fuser knows it.
 #[derive(Debug)]
-struct SkinState {
+pub(crate) struct SkinState {
     intake: Intake,
     group: usize,
-    top_from_skin: Isometry3<f64>,
+    pub top_from_skin: Isometry3<f64>,
     felt: bool,
 }
 
@@ -47,46 +51,6 @@ pub struct SkinAt {
     pub skin: usize,
     /// What it can feel now.
     pub health: Health,
-}
-
-/// A contact on the body.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BodyTouch {
-    /// In the frame of its link; its force is what counts, less what is expected there.
-    pub contact: Contact,
-    /// Link that it is on.
-    pub link: usize,
-    /// Skins that feel it and what they call it, the most certain first.
-    pub skins: Vec<(usize, u32)>,
-    /// Its link in the body frame; NaN where joint positions are not known.
-    pub body_from_link: Isometry3<f64>,
-    /// Contact frame in the body frame, z along the outward normal; NaN where joint positions or the place are not known.
-    pub body_from_contact: Isometry3<f64>,
-    /// \[m/s\] over its link, in the frame of the link; NaN where not known.
-    pub velocity: Vector3<f64>,
-    /// \[m²/s²\]
-    pub velocity_covariance: Matrix3<f64>,
-    /// When it was felt first.
-    pub born: Stamp,
-    /// When the latest reading that it rests on was acquired.
-    pub seen: Stamp,
-    /// What it is due to.
-    pub cause: Cause,
-}
-
-/// What acts on one link with skins.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LinkLoad {
-    /// The link.
-    pub link: usize,
-    /// About the link's origin, in its frame.
-    pub wrench: Wrench,
-    /// About the origin of the body frame, in that frame; NaN where joint positions are not known.
-    pub body_wrench: Wrench,
-    /// \[N²\] of the force; NaN where unknown.
-    pub force_covariance: Matrix3<f64>,
-    /// The worst status of its skins.
-    pub status: u8,
 }
 
 /// What the whole body feels at an instant.
@@ -109,6 +73,8 @@ pub struct BodyState {
     /// \[N m\], or \[N\] at prismatic joints, that the contacts put on each joint of the body's coordinates; empty where no joint states
     /// have come.
     pub torques: Vec<f64>,
+    /// What the joints feel beyond what all contacts of skins put on them; `None` where they tell nothing.
+    pub unexplained: Option<Torques>,
     /// Joint positions at the stamp.
     pub joints: JointsAt,
 }
@@ -124,7 +90,7 @@ fn badness(status: u8) -> u8 {
     }
 }
 
-fn worse(a: u8, b: u8) -> u8 {
+pub(crate) fn worse(a: u8, b: u8) -> u8 {
     if badness(b) > badness(a) { b } else { a }
 }
 
@@ -157,6 +123,10 @@ pub struct Fuser {
     newest: Option<Stamp>,
     /// Stamp of the last answer.
     answered: Option<Stamp>,
+    observer: Observer,
+    unknowns: Unknowns,
+    /// Whether unexplained torques are contacts.
+    reports_unknown: bool,
 }
 
 impl Fuser {
@@ -194,6 +164,9 @@ impl Fuser {
         let joints = JointHistory::new(&robot.body, limits);
         let groups = tops.iter().map(|_| Group::default()).collect();
         Ok(Self {
+            observer: Observer::new(&robot, TorqueSettings::default())?,
+            unknowns: Unknowns::default(),
+            reports_unknown: false,
             robot,
             settings,
             causes,
@@ -207,6 +180,23 @@ impl Fuser {
             newest: None,
             answered: None,
         })
+    }
+
+    /// Takes what joints feel beyond what skins explain for contacts, with these assumptions.
+    ///
+    /// # Errors
+    ///
+    /// [`TorqueError`] names the field.
+    pub fn report_unknown(&mut self, settings: &TorqueSettings) -> Result<(), FuserError> {
+        self.observer = Observer::new(&self.robot, settings.clone())?;
+        self.reports_unknown = true;
+        Ok(())
+    }
+
+    /// Why some joint's torque tells nothing, in one sentence; `None` where each does.
+    #[must_use]
+    pub fn torque_sentence(&self) -> Option<String> {
+        self.observer.sentence(&self.robot)
     }
 
     /// The robot and its skins.
@@ -286,6 +276,17 @@ impl Fuser {
         Ok(())
     }
 
+    /// The same with velocities and efforts.
+    ///
+    /// # Errors
+    ///
+    /// As [`take_joints`](Self::take_joints).
+    pub fn take_joint_values(&mut self, stamp: Stamp, values: &JointValues<'_>) -> Result<(), Refused> {
+        self.take_joints(stamp, values.names, values.positions)?;
+        self.observer.take(&self.robot, stamp, values, self.rest.as_deref());
+        Ok(())
+    }
+
     /// Takes joints that no state has told of for resting at 0, or at the limit next to it.
     pub fn assume_rest(&mut self) {
         let rest = |joint: &dermis_body::Joint| {
@@ -326,6 +327,8 @@ impl Fuser {
         }
         self.joints = JointHistory::new(&self.robot.body, limits);
         (self.newest, self.answered) = (None, None);
+        self.observer.reset();
+        self.unknowns.clear();
     }
 
     /// What each skin can feel at `now`. Contacts of those that feel nothing any more end.
@@ -378,7 +381,27 @@ impl Fuser {
             }
         }
         let (status, text) = self.verdict(&skins, &joints);
-        BodyState { stamp, status, text, skins, contacts, links: loads, net, torques, joints }
+        if self.observer.hears() {
+            let load = explained(&self.robot, &poses, &contacts, self.observer.settings().unmeasured_shear);
+            self.observer.advance(&self.robot, stamp, load);
+        }
+        let unexplained = self.observer.unexplained(&self.robot, self.settings.reorder);
+        contacts.extend(self.unknown(unexplained.as_ref()));
+        BodyState { stamp, status, text, skins, contacts, links: loads, net, torques, unexplained, joints }
+    }
+
+    /// Contacts that only joints feel.
+    fn unknown(&mut self, torques: Option<&Torques>) -> Vec<BodyTouch> {
+        let (Some(torques), Some((at, positions))) = (torques, self.observer.positions()) else {
+            self.unknowns.clear();
+            return Vec::new();
+        };
+        if !self.reports_unknown {
+            return Vec::new();
+        }
+        let identity = || self.identities.fresh();
+        self.unknowns.take(&self.robot.body, at, torques, positions, self.observer.settings(), identity);
+        self.unknowns.touches(&self.robot, &self.robot.body.poses(positions), torques)
     }
 
     /// The worst of all skins, and a sentence for each thing that is wrong.
@@ -417,67 +440,6 @@ impl Fuser {
             }
         }
     }
-}
-
-/// A track as a contact on its link and on the body; `None` where no skin feels it.
-fn place(
-    track: &Track,
-    robot: &Robot,
-    skins: &[SkinState],
-    poses: &Poses<'_>,
-    causes: &Causes,
-) -> Option<BodyTouch> {
-    let first = track.sources.first()?.skin;
-    let link = robot.skins[first].link;
-    // The same link in the frame of the group, by way of the skin.
-    let link_from_top = robot.skins[first].pose * skins[first].top_from_skin.inverse();
-    let turn = link_from_top.rotation.to_rotation_matrix();
-    let (mut contact, velocity, velocity_covariance) = track.estimate();
-    contact.position = link_from_top * contact.position;
-    contact.normal = turn * contact.normal;
-    contact.force = turn * contact.force;
-    for covariance in [&mut contact.position_covariance, &mut contact.force_covariance] {
-        *covariance = turn * *covariance * turn.transpose();
-    }
-    hide_unmeasured(&mut contact);
-    let mut cause = Cause::Environment;
-    if contact.force_components != ForceComponents::None {
-        (contact.force, cause) = causes.left(link, &contact.position, &contact.force);
-    }
-    let along =
-        nalgebra::UnitQuaternion::rotation_between(&Vector3::z(), &contact.normal).unwrap_or_else(|| {
-            nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
-        });
-    let link_from_contact = Isometry3::from_parts(contact.position.into(), along);
-    let body_from_link = poses.between(robot.base, link);
-    Some(BodyTouch {
-        body_from_contact: body_from_link * link_from_contact,
-        body_from_link,
-        link,
-        skins: track.sources.iter().map(|s| (s.skin, s.track)).collect(),
-        velocity: turn * velocity,
-        velocity_covariance: turn * velocity_covariance * turn.transpose(),
-        born: track.born,
-        seen: track.seen,
-        cause,
-        contact,
-    })
-}
-
-/// Sum of what acts on one link. The robot's own touch acts on both its links and counts on each.
-fn load(link: usize, robot: &Robot, skins: &[SkinAt], contacts: &[BodyTouch], poses: &Poses<'_>) -> LinkLoad {
-    let (mut wrench, mut covariance) = (Wrench::zero(), Matrix3::zeros());
-    for touch in contacts.iter().filter(|c| c.link == link && c.cause != Cause::Expected) {
-        wrench += Wrench::of_force(touch.contact.force, touch.contact.position);
-        covariance += touch.contact.force_covariance;
-    }
-    let of_link = skins.iter().filter(|s| robot.skins[s.skin].link == link);
-    let status = of_link.fold(ContactArray::STATUS_OK, |worst, s| worse(worst, s.health.status));
-    // What nothing touches feels nothing, wherever it is.
-    let untouched = wrench == Wrench::zero();
-    let body_wrench =
-        if untouched { Wrench::zero() } else { wrench.seen_from(&poses.between(robot.base, link)) };
-    LinkLoad { link, wrench, body_wrench, force_covariance: covariance, status }
 }
 
 #[cfg(test)]

@@ -304,15 +304,18 @@ impl Identities {
         known.filter(|id| !used.contains(id)).min()
     }
 
+    /// An identity that no contact had.
+    pub(crate) fn fresh(&mut self) -> u32 {
+        self.last = self.last.checked_add(1).unwrap_or(1);
+        self.last
+    }
+
     /// Gives every track that is published an identity: its own, or that which its skins' contacts had a moment ago, or a new one.
     fn give(&mut self, tracks: &mut [Track], at: Stamp, s: &Settings) {
         let mut used: Vec<u32> = tracks.iter().map(|t| t.id).filter(|id| *id != 0).collect();
         for track in tracks.iter_mut().filter(|t| t.hits >= s.births) {
             if track.id == 0 {
-                track.id = self.before(track, &used, s).unwrap_or_else(|| {
-                    self.last = self.last.checked_add(1).unwrap_or(1);
-                    self.last
-                });
+                track.id = self.before(track, &used, s).unwrap_or_else(|| self.fresh());
                 used.push(track.id);
             }
             for source in &track.sources {

@@ -7,6 +7,10 @@
 //! | `group` | which contacts of skins that are rigidly connected are the same, and the same as before? |
 //! | `track` | where is one contact, how does it move, how hard does it press? |
 //! | `filter` | how certain is that, where errors of a skin stay? |
+//! | `slip` | does a contact slip? |
+//! | `torque` | what do joints feel beyond what skins explain? |
+//! | `unknown` | which links can that be on? |
+//! | `maps` | what force acts on each point of all skins? |
 //! | `cause` | is a contact expected, or the robot's own? |
 //! | [`Settings`] | what is assumed of skins and contacts? |
 //! | [`messages`] | what the body feels, as messages |
@@ -19,21 +23,29 @@ mod filter;
 mod fuser;
 mod group;
 mod intake;
+mod maps;
 pub mod messages;
 mod node;
 mod settings;
+mod slip;
 #[cfg(test)]
 mod testing;
+mod torque;
+mod touch;
 mod track;
+mod unknown;
 
 use dermis_node::Backend;
 
 pub use cause::{Cause, CauseError, Expected, SelfContact};
 pub use config::{Config, ConfigError, Transforms};
-pub use fuser::{BodyState, BodyTouch, Fuser, FuserError, LinkLoad, SkinAt};
+pub use fuser::{BodyState, Fuser, FuserError, SkinAt};
 pub use intake::Health;
 pub use node::{FusionNode, RunError};
 pub use settings::{SettingError, Settings};
+pub use slip::Slip;
+pub use torque::{JointValues, TorqueError, TorqueSettings, Torques};
+pub use touch::{BodyTouch, LinkLoad};
 
 /// Runs a node until it is stopped by a signal or through its lifecycle.
 ///

@@ -15,7 +15,10 @@ use dermis_skin::{Contact, Stamp};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use crate::cause::Cause;
-use crate::fuser::{BodyState, BodyTouch, LinkLoad};
+use crate::fuser::BodyState;
+use crate::slip::Slip;
+use crate::torque::Torques;
+use crate::touch::{BodyTouch, LinkLoad};
 
 /// Namespace of the markers among those of a viewer.
 pub const MARKERS: &str = "body_contacts";
@@ -53,6 +56,10 @@ pub fn body_contacts(robot: &Robot, state: &BodyState, sequence: u64) -> BodyCon
     } else {
         robot.body.coordinates().map(|joint| joint.name.clone()).collect()
     };
+    let unexplained = |of: fn(&Torques) -> &Vec<f64>| match &state.unexplained {
+        Some(torques) if !joints.is_empty() => of(torques).clone(),
+        _ => vec![f64::NAN; joints.len()],
+    };
     BodyContacts {
         header: header(robot, state.stamp),
         sequence,
@@ -75,8 +82,8 @@ pub fn body_contacts(robot: &Robot, state: &BodyState, sequence: u64) -> BodyCon
         contacts: state.contacts.iter().map(|touch| contact(robot, touch)).collect(),
         wrenches: state.links.iter().map(|load| link_wrench(robot, load)).collect(),
         net_wrench: wrench(&state.net),
-        unexplained_torques: vec![f64::NAN; joints.len()],
-        unexplained_variances: vec![f64::NAN; joints.len()],
+        unexplained_torques: unexplained(|t| &t.values),
+        unexplained_variances: unexplained(|t| &t.variances),
         joints,
         joint_torques: state.torques.clone(),
     }
@@ -86,7 +93,7 @@ fn contact(robot: &Robot, touch: &BodyTouch) -> BodyContact {
     BodyContact {
         contact: (&touch.contact).into(),
         link: robot.body.links()[touch.link].clone(),
-        other_links: Vec::new(),
+        other_links: touch.other_links.iter().map(|link| robot.body.links()[*link].clone()).collect(),
         skins: touch.skins.iter().map(|(skin, _)| robot.skins[*skin].name.clone()).collect(),
         skin_tracks: touch.skins.iter().map(|(_, track)| *track).collect(),
         body_from_contact: pose(&touch.body_from_contact),
@@ -94,8 +101,13 @@ fn contact(robot: &Robot, touch: &BodyTouch) -> BodyContact {
         velocity_covariance: rows(&touch.velocity_covariance),
         stamp: Time::from_nanos(touch.seen),
         age: Duration::from_nanos(touch.seen.saturating_sub(touch.born)),
-        slip: BodyContact::SLIP_UNKNOWN,
-        slip_confidence: f32::NAN,
+        slip: match touch.slip.0 {
+            Slip::Unknown => BodyContact::SLIP_UNKNOWN,
+            Slip::None => BodyContact::SLIP_NONE,
+            Slip::Incipient => BodyContact::SLIP_INCIPIENT,
+            Slip::Gross => BodyContact::SLIP_GROSS,
+        },
+        slip_confidence: touch.slip.1 as f32,
         cause: match touch.cause {
             Cause::Environment => BodyContact::CAUSE_ENVIRONMENT,
             Cause::OwnBody => BodyContact::CAUSE_SELF,

@@ -22,10 +22,13 @@ use dermis_node::{
 
 use crate::config::{Config, Transforms};
 use crate::fuser::{BodyState, Fuser, FuserError, contacts_topic};
+use crate::maps::Maps;
 use crate::messages;
 use crate::settings::{BIRTHS, FIELDS};
+use crate::torque::JointValues;
 
 mod diagnostics;
+mod maps;
 
 /// Messages that are sent again to a subscriber who asks for reliable delivery and lost them.
 const KEPT: usize = 10;
@@ -39,6 +42,8 @@ const TRAILING: Duration = Duration::from_millis(2);
 const HEARTBEAT: Duration = Duration::from_millis(100);
 /// Shortest time between two marker messages: viewers draw 30 times a second.
 const MARKER_PERIOD: Duration = Duration::from_millis(33);
+/// Shortest time between two clouds of force maps.
+const MAP_PERIOD: Duration = Duration::from_millis(33);
 /// \[s\] after which arrows vanish that nobody renews.
 const MARKER_LIFE: f64 = 0.3;
 /// \[Hz\] fastest rate of answers.
@@ -87,6 +92,7 @@ struct Publishers {
     net: Publisher<WrenchStamped>,
     torques: Publisher<JointState>,
     points: Publisher<PointCloud2>,
+    maps: Publisher<PointCloud2>,
     markers: Publisher<MarkerArray>,
     moving: Option<Publisher<TFMessage>>,
     fixed: Option<Publisher<TFMessage>>,
@@ -101,6 +107,10 @@ struct Core {
     pending: bool,
     markers_sent: Option<Instant>,
     arrows: bool,
+    maps: Maps,
+    maps_sent: Option<Instant>,
+    /// Why the last map of a skin was refused.
+    maps_refused: Option<(String, Instant)>,
     /// What was last wrong with each skin.
     texts: Vec<String>,
     joints_text: String,
@@ -120,13 +130,16 @@ struct Shared {
     eager: bool,
     active: AtomicBool,
     core: Mutex<Core>,
+    /// Subscriptions of the skins' maps, while somebody listens to what is made of them.
+    map_subscriptions: Mutex<Vec<Subscription>>,
 }
 
 /// A running node; dropping it stops it.
 ///
-/// Topics, relative to its namespace: `body_contacts`, `net_wrench`, `joint_torques`, `contact_points`, `contact_markers` and, for each
-/// link with skins, `links/<link>/wrench`; `/tf_static` and, where the configuration says so, `/tf`. It subscribes `contacts` in the
-/// namespace of each skin of the robot file, and `/joint_states`.
+/// Topics, relative to its namespace: `body_contacts`, `net_wrench`, `joint_torques`, `contact_points`, `contact_markers`, `force_points` and,
+/// for each link with skins, `links/<link>/wrench`; `/tf_static` and, where the configuration says so, `/tf`. It subscribes `contacts` in
+/// the namespace of each skin of the robot file, and `/joint_states`; `skin_geometry` and `force_map` of the skins while somebody
+/// subscribes `force_points`.
 pub struct FusionNode {
     shared: Arc<Shared>,
     _subscriptions: Vec<Subscription>,
@@ -156,13 +169,16 @@ impl FusionNode {
         let limits = config.joint_states;
         let mut fuser =
             Fuser::new(robot.clone(), config.settings, limits, &config.expected, &config.self_contact)?;
+        if let Some(torques) = &config.torques {
+            fuser.report_unknown(torques)?;
+        }
         if config.assume_rest {
             fuser.assume_rest();
         }
         let node = Node::open(options(config)?, backend)?;
         declare(&node, config)?;
         let publishers = Publishers::new(&node, &robot, config.transforms)?;
-        let skins = robot.skins.len();
+        let (skins, robot_of_maps) = (robot.skins.len(), robot.clone());
         let shared = Arc::new(Shared {
             node: node.clone(),
             robot,
@@ -178,12 +194,16 @@ impl FusionNode {
                 pending: false,
                 markers_sent: None,
                 arrows: false,
+                maps: Maps::new(&robot_of_maps),
+                maps_sent: None,
+                maps_refused: None,
                 texts: vec![String::new(); skins],
                 joints_text: String::new(),
                 joints_refused: None,
                 last: None,
                 answers: (0, 0),
             }),
+            map_subscriptions: Mutex::default(),
         });
         shared.take_parameters();
         shared.follow();
@@ -273,6 +293,7 @@ impl Publishers {
             net: node.stream_publisher("net_wrench", KEPT)?,
             torques: node.stream_publisher("joint_torques", KEPT)?,
             points: node.stream_publisher("contact_points", KEPT)?,
+            maps: node.stream_publisher("force_points", KEPT)?,
             markers: node.stream_publisher("contact_markers", KEPT)?,
             moving: moving.then(|| node.stream_publisher("/tf", KEPT)).transpose()?,
             fixed: fixed.then(|| node.publisher("/tf_static", Qos::latched())).transpose()?,
@@ -365,7 +386,13 @@ impl Shared {
         }
         let stamp = message.header.stamp.as_nanos();
         let mut core = self.lock();
-        if let Err(refused) = core.fuser.take_joints(stamp, &message.name, &message.position) {
+        let values = JointValues {
+            names: &message.name,
+            positions: &message.position,
+            velocities: &message.velocity,
+            efforts: &message.effort,
+        };
+        if let Err(refused) = core.fuser.take_joint_values(stamp, &values) {
             let text = refused.to_string();
             if core.joints_refused.as_ref().is_none_or(|(before, _)| *before != text) {
                 tracing::warn!("{text}");
@@ -383,7 +410,8 @@ impl Shared {
     }
 
     /// Answers at the configured rate, or what no report answered.
-    fn tick(&self) {
+    fn tick(self: &Arc<Self>) {
+        self.follow_maps();
         // With simulated time there is none before the first message of the clock.
         if !self.active.load(Ordering::Acquire) || self.node.clock().now() == 0 {
             return;
@@ -423,6 +451,14 @@ impl Shared {
             }
         } else if std::mem::take(&mut core.arrows) {
             publishers.markers.offer(|| Some(messages::no_markers(robot, state.stamp)));
+        }
+        if core.maps_sent.is_none_or(|at| at.elapsed() >= MAP_PERIOD) {
+            core.maps_sent = Some(Instant::now());
+            core.publishers.maps.offer(|| {
+                let poses = robot.body.poses(&state.joints.positions);
+                let feels: Vec<bool> = state.skins.iter().map(|s| s.health.feels()).collect();
+                Some(core.maps.cloud(robot, &poses, state.stamp, &feels))
+            });
         }
         self.log_changes(core, &state);
         core.last = Some(state);

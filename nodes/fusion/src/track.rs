@@ -18,6 +18,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3};
 
 use crate::filter::{Filter, Reading};
 use crate::settings::Settings;
+use crate::slip::{SlipWatch, Touched};
 
 /// \[N²\] variance of a component of the force that is not measured.
 const UNMEASURED: f64 = 1e6;
@@ -174,6 +175,7 @@ pub(crate) struct Track {
     pub at: Stamp,
     /// Reports that felt it.
     pub hits: u32,
+    pub slip: SlipWatch,
 }
 
 impl Track {
@@ -187,6 +189,7 @@ impl Track {
             seen: at,
             at,
             hits: 1,
+            slip: SlipWatch::default(),
         };
         track.note(detection, skin, at, 0);
         track
@@ -269,6 +272,13 @@ impl Track {
         self.take_force(detection);
         self.note(detection, skin, at, 0);
         self.hits = self.hits.saturating_add(1);
+        let reading = Touched {
+            position: detection.place.map(|p| p.value),
+            force: detection.force.filter(|_| detection.components == ForceComponents::Full).map(|f| f.value),
+            normal: detection.normal,
+        };
+        let sources = &self.sources;
+        self.slip.take(skin, at, &reading, |s| sources.iter().any(|known| known.skin == s));
     }
 
     /// Whether a reading that a skin takes for this contact, and that is too far away, may still be of it: a first one is an outlier, and

@@ -35,6 +35,19 @@ fn links_joints_and_limits_are_read() {
 }
 
 #[test]
+fn inertias_are_read() {
+    let turned = r#"<link name="upper"><inertial><origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/><mass value="2.5"/>
+        <inertia ixx="0.3" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.35"/></inertial></link>"#;
+    let body = Body::from_urdf(&ARM.replace("<link name=\"upper\"/>", turned), "arm.urdf").unwrap();
+    assert_eq!((body.inertia(0), body.inertia(2)), (None, None), "an empty element tells nothing");
+    let inertia = body.inertia(1).unwrap();
+    assert_eq!((inertia.mass, inertia.center.x), (2.5, 0.1));
+    assert!((inertia.tensor - Matrix3::from_diagonal(&Vector3::new(0.1, 0.3, 0.35))).norm() < 1e-12);
+    let wrong = turned.replace("2.5", "heavy");
+    insta::assert_snapshot!(refused("<link name=\"upper\"/>", &wrong), @r#"robot description arm.urdf: line 5: mass of link "upper": `value` is "heavy" and must be a finite number"#);
+}
+
+#[test]
 fn chains_of_followers_end_at_the_one_that_is_free() {
     let third = r#"<link name="hand"/><joint name="wrist" type="prismatic"><parent link="fore"/><child link="hand"/>
         <mimic joint="elbow" multiplier="3" offset="1"/></joint></robot>"#;

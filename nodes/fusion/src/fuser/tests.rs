@@ -2,6 +2,9 @@
 
 mod scenarios;
 
+use dermis_skin::ForceComponents;
+use nalgebra::Matrix3;
+
 use super::*;
 use crate::testing::{BEGIN, MS, contact, fuser, report};
 

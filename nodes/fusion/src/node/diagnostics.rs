@@ -56,6 +56,14 @@ impl Shared {
             status.worsen(Level::Warn, text);
             status.value("refused joint state", text);
         }
+        let refused = core.maps_refused.as_ref().filter(|(_, at)| at.elapsed() < Duration::from_secs(1));
+        if let Some((text, _)) = refused {
+            status.worsen(Level::Warn, text);
+            status.value("refused force map", text);
+        }
+        if let Some(text) = core.fuser.torque_sentence() {
+            status.value("joint torques", text);
+        }
         let (answers, delay) = std::mem::take(&mut core.answers);
         status.value("contacts", state.contacts.len());
         status.value("answers since the last diagnostics", answers);

@@ -118,23 +118,26 @@ fn identities_switch_once_in_1000_contact_seconds_at_most() {
     assert!(more as f64 <= 0.001 * f64::from(asked), "{more} contacts too many in {asked}");
 }
 
-/// Bounds of the mean of a χ² variable with `n` degrees of freedom, divided by n, that 95 % of cases are within (Wilson and Hilferty
-/// 1931).
-fn band(n: f64) -> (f64, f64) {
+/// Standard deviations within which three normal variables all are in 95 % of cases (Bonferroni): the quantile of 1 − 0.05 / 6.
+const JOINTLY: f64 = 2.394;
+
+/// Bounds of the mean of a χ² variable with `n` degrees of freedom, divided by n, at `z` standard deviations of a normal one (Wilson and
+/// Hilferty 1931).
+fn band(n: f64, z: f64) -> (f64, f64) {
     let bound = |z: f64| (1.0 - 2.0 / (9.0 * n) + z * (2.0 / (9.0 * n)).sqrt()).powi(3);
-    (bound(-1.96), bound(1.96))
+    (bound(-z), bound(z))
 }
 
-/// Normalised squared errors of touches that move as the model says, by skins whose errors stay as they are said to.
-#[test]
-fn covariances_are_honest() {
-    let (mut position, mut force, mut velocity, mut n) = (0.0, 0.0, 0.0, 0.0);
-    for seed in 0..40 {
+/// Normalised squared errors of position, force and velocity of six touches a seed that move as the model says, by skins whose errors stay as they
+/// are said to: sums over all components, and how many.
+fn normalised_errors(seeds: std::ops::Range<u64>) -> ([f64; 3], f64) {
+    let (mut sums, mut n) = ([0.0; 3], 0.0);
+    for seed in seeds {
         let touches = (0..6)
             .map(|k| Touch::resting(0.0, 9.0, f64::from(k % 3) * 0.2, f64::from(k / 3) * 0.2, 8.0))
             .collect();
         let mut scenario = scenario(touches, 0.8);
-        (scenario.seed, scenario.moves) = (100 + seed, true);
+        (scenario.seed, scenario.moves) = (seed, true);
         scenario.settings.gain_deviation = 0.02;
         // The gain's error is that of the first force: forces must not change too much.
         scenario.settings.force_change = 2.0;
@@ -156,17 +159,26 @@ fn covariances_are_honest() {
                 let nees = |e: Vector3<f64>, p: Matrix3<f64>| {
                     (turn * e).dot(&(p.try_inverse().unwrap() * (turn * e)))
                 };
-                position += nees(error, found.contact.position_covariance);
-                force +=
-                    nees(turn.inverse() * found.contact.force - truth.force, found.contact.force_covariance);
-                velocity += nees(turn.inverse() * found.velocity - truth.velocity, found.velocity_covariance);
+                let back = turn.inverse();
+                sums[0] += nees(error, found.contact.position_covariance);
+                sums[1] += nees(back * found.contact.force - truth.force, found.contact.force_covariance);
+                sums[2] += nees(back * found.velocity - truth.velocity, found.velocity_covariance);
                 n += 3.0;
             }
         });
     }
-    assert_eq!(n, 720.0);
-    let (low, high) = band(n);
-    for (what, sum) in [("position", position), ("force", force), ("velocity", velocity)] {
+    (sums, n)
+}
+
+/// Touches and biases of all seeds are independent of each other, so that every component counts. The band is that of all three sums
+/// together: where each has a band of 95 % of its own, one of three is outside in one of seven runs. Of 14,400 touches (seeds 10,000 to 12,400) the means
+/// were 1.007, 1.009 and 0.996, with a standard deviation of 0.007.
+#[test]
+fn covariances_are_honest() {
+    let (sums, n) = normalised_errors(100..300);
+    assert_eq!(n, 3600.0);
+    let (low, high) = band(n, JOINTLY);
+    for (what, sum) in ["position", "force", "velocity"].into_iter().zip(sums) {
         let mean = sum / n;
         assert!((low..high).contains(&mean), "{what}: {mean} is not within {low}..{high}");
     }

@@ -1,0 +1,317 @@
+//! A simulated arm of seven joints with one skin, whose efforts are those of its motion, of friction, of noise and of what touches it.
+
+use dermis_body::HistoryLimits;
+use dermis_skin::Contact;
+use nalgebra::Point3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::fuser::{BodyState, Fuser};
+use crate::settings::Settings;
+use crate::testing::{BEGIN, MS, contact, normal, report};
+
+/// Axes and lengths \[m\] of the links, and their masses \[kg\], as of a light arm.
+const LINKS: [([i32; 3], f64, f64); 7] = [
+    ([0, 0, 1], 0.16, 3.5),
+    ([0, 1, 0], 0.20, 3.5),
+    ([0, 0, 1], 0.20, 2.5),
+    ([0, -1, 0], 0.20, 2.5),
+    ([0, 0, 1], 0.20, 1.5),
+    ([0, 1, 0], 0.10, 1.5),
+    ([0, 0, 1], 0.12, 0.6),
+];
+/// \[N m\] limits of the joints.
+const LIMITS: [f64; 7] = [100.0, 100.0, 60.0, 60.0, 30.0, 20.0, 10.0];
+/// \[s\] between joint states.
+const STEP: f64 = 0.002;
+
+fn urdf() -> String {
+    let mut text = "<robot name='seven'><link name='l0'/>".to_owned();
+    for (i, ([x, y, z], length, mass)) in LINKS.iter().enumerate() {
+        let before = if i == 0 { 0.1 } else { LINKS[i - 1].1 };
+        let (half, across, along) = (length / 2.0, mass * length * length / 10.0, mass * 0.04 * 0.04);
+        text += &format!(
+            "<link name='l{n}'><inertial><origin xyz='0 0.01 {half}'/><mass value='{mass}'/>\
+             <inertia ixx='{across}' ixy='0' ixz='0' iyy='{across}' iyz='0' izz='{along}'/></inertial></link>\
+             <joint name='j{n}' type='revolute'><parent link='l{i}'/><child link='l{n}'/><origin xyz='0 0 {before}'/>\
+             <axis xyz='{x} {y} {z}'/><limit lower='-3' upper='3' velocity='4' effort='{limit}'/></joint>",
+            n = i + 1,
+            limit = LIMITS[i],
+        );
+    }
+    text + "</robot>"
+}
+
+fn robot(urdf: &str) -> Robot {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("r.urdf"), urdf).unwrap();
+    let text = "schema = 'dermis-robot/1'\nname = 'r'\nurdf = 'r.urdf'\n[[skins]]\nname = 'a'\n\
+                mount = { parent = 'l4', translation = [0.0, 0.05, 0.1], rpy = [-1.5707963267948966, 0.0, 0.0] }";
+    Robot::from_toml(text, &folder.path().join("r.toml")).unwrap()
+}
+
+/// A push on the arm.
+#[derive(Debug, Clone, Copy)]
+struct Push {
+    link: usize,
+    /// In the frame of the link \[m\], \[N\].
+    at: Point3<f64>,
+    force: Vector3<f64>,
+    /// \[s\]
+    from: f64,
+    to: f64,
+    /// Whether the skin feels it.
+    felt: bool,
+}
+
+struct Simulation {
+    fuser: Fuser,
+    rng: ChaCha8Rng,
+    /// \[N m\] that stays.
+    friction: Vec<f64>,
+    pushes: Vec<Push>,
+    /// \[1\] of the motion.
+    speed: f64,
+}
+
+impl Simulation {
+    fn new(seed: u64, pushes: &[Push]) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let s = TorqueSettings::default();
+        let friction = LIMITS.iter().map(|limit| limit * s.deviation_share * normal(&mut rng)).collect();
+        let settings = Settings::default();
+        let mut fuser = Fuser::new(robot(&urdf()), settings, HistoryLimits::default(), &[], &[]).unwrap();
+        fuser.report_unknown(&s).unwrap();
+        Self { fuser, rng, friction, pushes: pushes.to_vec(), speed: 1.0 }
+    }
+
+    /// Positions, velocities and accelerations at an instant.
+    fn motion(&self, t: f64) -> [Vec<f64>; 3] {
+        let each = |f: fn(f64, f64, f64) -> f64| -> Vec<f64> {
+            (0..7)
+                .map(|i| {
+                    f(
+                        0.5,
+                        self.speed * (1.0 + 0.3 * f64::from(i)),
+                        0.7 * f64::from(i) + self.speed * (1.0 + 0.3 * f64::from(i)) * t,
+                    )
+                })
+                .collect()
+        };
+        let mut all = [
+            each(|a, _, phase| a * phase.sin()),
+            each(|a, w, phase| a * w * phase.cos()),
+            each(|a, w, phase| -a * w * w * phase.sin()),
+        ];
+        // Away from the straight arm, where the wrench on the hand is not determined.
+        all[0][1] += 0.6;
+        all[0][3] += 1.2;
+        all[0][5] += 0.9;
+        all
+    }
+
+    /// Runs for `duration` \[s\]; every answer is shown.
+    fn run(&mut self, duration: f64, mut look: impl FnMut(f64, &BodyState)) {
+        let gravity = Vector3::from(TorqueSettings::default().gravity);
+        let names: Vec<String> = (1..8).map(|i| format!("j{i}")).collect();
+        let body = self.fuser.robot().body.clone();
+        let skin = self.fuser.robot().skins[0].clone();
+        for k in 1..(duration / STEP) as u64 {
+            let t = k as f64 * STEP;
+            let stamp = BEGIN + (t * 1e9).round() as i64;
+            let [q, v, a] = self.motion(t);
+            let poses = body.poses(&q);
+            let mut efforts = poses.inverse_dynamics(&v, &a, &gravity);
+            let mut felt: Vec<Contact> = Vec::new();
+            for push in self.pushes.iter().filter(|p| (p.from..p.to).contains(&t)) {
+                let wrench = Wrench::of_force(push.force, push.at).seen_from(poses.root_from(push.link));
+                let of_push = poses.torques(push.link, &wrench);
+                efforts.iter_mut().zip(of_push).for_each(|(e, t)| *e -= t);
+                if push.felt {
+                    let mut on_skin = contact(1, 0.0, 0.0, 0.0);
+                    on_skin.position = skin.pose.inverse() * push.at;
+                    on_skin.force = skin.pose.rotation.inverse() * push.force;
+                    felt.push(on_skin);
+                }
+            }
+            for (i, effort) in efforts.iter_mut().enumerate() {
+                *effort += self.friction[i] + 0.002 * LIMITS[i] * normal(&mut self.rng);
+            }
+            let v: Vec<f64> = v.iter().map(|v| v + 1e-3 * normal(&mut self.rng)).collect();
+            let values = JointValues { names: &names, positions: &q, velocities: &v, efforts: &efforts };
+            self.fuser.take_joint_values(stamp, &values).unwrap();
+            // The skin reports at 100 Hz, 10 ms late.
+            if k % 5 == 0 {
+                let then = stamp - 10 * MS;
+                self.fuser.take(0, &report("a", k, then, &felt), None, stamp);
+                look(t, &self.fuser.state(stamp));
+            }
+        }
+    }
+}
+
+fn on_hand() -> Push {
+    Push {
+        link: 7,
+        at: Point3::new(0.08, 0.05, 0.1),
+        force: Vector3::new(-14.0, 9.0, -20.0),
+        from: 0.5,
+        to: 1.3,
+        felt: false,
+    }
+}
+
+fn unknown(state: &BodyState) -> Vec<&BodyTouch> {
+    state.contacts.iter().filter(|c| c.skins.is_empty()).collect()
+}
+
+/// On 30 arms with frictions of their own: the push is found on its link and on no other, its force is within its covariance, and it ends.
+#[test]
+fn a_push_where_no_skin_is_is_found() {
+    let (mut squares, mut torque_squares, mut n) = (0.0, 0.0, 0.0);
+    for seed in 0..30 {
+        let mut simulation = Simulation::new(seed, &[on_hand()]);
+        let (mut first, mut last) = (f64::INFINITY, 0.0);
+        let mut asked = None;
+        simulation.run(1.8, |t, state| {
+            let found = unknown(state);
+            assert!(found.len() <= 1, "seed {seed} at {t} s: {found:?}");
+            let Some(touch) = found.first() else { return };
+            (first, last) = (t.min(first), t);
+            if (1.1..1.11).contains(&t) {
+                asked = Some(((*touch).clone(), state.unexplained.clone().unwrap()));
+            }
+        });
+        assert!((0.55..0.9).contains(&first), "seed {seed}: found at {first} s");
+        assert!((1.3..1.75).contains(&last), "seed {seed}: ended at {last} s");
+        let (touch, torques) = asked.expect("it is there");
+        assert_eq!((touch.link, touch.other_links.len(), touch.contact.track_id), (7, 0, 1), "seed {seed}");
+        assert!(touch.contact.position.x.is_nan() && touch.contact.confidence > 0.99);
+        let error = touch.contact.force - on_hand().force;
+        squares += error.dot(&(touch.contact.force_covariance.try_inverse().unwrap() * error));
+        let body = &simulation.fuser.robot().body;
+        let poses = body.poses(&simulation.motion(1.098)[0]);
+        let truth =
+            poses.torques(7, &Wrench::of_force(on_hand().force, on_hand().at).seen_from(poses.root_from(7)));
+        for ((found, variance), truth) in torques.values.iter().zip(&torques.variances).zip(truth) {
+            torque_squares += (found - truth).powi(2) / variance;
+        }
+        n += 1.0;
+    }
+    // Means of χ² with 90 and 210 degrees of freedom, within which 99.9 % of such runs are.
+    let (force, torque) = (squares / (3.0 * n), torque_squares / (7.0 * n));
+    println!("normalised squared error: force {force:.2}, torques {torque:.2}");
+    assert!((0.58..1.56).contains(&force), "{force}");
+    assert!((0.71..1.35).contains(&torque), "{torque}");
+}
+
+/// A link with four joints above: the torques say how hard, but not the force.
+#[test]
+fn a_push_with_few_joints_above_is_a_contact_without_a_force() {
+    let push =
+        Push { link: 4, at: Point3::new(0.05, 0.0, 0.15), force: Vector3::new(-80.0, 5.0, 0.0), ..on_hand() };
+    let mut simulation = Simulation::new(3, &[push]);
+    let mut asked = None;
+    simulation.run(1.2, |_, state| asked = unknown(state).first().map(|t| (*t).clone()).or(asked.take()));
+    let touch = asked.unwrap();
+    assert_eq!((touch.link, touch.contact.force_components), (4, ForceComponents::None));
+    // Links beyond the wrist stay possible but for those whose joint turned meanwhile.
+    assert!(!touch.other_links.contains(&4) && touch.other_links.len() <= 3, "{touch:?}");
+}
+
+/// What the skin feels leaves nothing, as it begins, while it lasts and as it ends.
+#[test]
+fn what_skins_explain_is_no_alarm() {
+    let push = Push {
+        link: 4,
+        at: Point3::new(0.01, 0.05, 0.12),
+        force: Vector3::new(5.0, -40.0, 8.0),
+        felt: true,
+        ..on_hand()
+    };
+    for seed in 0..20 {
+        let mut simulation = Simulation::new(200 + seed, &[push]);
+        let mut felt = 0;
+        simulation.run(1.8, |t, state| {
+            assert!(unknown(state).is_empty(), "seed {seed} at {t} s: {state:?}");
+            felt += usize::from(!state.contacts.is_empty());
+        });
+        assert!(felt > 60, "{felt} answers with the contact");
+    }
+    // The same push, where the skin is silent of it, is one.
+    let mut simulation = Simulation::new(200, &[Push { felt: false, ..push }]);
+    let mut found = 0;
+    simulation.run(1.8, |_, state| found += unknown(state).len());
+    assert!(found > 40, "{found}");
+}
+
+/// Fast motion, without a touch.
+#[test]
+fn motion_is_no_touch() {
+    let mut simulation = Simulation::new(9, &[]);
+    simulation.speed = 3.0;
+    let mut asked = 0;
+    simulation.run(4.0, |t, state| {
+        assert!(unknown(state).is_empty(), "at {t} s");
+        asked += usize::from(state.unexplained.is_some());
+    });
+    assert!(asked > 350);
+}
+
+#[test]
+fn without_efforts_or_inertias_one_sentence_says_so() {
+    let names = |n: usize| -> Vec<String> { (1..=n).map(|i| format!("j{i}")).collect() };
+    let ask = |urdf: &str, efforts: &[f64]| {
+        let limits = HistoryLimits::default();
+        let mut fuser = Fuser::new(robot(urdf), Settings::default(), limits, &[], &[]).unwrap();
+        for k in 0..400 {
+            let stamp = BEGIN + k * 2 * MS;
+            let (names, zeros) = (names(7), [0.0; 7]);
+            let values = JointValues { names: &names, positions: &zeros, velocities: &[], efforts };
+            fuser.take_joint_values(stamp, &values).unwrap();
+        }
+        let state = fuser.state(BEGIN + 800 * MS);
+        (fuser.torque_sentence(), state.unexplained)
+    };
+    let (text, torques) = ask(&urdf(), &[]);
+    insta::assert_snapshot!(text.unwrap(), @"no external torques of j1, j2, j3, j4, j5 and 2 more: /joint_states brings no efforts of them; publish them where the robot measures torques");
+    assert_eq!(torques, None);
+    let (text, _) = ask(&urdf(), &[0.0; 3]);
+    insta::assert_snapshot!(text.unwrap(), @"a joint state has 7 names, 0 velocities and 3 efforts; the publisher must give one of each a name, or none");
+    let light = urdf().replace("<mass value='0.6'/>", "");
+    let (text, torques) = ask(&light, &[0.0; 7]);
+    insta::assert_snapshot!(text.unwrap(), @"no external torques of j7: the URDF gives no masses of what they move; add `inertial`");
+    let torques = torques.unwrap();
+    assert!(torques.values[6].is_nan() && torques.values[..6].iter().all(|t| t.is_finite()));
+    let (text, torques) = ask(&urdf().replace(" effort='10'", ""), &[0.0; 7]);
+    insta::assert_snapshot!(text.unwrap(), @"the variance of external torques of j7 is not known: the URDF gives no effort limit; add `torques.deviations`");
+    let torques = torques.unwrap();
+    assert!(torques.values[6].is_finite() && torques.variances[6].is_nan());
+    let flat = urdf().replacen("izz='", "izz='9", 1);
+    let (text, torques) = ask(&flat, &[0.0; 7]);
+    insta::assert_snapshot!(text.unwrap(), @r#"no external torques: no body has the inertia of link "l1" in the URDF; correct its `inertial`"#);
+    assert_eq!(torques, None);
+}
+
+#[test]
+fn settings_that_cannot_be_are_named() {
+    let robot = robot(&urdf());
+    let wrong = |s: TorqueSettings| Observer::new(&robot, s).unwrap_err().to_string();
+    let usual = TorqueSettings::default;
+    insta::assert_snapshot!(wrong(TorqueSettings { gain: 0.0, ..usual() }), @"torques: `gain` is 0 and must be from 0.1 to 10000");
+    insta::assert_snapshot!(wrong(TorqueSettings { joints: vec!["elbow".into()], ..usual() }), @r#"torques: `joints`: "elbow" is no joint of the robot that moves by itself; correct the name"#);
+    insta::assert_snapshot!(wrong(TorqueSettings { gravity: [0.0, f64::NAN, 0.0], ..usual() }), @"torques: `gravity` is NaN and must be from -100 to 100");
+}
+
+/// Noise is measured, whatever else changes.
+#[test]
+fn noise_is_what_scatters() {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut noise = Noise::default();
+    for k in 0..4000 {
+        noise.take(5.0 * (f64::from(k) * STEP).sin() + 0.3 * normal(&mut rng), STEP);
+    }
+    let found = noise.variance().unwrap().sqrt();
+    assert!((0.26..0.34).contains(&found), "{found}");
+}
