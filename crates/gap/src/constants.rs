@@ -158,8 +158,18 @@ pub(crate) mod signatures {
     pub const NONLINEAR: f64 = 0.01;
     /// Share that two effects must explain of each other to be two names of one thing. Chosen.
     pub const SAME: f64 = 0.97;
-    /// Relative tolerance of every number of a data sheet. Chosen.
+    /// Relative tolerance of every number of a data sheet. Chosen: Shore hardness is sold within 5 points, which is some 15 % of a
+    /// modulus; lengths of moulded and machined parts are within 1 to 5 % at these sizes (ISO 2768-m, ISO 3302-1 class M3).
     pub const TOLERANCE: f64 = 0.05;
+    /// Large change of a number of the description, as a share of it: what its signature stands for. Chosen: five tolerances.
+    pub const REACH: f64 = 0.25;
+    /// Factor within which such a number is fitted. Chosen.
+    pub const WITHIN: f64 = 5.0;
+    /// Numbers or elements of a list that are hypotheses of their own; a longer one is a pattern. Chosen.
+    pub const LIST: usize = 4;
+    /// Share that two memoryless effects explain of each other from which on they are two names of one thing: what no press of the
+    /// recording shows apart, at any place or force, is apart in none. Chosen: an angle of 4 degrees.
+    pub const ALIAS: f64 = 0.995;
     /// Relative tolerance of a contact law: exponent of the force, width of a footprint. Chosen.
     pub const LAW: f64 = 0.05;
     /// Columns of the model discrepancy, at most. Chosen.
@@ -202,6 +212,8 @@ pub(crate) mod select {
     pub const LEVEL: f64 = 0.01;
     /// Effects at most. Design note, §6.
     pub const MOST: usize = 5;
+    /// Candidates that are tried in all pairs: this many that do best alone, and as many beside each accepted one. Chosen.
+    pub const PAIRED: usize = 16;
     /// Folds of cross-validation. Design note, §6.
     pub const FOLDS: usize = 6;
     /// Sign permutations of the max-T test. Westfall and Young 1993; 299 make the least p 1/300.
@@ -233,6 +245,26 @@ pub(crate) mod select {
     pub const ENOUGH: f64 = 4.0;
     /// Share of an effect's signature that a more general one of twice the columns must hold to cover it. Chosen.
     pub const COVERED: f64 = 0.95;
+}
+
+/// Generic rivals of the named effects.
+pub(crate) mod rivals {
+    /// Folds of cross-validation. Design note, §6.
+    pub const FOLDS: usize = 6;
+    /// Channels that rivals are fitted on, at most: those with the largest residual. Chosen: bounds memory.
+    pub const CHANNELS: usize = 48;
+    /// Inverse variance of coefficients: that of effects. Chosen.
+    pub const PRIOR: f64 = 0.05;
+    /// Factor that a coefficient of 1 stands for: that of gains. Chosen.
+    pub const AMOUNT: f64 = 0.05;
+    /// Patterns of all channels that each may hold. Chosen.
+    pub const PATTERNS: usize = 3;
+    /// Patches of a surface, at most, and places that each must have. Chosen.
+    pub const PATCHES: usize = 16;
+    /// See [`PATCHES`].
+    pub const PLACES_A_PATCH: usize = 6;
+    /// \[s\] in which what a press leaves behind fades. Chosen.
+    pub const FADE: f64 = 0.2;
 }
 
 /// Stage `refine`.
@@ -290,6 +322,20 @@ pub(crate) mod report {
     pub const ALIAS: f64 = 0.8;
     /// Effects that are listed as suspects. Chosen.
     pub const SUSPECTS: usize = 5;
+}
+
+/// Stage `contest`.
+pub(crate) mod contest {
+    /// Share of the gap by which a rival must explain more than the named effects to beat them. Calibrated.
+    pub const BEATEN: f64 = 0.1;
+    /// Standard errors over places by which it must. 99 % of a normal distribution.
+    pub const DEVIATIONS: f64 = 2.33;
+    /// The same share from which on the rest is called unknown. Calibrated.
+    pub const UNKNOWN: f64 = 0.3;
+    /// Share of the gap that may stay in some places where effects of channels are firm. Calibrated.
+    pub const LOCAL: f64 = 0.1;
+    /// Probability of a value under its prior below which no device has it. Chosen: beyond six half widths of what devices have.
+    pub const IMPLAUSIBLE: f64 = 0.1;
 }
 
 /// What could be explained at all.

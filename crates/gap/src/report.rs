@@ -11,6 +11,7 @@ use crate::experiments::Experiment;
 use crate::noise::Gap;
 use crate::protocol::design::Hypothesis;
 use crate::recording::Problem;
+use crate::rivals::{Rival, Structure};
 use crate::select::Tier;
 
 /// Name of the format.
@@ -87,6 +88,9 @@ pub struct Value {
     /// 90 % interval; absent where none could be had.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interval: Option<[f64; 2]>,
+    /// Probability of a value as far off or farther by what is known of such devices; absent where nothing is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plausibility: Option<f64>,
 }
 
 /// A candidate that cannot be distinguished from a named effect.
@@ -96,12 +100,21 @@ pub struct Alternative {
     pub name: String,
     /// Reduction of the held-out error by it instead, in shares of the readings' variance.
     pub gain: f64,
-    /// Probability that other contacts would have put it first.
+    /// Probability that other contacts would have put it first; that of the named effect for another name of it.
     pub p_confuse: f64,
     /// \[degrees\] between what both change, to first order; `None` where only the full simulator compared them.
     pub angle: Option<f64>,
     /// Whether it belongs to the rig rather than to the skin.
     pub rig: bool,
+    /// Whether it is another name of the named effect: no press of any kind tells them apart.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub alias: bool,
+    /// Fitted values, where it was fitted.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub values: Vec<Value>,
+    /// What a skin description would switch on for it, or which of its numbers it would change; empty where it cannot say it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub effects: Vec<Effect>,
 }
 
 /// How far named effects reduce the residual: shares of the gap beyond the noise.
@@ -174,6 +187,9 @@ pub struct Unknown {
     pub explainable: f64,
     /// Axes along which what is left goes, the strongest first.
     pub fingerprint: Vec<Axis>,
+    /// What named effects leave, by channels and places; absent where none is named.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub structure: Option<Structure>,
 }
 
 /// How a downstream estimator does before and after.
@@ -242,6 +258,9 @@ pub struct Report {
     pub held_out: Option<[f64; 3]>,
     /// What is left.
     pub unknown: Unknown,
+    /// Shapes without a cause that were held against the named effects, the one that explains most first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rivals: Vec<Rival>,
     /// What to do next, the best first.
     pub next_experiments: Vec<Experiment>,
     /// What the next presses are to tell apart: the members of a class that is open, as they would be switched on.
@@ -256,6 +275,33 @@ pub struct Report {
     pub provenance: Provenance,
     /// What else to know.
     pub warnings: Vec<String>,
+}
+
+impl NamedEffect {
+    /// Names of what it may be, each with its other names in brackets, the label first.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let mut found: Vec<(String, Vec<&str>)> = Vec::new();
+        for member in &self.class {
+            match found.last_mut() {
+                Some((_, also)) if member.alias => also.push(&member.name),
+                _ => found.push((member.name.clone(), Vec::new())),
+            }
+        }
+        let text = |(name, also): (String, Vec<&str>)| match also.as_slice() {
+            [] => name,
+            also => format!("{name} (also called {})", also.join(", ")),
+        };
+        found.into_iter().map(text).collect()
+    }
+}
+
+impl ResidualReduction {
+    /// The reduction in words, with its interval where that says something.
+    #[must_use]
+    pub fn text(&self) -> String {
+        crate::wording::reduction(self)
+    }
 }
 
 impl Report {

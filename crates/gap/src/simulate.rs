@@ -9,6 +9,7 @@ use dermis_skin::{Effect, EffectInfo, SkinDescription};
 use indicatif::ProgressBar;
 
 use crate::GapError;
+use crate::design;
 use crate::effects;
 use crate::recording::{Recording, Zero};
 use crate::samples::Samples;
@@ -43,11 +44,17 @@ impl From<dermis_skin::ModelError> for Refused {
 }
 
 impl Simulator<'_> {
-    /// The skin by design with `effects` on top.
+    /// The skin by design with `effects` on top. One that is named after a number of the description (`medium.thickness`) makes that
+    /// number its parameter `value`.
     #[must_use]
     pub fn with(&self, effects: &[Effect]) -> SkinDescription {
         let mut skin = self.skin.clone();
-        Effect::merge(&mut skin.effects, effects.iter().cloned());
+        for effect in effects {
+            let number = effect.parameters.get(design::VALUE);
+            if !number.is_some_and(|to| design::put(&mut skin, &effect.name, *to)) {
+                Effect::merge(&mut skin.effects, [effect.clone()]);
+            }
+        }
         skin
     }
 
@@ -63,10 +70,13 @@ impl Simulator<'_> {
 
     /// Whether effects of a skin make what it reads depend on what happened before.
     fn remembers(&self, skin: &SkinDescription) -> bool {
-        skin.effects.iter().filter(|e| e.strength > 0.0).any(|e| {
-            self.effects.iter().find(|info| info.name == e.name).is_some_and(|info| info.stateful)
-                || common_effect(&e.name).is_some_and(|c| c.stateful)
-        })
+        skin.effects.iter().filter(|e| e.strength > 0.0).any(|e| self.is_stateful(&e.name))
+    }
+
+    /// Whether what an effect does depends on what happened before.
+    pub(crate) fn is_stateful(&self, effect: &str) -> bool {
+        self.effects.iter().find(|info| info.name == effect).is_some_and(|info| info.stateful)
+            || common_effect(effect).is_some_and(|c| c.stateful)
     }
 
     /// What `skin` reads untouched, but for effects that only shift channels: those stay visible in a tared recording, as what its

@@ -1,6 +1,6 @@
 //! Numbers and verdicts as a person reads them.
 
-use crate::report::{Report, Verdict};
+use crate::report::{Report, ResidualReduction, Verdict};
 use crate::select::Tier;
 
 /// Three digits.
@@ -22,6 +22,45 @@ pub(crate) fn percent(share: f64) -> String {
     short(100.0 * share)
 }
 
+/// A reduction with its interval, where that says something.
+pub fn reduction(of: &ResidualReduction) -> String {
+    let share = of.achieved.unwrap_or(of.predicted).max(0.0);
+    let [low, high] = of.interval;
+    if low <= 0.0 {
+        return format!(
+            "{} % of the gap on held-out contacts (uncertain: anything up to {} %)",
+            percent(share),
+            percent(high)
+        );
+    }
+    format!("{} % of the gap on held-out contacts ({} to {} %)", percent(share), percent(low), percent(high))
+}
+
+/// What becomes of the gap where the named effects are switched on, of which some may not be able to.
+fn reduces(report: &Report, of: &ResidualReduction) -> String {
+    let gap = |text: &str| text.replace("of the gap", "of it");
+    let reduction = reduction(of);
+    let written = report.effects.iter().filter(|e| e.written).count();
+    match (written, report.effects.len() - written, of.achieved) {
+        (0, _, _) | (_, _, None) => format!(
+            "; the fitted signature explains {}, and no skin description can switch it on",
+            gap(&reduction)
+        ),
+        (_, 0, _) => format!("; switching it on removes {reduction}"),
+        _ => {
+            format!("; switching on what can be, with the fitted signature of the rest, removes {reduction}")
+        }
+    }
+}
+
+/// What an unknown cause is shaped like, where a shape explains much of the gap and more than what is named.
+fn shape(report: &Report) -> String {
+    let rival = report.rivals.first().filter(|r| r.explains > 0.3 && r.excess.is_none_or(|e| e > 0.0));
+    rival.map_or(String::new(), |r| {
+        format!(", but shaped like {} ({} % of the gap)", r.what, percent(r.explains))
+    })
+}
+
 /// One sentence that a person can act on.
 pub(crate) fn sentence(report: &Report) -> String {
     let Some(gap) = &report.gap else { return String::new() };
@@ -35,11 +74,11 @@ pub(crate) fn sentence(report: &Report) -> String {
         .effects
         .iter()
         .map(|e| {
-            let mut class: Vec<&str> = e.class.iter().map(|a| a.name.as_str()).collect();
+            let mut class = e.names();
             if e.tier == Tier::Loose {
-                class.push("the model discrepancy");
+                class.push("the model discrepancy".to_owned());
             }
-            list(&class)
+            list(&class.iter().map(String::as_str).collect::<Vec<&str>>())
         })
         .collect();
     let place = || {
@@ -47,21 +86,14 @@ pub(crate) fn sentence(report: &Report) -> String {
         axis.map_or(String::new(), |a| format!(", mostly along {}", a.axis))
     };
     let next = report.next_experiments.first().map_or(String::new(), |e| format!(" Next: {}.", e.what));
-    let reduces = report.residual_reduction.map_or(String::new(), |c| {
-        let share = c.achieved.unwrap_or(c.predicted);
-        format!(
-            "; switching it on removes {} % of the gap on held-out contacts ({} to {} %)",
-            percent(share),
-            percent(c.interval[0]),
-            percent(c.interval[1])
-        )
-    });
+    let reduces = report.residual_reduction.map_or(String::new(), |c| reduces(report, &c));
     match report.verdict {
         Verdict::Named => format!("The gap ({size}) is {}{reduces}.{next}", names.join(", and ")),
         Verdict::NamedAndUnknown => format!(
-            "{} make {} % of the gap ({size}){reduces}; the rest is none of the known effects.{next}",
+            "{} make {} % of the gap ({size}){reduces}; the rest is none of the known effects{}.{next}",
             names.join(", and "),
-            percent(report.unknown.library)
+            percent(report.unknown.library),
+            shape(report)
         ),
         Verdict::ModelDiscrepancy => format!(
             "The gap ({size}) is within what the simulator's own tolerances allow: measure the numbers of the medium before you \
@@ -74,9 +106,10 @@ pub(crate) fn sentence(report: &Report) -> String {
             percent(gap.interval[1])
         ),
         Verdict::UnknownSystematic => format!(
-            "The gap ({size}) is systematic{}, and none of the known effects makes it: look at its fingerprint before you trust a \
+            "The gap ({size}) is systematic{}, and none of the known effects makes it{}: look at its fingerprint before you trust a \
              simulation.",
-            place()
+            place(),
+            shape(report)
         ),
         Verdict::Unmeasured => match gap.irreproducible.filter(|share| *share > 0.5 * gap.fvu_before) {
             Some(share) => format!(

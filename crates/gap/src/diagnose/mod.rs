@@ -1,7 +1,7 @@
 //! The whole diagnosis, in stages.
 //!
 //! ```text
-//! check ─→ signatures ─→ check against the model ─→ measure ─→ select ─→ refine ─→ predict ─→ report
+//! check ─→ signatures ─→ check against the model ─→ measure ─→ select ─→ refine ─→ predict ─→ contest ─→ report
 //! ```
 //!
 //! | stage | from | to |
@@ -12,15 +12,18 @@
 //! | [`select`] | signatures, residual | effects that make the gap, to first order |
 //! | [`refine`] | these effects | their values on the full simulator |
 //! | [`predict`] | these values | how far they reduce the residual on other contacts |
+//! | [`contest`] | what they leave | generic rivals, and which names are firm |
 //! | [`report`] | all of it | verdict, axes, sentence |
 //!
 //! Each stage is a function of plain inputs. None knows an effect by its name: properties of effects are in
 //! [`effects`](crate::effects), numbers that decide in [`constants`](crate::constants).
 
 mod check;
+mod contest;
 mod data;
 mod measure;
 mod predict;
+mod prior;
 mod refine;
 mod report;
 mod select;
@@ -168,10 +171,13 @@ fn explain(data: &Data<'_>, measured: &measure::Measured) -> Result<predict::Exp
     let gap = select::with_irreproducible(data, &selected, &measured.whitened);
     let data = Data { gap: gap.as_ref().unwrap_or(data.gap), ..*data };
     if selected.selection.picks.is_empty() {
-        return Ok(predict::Explained::none(selected.selection));
+        let mut explained = predict::Explained::none(selected.selection.clone());
+        contest::contest(&data, measured, &selected, &mut explained);
+        return Ok(explained);
     }
     let refined = refine::refine(&data, &selected, &measured.beside)?;
     let mut explained = predict::predict(&data, &selected, refined, &measured.beside, &measured.whitened)?;
+    contest::contest(&data, measured, &selected, &mut explained);
     explained.gap = gap;
     Ok(explained)
 }
@@ -185,7 +191,9 @@ fn announce(progress: &ProgressBar, what: &'static str, steps: usize) {
 
 #[cfg(test)]
 mod tests {
-    use dermis_skin::SkinDescription;
+    use dermis_fixtures::Analytic;
+    use dermis_model::ForwardModel;
+    use dermis_skin::{Effect, SkinDescription};
 
     use super::*;
     use crate::recording::Zero;
@@ -213,5 +221,57 @@ mod tests {
             let [a, b] = [&plain, &resting].map(|r| r.corrected[0].parameters[name]);
             assert!((a - b).abs() < 1e-3, "{name}: {a} {b}");
         }
+    }
+
+    /// A skin with numbers in nested tables: a spread, a stiffness, and an exponent of the force.
+    fn layered() -> SkinDescription {
+        let mut skin = skin();
+        let text =
+            "[pipe]\nradius = 2e-3\nexponent = 0.8\n[[layers]]\nyoung_modulus = 7e4\nname = \"foam\"\n";
+        skin.medium = toml::from_str(text).unwrap();
+        skin
+    }
+
+    fn nested(skin: &SkinDescription) -> Result<Arc<dyn ForwardModel>, String> {
+        Effect::check(&skin.effects, EFFECTS, &skin.name).map_err(|e| e.to_string())?;
+        let of = |path: &str| crate::design::value(skin, path).ok_or_else(|| format!("no {path}"));
+        let (radius, exponent) = (of("medium.pipe.radius")?, of("medium.pipe.exponent")?);
+        let gain = (of("medium.layers[0].young_modulus")? / 7e4).powf(-0.5);
+        Ok(Arc::new(Analytic::of_skin(skin, move |contact, taxel| {
+            let far = (contact.position - taxel).norm() / (3.0 * radius);
+            1000.0 * gain * (-contact.force.z).max(0.0).powf(exponent) / (1.0 + far * far)
+        })))
+    }
+
+    #[test]
+    fn a_device_that_was_built_with_another_nested_number_gets_that_number() {
+        let skin = layered();
+        let make = |skin: &SkinDescription| nested(skin);
+        let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
+        for (path, value) in [
+            ("medium.pipe.radius", 2.4e-3),
+            ("medium.pipe.exponent", 0.9),
+            ("medium.layers[0].young_modulus", 5e4),
+        ] {
+            let recording = recorded(&simulator, &[Effect::new(path).with("value", value)]);
+            let options = Options { resamples: 2, ..Options::default() };
+            let found = diagnose(&simulator, &recording, &options, &Memory::default()).unwrap();
+            let report = &found.report;
+            assert_eq!(report.verdict, Verdict::Named, "{path}: {}", report.sentence);
+            assert!(report.class().contains(&path), "{path}: {}", report.sentence);
+            assert_eq!(report.effects.len(), 1, "{}", report.sentence);
+            let fitted = report.effects[0].theta.iter().find(|v| v.name == path);
+            let fitted = fitted.unwrap_or_else(|| panic!("{path}: {:?}", report.effects)).value;
+            assert!((fitted / value - 1.0).abs() < 0.05, "{path}: {fitted}");
+            let corrected = crate::design::value(&found.corrected, path).unwrap();
+            let written = report.corrected.iter().any(|e| e.name == path);
+            assert!(!written || (corrected / value - 1.0).abs() < 0.05, "{path}: {corrected}");
+        }
+        // A device as it was designed has no number off.
+        let report = {
+            let options = Options { resamples: 2, ..Options::default() };
+            diagnose(&simulator, &recorded(&simulator, &[]), &options, &Memory::default()).unwrap().report
+        };
+        assert!(report.effects.is_empty(), "{}", report.sentence);
     }
 }

@@ -7,7 +7,6 @@
 
 use std::sync::atomic::Ordering;
 
-use dermis_model::common_effect;
 use dermis_skin::Effect;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -21,6 +20,7 @@ use crate::constants::Z90;
 use crate::constants::predict::{APART, ELSEWHERE, FLOOR_ERROR, HELPS, HISTORY};
 use crate::noise::Gap;
 use crate::report::{NamedEffect, ResidualReduction};
+use crate::rivals::{Rival, Structure};
 use crate::select::{Selection, Tier};
 use crate::statistics::Fit;
 use crate::wording::percent;
@@ -46,6 +46,9 @@ pub(super) struct Explained {
     pub left: Option<Vec<f32>>,
     /// Members of the first class that is open.
     pub members: Members,
+    /// Shapes without a cause beside the named effects, and what these leave by channels and places.
+    pub rivals: Vec<Rival>,
+    pub structure: Option<Structure>,
     pub warnings: Vec<String>,
 }
 
@@ -112,7 +115,7 @@ pub(super) fn predict(
     (found.named, found.warnings) = (refined.named, refined.warnings);
     if effects.is_empty() {
         found.warnings.push(
-            "none of the named effects can be written into a skin description: the residual reduction is that of its signature"
+            "none of the named effects can be switched on in a skin description: the residual reduction is that of its signature"
                 .to_owned(),
         );
     }
@@ -261,20 +264,15 @@ fn interval(
         let of = named.iter().filter(|named| of(&named.label)).map(|named| named.shapley);
         of.sum::<f64>().clamp(0.0, 1.0) * centre.max(0.0)
     };
-    let past = HISTORY * share(&|name| remembers(data, name));
+    let past = HISTORY * share(&|name| data.simulator.is_stateful(name));
     let candidates = &data.signatures.candidates;
     let drifting = 2.0 * share(&|name| candidates.iter().any(|c| c.name == name && c.drifts_randomly));
     // Other presses meet the laws elsewhere, and the floor is an estimate.
     let parts = [Z90 * spread, centre - predicted, ELSEWHERE, doubt, past];
     let half = parts.iter().map(|p| p * p).sum::<f64>().sqrt();
-    let interval = [centre - half - drifting, (centre + half).min(1.0)];
+    // What would make the gap more than twice as large is no statement of its reduction.
+    let interval = [(centre - half - drifting).max(-1.0), (centre + half).min(1.0)];
     ResidualReduction { predicted, achieved, interval }
-}
-
-/// Whether what an effect does depends on what was before.
-fn remembers(data: &Data<'_>, name: &str) -> bool {
-    data.simulator.effects.iter().any(|info| info.name == name && info.stateful)
-        || common_effect(name).is_some_and(|common| common.stateful)
 }
 
 #[cfg(test)]

@@ -5,19 +5,18 @@
 //! others, with the model discrepancy making the best of what is left. The label goes to the one that does best; effects that the
 //! others do as well without are dropped.
 
-use dermis_model::common_effect;
+mod values;
+
 use dermis_skin::Effect;
 
 use super::data::Data;
 use super::select::Selected;
-use super::{announce, write};
-use crate::constants::Z90;
-use crate::effects;
-use crate::nonlinear_refinement::{self, Free, ModelDiscrepancy};
+use super::{announce, prior, write};
+use crate::GapError;
+use crate::nonlinear_refinement::ModelDiscrepancy;
 use crate::report::{Alternative, NamedEffect, Value};
 use crate::select::{AcceptedEffect, IndistinguishableEffect, Selector, Tier};
 use crate::statistics::{Column, Fit, Statistics};
-use crate::{GapError, whitening};
 
 /// A candidate with values, and what the full simulator makes of it.
 #[derive(Clone)]
@@ -118,7 +117,7 @@ impl Refiner<'_> {
             };
             match alone.fit(candidate, &refit, &beside) {
                 Ok(Some(mut one)) => {
-                    one.score = self.training.weigh(one.energy, 0.0, &model);
+                    one.score = self.training.weigh(one.energy, 0.0, &model) + prior::cost(&one.values);
                     of.push(one);
                 }
                 Ok(None) => open.push(member.clone()),
@@ -132,11 +131,12 @@ impl Refiner<'_> {
         if set.len() > 1 {
             alone.score_open(&mut open, pick.candidate, &beside)?;
         }
-        let named = self.name(pick, &mut of, &open);
+        let mut named = self.name(pick, &mut of, &open);
         // The label decides what the others stand beside: the first, or none where it cannot be written.
         if of.first().is_some_and(|t| candidates[t.candidate].name != named.label) {
             of.clear();
         }
+        alone.name_aliases(&mut named, &mut of, &beside)?;
         found.named.push(named);
         found.fits.push(of);
         Ok(())
@@ -214,7 +214,7 @@ impl Refiner<'_> {
             let fit = self.training.fit_all(&model, Tier::Loose);
             match self.fit(candidate, &fit, &beside) {
                 Ok(Some(mut one)) => {
-                    one.score = self.training.weigh(one.energy, 0.0, &model);
+                    one.score = self.training.weigh(one.energy, 0.0, &model) + prior::cost(&one.values);
                     if one.score <= score {
                         score = one.score;
                         named[again].theta.clone_from(&one.values);
@@ -279,6 +279,15 @@ impl Refiner<'_> {
                     p_confuse: *p,
                     angle: Some(angle.to_degrees()).filter(|a| a.is_finite()),
                     rig: candidates[*c].rig,
+                    alias: false,
+                    values: fits
+                        .iter()
+                        .find(|t| t.candidate == *c)
+                        .map_or_else(Vec::new, |t| t.values.clone()),
+                    effects: fits
+                        .iter()
+                        .find(|t| t.candidate == *c)
+                        .map_or_else(Vec::new, |t| t.effects.clone()),
                 })
                 .collect(),
             covers: pick.covers.iter().map(|c| candidates[*c].name.clone()).collect(),
@@ -292,168 +301,13 @@ impl Refiner<'_> {
             written: own.is_some_and(|t| !t.effects.is_empty()),
         }
     }
-
-    /// A candidate with values, simulated in full beside `beside`; `None` where it cannot be written down.
-    fn fit(
-        &self,
-        candidate: usize,
-        fit: &Fit,
-        beside: &[Effect],
-    ) -> Result<Option<FittedCandidate>, GapError> {
-        let of = &self.data.signatures.candidates[candidate];
-        let found = if of.starts.is_empty() || !of.linear.is_empty() {
-            self.fit_linear(candidate, fit, beside)?
-        } else {
-            self.fit_family(candidate, fit, beside)?
-        };
-        let Some((effects, read, values)) = found else { return Ok(None) };
-        let target = self.data.target(self.weights, self.discrepancy, &self.data.options.progress);
-        let (_, energy) = target.residual(&read);
-        let left = whitening::residual(self.data.readings, &read, self.data.sigma);
-        Ok(Some(FittedCandidate { candidate, effects, left, energy, score: f64::INFINITY, values }))
-    }
-
-    /// A candidate that is written by its coefficients.
-    fn fit_linear(
-        &self,
-        candidate: usize,
-        fit: &Fit,
-        beside: &[Effect],
-    ) -> Result<Option<Written>, GapError> {
-        let of = &self.data.signatures.candidates[candidate];
-        let own = write::effects(&self.data, self.selected, candidate, fit, self.weights);
-        if own.is_empty() {
-            return Ok(None);
-        }
-        let (own, read, fitted) = self.refine_linear(own, beside)?;
-        let halves = half_widths(&self.selected.statistics, fit, &of.columns, self.weights);
-        let mut values = Vec::new();
-        for effect in &own {
-            for (name, value) in &effect.parameters {
-                let unit = common_effect(&effect.name).map_or("", |c| c.unit_of(name));
-                let unit = if unit.is_empty() { self.data.simulator.skin.unit.as_str() } else { unit };
-                let at = of.linear.iter().position(|(e, p, _)| *e == effect.name && p == name);
-                let half = fitted
-                    .iter()
-                    .find(|(f, _)| f.effect == effect.name && f.parameter == *name)
-                    .map(|(_, half)| *half)
-                    .or_else(|| {
-                        at.filter(|_| !of.depends_on_uptime).map(|i| halves[i] * of.linear[i].2.abs())
-                    });
-                let name = if own.len() > 1 { format!("{} of {}", name, effect.name) } else { name.clone() };
-                values.push(Value {
-                    name,
-                    value: *value,
-                    unit: unit.to_owned(),
-                    interval: half.filter(|h| h.is_finite()).map(|h| [value - h, value + h]),
-                });
-            }
-        }
-        Ok(Some((own, read, values)))
-    }
-
-    /// A candidate of the family that starts from its realisations.
-    fn fit_family(
-        &self,
-        candidate: usize,
-        fit: &Fit,
-        beside: &[Effect],
-    ) -> Result<Option<Written>, GapError> {
-        let data = &self.data;
-        let of = &data.signatures.candidates[candidate];
-        let Some(info) = data.simulator.effects.iter().find(|i| i.name == of.name) else { return Ok(None) };
-        if info.random {
-            return Ok(None);
-        }
-        let mut free: Vec<Free> = nonlinear_refinement::free(info);
-        let mut starts: Vec<Vec<Effect>> = write::starts(&self.selected.columns, of, fit)
-            .into_iter()
-            .map(|effect| with(beside, &[effect]))
-            .collect();
-        if data.options.nonlinear_refinement == 0 {
-            starts.truncate(1);
-            free.clear();
-        }
-        let target = data.target(self.weights, self.discrepancy, &data.options.progress);
-        let refined = nonlinear_refinement::fit(data.simulator, &target, &starts, &free)?;
-        let effect = refined.effects.iter().find(|e| e.name == of.name).cloned();
-        let Some(effect) = effect else { return Ok(None) };
-        let values = info
-            .parameters
-            .iter()
-            .map(|p| {
-                let value = info.value(&effect, p.name);
-                let half = free.iter().position(|f| f.parameter == p.name);
-                let half = half.and_then(|i| refined.halves.get(i)).copied().filter(|h| h.is_finite());
-                let interval = half.map(|h| [value - h, value + h]);
-                Value { name: p.name.to_owned(), value, unit: p.unit.to_owned(), interval }
-            })
-            .collect();
-        Ok(Some((vec![effect], refined.readings, values)))
-    }
-
-    /// Effects with values of a linear fit, fitted on the full simulator where they have few of them: what is linear in small
-    /// (a shift, a delay) is not in large, and a parameter that hardly shows must not run away. Their readings beside `beside`,
-    /// and half of the 90 % interval of what was fitted.
-    fn refine_linear(&self, own: Vec<Effect>, beside: &[Effect]) -> Result<RefinedLinear, GapError> {
-        let data = &self.data;
-        let period = 1.0 / data.simulator.skin.rate;
-        let free: Vec<Free> = own.iter().flat_map(|e| effects::of(&e.name).free_numbers(e, period)).collect();
-        if free.is_empty() || data.options.nonlinear_refinement == 0 {
-            let read = data.simulate(&with(beside, &own))?;
-            return Ok((own, read, Vec::new()));
-        }
-        let mut neutral = own.clone();
-        for effect in &mut neutral {
-            for f in free.iter().filter(|f| f.effect == effect.name) {
-                effect.parameters.insert(f.parameter.clone(), f.typical);
-            }
-        }
-        let starts: Vec<Vec<Effect>> = [&own, &neutral].map(|e| with(beside, e)).into();
-        let target = data.target(self.weights, self.discrepancy, &data.options.progress);
-        let refined = nonlinear_refinement::fit(data.simulator, &target, &starts, &free)?;
-        let fitted =
-            own.iter().filter_map(|e| refined.effects.iter().find(|p| p.name == e.name).cloned()).collect();
-        Ok((fitted, refined.readings, free.into_iter().zip(refined.halves).collect()))
-    }
 }
-
-/// Effects with their values, what the full simulator reads with them, and the values for people.
-type Written = (Vec<Effect>, Vec<f32>, Vec<Value>);
-/// Effects with their values, what the full simulator reads with them, and half of the interval of each number.
-type RefinedLinear = (Vec<Effect>, Vec<f32>, Vec<(Free, f64)>);
 
 /// Effects on top of others.
 fn with(beside: &[Effect], own: &[Effect]) -> Vec<Effect> {
     let mut all = beside.to_vec();
     Effect::merge(&mut all, own.iter().cloned());
     all
-}
-
-/// Half of the 90 % interval of coefficients, from the spread of scores over groups (the sandwich estimate of Huber 1967 and White
-/// 1980, clustered by groups).
-fn half_widths(statistics: &Statistics, fit: &Fit, of: &[usize], weights: &[f64]) -> Vec<f64> {
-    let sum = statistics.sum(weights);
-    let scores: Vec<Vec<f64>> = (0..statistics.groups())
-        .filter(|g| weights[*g] > 0.0)
-        .map(|g| {
-            let fitted = statistics.project(g, fit, &fit.set);
-            fit.set.iter().zip(fitted).map(|(&c, f)| weights[g] * (statistics.score(g)[c] - f)).collect()
-        })
-        .collect();
-    let factor = sum.factor(&fit.set, |_, g| g * (1.0 + 1e-9) + 0.05);
-    of.iter()
-        .map(|c| {
-            let at = fit.set.iter().position(|s| s == c);
-            let (Some(at), Some(factor)) = (at, &factor) else { return f64::NAN };
-            let mut row = vec![0.0; fit.set.len()];
-            row[at] = 1.0;
-            let row = factor.solve(&row);
-            let variance: f64 =
-                scores.iter().map(|s| row.iter().zip(s).map(|(r, s)| r * s).sum::<f64>().powi(2)).sum();
-            Z90 * variance.sqrt()
-        })
-        .collect()
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use dermis_skin::{Effect, SkinDescription};
 use sha2::{Digest, Sha256};
 
+use super::contest;
 use super::data::Data;
 use super::measure::{FoundInterference, Measured, Scope};
 use super::predict::{Explained, Members};
@@ -69,6 +70,7 @@ pub(super) fn begin(
         residual_reduction: None,
         held_out: None,
         unknown: Unknown::default(),
+        rivals: Vec::new(),
         next_experiments: Vec::new(),
         hypotheses: Vec::new(),
         downstream: Vec::new(),
@@ -244,6 +246,7 @@ pub(super) fn finish(
     let sure = effects.len();
     effects.extend(explained.named);
     report.warnings.extend(explained.warnings);
+    report.rivals = std::mem::take(&mut explained.rivals);
     report.residual_reduction = explained.reduction;
     report.held_out = explained.held_out;
     report.corrected = measured.fixed.iter().cloned().chain(explained.effects).collect();
@@ -279,6 +282,7 @@ pub(super) fn finish(
     // The strongest first.
     effects.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     report.effects = effects;
+    contest::verdict(report);
     explained.members
 }
 
@@ -305,6 +309,7 @@ fn unexplained(
         model_discrepancy: rest * ((explained.both - explained.library) / systematic).clamp(0.0, 1.0),
         explainable: explainable(&after, gap, seed),
         fingerprint: Vec::new(),
+        structure: explained.structure,
     };
     if *share < FINGERPRINT {
         report.unknown.fingerprint = axes::shares(&after, sessions, seed).into_iter().take(4).collect();
@@ -404,9 +409,18 @@ pub(super) fn known_effect(effect: &Effect, what: &str, unit: &str) -> NamedEffe
         value: *value,
         unit: unit.to_owned(),
         interval: None,
+        plausibility: None,
     });
-    let member =
-        Alternative { name: effect.name.clone(), gain: 0.0, p_confuse: 0.0, angle: Some(0.0), rig: false };
+    let member = Alternative {
+        name: effect.name.clone(),
+        gain: 0.0,
+        p_confuse: 0.0,
+        angle: Some(0.0),
+        rig: false,
+        alias: false,
+        values: Vec::new(),
+        effects: Vec::new(),
+    };
     NamedEffect {
         label: effect.name.clone(),
         what: what.to_owned(),

@@ -1,11 +1,12 @@
 //! Coefficients of columns as effects with values, in the words of a skin description.
 
-use dermis_skin::Effect;
+use dermis_skin::{Effect, SkinDescription};
 
 use super::data::Data;
 use super::select::Selected;
 use crate::algebra::{cholesky_solve, dot};
 use crate::constants::refine::{HELD, STARTS};
+use crate::design;
 use crate::effects::{self, Coefficients};
 use crate::signatures::{Candidate, uptime};
 use crate::statistics::{Column, Fit};
@@ -28,7 +29,7 @@ pub(super) fn effects(
     }
     if !of.linear.is_empty() {
         let parts = of.columns.iter().zip(&of.linear).map(|(c, part)| (part, fit.of(*c)));
-        return proportional(parts);
+        return proportional(data.simulator.skin, parts);
     }
     if !of.starts.is_empty() {
         return starts(&selected.columns, of, fit).into_iter().take(1).collect();
@@ -45,11 +46,14 @@ pub(super) fn possible(data: &Data<'_>, effects: Vec<Effect>) -> Vec<Effect> {
 }
 
 /// Coefficients of linear parts.
-fn proportional<'p>(parts: impl Iterator<Item = (&'p Part, f64)>) -> Vec<Effect> {
+fn proportional<'p>(skin: &SkinDescription, parts: impl Iterator<Item = (&'p Part, f64)>) -> Vec<Effect> {
     let mut found: Vec<Effect> = Vec::new();
     // A direction that stands for no amount is fitted with the one that does.
     for ((name, parameter, amount), coefficient) in parts.filter(|((.., amount), _)| *amount != 0.0) {
-        let value = effects::of(name).value(coefficient, *amount);
+        let value = match design::value(skin, name) {
+            Some(nominal) => design::within(nominal, nominal + coefficient * amount),
+            None => effects::of(name).value(coefficient, *amount),
+        };
         match found.iter_mut().find(|e| e.name == *name) {
             Some(effect) => {
                 effect.parameters.insert(parameter.clone(), value);
@@ -186,7 +190,11 @@ fn channel_by_channel(
         }
         all += dot(&wanted, &wanted);
     }
-    if all > 0.0 && held > HELD * all { proportional(parts.into_iter()) } else { Vec::new() }
+    if all > 0.0 && held > HELD * all {
+        proportional(data.simulator.skin, parts.into_iter())
+    } else {
+        Vec::new()
+    }
 }
 
 #[cfg(test)]
@@ -201,10 +209,12 @@ mod tests {
             part("channel-gain", "b", 0.05),
             part("delay", "time", 0.1),
             part("delay", "time", 0.0),
+            part("medium.spread", "value", 0.25),
         ];
-        let found = proportional(parts.iter().zip([2.0, -1.0, 0.5, 9.0]));
-        assert_eq!(found.len(), 2);
+        let found = proportional(&crate::testing::skin(), parts.iter().zip([2.0, -1.0, 0.5, 9.0, 0.4]));
+        assert_eq!(found.len(), 3);
         assert!((found[0].parameters["a"] - 1.1).abs() < 1e-12 && found[0].parameters["b"] == 0.95);
         assert_eq!(found[1].parameters["time"], 0.05);
+        assert_eq!(found[2].parameters["value"], 1.1);
     }
 }

@@ -13,6 +13,7 @@
 //! [`Statistics`] only, a few thousand solves; no simulation.
 
 mod classes;
+mod pairs;
 mod significance;
 mod steps;
 

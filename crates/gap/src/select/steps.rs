@@ -41,7 +41,12 @@ impl Selector<'_> {
                 ]
             })
             .collect();
-        let Accepted { mut set, ps, loose } = self.forwards(&none);
+        let Accepted { mut set, mut ps, mut loose } = self.forwards(&none);
+        if let Some([a, b]) = self.better_pair(&set) {
+            let p = |e, other| self.significance(&[other], e);
+            ps = vec![p(a, b), p(b, a)];
+            (set, loose) = (vec![a, b], false);
+        }
         self.calibrate(&set[..set.len().saturating_sub(1)]);
         if set.len() > 1 {
             self.swap(&mut set);
@@ -123,7 +128,7 @@ impl Selector<'_> {
     }
 
     /// By how much an effect has to beat the model discrepancy: every one of the library has its chance to by accident.
-    fn firm(&self) -> f64 {
+    pub(super) fn firm(&self) -> f64 {
         2.0 * (self.candidates.len().max(1) as f64 / self.options.level).ln()
     }
 

@@ -21,10 +21,10 @@ const NEUTRAL: f64 = 293.15;
 pub(crate) struct Part {
     /// The effect in whose parameters it is written, where that is another one.
     effect: Option<&'static str>,
-    parameter: String,
+    pub(super) parameter: String,
     /// Value for which the column is.
-    amount: f64,
-    column: Column,
+    pub(super) amount: f64,
+    pub(super) column: Column,
 }
 
 impl Part {
@@ -212,7 +212,7 @@ pub(crate) fn taxel_positions(of: &Context<'_>) -> Parts {
 }
 
 /// Columns of a simulated effect: for each parameter the central difference, and what a large amount changes beyond it.
-fn differences(mut realised: Vec<(String, Change)>) -> Vec<Part> {
+pub(super) fn differences(mut realised: Vec<(String, Change)>) -> Vec<Part> {
     let mut parameters: Vec<String> = realised.iter().map(|(p, _)| p.clone()).collect();
     parameters.dedup();
     let mut parts = Vec::new();
@@ -284,6 +284,7 @@ impl Signatures {
             nonlinear: of.nonlinear,
             depends_on_uptime: of.depends_on_uptime,
             written_as: None,
+            aliases: Vec::new(),
             starts: Vec::new(),
             linear: Vec::new(),
         };

@@ -8,7 +8,7 @@ use dermis_skin::SkinDescription;
 
 use super::{Changes, Signatures, central};
 use crate::algebra::components;
-use crate::constants::signatures::{DISCREPANCIES, LAW};
+use crate::constants::signatures::{DISCREPANCIES, LAW, TOLERANCE};
 use crate::samples::Samples;
 use crate::statistics::Column;
 use crate::zero_level::ZeroLevel;
@@ -94,6 +94,16 @@ impl Signatures {
         noise: &[f64],
     ) {
         let mut vectors = Vec::new();
+        // A skin's own table of the medium is what its data sheet states; deeper numbers are hypotheses only.
+        let stated =
+            |path: &String| path.strip_prefix("medium.").is_some_and(|key| !key.contains(['.', '[']));
+        for (path, sides) in changes.numbers.into_iter().filter(|(path, _)| stated(path)) {
+            if let Some(mut change) = central(&sides) {
+                change.iter_mut().for_each(|v| *v *= TOLERANCE as f32);
+                vectors.push(change);
+                self.discrepancy_names.push(path);
+            }
+        }
         for (name, sides) in changes.tolerances {
             if let Some(change) = central(&sides) {
                 vectors.push(change);

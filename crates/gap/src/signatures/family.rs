@@ -6,6 +6,7 @@ use super::{Candidate, Realisation, Signatures, drift};
 use crate::algebra::{components, dot};
 use crate::constants::signatures::{EACH, FEW, HELD, MOVED, PREDICTED, SAME, TOGETHER};
 use crate::samples::Samples;
+use crate::simulate::Simulator;
 use crate::statistics::{Column, Gram, Statistics};
 
 /// How a family's effect acts, as its realisations show it.
@@ -84,6 +85,7 @@ impl Signatures {
             nonlinear: shape.nonlinear,
             depends_on_uptime: false,
             written_as: None,
+            aliases: Vec::new(),
             starts,
             linear: Vec::new(),
         });
@@ -91,7 +93,7 @@ impl Signatures {
     }
 
     /// A family's effect that a common one says as well, and the other way round, is that one under the family's name.
-    pub(super) fn merge_equal(&mut self, samples: &Samples, channels: usize) {
+    pub(super) fn merge_equal(&mut self, simulator: &Simulator<'_>, samples: &Samples, channels: usize) {
         let nothing = vec![0.0f32; samples.list.len() * channels];
         let gram = Gram::of(&Statistics::new(&self.columns, &nothing, samples, channels));
         let mut merged: Vec<usize> = Vec::new();
@@ -121,6 +123,7 @@ impl Signatures {
             index += 1;
             !merged.contains(&(index - 1))
         });
+        self.join_aliases(simulator, &gram);
     }
 }
 

@@ -3,6 +3,7 @@
 use dermis_skin::{Effect, SkinDescription};
 
 use crate::constants::signatures::{DEVICES, SHIFT, TOLERANCE};
+use crate::design;
 use crate::effects::{self, Amount, Needs, Signature};
 use crate::samples::Samples;
 use crate::simulate::Simulator;
@@ -21,7 +22,9 @@ pub(super) enum Purpose {
     Common(&'static str, String, f64),
     /// All taxels moved along an axis.
     Taxels(usize, f64),
-    /// One side of a tolerance of the model: its name, and the side.
+    /// A number of the description: its path, and the relative change.
+    Number(String, f64),
+    /// One side of a tolerance of the rig: its name, and the side.
     Tolerance(String, f64),
 }
 
@@ -100,17 +103,13 @@ fn taxels(skin: &SkinDescription, jobs: &mut Vec<Job>) {
     }
 }
 
-/// Every number of the medium, and every effect that stands for one of the rig, within its tolerance.
+/// Every number of the description, and every effect that stands for one of the rig, within its tolerance.
 fn tolerances(simulator: &Simulator<'_>, jobs: &mut Vec<Job>) {
-    let skin = simulator.skin;
-    for (name, value) in &skin.medium {
-        let number = value.as_float().or_else(|| value.as_integer().map(|i| i as f64));
-        let Some(number) = number.filter(|v| *v != 0.0) else { continue };
-        for side in [1.0, -1.0] {
-            let mut other = skin.clone();
-            let changed = number * (1.0 + side * TOLERANCE);
-            other.medium.insert(name.clone(), toml::Value::Float(changed));
-            jobs.push(Job { skin: other, purpose: Purpose::Tolerance(format!("medium.{name}"), side) });
+    for number in design::numbers(simulator.skin) {
+        for by in [TOLERANCE, -TOLERANCE] {
+            let other = design::hypothesis(&number.path, number.value * (1.0 + by));
+            let skin = simulator.with(&[other]);
+            jobs.push(Job { skin, purpose: Purpose::Number(number.path.clone(), by) });
         }
     }
     for of in effects::with(|p| p.tolerance.is_some()) {

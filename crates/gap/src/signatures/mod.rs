@@ -15,6 +15,7 @@ mod discrepancy;
 mod drift;
 mod family;
 mod jobs;
+mod numbers;
 pub(crate) mod uptime;
 
 use std::collections::BTreeMap;
@@ -63,6 +64,8 @@ pub struct Candidate {
     pub depends_on_uptime: bool,
     /// A common effect that is the same thing, in whose parameters its values are written.
     pub written_as: Option<String>,
+    /// Other names of the same thing: effects that no press tells from it.
+    pub aliases: Vec<String>,
     /// Realisations: what was switched on, and coordinates of what it changed.
     pub starts: Vec<(Effect, Vec<f64>)>,
     /// What is written for each column and a coefficient of 1, for effects that are linear: effect, parameter, amount.
@@ -95,7 +98,9 @@ struct Changes {
     common: BTreeMap<&'static str, Vec<(String, Change)>>,
     /// By axis that all taxels were moved along.
     taxels: [Vec<Change>; 3],
-    /// By tolerance of the model.
+    /// By number of the description: relative change, and what it changes.
+    numbers: BTreeMap<String, Vec<Change>>,
+    /// By tolerance of the rig.
     tolerances: BTreeMap<String, Vec<Change>>,
 }
 
@@ -109,6 +114,7 @@ impl Changes {
                     found.common.entry(name).or_default().push((parameter, (amount, change)));
                 }
                 Purpose::Taxels(axis, by) => found.taxels[axis].push((by, change)),
+                Purpose::Number(path, by) => found.numbers.entry(path).or_default().push((by, change)),
                 Purpose::Tolerance(name, side) => {
                     found.tolerances.entry(name).or_default().push((side, change));
                 }
@@ -216,7 +222,8 @@ impl Signatures {
                 found.silent.push((name, reason));
             }
         }
-        found.merge_equal(samples, channels);
+        found.add_numbers(skin, samples, &changes.numbers);
+        found.merge_equal(simulator, samples, channels);
         found.add_discrepancy(changes, skin, samples, &noise);
         Ok(found)
     }

@@ -34,6 +34,7 @@ pub fn html(report: &Report) -> Result<String> {
     maps(&mut body, report)?;
     axes(&mut body, &report.axes)?;
     effects(&mut body, report)?;
+    rivals(&mut body, report)?;
     confusions(&mut body, report);
     experiments(&mut body, report);
     tables(&mut body, report);
@@ -190,7 +191,7 @@ fn effects(body: &mut String, report: &Report) -> Result<()> {
         }
     }
     for effect in &report.effects {
-        let class: Vec<String> = effect.class.iter().map(|a| escape(&a.name)).collect();
+        let class: Vec<String> = effect.names().iter().map(|name| escape(name)).collect();
         let or = if effect.tier == Tier::Loose { ", or the model discrepancy" } else { "" };
         let _ = writeln!(
             body,
@@ -223,13 +224,15 @@ fn effects(body: &mut String, report: &Report) -> Result<()> {
         }
     }
     if let Some(reduction) = &report.residual_reduction {
+        let how = if reduction.achieved.is_some() {
+            "Removes"
+        } else {
+            "Cannot be switched on; its signature explains"
+        };
         let _ = writeln!(
             body,
-            "<p><b>Reduces the residual by {}</b> on contacts that were neither fitted nor selected on (90 % interval {} to {}); \
-             predicted was {}.</p>",
-            reduction.achieved.map_or("an unknown part".to_owned(), percent),
-            percent(reduction.interval[0]),
-            percent(reduction.interval[1]),
+            "<p><b>{how} {}</b>, which were neither fitted nor selected on; predicted was {}.</p>",
+            escape(&reduction.text()),
             percent(reduction.predicted)
         );
     }
@@ -250,8 +253,42 @@ fn effects(body: &mut String, report: &Report) -> Result<()> {
     Ok(())
 }
 
+/// Shapes without a cause beside the named effects, and what these leave.
+fn rivals(body: &mut String, report: &Report) -> Result<()> {
+    if report.rivals.is_empty() {
+        return Ok(());
+    }
+    let _ = writeln!(body, "<h2>What its shape is</h2>");
+    let mut rows: Vec<Bar> = Vec::new();
+    if let Some(held) = report.held_out.filter(|[before, _, floor]| before > floor) {
+        let share = (held[0] - held[1]) / (held[0] - held[2]);
+        rows.push(Bar::new("the named effects", share.clamp(0.0, 1.0), percent(share)));
+    }
+    rows.extend(
+        report.rivals.iter().map(|r| Bar::new(r.what.as_str(), r.explains.max(0.0), percent(r.explains))),
+    );
+    body.push_str(&figure(
+        &[bars("", &rows, None)?],
+        "Share of the gap that shapes without a cause explain on places that they were not fitted to. A name that is right leaves \
+         little that they find; one that a shape clearly beats is not firm.",
+    ));
+    if let Some(s) = report.unknown.structure {
+        let _ = writeln!(
+            body,
+            "<p>Of the gap, what is left holds {} by channel, {} smoothly over the place, {} in some places, and {} in some places of \
+             single channels.</p>",
+            percent(s.channel),
+            percent(s.smooth_place),
+            percent(s.local_place),
+            percent(s.interaction)
+        );
+    }
+    Ok(())
+}
+
 fn confusions(body: &mut String, report: &Report) {
-    let open: Vec<_> = report.effects.iter().filter(|e| e.class.len() > 1).collect();
+    // Another name of one thing is not confused with it.
+    let open: Vec<_> = report.effects.iter().filter(|e| e.class.iter().skip(1).any(|a| !a.alias)).collect();
     if open.is_empty() {
         return;
     }
@@ -261,7 +298,7 @@ fn confusions(body: &mut String, report: &Report) {
          probability</th><th>angle [°]</th></tr>"
     );
     for effect in open {
-        for alike in effect.class.iter().skip(1) {
+        for alike in effect.class.iter().skip(1).filter(|a| !a.alias) {
             let angle = alike.angle.map_or("–".to_owned(), short);
             let _ = writeln!(
                 body,

@@ -70,11 +70,11 @@ pub fn text(report: &Report) -> String {
         let _ = writeln!(
             out,
             "  {}{tier}: explains {} of the variance (p = {:.3})",
-            effect.label,
+            effect.names().first().unwrap_or(&effect.label),
             percent(effect.gain),
             effect.p_max_t
         );
-        for alike in effect.class.iter().skip(1) {
+        for alike in effect.class.iter().skip(1).filter(|a| !a.alias) {
             let _ = writeln!(
                 out,
                 "    not to be told from {} (explains {}, confused with probability {:.2})",
@@ -113,14 +113,12 @@ pub fn text(report: &Report) -> String {
         }
     }
     if let Some(reduction) = &report.residual_reduction {
-        let _ = writeln!(
-            out,
-            "\nremoves {} of the gap on contacts kept for the end ({} to {}); predicted {}",
-            reduction.achieved.map_or("an unknown part".to_owned(), percent),
-            percent(reduction.interval[0]),
-            percent(reduction.interval[1]),
-            percent(reduction.predicted)
-        );
+        let how = if reduction.achieved.is_some() {
+            "removes"
+        } else {
+            "cannot be switched on; its signature explains"
+        };
+        let _ = writeln!(out, "\n{how} {}; predicted {}", reduction.text(), percent(reduction.predicted));
     }
     if !report.effects.is_empty() || report.unknown.share > 0.0 {
         let _ = writeln!(
@@ -129,6 +127,16 @@ pub fn text(report: &Report) -> String {
             percent(report.unknown.share),
             percent(report.unknown.model_discrepancy),
             percent(report.unknown.explainable)
+        );
+    }
+    if let Some(rival) = report.rivals.first().filter(|r| r.explains > 0.0) {
+        let more =
+            rival.excess.map_or(String::new(), |e| format!(", {} more than what is named", percent(e)));
+        let _ = writeln!(
+            out,
+            "of shapes without a cause, {} explains most: {} of the gap on other places{more}",
+            rival.what,
+            percent(rival.explains)
         );
     }
     for experiment in report.next_experiments.iter().take(3) {
@@ -152,10 +160,14 @@ pub fn text(report: &Report) -> String {
 
 /// A fitted value with its interval.
 pub(super) fn value(v: &Value) -> String {
-    let unit = if v.unit == "1" { String::new() } else { format!(" {}", v.unit) };
+    let unit = if v.unit == "1" || v.unit.is_empty() { String::new() } else { format!(" {}", v.unit) };
     let interval =
         v.interval.map_or(String::new(), |[low, high]| format!(" ({} to {})", short(low), short(high)));
-    format!("{} = {}{unit}{interval}", v.name, short(v.value))
+    let plausible = v
+        .plausibility
+        .filter(|p| *p < 0.5)
+        .map_or(String::new(), |p| format!(", beyond what is known of such devices (plausibility {p:.2})"));
+    format!("{} = {}{unit}{interval}{plausible}", v.name, short(v.value))
 }
 
 /// What an estimator does before and after; lengths in millimetres.

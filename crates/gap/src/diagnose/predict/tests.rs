@@ -50,7 +50,7 @@ fn what_cannot_be_written_is_predicted_by_its_signature() {
         assert_eq!(reduction.achieved, None);
         assert!(reduction.predicted > 0.95, "{reduction:?}");
         assert!(found.effects.is_empty());
-        assert!(found.warnings[0].starts_with("none of the named effects can be written"));
+        assert!(found.warnings[0].starts_with("none of the named effects can be switched on"));
         let left = found.left.unwrap();
         let square = left.iter().map(|v| v * v).sum::<f32>() / left.len() as f32;
         assert!((square - 1.0).abs() < 0.2, "{square}");

@@ -1,0 +1,148 @@
+//! Stage `contest`: which of the named effects may be called the cause firmly.
+//!
+//! Selection compares effects of a library with each other and with the simulator's declared error. What is in no library is not among
+//! them, and an effect with many numbers, or with values that no device has, takes its place. So a name is firm only where it
+//! 1. can be switched on in a simulation,
+//! 2. needs no value that its prior makes implausible,
+//! 3. is not clearly beaten by a generic [rival](crate::rivals) on places that neither was fitted to, and
+//! 4. leaves no part that lies in some places, where it has a number for each channel: what is wrong with a channel is wrong at each
+//!    place that the channel sees.
+//!
+//! A name that is not firm stands beside "unknown", whose shape the best rival gives.
+
+use super::data::Data;
+use super::measure::Measured;
+use super::predict::Explained;
+use super::select::Selected;
+use crate::constants::contest::{BEATEN, DEVIATIONS, IMPLAUSIBLE, LOCAL, UNKNOWN};
+use crate::report::{NamedEffect, Report, Verdict};
+use crate::rivals::{self, Field, Named, Rival};
+use crate::select::Tier;
+use crate::wording::{percent, short};
+
+/// Compares the named effects with their rivals, and makes those loose that must not be firm.
+pub(super) fn contest(data: &Data<'_>, measured: &Measured, selected: &Selected, explained: &mut Explained) {
+    let field = Field {
+        samples: data.samples,
+        channels: data.channels(),
+        signals: &measured.modelled,
+        noise: data.gap.floor * data.gap.variance,
+        seed: data.options.select.seed,
+    };
+    let left = explained.left.as_deref().filter(|_| !explained.named.is_empty());
+    let of = &data.signatures.discrepancy;
+    let weights = data.samples.training();
+    let training = data.selector(&selected.statistics, &selected.gram, &weights);
+    let named = left.map(|left| Named {
+        left,
+        discrepancy: of.iter().map(|c| &selected.columns[*c]).collect(),
+        prior: of.first().map_or(1.0, |c| training.prior(*c)),
+    });
+    let found = rivals::contest(&field, &measured.whitened, named.as_ref());
+    let structure = left.map(|left| rivals::structure(&field, &measured.whitened, left));
+    let local = structure.map_or(0.0, |s| s.local_place + s.interaction);
+    let beaten = best(&found);
+    for named in &mut explained.named {
+        let per_channel = data.signatures.candidates.iter().any(|c| c.name == named.label && c.per_channel);
+        if let Some(why) = doubt(named, beaten, local, per_channel) {
+            named.tier = Tier::Loose;
+            explained.warnings.push(format!("{} is not named firmly: {why}", named.label));
+        }
+    }
+    (explained.rivals, explained.structure) = (found, structure);
+}
+
+/// The rival that leaves least, where it clearly beats the named effects.
+fn best(rivals: &[Rival]) -> Option<&Rival> {
+    let beats =
+        |r: &&Rival| r.excess.is_some_and(|e| e > BEATEN) && r.deviations.is_some_and(|d| d > DEVIATIONS);
+    rivals.iter().filter(beats).max_by(|a, b| a.excess.unwrap_or(0.0).total_cmp(&b.excess.unwrap_or(0.0)))
+}
+
+/// Why a name is not firm, if it is not.
+fn doubt(named: &NamedEffect, beaten: Option<&Rival>, local: f64, per_channel: bool) -> Option<String> {
+    if let Some(rival) = beaten {
+        return Some(format!(
+            "{} explains {} % more of the gap on other places",
+            rival.what,
+            percent(rival.excess.unwrap_or(0.0))
+        ));
+    }
+    if !named.written {
+        return Some(
+            "it cannot be switched on in a simulation, so that nothing but its signature speaks for it"
+                .to_owned(),
+        );
+    }
+    // What another name of it would have to be is nothing against it.
+    let alias = |name: &str| named.class.iter().any(|a| a.alias && a.name == name);
+    let strange =
+        named.theta.iter().find(|v| !alias(&v.name) && v.plausibility.is_some_and(|p| p < IMPLAUSIBLE));
+    if let Some(value) = strange {
+        return Some(format!(
+            "its {} would have to be {}, which no such device has",
+            value.name,
+            short(value.value)
+        ));
+    }
+    (per_channel && local > LOCAL).then(|| {
+        format!(
+            "{} % of the gap stays in some places, which an error of channels does not leave",
+            percent(local)
+        )
+    })
+}
+
+/// Puts what was found into a report that is complete otherwise: where a rival explains much more than what is named, the rest is
+/// unknown.
+pub(super) fn verdict(report: &mut Report) {
+    let excess = best(&report.rivals).and_then(|r| r.excess).unwrap_or(0.0);
+    if report.verdict == Verdict::Named
+        && excess > UNKNOWN
+        && report.effects.iter().all(|e| e.tier == Tier::Loose)
+    {
+        report.verdict = Verdict::NamedAndUnknown;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::Effect;
+
+    use super::super::report::known_effect;
+    use super::*;
+    use crate::rivals::Shape;
+
+    fn rival(excess: f64, deviations: f64) -> Rival {
+        Rival {
+            shape: Shape::Place,
+            what: "a change of some places".to_owned(),
+            explains: 0.9,
+            excess: Some(excess),
+            deviations: Some(deviations),
+        }
+    }
+
+    #[test]
+    fn a_rival_beats_a_name_only_by_much_and_surely() {
+        assert!(best(&[rival(0.5 * BEATEN, 9.0), rival(0.5, 0.5 * DEVIATIONS)]).is_none());
+        let all = [rival(2.0 * BEATEN, 9.0), rival(0.5, 9.0)];
+        assert_eq!(best(&all).and_then(|r| r.excess), Some(0.5));
+    }
+
+    #[test]
+    fn names_are_doubted_for_what_speaks_against_them() {
+        let firm = known_effect(&Effect::new("e").with("size", 1.0), "", "");
+        assert_eq!(doubt(&firm, None, 0.0, true), None);
+        assert!(doubt(&firm, Some(&rival(0.3, 9.0)), 0.0, true).unwrap().contains("30 % more"));
+        assert!(doubt(&firm, None, 0.5, true).unwrap().contains("some places"));
+        // A law of the medium may leave what lies in places.
+        assert_eq!(doubt(&firm, None, 0.5, false), None);
+        let mut unwritten = firm.clone();
+        unwritten.written = false;
+        assert!(doubt(&unwritten, None, 0.0, false).unwrap().contains("cannot be switched on"));
+        let mut strange = firm.clone();
+        strange.theta[0].plausibility = Some(0.01);
+        assert!(doubt(&strange, None, 0.0, false).unwrap().contains("size would have to be 1"));
+    }
+}
