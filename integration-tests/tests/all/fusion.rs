@@ -177,10 +177,11 @@ fn a_press_on_a_moving_hand_is_felt_where_it_is() {
     drop(launch);
 }
 
-/// Two pads on one hand, of which the first is pressed by its own device and the second by another.
+/// Two pads on one hand, of which the first is pressed by its own device and the second by another. The robot file has the palm where it is not: off by
+/// 0.8, 1.1 and 0.6 mm, as the fusion assumes of mounts.
 const TWO: &str = "schema = 'dermis-robot/1'\nname = 'two'\nurdf = 'one.urdf'\n\
     [[skins]]\nname = 'palm'\nnamespace = '/two/palm'\ntimeout = 0.5\n\
-    mount = { parent = 'hand', translation = [0.1, 0.0, 0.02], rpy = [0.0, 1.5707963267948966, 0.0] }\n\
+    mount = { parent = 'hand', translation = [0.1008, -0.0011, 0.0206], rpy = [0.0, 1.5707963267948966, 0.0] }\n\
     [[skins]]\nname = 'back'\nnamespace = '/two/back'\ntimeout = 0.5\n\
     mount = { parent = 'hand', translation = [-0.1, 0.0, 0.02], rpy = [0.0, -1.5707963267948966, 0.0] }\n";
 /// One rule acts where the body is pressed, one where it does not feel the palm.
@@ -336,19 +337,17 @@ fn what_the_body_says_is_true_and_a_skin_that_is_killed_is_missed() {
     });
     let away = median(found.iter().flat_map(|p| p.away.iter().copied()));
     let force = median(found.iter().flat_map(|p| p.force.iter().map(|f| (f - 1.0).abs())));
-    let squares: f64 = found.iter().map(|p| p.square).sum();
+    let square = median(found.iter().map(|p| p.square));
     println!(
-        "{} presses: place {:.2} mm, force {:.1} % off at the median, normalised squared error {:.2}",
+        "{} presses: place {:.2} mm, force {:.1} % off at the median, squared error of the place {square:.2}",
         found.len(),
         1e3 * away,
         100.0 * force,
-        squares / (3.0 * found.len() as f64)
     );
     assert!(away < TOLERANCE, "{away} m");
     assert!(force < 0.05, "the force is off by {force} of it");
-    // Errors within a press stay, so that each press counts once; nothing is wrong with the mounts here, whose errors the covariance has.
-    let most = 3.0 * found.len() as f64 * band_above(3.0 * found.len() as f64);
-    assert!(squares < most, "{squares} of {most}: the covariance is too small");
+    // The mount's error is the same in every press: all of them are one sample of χ² with three degrees of freedom.
+    assert!((0.216..9.35).contains(&square), "the squared error {square} is outside of 95 %");
     for press in &found {
         assert!(press.identities.windows(2).all(|w| w[0] == w[1]), "{:?}", press.identities);
     }
@@ -389,9 +388,4 @@ fn what_the_body_says_is_true_and_a_skin_that_is_killed_is_missed() {
     assert!(body_feels < Duration::from_secs(1), "{body_feels:?}");
     wait_for("the reflexes let go", || blind.lock().unwrap().last().filter(|m| !m.data).map(|_| ()));
     drop(launch);
-}
-
-/// Bound of the mean of a χ² variable with `n` degrees of freedom, divided by n, that 97.5 % of cases are below (Wilson and Hilferty 1931).
-fn band_above(n: f64) -> f64 {
-    (1.0 - 2.0 / (9.0 * n) + 1.96 * (2.0 / (9.0 * n)).sqrt()).powi(3)
 }
