@@ -12,9 +12,11 @@ use std::sync::OnceLock;
 use dermis_bag::{BagError, BagReader};
 use dermis_body::Body;
 use dermis_inference::Manifest;
+use dermis_insight::wire::PictureReader;
 use dermis_launch::{Host, NodeRequest, Refusal};
 use dermis_learn::LabelMap;
 use dermis_perception::Config;
+use dermis_reflex::Rules;
 use dermis_sensor::{Decoder as _, FrameReader};
 use dermis_skin::{Frame, SkinDescription, TriangleMesh};
 use dermis_testbed::Plan;
@@ -29,7 +31,7 @@ use tempfile::TempDir;
 pub type Target = fn(&[u8]);
 
 /// Every target by its name, which is also that of its folder in `corpus/`.
-pub const TARGETS: [(&str, Target); 13] = [
+pub const TARGETS: [(&str, Target); 15] = [
     ("bundle", bundle),
     ("labels", labels),
     ("launch", launch),
@@ -37,6 +39,8 @@ pub const TARGETS: [(&str, Target); 13] = [
     ("plan", plan),
     ("skin", skin),
     ("urdf", urdf),
+    ("rules", rules),
+    ("picture", picture),
     ("frames", frames),
     ("cdr", cdr),
     ("json", json),
@@ -324,6 +328,44 @@ pub fn urdf(data: &[u8]) {
             }
         }
         Err(error) => one_sentence(&error),
+    }
+}
+
+/// The rules of the reflexes.
+pub fn rules(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    match Rules::from_toml(text, "rules.toml") {
+        Ok(rules) => {
+            for rule in &rules.rules {
+                assert!(rule.inputs.iter().all(|i| *i < rules.inputs.len()), "an input that is not there");
+                assert!(rule.actions.iter().all(|a| *a < rules.actions.len()), "an action that is not there");
+            }
+        }
+        Err(error) => one_sentence(&error),
+    }
+}
+
+/// A thumb's answers: a byte that cuts the stream, then pictures as they come.
+pub fn picture(data: &[u8]) {
+    const SIZE: [u32; 2] = [32, 24];
+    const BLOCKS: [u32; 2] = [8, 6];
+    let Some((cut, stream)) = data.split_first() else { return };
+    let read = |size: usize| {
+        let (mut reader, mut out) = (PictureReader::new(SIZE, BLOCKS), Vec::new());
+        for (i, piece) in stream.chunks(size).enumerate() {
+            reader.push(piece, ARRIVAL + i as i64, &mut out);
+        }
+        assert_eq!(reader.stats().bytes, stream.len() as u64);
+        assert_eq!(reader.stats().frames, out.len() as u64);
+        assert_eq!(reader.stats().rejected.total() > 0, reader.stats().last_rejection.is_some());
+        out
+    };
+    let (whole, pieces) = (read(stream.len().max(1)), read(1 + usize::from(*cut)));
+    assert_eq!(whole.len(), pieces.len(), "cuts change how many pictures there are");
+    for (a, b) in whole.iter().zip(&pieces) {
+        assert_eq!(a.values, b.values, "cuts change a picture");
+        assert_eq!(a.values.len(), (BLOCKS[0] * BLOCKS[1] * 3) as usize);
+        assert!(a.values.iter().all(|v| v.is_finite()) && a.image.is_some());
     }
 }
 

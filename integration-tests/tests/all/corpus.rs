@@ -107,6 +107,16 @@ fn urdf() {
 }
 
 #[test]
+fn rules() {
+    replay("rules");
+}
+
+#[test]
+fn picture() {
+    replay("picture");
+}
+
+#[test]
 fn every_target_is_replayed_and_every_message_is_fuzzed() {
     let folders = std::fs::read_dir(root().join("fuzz/corpus")).expect("a corpus");
     let folders: BTreeSet<String> =

@@ -7,13 +7,18 @@ use std::process::Command;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
+use dermis_body::{HistoryLimits, Robot};
+use dermis_fusion::{Fuser, Settings, messages};
 use dermis_integration_tests::{Peer, backend, domain, finish, isolate, program, refused, root};
 use dermis_msgs::Message;
 use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
-use dermis_msgs::geometry_msgs::msg::Twist;
+use dermis_msgs::geometry_msgs::msg::{Point, Twist, Vector3};
+use dermis_msgs::msg::{Contact, ContactArray};
 use dermis_msgs::std_msgs::msg::Bool;
+use dermis_msgs::std_msgs::msg::Header;
 use dermis_msgs::std_srvs::srv::{Trigger, TriggerRequest};
 use dermis_node::{Node, NodeOptions, Qos, Subscription};
+use dermis_reflex::{Reflex, Rules};
 
 /// Longest wait for anything, on a machine at full load.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -158,4 +163,62 @@ fn a_rule_file_is_checked_before_it_is_used() {
     // What ships has placeholders, and says so.
     let said = refused(dermis().args(["reflex", "--check", "launch/reflex/humanoid.reflex.toml"]));
     assert!(said.contains("field `placeholders`") && said.contains("risk assessment"), "{said}");
+}
+
+/// One skin on one link.
+fn one_skin() -> Robot {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("r.urdf"), "<robot name='r'><link name='hand'/></robot>").unwrap();
+    let text = "schema = 'dermis-robot/1'\nname = 'r'\nurdf = 'r.urdf'\n[[skins]]\nname = 'palm'\n\
+                mount = { parent = 'hand', translation = [0.0, 0.0, 0.0], rpy = [0.0, 0.0, 0.0] }";
+    Robot::from_toml(text, &folder.path().join("r.toml")).unwrap()
+}
+
+/// A contact that rests for half a second and slides from there: the fusion tells it from the positions, and a rule on slip acts.
+#[test]
+fn a_slide_acts_by_a_rule_on_slip() {
+    let rules = "schema = 'dermis-reflex/1'\nname = 'grip'\nstart = 'clear'\n\
+                 [inputs.body]\nkind = 'body'\ntopic = 'body_contacts'\ntimeout = 1.0\n\
+                 [actions.grip]\nkind = 'bool'\ntopic = 'grip'\n\
+                 [[rules]]\nname = 'slip'\nslip = 'gross'\ncounts_as_touched = ['late']\nactions = ['grip']\n";
+    let mut reflex = Reflex::new(Rules::from_toml(rules, "grip.toml").unwrap(), Duration::ZERO);
+    let robot = one_skin();
+    let limits = HistoryLimits::default();
+    let mut fuser = Fuser::new(robot.clone(), Settings::default(), limits, &[], &[]).unwrap();
+    let mut acted = None;
+    for k in 0..200_u64 {
+        let stamp = 1_700_000_000_000_000_000 + k as i64 * 10_000_000;
+        // A tenth of a millimetre to and fro, so that there is a noise to measure; from frame 50 on 20 mm/s.
+        let x = [1e-4, -1e-4, 0.0][k as usize % 3] + 2e-4 * k.saturating_sub(50) as f64;
+        let diagonal = |v: f64| std::array::from_fn(|i| if i % 4 == 0 { v } else { 0.0 });
+        let contact = Contact {
+            track_id: 1,
+            position: Point { x, y: 0.0, z: 0.0 },
+            normal: Vector3 { x: 0.0, y: 0.0, z: 1.0 },
+            force: Vector3 { x: 1.0, y: 0.0, z: -3.0 },
+            force_components: Contact::FORCE_FULL,
+            position_covariance: diagonal(1e-8),
+            force_covariance: diagonal(1e-4),
+            confidence: 1.0,
+            ..Contact::default()
+        };
+        let report = ContactArray {
+            header: Header::new(stamp, "palm_skin"),
+            skin: "palm".into(),
+            sequence: k + 1,
+            contacts: vec![contact],
+            ..ContactArray::default()
+        };
+        fuser.take(0, &report, None, stamp);
+        let body = messages::body_contacts(&robot, &fuser.state(stamp), k + 1);
+        let done = reflex.body(0, &body, Duration::from_millis(10 * k), 0);
+        if acted.is_none()
+            && let Some(event) = done.events.first()
+        {
+            acted = Some((k, event.to_string()));
+        }
+    }
+    let (frame, text) = acted.expect("it acts");
+    assert!((51..65).contains(&frame), "at frame {frame}: {text}");
+    assert_eq!(text, "rule `slip` acts: a contact on link `hand` slips");
 }
