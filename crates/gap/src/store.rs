@@ -15,7 +15,7 @@ use crate::statistics::Column;
 use crate::zero_level::ZeroLevel;
 
 /// Its digit goes up whenever signatures are made otherwise.
-const MAGIC: &[u8; 8] = b"dgapsigd";
+const MAGIC: &[u8; 8] = b"dgapsige";
 
 #[derive(Serialize, Deserialize)]
 struct Head {

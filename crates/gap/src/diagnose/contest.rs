@@ -5,7 +5,7 @@
 //! 1. can be switched on in a simulation,
 //! 2. needs no value that its prior makes implausible,
 //! 3. is not clearly beaten by a generic [rival](crate::rivals) on places that neither was fitted to, and
-//! 4. leaves no part that lies in some places, where it has a number for each channel: what is wrong with a channel is wrong at each
+//! 4. leaves nothing that goes with the place, where it has a number for each channel: what is wrong with a channel is wrong at each
 //!    place that the channel sees.
 //!
 //! A name that is not firm stands beside "unknown", whose shape the best rival gives.
@@ -14,8 +14,8 @@ use super::data::Data;
 use super::measure::Measured;
 use super::predict::Explained;
 use super::select::Selected;
-use crate::constants::contest::{BEATEN, DEVIATIONS, IMPLAUSIBLE, LOCAL, UNKNOWN};
-use crate::report::{NamedEffect, Report, Verdict};
+use crate::constants::contest::{BEATEN, DEVIATIONS, IMPLAUSIBLE, PLACE, UNKNOWN};
+use crate::report::{NamedEffect, Verdict};
 use crate::rivals::{self, Field, Named, Rival};
 use crate::select::Tier;
 use crate::wording::{percent, short};
@@ -40,16 +40,25 @@ pub(super) fn contest(data: &Data<'_>, measured: &Measured, selected: &Selected,
     });
     let found = rivals::contest(&field, &measured.whitened, named.as_ref());
     let structure = left.map(|left| rivals::structure(&field, &measured.whitened, left));
-    let local = structure.map_or(0.0, |s| s.local_place + s.interaction);
+    let place = structure.map_or(0.0, |s| s.smooth_place + s.local_place + s.interaction);
     let beaten = best(&found);
     for named in &mut explained.named {
         let per_channel = data.signatures.candidates.iter().any(|c| c.name == named.label && c.per_channel);
-        if let Some(why) = doubt(named, beaten, local, per_channel) {
+        if let Some(why) = doubt(named, beaten, place, per_channel) {
             named.tier = Tier::Loose;
             explained.warnings.push(format!("{} is not named firmly: {why}", named.label));
         }
     }
+    let first = explained.named.first().map(|n| n.label.as_str());
+    let of_channels =
+        data.signatures.candidates.iter().any(|c| Some(c.name.as_str()) == first && c.per_channel);
+    explained.contested = contested(beaten, place, of_channels);
     (explained.rivals, explained.structure) = (found, structure);
+}
+
+/// Whether the strongest name is another thing's: a rival explains much more, or what an effect of channels leaves goes with the place.
+fn contested(beaten: Option<&Rival>, place: f64, of_channels: bool) -> bool {
+    beaten.and_then(|r| r.excess).is_some_and(|e| e > UNKNOWN) || (of_channels && place > PLACE)
 }
 
 /// The rival that leaves least, where it clearly beats the named effects.
@@ -60,7 +69,7 @@ fn best(rivals: &[Rival]) -> Option<&Rival> {
 }
 
 /// Why a name is not firm, if it is not.
-fn doubt(named: &NamedEffect, beaten: Option<&Rival>, local: f64, per_channel: bool) -> Option<String> {
+fn doubt(named: &NamedEffect, beaten: Option<&Rival>, place: f64, per_channel: bool) -> Option<String> {
     if let Some(rival) = beaten {
         return Some(format!(
             "{} explains {} % more of the gap on other places",
@@ -85,24 +94,17 @@ fn doubt(named: &NamedEffect, beaten: Option<&Rival>, local: f64, per_channel: b
             short(value.value)
         ));
     }
-    (per_channel && local > LOCAL).then(|| {
+    (per_channel && place > PLACE).then(|| {
         format!(
-            "{} % of the gap stays in some places, which an error of channels does not leave",
-            percent(local)
+            "{} % of the gap still goes with the place, which an error of channels does not leave",
+            percent(place)
         )
     })
 }
 
-/// Puts what was found into a report that is complete otherwise: where a rival explains much more than what is named, the rest is
-/// unknown.
-pub(super) fn verdict(report: &mut Report) {
-    let excess = best(&report.rivals).and_then(|r| r.excess).unwrap_or(0.0);
-    if report.verdict == Verdict::Named
-        && excess > UNKNOWN
-        && report.effects.iter().all(|e| e.tier == Tier::Loose)
-    {
-        report.verdict = Verdict::NamedAndUnknown;
-    }
+/// The verdict of a report that is complete otherwise: beside a name that is another thing's the rest is unknown.
+pub(super) fn verdict(verdict: Verdict, contested: bool) -> Verdict {
+    if contested && verdict == Verdict::Named { Verdict::NamedAndUnknown } else { verdict }
 }
 
 #[cfg(test)]
@@ -131,12 +133,22 @@ mod tests {
     }
 
     #[test]
+    fn a_name_that_is_another_things_stands_beside_unknown() {
+        assert!(!contested(Some(&rival(0.5 * UNKNOWN, 9.0)), 0.0, true));
+        assert!(contested(Some(&rival(2.0 * UNKNOWN, 9.0)), 0.0, false));
+        assert!(contested(None, 2.0 * PLACE, true) && !contested(None, 2.0 * PLACE, false));
+        assert_eq!(verdict(Verdict::Named, true), Verdict::NamedAndUnknown);
+        assert_eq!(verdict(Verdict::Named, false), Verdict::Named);
+        assert_eq!(verdict(Verdict::Unmeasured, true), Verdict::Unmeasured);
+    }
+
+    #[test]
     fn names_are_doubted_for_what_speaks_against_them() {
         let firm = known_effect(&Effect::new("e").with("size", 1.0), "", "");
         assert_eq!(doubt(&firm, None, 0.0, true), None);
         assert!(doubt(&firm, Some(&rival(0.3, 9.0)), 0.0, true).unwrap().contains("30 % more"));
-        assert!(doubt(&firm, None, 0.5, true).unwrap().contains("some places"));
-        // A law of the medium may leave what lies in places.
+        assert!(doubt(&firm, None, 0.5, true).unwrap().contains("goes with the place"));
+        // A law of the medium may leave what goes with the place.
         assert_eq!(doubt(&firm, None, 0.5, false), None);
         let mut unwritten = firm.clone();
         unwritten.written = false;

@@ -17,7 +17,7 @@ use super::refine::Refined;
 use super::select::Selected;
 use crate::GapError;
 use crate::constants::Z90;
-use crate::constants::predict::{APART, ELSEWHERE, FLOOR_ERROR, HELPS, HISTORY};
+use crate::constants::predict::{APART, ELSEWHERE, FLOOR_ERROR, HELPS, HISTORY, STRETCHED};
 use crate::noise::Gap;
 use crate::report::{NamedEffect, ResidualReduction};
 use crate::rivals::{Rival, Structure};
@@ -49,6 +49,8 @@ pub(super) struct Explained {
     /// Shapes without a cause beside the named effects, and what these leave by channels and places.
     pub rivals: Vec<Rival>,
     pub structure: Option<Structure>,
+    /// Whether the strongest name is that of another thing.
+    pub contested: bool,
     pub warnings: Vec<String>,
 }
 
@@ -192,8 +194,9 @@ fn reduce(
         ));
     }
     // Where the words of a skin description say an effect badly, its signature still does; where they are no help at all on other
-    // contacts, it was none.
-    let signature = if achieved > HELPS { found.library } else { 0.0 };
+    // contacts, it was none, and what is far beyond the simulator's declared error is no matter of words.
+    let stretched = (groups.fvu(&after) - data.gap.floor) / data.options.select.margin;
+    let signature = if achieved > HELPS && stretched < STRETCHED { found.library } else { 0.0 };
     found.library = signature.max(achieved * systematic);
     found.both = found.library + discrepancy.max(0.0);
     (after, predicted, Some(achieved))

@@ -282,7 +282,7 @@ pub(super) fn finish(
     // The strongest first.
     effects.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     report.effects = effects;
-    contest::verdict(report);
+    report.verdict = contest::verdict(report.verdict, explained.contested);
     explained.members
 }
 

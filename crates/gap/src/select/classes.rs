@@ -31,7 +31,8 @@ impl Selector<'_> {
             let other = self.gain(&before, &self.losses(&with(e), tier));
             let (a, b) = (&self.candidates[named], &self.candidates[e]);
             let inside = self.gram.explained(&a.columns, &b.columns);
-            let general = b.columns.len() >= 2 * a.columns.len() && inside > COVERED;
+            // A number has a second column where it bends, and is no more general by that.
+            let general = !b.number && b.columns.len() >= 2 * a.columns.len() && inside > COVERED;
             if general && !(a.rig && b.family) {
                 covers.push(e);
                 continue;

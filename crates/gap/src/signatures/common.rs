@@ -278,6 +278,7 @@ impl Signatures {
             what: info.what.to_owned(),
             family: false,
             rig: info.rig,
+            number: false,
             columns: Vec::new(),
             per_channel: of.per_channel,
             drifts_randomly: false,

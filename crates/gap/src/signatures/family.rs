@@ -79,6 +79,7 @@ impl Signatures {
             what: info.what.to_owned(),
             family: true,
             rig: false,
+            number: false,
             columns: (first..first + shape.columns.len()).collect(),
             per_channel: shape.per_channel,
             drifts_randomly: shape.drifts_randomly,

@@ -51,6 +51,8 @@ pub struct Candidate {
     pub family: bool,
     /// Whether it belongs to the rig.
     pub rig: bool,
+    /// Whether it is a number of the skin's description; its name is the number's path.
+    pub number: bool,
     /// Its columns.
     pub columns: Vec<usize>,
     /// Whether each channel has columns of its own.

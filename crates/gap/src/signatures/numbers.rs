@@ -55,6 +55,7 @@ impl Signatures {
                 what: "The device was built with another number than its description says.".to_owned(),
                 family: false,
                 rig: false,
+                number: true,
                 columns: Vec::new(),
                 per_channel: false,
                 drifts_randomly: false,
@@ -79,7 +80,7 @@ impl Signatures {
     pub(super) fn join_aliases(&mut self, simulator: &Simulator<'_>, gram: &Gram) {
         let rank = |c: &Candidate| match c {
             c if c.family => 0,
-            c if design::value(simulator.skin, &c.name).is_none() => 1,
+            c if !c.number => 1,
             _ => 2,
         };
         let mut order: Vec<usize> = (0..self.candidates.len())
@@ -98,8 +99,11 @@ impl Signatures {
                 continue;
             }
             for &other in &order[n + 1..] {
-                let (a, b) = (&self.candidates[head].columns, &self.candidates[other].columns);
-                let same = || gram.explained(a, b) > ALIAS && gram.explained(b, a) > ALIAS;
+                let (a, b) = (&self.candidates[head], &self.candidates[other]);
+                // How a number bends is beyond what an effect of small range shows of it.
+                let own = |c: &Candidate| c.columns[..if c.number { 1 } else { c.columns.len() }].to_vec();
+                let held = |of: &Candidate, by: &Candidate| gram.explained(&own(of), &by.columns) > ALIAS;
+                let same = || held(a, b) && held(b, a);
                 if !joined.contains(&other) && same() {
                     joined.push(other);
                     let name = self.candidates[other].name.clone();

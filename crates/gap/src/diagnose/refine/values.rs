@@ -64,27 +64,24 @@ impl Refiner<'_> {
                     values: Vec::new(),
                     effects: Vec::new(),
                 };
-                if let Some(nominal) = design::value(skin, name).filter(|_| place == 0) {
+                if let Some(nominal) = design::value(skin, name) {
                     let start = vec![design::hypothesis(name, nominal)];
                     let (effects, read, halves) = self.refine_linear(start, beside)?;
                     let value = effects.first().and_then(|e| e.parameters.get(design::VALUE).copied());
                     let Some(value) = value else { continue };
                     let half = halves.first().map(|(_, half)| *half).filter(|half| half.is_finite());
                     let interval = half.map(|half| [value - half, value + half]);
-                    alias.values = vec![Value {
-                        name: name.clone(),
-                        value,
-                        unit: String::new(),
-                        interval,
-                        plausibility: None,
-                    }];
-                    prior::judge(&self.data, name, &mut alias.values);
+                    let (name, unit) = (name.clone(), String::new());
+                    alias.values = vec![Value { name, value, unit, interval, plausibility: None }];
+                    prior::judge(&self.data, &alias.name, &mut alias.values);
                     alias.effects.clone_from(&effects);
-                    named.theta.extend(alias.values.iter().cloned());
-                    if let (1, Some(first)) = (of.len(), fits.first_mut()) {
-                        first.left = whitening::residual(self.data.readings, &read, self.data.sigma);
-                        first.effects = effects;
-                        named.written = true;
+                    if place == 0 {
+                        named.theta.extend(alias.values.iter().cloned());
+                        if let (1, Some(first)) = (of.len(), fits.first_mut()) {
+                            first.left = whitening::residual(self.data.readings, &read, self.data.sigma);
+                            first.effects = effects;
+                            named.written = true;
+                        }
                     }
                 }
                 named.class.push(alias);
