@@ -180,6 +180,8 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         }
     };
     let limit = log::start(format, level);
+    // What a model computes once is kept for every command; nodes are told by their parameters.
+    dermis_skin::cache::use_folder(dermis_skin::cache::usual_folder());
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
         Command::Node(node) => block_on(nodes::run(node)),

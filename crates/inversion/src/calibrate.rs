@@ -177,7 +177,8 @@ fn audible(
     Ok(shares)
 }
 
-/// Least squares of what is read over what is expected: strong presses, whose force is known best, count most. A channel that was never
+/// Least squares of what is read over what is expected, drawn towards 1 by what noise makes of it (W. James and C. Stein, 1961): strong
+/// presses, whose force is known best, count most. A channel that was never
 /// pressed and is not `audible` has a gain of 1: there is hardly a press that would tell it.
 fn gains(
     frames: &[Labelled<'_>],
@@ -206,7 +207,10 @@ fn gains(
                 product += f64::from(frame.signal[i]) * frame.expected[i];
                 square += frame.expected[i].powi(2);
             }
-            product / square
+            // Of very many channels each is pressed rarely: what noise says of its gain would make it worse than 1.
+            let off = product / square - 1.0;
+            let chance = noise[i].powi(2) / square;
+            1.0 + off * (1.0 - chance / off.powi(2).max(f64::MIN_POSITIVE)).max(0.0)
         })
         .collect())
 }

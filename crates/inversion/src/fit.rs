@@ -33,6 +33,14 @@ pub(crate) enum Datum {
 }
 
 impl Datum {
+    /// Square of the reading in units of its noise; 0 where there is none.
+    pub(crate) fn square(self) -> f64 {
+        match self {
+            Self::Exact(v, w) | Self::AtLeast(v, w) | Self::AtMost(v, w) => (v * w).powi(2),
+            Self::None => 0.0,
+        }
+    }
+
     /// Deviation of the reading from `model` in standard deviations, and its derivative by the model's value.
     fn residual(self, model: f64) -> (f64, f64) {
         match self {

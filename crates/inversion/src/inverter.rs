@@ -382,7 +382,7 @@ impl Inverter {
         minimum.chi2 + self.settings.force_prior.penalty(&minimum.contacts)
     }
 
-    fn check(&self, readings: &[Reading]) -> Result<(), InverterError> {
+    pub(crate) fn check(&self, readings: &[Reading]) -> Result<(), InverterError> {
         let channels = self.gains.len();
         if readings.len() == channels {
             return Ok(());
@@ -390,7 +390,7 @@ impl Inverter {
         Err(InverterError::Channels { found: readings.len(), expected: channels })
     }
 
-    fn problem<'a>(&'a self, data: &'a [Datum]) -> Problem<'a> {
+    pub(crate) fn problem<'a>(&'a self, data: &'a [Datum]) -> Problem<'a> {
         Problem {
             model: self.model.0.as_ref(),
             unknowns: self.settings.unknowns,
@@ -408,7 +408,7 @@ impl Inverter {
         STRIDE.max(STEP * self.spacing)
     }
 
-    fn solution(&self, best: &Minimum, data: &[Datum]) -> Solution {
+    pub(crate) fn solution(&self, best: &Minimum, data: &[Datum]) -> Solution {
         let counted = counted(data);
         let mut contacts = self.describe(best, data);
         if let [single] = contacts.as_mut_slice()
@@ -445,7 +445,7 @@ impl Inverter {
         self.model.0.surface()
     }
 
-    fn data(&self, readings: &[Reading]) -> Vec<Datum> {
+    pub(crate) fn data(&self, readings: &[Reading]) -> Vec<Datum> {
         let weight = |noise: f64, value: f64| 1.0 / noise.hypot(self.settings.model_error * value);
         readings
             .iter()
@@ -459,7 +459,7 @@ impl Inverter {
             .collect()
     }
 
-    fn apart(&self, minimum: &Minimum) -> bool {
+    pub(crate) fn apart(&self, minimum: &Minimum) -> bool {
         minimum.contacts.iter().enumerate().all(|(i, a)| {
             minimum.contacts[..i].iter().all(|b| (a.position - b.position).norm() >= self.settings.distance)
         })
@@ -467,17 +467,17 @@ impl Inverter {
 }
 
 /// Readings that count.
-fn counted(data: &[Datum]) -> usize {
+pub(crate) fn counted(data: &[Datum]) -> usize {
     data.iter().filter(|d| **d != Datum::None).count()
 }
 
 /// Up to where a sum of squared deviations with so many degrees of freedom is what noise leaves.
-fn plausible(freedom: usize) -> f64 {
+pub(crate) fn plausible(freedom: usize) -> f64 {
     freedom as f64 + PLAUSIBLE * (2.0 * freedom as f64).sqrt()
 }
 
 /// What a model signal leaves of data, in units of their noise.
-fn residuals(data: &[Datum], signal: &[f64]) -> Vec<f32> {
+pub(crate) fn residuals(data: &[Datum], signal: &[f64]) -> Vec<f32> {
     let left = |(datum, signal): (&Datum, &f64)| match *datum {
         Datum::Exact(v, w) => (v - signal) * w,
         Datum::AtLeast(v, w) => (v - signal).max(0.0) * w,

@@ -16,6 +16,7 @@ mod dictionary;
 mod fit;
 mod force_peaks;
 mod inverter;
+mod local;
 mod pairs;
 mod peaks;
 mod settings;

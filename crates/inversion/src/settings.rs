@@ -66,6 +66,9 @@ pub enum Search {
     /// elements are few and each responds to half of the surface. Where contacts change what others do, no pairs are added up, and
     /// following is what is left of it.
     Pairs,
+    /// Near those of the frame before, or what a learned model says, as long as that explains the readings, and wherever it stands out
+    /// otherwise ([`Inverter::search_near`](crate::Inverter::search_near)): where elements are so many that each place has a pattern of its own.
+    Near,
 }
 
 impl Search {
@@ -162,6 +165,12 @@ impl Settings {
     #[must_use]
     pub fn in_pairs(&self) -> bool {
         self.contacts > 1 && self.search == Search::Pairs
+    }
+
+    /// Whether what is found depends on what was found in the frame before.
+    #[must_use]
+    pub fn follows(&self) -> bool {
+        self.in_pairs() || self.search == Search::Near
     }
 
     /// Whether this [evidence](Inverter::evidence) is that of a contact; `before`: whether that of the frame before was. One that is

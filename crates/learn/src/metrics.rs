@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use dermis_skin::{Contact, ForceComponents, assign};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use crate::dataset::{SampleId, Truth, TruthContact};
 
@@ -316,6 +316,11 @@ impl Scores {
             // No contact is no force, of what would be given.
             let none = self.rule.force.map(|given| if given { 0.0 } else { f64::NAN });
             let force = if silent { none } else { force };
+            let along = FORCES.map(|name| truth.value(name));
+            if let ([Some(x), Some(y), Some(z)], false) = (along, silent) {
+                let angle = Vector3::from(force).angle(&Vector3::new(x, y, z));
+                self.add("angle", of, true_force, angle, true);
+            }
             let mut squares = Some(0.0);
             for (name, value) in FORCES.into_iter().zip(force) {
                 let known = truth.value(name);
@@ -402,7 +407,7 @@ impl Scores {
     }
 
     /// Every quantity that was compared: `position` (distance), `position.x` …, `force.normal`,
-    /// `force.normal untouched`, `force.x` …, `force` (length of the difference), `position of 2` …. Where a contact was not found,
+    /// `force.normal untouched`, `force.x` …, `force` (length of the difference), `angle` (between the forces of contacts that were found), `position of 2` …. Where a contact was not found,
     /// also those of what was found: `position found`, `force.normal found` ….
     #[must_use]
     pub fn summaries(&self, seed: u64) -> BTreeMap<String, Summary> {

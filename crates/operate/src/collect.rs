@@ -38,6 +38,10 @@ pub struct Request {
     /// Stamp of the first frame [ns since 1970]; now where absent. With it the bag's messages are the same every time.
     #[arg(long, value_name = "NS", value_parser = clap::value_parser!(i64).range(0..))]
     pub start: Option<i64>,
+    /// Leave the pictures of a skin that a camera reads out of the bag: the numbers that are made of them stay. A picture takes a thousand
+    /// times the room.
+    #[arg(long)]
+    pub no_images: bool,
     /// Go on with a bag that was interrupted, by whatever; the finished bag is the same as one that was not.
     #[arg(long)]
     pub resume: bool,
@@ -97,6 +101,7 @@ pub fn collect(
         start: request.start,
         force_noise: request.force_noise,
         stage_noise: request.stage_noise,
+        images: !request.no_images,
         resume: request.resume,
         stop,
         progress: progress.clone(),

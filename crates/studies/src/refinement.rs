@@ -46,7 +46,7 @@ pub struct Request {
     #[arg(long, default_value_t = Request::default().distance)]
     pub distance: f64,
     /// How several contacts are looked for: one after the other, or the first two among all pairs of places, for skins whose elements
-    /// are few and feel half of the surface each.
+    /// are few and feel half of the surface each; or near what is known already, for skins whose elements tell every place from every other.
     #[arg(long, value_enum, default_value_t = Request::default().search)]
     pub search: SearchChoice,
     /// Learn, from the recorded single contacts, how the device differs from its forward model as a function of place and force,
@@ -112,6 +112,8 @@ pub enum SearchChoice {
     Greedy,
     /// The first two among all pairs of places.
     Pairs,
+    /// Near those of the frame before, or what the model says, as long as that explains the readings.
+    Near,
 }
 
 impl From<SearchChoice> for Search {
@@ -119,6 +121,7 @@ impl From<SearchChoice> for Search {
         match how {
             SearchChoice::Greedy => Self::Greedy,
             SearchChoice::Pairs => Self::Pairs,
+            SearchChoice::Near => Self::Near,
         }
     }
 }

@@ -33,6 +33,8 @@ pub struct CollectOptions {
     pub force_noise: Option<f64>,
     /// \[m\] standard deviation of the ground truth's position along each axis, one draw a press; the plan's own where absent.
     pub stage_noise: Option<f64>,
+    /// Writes the pictures of a skin that a camera reads besides the numbers that are made of them.
+    pub images: bool,
     /// Goes on with a bag that an earlier call began and did not end, whatever ended it. The finished bag is the same, message
     /// for message, as one that was never interrupted. Where there is none, it is begun; where it is finished, nothing is done.
     pub resume: bool,
@@ -50,6 +52,7 @@ impl Default for CollectOptions {
             start: None,
             force_noise: None,
             stage_noise: None,
+            images: true,
             resume: false,
             stop: Arc::default(),
             progress: ProgressBar::hidden(),
@@ -82,7 +85,7 @@ const STRIDE: u64 = 64;
 const INTERRUPTED: &str = "interrupted";
 
 /// Carries out `plan` on the modelled skin and writes the labelled bag `dir`: topics `taxels`, `ground_truth`,
-/// `skin_geometry` and, where the skin is read by a camera, `image`. As fast as the model answers, not in real time.
+/// `skin_geometry` and, where the skin is read by a camera and [pictures](CollectOptions::images) are asked for, `image`. As fast as the model answers, not in real time.
 ///
 /// # Errors
 ///
@@ -144,7 +147,8 @@ pub fn collect(
     writer.add_topic("taxels", TypeSupport::of::<TaxelFrame>(), BagQos::sensor_data())?;
     writer.add_topic("ground_truth", TypeSupport::of::<Indentation>(), BagQos::sensor_data())?;
     let untouched = model.capture(&Stimulus::default(), &mut || 0.0);
-    if untouched.map_err(|source| TestbedError::Model { press: 0, source })?.is_some() {
+    let pictured = untouched.map_err(|source| TestbedError::Model { press: 0, source })?.is_some();
+    if pictured && options.images {
         writer.add_topic("image", TypeSupport::of::<Image>(), BagQos::sensor_data())?;
     }
     let mut out = Output { writer, begun };
@@ -162,7 +166,7 @@ pub fn collect(
         frame.device_time_us = 1 + (t * 1e6).round() as u64;
         frame.temperature = moment.stimulus.temperature as f32;
         out.write("taxels", &skin.frame_message(&frame), frame.stamp)?;
-        if let Some(image) = skin.image_message(&frame) {
+        if let Some(image) = skin.image_message(&frame).filter(|_| options.images) {
             out.write("image", &image, frame.stamp)?;
         }
         truth.blur(&mut moment, model.surface());

@@ -25,6 +25,6 @@ fn its_physics_meets_its_references() {
 #[test]
 fn the_thumb_that_ships_is_described() {
     let skin = json(&finish(&mut dermis(&["skin", "launch/skins/insight-thumb.toml", "--json"])));
-    assert_eq!((skin["taxels"].as_u64(), skin["channels"].as_u64()), (Some(300), Some(900)));
+    assert_eq!((skin["taxels"].as_u64(), skin["channels"].as_u64()), (Some(300), Some(1500)));
     assert_eq!(skin["forward_model"], "yes");
 }

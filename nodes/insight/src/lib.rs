@@ -2,7 +2,7 @@
 //! deformation a fisheye camera sees.
 //!
 //! Forces on the points of the outside ([`surface`]) become displacements of the inside ([`elastic`]), these change how it looks ([`optics`]),
-//! and [`model`] answers with pictures and with the means of their blocks.
+//! and [`model`] answers with pictures and with the numbers of their blocks.
 
 pub mod effects;
 pub mod elastic;
@@ -59,15 +59,15 @@ impl Sensor for Insight {
         skin.check_medium(|| parameters::check(skin))
     }
 
-    /// Of the camera's own wire; the wires that every family speaks carry the means alone.
+    /// Of the camera's own wire; the wires that every family speaks carry the numbers alone.
     fn decoder(
         &self,
         skin: &SkinDescription,
         options: DecoderOptions,
     ) -> Result<Box<dyn Decoder>, ModelError> {
         if speaks_jpeg(skin) {
-            let (size, blocks) = parameters::picture_of(skin)?;
-            return Ok(Box::new(wire::PictureReader::new(size, blocks)));
+            let design = parameters::Parameters::nominal(skin)?;
+            return Ok(Box::new(wire::PictureReader::new(model::observer(&design))));
         }
         let reader = FrameReader::new(skin).ok_or_else(|| unknown_wire(skin))?;
         Ok(Box::new(if options.device_time { reader.with_device_time() } else { reader }))
@@ -96,7 +96,7 @@ fn speaks_jpeg(skin: &SkinDescription) -> bool {
 fn unknown_wire(skin: &SkinDescription) -> ModelError {
     skin.refusal(
         "wire.protocol",
-        format!("must be \"{}\" (pictures), \"native\" or \"ascii\" (their means)", wire::NAME),
+        format!("must be \"{}\" (pictures), \"native\" or \"ascii\" (their numbers)", wire::NAME),
     )
 }
 

@@ -6,6 +6,9 @@
 //! Assumptions: displacements are linear in forces (unless an effect stiffens them); the camera and its lamps do not move; what a touch changes
 //! is smooth over the grid of the inside.
 //!
+//! Derivatives are those of displacements, which are linear in forces, through the slopes of the untouched inside ([`Shading::slopes`]): what
+//! follows them to a minimum needs them no more exactly.
+//!
 //! Cost: the first touch of a design computes its basis, one to two minutes for the thumb that ships, which is then kept on disk. After that,
 //! 0.7 ms a response.
 
@@ -16,16 +19,16 @@ pub(crate) mod tests;
 use std::cell::RefCell;
 use std::sync::{Arc, OnceLock};
 
-use dermis_model::{DeviceState, ForwardModel, Indentation, Stimulus, TipShape};
+use dermis_model::{DeviceState, Differences, ForwardModel, Indentation, Stimulus, TipShape, Unknowns};
 use dermis_skin::{Image, ModelError, PixelFormat, SkinDescription, Surface};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{DMatrix, Point3, Vector3};
 
 use crate::effects::{self, Dynamics};
 use crate::elastic::basis::{Basis, Field};
 use crate::elastic::contact::{Footprint, gripping};
-use crate::optics::light::COLOURS;
-use crate::optics::picture::{Picture, means};
+use crate::optics::picture::Picture;
 use crate::optics::shading::{Changes, Shading};
+use crate::optics::{Observer, Table};
 use crate::parameters::Parameters;
 
 use state::Device;
@@ -45,7 +48,6 @@ pub struct ThumbModel {
     surface: Surface,
     shading: Shading,
     picture: Picture,
-    noise: Vec<f64>,
     dynamics: Dynamics,
     basis: OnceLock<Result<Arc<Basis>, String>>,
 }
@@ -54,6 +56,7 @@ pub struct ThumbModel {
 #[derive(Debug, Default)]
 struct Scratch {
     field: Field,
+    moved: Field,
     changes: Changes,
 }
 
@@ -70,30 +73,30 @@ impl ThumbModel {
     /// [`ModelError::Description`] names the field that is missing, unknown or impossible, effects included.
     pub fn new(skin: &SkinDescription) -> Result<Self, ModelError> {
         let mut parameters = Parameters::nominal(skin)?;
+        let design = parameters.clone();
         effects::shape(skin, &mut parameters)?;
-        let numbers = parameters.blocks.iter().product::<u32>() as usize * COLOURS;
+        let shading = lit(&parameters);
+        let table = table(&parameters, &shading);
+        // What makes numbers of pictures does not know what became of a device.
+        let observer = match parameters == design {
+            true => Arc::new(Observer::new(&table, design.blocks)),
+            false => observer(&design),
+        };
+        let picture = Picture::new(table, parameters.noise, observer);
+        let numbers = picture.observer().numbers();
         if skin.channels().len() != numbers {
             let reason = format!(
-                "are {} and must be {numbers}: red, green and blue of every block of `medium.blocks`; leave them out, and they follow",
+                "are {} and must be {numbers}: the colours of every block of `medium.blocks` and, with ridges, how far these have moved; \
+                 leave them out, and they follow",
                 skin.channels().len()
             );
             return Err(skin.refusal("channels", reason));
         }
-        let Parameters { elastomer, grid, camera, texture, noise, blocks, .. } = &parameters;
-        let shading = Shading::lit(
-            elastomer,
-            *grid,
-            camera,
-            parameters.light.clone(),
-            (parameters.ambient, texture.ridges.as_ref()),
-        );
-        let picture = Picture::new(elastomer, camera, &shading, texture, *noise, *blocks);
         Ok(Self {
             skin: skin.name.clone(),
             surface: skin.surface(),
             shading,
             picture,
-            noise: skin.channel_noise(),
             dynamics: Dynamics::new(skin)?,
             basis: OnceLock::new(),
             parameters,
@@ -190,6 +193,79 @@ impl ThumbModel {
         Ok(())
     }
 
+    /// Displacements of the inside by some contacts times a factor each, which nearly take each other away: forces are added up point by
+    /// point before anything moves.
+    fn displace_by(
+        &self,
+        index: usize,
+        contacts: [(&Indentation, f64); 2],
+        field: &mut Field,
+    ) -> Result<(), ModelError> {
+        field.clear(&self.parameters.grid);
+        let mut forces: Vec<(usize, Vector3<f64>)> = Vec::new();
+        for (contact, factor) in contacts {
+            let Some((footprint, force)) = self.footprint(index, contact)? else { continue };
+            let force = force * (factor / self.parameters.stiffness);
+            forces.extend(footprint.shares.iter().map(|(point, share)| (*point, force * *share)));
+        }
+        forces.sort_unstable_by_key(|(point, _)| *point);
+        for same in forces.chunk_by(|a, b| a.0 == b.0) {
+            self.basis()?.add(same[0].0, &same.iter().map(|(_, force)| force).sum(), field);
+        }
+        Ok(())
+    }
+
+    /// Calls with what changes for each unknown of each contact, to first order; `None` where nothing can move.
+    fn each_slope(
+        &self,
+        stimulus: &Stimulus,
+        unknowns: Unknowns,
+        differences: &Differences,
+        mut each: impl FnMut(Option<&Changes>),
+    ) -> Result<(), ModelError> {
+        SCRATCH.with_borrow_mut(|Scratch { field, moved, changes }| {
+            self.displace(stimulus, field)?;
+            for (index, contact) in stimulus.contacts.iter().enumerate() {
+                for unknown in unknowns.list() {
+                    let (plus, minus, step) =
+                        differences.neighbours(&self.surface, contact, unknowns, *unknown);
+                    if step == 0.0 {
+                        each(None);
+                        continue;
+                    }
+                    self.displace_by(index, [(&plus, 1.0 / step), (&minus, -1.0 / step)], moved)?;
+                    self.shading.slopes(field, moved, changes);
+                    each(Some(&*changes));
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Fisher's information about the unknowns of contacts in all pixels of one picture, whose noise is Gaussian: the inverse bounds
+    /// the covariance of any estimate without bias (H. Cramér, C. R. Rao). A picture's [numbers](ForwardModel::response) have less.
+    ///
+    /// # Errors
+    ///
+    /// What the model says of the stimulus.
+    pub fn pixel_information(
+        &self,
+        stimulus: &Stimulus,
+        unknowns: Unknowns,
+        differences: &Differences,
+    ) -> Result<DMatrix<f64>, ModelError> {
+        let mut columns: Vec<Vec<f32>> = Vec::new();
+        self.each_slope(stimulus, unknowns, differences, |changes| {
+            columns.push(changes.map_or_else(Vec::new, |changes| self.picture.whitened(changes)));
+        })?;
+        let product = |a: &[f32], b: &[f32]| -> f64 {
+            // Sums of parts, so that f32 does not lose the small ones.
+            let part = |(a, b): (&[f32], &[f32])| f64::from(a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>());
+            a.chunks(1024).zip(b.chunks(1024)).map(part).sum()
+        };
+        Ok(DMatrix::from_fn(columns.len(), columns.len(), |i, j| product(&columns[i], &columns[j])))
+    }
+
     /// Factor of what a picture says, at a temperature \[K\].
     fn brighter(&self, temperature: f64) -> f64 {
         let change = 1.0 + self.parameters.per_kelvin * (temperature - STANDARD_TEMPERATURE);
@@ -202,6 +278,22 @@ impl ThumbModel {
     }
 }
 
+fn lit(parameters: &Parameters) -> Shading {
+    let Parameters { elastomer, grid, camera, texture, light, ambient, .. } = parameters;
+    Shading::lit(elastomer, *grid, camera, light.clone(), (*ambient, texture.ridges.as_ref()))
+}
+
+fn table(parameters: &Parameters, shading: &Shading) -> Table {
+    let Parameters { elastomer, camera, texture, .. } = parameters;
+    Table::new(elastomer, camera, shading, texture)
+}
+
+/// What makes numbers of the pictures of a design. Makes the table of its picture, as a model does.
+#[must_use]
+pub fn observer(design: &Parameters) -> Arc<Observer> {
+    Arc::new(Observer::new(&table(design, &lit(design)), design.blocks))
+}
+
 /// The seed of a picture's noise, of a source of normal numbers; none where they are all 0.
 fn seed(noise: &mut dyn FnMut() -> f64) -> Option<u64> {
     let [a, b] = [noise(), noise()];
@@ -210,7 +302,7 @@ fn seed(noise: &mut dyn FnMut() -> f64) -> Option<u64> {
 
 impl ForwardModel for ThumbModel {
     fn channels(&self) -> usize {
-        self.noise.len()
+        self.picture.observer().numbers()
     }
 
     fn surface(&self) -> &Surface {
@@ -219,7 +311,7 @@ impl ForwardModel for ThumbModel {
 
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
         debug_assert_eq!(out.len(), self.channels());
-        SCRATCH.with_borrow_mut(|Scratch { field, changes }| {
+        SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
             self.displace(stimulus, field)?;
             self.shading.changes(field, changes);
             self.picture.respond(&[(changes, 1.0)], self.brighter(stimulus.temperature), out);
@@ -227,8 +319,28 @@ impl ForwardModel for ThumbModel {
         })
     }
 
+    fn jacobian(
+        &self,
+        stimulus: &Stimulus,
+        unknowns: Unknowns,
+        differences: &Differences,
+        out: &mut [f64],
+    ) -> Result<(), ModelError> {
+        let Parameters { stiffening, flex, .. } = self.parameters;
+        if stiffening > 0.0 || flex > 0.0 {
+            return differences.jacobian(self, stimulus, unknowns, out);
+        }
+        let brighter = self.brighter(stimulus.temperature);
+        let mut columns = out.chunks_exact_mut(self.channels());
+        self.each_slope(stimulus, unknowns, differences, |changes| match (columns.next(), changes) {
+            (Some(column), Some(changes)) => self.picture.change(changes, brighter, column),
+            (Some(column), None) => column.fill(0.0),
+            _ => {}
+        })
+    }
+
     fn noise(&self) -> &[f64] {
-        &self.noise
+        self.picture.deviations()
     }
 
     fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
@@ -253,7 +365,7 @@ impl ForwardModel for ThumbModel {
         stimulus: &Stimulus,
         noise: &mut dyn FnMut() -> f64,
     ) -> Result<Option<Image>, ModelError> {
-        SCRATCH.with_borrow_mut(|Scratch { field, changes }| {
+        SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
             self.displace(stimulus, field)?;
             self.shading.changes(field, changes);
             let brighter = self.brighter(stimulus.temperature);
@@ -262,10 +374,10 @@ impl ForwardModel for ThumbModel {
     }
 
     fn observe(&self, image: &Image, out: &mut [f64]) -> bool {
-        let size = self.picture.size();
-        let fits = [image.width(), image.height()] == size && image.format() == PixelFormat::Rgb8;
-        if fits && out.len() == self.picture.numbers() {
-            means(size, self.parameters.blocks, image.data(), out);
+        let observer = self.picture.observer();
+        let fits = [image.width(), image.height()] == observer.size() && image.format() == PixelFormat::Rgb8;
+        if fits && out.len() == observer.numbers() {
+            observer.observe(image.data(), out);
         }
         fits
     }
@@ -286,15 +398,33 @@ impl ForwardModel for ThumbModel {
         if depth <= 0.0 {
             return (depth == 0.0).then_some(0.0);
         }
-        let (mut low, mut high) = (0.0, STRONGEST);
-        if self.depth_of_tip(at, tip, high)? < depth {
+        // A ball's depth is nearly linear in this power of its force (H. Hertz), so that false position (Illinois: M. Dowell and P. Jarratt,
+        // 1971) needs few depths.
+        let force = |x: f64| x.powf(1.5);
+        let over = |x: f64| Some(self.depth_of_tip(at, tip, force(x).min(STRONGEST))? - depth);
+        let (mut low, mut high) = ((0.0, -depth), (STRONGEST.powf(2.0 / 3.0), 0.0));
+        high.1 = over(high.0)?;
+        if high.1 < 0.0 {
             return None;
         }
-        for _ in 0..50 {
-            let middle = f64::midpoint(low, high);
-            if self.depth_of_tip(at, tip, middle)? < depth { low = middle } else { high = middle }
+        let mut side = 0;
+        for _ in 0..60 {
+            let x = (low.0 * high.1 - high.0 * low.1) / (high.1 - low.1).max(f64::MIN_POSITIVE);
+            let found = over(x)?;
+            if found.abs() <= 1e-10 * depth {
+                return Some(force(x));
+            }
+            if found < 0.0 {
+                low = (x, found);
+                high.1 *= if side < 0 { 0.5 } else { 1.0 };
+                side = -1;
+            } else {
+                high = (x, found);
+                low.1 *= if side > 0 { 0.5 } else { 1.0 };
+                side = 1;
+            }
         }
-        Some(f64::midpoint(low, high))
+        Some(force(f64::midpoint(low.0, high.0)))
     }
 
     /// Of the points under the tip, in the mean, and of its own shape.

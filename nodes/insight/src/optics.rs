@@ -2,11 +2,15 @@
 
 pub mod lens;
 pub mod light;
+mod numbers;
+pub mod observer;
 pub mod picture;
 pub mod shading;
 pub mod table;
 
 pub use lens::Camera;
 pub use light::{Lamp, Light};
+pub use observer::Observer;
 pub use picture::{Noise, Picture};
 pub use shading::Shading;
+pub use table::Table;

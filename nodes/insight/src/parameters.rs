@@ -8,7 +8,7 @@ use dermis_skin::{FieldFault, ModelError, SkinDescription, SurfaceSpec};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use serde::Deserialize;
 
-pub use complete::{check, complete, picture_of};
+pub use complete::{check, complete};
 
 use crate::elastic::Grid;
 use crate::elastic::mesh::{Elastomer, Fovea, Skeleton};
@@ -51,7 +51,7 @@ struct MediumSpec {
     lamps: LampsSpec,
     finish: FinishSpec,
     noise: NoiseSpec,
-    /// Blocks of pixels across and down whose means are the numbers of a frame.
+    /// Blocks of pixels across and down that the numbers of a frame are made of.
     blocks: [u32; 2],
 }
 

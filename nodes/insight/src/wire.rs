@@ -8,6 +8,7 @@
 //! There is no clock and no number in an answer: frames are stamped on arrival and counted here.
 
 use std::io::Cursor;
+use std::sync::Arc;
 
 use dermis_sensor::{Decoder, Encoder};
 use dermis_skin::{Frame, Image, PixelFormat};
@@ -16,8 +17,8 @@ use dermis_transport::{ClockState, DeviceClock};
 use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
 use image::{ColorType, ExtendedColorType, ImageDecoder};
 
+use crate::optics::Observer;
 use crate::optics::light::COLOURS;
-use crate::optics::picture::means;
 
 /// As skin files name it.
 pub const NAME: &str = "insight-jpeg";
@@ -42,8 +43,7 @@ const OVERDUE: i64 = 1_000_000_000;
 /// Asks for pictures and reads them.
 #[derive(Debug)]
 pub struct PictureReader {
-    size: [u32; 2],
-    blocks: [u32; 2],
+    observer: Arc<Observer>,
     buffer: Vec<u8>,
     stats: DecoderStats,
     clock: DeviceClock,
@@ -53,14 +53,13 @@ pub struct PictureReader {
 }
 
 impl PictureReader {
-    /// For pictures of `size` pixels whose means over `blocks` are a frame's numbers.
+    /// For pictures that `observer` makes a frame's numbers of.
     #[must_use]
-    pub fn new(size: [u32; 2], blocks: [u32; 2]) -> Self {
+    pub fn new(observer: Arc<Observer>) -> Self {
         Self {
-            size,
-            blocks,
             buffer: Vec::new(),
-            stats: DecoderStats::new(most_bytes(size)),
+            stats: DecoderStats::new(most_bytes(observer.size())),
+            observer,
             clock: DeviceClock::new(),
             asked: None,
             sequence: 0,
@@ -69,7 +68,7 @@ impl PictureReader {
 
     /// Bytes to pass over until an answer may begin, and its picture's length where that is known.
     fn next(&self) -> (usize, Option<usize>) {
-        let most = most_bytes(self.size);
+        let most = most_bytes(self.observer.size());
         let begins = |at: usize| {
             let head = &self.buffer[at..];
             let known = head.len().min(HEAD + BEGINS.len());
@@ -85,15 +84,15 @@ impl PictureReader {
     }
 
     fn frame(&mut self, jpeg: &[u8], received_ns: i64) -> Option<Frame> {
-        let image = match decode(jpeg, self.size) {
+        let image = match decode(jpeg, self.observer.size()) {
             Ok(image) => image,
             Err(reason) => {
                 self.stats.reject(Rejection::Format, || reason);
                 return None;
             }
         };
-        let mut values = vec![0.0; self.blocks.iter().product::<u32>() as usize * COLOURS];
-        means(self.size, self.blocks, image.data(), &mut values);
+        let mut values = vec![0.0; self.observer.numbers()];
+        self.observer.observe(image.data(), &mut values);
         self.stats.frames += 1;
         let stamp = self.clock.stamp(None, received_ns);
         let mut frame = Frame::new(stamp, self.sequence, values.iter().map(|v| *v as f32).collect());
@@ -256,6 +255,14 @@ mod tests {
         Image::new(width, height, PixelFormat::Rgb8, data).unwrap()
     }
 
+    fn observer() -> Arc<Observer> {
+        Arc::new(Observer::of_means(SIZE, BLOCKS))
+    }
+
+    fn reader() -> PictureReader {
+        PictureReader::new(observer())
+    }
+
     fn answer(image: Image) -> Vec<u8> {
         let mut frame = Frame::new(0, 0, Vec::new());
         frame.image = Some(image);
@@ -263,7 +270,7 @@ mod tests {
     }
 
     fn read(pieces: &[&[u8]]) -> (Vec<Frame>, DecoderStats) {
-        let mut reader = PictureReader::new(SIZE, BLOCKS);
+        let mut reader = reader();
         let mut frames = Vec::new();
         pieces.iter().for_each(|piece| reader.push(piece, 5, &mut frames));
         (frames, reader.stats().clone())
@@ -280,7 +287,7 @@ mod tests {
             let off = image.data().iter().zip(wanted.data()).map(|(a, b)| a.abs_diff(*b)).max();
             assert!(off <= Some(6), "{off:?}");
             let mut means_of = vec![0.0; 36];
-            means(SIZE, BLOCKS, wanted.data(), &mut means_of);
+            observer().observe(wanted.data(), &mut means_of);
             assert!(frame.values.iter().zip(&means_of).all(|(a, b)| (f64::from(*a) - b).abs() < 0.01));
         }
     }
@@ -323,7 +330,7 @@ mod tests {
 
     #[test]
     fn a_request_is_made_again_where_no_answer_comes() {
-        let mut reader = PictureReader::new(SIZE, BLOCKS);
+        let mut reader = reader();
         assert_eq!(reader.request(0).as_deref(), Some(REQUEST));
         assert_eq!(reader.request(1_000_000), None);
         assert_eq!(reader.request(OVERDUE).as_deref(), Some(REQUEST));
@@ -349,7 +356,7 @@ mod tests {
             // Noise may look like a length; a zero after it ends that.
             stream.extend([0; 8]);
             (0..3).for_each(|i| stream.extend(answer(pixels(SIZE, 20 * i))));
-            let (mut reader, mut frames) = (PictureReader::new(SIZE, BLOCKS), Vec::new());
+            let (mut reader, mut frames) = (reader(), Vec::new());
             let mut rest = &stream[..];
             for cut in cuts.iter().cycle() {
                 let (piece, left) = rest.split_at((*cut).min(rest.len()));
@@ -369,7 +376,7 @@ mod tests {
             for (at, value) in flip {
                 if let Some(byte) = damaged.get_mut(at) { *byte = value }
             }
-            let (mut reader, mut frames) = (PictureReader::new(SIZE, BLOCKS), Vec::new());
+            let (mut reader, mut frames) = (reader(), Vec::new());
             for piece in [&bytes[..], &damaged, &bytes] {
                 reader.push(piece, 5, &mut frames);
                 prop_assert!(reader.buffer.len() <= HEAD + most_bytes(SIZE));

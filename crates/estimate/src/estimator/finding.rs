@@ -112,7 +112,7 @@ impl SkinEstimator {
             let found = indentations(&solution.contacts, inverter.settings());
             inverter.signal(&found, &mut self.guessed)?;
             // Asked once a frame: what it costs is the frame's time.
-            self.solution = (inverter.settings().in_pairs()).then_some(solution);
+            self.solution = (inverter.settings().follows()).then_some(solution);
         }
         Ok(())
     }

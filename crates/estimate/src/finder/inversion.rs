@@ -5,7 +5,7 @@
 //! finder [follows](InversionFinder::following) contacts from frame to frame as a node does. Cost: that of the inverter, a
 //! millisecond or so for one contact, tens of them for all pairs of places; who follows pays for the frames that it passes, too.
 
-use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Solution, SparseSettings};
+use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Search, Solution, SparseSettings};
 use dermis_model::Indentation;
 use dermis_skin::{Contact, ForceComponents};
 
@@ -31,8 +31,8 @@ pub(crate) struct Learned<'a> {
 }
 
 /// The contacts that explain readings best, in the manner that a bundle asks for: among all pairs of places, from those of
-/// the frame `before` while they last, then from all that were `learned` where these are complete; or one after the other, the first
-/// near what was `learned`.
+/// the frame `before` while they last, then from all that were `learned` where these are complete; near those of the frame before or what was
+/// learned; or one after the other, the first near what was `learned`.
 pub(crate) fn solve(
     inverter: &Inverter,
     readings: &[Reading],
@@ -48,6 +48,11 @@ pub(crate) fn solve(
         let complete = learned.contacts.iter().filter(|_| learned.complete).filter(known);
         let starts: Vec<_> = complete.map(|c| indentation(inverter, c)).collect();
         return inverter.search_from(readings, &starts);
+    }
+    if inverter.settings().search == Search::Near {
+        let starts: Vec<_> =
+            learned.contacts.iter().filter(known).map(|c| indentation(inverter, c)).collect();
+        return inverter.search_near(readings, before, &starts);
     }
     let hint = learned.contacts.first().filter(known);
     inverter.solve(readings, hint.map(|c| indentation(inverter, c)).as_ref())
@@ -110,11 +115,11 @@ impl InversionFinder {
     }
 
     /// Follows contacts from frame to frame while they last, as a node does: frames must come in order and without gaps, those that
-    /// nobody asks about by [`pass`](ContactFinder::pass). It makes a difference with [`Start::Bundle`] where the settings ask for
-    /// [all pairs of places](dermis_inversion::Settings::in_pairs); all other searches take each frame by itself in a node, too.
+    /// nobody asks about by [`pass`](ContactFinder::pass). It makes a difference with [`Start::Bundle`] where the settings
+    /// [ask for it](dermis_inversion::Settings::follows); all other searches take each frame by itself in a node, too.
     #[must_use]
     pub fn following(mut self) -> Self {
-        let follows = matches!(self.start, Start::Bundle(_)) && self.inverter.settings().in_pairs();
+        let follows = matches!(self.start, Start::Bundle(_)) && self.inverter.settings().follows();
         self.followed = follows.then(Followed::default);
         self
     }

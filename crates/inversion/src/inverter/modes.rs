@@ -237,9 +237,5 @@ impl Limits {
 
 /// Sum of the squares of readings in units of their noise.
 pub(super) fn sum_of_squares(data: &[Datum]) -> f64 {
-    let square = |datum: &Datum| match *datum {
-        Datum::Exact(v, w) | Datum::AtLeast(v, w) | Datum::AtMost(v, w) => (v * w).powi(2),
-        Datum::None => 0.0,
-    };
-    data.iter().map(square).sum()
+    data.iter().map(|datum| datum.square()).sum()
 }

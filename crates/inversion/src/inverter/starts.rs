@@ -74,7 +74,7 @@ impl Inverter {
     }
 
     /// A press at a place of the dictionary, with the force that explains whitened residuals best.
-    pub(super) fn pressed(&self, index: usize, left: &[f32]) -> Indentation {
+    pub(crate) fn pressed(&self, index: usize, left: &[f32]) -> Indentation {
         let place = &self.dictionary.places[index];
         // The level whose force changes least.
         let force = (0..self.dictionary.forces.len())

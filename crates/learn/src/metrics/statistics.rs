@@ -27,7 +27,12 @@ pub(super) fn summarise(name: &str, errors: &[Error], seed: u64) -> Summary {
     }
     let intervals = (groups.len() >= 3).then(|| bootstrap(&groups, seed));
     Summary {
-        unit: if name.starts_with("position") { "m" } else { "N" }.into(),
+        unit: match name {
+            "angle" => "rad",
+            _ if name.starts_with("position") => "m",
+            _ => "N",
+        }
+        .into(),
         samples: errors.len(),
         rms,
         mean,

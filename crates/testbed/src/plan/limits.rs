@@ -47,6 +47,7 @@ pub(super) fn check(plan: &Plan) -> Result<(), (String, String)> {
         match &step.action {
             Action::Idle { .. } => {}
             Action::Presses { level, .. } => drawn(level)?,
+            Action::Levels { levels, .. } => listed(&levels.values)?,
             Action::Grid { pitch, levels } => {
                 limits(at("pitch"), pitch, LENGTH, "m")?;
                 listed(&levels.values)?;
@@ -80,6 +81,7 @@ pub(super) fn check(plan: &Plan) -> Result<(), (String, String)> {
         limits(at("diameter"), &step.profile.diameter, LENGTH, "m")?;
         limits(at("shear"), step.profile.shear.as_ref().map_or(&[], |s| s), [0.0, 1e3], "N/N")?;
         limits(at("least_force"), step.profile.least_force.as_slice(), FORCE, "N")?;
+        limits(at("most_force"), step.profile.most_force.as_slice(), FORCE, "N")?;
         let turn = step.profile.shear_direction.map_or(0.0, f64::abs);
         limits(at("shear_direction"), &[turn], [0.0, 1e3], "rad")?;
     }

@@ -57,6 +57,13 @@ pub enum Action {
         /// Presses at each place, each with a level of its own.
         repeats: u32,
     },
+    /// Single presses at random places, all up to the same levels.
+    Levels {
+        /// Number of places.
+        count: u32,
+        /// What each place is pressed up to.
+        levels: Levels,
+    },
     /// Single presses on a grid of places, in random order of the places.
     Grid {
         /// \[m\] between places, along x and y of the skin's link.
@@ -152,6 +159,8 @@ pub struct PressProfile {
     pub gap: Option<[f64; 2]>,
     /// \[N\] levels at which a tip presses with less are left out, and so are presses of which nothing is left.
     pub least_force: Option<f64>,
+    /// \[N\] at which a press stops: the first level at which a tip presses with more, and all that follow, are left out.
+    pub most_force: Option<f64>,
 }
 
 /// One part of a plan; parts follow one another.

@@ -128,14 +128,16 @@ pub(super) struct StepFile {
     #[serde(skip_serializing_if = "Option::is_none")]
     least_force: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    most_force: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     radius: Option<OneOrTwo>,
     #[serde(skip_serializing_if = "Option::is_none")]
     turn: Option<OneOrTwo>,
 }
 
 /// Keys of how it is pressed, the same for every kind of press that stands still.
-const MANNER: [&str; 8] =
-    ["diameter", "shear", "shear_direction", "load", "hold", "unload", "gap", "least_force"];
+const MANNER: [&str; 9] =
+    ["diameter", "shear", "shear_direction", "load", "hold", "unload", "gap", "least_force", "most_force"];
 
 impl StepFile {
     const fn of(kind: Kind) -> Self {
@@ -163,6 +165,7 @@ impl StepFile {
             unload: None,
             gap: None,
             least_force: None,
+            most_force: None,
             radius: None,
             turn: None,
         }
@@ -193,6 +196,7 @@ impl StepFile {
             ("unload", self.unload.is_some()),
             ("gap", self.gap.is_some()),
             ("least_force", self.least_force.is_some()),
+            ("most_force", self.most_force.is_some()),
             ("radius", self.radius.is_some()),
             ("turn", self.turn.is_some()),
         ];
@@ -204,7 +208,9 @@ impl StepFile {
         let kind = self.kind;
         let (own, common): (&[&str], &[&str]) = match kind {
             Kind::Idle => (&["duration"], &[]),
-            Kind::Presses => (&["count", "force", "depth", "repeats"], &MANNER),
+            Kind::Presses => {
+                (&["count", "force", "depth", "forces", "depths", "incremental", "repeats"], &MANNER)
+            }
             Kind::Grid => (&["pitch", "forces", "depths", "incremental", "repeats"], &MANNER),
             Kind::Places => (&["at", "forces", "depths", "incremental", "repeats"], &MANNER),
             Kind::Slides => (&["count", "force", "length", "speed", "diameter"], &[]),
@@ -249,6 +255,19 @@ impl StepFile {
         };
         let action = match kind {
             Kind::Idle => Action::Idle { duration: self.duration.ok_or_else(missing("duration"))? },
+            Kind::Presses if self.forces.is_some() || self.depths.is_some() => {
+                if self.force.is_some() || self.depth.is_some() {
+                    let listed = "names levels: leave out the range `force` or `depth` beside it";
+                    return Err((if self.forces.is_some() { "forces" } else { "depths" }, listed.to_owned()));
+                }
+                Action::Levels {
+                    count: self.count.ok_or_else(missing("count"))?,
+                    levels: levels(self.forces, self.depths, self.incremental)?,
+                }
+            }
+            Kind::Presses if self.incremental.is_some() => {
+                return Err(("incremental", "goes with `forces` or `depths`: name the levels".to_owned()));
+            }
             Kind::Presses => Action::Presses {
                 count: self.count.ok_or_else(missing("count"))?,
                 level: level(self.force, self.depth)?,
@@ -307,6 +326,7 @@ impl StepFile {
             unload: self.unload,
             gap: self.gap,
             least_force: self.least_force,
+            most_force: self.most_force,
         };
         Ok(Step { action, profile })
     }
@@ -332,6 +352,9 @@ impl From<Step> for StepFile {
             Action::Presses { count, level, repeats } => {
                 let (force, depth) = ranges(level);
                 Self { count: Some(count), force, depth, repeats: Some(repeats), ..Self::of(Kind::Presses) }
+            }
+            Action::Levels { count, levels } => {
+                lists(levels, Self { count: Some(count), ..Self::of(Kind::Presses) })
             }
             Action::Grid { pitch, levels } => {
                 lists(levels, Self { pitch: Some(pitch.into()), ..Self::of(Kind::Grid) })
@@ -362,8 +385,17 @@ impl From<Step> for StepFile {
                 lists(levels, Self { count, contacts, radius, turn, ..Self::of(Kind::Hex) })
             }
         };
-        let PressProfile { diameter, shear, shear_direction, load, hold, unload, gap, least_force } =
-            step.profile;
+        let PressProfile {
+            diameter,
+            shear,
+            shear_direction,
+            load,
+            hold,
+            unload,
+            gap,
+            least_force,
+            most_force,
+        } = step.profile;
         Self {
             diameter: OneOrMore::of(diameter),
             shear: shear.map(OneOrTwo::from),
@@ -373,6 +405,7 @@ impl From<Step> for StepFile {
             unload,
             gap,
             least_force,
+            most_force,
             ..file
         }
     }

@@ -108,6 +108,10 @@ impl Checker<'_> {
                 self.within(level)?;
                 Ok(u64::from(*count) * u64::from(*repeats))
             }
+            Action::Levels { count, levels } => {
+                self.at_least_one("count", *count)?;
+                Ok(u64::from(*count) * self.levels(levels)?)
+            }
             Action::Grid { pitch: [x, y], levels } => {
                 self.range("pitch", [*x, *x], "m")?;
                 self.range("pitch", [*y, *y], "m")?;
@@ -167,10 +171,16 @@ impl Checker<'_> {
                 return self.wrong("shear_direction", "says where to without `shear`, which says how much");
             }
         }
-        if let Some(force) = profile.least_force
-            && !(force > 0.0 && force.is_finite())
+        for (field, force) in [("least_force", profile.least_force), ("most_force", profile.most_force)] {
+            if let Some(force) = force.filter(|force| !(*force > 0.0 && force.is_finite())) {
+                return self.wrong(field, format!("is {force} N and must be positive"));
+            }
+        }
+        if let (Some(least), Some(most)) = (profile.least_force, profile.most_force)
+            && most < least
         {
-            return self.wrong("least_force", format!("is {force} N and must be positive"));
+            return self
+                .wrong("most_force", format!("is {most} N, less than the `least_force` of {least} N"));
         }
         let durations = [
             ("load", profile.load),

@@ -103,8 +103,8 @@ fn steps_refuse_what_does_not_belong_to_them() {
         assert!(MORE.contains(from), "{from} is not in the plan");
         Plan::from_toml(&MORE.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
     };
-    insta::assert_snapshot!(refused("count = 3", "count = 3\npitch = 0.1"), @"plan plan.toml: field `steps[2].pitch`: is no key of a step of kind `presses`, which has count, force, depth, repeats, diameter, shear, shear_direction, load, hold, unload, gap, least_force");
-    insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `load`, `hold`, `unload`, `gap`, `least_force`, `radius`, `turn`");
+    insta::assert_snapshot!(refused("count = 3", "count = 3\npitch = 0.1"), @"plan plan.toml: field `steps[2].pitch`: is no key of a step of kind `presses`, which has count, force, depth, forces, depths, incremental, repeats, diameter, shear, shear_direction, load, hold, unload, gap, least_force, most_force");
+    insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `load`, `hold`, `unload`, `gap`, `least_force`, `most_force`, `radius`, `turn`");
     insta::assert_snapshot!(refused("count = 3", ""), @"plan plan.toml: field `steps[2].count`: is missing: a step of kind `presses` needs it");
     insta::assert_snapshot!(refused("count = 3", "count = 3\nforce = [0.1, 0.2]"), @"plan plan.toml: field `steps[2].depth`: stands beside `force`: name one of them");
     insta::assert_snapshot!(refused("forces = [0.1]", ""), @"plan plan.toml: field `steps[1].forces`: is missing: a step of kind `places` needs it, or `depths`");

@@ -88,6 +88,12 @@ impl Schedule<'_> {
             Action::Presses { count, level, repeats } => {
                 (0..*count).try_for_each(|_| self.presses_at_one_place(level, *repeats, profile))
             }
+            Action::Levels { count, levels } => (0..*count).try_for_each(|_| {
+                self.check_bounds()?;
+                let at = self.draw.place().ok_or_else(|| self.too_narrow())?;
+                self.location += 1;
+                self.levels(at, levels, profile)
+            }),
             Action::Grid { pitch, levels } => self.grid(*pitch, levels, profile),
             Action::Places { at, levels } => {
                 at.iter().enumerate().try_for_each(|(j, at)| self.named_place(j, *at, levels, profile))
@@ -296,7 +302,7 @@ impl Schedule<'_> {
         slide: Option<f64>,
         staircase: &[f64],
     ) {
-        let steps = self.heavy_enough(profile, &touches, staircase);
+        let steps = self.within_forces(profile, &touches, staircase);
         if steps.is_empty() {
             return;
         }
@@ -351,14 +357,24 @@ impl Schedule<'_> {
         timeline.duration += end + gap;
     }
 
-    /// Those steps of a staircase at which every tip presses with the least force of the profile or more.
-    fn heavy_enough(&self, profile: &PressProfile, touches: &[Touch], staircase: &[f64]) -> Vec<f64> {
+    /// Those steps of a staircase at which every tip presses with the least force of the profile or more, up to the first at which one
+    /// presses with more than the most.
+    fn within_forces(&self, profile: &PressProfile, touches: &[Touch], staircase: &[f64]) -> Vec<f64> {
         let least = profile.least_force.unwrap_or(0.0);
         // Rounding must not drop a level that is exactly the least.
         let heavy = |step: &f64, touch: &Touch| {
             self.timeline.press_of(touch, &touch.from, *step).0 >= least * (1.0 - 1e-9)
         };
-        staircase.iter().filter(|step| touches.iter().all(|touch| heavy(step, touch))).copied().collect()
+        let most = profile.most_force.unwrap_or(f64::INFINITY) * (1.0 + 1e-9);
+        let stops = |step: &&f64| {
+            touches.iter().all(|touch| self.timeline.press_of(touch, &touch.from, **step).0 <= most)
+        };
+        staircase
+            .iter()
+            .take_while(stops)
+            .filter(|step| touches.iter().all(|touch| heavy(step, touch)))
+            .copied()
+            .collect()
     }
 
     /// Refuses a plan that takes too long to carry out, or to draw.
@@ -389,7 +405,8 @@ impl Schedule<'_> {
             return Ok(());
         }
         let field = match &plan.steps[step].action {
-            Action::Grid { .. }
+            Action::Levels { .. }
+            | Action::Grid { .. }
             | Action::Places { .. }
             | Action::Hex { .. }
             | Action::Multi { level: Level::Depth(Drawn::OneOf(_)), .. } => "depths",

@@ -256,6 +256,40 @@ fn tips_of_a_plate_are_lowered_together_on_the_arms_of_a_hexagon() {
     assert!(keys(&timeline).contains(&4), "only the deepest step is heavy enough somewhere");
 }
 
+/// The toy presses back with (2000 + 10⁵ x) N per metre of depth.
+#[test]
+fn steps_stop_at_a_force() {
+    let model: Arc<dyn ForwardModel> = Arc::new(KnowsFlatTips(testing::shared_bumps(&testing::skin(100.0))));
+    let steps = r#"
+    kind = "presses"
+    count = 30
+    depths = [0.0005, 0.001, 0.0015]
+    incremental = true
+    most_force = 2.0
+"#;
+    let head = PLATE.split("kind = ").next().unwrap();
+    let text = format!("{head}{}", steps.trim_start());
+    let plan = Plan::from_toml(&text, "steps.toml").unwrap();
+    let timeline = Timeline::new(&plan, &model, 5).unwrap();
+    assert_eq!(timeline.presses(), 30);
+    let mut held = BTreeMap::<u64, (f64, f64)>::new();
+    for moment in moments(&timeline).into_iter().filter(|m| m.phase == Phase::Hold) {
+        let depth = moment.depths[0].unwrap();
+        let force = -moment.stimulus.contacts[0].force.z;
+        assert!(force <= 2.0 * (1.0 + 1e-8), "{force} N");
+        held.entry(moment.press).or_insert((0.0, 0.0)).clone_from(&(depth, force / depth));
+    }
+    let mut stopped = 0;
+    for (depth, stiffness) in held.values() {
+        let wanted = (1..=3).rev().map(|i| 0.0005 * f64::from(i)).find(|d| d * stiffness <= 2.0);
+        assert!((depth - wanted.unwrap()).abs() < 1e-12, "{depth} m at {stiffness} N/m");
+        stopped += usize::from(*depth < 0.0014);
+    }
+    assert!(stopped > 0 && stopped < 30, "{stopped}");
+    // A plan says what it read.
+    assert_eq!(Plan::from_toml(&toml::to_string(&plan).unwrap(), "again.toml").unwrap(), plan);
+}
+
 #[test]
 fn what_a_plate_cannot_do_is_refused() {
     let refused = |from: &str, to: &str, knows: bool| {

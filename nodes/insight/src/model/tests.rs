@@ -100,6 +100,7 @@ fn rms(a: &[f64], b: &[f64]) -> f64 {
 #[test]
 fn its_numbers_are_means_over_blocks_of_its_picture() {
     let model = ThumbModel::new(&small(vec![])).unwrap();
+    assert_eq!(model.channels(), 3 * 80);
     for contacts in
         [vec![], vec![press(&model, 0.03, 0.7, 0.5, 0.2)], vec![press(&model, 0.006, -2.0, 0.3, 0.0)]]
     {
@@ -189,6 +190,94 @@ fn weight_is_seen_by_the_way_it_pulls() {
     assert!(rms(&a, &idle) > 1e-6);
     let linear = rms(&c, &idle) / rms(&a, &idle);
     assert!((linear - 2.0).abs() < 0.1 && rms(&a, &b) > 1.8 * rms(&a, &idle), "{linear}");
+}
+
+fn ridged() -> SkinDescription {
+    skin(&SMALL.replacen("blocks", "ridges = { pitch = 0.006, count = 12, height = 0.0008 }\nblocks", 1))
+}
+
+/// Of a light press, the numbers of ridges say more than the means do; both follow from the nodes as they do from the picture.
+#[test]
+fn blocks_say_how_far_their_ridges_have_moved() {
+    let model = ThumbModel::new(&ridged()).unwrap();
+    assert_eq!(model.channels(), 5 * 80);
+    let idle = read(&model, &Stimulus::default());
+    let stimulus = touched(vec![press(&model, 0.035, 0.7, 0.3, 0.1)]);
+    let found = read(&model, &stimulus);
+    let numbers = |image: Image| {
+        let mut seen = vec![0.0; model.channels()];
+        assert!(model.observe(&image, &mut seen));
+        seen
+    };
+    let seen = numbers(model.capture(&stimulus, &mut || 0.0).unwrap().unwrap());
+    let untouched = numbers(model.capture(&Stimulus::default(), &mut || 0.0).unwrap().unwrap());
+    let split = |values: &[f64], other: &[f64]| {
+        let off = values.iter().zip(other).map(|(a, b)| a - b).enumerate();
+        let square = |ridges: bool| {
+            off.clone().filter(|(i, _)| (i % 5 >= 3) == ridges).map(|(_, off)| off * off).sum::<f64>().sqrt()
+        };
+        [square(false), square(true)]
+    };
+    let change = split(&found, &idle);
+    assert!(change[1] > 1.5 * change[0], "{change:?}");
+    // Bytes round by 1/510, and a pixel sees ridges of its first harmonic only.
+    let signal: Vec<f64> = seen.iter().zip(&untouched).zip(&idle).map(|((s, u), i)| s - u + i).collect();
+    let [means, ridges] = split(&signal, &found);
+    assert!(means < 0.3 * change[0] && ridges < 0.1 * change[1], "{means} {ridges} of {change:?}");
+}
+
+/// What noise makes of each number is what the model says of it.
+#[test]
+fn numbers_have_the_noise_that_they_are_said_to_have() {
+    let model = ThumbModel::new(&ridged()).unwrap();
+    let mut seeds = (0..).map(|i| 0.1 + f64::from(i));
+    let mut take = || {
+        let image = model.capture(&Stimulus::default(), &mut || seeds.next().unwrap()).unwrap().unwrap();
+        let mut seen = vec![0.0; model.channels()];
+        assert!(model.observe(&image, &mut seen));
+        seen
+    };
+    let pairs = 40;
+    let mut chi2 = [0.0; 2];
+    for _ in 0..pairs {
+        let (a, b) = (take(), take());
+        for (i, noise) in model.noise().iter().enumerate() {
+            chi2[usize::from(i % 5 >= 3)] += ((a[i] - b[i]) / noise).powi(2) / 2.0;
+        }
+    }
+    for (chi2, each) in chi2.iter().zip([3.0, 2.0]) {
+        let ratio = chi2 / (f64::from(pairs) * each * 80.0);
+        // Rounding to bytes adds a percent or two.
+        assert!((0.9..1.15).contains(&ratio), "{ratio}");
+    }
+}
+
+/// The slopes that inversion follows: those of differences, but for what shading bends.
+#[test]
+fn slopes_are_those_of_small_differences() {
+    for skin in [small(vec![]), ridged()] {
+        let model = ThumbModel::new(&skin).unwrap();
+        let contacts = vec![press(&model, 0.03, 0.7, 0.02, 0.004), press(&model, 0.05, 3.0, 0.03, -0.01)];
+        let stimulus = touched(contacts);
+        // Steps that 32-bit colours can tell.
+        let differences = Differences {
+            place: 2e-4,
+            force: 0.2,
+            least_force: 2e-3,
+            moved_force: dermis_model::MovedForce::Turned,
+            ..Differences::default()
+        };
+        let size = model.channels() * 2 * Unknowns::Full.count();
+        let (mut quick, mut slow) = (vec![0.0; size], vec![0.0; size]);
+        model.jacobian(&stimulus, Unknowns::Full, &differences, &mut quick).unwrap();
+        differences.jacobian(&model, &stimulus, Unknowns::Full, &mut slow).unwrap();
+        for (k, (quick, slow)) in
+            quick.chunks(model.channels()).zip(slow.chunks(model.channels())).enumerate()
+        {
+            let off = rms(quick, slow) / rms(slow, &vec![0.0; slow.len()]);
+            assert!(off < 0.1, "unknown {k}: {off}");
+        }
+    }
 }
 
 /// Ridges that move change a picture by more than the shape that moves them.

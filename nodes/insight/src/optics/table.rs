@@ -9,8 +9,8 @@ use nalgebra::{Point3, Vector3};
 
 use super::lens::Camera;
 use super::light::{COLOURS, Light};
-use super::picture::Pixel;
-use super::shading::{Ridges, inside};
+use super::picture::Texture;
+use super::shading::{Ridges, Shading, inside};
 use crate::elastic::basis::Grid;
 use crate::elastic::mesh::Elastomer;
 
@@ -19,6 +19,111 @@ const MOVED: f64 = 0.3;
 /// Pixels of a row below which a pixel is looked at in parts, and such parts along a side at most.
 const FINE: u32 = 1640;
 const PARTS: u32 = 2;
+
+/// What a pixel sees.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Pixel {
+    /// Upper left node of its cell, by the grid with one column more.
+    pub(super) corner: u32,
+    /// Shares of the lower row and of the right column, of 65,535.
+    beyond: [u16; 2],
+    /// What it says where nothing touches; above 1 where it is saturated.
+    pub(super) base: [f32; COLOURS],
+}
+
+impl Pixel {
+    /// Nodes around it, by the grid with `wide` columns, and their weights.
+    pub(super) fn corners(&self, wide: usize) -> [(usize, f32); 4] {
+        let [down, right] = self.beyond.map(|b| f32::from(b) / f32::from(u16::MAX));
+        let corner = self.corner as usize;
+        [
+            (corner, (1.0 - down) * (1.0 - right)),
+            (corner + 1, (1.0 - down) * right),
+            (corner + wide, down * (1.0 - right)),
+            (corner + wide + 1, down * right),
+        ]
+    }
+}
+
+/// Parts of full scale in which the table of ridges counts.
+const RADIAN: f32 = 1.0 / 8192.0;
+
+/// What every pixel sees.
+#[derive(Debug, Clone)]
+pub struct Table {
+    pub(super) size: [u32; 2],
+    /// Columns of the grid, and one more.
+    pub(super) wide: usize,
+    /// Nodes of the grid with one column more.
+    pub(super) nodes: usize,
+    pub(super) pixels: Vec<Pixel>,
+    /// Factor of each pixel's changes; 1 everywhere where empty.
+    texture: Vec<f32>,
+    /// What each pixel says more for each radian of the ridges' phases, in parts of [`RADIAN`]; none where empty.
+    pub(super) ridges: Vec<[[i16; COLOURS]; 2]>,
+}
+
+impl Table {
+    /// Of a camera's picture of an inside.
+    #[must_use]
+    pub fn new(elastomer: &Elastomer, camera: &Camera, shading: &Shading, texture: &Texture) -> Self {
+        let grid = *shading.grid();
+        let wide = grid.columns + 1;
+        let [width, height] = camera.size.map(|n| n as usize);
+        let light = shading.light();
+        let see = |i: usize| {
+            let at = [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
+            let [s, azimuth] = meets(elastomer, camera, at).unwrap_or([elastomer.thumb.length(), 0.0]);
+            let (row, column, down, right) = grid.cell(s, azimuth);
+            let (p, normal) = inside(elastomer, s, azimuth);
+            let view = (camera.position - p).try_normalize(1e-9).unwrap_or_else(Vector3::z);
+            Pixel {
+                corner: (row * wide + column) as u32,
+                beyond: [down, right].map(|b| (b.clamp(0.0, 1.0) * f64::from(u16::MAX)).round() as u16),
+                base: light.seen(light.radiance(&p, &normal, &view)),
+            }
+        };
+        let mut pixels = in_parallel(width * height, see);
+        let mut ridges = Vec::new();
+        if let Some(known) = &texture.ridges {
+            let place = |i: usize| [i % width, i / width];
+            let ridged = in_parallel(width * height, |i| ridged(elastomer, camera, light, known, place(i)));
+            ridges.reserve_exact(ridged.len());
+            for (pixel, (base, moved)) in pixels.iter_mut().zip(ridged) {
+                pixel.base = base;
+                ridges.push(moved.map(|of| of.map(|v| (v / RADIAN).clamp(-32e3, 32e3) as i16)));
+            }
+        }
+        let albedo = factors(&grid, &texture.albedo, light.gamma);
+        let mut factor = Vec::new();
+        if !albedo.is_empty() {
+            factor.extend(pixels.iter().map(|pixel| {
+                pixel.corners(wide).iter().map(|(node, weight)| albedo[*node] * weight).sum::<f32>()
+            }));
+            for (pixel, factor) in pixels.iter_mut().zip(&factor) {
+                pixel.base = pixel.base.map(|v| v * factor);
+            }
+        }
+        for glint in &texture.glints {
+            add_glint(&mut pixels, width, camera, glint);
+        }
+        if texture.blur > 0.0 {
+            blur(&mut pixels, [width, height], texture.blur);
+        }
+        Self { size: camera.size, wide, nodes: grid.rows * wide, pixels, texture: factor, ridges }
+    }
+
+    /// What a pixel says more for each radian of the ridges' phases.
+    pub(super) fn moved(&self, pixel: usize) -> [[f32; COLOURS]; 2] {
+        let of = |moved: &[[i16; COLOURS]; 2]| moved.map(|of| of.map(|v| f32::from(v) * RADIAN));
+        self.ridges.get(pixel).map_or([[0.0; COLOURS]; 2], of)
+    }
+
+    /// Factor of a pixel's changes.
+    pub(super) fn factor(&self, pixel: usize) -> f32 {
+        self.texture.get(pixel).copied().unwrap_or(1.0)
+    }
+}
 
 /// Where rays from the camera meet the inside: (s, φ) of a place of the picture, found by Newton's method on the depth below the outside.
 #[must_use]
@@ -43,7 +148,7 @@ pub fn meets(elastomer: &Elastomer, camera: &Camera, pixel: [f64; 2]) -> Option<
 }
 
 /// What a pixel of a ridged inside says, in the mean over its parts, and what it says more for each radian of the ridges' phases.
-pub(super) fn ridged(
+fn ridged(
     elastomer: &Elastomer,
     camera: &Camera,
     light: &Light,
@@ -75,7 +180,7 @@ pub(super) fn ridged(
 }
 
 /// What `of` says of each of so many numbers, on all threads of the machine.
-pub(super) fn in_parallel<T: Send + Copy>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
+fn in_parallel<T: Send + Copy>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let part = count.div_ceil(threads).max(1);
     let parts: Vec<Vec<T>> = std::thread::scope(|scope| {
@@ -92,7 +197,7 @@ pub(super) fn in_parallel<T: Send + Copy>(count: usize, of: impl Fn(usize) -> T 
 }
 
 /// By node of the grid with one column more, what a picture's values are multiplied by; none where nothing is.
-pub(super) fn factors(grid: &Grid, albedo: &[f64], gamma: f64) -> Vec<f32> {
+fn factors(grid: &Grid, albedo: &[f64], gamma: f64) -> Vec<f32> {
     if albedo.len() != grid.count() {
         return Vec::new();
     }
@@ -103,12 +208,7 @@ pub(super) fn factors(grid: &Grid, albedo: &[f64], gamma: f64) -> Vec<f32> {
     (0..grid.rows * (grid.columns + 1)).map(of).collect()
 }
 
-pub(super) fn add_glint(
-    pixels: &mut [Pixel],
-    width: usize,
-    camera: &Camera,
-    glint: &(Point3<f64>, f64, f64),
-) {
+fn add_glint(pixels: &mut [Pixel], width: usize, camera: &Camera, glint: &(Point3<f64>, f64, f64)) {
     let (middle, radius, bright) = glint;
     let Some([cx, cy]) = camera.project(middle) else { return };
     let size = (camera.focal * radius / (middle - camera.position).norm().max(1e-4)).max(0.5);
@@ -127,7 +227,7 @@ pub(super) fn add_glint(
 }
 
 /// Blurs what pixels say where nothing touches by a Gaussian, along rows and then along columns.
-pub(super) fn blur(pixels: &mut [Pixel], [width, height]: [usize; 2], deviation: f64) {
+fn blur(pixels: &mut [Pixel], [width, height]: [usize; 2], deviation: f64) {
     let reach = (3.0 * deviation).ceil() as isize;
     let kernel: Vec<f32> =
         (-reach..=reach).map(|i| (-0.5 * (i as f64 / deviation).powi(2)).exp() as f32).collect();

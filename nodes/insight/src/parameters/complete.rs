@@ -3,10 +3,16 @@
 use dermis_skin::{Channel, FieldFault, ModelError, SkinDescription, Taxel};
 
 use super::{MediumSpec, Parameters, shape};
+use crate::optics::light::COLOURS;
+use crate::optics::observer::PATTERNS;
 use crate::optics::shading::inside;
 use crate::optics::table::meets;
 
-/// Fills in the shape, and taxels and channels that a skin file leaves out: 20 × 15 blocks of pixels make 900 channels.
+/// Numbers of a block: its colours, and how far its ridges have moved along the meridian and around.
+const NAMES: [&str; COLOURS + PATTERNS] = ["r", "g", "b", "along", "around"];
+
+/// Fills in the shape, and taxels and channels that a skin file leaves out: 20 × 15 blocks of pixels make 900 channels, and 600 more where
+/// the inside has ridges.
 ///
 /// # Errors
 ///
@@ -18,9 +24,11 @@ pub fn complete(skin: &mut SkinDescription) -> Result<(), FieldFault> {
         skin.taxels = taxels(&Parameters::nominal(skin).map_err(fault)?);
     }
     if skin.channels().is_empty() {
+        let ridged = !skin.medium.is_empty() && MediumSpec::read(skin).map_err(fault)?.ridges.is_some();
+        let names = if ridged { &NAMES[..] } else { &NAMES[..COLOURS] };
         let channels = skin.taxels.iter().flat_map(|taxel| {
-            ["r", "g", "b"].map(|colour| Channel {
-                name: format!("{}.{colour}", taxel.name),
+            names.iter().map(|name| Channel {
+                name: format!("{}.{name}", taxel.name),
                 taxel: taxel.name.clone(),
                 range: None,
                 noise: None,
@@ -62,13 +70,4 @@ fn fault(error: ModelError) -> FieldFault {
 /// [`ModelError::Description`] names the field.
 pub fn check(skin: &SkinDescription) -> Result<(), ModelError> {
     MediumSpec::read(skin).map(drop)
-}
-
-/// Pixels across and down of a skin's picture, and the blocks of them that are its numbers.
-///
-/// # Errors
-///
-/// [`ModelError::Description`] names the field.
-pub fn picture_of(skin: &SkinDescription) -> Result<([u32; 2], [u32; 2]), ModelError> {
-    MediumSpec::read(skin).map(|spec| (spec.camera.size, spec.blocks))
 }

@@ -1,0 +1,233 @@
+//! The search for contacts where each place has a pattern of its own.
+//!
+//! Problem: a skin with very many elements tells every place from every other, and a contact is found as soon as somebody knows roughly where
+//! it is. To look for other places that explain the same readings, as a skin of few elements needs, is then most of the time of a frame, and to
+//! find several contacts one after the other refines the first again and again. Method: least squares from where contacts are supposed to be;
+//! what leaves no more than noise does is the answer. Where nothing does, all peaks of what is left that stand out are taken in together,
+//! refined together, and those that the readings do without are dropped (compressive sampling matching pursuit, D. Needell and J. A. Tropp,
+//! *Appl. Comput. Harmon. Anal.* 26 (2009) 301; dropped by Wald's statistic, A. Wald, *Trans. Am. Math. Soc.* 54 (1943) 426). Assumptions: as the
+//! [search's](crate::Inverter), and a minimum that explains the readings is the only one. Cost: one minimisation where somebody knows; a
+//! product with the dictionary and a minimisation for each of some rounds where nobody does.
+
+use dermis_model::{Indentation, Unknown};
+
+use crate::contact::{ContactEstimate, Reading, Solution};
+use crate::fit::{Datum, Minimum, Problem};
+use crate::inverter::{Inverter, plausible};
+use crate::settings::InverterError;
+
+/// Rounds in which further contacts are taken in, at most.
+const ROUNDS: usize = 8;
+/// Share of the highest peak's gain from which on others are taken in with it: lower ones may be what the highest leaves of itself until it is
+/// refined.
+const TOGETHER: f64 = 0.3;
+
+impl Inverter {
+    /// The contacts that explain `readings` best, near those of the frame `before` or those that somebody else supposes where these explain
+    /// the readings, and wherever they are otherwise.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Channels`] for readings of another skin.
+    pub fn search_near(
+        &self,
+        readings: &[Reading],
+        before: &[ContactEstimate],
+        starts: &[Indentation],
+    ) -> Result<Solution, InverterError> {
+        self.check(readings)?;
+        let data = self.data(readings);
+        let problem = self.problem(&data);
+        let most = self.most(&data);
+        let last: Vec<Indentation> =
+            before.iter().map(|c| self.settings().indentation(c.position, c.force)).collect();
+        let mut best: Option<Minimum> = None;
+        for start in [last.as_slice(), starts].into_iter().filter(|s| (1..=most).contains(&s.len())) {
+            let minimum = self.without_idle(&problem, problem.minimise(start.to_vec())?)?;
+            if self.explains(&minimum, &data) && self.apart(&minimum) {
+                return Ok(self.solution(&minimum, &data));
+            }
+            if best.as_ref().is_none_or(|best| self.cost(&minimum) < self.cost(best)) {
+                best = Some(minimum);
+            }
+        }
+        // Contacts that lie wrong would be in the way of those that are there.
+        let found = self.pursue(&problem, &data, most)?;
+        let best = match best {
+            Some(best) if self.cost(&best) <= self.cost(&found) && self.apart(&best) => best,
+            _ => found,
+        };
+        Ok(self.solution(&best, &data))
+    }
+
+    /// Takes in what stands out of what is left, until nothing does.
+    fn pursue(&self, problem: &Problem<'_>, data: &[Datum], most: usize) -> Result<Minimum, InverterError> {
+        let mut best = Minimum {
+            contacts: Vec::new(),
+            chi2: data.iter().map(|datum| datum.square()).sum(),
+            covariance: None,
+            signal: vec![0.0; data.len()],
+        };
+        for _ in 0..ROUNDS {
+            let room = most - best.contacts.len();
+            if room == 0 || !best.contacts.is_empty() && self.explains(&best, data) {
+                break;
+            }
+            // The best is taken in whatever it gains: the caller knows that there is a contact.
+            let least = if best.contacts.is_empty() { 0.0 } else { self.settings().evidence };
+            let further = self.peaks_left(data, &best, room, least);
+            if further.is_empty() {
+                break;
+            }
+            let all = best.contacts.iter().cloned().chain(further).collect();
+            let minimum = self.without_idle(problem, problem.minimise(all)?)?;
+            if self.cost(&minimum) >= self.cost(&best) {
+                break;
+            }
+            best = minimum;
+        }
+        Ok(best)
+    }
+
+    /// Drops contacts that the readings do without, and one of two that have run into each other.
+    fn without_idle(&self, problem: &Problem<'_>, mut minimum: Minimum) -> Result<Minimum, InverterError> {
+        while minimum.contacts.len() > 1 {
+            let gains: Vec<f64> = (0..minimum.contacts.len()).map(|i| self.gain(&minimum, i)).collect();
+            let Some(weakest) = (0..gains.len()).min_by(|a, b| gains[*a].total_cmp(&gains[*b])) else {
+                break;
+            };
+            if gains[weakest] >= self.settings().evidence && self.apart(&minimum) {
+                break;
+            }
+            let mut fewer = minimum.contacts.clone();
+            fewer.remove(weakest);
+            minimum = problem.minimise(fewer)?;
+        }
+        Ok(minimum)
+    }
+
+    /// By how much the sum of squared deviations would rise without a contact, to second order: Wald's statistic of its force. 0 where the
+    /// readings do not fix it.
+    fn gain(&self, minimum: &Minimum, contact: usize) -> f64 {
+        let list = self.settings().unknowns.list();
+        let Some(covariance) = &minimum.covariance else { return 0.0 };
+        let forces: Vec<usize> = list
+            .iter()
+            .enumerate()
+            .filter(|(_, unknown)| !matches!(unknown, Unknown::Along(_)))
+            .map(|(k, _)| contact * list.len() + k)
+            .collect();
+        let Indentation { position, force, .. } = &minimum.contacts[contact];
+        let (_, normal) = self.surface().project(position);
+        let axes = dermis_model::tangents(&normal);
+        let value = |unknown: &Unknown| match unknown {
+            Unknown::Shear(k) => force.dot(&axes[*k]),
+            _ => -force.dot(&normal),
+        };
+        let values = nalgebra::DVector::from_iterator(
+            forces.len(),
+            list.iter().filter(|unknown| !matches!(unknown, Unknown::Along(_))).map(value),
+        );
+        let block = covariance.select_rows(&forces).select_columns(&forces);
+        block.cholesky().map_or(0.0, |factor| values.dot(&factor.solve(&values)))
+    }
+
+    fn explains(&self, minimum: &Minimum, data: &[Datum]) -> bool {
+        let unknowns = minimum.contacts.len() * self.settings().unknowns.count();
+        minimum.chi2 < plausible(crate::inverter::counted(data).saturating_sub(unknowns))
+    }
+
+    /// What a minimum leaves, and what its contacts must gain.
+    fn cost(&self, minimum: &Minimum) -> f64 {
+        minimum.chi2 + self.settings().evidence * minimum.contacts.len() as f64
+    }
+
+    /// Contacts that readings can tell, at most.
+    fn most(&self, data: &[Datum]) -> usize {
+        let settings = self.settings();
+        settings.contacts.min(crate::inverter::counted(data) / settings.unknowns.count())
+    }
+
+    /// Presses at the places of the dictionary that explain what `best` leaves, each better than its neighbours do, by `least` or more, and not
+    /// much worse than the best of them.
+    fn peaks_left(&self, data: &[Datum], best: &Minimum, room: usize, least: f64) -> Vec<Indentation> {
+        let left = crate::inverter::residuals(data, &best.signal);
+        let dictionary = self.dictionary();
+        let scores: Vec<f32> = dictionary.project(&left).collect();
+        let mut peaks: Vec<usize> = (0..scores.len())
+            .filter(|i| dictionary.neighbours(*i).iter().all(|other| scores[*other] <= scores[*i]))
+            .filter(|i| {
+                let at = dictionary.places[*i].position;
+                let near = |c: &Indentation| (c.position - at).norm() < self.settings().distance;
+                !best.contacts.iter().any(near)
+            })
+            .collect();
+        peaks.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]));
+        let highest = peaks.first().map_or(0.0, |first| f64::from(scores[*first]).powi(2));
+        let stands_out = |gain: f64| gain > least && gain >= TOGETHER * highest;
+        let mut chosen: Vec<Indentation> = Vec::new();
+        for index in peaks {
+            let at = dictionary.places[index].position;
+            if chosen.len() == room || !stands_out(f64::from(scores[index]).powi(2)) {
+                break;
+            }
+            if chosen.iter().all(|c| (c.position - at).norm() >= self.settings().distance) {
+                chosen.push(self.pressed(index, &left));
+            }
+        }
+        chosen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::testing::{grid, press, random, read};
+    use crate::{Search, Settings};
+
+    fn inverter() -> (Inverter, Arc<dermis_fixtures::Analytic>) {
+        let model = Arc::new(grid(1e-3));
+        let mut settings = Settings::new(0.004, 2.0);
+        (settings.contacts, settings.distance, settings.search) = (3, 0.004, Search::Near);
+        (Inverter::new(Arc::clone(&model) as _, settings).unwrap(), model)
+    }
+
+    fn matches(solution: &Solution, truth: &[Indentation]) {
+        assert_eq!(solution.contacts.len(), truth.len(), "{solution:?}");
+        for truth in truth {
+            let near = |c: &&ContactEstimate| (c.position - truth.position).norm() < 2e-4;
+            let found = solution.contacts.iter().find(near).unwrap_or_else(|| panic!("{solution:?}"));
+            assert!((found.force - truth.force).norm() < 0.02, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn contacts_are_found_wherever_they_were_supposed() {
+        let (inverter, model) = inverter();
+        let truth = [press(0.008, 0.006, 1.0), press(-0.009, -0.004, 0.6)];
+        for truth in [&truth[..1], &truth[..]] {
+            let readings = read(&model, truth, &mut random(1));
+            let nowhere = inverter.search_near(&readings, &[], &[]).unwrap();
+            matches(&nowhere, truth);
+            let near = inverter.search_near(&readings, &[], &[press(0.007, 0.005, 0.5)]).unwrap();
+            matches(&near, truth);
+            let wrong = inverter.search_near(&readings, &[], &[press(-0.001, 0.002, 0.5)]).unwrap();
+            matches(&wrong, truth);
+            matches(&inverter.search_near(&readings, &nowhere.contacts, &[]).unwrap(), truth);
+        }
+    }
+
+    /// One of two has gone: the one that stays is all that is left.
+    #[test]
+    fn a_contact_that_has_ended_is_dropped() {
+        let (inverter, model) = inverter();
+        let both = [press(0.008, 0.006, 1.0), press(-0.009, -0.004, 0.6)];
+        let before = inverter.search_near(&read(&model, &both, &mut random(2)), &[], &[]).unwrap();
+        assert_eq!(before.contacts.len(), 2);
+        let readings = read(&model, &both[..1], &mut random(3));
+        matches(&inverter.search_near(&readings, &before.contacts, &[]).unwrap(), &both[..1]);
+        assert!(inverter.search_near(&[Reading::Exact(0.0); 3], &[], &[]).is_err());
+    }
+}
