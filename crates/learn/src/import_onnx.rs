@@ -408,10 +408,7 @@ fn ports(
     if ports.len() < tensors.len() {
         return None;
     }
-    let found = ports
-        .iter()
-        .map(|port| port.shape.iter().product::<usize>())
-        .fold(0_usize, |sum, count| sum.saturating_add(count));
+    let found = ports.iter().map(|port| port.shape.iter().product::<usize>()).fold(0, usize::saturating_add);
     if found != numbers {
         let hint = if side == "input" {
             "train it on those channels, or say in a file of `--input` which taps, low_pass and difference it takes"
