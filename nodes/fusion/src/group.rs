@@ -21,6 +21,7 @@ use std::cell::LazyCell;
 use std::collections::{HashMap, VecDeque};
 
 use dermis_skin::{Stamp, assign};
+use nalgebra::Vector3;
 
 use crate::settings::Settings;
 use crate::track::{Detection, Track, seconds};
@@ -149,13 +150,16 @@ impl Tracks {
         let owner = |d: &Detection| named.get(&d.track).copied().filter(|_| d.track != 0);
         let owners: Vec<Option<usize>> = detections.iter().map(owner).collect();
         let extent = detections.iter().map(Detection::extent).fold(0.0, f64::max);
+        let places: Vec<Option<Vector3<f64>>> = detections.iter().map(|d| d.place.map(|p| p.value)).collect();
         let mut pairs: Vec<(usize, usize, f64)> = Vec::new();
         for (t, track) in self.tracks.iter_mut().enumerate() {
             let reach = track.reach(extent, report.stamp, s).powi(2);
-            for (d, detection) in detections.iter().enumerate() {
+            let at: Option<Vector3<f64>> =
+                track.place.as_ref().map(|p| p.mean.fixed_rows::<3>(0).into_owned());
+            for (d, (detection, place)) in detections.iter().zip(&places).enumerate() {
                 // Most pairs end here.
-                if let (Some(filter), Some(reading)) = (&track.place, &detection.place)
-                    && (filter.mean.fixed_rows::<3>(0) - reading.value).norm_squared() > reach
+                if let (Some(at), Some(place)) = (at, place)
+                    && (at - place).norm_squared() > reach
                 {
                     continue;
                 }
@@ -203,6 +207,10 @@ impl Tracks {
 
     /// Makes one of two tracks that look like one contact; only those that the report touched can have begun to.
     fn merge(&mut self, report: &Report, s: &Settings) {
+        // A skin tells its own contacts apart: only one of others can be the same.
+        if self.tracks.iter().all(|t| t.is_felt_by(report.skin)) {
+            return;
+        }
         let mut i = 0;
         while i < self.tracks.len() {
             let settled = |t: &Track| t.hits >= s.births;
