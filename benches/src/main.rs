@@ -2,6 +2,7 @@
 
 mod device;
 mod ert;
+mod fusion;
 mod gap;
 mod insight;
 mod limb;
@@ -53,6 +54,8 @@ enum Command {
     /// Pictures per second of the soft thumb's forward model with its noise, at both sizes; with recorded frames, how their statistics
     /// compare.
     Insight(insight::Options),
+    /// Eight skins at 1 kHz merged: time of an update, and how it grows with contacts; against the same filter in numpy.
+    Fusion(fusion::Options),
     /// A diagnosis of ten thousand contacts on a fabric of 784 channels: seconds after its signatures are kept, and memory.
     Gap(gap::Options),
     /// The node of the limb at its rate, by the bundles that look for one and for two contacts: latency, frames without an answer,
@@ -85,6 +88,7 @@ fn main() -> Result<()> {
         Command::Shell(options) => shell::run(&options)?,
         Command::Ert(options) => ert::run(&options)?,
         Command::Insight(options) => insight::run(&options)?,
+        Command::Fusion(options) => fusion::run(&options)?,
         Command::Gap(options) => gap::run(&options)?,
         Command::Limb(options) => limb::run(&options)?,
         Command::Start(options) => start::run(&options)?,

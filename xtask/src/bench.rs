@@ -25,6 +25,7 @@ pub enum Name {
     Ert,
     /// Pictures per second of the soft thumb; beside real frames where `DERMIS_DATA` names the folder of the recordings.
     Insight,
+    Fusion,
     /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
     Gap,
     /// The node of the limb at its rate, by the bundles for one and for two contacts.
@@ -58,6 +59,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                 Name::Shell,
                 Name::Ert,
                 Name::Insight,
+                Name::Fusion,
                 Name::Node,
                 Name::Reflex,
                 Name::Limb,
@@ -101,7 +103,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             if name == Name::Limb {
                 command.arg("--programs").arg(&programs);
             }
-            if name == Name::Model {
+            if matches!(name, Name::Model | Name::Fusion) {
                 command.arg("--peer-python").arg(&clients);
             }
             if name == Name::Ert {

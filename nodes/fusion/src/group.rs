@@ -21,6 +21,7 @@ use std::cell::LazyCell;
 use std::collections::{HashMap, VecDeque};
 
 use dermis_skin::{Stamp, assign};
+use nalgebra::Vector3;
 
 use crate::settings::Settings;
 use crate::track::{Detection, Track, seconds};
@@ -140,13 +141,28 @@ impl Tracks {
     /// The track of each detection, none twice; `None` where it is a new contact.
     fn associate(&mut self, report: &Report, s: &Settings) -> Vec<Option<usize>> {
         let detections = &report.detections;
-        let owner = |d: &Detection| {
-            self.tracks.iter().position(|t| d.track != 0 && t.is_felt_as(report.skin, d.track))
-        };
+        let mut named: HashMap<u32, usize> = HashMap::new();
+        for (t, track) in self.tracks.iter().enumerate() {
+            for source in track.sources.iter().filter(|s| s.skin == report.skin) {
+                named.entry(source.track).or_insert(t);
+            }
+        }
+        let owner = |d: &Detection| named.get(&d.track).copied().filter(|_| d.track != 0);
         let owners: Vec<Option<usize>> = detections.iter().map(owner).collect();
+        let extent = detections.iter().map(Detection::extent).fold(0.0, f64::max);
+        let places: Vec<Option<Vector3<f64>>> = detections.iter().map(|d| d.place.map(|p| p.value)).collect();
         let mut pairs: Vec<(usize, usize, f64)> = Vec::new();
         for (t, track) in self.tracks.iter_mut().enumerate() {
-            for (d, detection) in detections.iter().enumerate() {
+            let reach = track.reach(extent, report.stamp, s).powi(2);
+            let at: Option<Vector3<f64>> =
+                track.place.as_ref().map(|p| p.mean.fixed_rows::<3>(0).into_owned());
+            for (d, (detection, place)) in detections.iter().zip(&places).enumerate() {
+                // Most pairs end here.
+                if let (Some(at), Some(place)) = (at, place)
+                    && (at - place).norm_squared() > reach
+                {
+                    continue;
+                }
                 if let Some(cost) = pair(track, detection, report, s) {
                     // It is another track's by what the skin says.
                     let elsewhere = if owners[d].is_some_and(|owner| owner != t) { SWITCH } else { 0.0 };
@@ -191,6 +207,10 @@ impl Tracks {
 
     /// Makes one of two tracks that look like one contact; only those that the report touched can have begun to.
     fn merge(&mut self, report: &Report, s: &Settings) {
+        // A skin tells its own contacts apart: only one of others can be the same.
+        if self.tracks.iter().all(|t| t.is_felt_by(report.skin)) {
+            return;
+        }
         let mut i = 0;
         while i < self.tracks.len() {
             let settled = |t: &Track| t.hits >= s.births;
@@ -227,14 +247,10 @@ impl Tracks {
 /// Cost of taking a detection for a track; `None` where it cannot be.
 fn pair(track: &mut Track, detection: &Detection, report: &Report, s: &Settings) -> Option<f64> {
     let same = track.is_felt_as(report.skin, detection.track);
-    let (Some(filter), Some(reading)) = (&track.place, &detection.place) else {
+    let (Some(_), Some(_)) = (&track.place, &detection.place) else {
         // Without a place there is nothing to tell it by but what the skin says.
         return same.then_some(0.0);
     };
-    let away = (filter.mean.fixed_rows::<3>(0) - reading.value).norm_squared();
-    if away > track.reach(detection, report.stamp, s).powi(2) {
-        return None;
-    }
     track.predict(report.stamp, s);
     let (distance, spread) = track.distance(detection)?;
     let named = track.sources.iter().find(|source| source.skin == report.skin).map(|source| source.track);

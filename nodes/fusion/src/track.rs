@@ -60,6 +60,11 @@ fn covariance(matrix: &Matrix3<f64>) -> Matrix3<f64> {
 }
 
 impl Detection {
+    /// \[m²\] what its place adds to how far it can be from a track; 0 where it has none.
+    pub(crate) fn extent(&self) -> f64 {
+        self.place.map_or(0.0, |p| p.noise.trace() + 2.0 * p.bias.trace())
+    }
+
     /// What a skin reports, in the frame in which tracks are kept.
     pub(crate) fn of(contact: &Contact, skin: usize, top_from_skin: &Isometry3<f64>, s: &Settings) -> Self {
         let turn = top_from_skin.rotation.to_rotation_matrix();
@@ -246,9 +251,10 @@ impl Track {
         distance.is_finite().then_some((distance, (log_det - own).max(0.0)))
     }
 
-    /// \[m\] that a detection at `at` can be away at most, without the inverse that tells it exactly.
-    pub(crate) fn reach(&self, detection: &Detection, at: Stamp, s: &Settings) -> f64 {
-        let (Some(filter), Some(reading)) = (&self.place, &detection.place) else { return 0.0 };
+    /// \[m\] that a detection at `at` can be away at most whose [extent](Detection::extent) is no more than this, without the inverse that
+    /// tells it exactly.
+    pub(crate) fn reach(&self, extent: f64, at: Stamp, s: &Settings) -> f64 {
+        let Some(filter) = &self.place else { return 0.0 };
         let dt = seconds(self.at, at).max(0.0);
         let velocity = filter.mean.fixed_rows::<3>(3).norm();
         // The largest eigenvalue is below the trace; a bias counts twice at most where it is in both.
@@ -257,8 +263,7 @@ impl Track {
         let moved =
             (covariance[(3, 3)] + covariance[(4, 4)] + covariance[(5, 5)] + 3.0 * s.slide_speed.powi(2))
                 * dt.powi(2);
-        let total = 2.0 * (own + moved) + reading.noise.trace() + 2.0 * reading.bias.trace();
-        (2.0 * s.gate * total).sqrt() + velocity * dt
+        (2.0 * s.gate * (2.0 * (own + moved) + extent)).sqrt() + velocity * dt
     }
 
     /// Takes a detection of a skin for this contact, whose filters are for the same instant.

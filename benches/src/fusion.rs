@@ -1,0 +1,244 @@
+//! What merging costs: eight skins at 1 kHz in one process, and how it grows with contacts, against the same filter in numpy.
+//!
+//! Time is simulated: reports come as fast as they are worked in. An update is the report of one skin with what it makes of the body: the
+//! tracks, contacts, wrenches and torques, and the message in CDR. The node answers at most 1,000 times a second, so that eight skins at 1 kHz are
+//! eight reports and one answer each millisecond. The peer has the contacts of all skins as arrays, takes every report for the contacts that it
+//! is of, and neither assigns nor merges: what it computes is position, velocity and force with their covariances, of the same reports.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use dermis_body::{HistoryLimits, Robot};
+use dermis_fusion::{Fuser, Settings, messages};
+use dermis_msgs::Message;
+use dermis_msgs::builtin_interfaces::msg::Time;
+use dermis_msgs::geometry_msgs::msg::{Point, Vector3};
+use dermis_msgs::msg::{Contact, ContactArray};
+use dermis_msgs::std_msgs::msg::Header;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
+
+use crate::node::percentile;
+use crate::peers;
+
+/// Skins of the robot, each on a link of its own.
+const SKINS: usize = 8;
+/// \[ns\] when simulations begin, and between two reports of a skin.
+const BEGIN: i64 = 1_700_000_000_000_000_000;
+const PERIOD: i64 = 1_000_000;
+/// Contacts on one skin, in turn.
+const CONTACTS: [usize; 6] = [1, 10, 25, 50, 100, 200];
+/// \[1\] by which means and standard deviations of the peer may differ from ours.
+const DEVIATION: f64 = 1e-6;
+
+/// What to measure.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Python with numpy; leaves the peer out where absent.
+    #[arg(long)]
+    peer_python: Option<PathBuf>,
+    /// Root of the repository.
+    #[arg(long, default_value = ".")]
+    root: PathBuf,
+    /// \[ms\] of simulated time of each measurement.
+    #[arg(long, default_value_t = 5000)]
+    milliseconds: usize,
+}
+
+/// Measures ours and the peer's.
+///
+/// # Errors
+///
+/// Where the peer fails or disagrees.
+pub fn run(options: &Options) -> Result<Value> {
+    let ours = at_one_kilohertz(options)?;
+    eprintln!("dermis, 8 skins x 1 kHz: {ours}");
+    let mut growth = Vec::new();
+    for count in CONTACTS {
+        growth.push(with_contacts(count, options.milliseconds / 5)?);
+    }
+    for row in &growth {
+        eprintln!("dermis, one skin: {row}");
+    }
+    let each = |row: &Value| {
+        row["update_us"].as_f64().unwrap_or(f64::NAN) / row["contacts"].as_f64().unwrap_or(f64::NAN)
+    };
+    let worst = growth.last().map_or(f64::NAN, &each);
+    let at_50 = growth.iter().find(|r| r["contacts"] == 50).map_or(f64::NAN, each);
+    let mut result = json!({
+        "skins": SKINS, "rate_hz": 1000, "milliseconds": options.milliseconds, "dermis": ours, "contacts": growth,
+        "cost_per_contact_200_over_50": worst / at_50,
+    });
+    if let Some(python) = &options.peer_python {
+        let run = peers::Run { python, root: &options.root, seconds: 5.0, threads: 1 };
+        let peers = run.of("fusion_peer.py", &for_peer()?, DEVIATION)?;
+        let of_peer = peers.first().and_then(|p| p["millisecond_us"].as_f64()).unwrap_or(f64::NAN);
+        let of_ours = result["dermis"]["millisecond_us"]["mean"].as_f64().unwrap_or(f64::NAN);
+        result["peers"] = json!(peers);
+        result["numpy_over_dermis"] = json!(of_peer / of_ours);
+        eprintln!("numpy: {of_peer:.0} us for each millisecond, {:.1} times ours", of_peer / of_ours);
+    }
+    Ok(result)
+}
+
+/// A robot with so many skins, each on an arm of its own.
+fn robot(skins: usize) -> Result<Robot> {
+    let folder = tempfile::tempdir()?;
+    let mut urdf = "<robot name=\"r\"><link name=\"base\"/>".to_owned();
+    let mut text = "schema = \"dermis-robot/1\"\nname = \"r\"\nurdf = \"r.urdf\"\n".to_owned();
+    for i in 0..skins {
+        urdf += &format!(
+            "<link name=\"l{i}\"/><joint name=\"j{i}\" type=\"revolute\"><parent link=\"base\"/><child link=\"l{i}\"/>\
+             <origin xyz=\"0 {i} 0\"/><axis xyz=\"0 0 1\"/><limit lower=\"-3\" upper=\"3\"/></joint>"
+        );
+        text += &format!(
+            "[[skins]]\nname = \"s{i}\"\nmount = {{ parent = \"l{i}\", translation = [0.0, 0.0, 0.0], rpy = [0.0, 0.0, 0.0] }}\n"
+        );
+    }
+    std::fs::write(folder.path().join("r.urdf"), urdf + "</robot>")?;
+    Ok(Robot::from_toml(&text, &folder.path().join("r.toml"))?)
+}
+
+fn fuser(skins: usize) -> Result<Fuser> {
+    let mut fuser = Fuser::new(robot(skins)?, Settings::default(), HistoryLimits::default(), &[], &[])?;
+    fuser.assume_rest();
+    Ok(fuser)
+}
+
+/// Contacts 25 mm apart, each with some noise.
+fn report(skin: usize, sequence: u64, stamp: i64, contacts: usize, rng: &mut ChaCha8Rng) -> ContactArray {
+    let mut noise = |size: f64| size * (rng.random::<f64>() - 0.5);
+    let diagonal = |v: f64| std::array::from_fn(|i| if i % 4 == 0 { v } else { 0.0 });
+    let contact = |k: usize| Contact {
+        track_id: k as u32 + 1,
+        position: Point {
+            x: 0.025 * (k % 16) as f64 + noise(1e-3),
+            y: 0.025 * (k / 16) as f64 + noise(1e-3),
+            z: 0.0,
+        },
+        normal: Vector3 { x: 0.0, y: 0.0, z: 1.0 },
+        force: Vector3 { x: noise(0.2), y: noise(0.2), z: -3.0 + noise(0.2) },
+        force_components: Contact::FORCE_FULL,
+        position_covariance: diagonal(1e-6),
+        force_covariance: diagonal(0.01),
+        diameter: 0.01,
+        confidence: 1.0,
+        taxels: vec![1, 2, 3, 4],
+    };
+    ContactArray {
+        header: Header { stamp: Time::from_nanos(stamp), frame_id: format!("s{skin}_skin") },
+        skin: format!("s{skin}"),
+        sequence,
+        contacts: (0..contacts).map(contact).collect(),
+        ..ContactArray::default()
+    }
+}
+
+/// Mean, median, 99 of 100 and the longest.
+fn summary(mut times: Vec<f64>) -> Value {
+    times.sort_by(f64::total_cmp);
+    let mean = times.iter().sum::<f64>() / times.len() as f64;
+    let at = |p: f64| percentile(&times, p);
+    json!({ "mean": mean, "p50": at(50.0), "p99": at(99.0), "max": at(100.0) })
+}
+
+/// Two contacts on each of the skins.
+fn at_one_kilohertz(options: &Options) -> Result<Value> {
+    let mut fuser = fuser(SKINS)?;
+    let robot = fuser.robot().clone();
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let (mut updates, mut whole) = (Vec::new(), Vec::new());
+    let mut bytes = 0;
+    for k in 0..options.milliseconds as u64 {
+        let stamp = BEGIN + k as i64 * PERIOD;
+        let reports: Vec<ContactArray> = (0..SKINS).map(|s| report(s, k + 1, stamp, 2, &mut rng)).collect();
+        let begun = Instant::now();
+        for (skin, report) in reports.iter().enumerate() {
+            let one = Instant::now();
+            fuser.take(skin, report, None, stamp + PERIOD / 10);
+            // The last report of a millisecond is the one that is answered.
+            if skin + 1 == SKINS {
+                let state = fuser.state(stamp + PERIOD / 10);
+                bytes = messages::body_contacts(&robot, &state, k).to_cdr().len();
+                if k > 10 && state.contacts.len() != 2 * SKINS {
+                    bail!("{} contacts of {}", state.contacts.len(), 2 * SKINS);
+                }
+                updates.push(one.elapsed().as_secs_f64() * 1e6);
+            }
+        }
+        whole.push(begun.elapsed().as_secs_f64() * 1e6);
+    }
+    Ok(
+        json!({ "update_us": summary(updates), "millisecond_us": summary(whole), "contacts": 2 * SKINS, "bytes": bytes }),
+    )
+}
+
+/// So many contacts on one skin: \[µs\] of a report and its answer.
+fn with_contacts(contacts: usize, reports: usize) -> Result<Value> {
+    let mut fuser = fuser(1)?;
+    let robot = fuser.robot().clone();
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let mut times = Vec::new();
+    for k in 0..reports as u64 {
+        let stamp = BEGIN + k as i64 * PERIOD;
+        let report = report(0, k + 1, stamp, contacts, &mut rng);
+        let begun = Instant::now();
+        fuser.take(0, &report, None, stamp);
+        let state = fuser.state(stamp);
+        let bytes = messages::body_contacts(&robot, &state, k).to_cdr().len();
+        times.push(begun.elapsed().as_secs_f64() * 1e6);
+        if k > 10 && (state.contacts.len() != contacts || bytes == 0) {
+            bail!("{} contacts of {contacts}", state.contacts.len());
+        }
+    }
+    let times = summary(times);
+    Ok(json!({ "contacts": contacts, "update_us": times["p50"], "p99_us": times["p99"] }))
+}
+
+/// Reports of 200 ms, and what ours makes of them at the end.
+fn for_peer() -> Result<Value> {
+    let mut fuser = fuser(SKINS)?;
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut frames = Vec::new();
+    let mut stamp = BEGIN;
+    for k in 0..200_u64 {
+        stamp = BEGIN + k as i64 * PERIOD;
+        let mut frame = Vec::new();
+        for skin in 0..SKINS {
+            let report = report(skin, k + 1, stamp, 2, &mut rng);
+            let rows = report
+                .contacts
+                .iter()
+                .map(|c| json!([c.position.x, c.position.y, c.position.z, c.force.x, c.force.y, c.force.z]));
+            frame.push(json!(rows.collect::<Vec<_>>()));
+            fuser.take(skin, &report, None, stamp);
+        }
+        frames.push(json!(frame));
+    }
+    let state = fuser.state(stamp);
+    let mut tracks: Vec<(usize, u32, Vec<f64>)> = state
+        .contacts
+        .iter()
+        .map(|c| {
+            let (contact, (skin, name)) = (&c.contact, c.skins[0]);
+            let mut row: Vec<f64> = contact.position.iter().chain(contact.force.iter()).copied().collect();
+            row.extend([
+                contact.position_covariance[(0, 0)].sqrt(),
+                contact.force_covariance[(2, 2)].sqrt(),
+                c.velocity_covariance[(0, 0)].sqrt(),
+            ]);
+            (skin, name, row)
+        })
+        .collect();
+    tracks.sort_by_key(|(skin, name, _)| (*skin, *name));
+    let s = Settings::default();
+    Ok(json!({
+        "frames": frames, "period": PERIOD as f64 * 1e-9, "expected": tracks.into_iter().map(|t| t.2).collect::<Vec<_>>(),
+        "position_variance": 1e-6, "force_variance": 0.01, "least": 1e-8,
+        "slide_speed": s.slide_speed, "slide_time": s.slide_time, "force_change": s.force_change,
+        "mount_deviation": s.mount_deviation, "systematic_share": s.systematic_share, "gain_deviation": s.gain_deviation,
+    }))
+}
