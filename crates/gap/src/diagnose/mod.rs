@@ -20,6 +20,7 @@
 
 mod check;
 mod contest;
+mod covariates;
 mod data;
 mod measure;
 mod predict;

@@ -3,18 +3,16 @@
 use dermis_skin::{Effect, SkinDescription};
 use sha2::{Digest, Sha256};
 
-use super::contest;
 use super::data::Data;
 use super::measure::{FoundInterference, Measured, Scope};
 use super::predict::{Explained, Members};
-use super::{Diagnosis, Options};
+use super::{Diagnosis, Options, contest, covariates};
 use crate::axes::{self, Axis, FREQUENCY, View};
 use crate::constants::report::{
-    ALIAS, DISCREPANCY, EFFECTS_ALONG_AXES, EXPLAINABLE, FINGERPRINT, NAMED, REMAINDER, SUSPECTS,
-    UNSYSTEMATIC,
+    DISCREPANCY, EFFECTS_ALONG_AXES, EXPLAINABLE, FINGERPRINT, NAMED, REMAINDER, SUSPECTS, UNSYSTEMATIC,
 };
 use crate::constants::select::{CLEARLY, SURELY};
-use crate::effects::{self, Covariate, Evidence};
+use crate::effects::{self, Evidence};
 use crate::noise::Gap;
 use crate::protocol::design::Hypothesis;
 use crate::recording::{Recording, hex};
@@ -250,7 +248,7 @@ pub(super) fn finish(
     report.residual_reduction = explained.reduction;
     report.held_out = explained.held_out;
     report.corrected = measured.fixed.iter().cloned().chain(explained.effects).collect();
-    alias(&mut effects, data.samples);
+    covariates::alias(&mut effects, data.samples);
     let options = &data.options.select;
     report.suspects = suspects(&data.signatures.candidates, &explained.selection, options.floor);
     let counts = (sure, effects.len());
@@ -438,39 +436,9 @@ pub(super) fn known_effect(effect: &Effect, what: &str, unit: &str) -> NamedEffe
     }
 }
 
-/// What rises and falls with a covariate, for effects that follow it.
-fn alias(effects: &mut [NamedEffect], samples: &Samples) {
-    let temperature: Vec<f64> = samples.list.iter().map(|s| s.temperature).collect();
-    let others: [(&str, Vec<f64>); 2] = [
-        ("session time", samples.list.iter().map(|s| s.time).collect()),
-        ("session", samples.list.iter().map(|s| f64::from(s.session)).collect()),
-    ];
-    for effect in effects {
-        let Some(Covariate::Temperature) = effects::of(&effect.label).follows else { continue };
-        for (name, values) in &others {
-            if correlation(&temperature, values).abs() > ALIAS {
-                effect.covariate_alias.push(format!("anything that follows the {name}"));
-            }
-        }
-    }
-}
-
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let n = a.len().max(1) as f64;
-    let (ma, mb) = (a.iter().sum::<f64>() / n, b.iter().sum::<f64>() / n);
-    let (mut xy, mut xx, mut yy) = (0.0, 0.0, 0.0);
-    for (x, y) in a.iter().zip(b) {
-        xy += (x - ma) * (y - mb);
-        xx += (x - ma).powi(2);
-        yy += (y - mb).powi(2);
-    }
-    xy / (xx * yy).sqrt().max(1e-300)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::statistics::tests::samples;
 
     fn gap(systematic: f64, least: f64) -> Gap {
         Gap {
@@ -507,18 +475,5 @@ mod tests {
         assert_eq!(said(unknown(1.0, 0.5), (0, 0), 0.0, small), Verdict::Undecided);
         assert_eq!(said(unknown(1.0, 0.5), (0, 0), 0.0, gap(0.08, 0.07)), Verdict::UnknownSystematic);
         assert_eq!(said(unknown(1.0, 0.1), (0, 0), 0.0, gap(0.08, 0.07)), Verdict::Unmeasured);
-    }
-
-    #[test]
-    fn what_follows_the_temperature_may_be_what_follows_the_time() {
-        let mut samples = samples(&[0; 20]);
-        for (i, s) in samples.list.iter_mut().enumerate() {
-            (s.time, s.temperature) = (i as f64, 293.0 + 0.1 * i as f64);
-        }
-        let of = |name: &str| known_effect(&Effect::new(name), "", "");
-        let mut effects = [of("thermal-zero"), of("channel-gain")];
-        alias(&mut effects, &samples);
-        assert_eq!(effects[0].covariate_alias, ["anything that follows the session time"]);
-        assert!(effects[1].covariate_alias.is_empty());
     }
 }

@@ -225,7 +225,7 @@ fn effects(body: &mut String, report: &Report) -> Result<()> {
     }
     if let Some(reduction) = &report.residual_reduction {
         let how = if reduction.achieved.is_some() {
-            "Removes"
+            "Reduces the residual by"
         } else {
             "Cannot be switched on; its signature explains"
         };
