@@ -545,7 +545,7 @@ mod tests {
         assert!(answer.named[0].firm && !answer.named[1].firm);
         assert_eq!(answer.named[0].parameters["thickness.change"], (-0.001, Some([-0.002, 0.0])));
         assert_eq!((answer.residual_reduction, answer.interval), (Some([0.9, 0.8]), Some([0.7, 0.95])));
-        let named = |class: serde_json::Value| {
+        let named = |class: Value| {
             let effects = serde_json::json!([{ "label": "modulus", "tier": "strict", "class": class }]);
             super::answer(&serde_json::json!({ "verdict": "named", "effects": effects })).named[0]
                 .class
