@@ -19,12 +19,18 @@ fn a_first_protocol_fits_its_skin_its_forces_and_its_minutes() {
         assert!(pressed().flat_map(|s| &s.forces).all(|f| (0.99 * least..=1.01 * most).contains(f)));
         // What a diagnosis says is missing: repeats, holds, another speed, and a second tip where a ball presses.
         let has = |what: &str| pressed().any(|s| s.what == what);
-        assert!(["force ladder", "hold and rest", "the same press again", "reference press"].map(has) == [true; 4]);
+        assert!(
+            ["force ladder", "hold and rest", "the same press again", "reference press"].map(has)
+                == [true; 4]
+        );
         assert_eq!(has("two tips"), found.protocol.range.second_tip.is_some());
         let model = SENSORS.of(&skin).unwrap().model(&skin).unwrap();
         let timeline = Timeline::new(&found.protocol.plan().unwrap(), &model, 1).unwrap();
         assert_eq!(timeline.presses() as usize, found.presses);
         let text = instructions(&found, "plan.toml");
-        assert!(text.contains("| place | x [mm] | y [mm] | z [mm] |") && text.contains("--and BAG2"), "{text}");
+        assert!(
+            text.contains("| place | x [mm] | y [mm] | z [mm] |") && text.contains("--and BAG2"),
+            "{text}"
+        );
     }
 }
