@@ -1,5 +1,6 @@
 //! Where a simulated skin and a real one differ: diagnosis of a recording, closing the gap, and the benchmark of both.
 
+mod answers;
 mod baselines;
 pub mod benchmark;
 pub mod closing;

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
 mod bounds;
+mod protocols;
 mod schemas;
 mod shipped;
 mod sweep;

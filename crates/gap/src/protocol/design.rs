@@ -9,8 +9,8 @@
 //! ```
 //!
 //! where C holds the noise, and for each block and channel a share of the reading that the simulator is wrong by (all presses of a block
-//! alike, so that a paired contrast does not see it). Blocks are chosen one after another, each the one whose presses take away the most
-//! confusion in a minute (greedy; the information of different blocks adds).
+//! alike, so that a paired contrast does not see it). Blocks are chosen one after another, each the one whose presses add the most
+//! information `½ ln(1 + T)` over all pairs in a minute (greedy; what different blocks say adds).
 //!
 //! What no hypothesis of the library explains ("unknown") has no readings that could be simulated. It is served by presses that are
 //! done again, which say whether it is systematic, at places that are spread, which say where it lies.
@@ -29,7 +29,7 @@ use super::{Block, BlockKind, Range, carried_out, menu};
 use crate::GapError;
 use crate::algebra::{dot, normal};
 use crate::constants::experiments::{SETTLED, TRUST};
-use crate::constants::protocol::{ALIKE, COLUMNS, ENOUGH, PLACES, UNTELLABLE};
+use crate::constants::protocol::{ALIKE, COLUMNS, PLACES, UNTELLABLE};
 use crate::constants::select::PRIOR;
 use crate::samples::{SampleOptions, Samples};
 use crate::signatures::Signatures;
@@ -228,27 +228,28 @@ pub fn design(
     Ok(found)
 }
 
-/// Which blocks take away the most confusion in a minute.
+/// Which blocks say most in a minute of all questions: the sum of their information `½ ln(1 + T)`, so that what is told apart already
+/// counts less and less.
 fn choose(questions: &mut [Question], candidates: &[Block], minutes: f64) -> Vec<usize> {
     let mut taken: Vec<usize> = Vec::new();
     let mut left = minutes;
-    let open = |q: &Question| !q.one_thing && q.confusion(&[]) > ENOUGH;
-    while questions.iter().any(open) {
-        let now: f64 = questions.iter().filter(|q| open(q)).map(|q| q.confusion(&[])).sum();
-        let worth = |block: usize| {
-            let then: f64 = questions.iter().filter(|q| open(q)).map(|q| q.confusion(&[block])).sum();
-            (now - then) / candidates[block].minutes()
+    questions.sort_by_key(|q| q.one_thing);
+    let open = questions.iter().take_while(|q| !q.one_thing).count();
+    loop {
+        let information = |block: &[usize]| -> f64 {
+            let pairs = questions[..open].iter().flat_map(|q| q.pairs.iter().map(|pair| (q.before, pair)));
+            pairs.map(|(before, pair)| 0.5 * (before + pair.with(block)).ln_1p()).sum()
         };
+        let now = information(&[]);
         let best = (0..candidates.len())
             .filter(|b| !taken.contains(b) && candidates[*b].minutes() <= left)
-            .map(|block| (worth(block), block))
+            .map(|block| ((information(&[block]) - now) / candidates[block].minutes(), block))
             .max_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((_, block)) = best.filter(|(worth, _)| *worth > 0.0) else { break };
+        let Some((_, block)) = best.filter(|(worth, _)| *worth > 0.0) else { return taken };
         left -= candidates[block].minutes();
         questions.iter_mut().flat_map(|q| &mut q.pairs).for_each(|pair| pair.take(block));
         taken.push(block);
     }
-    taken
 }
 
 impl Question {
@@ -363,7 +364,9 @@ fn questions(
                 let energy: f64 = pair.of.iter().map(|i| i.energy).sum();
                 pair.with(&everything) < ALIKE * energy
             });
-            question.one_thing = least || question.confusion(&everything) > UNTELLABLE;
+            let all = |pair: &Pair| normal(-pair.with(&everything).sqrt() / 2.0);
+            let confused = question.pairs.iter().map(all).sum::<f64>() / question.pairs.len() as f64;
+            question.one_thing = least || confused > UNTELLABLE;
             questions.push(question);
         }
     }

@@ -7,6 +7,7 @@
 //! [`places`](self::places::places) says where to press, [`menu`] what may be done there, [`design`](self::design::design) what of it is worth the time.
 
 pub mod design;
+pub mod open;
 pub mod places;
 
 use dermis_model::{Indentation, Stimulus};

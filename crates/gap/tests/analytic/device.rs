@@ -102,7 +102,7 @@ pub(crate) fn pressed(device: &Device, blocks: &[Block], run: u32, seed: u64) ->
     let dt = 0.02;
     let (mut frames, mut t, mut number): (Vec<Instant>, f64, u64) = (Vec::new(), 0.0, 0);
     let mut places: Vec<Point3<f64>> = Vec::new();
-    let mut idle = |t: &mut f64, frames: &mut Vec<Instant>| {
+    let idle = |t: &mut f64, frames: &mut Vec<Instant>| {
         for _ in 0..60 {
             frames.push((*t, Phase::Idle, 0, 0, Point3::origin(), 0.0, 0.0));
             *t += dt;

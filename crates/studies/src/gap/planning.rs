@@ -1,16 +1,16 @@
 //! Which presses to record: the first protocol of a skin, and the next presses after a diagnosis.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_gap::protocol::design::{DesignOptions, Hypothesis, Separation, design};
+use dermis_gap::protocol::design::{DesignOptions, Separation, design};
+use dermis_gap::protocol::open::{Open, open};
 use dermis_gap::protocol::{Block, BlockKind, PlannedPress, menu};
-use dermis_gap::{Report, Simulator, Tier, Verdict};
-use dermis_skin::{Effect, EffectInfo, SkinDescription};
+use dermis_gap::{Report, Simulator, Verdict};
+use dermis_skin::SkinDescription;
 use indicatif::ProgressBar;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
@@ -20,12 +20,6 @@ use crate::Families;
 
 /// Places that a protocol chooses from.
 const PLACES: usize = 96;
-/// Suspects that are held against one another where nothing is named.
-const SUSPECTS: usize = 3;
-/// Probability of confusion that is assumed of a suspect, for which no report says one.
-const SUSPECTED: f64 = 0.25;
-/// Share of the minutes that serves what no hypothesis explains: at least and at most.
-const UNKNOWN: [f64; 2] = [0.15, 0.7];
 
 /// The first protocol of a skin.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -158,10 +152,10 @@ pub fn plan(request: &PlanRequest, families: &Families) -> Result<Planned> {
         blocks.push(places[..count].iter().flat_map(of).collect());
     }
     // What is left goes to single presses at other places, at forces that go through the range.
-    protocol.add(&references);
+    protocol.refer(&references);
     for of in &blocks {
         protocol.add(of);
-        protocol.add(&references);
+        protocol.refer(&references);
     }
     let left = budget - 60.0 * protocol.minutes();
     let one = range.press(0.6).duration() + 0.1;
@@ -174,7 +168,7 @@ pub fn plan(request: &PlanRequest, families: &Families) -> Result<Planned> {
         singles.push(Block { kind: BlockKind::Single, at: *at, presses: vec![press] });
     }
     protocol.add(&singles);
-    protocol.add(&references);
+    protocol.refer(&references);
     // A tip is changed once: what is pressed with another one comes last.
     let usual = range.tip;
     protocol.steps.sort_by_key(|s| !s.at.is_empty() && s.tip != usual);
@@ -195,6 +189,9 @@ pub fn next(
     stop: &Arc<AtomicBool>,
 ) -> Result<Planned> {
     let (report, beside) = read(&request.report)?;
+    if !asks(report.verdict) {
+        bail!("the report leaves nothing open that presses could settle: {}", report.sentence);
+    }
     let skin = diagnosed(request.skin.as_deref(), &beside, &report)?;
     let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
     let effects = families.of(&skin)?.effects();
@@ -221,8 +218,13 @@ pub fn next(
     Ok(Planned::of(protocol, found.separations, Some(unknown)))
 }
 
+/// Whether a verdict leaves something open that presses can settle.
+pub(super) fn asks(verdict: Verdict) -> bool {
+    !matches!(verdict, Verdict::NoGapBeyondNoise | Verdict::UnusableRecording)
+}
+
 /// A report, and the folder that it lies in.
-fn read(path: &Path) -> Result<(Report, PathBuf)> {
+pub(super) fn read(path: &Path) -> Result<(Report, PathBuf)> {
     let file = if path.is_dir() { path.join("report.json") } else { path.to_owned() };
     let text = dermis_io::read(&file, dermis_io::REPORT)
         .with_context(|| format!("{} cannot be read", file.display()))?;
@@ -252,54 +254,4 @@ fn diagnosed(named: Option<&Path>, folder: &Path, report: &Report) -> Result<Ski
         );
     }
     Ok(skin)
-}
-
-/// What a report leaves open.
-struct Open {
-    hypotheses: Vec<Hypothesis>,
-    /// Effects that are there whichever of them is right.
-    beside: Vec<Effect>,
-    /// Share of the time for what none of them explains.
-    unknown: f64,
-}
-
-fn open(report: &Report, known: &'static [EffectInfo]) -> Open {
-    let mut hypotheses = report.hypotheses.clone();
-    let typical = |name: &str| -> Vec<Effect> {
-        let info = known.iter().find(|info| info.name == name);
-        info.map(|info| Effect::new(info.name)).into_iter().collect()
-    };
-    let fitted = |name: &str| -> Vec<Effect> {
-        let of: Vec<Effect> = report.corrected.iter().filter(|e| e.name == name).cloned().collect();
-        if of.is_empty() { typical(name) } else { of }
-    };
-    let mut add = |name: &str, p_confuse: f64| {
-        if !hypotheses.iter().any(|h| h.name == name) {
-            hypotheses.push(Hypothesis { name: name.to_owned(), effects: fitted(name), p_confuse });
-        }
-    };
-    for effect in &report.effects {
-        let settled =
-            effect.class.len() == 1 && effect.tier == Tier::Strict && report.verdict == Verdict::Named;
-        for member in &effect.class {
-            add(&member.name, if settled { 0.05 } else { member.p_confuse.clamp(0.05, 0.5) });
-        }
-    }
-    // Where nothing is named, or not for sure, those that explain most when they come alone are held against each other.
-    let named: BTreeSet<&str> = report.effects.iter().map(|e| e.label.as_str()).collect();
-    let sure = report.verdict == Verdict::Named && report.effects.iter().all(|e| e.tier == Tier::Strict);
-    let suspects = report.suspects.iter().filter(|s| !named.contains(s.name.as_str()));
-    for suspect in suspects.take(if sure { 1 } else { SUSPECTS }) {
-        add(&suspect.name, if sure { 0.05 } else { SUSPECTED });
-    }
-    let switched: BTreeSet<String> =
-        hypotheses.iter().flat_map(|h| &h.effects).map(|e| e.name.clone()).collect();
-    let beside = report.corrected.iter().filter(|e| !switched.contains(&e.name)).cloned().collect();
-    let unknown = match report.verdict {
-        Verdict::Named => UNKNOWN[0],
-        _ if hypotheses.len() < 2 => 1.0,
-        Verdict::NoGapBeyondNoise => UNKNOWN[0],
-        _ => report.unknown.share.clamp(UNKNOWN[0], UNKNOWN[1]),
-    };
-    Open { hypotheses, beside, unknown }
 }

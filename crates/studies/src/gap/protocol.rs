@@ -161,6 +161,16 @@ impl Protocol {
         self.steps.extend(other);
     }
 
+    /// Adds presses that are done again and again, between everything else.
+    pub(super) fn refer(&mut self, blocks: &[Block]) {
+        let before = self.steps.len();
+        self.add(blocks);
+        for step in &mut self.steps[before..] {
+            "reference press".clone_into(&mut step.what);
+            "what changes while the skin is on: warm-up, drift, ageing".clone_into(&mut step.why);
+        }
+    }
+
     /// Adds untouched readings at the end.
     pub(super) fn end(&mut self) {
         self.steps.push(ProtocolStep::idle(QUIET, "what is left, and how far the zero has gone"));
