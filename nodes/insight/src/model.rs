@@ -332,12 +332,10 @@ impl ForwardModel for ThumbModel {
         }
         let brighter = self.brighter(stimulus.temperature);
         let mut columns = out.chunks_exact_mut(self.channels());
-        self.each_slope(stimulus, unknowns, differences, |changes| {
-            match (columns.next(), changes) {
-                (Some(column), Some(changes)) => self.picture.change(changes, brighter, column),
-                (Some(column), None) => column.fill(0.0),
-                _ => {}
-            }
+        self.each_slope(stimulus, unknowns, differences, |changes| match (columns.next(), changes) {
+            (Some(column), Some(changes)) => self.picture.change(changes, brighter, column),
+            (Some(column), None) => column.fill(0.0),
+            _ => {}
         })
     }
 
