@@ -40,7 +40,7 @@ pub struct Options {
     /// Seed of the touches and the noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Skin to show: baro-grid, baro-line, baro-dome, hapdef-shin, ert-panel, or the path of a skin file.
+    /// Skin to show: baro-grid, baro-line, baro-dome, hapdef-shin, ert-panel, insight-thumb, or the path of a skin file.
     #[arg(long, value_name = "NAME|FILE", default_value = shipped::DEFAULT)]
     skin: PathBuf,
     /// Folder of a model bundle in place of the one that ships; may be given several times. Without any bundle, contacts are found
@@ -137,6 +137,6 @@ mod tests {
         assert!(matches!(of("ert-panel"), Ok((Shown::Inside(contents), _)) if contents.bundle.is_empty()));
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch/skins/baro-line.toml");
         assert!(matches!(of(file), Ok((Shown::File { .. }, _))));
-        insta::assert_snapshot!(of("ert-pannel").err().unwrap(), @"skin `ert-pannel` neither ships with this program nor is a file: name one of baro-grid, baro-line, baro-dome, hapdef-shin, ert-panel, or give the path of a skin file");
+        insta::assert_snapshot!(of("ert-pannel").err().unwrap(), @"skin `ert-pannel` neither ships with this program nor is a file: name one of baro-grid, baro-line, baro-dome, hapdef-shin, ert-panel, insight-thumb, or give the path of a skin file");
     }
 }

@@ -9,7 +9,7 @@ use dermis_inference::{
     Runtime,
 };
 use dermis_inversion::{Corrected, Inverter, InverterError, Search, Settings};
-use dermis_model::{ForwardModel, Stimulus};
+use dermis_model::{ForwardModel, Stimulus, Unknowns};
 use dermis_sensor::Sensor;
 use dermis_skin::{ModelError, SkinDescription, Surface};
 
@@ -28,6 +28,8 @@ const NO_BUNDLE: &str = "no bundle";
 const MOST_CONTACTS: usize = 6;
 /// Channels that each unknown of a contact shall have, at least, where nobody measured how many contacts can be told apart.
 const CHANNELS_EACH: usize = 4;
+/// Channels from which on each place of a skin has a pattern of its own, shear included, where nobody measured it: those of pictures.
+const PICTURED: usize = 1000;
 /// Share by which a device and its forward model differ where nobody measured it: gains, and what the medium remembers.
 const UNMEASURED: f64 = 0.02;
 
@@ -37,6 +39,9 @@ const UNMEASURED: f64 = 0.02;
 pub fn settings_without_bundle(skin: &SkinDescription) -> Settings {
     let rated = skin.rated_press();
     let mut settings = Settings::new(rated.diameter, STRONGER * rated.force[1]);
+    if skin.channels().len() >= PICTURED {
+        (settings.unknowns, settings.search) = (Unknowns::Full, Search::Near);
+    }
     let unknowns = settings.unknowns.count();
     settings.contacts = (skin.channels().len() / (CHANNELS_EACH * unknowns)).clamp(1, MOST_CONTACTS);
     settings.tip = rated.tip;

@@ -125,7 +125,12 @@ impl Problem<'_> {
                 (residuals[i], weights[i]) = datum.residual(*model);
             }
             let stimulus = Stimulus { contacts: contacts.clone(), ..Stimulus::default() };
-            self.model.jacobian(&stimulus, self.unknowns, &differences, jacobian.as_mut_slice())?;
+            // Beside an edge of the surface, where its normal jumps, a sheared contact may pull at its neighbours' places: as far as here the
+            // model knows an answer.
+            let slopes = self.model.jacobian(&stimulus, self.unknowns, &differences, jacobian.as_mut_slice());
+            if slopes.is_err() {
+                break;
+            }
             for mut column in jacobian.column_iter_mut() {
                 for ((slope, weight), gain) in column.iter_mut().zip(&weights).zip(self.gains) {
                     *slope *= weight * gain;
@@ -155,8 +160,11 @@ impl Problem<'_> {
                         self.stepped(contact, list, change.rows(c * list.len(), list.len()).as_slice())
                     })
                     .collect();
-                self.signal(&tried, &mut plus)?;
-                let now = self.chi2(&plus);
+                let now = match self.signal(&tried, &mut plus) {
+                    Ok(()) => self.chi2(&plus),
+                    // For the same reason: a shorter step.
+                    Err(_) => f64::INFINITY,
+                };
                 if now < chi2 {
                     let gain = chi2 - now;
                     contacts = tried;

@@ -188,7 +188,7 @@ mod tests {
     use crate::{Search, Settings};
 
     fn inverter() -> (Inverter, Arc<dermis_fixtures::Analytic>) {
-        let model = Arc::new(grid(1e-3));
+        let model = Arc::new(grid(20.0));
         let mut settings = Settings::new(0.004, 2.0);
         (settings.contacts, settings.distance, settings.search) = (3, 0.004, Search::Near);
         (Inverter::new(Arc::clone(&model) as _, settings).unwrap(), model)

@@ -27,12 +27,13 @@ macro_rules! skin {
 }
 
 /// Every skin that can be shown by its name; the first is shown where none is named.
-pub const SKINS: [Contents<'static>; 5] = [
+pub const SKINS: [Contents<'static>; 6] = [
     skin!("baro-grid", Some(include_str!("../../../launch/plans/demo.toml")), bundle!("baro-grid")),
     skin!("baro-line", None, bundle!("baro-line")),
     skin!("baro-dome", None, bundle!("baro-dome")),
     skin!("hapdef-shin", None, bundle!("hapdef-shin")),
     skin!("ert-panel", None, &[]),
+    skin!("insight-thumb", None, &[]),
 ];
 
 /// The skin that is shown where none is named.

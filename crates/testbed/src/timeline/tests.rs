@@ -287,7 +287,7 @@ fn steps_stop_at_a_force() {
     }
     assert!(stopped > 0 && stopped < 30, "{stopped}");
     // A plan says what it read.
-    assert_eq!(Plan::from_toml(&toml::to_string(&plan).unwrap(), "again.toml").unwrap(), plan);
+    assert_eq!(Plan::from_toml(&toml::to_string(&plan).unwrap(), "steps.toml").unwrap(), plan);
 }
 
 #[test]
