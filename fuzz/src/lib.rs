@@ -7,11 +7,13 @@ pub mod messages;
 
 use std::fmt::{Debug, Display};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::OnceLock;
 
 use dermis_bag::{BagError, BagReader};
 use dermis_body::Body;
 use dermis_inference::Manifest;
+use dermis_insight::optics::Observer;
 use dermis_insight::wire::PictureReader;
 use dermis_launch::{Host, NodeRequest, Refusal};
 use dermis_learn::LabelMap;
@@ -350,8 +352,9 @@ pub fn picture(data: &[u8]) {
     const SIZE: [u32; 2] = [32, 24];
     const BLOCKS: [u32; 2] = [8, 6];
     let Some((cut, stream)) = data.split_first() else { return };
+    let observer = Arc::new(Observer::of_means(SIZE, BLOCKS));
     let read = |size: usize| {
-        let (mut reader, mut out) = (PictureReader::new(SIZE, BLOCKS), Vec::new());
+        let (mut reader, mut out) = (PictureReader::new(Arc::clone(&observer)), Vec::new());
         for (i, piece) in stream.chunks(size).enumerate() {
             reader.push(piece, ARRIVAL + i as i64, &mut out);
         }

@@ -78,8 +78,8 @@ fn frames_without_an_answer_count_in_number_and_position() {
     let pair = truth(1, vec![contact(0.0, 0.0, 2.0), contact(0.006, 0.0, 3.0)]);
     scores.unanswered(ID, &truth(2, vec![contact(0.0, 0.0, 2.0)]));
     scores.unanswered(ID, &pair);
-    let mut found = Contact::at(Point3::new(0.006, 0.001, 0.0), nalgebra::Vector3::z());
-    found.force = nalgebra::Vector3::new(0.0, 0.0, -3.5);
+    let mut found = Contact::at(Point3::new(0.006, 0.001, 0.0), Vector3::z());
+    found.force = Vector3::new(0.0, 0.0, -3.5);
     found.force_components = ForceComponents::Normal;
     scores.push_contacts(ID, &pair, &[found]);
     scores.push_contacts(ID, &pair, &[]);
@@ -119,7 +119,7 @@ fn a_force_of_which_one_component_is_known_is_compared() {
     let mut scores = Scores::new(Rule { position: false, force: [true, false, false], ..RULE });
     // The load cell measures along x only.
     let mut known = contact(f64::NAN, f64::NAN, 1.0);
-    known.force = nalgebra::Vector3::new(-3.0, f64::NAN, f64::NAN);
+    known.force = Vector3::new(-3.0, f64::NAN, f64::NAN);
     let answer = Answer { force: Some([-2.5, f64::NAN, f64::NAN]), contact: Some(true), ..Answer::default() };
     scores.push(ID, &truth(1, vec![known.clone()]), &answer);
     // What was missed is a force of 0 along x, and says nothing across.
@@ -166,7 +166,7 @@ proptest::proptest! {
         let truth = truth(1, true_ones.iter().map(|(x, y)| contact(*x, *y, 1.0)).collect());
         let contacts: Vec<Contact> = found
             .iter()
-            .map(|(x, y)| Contact::at(Point3::new(*x, *y, 0.0), nalgebra::Vector3::z()))
+            .map(|(x, y)| Contact::at(Point3::new(*x, *y, 0.0), Vector3::z()))
             .collect();
         let distance = |t: usize, f: usize| (contacts[f].position - truth.contacts[t].position).norm();
         let assigned = assign(truth.contacts.len(), contacts.len(), distance);
