@@ -2,9 +2,12 @@
 
 #![allow(dead_code, reason = "the rest of the crate uses more of these files")]
 
-#[path = "../../../../nodes/reflex/src/file.rs"]
-mod file;
-#[path = "../../../../nodes/reflex/src/rules.rs"]
-mod rules;
+// A module with a path of its own: the files below `file` are found beside it.
+#[path = "../../../../nodes/reflex/src"]
+mod reflex {
+    pub mod file;
+    pub mod rules;
+}
 
-pub use rules::Rules;
+use reflex::rules;
+pub use reflex::rules::Rules;
