@@ -8,7 +8,7 @@ pub mod messages;
 use std::fmt::{Debug, Display};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use dermis_bag::{BagError, BagReader};
 use dermis_body::Body;
