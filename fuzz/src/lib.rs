@@ -7,7 +7,6 @@ pub mod messages;
 
 use std::fmt::{Debug, Display};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::{Arc, OnceLock};
 
 use dermis_bag::{BagError, BagReader};

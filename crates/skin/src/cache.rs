@@ -24,10 +24,10 @@ const MAGIC: &[u8; 16] = b"dermis-cache/1\n\0";
 /// \[bytes\] from the start of a file to its payload: magic, key, length of the payload.
 const HEADER: usize = 16 + 32 + 8;
 const CHECKSUM: usize = 32;
-/// \[bytes\] that one entry may have: a result that is larger is computed each time.
-pub const ENTRY_MAX: u64 = 128 << 20;
+/// \[bytes\] that one entry may have: a result that is larger is computed each time. The largest is the compliance of a soft thumb.
+pub const ENTRY_MAX: u64 = 512 << 20;
 /// \[bytes\] that all entries may have together.
-pub const FOLDER_MAX: u64 = 1 << 30;
+pub const FOLDER_MAX: u64 = 2 << 30;
 /// How the names of entries end.
 const EXTENSION: &str = "kept";
 
