@@ -66,15 +66,13 @@ fn outputs_of_a_graph_with_several_are_taken_in_its_order() {
     let dir = tempfile::tempdir().unwrap();
     let (onnx, out, skin, data) =
         (dir.path().join("heads.onnx"), dir.path().join("bundle"), skin(), presses(40, 2));
-    // One input for each channel, a head for the force and one for the place.
+    // A head for the force and one for the place.
     let mut g = GraphBuilder::new("heads");
-    let (first, second) = (g.input("first", &[1, 1]), g.input("second", &[1, 1]));
-    let factor =
-        |g: &mut GraphBuilder, name: &str, values: &[f32]| g.constant(name, &[1, values.len()], values);
-    let newton = factor(&mut g, "newton", &[0.0501]);
-    let metre = factor(&mut g, "metre", &[1e-1, 0.0]);
-    let force = g.mul(&second, &newton);
-    let place = g.mul(&first, &metre);
+    let x = g.input("taxels", &[1, 2]);
+    let newton = g.constant("newton", &[2, 1], &[0.0, 0.0501]);
+    let metre = g.constant("metre", &[2, 2], &[1e-1, 0.0, 0.0, 0.0]);
+    let force = g.matmul(&x, &newton);
+    let place = g.matmul(&x, &metre);
     g.output("force", &force, &[1, 1]);
     g.output("place", &place, &[1, 2]);
     std::fs::write(&onnx, g.finish().unwrap()).unwrap();
