@@ -38,9 +38,12 @@ impl Seeds {
 
     fn frames(&self) -> Done {
         let values = [101_325.0, f32::NAN, -1.0, 0.0];
-        for (name, format) in
-            [("f32", NativeFormat::F32), ("u16", NativeFormat::U16), ("i32", NativeFormat::I32), ("u12", NativeFormat::U12)]
-        {
+        for (name, format) in [
+            ("f32", NativeFormat::F32),
+            ("u16", NativeFormat::U16),
+            ("i32", NativeFormat::I32),
+            ("u12", NativeFormat::U12),
+        ] {
             let mut encoder = NativeEncoder::new(format);
             let mut stream = b"noise".to_vec();
             let mut pieces = Vec::new();
@@ -60,7 +63,9 @@ impl Seeds {
         let mut datagrams = Vec::new();
         for sequence in 0..4 {
             let mut encoder = NativeEncoder::new(NativeFormat::U16);
-            encoder.encode_parts(sequence, 10 * u64::from(sequence), &[7.0; 50], 64, |part| datagrams.push(part.to_vec()))?;
+            encoder.encode_parts(sequence, 10 * u64::from(sequence), &[7.0; 50], 64, |part| {
+                datagrams.push(part.to_vec())
+            })?;
         }
         datagrams.swap(3, 6);
         datagrams.remove(7);
