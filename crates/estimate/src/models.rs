@@ -30,6 +30,9 @@ const MOST_CONTACTS: usize = 6;
 const CHANNELS_EACH: usize = 4;
 /// Channels from which on each place of a skin has a pattern of its own, shear included, where nobody measured it: those of pictures.
 const PICTURED: usize = 1000;
+/// Standard deviation of shear along each direction over the pressing force, before a frame is read: half of what presses (thesis, section
+/// 6.4.6) is then rarely exceeded, and slipping at a friction of 1 hardly ever.
+const SHEAR: f64 = 0.3;
 /// Share by which a device and its forward model differ where nobody measured it: gains, and what the medium remembers.
 const UNMEASURED: f64 = 0.02;
 
@@ -41,6 +44,7 @@ pub fn settings_without_bundle(skin: &SkinDescription) -> Settings {
     let mut settings = Settings::new(rated.diameter, STRONGER * rated.force[1]);
     if skin.channels().len() >= PICTURED {
         (settings.unknowns, settings.search) = (Unknowns::Full, Search::Near);
+        settings.shear = Some(SHEAR);
     }
     let unknowns = settings.unknowns.count();
     settings.contacts = (skin.channels().len() / (CHANNELS_EACH * unknowns)).clamp(1, MOST_CONTACTS);

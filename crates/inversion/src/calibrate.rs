@@ -3,7 +3,7 @@
 use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, Untouched};
 use dermis_skin::ModelError;
 
-use crate::fit::{Datum, Problem, STRIDE};
+use crate::fit::{Datum, LEAST_GAIN, Problem, STRIDE};
 
 /// Channel gains and what remains beyond the noise, measured on readings of known stimuli.
 #[derive(Debug, Clone, PartialEq)]
@@ -118,6 +118,9 @@ impl Calibration {
                     untouched: &untouched,
                     force_max,
                     stride: STRIDE,
+                    shear: None,
+                    keeps: false,
+                    least_gain: LEAST_GAIN,
                 };
                 let fit = problem.minimise(frame.stimulus.contacts.clone())?;
                 let freedom = known.saturating_sub(unknowns.count() * fit.contacts.len()) as f64;

@@ -101,9 +101,7 @@ impl Dictionary {
 
     /// For every place the part of whitened residuals that lies along its response, 0 where it points the other way.
     pub fn project<'a>(&'a self, residuals: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
-        self.directions
-            .chunks_exact(self.channels)
-            .map(move |direction| direction.iter().zip(residuals).map(|(a, b)| a * b).sum::<f32>().max(0.0))
+        self.directions.chunks_exact(self.channels).map(move |direction| dot(direction, residuals).max(0.0))
     }
 
     /// Unit direction of every place's response in units of the noise, end to end; 0 for a place that no channel responds to.
@@ -116,6 +114,18 @@ impl Dictionary {
         let start = (place * self.forces.len() + level) * self.channels;
         &self.responses[start..start + self.channels]
     }
+}
+
+/// Sums that a product is added up in, side by side: one sum alone waits for each of its additions.
+const LANES: usize = 16;
+
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut sums = [0.0_f32; LANES];
+    for (a, b) in a.iter().zip(b) {
+        sums.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a * b);
+    }
+    sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f32>()
 }
 
 /// Points of a surface with their normals, so that none is nearer than `spacing` to another; each stands for its own area and that of
@@ -157,7 +167,7 @@ fn mismatch(directions: &[f32], channels: usize, place: usize, neighbours: &[usi
     let direction = |i: usize| &directions[i * channels..(i + 1) * channels];
     let own = direction(place);
     let unexplained = |other: &usize| {
-        let cosine: f32 = own.iter().zip(direction(*other)).map(|(a, b)| a * b).sum();
+        let cosine = dot(own, direction(*other));
         1.0 - f64::from(cosine.clamp(0.0, 1.0)).powi(2)
     };
     neighbours.iter().map(unexplained).fold(0.0, f64::max)
@@ -198,6 +208,14 @@ mod tests {
         let mut surface = Surface::from_spec(&spec);
         surface.areas.iter_mut().enumerate().for_each(|(i, area)| *area = (i + 1) as f64 * 1e-6);
         surface
+    }
+
+    #[test]
+    fn a_product_is_that_of_all_numbers() {
+        for count in [0, 5, 16, 37] {
+            let (a, b): (Vec<f32>, Vec<f32>) = (0..count).map(|i| (i as f32, (i % 7) as f32 - 2.0)).unzip();
+            assert_eq!(dot(&a, &b), a.iter().zip(&b).map(|(a, b)| a * b).sum::<f32>());
+        }
     }
 
     #[test]

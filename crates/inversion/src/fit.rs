@@ -16,6 +16,10 @@ const LEAST_CHANGE: f64 = 1e-5;
 const LIGHTEST: f64 = 1e-4;
 /// \[m\] farthest that a place moves in one step, on skins of a hand's width.
 pub(crate) const STRIDE: f64 = 3e-3;
+/// What a step gains at the least that there is another, far below what noise does.
+pub(crate) const LEAST_GAIN: f64 = 1e-4;
+/// Share by which a step may gain more or less than derivatives say for these to be kept.
+const KEPT: f64 = 0.25;
 /// Steps at most.
 const STEPS: usize = 25;
 
@@ -64,6 +68,12 @@ pub(crate) struct Problem<'a> {
     pub force_max: f64,
     /// \[m\] farthest that a place moves in one step.
     pub stride: f64,
+    /// Standard deviation of shear along each direction over the pressing force, before the readings; any where absent.
+    pub shear: Option<f64>,
+    /// Whether derivatives are kept for as long as steps gain what they say (the chord method): where they cost more than responses do.
+    pub keeps: bool,
+    /// What a step gains of the sum of squared deviations, in units of the noise, at the least that there is another.
+    pub least_gain: f64,
 }
 
 /// A minimum.
@@ -75,6 +85,19 @@ pub(crate) struct Minimum {
     pub covariance: Option<DMatrix<f64>>,
     /// Signal of the model, one a channel.
     pub signal: Vec<f64>,
+}
+
+impl Minimum {
+    /// Of no contact.
+    pub fn untouched(data: &[Datum]) -> Self {
+        let signal = vec![0.0; data.len()];
+        Self { contacts: Vec::new(), chi2: sum_of_squares(data), covariance: None, signal }
+    }
+}
+
+/// Sum of the squares of readings in units of their noise.
+pub(crate) fn sum_of_squares(data: &[Datum]) -> f64 {
+    data.iter().map(|datum| datum.square()).sum()
 }
 
 impl Problem<'_> {
@@ -116,34 +139,48 @@ impl Problem<'_> {
         let differences = self.differences();
         let mut damping = 1e-3;
         let mut normal_matrix = DMatrix::zeros(size, size);
+        let mut jacobian = DMatrix::zeros(channels, size);
+        let mut weights = vec![0.0; channels];
+        // Whether derivatives are those of a place near by, and readings still count as they did there.
+        let mut kept = false;
         for step in 0..STEPS {
-            // Derivatives of the residuals by every unknown.
-            let mut jacobian = DMatrix::zeros(channels, size);
             let mut residuals = DVector::zeros(channels);
-            let mut weights = vec![0.0; channels];
+            let mut now = vec![0.0; channels];
             for (i, (datum, model)) in self.data.iter().zip(&signal).enumerate() {
-                (residuals[i], weights[i]) = datum.residual(*model);
+                (residuals[i], now[i]) = datum.residual(*model);
             }
-            let stimulus = Stimulus { contacts: contacts.clone(), ..Stimulus::default() };
-            // Beside an edge of the surface, where its normal jumps, a sheared contact may pull at its neighbours' places: as far as here the
-            // model knows an answer.
-            let slopes = self.model.jacobian(&stimulus, self.unknowns, &differences, jacobian.as_mut_slice());
-            if slopes.is_err() {
-                break;
-            }
-            for mut column in jacobian.column_iter_mut() {
-                for ((slope, weight), gain) in column.iter_mut().zip(&weights).zip(self.gains) {
-                    *slope *= weight * gain;
+            kept &= now == weights;
+            if !kept {
+                weights = now;
+                // Derivatives of the residuals by every unknown.
+                let stimulus = Stimulus { contacts: contacts.clone(), ..Stimulus::default() };
+                // Beside an edge of the surface, where its normal jumps, a sheared contact may pull at its neighbours' places: as far as here
+                // the model knows an answer.
+                let slopes =
+                    self.model.jacobian(&stimulus, self.unknowns, &differences, jacobian.as_mut_slice());
+                if slopes.is_err() {
+                    break;
                 }
+                for mut column in jacobian.column_iter_mut() {
+                    for ((slope, weight), gain) in column.iter_mut().zip(&weights).zip(self.gains) {
+                        *slope *= weight * gain;
+                    }
+                }
+                normal_matrix = jacobian.tr_mul(&jacobian);
             }
-            normal_matrix = jacobian.tr_mul(&jacobian);
-            let gradient = jacobian.tr_mul(&residuals);
+            let mut gradient = jacobian.tr_mul(&residuals);
+            let expected = self.expected_shears(&contacts);
+            let mut whole = normal_matrix.clone();
+            self.add_prior(&contacts, &expected, &mut whole, &mut gradient);
+            let before = chi2 + self.penalty(&contacts, &expected);
             if step + 1 == STEPS {
+                normal_matrix = whole;
                 break;
             }
             let mut better = false;
+            let mut promised = true;
             for _ in 0..8 {
-                let mut damped = normal_matrix.clone();
+                let mut damped = whole.clone();
                 for d in 0..size {
                     let diagonal = damped[(d, d)];
                     damped[(d, d)] = diagonal * (1.0 + damping) + 1e-30;
@@ -165,24 +202,85 @@ impl Problem<'_> {
                     // For the same reason: a shorter step.
                     Err(_) => f64::INFINITY,
                 };
-                if now < chi2 {
-                    let gain = chi2 - now;
+                let after = now + self.penalty(&tried, &expected);
+                if after < before {
+                    let gain = before - after;
+                    // What the step gains by these derivatives.
+                    let expected = -2.0 * gradient.dot(&change) - change.dot(&(&whole * &change));
+                    promised = (gain - expected).abs() < KEPT * expected;
                     contacts = tried;
                     std::mem::swap(&mut signal, &mut plus);
                     chi2 = now;
                     damping = (damping * 0.1).max(1e-9);
                     // What is left to gain is far below what noise does.
-                    better = gain > 1e-4;
+                    better = gain > self.least_gain;
+                    break;
+                }
+                // Derivatives of another place lead nowhere from here.
+                if kept {
+                    promised = false;
+                    better = true;
                     break;
                 }
                 damping *= 10.0;
             }
             if !better {
+                normal_matrix = whole;
                 break;
             }
+            kept = self.keeps && promised;
+            normal_matrix = if kept { normal_matrix } else { whole };
         }
         let covariance = normal_matrix.cholesky().map(|f| f.inverse());
         Ok(Minimum { contacts, chi2, covariance, signal })
+    }
+
+    /// \[N\] standard deviation of the shear of each contact before the readings; infinite where any is as likely. The pressing force that
+    /// it is a share of is that of now: readings alone decide about that.
+    fn expected_shears(&self, contacts: &[Indentation]) -> Vec<f64> {
+        let Some(share) = self.shear else { return vec![f64::INFINITY; contacts.len()] };
+        contacts.iter().map(|c| share * self.split(c).0.max(LIGHTEST)).collect()
+    }
+
+    /// \[N\] pressing force and shear along both directions.
+    fn split(&self, contact: &Indentation) -> (f64, [f64; 2]) {
+        let (_, normal) = self.model.surface().project(&contact.position);
+        (-contact.force.dot(&normal), tangents(&normal).map(|axis| contact.force.dot(&axis)))
+    }
+
+    /// Squares of shears over what is expected.
+    fn penalty(&self, contacts: &[Indentation], expected: &[f64]) -> f64 {
+        if self.shear.is_none() {
+            return 0.0;
+        }
+        let one = |(contact, expected): (&Indentation, &f64)| {
+            self.split(contact).1.iter().map(|shear| (shear / expected).powi(2)).sum::<f64>()
+        };
+        contacts.iter().zip(expected).map(one).sum()
+    }
+
+    /// Adds the prior's part to the normal equations.
+    fn add_prior(
+        &self,
+        contacts: &[Indentation],
+        expected: &[f64],
+        normal_matrix: &mut DMatrix<f64>,
+        gradient: &mut DVector<f64>,
+    ) {
+        if self.shear.is_none() {
+            return;
+        }
+        let list = self.unknowns.list();
+        for (c, (contact, expected)) in contacts.iter().zip(expected).enumerate() {
+            let shears = self.split(contact).1;
+            for (k, unknown) in list.iter().enumerate() {
+                if let Unknown::Shear(axis) = unknown {
+                    let place = c * list.len() + k;
+                    normal_matrix[(place, place)] += 1.0 / expected.powi(2);
+                    gradient[place] += shears[*axis] / expected.powi(2);
+                }
+            }
+        }
     }
 
     /// A contact after one step in all of its unknowns.

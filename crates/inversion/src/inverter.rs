@@ -20,10 +20,10 @@ use dermis_skin::Surface;
 
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::dictionary::{Dictionary, SHAPE};
-use crate::fit::{Datum, Minimum, Problem, STRIDE};
+use crate::fit::{Datum, LEAST_GAIN, Minimum, Problem, STRIDE};
 use crate::pairs::Pairs;
-use crate::settings::{InverterError, Settings};
-use modes::{Mode, sum_of_squares};
+use crate::settings::{InverterError, Search, Settings};
+use modes::Mode;
 use starts::Start;
 
 /// A weak contact whose place is known no better than this many spacings of the dictionary is answered by the mean over
@@ -33,6 +33,11 @@ const BROAD: f64 = 0.8;
 const NARROW: f64 = 0.3;
 /// Deviations of its expectation up to which a sum of squared deviations is what noise leaves.
 const PLAUSIBLE: f64 = 2.0;
+/// Share of readings' squares that one place explains from which on they show a contact, where each place has a pattern of its own: of five
+/// contacts alike each explains nearly a fifth, and of what changes all of the readings at once a place explains some hundredths.
+const CLEAR: f64 = 0.1;
+/// What a step gains at the least in a search near what is known: it leaves a thirtieth of the noise's own deviation.
+const NEAR_GAIN: f64 = 1e-3;
 /// Pairs of places, and single ones, that a search begins at.
 const PAIRS: usize = 5;
 /// Spacings of the dictionary that a contact moves in one step, where that is more than [`STRIDE`].
@@ -123,13 +128,10 @@ impl Inverter {
     /// [`InverterError::Channels`] for readings of another skin.
     pub fn solve(&self, readings: &[Reading], hint: Option<&Indentation>) -> Result<Solution, InverterError> {
         self.check(readings)?;
-        let channels = self.gains.len();
         let data = self.data(readings);
         let problem = self.problem(&data);
         let counted = counted(&data);
-        let nothing: Vec<f64> = vec![0.0; channels];
-        let mut best =
-            Minimum { contacts: Vec::new(), chi2: sum_of_squares(&data), covariance: None, signal: nothing };
+        let mut best = Minimum::untouched(&data);
         let per_contact = self.settings.unknowns.count();
         let mut modes: Vec<Mode> = Vec::new();
         while best.contacts.len() < self.settings.contacts {
@@ -176,7 +178,9 @@ impl Inverter {
 
     /// How surely readings show a contact at all: by how much the best single one of the dictionary lowers the sum of
     /// squared deviations, and what it leaves per reading. A matched filter, that finds contacts which no channel shows by
-    /// itself; drift, which has another pattern, leaves more than noise does. (0, 0) for readings of another skin.
+    /// itself; drift, which has another pattern, leaves more than noise does. So does a strong contact with shear or between places of the
+    /// dictionary: where each place has a pattern of its own ([`Search::Near`]), nothing counts as left as soon as a place explains
+    /// a tenth of the whole. (0, 0) for readings of another skin.
     #[must_use]
     pub fn evidence(&self, readings: &[Reading]) -> (f64, f64) {
         if readings.len() != self.gains.len() {
@@ -192,6 +196,9 @@ impl Inverter {
             return (0.0, whole / counted.max(1) as f64);
         }
         let best = f64::from(self.dictionary.project(&left).fold(0.0f32, f32::max)).powi(2);
+        if self.settings.search == Search::Near && best > CLEAR * whole {
+            return (best, 0.0);
+        }
         (best, (whole - best) / freedom as f64)
     }
 
@@ -205,10 +212,7 @@ impl Inverter {
         self.check(readings)?;
         let data = self.data(readings);
         let problem = self.problem(&data);
-        let counted = counted(&data);
-        let per_contact = self.settings.unknowns.count();
-        // More than the readings can tell are not looked for.
-        let most = self.settings.contacts.min(counted / per_contact);
+        let most = self.most(&data);
         let mut strongest = starts.to_vec();
         strongest.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
         strongest.truncate(most);
@@ -241,7 +245,7 @@ impl Inverter {
         let problem = self.problem(&data);
         let counted = counted(&data);
         let s = &self.settings;
-        let most = s.contacts.min(counted / s.unknowns.count());
+        let most = self.most(&data);
         let untouched = vec![0.0; data.len()];
         let mut best: Option<Minimum> = None;
         for start in self.matches(&data, &untouched, PAIRS) {
@@ -399,6 +403,9 @@ impl Inverter {
             untouched: &self.untouched,
             force_max: self.settings.force_max * 1.5,
             stride: self.stride(),
+            shear: self.settings.shear,
+            keeps: self.settings.search == Search::Near,
+            least_gain: if self.settings.search == Search::Near { NEAR_GAIN } else { LEAST_GAIN },
         }
     }
 
@@ -457,6 +464,11 @@ impl Inverter {
                 _ => Datum::None,
             })
             .collect()
+    }
+
+    /// Contacts that are looked for: no more than the readings can tell.
+    pub(crate) fn most(&self, data: &[Datum]) -> usize {
+        self.settings.contacts.min(counted(data) / self.settings.unknowns.count())
     }
 
     pub(crate) fn apart(&self, minimum: &Minimum) -> bool {

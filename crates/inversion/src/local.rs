@@ -3,7 +3,9 @@
 //! Problem: a skin with very many elements tells every place from every other, and a contact is found as soon as somebody knows roughly where
 //! it is. To look for other places that explain the same readings, as a skin of few elements needs, is then most of the time of a frame, and to
 //! find several contacts one after the other refines the first again and again. Method: least squares from where contacts are supposed to be;
-//! what leaves no more than noise does is the answer. Where nothing does, all peaks of what is left that stand out are taken in together,
+//! what leaves no more than noise does is the answer. Where nothing does, it is begun at peaks of the dictionary: first on readings whose strong
+//! ones count for less, for there the minimum of a contact is wide (graduated non-convexity, A. Blake and A. Zisserman, *Visual Reconstruction*,
+//! 1987). Where one contact is not enough, all peaks of what is left that stand out are taken in together,
 //! refined together, and those that the readings do without are dropped (compressive sampling matching pursuit, D. Needell and J. A. Tropp,
 //! *Appl. Comput. Harmon. Anal.* 26 (2009) 301; dropped by Wald's statistic, A. Wald, *Trans. Am. Math. Soc.* 54 (1943) 426). Assumptions: as the
 //! [search's](crate::Inverter), and a minimum that explains the readings is the only one. Cost: one minimisation where somebody knows; a
@@ -13,7 +15,7 @@ use dermis_model::{Indentation, Unknown};
 
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::fit::{Datum, Minimum, Problem};
-use crate::inverter::{Inverter, plausible};
+use crate::inverter::Inverter;
 use crate::settings::InverterError;
 
 /// Rounds in which further contacts are taken in, at most.
@@ -21,6 +23,13 @@ const ROUNDS: usize = 8;
 /// Share of the highest peak's gain from which on others are taken in with it: lower ones may be what the highest leaves of itself until it is
 /// refined.
 const TOGETHER: f64 = 0.3;
+/// Share of a reading that a first fit leaves to it.
+const COARSE: f64 = 0.2;
+/// Peaks that a single contact is begun at, at most.
+const ALONE: usize = 4;
+/// Deviations of its expectation up to which a sum of squared deviations is what noise leaves: noise alone begins one search of a thousand
+/// anew, which takes longer than the others.
+const PLAUSIBLE: f64 = 3.0;
 
 impl Inverter {
     /// The contacts that explain `readings` best, near those of the frame `before` or those that somebody else supposes where these explain
@@ -60,31 +69,72 @@ impl Inverter {
         Ok(self.solution(&best, &data))
     }
 
-    /// Takes in what stands out of what is left, until nothing does.
+    /// Takes in what stands out of what is left, until nothing does. It is first done on readings whose strong ones count for less: what is
+    /// left of a contact that is not quite right there hides no other one.
     fn pursue(&self, problem: &Problem<'_>, data: &[Datum], most: usize) -> Result<Minimum, InverterError> {
-        let mut best = Minimum {
-            contacts: Vec::new(),
-            chi2: data.iter().map(|datum| datum.square()).sum(),
-            covariance: None,
-            signal: vec![0.0; data.len()],
-        };
-        for _ in 0..ROUNDS {
-            let room = most - best.contacts.len();
-            if room == 0 || !best.contacts.is_empty() && self.explains(&best, data) {
+        let coarse = coarsened(data);
+        let smooth = self.problem(&coarse);
+        let mut best = Minimum::untouched(data);
+        // The best is taken in whatever it gains: the caller knows that there is a contact. Where shear moves the highest peak to another place,
+        // the next one is right.
+        for peak in self.peaks_left(data, &best, ALONE, 0.0) {
+            let roughly = smooth.minimise(vec![peak.clone()])?;
+            let alone = self.explains(&roughly, &coarse);
+            let minimum = if alone {
+                problem.minimise(roughly.contacts)?
+            } else {
+                let all = self.take_in(&smooth, &coarse, roughly, most)?;
+                self.without_idle(problem, problem.minimise(all.contacts)?)?
+            };
+            if best.contacts.is_empty() || self.cost(&minimum) < self.cost(&best) {
+                best = minimum;
+            }
+            if self.explains(&best, data) || !alone {
                 break;
             }
-            // The best is taken in whatever it gains: the caller knows that there is a contact.
-            let least = if best.contacts.is_empty() { 0.0 } else { self.settings().evidence };
-            let further = self.peaks_left(data, &best, room, least);
+            let minimum = problem.minimise(vec![peak])?;
+            if self.cost(&minimum) < self.cost(&best) {
+                best = minimum;
+            }
+            if self.explains(&best, data) {
+                break;
+            }
+        }
+        self.take_in(problem, data, best, most)
+    }
+
+    /// Takes in peaks of what contacts leave until they explain the readings.
+    fn take_in(
+        &self,
+        problem: &Problem<'_>,
+        data: &[Datum],
+        mut best: Minimum,
+        most: usize,
+    ) -> Result<Minimum, InverterError> {
+        for _ in 0..ROUNDS {
+            let room = most.saturating_sub(best.contacts.len());
+            if room == 0 || self.explains(&best, data) {
+                break;
+            }
+            let further = self.peaks_left(data, &best, room, self.settings().evidence);
             if further.is_empty() {
                 break;
             }
-            let all = best.contacts.iter().cloned().chain(further).collect();
-            let minimum = self.without_idle(problem, problem.minimise(all)?)?;
-            if self.cost(&minimum) >= self.cost(&best) {
-                break;
+            // Together; where that leads nowhere, one of them was in the way of the others.
+            let each = further.iter().map(|one| vec![one.clone()]).filter(|_| further.len() > 1);
+            let mut better = None;
+            for further in std::iter::once(further.clone()).chain(each) {
+                let all = best.contacts.iter().cloned().chain(further).collect();
+                let minimum = self.without_idle(problem, problem.minimise(all)?)?;
+                if self.cost(&minimum) < self.cost(&best) {
+                    better = Some(minimum);
+                    break;
+                }
             }
-            best = minimum;
+            match better {
+                Some(minimum) => best = minimum,
+                None => break,
+            }
         }
         Ok(best)
     }
@@ -134,18 +184,13 @@ impl Inverter {
 
     fn explains(&self, minimum: &Minimum, data: &[Datum]) -> bool {
         let unknowns = minimum.contacts.len() * self.settings().unknowns.count();
-        minimum.chi2 < plausible(crate::inverter::counted(data).saturating_sub(unknowns))
+        let freedom = crate::inverter::counted(data).saturating_sub(unknowns) as f64;
+        minimum.chi2 < freedom + PLAUSIBLE * (2.0 * freedom).sqrt()
     }
 
     /// What a minimum leaves, and what its contacts must gain.
     fn cost(&self, minimum: &Minimum) -> f64 {
         minimum.chi2 + self.settings().evidence * minimum.contacts.len() as f64
-    }
-
-    /// Contacts that readings can tell, at most.
-    fn most(&self, data: &[Datum]) -> usize {
-        let settings = self.settings();
-        settings.contacts.min(crate::inverter::counted(data) / settings.unknowns.count())
     }
 
     /// Presses at the places of the dictionary that explain what `best` leaves, each better than its neighbours do, by `least` or more, and not
@@ -177,6 +222,20 @@ impl Inverter {
         }
         chosen
     }
+}
+
+/// The same readings, of which the strong ones count for less: what fits the weak ones about a contact leads to it from farther away than what
+/// fits those beneath it, whose patterns change within a millimetre.
+fn coarsened(data: &[Datum]) -> Vec<Datum> {
+    let less = |value: f64, weight: f64| 1.0 / weight.recip().hypot(COARSE * value);
+    data.iter()
+        .map(|datum| match *datum {
+            Datum::Exact(v, w) => Datum::Exact(v, less(v, w)),
+            Datum::AtLeast(v, w) => Datum::AtLeast(v, less(v, w)),
+            Datum::AtMost(v, w) => Datum::AtMost(v, less(v, w)),
+            Datum::None => Datum::None,
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -217,6 +276,42 @@ mod tests {
             matches(&wrong, truth);
             matches(&inverter.search_near(&readings, &nowhere.contacts, &[]).unwrap(), truth);
         }
+    }
+
+    /// What a light press leaves open of its shear is what was expected of it, and no more.
+    #[test]
+    fn shear_that_readings_hardly_tell_stays_what_is_expected() {
+        let (inverter, model) = inverter();
+        let mut settings =
+            Settings { unknowns: dermis_model::Unknowns::Full, contacts: 1, ..inverter.settings().clone() };
+        let readings = read(&model, &[press(0.002, 0.001, 0.03)], &mut random(4));
+        let shear = |settings: &Settings| {
+            let inverter = Inverter::new(Arc::clone(&model) as _, settings.clone()).unwrap();
+            let found = inverter.search_near(&readings, &[], &[]).unwrap().contacts.remove(0);
+            let off = found.force_covariance[(0, 0)].max(found.force_covariance[(1, 1)]).sqrt();
+            (found.force.xy().norm() / -found.force.z, off / -found.force.z)
+        };
+        let (any, open) = shear(&settings);
+        settings.shear = Some(0.1);
+        let (expected, known) = shear(&settings);
+        assert!(open > 0.35, "without it, readings leave {open} open");
+        assert!(expected <= any.min(0.3) && known < 0.15, "{expected} of {any}, {known} of {open}");
+        settings.shear = Some(0.0);
+        assert!(Inverter::new(model, settings).unwrap_err().to_string().contains("shear"));
+    }
+
+    /// Of a strong press with shear, the nearest place of the dictionary leaves far more than noise.
+    #[test]
+    fn a_strong_contact_counts_whatever_a_place_leaves_of_it() {
+        let (near, model) = inverter();
+        let mut truth = press(0.0064, 0.0041, 1.8);
+        truth.force.x = 0.8;
+        let readings = read(&model, &[truth], &mut random(5));
+        let settings = Settings { search: Search::Greedy, ..near.settings().clone() };
+        let greedy = Inverter::new(model, settings).unwrap();
+        let [by_place, by_share] = [&greedy, &near].map(|inverter| inverter.evidence(&readings));
+        assert!(by_place.1 > 2.0 && !greedy.settings().exceeds_threshold(by_place, false), "{by_place:?}");
+        assert!(near.settings().exceeds_threshold(by_share, false), "{by_share:?}");
     }
 
     /// One of two has gone: the one that stays is all that is left.

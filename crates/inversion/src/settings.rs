@@ -47,6 +47,10 @@ pub struct Settings {
     /// How likely forces are before the reading.
     #[serde(default, skip_serializing_if = "ForcePrior::is_default")]
     pub force_prior: ForcePrior,
+    /// Standard deviation of shear along each direction of the surface over the pressing force, before the reading; any is as likely where
+    /// absent. Where contacts slip, readings say no more of how large a shear is, and without it an estimate grows without end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shear: Option<f64>,
     /// How several contacts are looked for.
     #[serde(default, skip_serializing_if = "Search::is_default")]
     pub search: Search,
@@ -144,6 +148,7 @@ impl Settings {
             presence: presence(),
             distance: apart(),
             force_prior: ForcePrior::default(),
+            shear: None,
             search: Search::default(),
             region: None,
         }
@@ -202,6 +207,9 @@ impl Settings {
             if !(value.is_finite() && value > 0.0) {
                 return wrong(field, value.to_string(), "a positive number");
             }
+        }
+        if let Some(shear) = self.shear.filter(|shear| !(shear.is_finite() && *shear > 0.0)) {
+            return wrong("shear", shear.to_string(), "a positive number");
         }
         for (field, value) in [("model_error", self.model_error), ("distance", self.distance)] {
             if !(value.is_finite() && value >= 0.0) {

@@ -12,7 +12,7 @@
 
 use std::collections::HashMap;
 
-use dermis_body::{Poses, Robot};
+use dermis_body::{Poses, Robot, SkinOnBody};
 use dermis_msgs::msg::{ForceMap, SkinGeometry};
 use dermis_msgs::sensor_msgs::msg::{PointCloud2, PointField};
 use dermis_msgs::std_msgs::msg::Header;
@@ -92,11 +92,8 @@ impl Maps {
     ) -> Result<(), String> {
         let on_body = &robot.skins[skin];
         let wrong = |what: String| Err(format!("skin `{}`: its geometry {what}", on_body.name));
-        if message.header.frame_id != on_body.frame_id {
-            return wrong(format!(
-                "is in frame \"{}\" where the robot file says \"{}\"",
-                message.header.frame_id, on_body.frame_id
-            ));
+        if let Some(what) = elsewhere(on_body, &message.header) {
+            return wrong(what);
         }
         let n = message.points.len();
         if n > MOST_POINTS || message.normals.len() != n || message.areas.len() != n {
@@ -171,11 +168,8 @@ impl Maps {
     pub(crate) fn take(&mut self, robot: &Robot, skin: usize, message: ForceMap) -> Result<(), String> {
         let on_body = &robot.skins[skin];
         let wrong = |what: String| Err(format!("skin `{}`: its force map {what}", on_body.name));
-        if message.header.frame_id != on_body.frame_id {
-            return wrong(format!(
-                "is in frame \"{}\" where the robot file says \"{}\"",
-                message.header.frame_id, on_body.frame_id
-            ));
+        if let Some(what) = elsewhere(on_body, &message.header) {
+            return wrong(what);
         }
         let state = &mut self.skins[skin];
         let Some(surface) = state.surface.as_ref().filter(|s| s.id == message.geometry_id) else {
@@ -253,6 +247,12 @@ impl Maps {
             is_dense: dense,
         }
     }
+}
+
+/// What is wrong with a message in another frame than its skin's.
+fn elsewhere(skin: &SkinOnBody, header: &Header) -> Option<String> {
+    let (found, frame) = (&header.frame_id, &skin.frame_id);
+    (found != frame).then(|| format!("is in frame \"{found}\" where the robot file says \"{frame}\""))
 }
 
 /// Points of a map and the force \[N\] on each, in the frame of the surface.

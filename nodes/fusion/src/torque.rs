@@ -25,7 +25,7 @@
 
 use std::collections::VecDeque;
 
-use dermis_body::{Joint, JointKind, Poses, Robot, Wrench};
+use dermis_body::{JointKind, Poses, Robot, Wrench};
 use dermis_skin::{ForceComponents, Stamp};
 use nalgebra::{Matrix3, Vector3};
 
@@ -178,17 +178,16 @@ pub(crate) struct Observer {
 impl Observer {
     pub(crate) fn new(robot: &Robot, settings: TorqueSettings) -> Result<Self, TorqueError> {
         settings.check(robot)?;
-        let counts = |j: &Joint| settings.joints.is_empty() || settings.joints.contains(&j.name);
         let n = robot.body.coordinates().len();
         Ok(Self {
             deviations: robot
                 .body
                 .coordinates()
-                .map(|j| settings.deviation(j).filter(|_| counts(j)))
+                .map(|j| settings.deviation(j).filter(|_| settings.counts(j)))
                 .collect(),
             carries_mass: robot.body.carries_mass(),
             impossible: robot.body.impossible_inertia().map(str::to_owned),
-            latest: vec![Latest { rate: f64::NAN, effort: f64::NAN, ..Latest::default() }; n],
+            latest: vec![Latest::unknown(); n],
             waiting: VecDeque::new(),
             last: None,
             residuals: vec![Residual::default(); n],
@@ -209,8 +208,7 @@ impl Observer {
 
     /// Begins anew.
     pub(crate) fn reset(&mut self) {
-        let empty = Latest { rate: f64::NAN, effort: f64::NAN, ..Latest::default() };
-        self.latest.fill(empty);
+        self.latest.fill(Latest::unknown());
         self.waiting.clear();
         self.residuals.fill(Residual::default());
         (self.last, self.load, self.refused) = (None, None, None);
@@ -386,10 +384,8 @@ impl Observer {
             let more = if rest > 0 { format!(" and {rest} more") } else { String::new() };
             (!all.is_empty()).then(|| format!("{}{more}", all[..all.len().min(5)].join(", ")))
         };
-        let counts = |i: usize| {
-            let chosen = &self.settings.joints;
-            chosen.is_empty() || robot.body.coordinates().nth(i).is_some_and(|j| chosen.contains(&j.name))
-        };
+        let counts =
+            |i: usize| robot.body.coordinates().nth(i).is_some_and(|joint| self.settings.counts(joint));
         names(&|i| counts(i) && !self.carries_mass[i])
             .map(|of| format!("no external torques of {of}: the URDF gives no masses of what they move; add `inertial`"))
             .or_else(|| {
@@ -419,6 +415,11 @@ pub struct JointValues<'a> {
 }
 
 impl Latest {
+    /// Of a joint that no state has told of.
+    fn unknown() -> Self {
+        Self { rate: f64::NAN, effort: f64::NAN, ..Self::default() }
+    }
+
     fn take(&mut self, stamp: Stamp, position: f64, rate: Option<f64>, effort: Option<f64>, wraps: bool) {
         let dt = self.stamp.map_or(f64::INFINITY, |before| seconds(before, stamp));
         if dt == 0.0 || (dt < 0.0 && dt > -GAP) {

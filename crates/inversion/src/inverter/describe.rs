@@ -7,10 +7,13 @@
 use dermis_model::{Unknowns, tangents};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 
-use super::{Inverter, counted};
+use super::{Inverter, counted, residuals};
 use crate::contact::ContactEstimate;
 use crate::fit::{Datum, Minimum};
-use crate::settings::ForcePrior;
+use crate::settings::{ForcePrior, Search};
+
+/// Units of a sum of squared deviations that a place explains less than the best, from which on its weight is below 10⁻⁶.
+const WEIGHTLESS: f32 = 30.0;
 
 impl Inverter {
     pub(super) fn describe(&self, minimum: &Minimum, data: &[Datum]) -> Vec<ContactEstimate> {
@@ -45,7 +48,7 @@ impl Inverter {
         let levels = &self.dictionary.forces;
         let mut terms: Vec<(f64, f64, f64, usize)> = Vec::with_capacity(self.dictionary.places.len());
         let mut least = f64::INFINITY;
-        for place in 0..self.dictionary.places.len() {
+        for place in self.likely(data) {
             // The level whose force comes out nearest to itself.
             let mut chosen: Option<(f64, f64, f64, f64)> = None;
             for (level, force) in levels.iter().enumerate() {
@@ -111,6 +114,22 @@ impl Inverter {
             position_covariance: second / total - mean * mean.transpose(),
             force_covariance: normal * normal.transpose() * variance + shear,
         }
+    }
+}
+
+impl Inverter {
+    /// Places of the dictionary that a mean over all has to ask. On a skin of very many elements, those that explain so much less than the best
+    /// that they weigh nothing are told by one product.
+    fn likely(&self, data: &[Datum]) -> Vec<usize> {
+        let all = 0..self.dictionary.places.len();
+        let whole = data.iter().all(|datum| matches!(datum, Datum::Exact(..)));
+        if !whole || self.settings.search != Search::Near {
+            return all.collect();
+        }
+        let left = residuals(data, &vec![0.0; data.len()]);
+        let scores: Vec<f32> = self.dictionary.project(&left).map(|score| score * score).collect();
+        let best = scores.iter().copied().fold(0.0, f32::max);
+        all.filter(|place| scores[*place] > best - WEIGHTLESS).collect()
     }
 }
 

@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Point3};
 
 use super::{Inverter, counted, plausible, residuals};
 use crate::contact::ContactEstimate;
-use crate::fit::{Datum, Minimum, Problem};
+use crate::fit::{Datum, Minimum, Problem, sum_of_squares};
 use crate::settings::InverterError;
 
 /// Peaks of the dictionary that are refined at most.
@@ -233,9 +233,4 @@ impl Limits {
     fn left(&self, score: f32) -> f64 {
         self.whole - f64::from(score).powi(2)
     }
-}
-
-/// Sum of the squares of readings in units of their noise.
-pub(super) fn sum_of_squares(data: &[Datum]) -> f64 {
-    data.iter().map(|datum| datum.square()).sum()
 }

@@ -87,6 +87,11 @@ impl TorqueSettings {
         Ok(())
     }
 
+    /// Whether a joint's torque counts.
+    pub(super) fn counts(&self, joint: &Joint) -> bool {
+        self.joints.is_empty() || self.joints.contains(&joint.name)
+    }
+
     /// Standard deviation \[N m\] or \[N\] of what a joint's torque differs by; `None` where neither file tells.
     pub(super) fn deviation(&self, joint: &Joint) -> Option<f64> {
         let of_limit = || joint.limits.map(|l| l.effort).filter(|effort| *effort > 0.0);
