@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
 use dermis_gap::{Diagnosis, Report};
 use dermis_report::gap as report;
-use dermis_studies::gap::{benchmark, closing, diagnosis, planning};
+use dermis_studies::gap::{benchmark, calibration, closing, diagnosis, planning};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
 
@@ -28,6 +28,8 @@ pub enum Gap {
     Plan(Plan),
     /// Design the next presses: those that best tell apart what a report leaves open.
     Next(Next),
+    /// Measure on simulated devices what right names leave, and what wrong ones do: the table by which causes are called unknown.
+    Calibrate(Calibrate),
     /// Check the diagnosis on recordings whose causes are withheld.
     #[command(subcommand)]
     Benchmark(Benchmark),
@@ -86,6 +88,22 @@ pub struct Next {
     output: PlanOutput,
 }
 
+/// Along which presses, and where trials and table go.
+#[derive(Args)]
+pub struct Calibrate {
+    #[command(flatten)]
+    request: calibration::Request,
+    /// File for all trials (JSON), for `--with` of another run.
+    #[arg(long, value_name = "FILE")]
+    trials: Option<PathBuf>,
+    /// File for the table (TOML).
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// The table as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
 /// Where presses to come go.
 #[derive(Args)]
 struct PlanOutput {
@@ -137,6 +155,7 @@ pub fn run(gap: &Gap) -> Result<()> {
             planned(&options.output, &found)
         }
         Gap::Next(options) => next(options),
+        Gap::Calibrate(options) => calibrate(options),
         Gap::Benchmark(Benchmark::Generate(options)) | Gap::MakePack(options) => pack::run(options),
         Gap::Benchmark(Benchmark::Run(options)) | Gap::Check(options) => check(options),
         Gap::Schema => {
@@ -177,6 +196,32 @@ fn write(out: &Path, found: &Diagnosis) -> Result<()> {
             ("skin.toml", format!("{comment}{}", dermis_gap::skin_text(&found.corrected)?)),
         ],
     )
+}
+
+/// Writes trials and table, and says how well they tell unknown causes.
+fn calibrate(options: &Calibrate) -> Result<()> {
+    let stop = crate::interrupt::stop_on_interrupt()?;
+    let write = |path: &Path, text: &str| {
+        std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+    };
+    let done = |count: usize| eprintln!("{count} trials");
+    let made = calibration::make(&options.request, &families(), &stop, done)?;
+    if let Some(path) = &options.trials {
+        write(path, &serde_json::to_string(&made)?)?;
+    }
+    let (model, text) = calibration::table(&made)?;
+    if let Some(path) = &options.table {
+        write(path, &text)?;
+    }
+    let said = format!(
+        "{} trials: causes that are left out are told from known ones with an AUROC of {:.3} (cross-validated); called unknown above {:.2}, \
+         firm below {:.2}\n",
+        made.trials.len(),
+        model.auroc,
+        model.unknown,
+        model.firm
+    );
+    output::print(options.json, &model, &said)
 }
 
 fn next(options: &Next) -> Result<()> {

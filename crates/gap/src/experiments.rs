@@ -10,8 +10,9 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::algebra::normal;
-use crate::constants::experiments::{LISTED, SETTLED, TRUST};
+use crate::constants::experiments::{LISTED, TRUST};
 use crate::constants::protocol::UNTELLABLE;
+use crate::protocol::design::settles;
 use crate::recording::{FrameLabel, Recording};
 use crate::samples::{Sample, Samples};
 
@@ -133,7 +134,7 @@ pub fn rank(
         }
     }
     // Those that settle it first, the shortest of them first; then by what a minute gives.
-    let settles = |e: &(f64, Experiment)| e.1.p_confuse_after < SETTLED;
+    let settles = |e: &(f64, Experiment)| settles(e.1.p_confuse_after);
     found.sort_by(|a, b| {
         settles(b)
             .cmp(&settles(a))

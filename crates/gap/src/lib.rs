@@ -45,6 +45,7 @@ mod statistics;
 mod store;
 #[cfg(test)]
 mod testing;
+pub mod unknown;
 mod whitening;
 mod wording;
 mod zero_level;
@@ -54,7 +55,7 @@ pub use checks::Missing;
 pub use consistency_checks::ConsistencyCheck;
 pub use dermis_model::{COMMON, CommonEffect, CommonParameters, common_effect, device};
 pub use dermis_skin::Phase;
-pub use diagnose::{Diagnosis, Memory, Options, diagnose};
+pub use diagnose::{Diagnosis, Memory, Options, calibrate, diagnose};
 pub use error::GapError;
 pub use experiments::Experiment;
 pub use noise::Gap;

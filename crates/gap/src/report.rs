@@ -2,6 +2,8 @@
 //! alias.
 
 use dermis_skin::Effect;
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::axes::{Axis, Bin, Map};
@@ -190,6 +192,23 @@ pub struct Unknown {
     /// What named effects leave, by channels and places; absent where none is named.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub structure: Option<Structure>,
+    /// How much speaks for a cause that the library lacks: logarithm of the odds where both kinds are equally frequent, calibrated on the
+    /// library itself; absent where nothing was to explain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub evidence: Option<f64>,
+    /// Evidence from which on the cause is called unknown: 2 % of known ones exceed it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threshold: Option<f64>,
+    /// Where it is called so beside a name, what the name leaves is shaped like.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shape: Option<String>,
+    /// Share of the gap that this shape finds on places that it was not fitted to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shape_share: Option<f64>,
+    /// What speaks for and against "unknown", by name: what the names leave, what shapes without a cause find in it, and whether the
+    /// names' values and signatures hold.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub tests: BTreeMap<String, f64>,
 }
 
 /// How a downstream estimator does before and after.

@@ -61,6 +61,21 @@ fn shape(report: &Report) -> String {
     })
 }
 
+/// Whether the calibration speaks for a cause that the library lacks.
+fn called_unknown(report: &Report) -> bool {
+    let of = &report.unknown;
+    of.evidence.zip(of.threshold).is_some_and(|(evidence, threshold)| evidence > threshold)
+}
+
+/// What the names leave, in words.
+fn remaining_shape(report: &Report) -> String {
+    let of = &report.unknown;
+    let matters = of.shape.as_ref().zip(of.shape_share).filter(|(_, share)| *share > 0.01);
+    matters.map_or(String::new(), |(what, share)| {
+        format!(", shaped like {what} ({} % of the gap),", percent(share))
+    })
+}
+
 /// One sentence that a person can act on.
 pub(crate) fn sentence(report: &Report) -> String {
     let Some(gap) = &report.gap else { return String::new() };
@@ -89,6 +104,12 @@ pub(crate) fn sentence(report: &Report) -> String {
     let reduces = report.residual_reduction.map_or(String::new(), |c| reduces(report, &c));
     match report.verdict {
         Verdict::Named => format!("The gap ({size}) is {}{reduces}.{next}", names.join(", and ")),
+        Verdict::NamedAndUnknown if called_unknown(report) => format!(
+            "What makes the gap ({size}) is probably none of the known effects. It looks like {}{reduces}; what that leaves{} is not \
+             what a right name leaves.{next}",
+            names.join(", and "),
+            remaining_shape(report)
+        ),
         Verdict::NamedAndUnknown => format!(
             "{} make {} % of the gap ({size}){reduces}; the rest is none of the known effects{}.{next}",
             names.join(", and "),

@@ -3,6 +3,7 @@
 mod answers;
 mod baselines;
 pub mod benchmark;
+pub mod calibration;
 pub mod closing;
 pub mod diagnosis;
 mod follow_ups;

@@ -6,18 +6,25 @@
 //! 2. needs no value that its prior makes implausible,
 //! 3. is not clearly beaten by a generic [rival](crate::rivals) on places that neither was fitted to, and
 //! 4. leaves nothing that goes with the place, where it has a number for each channel: what is wrong with a channel is wrong at each
-//!    place that the channel sees.
+//!    place that the channel sees, and
+//! 5. leaves what right names leave, by the [calibration](crate::unknown) on the library itself.
 //!
-//! A name that is not firm stands beside "unknown", whose shape the best rival gives.
+//! Where what it leaves is like what wrong names leave, the cause is called unknown: the name says what it looks like, and the shape that
+//! finds most of the rest says where to look.
+
+use std::collections::BTreeMap;
 
 use super::data::Data;
+use super::evidence;
 use super::measure::Measured;
 use super::predict::Explained;
 use super::select::Selected;
-use crate::constants::contest::{BEATEN, DEVIATIONS, IMPLAUSIBLE, PLACE, UNKNOWN};
+use crate::constants::calibrate::{FIRM, KNOWN};
+use crate::constants::contest::{BEATEN, DEVIATIONS, IMPLAUSIBLE, PLACE};
 use crate::report::{NamedEffect, Verdict};
-use crate::rivals::{self, Field, Named, Rival};
+use crate::rivals::{self, Field, Named, Remains, Rival};
 use crate::select::Tier;
+use crate::unknown::MODEL;
 use crate::wording::{percent, short};
 
 /// Compares the named effects with their rivals, and makes those loose that must not be firm.
@@ -39,26 +46,61 @@ pub(super) fn contest(data: &Data<'_>, measured: &Measured, selected: &Selected,
         prior: of.first().map_or(1.0, |c| training.prior(*c)),
     });
     let found = rivals::contest(&field, &measured.whitened, named.as_ref());
+    let after = Named {
+        left: left.unwrap_or(&measured.whitened),
+        discrepancy: of.iter().map(|c| &selected.columns[*c]).collect(),
+        prior: of.first().map_or(1.0, |c| training.prior(*c)),
+    };
+    let remains = rivals::remains(&field, &measured.whitened, &after);
     let structure = left.map(|left| rivals::structure(&field, &measured.whitened, left));
     let place = structure.map_or(0.0, |s| s.smooth_place + s.local_place + s.interaction);
     let beaten = best(&found);
+    let tests = evidence::tests(data, explained, &found, &remains);
+    let evidence = MODEL.evidence(&tests);
+    let uncertain = evidence.is_some_and(|e| e > MODEL.firm);
     for named in &mut explained.named {
         let per_channel = data.signatures.candidates.iter().any(|c| c.name == named.label && c.per_channel);
-        if let Some(why) = doubt(named, beaten, place, per_channel) {
+        let why = doubt(named, beaten, place, per_channel)
+            .or_else(|| uncertain.then(|| suspicion(&remains, evidence.is_some_and(|e| e > MODEL.unknown))));
+        if let Some(why) = why {
             named.tier = Tier::Loose;
             explained.warnings.push(format!("{} is not named firmly: {why}", named.label));
         }
     }
-    let first = explained.named.first().map(|n| n.label.as_str());
-    let of_channels =
-        data.signatures.candidates.iter().any(|c| Some(c.name.as_str()) == first && c.per_channel);
-    explained.contested = contested(beaten, place, of_channels);
+    // No right name of the calibration was beaten so.
+    let called = beaten.is_some() || evidence.is_some_and(|e| e > MODEL.unknown);
+    explained.contested = called;
+    explained.judged = Judged {
+        evidence,
+        threshold: evidence.map(|_| MODEL.unknown),
+        tests,
+        shape: remains.strongest().filter(|_| called).map(|(_, share, what)| (what.clone(), *share)),
+    };
     (explained.rivals, explained.structure) = (found, structure);
 }
 
-/// Whether the strongest name is another thing's: a rival explains much more, or what an effect of channels leaves goes with the place.
-fn contested(beaten: Option<&Rival>, place: f64, of_channels: bool) -> bool {
-    beaten.and_then(|r| r.excess).is_some_and(|e| e > UNKNOWN) || (of_channels && place > PLACE)
+/// What speaks for "unknown".
+#[derive(Debug, Clone, Default)]
+pub(super) struct Judged {
+    /// Logarithm of its odds.
+    pub evidence: Option<f64>,
+    /// From which on the cause is called so.
+    pub threshold: Option<f64>,
+    /// What was measured, by name.
+    pub tests: BTreeMap<String, f64>,
+    /// Where the cause is called so, what the names leave is shaped like, and its share of the gap.
+    pub shape: Option<(String, f64)>,
+}
+
+/// Why a name is not firm that the calibration makes uncertain.
+fn suspicion(remains: &Remains, called: bool) -> String {
+    let share = if called { KNOWN } else { FIRM };
+    format!(
+        "it leaves {} % of the gap, and what it leaves is more like what wrong names leave than in {} % of simulated devices whose \
+         cause is in the library",
+        percent(remains.left.max(0.0)),
+        percent(share)
+    )
 }
 
 /// The rival that leaves least, where it clearly beats the named effects.
@@ -134,9 +176,6 @@ mod tests {
 
     #[test]
     fn a_name_that_is_another_things_stands_beside_unknown() {
-        assert!(!contested(Some(&rival(0.5 * UNKNOWN, 9.0)), 0.0, true));
-        assert!(contested(Some(&rival(2.0 * UNKNOWN, 9.0)), 0.0, false));
-        assert!(contested(None, 2.0 * PLACE, true) && !contested(None, 2.0 * PLACE, false));
         assert_eq!(verdict(Verdict::Named, true), Verdict::NamedAndUnknown);
         assert_eq!(verdict(Verdict::Named, false), Verdict::Named);
         assert_eq!(verdict(Verdict::Unmeasured, true), Verdict::Unmeasured);
@@ -156,5 +195,13 @@ mod tests {
         let mut strange = firm.clone();
         strange.theta[0].plausibility = Some(0.01);
         assert!(doubt(&strange, None, 0.0, false).unwrap().contains("size would have to be 1"));
+    }
+
+    #[test]
+    fn what_makes_a_name_uncertain_is_said() {
+        let remains = Remains { left: 0.2, beyond: Vec::new() };
+        assert!(suspicion(&remains, true).contains("20 % of the gap"));
+        assert!(suspicion(&remains, true).contains("98 %") && suspicion(&remains, false).contains("80 %"));
+        assert!(remains.strongest().is_none());
     }
 }

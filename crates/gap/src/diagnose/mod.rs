@@ -18,10 +18,12 @@
 //! Each stage is a function of plain inputs. None knows an effect by its name: properties of effects are in
 //! [`effects`](crate::effects), numbers that decide in [`constants`](crate::constants).
 
+pub mod calibrate;
 mod check;
 mod contest;
 mod covariates;
 mod data;
+mod evidence;
 mod measure;
 mod predict;
 mod prior;
@@ -66,6 +68,9 @@ pub struct Options {
     pub nonlinear_refinement: usize,
     /// Folder that keeps signatures between runs.
     pub cache: Option<PathBuf>,
+    /// Effects that are left out of the library, as if nobody had thought of them: what the diagnosis makes of a cause that it
+    /// does not know is calibrated so.
+    pub without: Vec<String>,
     /// Set it from anywhere to end early.
     pub stop: Arc<AtomicBool>,
     /// Shows simulations done and to do; hidden by default.
@@ -80,6 +85,7 @@ impl Default for Options {
             resamples: constants::predict::RESAMPLES,
             nonlinear_refinement: constants::refine::CANDIDATES,
             cache: None,
+            without: Vec::new(),
             stop: Arc::default(),
             progress: ProgressBar::hidden(),
         }
@@ -114,7 +120,10 @@ pub fn diagnose(
     if report::fatal(&report) {
         return Ok(report::unusable(report, simulator));
     }
-    let (signatures, simulated) = signatures::obtain(simulator, recording, samples, options, memory)?;
+    let (mut signatures, simulated) = signatures::obtain(simulator, recording, samples, options, memory)?;
+    if !options.without.is_empty() {
+        Arc::make_mut(&mut signatures).candidates.retain(|c| !options.without.contains(&c.name));
+    }
     report::library(&mut report, &signatures, simulated, samples);
     let aligned = check::align(simulator, recording, samples, checked.sigma, &signatures.nominal)?;
     report.data.problems.extend(aligned.problems.iter().cloned());

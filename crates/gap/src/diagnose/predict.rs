@@ -12,6 +12,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::announce;
+use super::contest::Judged;
 use super::data::Data;
 use super::refine::Refined;
 use super::select::Selected;
@@ -49,6 +50,8 @@ pub(super) struct Explained {
     /// Shapes without a cause beside the named effects, and what these leave by channels and places.
     pub rivals: Vec<Rival>,
     pub structure: Option<Structure>,
+    /// What speaks for "unknown".
+    pub judged: Judged,
     /// Whether the strongest name is that of another thing.
     pub contested: bool,
     pub warnings: Vec<String>,

@@ -308,6 +308,11 @@ fn unexplained(
         explainable: explainable(&after, gap, seed),
         fingerprint: Vec::new(),
         structure: explained.structure,
+        evidence: explained.judged.evidence,
+        threshold: explained.judged.threshold,
+        shape: explained.judged.shape.as_ref().map(|(what, _)| what.clone()),
+        shape_share: explained.judged.shape.as_ref().map(|(_, share)| *share),
+        tests: explained.judged.tests.clone(),
     };
     if *share < FINGERPRINT {
         report.unknown.fingerprint = axes::shares(&after, sessions, seed).into_iter().take(4).collect();

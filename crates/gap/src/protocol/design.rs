@@ -102,20 +102,40 @@ struct Spread {
     columns: Vec<Vec<f32>>,
 }
 
-/// What one block says of an ordered pair.
+/// What blocks say of an ordered pair.
+#[derive(Clone)]
 struct Information {
     energy: f64,
     side: DVector<f64>,
     gram: DMatrix<f64>,
 }
 
+impl Information {
+    /// Of no block: what is known of so many coefficients beforehand.
+    fn none(columns: usize) -> Self {
+        let gram = DMatrix::identity(columns, columns) * PRIOR;
+        Self { energy: 0.0, side: DVector::zeros(columns), gram }
+    }
+
+    fn add(&mut self, more: &Self) {
+        self.energy += more.energy;
+        self.side += &more.side;
+        self.gram += &more.gram;
+    }
+
+    /// T.
+    fn separation(self) -> f64 {
+        let Some(factor) = self.gram.cholesky() else { return 0.0 };
+        (self.energy - self.side.dot(&factor.solve(&self.side))).max(0.0)
+    }
+}
+
 /// An ordered pair: the readings of the first, the best fit of the second.
 struct Pair {
     /// By block.
     of: Vec<Information>,
-    energy: f64,
-    side: DVector<f64>,
-    gram: DMatrix<f64>,
+    /// Of the blocks that were taken.
+    taken: Information,
 }
 
 impl Pair {
@@ -135,27 +155,26 @@ impl Pair {
             let side = DVector::from_iterator(m, columns.iter().map(|c| dot(c, &change)));
             Information { energy: dot(&change, &change), side, gram }
         });
-        Self { of: of.collect(), energy: 0.0, side: DVector::zeros(m), gram: DMatrix::identity(m, m) * PRIOR }
+        Self { of: of.collect(), taken: Information::none(m) }
     }
 
     /// T with these blocks besides those that were taken.
     fn with(&self, more: &[usize]) -> f64 {
-        let (mut energy, mut side, mut gram) = (self.energy, self.side.clone(), self.gram.clone());
-        for block in more {
-            let of = &self.of[*block];
-            energy += of.energy;
-            side += &of.side;
-            gram += &of.gram;
-        }
-        let Some(factor) = gram.cholesky() else { return 0.0 };
-        (energy - side.dot(&factor.solve(&side))).max(0.0)
+        self.beside(self.taken.clone(), more)
+    }
+
+    /// T of these blocks alone.
+    fn alone(&self, blocks: &[usize]) -> f64 {
+        self.beside(Information::none(self.taken.side.len()), blocks)
+    }
+
+    fn beside(&self, mut sum: Information, blocks: &[usize]) -> f64 {
+        blocks.iter().for_each(|block| sum.add(&self.of[*block]));
+        sum.separation()
     }
 
     fn take(&mut self, block: usize) {
-        let of = &self.of[block];
-        self.energy += of.energy;
-        self.side += &of.side;
-        self.gram += &of.gram;
+        self.taken.add(&self.of[block]);
     }
 }
 
@@ -255,11 +274,10 @@ fn choose(questions: &mut [Question], candidates: &[Block], minutes: f64) -> Vec
 impl Question {
     /// What the blocks that were taken do for it.
     fn told(&self, hypotheses: &[Hypothesis], taken: &[usize], kinds: &[BlockKind]) -> Separation {
-        let fresh: Vec<Pair> = self.pairs.iter().map(Pair::emptied).collect();
         let alone = |kind: BlockKind| {
             let of: Vec<usize> =
                 taken.iter().zip(kinds).filter(|(_, k)| **k == kind).map(|(b, _)| *b).collect();
-            fresh.iter().map(|pair| pair.with(&of)).sum::<f64>()
+            self.pairs.iter().map(|pair| pair.alone(&of)).sum::<f64>()
         };
         let mut all: Vec<BlockKind> = kinds.to_vec();
         all.sort_unstable();
@@ -272,19 +290,6 @@ impl Question {
             by: best.filter(|(t, _)| *t > 0.0 && !self.one_thing).map(|(_, kind)| kind),
             one_thing: self.one_thing,
         }
-    }
-}
-
-impl Pair {
-    /// As it was before any block was taken.
-    fn emptied(&self) -> Self {
-        let m = self.side.len();
-        let of = self.of.iter().map(|i| Information {
-            energy: i.energy,
-            side: i.side.clone(),
-            gram: i.gram.clone(),
-        });
-        Self { of: of.collect(), energy: 0.0, side: DVector::zeros(m), gram: DMatrix::identity(m, m) * PRIOR }
     }
 }
 
@@ -358,16 +363,15 @@ fn questions(
             }
             // The first stands for what was named: what others say of theirs says how open they are.
             let p = hypotheses[b].p_confuse.max(if a == 0 { 0.0 } else { hypotheses[a].p_confuse });
-            let mut question =
-                Question { members: [a, b], pairs, before: separation(p.clamp(1e-6, 0.5)), one_thing: false };
-            let least = question.pairs.iter().all(|pair| {
+            let whole: Vec<f64> = pairs.iter().map(|pair| pair.alone(&everything)).collect();
+            let least = pairs.iter().zip(&whole).all(|(pair, whole)| {
                 let energy: f64 = pair.of.iter().map(|i| i.energy).sum();
-                pair.with(&everything) < ALIKE * energy
+                *whole < ALIKE * energy
             });
-            let all = |pair: &Pair| normal(-pair.with(&everything).sqrt() / 2.0);
-            let confused = question.pairs.iter().map(all).sum::<f64>() / question.pairs.len() as f64;
-            question.one_thing = least || confused > UNTELLABLE;
-            questions.push(question);
+            let confused = whole.iter().map(|t| normal(-t.sqrt() / 2.0)).sum::<f64>() / whole.len() as f64;
+            let one_thing = least || confused > UNTELLABLE;
+            let before = separation(p.clamp(1e-6, 0.5));
+            questions.push(Question { members: [a, b], pairs, before, one_thing });
         }
     }
     Ok(questions)

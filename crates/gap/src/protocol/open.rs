@@ -53,10 +53,12 @@ pub fn open(report: &Report, known: &[EffectInfo]) -> Open {
         hypotheses.iter().flat_map(|h| &h.effects).map(|e| e.name.as_str()).collect();
     let beside = report.corrected.iter().filter(|e| !switched.contains(e.name.as_str())).cloned().collect();
     let [least, most] = UNKNOWN;
+    // "Unknown" is a hypothesis as well, as probable as its evidence says.
+    let probable = report.unknown.evidence.map_or(0.0, |odds| 1.0 / (1.0 + (-odds).exp()));
     let unknown = match report.verdict {
         _ if hypotheses.len() < 2 => 1.0,
-        Verdict::Named => least,
-        _ => report.unknown.share.clamp(least, most),
+        Verdict::Named => probable.clamp(least, most),
+        _ => report.unknown.share.max(probable).clamp(least, most),
     };
     Open { hypotheses, beside, unknown }
 }

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use super::{Made, Shape};
 use crate::algebra::components;
-use crate::constants::rivals::{AMOUNT, FADE, PATCHES, PATTERNS, PLACES_A_PATCH};
+use crate::constants::rivals::{AMOUNT, FADE, PATCHES, PATTERNS, PLACES_A_PATCH, ZERO_KNOTS};
 use crate::samples::{Sample, Samples};
 use crate::statistics::Column;
 
 /// Columns of a shape; `signals` are those of the nominal model, samples × channels.
-pub(super) fn of(shape: Shape, samples: &Samples, signals: &[f32], channels: usize) -> Made {
+pub(crate) fn of(shape: Shape, samples: &Samples, signals: &[f32], channels: usize) -> Made {
     let places = Places::of(samples);
     let list = &samples.list;
     let each = |functions: &[Vec<f64>]| Made {
@@ -21,6 +21,7 @@ pub(super) fn of(shape: Shape, samples: &Samples, signals: &[f32], channels: usi
         Shape::ForceCurve => each(&powers(list)),
         Shape::Mixing => Made { columns: mixing(list.len(), signals, channels), places: Vec::new() },
         Shape::Lag => Made { columns: lag(list, signals, channels), places: Vec::new() },
+        Shape::Zero => Made { columns: zeros(samples, channels), places: Vec::new() },
         Shape::Place => {
             let (functions, centres) = patches(&places, samples);
             let columns = functions.iter().map(|f| of_all(signals, channels, f)).collect();
@@ -159,6 +160,33 @@ fn lag(list: &[Sample], signals: &[f32], channels: usize) -> Vec<Column> {
         }
     }
     found
+}
+
+/// A piecewise linear zero of each channel through each session.
+fn zeros(samples: &Samples, channels: usize) -> Vec<Column> {
+    let list = &samples.list;
+    let mut sessions: BTreeMap<u32, [f64; 2]> = BTreeMap::new();
+    for s in list {
+        let span = sessions.entry(s.session).or_insert([f64::INFINITY, f64::NEG_INFINITY]);
+        *span = [span[0].min(s.time), span[1].max(s.time)];
+    }
+    let mut hats: Vec<Vec<f64>> = Vec::new();
+    for (session, [begin, end]) in sessions {
+        let step = ((end - begin) / (ZERO_KNOTS - 1) as f64).max(1e-9);
+        for knot in 0..ZERO_KNOTS {
+            let at = begin + knot as f64 * step;
+            let hat = |s: &Sample| {
+                let near = (1.0 - ((s.time - at) / step).abs()).max(0.0);
+                if s.session == session { near } else { 0.0 }
+            };
+            hats.push(list.iter().map(hat).collect());
+        }
+    }
+    let column = |k: usize, hat: &Vec<f64>| Column {
+        channel: Some(k),
+        values: hat.iter().map(|h| *h as f32).collect(),
+    };
+    (0..channels).flat_map(|k| hats.iter().map(move |hat| column(k, hat))).collect()
 }
 
 /// Bumps over the places of contact, and their middles \[m\]: each as wide as its middle is from the nearest other one.

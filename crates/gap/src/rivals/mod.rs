@@ -2,16 +2,16 @@
 //!
 //! Problem: an effect with a number for each channel, or one that bends with time, fits what it did not cause. Method: flexible
 //! regressions that know no cause (a factor of each channel that varies smoothly over place and force, a force curve of each channel,
-//! channels mixed by a few patterns, a reading that depends on the course of its press, a change of some places), fitted to the same
-//! residual, each scored on places that it was not fitted to. A name that is right leaves little that they find, for it has few numbers
+//! channels mixed by a few patterns, a reading that depends on the course of its press, a change of some places, a zero that wanders),
+//! fitted to the same residual, each scored on places that it was not fitted to. A name that is right leaves little that they find, for it has few numbers
 //! and they have many; one that is wrong is beaten by the rival whose shape its cause has (falsification of models by what a richer one
 //! predicts: Gelman and Shalizi 2013, "Philosophy and the practice of Bayesian statistics"; distortions of declared shapes as tests of
 //! misspecification: arXiv 2412.15100).
 //!
-//! Assumptions: rivals scale signals, so that they say nothing of untouched frames. Cost: one set of sufficient statistics for each
+//! Assumptions: all but the last scale signals, so that they say nothing of untouched frames. Cost: one set of sufficient statistics for each
 //! rival, and one solve for each fold; no simulation. Channels beyond some tens are left to those with the largest residual.
 
-mod columns;
+pub(crate) mod columns;
 mod structure;
 
 use rand::SeedableRng;
@@ -40,11 +40,13 @@ pub enum Shape {
     Lag,
     /// A factor of all channels that differs in some places.
     Place,
+    /// A zero of each channel that wanders.
+    Zero,
 }
 
 impl Shape {
     /// All of them.
-    const ALL: [Self; 5] = [Self::Field, Self::ForceCurve, Self::Mixing, Self::Lag, Self::Place];
+    const ALL: [Self; 6] = [Self::Field, Self::ForceCurve, Self::Mixing, Self::Lag, Self::Place, Self::Zero];
 
     /// What it is, in words that go on after "shaped like".
     #[must_use]
@@ -55,6 +57,20 @@ impl Shape {
             Self::Mixing => "a share of all channels' readings in each",
             Self::Lag => "readings that depend on the course of each press",
             Self::Place => "a change of some places",
+            Self::Zero => "a zero of each channel that wanders",
+        }
+    }
+
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Field => "field",
+            Self::ForceCurve => "force-curve",
+            Self::Mixing => "mixing",
+            Self::Lag => "lag",
+            Self::Place => "place",
+            Self::Zero => "zero",
         }
     }
 
@@ -66,6 +82,7 @@ impl Shape {
             Self::ForceCurve => "force",
             Self::Mixing => "channel",
             Self::Lag => "time since contact",
+            Self::Zero => "session time",
         }
     }
 }
@@ -133,12 +150,12 @@ fn of_channels(values: &[f32], channels: usize, chosen: &[usize]) -> Vec<f32> {
 }
 
 /// What a fit of each set of columns leaves of each group, fitted without that group's fold; and the fit to all groups. `prior` is the
-/// inverse variance of coefficients.
+/// inverse variance of a column's coefficient.
 fn held_out(
     statistics: &Statistics,
     sets: &[Vec<usize>],
     folds: &[usize],
-    prior: f64,
+    prior: impl Fn(usize) -> f64,
 ) -> Vec<(Vec<f64>, Fit)> {
     let total = statistics.sum(&vec![1.0; statistics.groups()]);
     let rest: Vec<_> = (0..FOLDS)
@@ -149,9 +166,9 @@ fn held_out(
         .collect();
     sets.iter()
         .map(|set| {
-            let fits: Vec<Fit> = rest.iter().map(|sum| sum.fit(set, |_| prior)).collect();
+            let fits: Vec<Fit> = rest.iter().map(|sum| sum.fit(set, &prior)).collect();
             let losses = folds.iter().enumerate().map(|(g, fold)| statistics.loss(g, &fits[*fold]));
-            (losses.collect(), total.fit(set, |_| prior))
+            (losses.collect(), total.fit(set, &prior))
         })
         .collect()
 }
@@ -167,8 +184,8 @@ pub(crate) struct Named<'a> {
 }
 
 impl Named<'_> {
-    /// What is left of each group on these channels, with the discrepancy fitted to other groups.
-    fn losses(&self, field: &Field<'_>, chosen: &[usize], folds: &[usize]) -> Vec<f64> {
+    /// Columns of the model discrepancy on these channels.
+    fn columns(&self, field: &Field<'_>, chosen: &[usize]) -> Vec<Column> {
         let narrow = |c: &&Column| match c.channel {
             Some(k) => {
                 let channel = chosen.iter().position(|own| *own == k)?;
@@ -176,13 +193,74 @@ impl Named<'_> {
             }
             None => Some(Column { channel: None, values: of_channels(&c.values, field.channels, chosen) }),
         };
-        let columns: Vec<Column> = self.discrepancy.iter().filter_map(narrow).collect();
+        self.discrepancy.iter().filter_map(narrow).collect()
+    }
+
+    /// What is left of each group on these channels, with the discrepancy fitted to other groups.
+    fn losses(&self, field: &Field<'_>, chosen: &[usize], folds: &[usize]) -> Vec<f64> {
+        let columns = self.columns(field, chosen);
         let left = of_channels(self.left, field.channels, chosen);
         let statistics = Statistics::new(&columns, &left, field.samples, chosen.len());
         let sets = [Vec::new(), (0..columns.len()).collect()];
-        let all = held_out(&statistics, &sets, folds, self.prior).into_iter().map(|(losses, _)| losses);
+        let all = held_out(&statistics, &sets, folds, |_| self.prior).into_iter().map(|(losses, _)| losses);
         all.min_by(|a, b| a.iter().sum::<f64>().total_cmp(&b.iter().sum())).unwrap_or_default()
     }
+}
+
+/// What named effects leave beside the model discrepancy, and what shapes still find in it: shares of the gap before them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Remains {
+    /// What is left beyond the noise.
+    pub left: f64,
+    /// What each shape finds of it on places that it was not fitted to, with the shape in words.
+    pub beyond: Vec<(Shape, f64, String)>,
+}
+
+impl Remains {
+    /// The shape that finds most.
+    pub fn strongest(&self) -> Option<&(Shape, f64, String)> {
+        self.beyond.iter().max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+}
+
+/// Fits each shape beside the model discrepancy to what named effects leave of `before`.
+pub(crate) fn remains(field: &Field<'_>, before: &[f32], after: &Named<'_>) -> Remains {
+    let (chosen, residual) = field.strongest(before);
+    let count = chosen.len();
+    let energy: f64 = residual.iter().map(|v| f64::from(*v).powi(2)).sum();
+    let floor = field.floor(count);
+    let gap = energy - floor;
+    if gap <= 0.0 {
+        return Remains::default();
+    }
+    let signals = of_channels(field.signals, field.channels, &chosen);
+    let left = of_channels(after.left, field.channels, &chosen);
+    let folds = field.folds();
+    let discrepancy = after.columns(field, &chosen);
+    let known = discrepancy.len();
+    let prior = |c: usize| if c < known { after.prior } else { PRIOR };
+    let sum = |of: &(Vec<f64>, Fit)| of.0.iter().sum::<f64>();
+    let mut found = Remains { left: f64::INFINITY, beyond: Vec::new() };
+    for shape in Shape::ALL {
+        let mut columns = discrepancy.clone();
+        let made = columns::of(shape, field.samples, &signals, count);
+        columns.extend(made.columns);
+        if columns.len() == known {
+            continue;
+        }
+        let statistics = Statistics::new(&columns, &left, field.samples, count);
+        let own = known..columns.len();
+        let sets = [Vec::new(), (0..known).collect(), own.collect(), (0..columns.len()).collect()];
+        let fits = held_out(&statistics, &sets, &folds, prior);
+        let losses: Vec<f64> = fits.iter().map(sum).collect();
+        // The discrepancy makes the best of it, and may be left out.
+        let without = losses[0].min(losses[1]);
+        found.left = found.left.min((without - floor) / gap);
+        let nowhere = vec![[f64::NAN; 3]; if made.places.is_empty() { 0 } else { known }];
+        let what = describe(shape, &fits[2].1, &[nowhere, made.places].concat());
+        found.beyond.push((shape, (without - losses[2].min(losses[3])) / gap, what));
+    }
+    found
 }
 
 /// Scores every shape on `before`, the whitened residual of the nominal model, against what the named effects leave. The one that
@@ -209,7 +287,7 @@ pub(crate) fn contest(field: &Field<'_>, before: &[f32], after: Option<&Named<'_
             }
             let statistics = Statistics::new(&made.columns, &residual, field.samples, chosen.len());
             let all: Vec<usize> = (0..made.columns.len()).collect();
-            let (losses, fit) = held_out(&statistics, &[all], &folds, PRIOR).pop()?;
+            let (losses, fit) = held_out(&statistics, &[all], &folds, |_| PRIOR).pop()?;
             let explains = (nothing.iter().sum::<f64>() - losses.iter().sum::<f64>()) / gap;
             let (excess, deviations) = match &named {
                 Some(named) => {
@@ -248,8 +326,8 @@ fn describe(shape: Shape, fit: &Fit, places: &[[f64; 3]]) -> String {
 }
 
 /// Columns of a shape, and for shapes of places the place of each column \[m\].
-struct Made {
-    columns: Vec<Column>,
+pub(crate) struct Made {
+    pub columns: Vec<Column>,
     places: Vec<[f64; 3]>,
 }
 
@@ -334,5 +412,33 @@ mod tests {
         let gains = residual(&samples, &signals, |_, k| 0.1 * (k as f64 + 1.0));
         let left = structure(&field, &soft, &gains);
         assert!(left.channel > 3.0 * left.local_place.max(left.interaction), "{left:?}");
+    }
+
+    #[test]
+    fn shapes_find_what_a_wrong_name_leaves_and_nothing_beside_a_right_one() {
+        let (samples, signals) = row();
+        let field = field(&samples, &signals);
+        let soft =
+            residual(&samples, &signals, |s, _| -0.3 * (-((s.position[0] - 0.006) / 0.002).powi(2)).exp());
+        let part: Vec<f32> = soft.iter().map(|v| 0.5 * v).collect();
+        let none = vec![0.0; soft.len()];
+        let of = |left: &[f32]| remains(&field, &soft, &Named { left, discrepancy: Vec::new(), prior: 1.0 });
+        let wrong = of(&part);
+        let (shape, share, what) = wrong.strongest().unwrap();
+        assert!(*shape == Shape::Place && *share > 0.15 && what.contains("most near ("), "{wrong:?}");
+        assert!((wrong.left - 0.25).abs() < 1e-3, "{wrong:?}");
+        let right = of(&none);
+        assert!(
+            right.left.abs() < 1e-6 && right.beyond.iter().all(|(_, share, _)| *share < 1e-6),
+            "{right:?}"
+        );
+        // A zero that goes up through the session is one that wanders.
+        let (mut samples, signals) = row();
+        samples.list.iter_mut().for_each(|s| s.time = s.group as f64);
+        let field = self::field(&samples, &signals);
+        let set =
+            residual(&samples, &vec![100.0; signals.len()], |s, k| 0.1 * (s.group as f64 / 120.0) * k as f64);
+        let wanders = remains(&field, &set, &Named { left: &set, discrepancy: Vec::new(), prior: 1.0 });
+        assert_eq!(wanders.strongest().unwrap().0, Shape::Zero, "{wanders:?}");
     }
 }

@@ -53,7 +53,7 @@ pub(super) fn of(field: &Field<'_>, before: &[f32], left: &[f32]) -> Structure {
         sets.push(set);
     }
     let statistics = Statistics::new(&columns, &residual, field.samples, count);
-    let losses: Vec<f64> = held_out(&statistics, &sets, &field.folds(), PRIOR)
+    let losses: Vec<f64> = held_out(&statistics, &sets, &field.folds(), |_| PRIOR)
         .into_iter()
         .map(|(losses, _)| losses.iter().sum())
         .collect();

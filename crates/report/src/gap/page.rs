@@ -245,6 +245,23 @@ fn effects(body: &mut String, report: &Report) -> Result<()> {
         percent(unknown.model_discrepancy),
         percent(unknown.explainable)
     );
+    if let Some((evidence, threshold)) = unknown.evidence.zip(unknown.threshold) {
+        let _ = writeln!(
+            body,
+            "<p>Evidence for a cause that none of the effects is: log odds {evidence:.1}; the cause is called unknown from {threshold:.1} on, \
+             as that of two in a hundred simulated devices is whose cause is in the library.</p>"
+        );
+    }
+    if let Some((what, share)) =
+        unknown.shape.as_ref().zip(unknown.shape_share).filter(|(_, share)| *share > 0.01)
+    {
+        let _ = writeln!(
+            body,
+            "<p>What the names leave is shaped like {}: {} of the gap on places that it was not fitted to.</p>",
+            escape(what),
+            percent(share)
+        );
+    }
     if !unknown.fingerprint.is_empty() {
         let _ = writeln!(body, "<h3>Fingerprint of the rest</h3>");
         let rows: Vec<Bar> = unknown.fingerprint.iter().map(|a| along(a.axis.as_str(), a)).collect();

@@ -129,6 +129,13 @@ pub fn text(report: &Report) -> String {
             percent(report.unknown.explainable)
         );
     }
+    if let Some((evidence, threshold)) = report.unknown.evidence.zip(report.unknown.threshold) {
+        let called = if evidence > threshold { "called unknown" } else { "not called unknown" };
+        let _ = writeln!(
+            out,
+            "evidence for a cause that no effect is: log odds {evidence:.1}, {called} (from {threshold:.1} on)"
+        );
+    }
     if let Some(rival) = report.rivals.first().filter(|r| r.explains > 0.0) {
         let more =
             rival.excess.map_or(String::new(), |e| format!(", {} more than what is named", percent(e)));

@@ -24,7 +24,9 @@ pub(super) fn answer(report: &Value) -> Answer {
         ..Answer::default()
     };
     answer.unexplained = if answer.gap { report["unknown"]["share"].as_f64() } else { None };
-    answer.evidence = if answer.gap { report["unknown"]["evidence"].as_f64() } else { None };
+    // Odds become a probability, so that it compares with the shares of reports that say none.
+    let odds = report["unknown"]["evidence"].as_f64().filter(|_| answer.gap);
+    answer.evidence = odds.map(|odds| 1.0 / (1.0 + (-odds).exp()));
     let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
     answer.axes = list(&report["where"]).iter().map(|axis| text(&axis["axis"])).collect();
     let fvu = |bin: &Value| bin["fvu"].as_f64().unwrap_or(0.0);
@@ -94,5 +96,11 @@ mod tests {
         let class = serde_json::json!([{ "name": "modulus" }, alias, { "name": "thickness" }]);
         assert_eq!(named(class), ["modulus = medium.young_modulus", "thickness"]);
         assert!(!super::answer(&serde_json::json!({ "verdict": "no-gap-beyond-noise" })).gap);
+        let evidence = |verdict: &str| {
+            let unknown = serde_json::json!({ "share": 0.1, "evidence": 3.0f64.ln() });
+            super::answer(&serde_json::json!({ "verdict": verdict, "unknown": unknown })).evidence
+        };
+        assert!((evidence("named").unwrap() - 0.75).abs() < 1e-12);
+        assert_eq!(evidence("model-discrepancy"), None);
     }
 }

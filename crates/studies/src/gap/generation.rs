@@ -80,6 +80,10 @@ impl Request {
         let mut order = SetSpec::mixed(self.share, self.seed, self.size);
         if let Some(kind) = self.kind {
             order.cases.retain(|(of, _)| *of == kind);
+            // A full pack does not hold the kinds of single cells.
+            if order.cases.is_empty() {
+                order.cases.push((kind, 1));
+            }
             if let (Some(count), [(_, cases)]) = (self.count, &mut order.cases[..]) {
                 *cases = count;
             }
@@ -147,6 +151,7 @@ mod tests {
             out: PathBuf::new(),
         };
         assert_eq!(request(Some(Kind::Pairs), Some(7)).order().count(), 7);
+        assert_eq!(request(Some(Kind::Foreign), Some(7)).order().count(), 7);
         let mixed = request(None, None).order();
         let pairs = request(Some(Kind::Pairs), None).order();
         assert!(mixed.cases.len() > 1 && pairs.cases.len() == 1, "{} kinds", mixed.cases.len());
