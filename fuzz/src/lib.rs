@@ -14,11 +14,12 @@ use dermis_body::Body;
 use dermis_inference::Manifest;
 use dermis_insight::optics::Observer;
 use dermis_insight::wire::PictureReader;
+use dermis_insight::wire::stream::StreamReader;
 use dermis_launch::{Host, NodeRequest, Refusal};
 use dermis_learn::LabelMap;
 use dermis_perception::Config;
 use dermis_reflex::Rules;
-use dermis_sensor::{Decoder as _, FrameReader};
+use dermis_sensor::{Decoder, FrameReader};
 use dermis_skin::{Frame, SkinDescription, TriangleMesh};
 use dermis_testbed::Plan;
 use dermis_transport::framing::{
@@ -346,14 +347,25 @@ pub fn rules(data: &[u8]) {
     }
 }
 
-/// A thumb's answers: a byte that cuts the stream, then pictures as they come.
+/// A thumb's answers, and pictures of a web stream: a byte that cuts the stream, then pictures as they come.
 pub fn picture(data: &[u8]) {
     const SIZE: [u32; 2] = [32, 24];
     const BLOCKS: [u32; 2] = [8, 6];
     let Some((cut, stream)) = data.split_first() else { return };
     let observer = Arc::new(Observer::of_means(SIZE, BLOCKS));
+    let readers: [&dyn Fn() -> Box<dyn Decoder>; 2] =
+        [&|| Box::new(PictureReader::new(Arc::clone(&observer))), &|| {
+            Box::new(StreamReader::new(Arc::clone(&observer)))
+        }];
+    for reader in readers {
+        pictures(reader, usize::from(*cut), stream, (BLOCKS[0] * BLOCKS[1] * 3) as usize);
+    }
+}
+
+/// Reads a stream whole and in pieces; each picture has so many numbers.
+fn pictures(reader: &dyn Fn() -> Box<dyn Decoder>, cut: usize, stream: &[u8], numbers: usize) {
     let read = |size: usize| {
-        let (mut reader, mut out) = (PictureReader::new(Arc::clone(&observer)), Vec::new());
+        let (mut reader, mut out) = (reader(), Vec::new());
         for (i, piece) in stream.chunks(size).enumerate() {
             reader.push(piece, ARRIVAL + i as i64, &mut out);
         }
@@ -362,11 +374,11 @@ pub fn picture(data: &[u8]) {
         assert_eq!(reader.stats().rejected.total() > 0, reader.stats().last_rejection.is_some());
         out
     };
-    let (whole, pieces) = (read(stream.len().max(1)), read(1 + usize::from(*cut)));
+    let (whole, pieces) = (read(stream.len().max(1)), read(1 + cut));
     assert_eq!(whole.len(), pieces.len(), "cuts change how many pictures there are");
     for (a, b) in whole.iter().zip(&pieces) {
         assert_eq!(a.values, b.values, "cuts change a picture");
-        assert_eq!(a.values.len(), (BLOCKS[0] * BLOCKS[1] * 3) as usize);
+        assert_eq!(a.values.len(), numbers);
         assert!(a.values.iter().all(|v| v.is_finite()) && a.image.is_some());
     }
 }

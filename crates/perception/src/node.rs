@@ -46,8 +46,8 @@ mod work;
 
 /// A running node; dropping it stops it.
 ///
-/// Topics, relative to its namespace: `contacts`, `taxels`, `image` (of a skin that is read by a camera), `wrench`,
-/// `contact_points`, `contact_markers`, `skin_geometry` (latched) and, where the models give them, `force_map` and
+/// Topics, relative to its namespace: `contacts`, `taxels`, `image` (of a skin that is read by a camera), `image/compressed`
+/// (where that sends JPEG), `wrench`, `contact_points`, `contact_markers`, `skin_geometry` (latched) and, where the models give them, `force_map` and
 /// `displacement_map`; where the configuration has a `mount`, its transform on `/tf_static`.
 /// Services: `~/tare`, `~/set_enabled`, `~/load_model`.
 ///

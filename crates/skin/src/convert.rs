@@ -6,7 +6,7 @@ use dermis_msgs::ChannelLayout;
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::geometry_msgs::msg::{Point, Pose, Quaternion, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, ContactArray, SkinGeometry, TaxelFrame};
-use dermis_msgs::sensor_msgs::msg::Image as ImageMsg;
+use dermis_msgs::sensor_msgs::msg::{CompressedImage, Image as ImageMsg};
 use dermis_msgs::std_msgs::msg::Header;
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -81,6 +81,17 @@ impl SkinDescription {
             is_bigendian: 0,
             step,
             data: image.data().to_vec(),
+        })
+    }
+
+    /// The picture of a frame as its device sent it; `None` where that was no JPEG.
+    #[must_use]
+    pub fn compressed_image_message(&self, frame: &Frame) -> Option<CompressedImage> {
+        let jpeg = frame.image.as_ref()?.jpeg()?;
+        Some(CompressedImage {
+            header: self.header(frame.stamp),
+            format: "jpeg".to_owned(),
+            data: jpeg.to_vec(),
         })
     }
 

@@ -39,13 +39,14 @@ impl PixelFormat {
     }
 }
 
-/// A picture, rows from the top, pixels from the left, nothing between rows. Copies share the pixels.
+/// A picture, rows from the top, pixels from the left, nothing between rows. Copies share the pixels, and the JPEG that it came as.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Image {
     width: u32,
     height: u32,
     format: PixelFormat,
     data: Arc<[u8]>,
+    jpeg: Option<Arc<[u8]>>,
 }
 
 impl Image {
@@ -54,7 +55,7 @@ impl Image {
     pub fn new(width: u32, height: u32, format: PixelFormat, data: impl Into<Arc<[u8]>>) -> Option<Self> {
         let data = data.into();
         let expected = (width as usize).checked_mul(height as usize)?.checked_mul(format.bytes())?;
-        (data.len() == expected).then_some(Self { width, height, format, data })
+        (data.len() == expected).then_some(Self { width, height, format, data, jpeg: None })
     }
 
     /// Pixels of a row.
@@ -73,6 +74,19 @@ impl Image {
     #[must_use]
     pub fn format(&self) -> PixelFormat {
         self.format
+    }
+
+    /// The same with the JPEG that its device sent, which may have a multiple of its pixels.
+    #[must_use]
+    pub fn with_jpeg(mut self, jpeg: impl Into<Arc<[u8]>>) -> Self {
+        self.jpeg = Some(jpeg.into());
+        self
+    }
+
+    /// The JPEG that its device sent; `None` where it sent something else.
+    #[must_use]
+    pub fn jpeg(&self) -> Option<&[u8]> {
+        self.jpeg.as_deref()
     }
 
     /// All pixels.

@@ -49,13 +49,15 @@ pub enum Newcomer {
 /// | `serial:///dev/ttyACM0?baud=921600&parity=none&stop=1&idle=2` | a serial line, opened exclusively, raw, 8 bits |
 /// | `udp://0.0.0.0:7400?from=192.168.1.20&sender=one&hold=1` | datagrams that arrive at this address; a multicast address is joined |
 /// | `tcp://192.168.1.20:7400?idle=10` | connect to a server |
+/// | `http://192.168.1.20:8080/?action=stream` | get a stream from a web server: its body, without its head |
 /// | `tcp-listen://0.0.0.0:7400?newcomer=refuse&hold=1`, `tcp://0.0.0.0:7400?listen` | serve, one client is the device |
 /// | `pty:///dev/pts/3` | an existing terminal, no line settings and no lock |
 /// | `pty://`, `pty://?link=/tmp/skin` | make a pseudo-terminal and read what is written to its far end |
 /// | `replay:///data/bag?speed=1&topic=/skin/taxels&skin=left_palm&loop=false` | the `TaxelFrame`s of a rosbag2 (folder or `.mcap`) as native wire |
 ///
 /// `idle=SECONDS` reconnects when a link is silent for so long, `idle=0` never. `tcp://` does so after 10 s if nothing
-/// else is said, because a server that lost power never says goodbye; for the others silence is no reason to.
+/// else is said, because a server that lost power never says goodbye; for the others silence is no reason to. `http://`
+/// does so after 10 s, too: what follows its `?` is the server's.
 ///
 /// A port has one device. The one that sends keeps it; what another one sends or wants is left out, counted and named,
 /// until the first has been silent for `hold=SECONDS` (1). `sender=host` takes all ports of a sender's address for one
@@ -97,6 +99,13 @@ pub enum SourceUrl {
         /// Reconnect after so long without a byte; `None` never.
         idle: Option<Duration>,
     },
+    /// Get a stream from a web server.
+    Http {
+        /// `HOST:PORT`, the host a name or an address.
+        address: String,
+        /// What is asked for, from the `/` on, as it goes over the line.
+        path: String,
+    },
     /// Wait for the device to connect.
     TcpListen {
         /// Local address; port 0 takes a free one.
@@ -130,7 +139,7 @@ pub enum SourceUrl {
     },
 }
 
-const SCHEMES: &[&str] = &["serial", "udp", "tcp", "tcp-listen", "pty", "replay"];
+const SCHEMES: &[&str] = &["serial", "udp", "tcp", "tcp-listen", "http", "pty", "replay"];
 
 /// \[baud\] rate of a serial URL that names none.
 const DEFAULT_BAUD: u32 = 115_200;
@@ -139,7 +148,7 @@ const DEFAULT_BAUD: u32 = 115_200;
 const HOLD: Duration = Duration::from_secs(1);
 
 /// Silence after which a TCP server is taken to be gone.
-const TCP_IDLE: Duration = Duration::from_secs(10);
+pub(crate) const TCP_IDLE: Duration = Duration::from_secs(10);
 
 impl SourceUrl {
     /// Reads a URL.
@@ -214,6 +223,7 @@ impl SourceUrl {
                 Ok(Self::Tcp { address: q.host_port()?, idle: q.idle_or(Some(TCP_IDLE))? })
             }
             "tcp-listen" => parser("tcp-listen", &["newcomer", "hold", "idle"])?.tcp_listen(),
+            "http" => http(url, rest),
             "pty" => {
                 let mut q = parser("pty", &["link"])?;
                 let link = q.take_with("link", "a path", |v| (!v.is_empty()).then(|| PathBuf::from(v)))?;
@@ -294,6 +304,7 @@ impl Display for SourceUrl {
             Self::Tcp { address, idle } => {
                 (format!("tcp://{address}"), vec![idle_key(&Some(idle.unwrap_or_default()))])
             }
+            Self::Http { address, path } => (format!("http://{address}{path}"), Vec::new()),
             Self::TcpListen { bind, newcomer, hold, idle } => (
                 format!("tcp-listen://{bind}"),
                 vec![
@@ -459,6 +470,36 @@ impl<'a> Query<'a> {
     }
 }
 
+/// Reads what follows `http://`.
+fn http(url: &str, rest: &str) -> Result<SourceUrl, TransportError> {
+    let refused = |what, expected: &str| TransportError::InvalidTarget {
+        url: url.into(),
+        what,
+        expected: expected.into(),
+    };
+    let (host, path) = rest.find(['/', '?']).map_or((rest, ""), |at| rest.split_at(at));
+    let path = if path.starts_with('/') { path.to_owned() } else { format!("/{path}") };
+    if !path.bytes().all(|byte| byte.is_ascii_graphic() && byte != b'#') {
+        return Err(refused(
+            "path",
+            "write spaces and what is not ASCII as %XX, and leave out what follows `#`",
+        ));
+    }
+    // The colons of an IPv6 address stand in brackets.
+    let named = host.rsplit_once(':').filter(|(_, port)| !port.ends_with(']'));
+    let (name, port) = named.unwrap_or((host, "80"));
+    let valid = !name.is_empty()
+        && name.bytes().all(|byte| byte.is_ascii_graphic() && !b"@%\\".contains(&byte))
+        && port.parse::<u16>().is_ok_and(|port| port != 0);
+    if !valid {
+        return Err(refused(
+            "address",
+            "expected HOST or HOST:PORT without a user's name, as in http://192.168.1.20:8080/?action=stream",
+        ));
+    }
+    Ok(SourceUrl::Http { address: format!("{name}:{port}"), path })
+}
+
 fn unescape(text: &str) -> Option<String> {
     let mut out = Vec::with_capacity(text.len());
     let mut bytes = text.bytes();
@@ -543,6 +584,26 @@ mod tests {
         };
         assert_eq!(SourceUrl::parse("tcp-listen://0.0.0.0:7400").unwrap(), listen);
         assert_eq!(SourceUrl::parse("tcp://0.0.0.0:7400?listen").unwrap(), listen);
+        for (text, address, path) in [
+            ("http://cam.local", "cam.local:80", "/"),
+            ("http://10.0.0.2:8080/?action=stream&n=1", "10.0.0.2:8080", "/?action=stream&n=1"),
+            ("http://[fe80::1]?x", "[fe80::1]:80", "/?x"),
+            ("http://[fe80::1]:81/a%20b", "[fe80::1]:81", "/a%20b"),
+        ] {
+            let url = SourceUrl::Http { address: address.into(), path: path.into() };
+            assert_eq!(SourceUrl::parse(text).unwrap(), url);
+            assert_eq!(SourceUrl::parse(&url.to_string()).unwrap(), url);
+        }
+        for wrong in [
+            "http://",
+            "http:///x",
+            "http://me:secret@cam/",
+            "http://cam:0/",
+            "http://cam/a b",
+            "http://cam/#x",
+        ] {
+            assert!(SourceUrl::parse(wrong).is_err(), "{wrong}");
+        }
         assert_eq!(SourceUrl::parse("pty://").unwrap(), SourceUrl::Pty { path: None, link: None });
         assert_eq!(
             SourceUrl::parse("replay:///data/my%20bag?speed=0&topic=/skin/taxels&skin=palm&loop=true")
@@ -569,8 +630,8 @@ mod tests {
 
     #[test]
     fn errors_name_the_part_and_what_is_valid() {
-        insta::assert_snapshot!(error("/dev/ttyACM0"), @"source `/dev/ttyACM0` is not a URL: write it as SCHEME://…, where SCHEME is one of serial, udp, tcp, tcp-listen, pty, replay");
-        insta::assert_snapshot!(error("usb:///dev/ttyACM0"), @"source `usb:///dev/ttyACM0` has the unknown scheme `usb`; valid schemes are serial, udp, tcp, tcp-listen, pty, replay");
+        insta::assert_snapshot!(error("/dev/ttyACM0"), @"source `/dev/ttyACM0` is not a URL: write it as SCHEME://…, where SCHEME is one of serial, udp, tcp, tcp-listen, http, pty, replay");
+        insta::assert_snapshot!(error("usb:///dev/ttyACM0"), @"source `usb:///dev/ttyACM0` has the unknown scheme `usb`; valid schemes are serial, udp, tcp, tcp-listen, http, pty, replay");
         insta::assert_snapshot!(error("serial:///dev/ttyACM0?baudrate=9600"), @"source `serial:///dev/ttyACM0?baudrate=9600` has the unknown key `baudrate`; valid keys of serial:// are baud, parity, stop, idle");
         insta::assert_snapshot!(error("serial:///dev/ttyACM0?baud=fast"), @"source `serial:///dev/ttyACM0?baud=fast` has baud=fast, but baud must be a rate from 50 to 12000000");
         insta::assert_snapshot!(error("serial://?baud=9600"), @"source `serial://?baud=9600` has no usable path: expected a device file, as in serial:///dev/ttyACM0?baud=115200");

@@ -377,6 +377,42 @@ fn a_tcp_server_that_restarts_is_found_again() {
 }
 
 #[test]
+fn a_web_stream_is_read_behind_its_head_and_asked_for_again() {
+    let server = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = server.local_addr().unwrap();
+    let mut consumer = Consumer::new(open(&format!("http://{address}/?action=stream")));
+    // The head and half a frame in one piece, the rest in pieces that end anywhere.
+    let answer = |pieces: &[&[u8]]| {
+        let (mut device, _) = server.accept().unwrap();
+        let mut request = Vec::new();
+        while !request.ends_with(b"\r\n\r\n") {
+            let mut byte = [0];
+            device.read_exact(&mut byte).unwrap();
+            request.push(byte[0]);
+        }
+        pieces.iter().for_each(|piece| device.write_all(piece).unwrap());
+        (device, String::from_utf8(request).unwrap())
+    };
+    let first = frame(0);
+    let head = b"HTTP/1.0 200 OK\r\nContent-Type: application/octet-stream\r\n\r\n";
+    let (device, request) =
+        answer(&[&[&head[..], &first[..10]].concat(), &first[10..], &frame(1), &frame(2)[..7]]);
+    assert!(request.starts_with("GET /?action=stream HTTP/1.0\r\n"), "{request}");
+    assert!(request.contains(&format!("Host: {address}\r\n")), "{request}");
+    consumer.until("two frames", |c| c.frames.len() == 2);
+    drop(device);
+    consumer.until("the loss", |c| !c.reasons.is_empty());
+    assert!(consumer.reasons[0].ends_with("closed the connection"), "{:?}", consumer.reasons);
+
+    // Its path is gone for a while.
+    drop(answer(&[b"HTTP/1.1 503 Service Unavailable\r\n\r\n"]));
+    consumer.until("refused", |c| c.reasons.iter().any(|r| r.contains("answers 503 Service Unavailable")));
+    let (_device, _) = answer(&[&head[..], &frame(9)]);
+    consumer.until("a frame", |c| c.frames.len() == 3);
+    consumer.assert_true();
+}
+
+#[test]
 fn a_silent_tcp_server_is_left_after_the_idle_time() {
     let server = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = server.local_addr().unwrap();

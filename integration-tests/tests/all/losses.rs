@@ -12,6 +12,7 @@ use dermis_bag::{BagReader, RecordedLosses};
 use dermis_integration_tests::{Peer, backend, domain, program};
 use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use dermis_msgs::msg::TaxelFrame;
+use dermis_msgs::sensor_msgs::msg::CompressedImage;
 use dermis_msgs::std_msgs::msg::Int32;
 use dermis_node::{Node, NodeOptions, Publisher, Qos};
 
@@ -194,6 +195,49 @@ fn what_a_stopped_recorder_missed_is_counted_exactly() {
         "{}",
         text(&strict.stderr)
     );
+}
+
+/// A camera of 40 pictures a second as a node publishes them: none is lost between node and bag, although the node waits for nobody.
+#[test]
+fn pictures_of_a_camera_are_recorded_whole() {
+    const PICTURES: u32 = 200;
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("run");
+    let node = node();
+    let publisher = node.stream_publisher::<CompressedImage>("/thumb/image/compressed", 2).unwrap();
+    let mut recorder = Peer::start(
+        dermis()
+            .args(["record", "/thumb/image/compressed", "--json", "--compression", "none", "--out"])
+            .arg(&bag),
+    );
+    until("the recorder listens", || (publisher.subscriber_count() > 0).then_some(()));
+    // As large as those of the thumb, and as little alike.
+    let mut noise = 1_u32;
+    let mut message =
+        CompressedImage { format: "jpeg".into(), data: vec![0; 270_000], ..CompressedImage::default() };
+    let began = Instant::now();
+    for index in 0..PICTURES {
+        message.header.stamp.nanosec = index;
+        for bytes in message.data.as_chunks_mut::<4>().0 {
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            *bytes = noise.to_le_bytes();
+        }
+        publisher.publish(&message).unwrap();
+        let due = began + Duration::from_millis(25) * (index + 1);
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+    }
+    recorder.interrupt();
+    let line = recorder.expect("{", SOON);
+    assert!(recorder.end(SOON).success(), "{line}");
+    let reader = BagReader::open(&bag).unwrap();
+    let recorded: Vec<u32> = reader
+        .read::<CompressedImage>("/thumb/image/compressed")
+        .unwrap()
+        .map(|message| message.unwrap().message)
+        .inspect(|image| assert_eq!(image.data.len(), 270_000))
+        .map(|image| image.header.stamp.nanosec)
+        .collect();
+    assert_eq!(recorded, (0..PICTURES).collect::<Vec<_>>(), "{line}");
 }
 
 /// A publisher that is started again, and what is latched for late joiners, are no losses.

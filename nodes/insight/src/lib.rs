@@ -65,17 +65,22 @@ impl Sensor for Insight {
         skin: &SkinDescription,
         options: DecoderOptions,
     ) -> Result<Box<dyn Decoder>, ModelError> {
-        if speaks_jpeg(skin) {
-            let design = parameters::Parameters::nominal(skin)?;
-            return Ok(Box::new(wire::PictureReader::new(model::observer(&design))));
+        if let Some(protocol) = pictures(skin) {
+            let observer = model::observer(&parameters::Parameters::nominal(skin)?);
+            return Ok(match protocol {
+                Pictures::Asked => Box::new(wire::PictureReader::new(observer)),
+                Pictures::Streamed => Box::new(wire::stream::StreamReader::new(observer)),
+            });
         }
         let reader = FrameReader::new(skin).ok_or_else(|| unknown_wire(skin))?;
         Ok(Box::new(if options.device_time { reader.with_device_time() } else { reader }))
     }
 
     fn encoder(&self, skin: &SkinDescription) -> Result<Box<dyn Encoder>, ModelError> {
-        if speaks_jpeg(skin) {
-            return Ok(Box::new(wire::PictureWriter::default()));
+        match pictures(skin) {
+            Some(Pictures::Asked) => return Ok(Box::new(wire::PictureWriter::default())),
+            Some(Pictures::Streamed) => return Err(skin.refusal("wire.protocol", not_spoken())),
+            None => {}
         }
         Ok(Box::new(FrameWriter::new(skin).ok_or_else(|| unknown_wire(skin))?))
     }
@@ -89,14 +94,41 @@ impl Sensor for Insight {
     }
 }
 
-fn speaks_jpeg(skin: &SkinDescription) -> bool {
-    skin.wire.protocol == WireProtocol::Family(wire::NAME.to_owned())
+/// How pictures come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Pictures {
+    /// One for each request.
+    Asked,
+    /// One after another.
+    Streamed,
+}
+
+/// `None` where numbers come.
+fn pictures(skin: &SkinDescription) -> Option<Pictures> {
+    let WireProtocol::Family(name) = &skin.wire.protocol else { return None };
+    match name.as_str() {
+        wire::NAME => Some(Pictures::Asked),
+        wire::stream::NAME => Some(Pictures::Streamed),
+        _ => None,
+    }
+}
+
+fn not_spoken() -> String {
+    format!(
+        "is \"{}\", which is read from a camera's web server and not spoken by a simulated device; set \"{}\" for that",
+        wire::stream::NAME,
+        wire::NAME
+    )
 }
 
 fn unknown_wire(skin: &SkinDescription) -> ModelError {
     skin.refusal(
         "wire.protocol",
-        format!("must be \"{}\" (pictures), \"native\" or \"ascii\" (their numbers)", wire::NAME),
+        format!(
+            "must be \"{}\" or \"{}\" (pictures), \"native\" or \"ascii\" (their numbers)",
+            wire::NAME,
+            wire::stream::NAME
+        ),
     )
 }
 

@@ -6,6 +6,11 @@
 //! of the skin's size, or a whole multiple of it up to eight, which is reduced to means.
 //!
 //! There is no clock and no number in an answer: frames are stamped on arrival and counted here.
+//!
+//! A picture that is twice, four or eight times as wide as the skin's is made smaller while it is decoded: of each square of 8 pixels
+//! only the lowest frequencies are transformed back, which takes half of the time or less.
+
+pub mod stream;
 
 use std::io::Cursor;
 use std::sync::Arc;
@@ -40,35 +45,70 @@ const QUALITY: u8 = 92;
 /// \[ns\] after which a request that was not answered is made again.
 const OVERDUE: i64 = 1_000_000_000;
 
+/// Pictures as frames: stamped on arrival, and counted.
+#[derive(Debug)]
+struct Pictures {
+    observer: Arc<Observer>,
+    stats: DecoderStats,
+    clock: DeviceClock,
+    sequence: u64,
+}
+
+impl Pictures {
+    fn new(observer: Arc<Observer>) -> Self {
+        Self {
+            stats: DecoderStats::new(most_bytes(observer.size())),
+            observer,
+            clock: DeviceClock::new(),
+            sequence: 0,
+        }
+    }
+
+    /// \[bytes\] that a picture has at most.
+    fn most(&self) -> usize {
+        most_bytes(self.observer.size())
+    }
+
+    /// The frame of a picture that has come whole; `waiting` bytes have come after it. `None` where it cannot be read.
+    fn frame(&mut self, jpeg: &[u8], received_ns: i64, waiting: usize) -> Option<Frame> {
+        let image = match decode(jpeg, self.observer.size()) {
+            Ok(image) => image.with_jpeg(jpeg),
+            Err(reason) => {
+                self.stats.reject(Rejection::Format, || reason);
+                return None;
+            }
+        };
+        let mut values = vec![0.0; self.observer.numbers()];
+        self.observer.observe(image.data(), &mut values);
+        self.stats.frames += 1;
+        self.stats.valid(waiting);
+        let stamp = self.clock.stamp(None, received_ns);
+        let mut frame = Frame::new(stamp, self.sequence, values.iter().map(|v| *v as f32).collect());
+        self.sequence += 1;
+        frame.image = Some(image);
+        Some(frame)
+    }
+}
+
 /// Asks for pictures and reads them.
 #[derive(Debug)]
 pub struct PictureReader {
-    observer: Arc<Observer>,
+    pictures: Pictures,
     buffer: Vec<u8>,
-    stats: DecoderStats,
-    clock: DeviceClock,
     /// When the request was made that is not answered yet.
     asked: Option<i64>,
-    sequence: u64,
 }
 
 impl PictureReader {
     /// For pictures that `observer` makes a frame's numbers of.
     #[must_use]
     pub fn new(observer: Arc<Observer>) -> Self {
-        Self {
-            buffer: Vec::new(),
-            stats: DecoderStats::new(most_bytes(observer.size())),
-            observer,
-            clock: DeviceClock::new(),
-            asked: None,
-            sequence: 0,
-        }
+        Self { pictures: Pictures::new(observer), buffer: Vec::new(), asked: None }
     }
 
     /// Bytes to pass over until an answer may begin, and its picture's length where that is known.
     fn next(&self) -> (usize, Option<usize>) {
-        let most = most_bytes(self.observer.size());
+        let most = self.pictures.most();
         let begins = |at: usize| {
             let head = &self.buffer[at..];
             let known = head.len().min(HEAD + BEGINS.len());
@@ -82,34 +122,16 @@ impl PictureReader {
         let whole = head.len() >= HEAD + BEGINS.len();
         (at, head.first_chunk().filter(|_| whole).map(|bytes| u32::from_le_bytes(*bytes) as usize))
     }
-
-    fn frame(&mut self, jpeg: &[u8], received_ns: i64) -> Option<Frame> {
-        let image = match decode(jpeg, self.observer.size()) {
-            Ok(image) => image,
-            Err(reason) => {
-                self.stats.reject(Rejection::Format, || reason);
-                return None;
-            }
-        };
-        let mut values = vec![0.0; self.observer.numbers()];
-        self.observer.observe(image.data(), &mut values);
-        self.stats.frames += 1;
-        let stamp = self.clock.stamp(None, received_ns);
-        let mut frame = Frame::new(stamp, self.sequence, values.iter().map(|v| *v as f32).collect());
-        self.sequence += 1;
-        frame.image = Some(image);
-        Some(frame)
-    }
 }
 
 impl Decoder for PictureReader {
     fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<Frame>) {
-        self.stats.take_in(bytes);
+        self.pictures.stats.take_in(bytes);
         self.buffer.extend_from_slice(bytes);
         loop {
             let (skip, length) = self.next();
             if skip > 0 {
-                self.stats.reject(Rejection::Length, || {
+                self.pictures.stats.reject(Rejection::Length, || {
                     format!("{skip} bytes are no length of a picture with a JPEG behind it; is this another device?")
                 });
                 self.buffer.drain(..skip);
@@ -119,10 +141,7 @@ impl Decoder for PictureReader {
             };
             let jpeg: Vec<u8> = self.buffer.drain(..end).skip(HEAD).collect();
             self.asked = None;
-            if let Some(frame) = self.frame(&jpeg, received_ns) {
-                self.stats.valid(self.buffer.len());
-                out.push(frame);
-            }
+            out.extend(self.pictures.frame(&jpeg, received_ns, self.buffer.len()));
         }
     }
 
@@ -140,15 +159,15 @@ impl Decoder for PictureReader {
     }
 
     fn stats(&self) -> &DecoderStats {
-        &self.stats
+        &self.pictures.stats
     }
 
     fn clock(&self) -> ClockState {
-        self.clock.state()
+        self.pictures.clock.state()
     }
 
     fn clock_jumps(&self) -> u64 {
-        self.clock.resets()
+        self.pictures.clock.resets()
     }
 }
 
@@ -175,12 +194,31 @@ fn decode(jpeg: &[u8], [width, height]: [u32; 2]) -> Result<Image, String> {
             decoder.color_type()
         ));
     }
+    if matches!(times, 2 | 4 | 8) {
+        let data = scaled(jpeg, [width, height])?;
+        return Image::new(width, height, PixelFormat::Rgb8, data)
+            .ok_or_else(|| "a picture has too few bytes".to_owned());
+    }
     let mut data = vec![0; wide as usize * high as usize * COLOURS];
     decoder.read_image(&mut data).map_err(wrong)?;
     if times > 1 {
         data = reduced(&data, [width as usize, height as usize], times as usize);
     }
     Image::new(width, height, PixelFormat::Rgb8, data).ok_or_else(|| "a picture has too few bytes".to_owned())
+}
+
+/// RGB of a picture that is two, four or eight times as wide and high as `size`, made smaller in the cosine transform of its blocks.
+fn scaled(jpeg: &[u8], [width, height]: [u32; 2]) -> Result<Vec<u8>, String> {
+    let wrong = |error: jpeg_decoder::Error| format!("a picture is no JPEG that can be read: {error}");
+    let mut decoder = jpeg_decoder::Decoder::new(jpeg);
+    // Progressive pictures keep coefficients: two bytes for each number of the largest picture that is taken.
+    decoder.set_max_decoding_buffer_size(2 * most_bytes([width, height]));
+    let side = |length: u32| u16::try_from(length).map_err(|_| "a picture is too large".to_owned());
+    let made = decoder.scale(side(width)?, side(height)?).map_err(wrong)?;
+    if (u32::from(made.0), u32::from(made.1)) != (width, height) {
+        return Err(format!("a picture is made smaller to {made:?} pixels where {width} x {height} are due"));
+    }
+    decoder.decode().map_err(wrong)
 }
 
 /// Means over squares of `times` pixels.
@@ -243,10 +281,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const SIZE: [u32; 2] = [40, 24];
+    pub(super) const SIZE: [u32; 2] = [40, 24];
     const BLOCKS: [u32; 2] = [4, 3];
 
-    fn pixels([width, height]: [u32; 2], shade: u8) -> Image {
+    pub(super) fn pixels([width, height]: [u32; 2], shade: u8) -> Image {
         let value = |i: u32| {
             let (x, y) = (i / 3 % width, i / 3 / width);
             (u32::from(shade) + 100 * x / width + 60 * y / height) as u8
@@ -255,7 +293,7 @@ mod tests {
         Image::new(width, height, PixelFormat::Rgb8, data).unwrap()
     }
 
-    fn observer() -> Arc<Observer> {
+    pub(super) fn observer() -> Arc<Observer> {
         Arc::new(Observer::of_means(SIZE, BLOCKS))
     }
 
@@ -263,7 +301,7 @@ mod tests {
         PictureReader::new(observer())
     }
 
-    fn answer(image: Image) -> Vec<u8> {
+    pub(super) fn answer(image: Image) -> Vec<u8> {
         let mut frame = Frame::new(0, 0, Vec::new());
         frame.image = Some(image);
         PictureWriter::default().encode(&frame, 0).unwrap().to_vec()
@@ -284,6 +322,7 @@ mod tests {
         for (frame, shade) in frames.iter().zip([20, 60]) {
             let wanted = pixels(SIZE, shade);
             let image = frame.image.as_ref().unwrap();
+            assert_eq!(image.jpeg(), Some(&answer(pixels(SIZE, shade))[HEAD..]));
             let off = image.data().iter().zip(wanted.data()).map(|(a, b)| a.abs_diff(*b)).max();
             assert!(off <= Some(6), "{off:?}");
             let mut means_of = vec![0.0; 36];
@@ -294,10 +333,13 @@ mod tests {
 
     #[test]
     fn a_larger_camera_is_reduced_and_another_refused() {
-        let (frames, _) = read(&[&answer(pixels([160, 96], 20))]);
-        let image = frames[0].image.as_ref().unwrap();
-        let off = image.data().iter().zip(pixels(SIZE, 20).data()).map(|(a, b)| a.abs_diff(*b)).max();
-        assert!([image.width(), image.height()] == SIZE && off <= Some(6), "{off:?}");
+        for times in 1..=MULTIPLE {
+            let (frames, stats) = read(&[&answer(pixels(SIZE.map(|side| side * times), 20))]);
+            assert_eq!(frames.len(), 1, "{times}: {:?}", stats.last_rejection);
+            let image = frames[0].image.as_ref().unwrap();
+            let off = image.data().iter().zip(pixels(SIZE, 20).data()).map(|(a, b)| a.abs_diff(*b)).max();
+            assert!([image.width(), image.height()] == SIZE && off <= Some(6), "{times}: {off:?}");
+        }
         for other in [[20, 12], [80, 96], [400, 240], [41, 24]] {
             let (frames, stats) = read(&[&answer(pixels(other, 20)), &answer(pixels(SIZE, 20))]);
             assert_eq!((frames.len(), stats.rejected.format), (1, 1), "{other:?}");

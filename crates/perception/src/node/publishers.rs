@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use dermis_estimate::{Maps, Quality};
 use dermis_msgs::geometry_msgs::msg::WrenchStamped;
 use dermis_msgs::msg::{ContactArray, DisplacementMap, ForceMap, SkinGeometry, TaxelFrame};
-use dermis_msgs::sensor_msgs::msg::{Image, PointCloud2};
+use dermis_msgs::sensor_msgs::msg::{CompressedImage, Image, PointCloud2};
 use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::visualization_msgs::msg::MarkerArray;
 use dermis_node::backend::BackendError;
@@ -33,6 +33,8 @@ pub(super) struct Publishers {
     pub(super) taxels: Publisher<TaxelFrame>,
     /// Of a skin that is read by a camera, from its first picture on.
     pub(super) image: Option<Publisher<Image>>,
+    /// The same pictures as the device sent them.
+    pub(super) jpeg: Option<Publisher<CompressedImage>>,
     pub(super) contacts: Publisher<ContactArray>,
     pub(super) wrench: Publisher<WrenchStamped>,
     pub(super) points: Publisher<PointCloud2>,
@@ -51,6 +53,7 @@ impl Publishers {
         let mut publishers = Self {
             taxels: node.stream_publisher("taxels", KEPT)?,
             image: None,
+            jpeg: None,
             contacts: node.stream_publisher("contacts", KEPT)?,
             wrench: node.stream_publisher("wrench", KEPT)?,
             points: node.stream_publisher("contact_points", KEPT)?,

@@ -305,15 +305,22 @@ impl Shared {
     /// Stamps a frame that came, and publishes its picture; returns whether the rest is wanted.
     fn stamp(&self, core: &mut Core, frame: &mut Frame) -> bool {
         core.sequence = frame.sequence;
+        // What cannot be offered is tried again with the next picture.
         if frame.image.is_some() && core.publishers.image.is_none() {
-            // What cannot be offered is tried again with the next picture.
             core.publishers.image = self.node.stream_publisher("image", KEPT_MAPS).ok();
+        }
+        let jpeg = frame.image.as_ref().is_some_and(|image| image.jpeg().is_some());
+        if jpeg && core.publishers.jpeg.is_none() {
+            core.publishers.jpeg = self.node.stream_publisher("image/compressed", KEPT_MAPS).ok();
         }
         if self.node.clock().is_simulated() {
             frame.stamp = frame.stamp.saturating_sub(now_ns()).saturating_add(self.node.clock().now());
         }
         if let Some(publisher) = &core.publishers.image {
             publisher.offer(|| self.skin.image_message(frame));
+        }
+        if let Some(publisher) = &core.publishers.jpeg {
+            publisher.offer(|| self.skin.compressed_image_message(frame));
         }
         core.enabled
     }

@@ -1,5 +1,7 @@
 //! Links: what is read once a source is connected, and how each kind is opened.
 
+mod http;
+
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -13,6 +15,7 @@ use super::queue::{Queue, Refused};
 use super::senders::{Notices, Senders, Verdict};
 use super::serial::{self, Line, Terminal};
 use super::{Reader, poll_timeout};
+use crate::url::TCP_IDLE;
 use crate::{Newcomer, Pty, SourceUrl};
 
 /// How a read ended.
@@ -30,6 +33,7 @@ enum Wire {
     Pty(Pty),
     Udp { socket: UdpSocket, senders: Senders },
     Tcp(TcpStream),
+    Http(http::Body),
 }
 
 impl Wire {
@@ -39,6 +43,7 @@ impl Wire {
             Self::Pty(pty) => pty.as_fd(),
             Self::Udp { socket, .. } => socket.as_fd(),
             Self::Tcp(stream) => stream.as_fd(),
+            Self::Http(body) => body.as_fd(),
         }
     }
 
@@ -48,6 +53,7 @@ impl Wire {
             Self::Terminal(terminal) => terminal.file().read(buffer).map(Some),
             Self::Pty(pty) => pty.try_read(buffer).map(Some),
             Self::Tcp(stream) => stream.read(buffer).map(Some),
+            Self::Http(body) => body.read(buffer).map(Some),
             Self::Udp { socket, senders } => {
                 let (n, sender) = socket.recv_from(buffer)?;
                 if n == 0 {
@@ -78,11 +84,18 @@ impl Wire {
             Self::Terminal(terminal) => terminal.file().write(bytes),
             Self::Pty(pty) => pty.write_lossy(bytes),
             Self::Tcp(stream) => stream.write(bytes),
+            // A web server was asked already.
+            Self::Http(_) => Ok(bytes.len()),
             Self::Udp { socket, senders } => match senders.read() {
                 Some(peer) => socket.send_to(bytes, peer),
                 None => Ok(bytes.len()),
             },
         }
+    }
+
+    /// Whether bytes are there that no wait for the line would tell of.
+    fn holds(&self) -> bool {
+        matches!(self, Self::Http(body) if body.holds())
     }
 
     /// What the end of the stream, or this error, means to people.
@@ -99,7 +112,7 @@ impl Wire {
             {
                 format!("{name} went away: it was unplugged, or lost power")
             }
-            (Self::Tcp(_), None) => format!("{name} closed the connection"),
+            (Self::Tcp(_) | Self::Http(_), None) => format!("{name} closed the connection"),
             (_, None) => format!("{name} ended"),
             (_, Some(e)) => format!("cannot read {name}: {e}"),
         }
@@ -137,6 +150,9 @@ impl Link {
                 Decision::In(time) => left = Some(left.map_or(time, |left| left.min(time))),
                 Decision::Replace(reason) => return ReadOutcome::Down(reason),
             }
+            if self.wire.holds() {
+                left = Some(Duration::ZERO);
+            }
             let (readable, writable, caller) = {
                 let writing = if reader.outbox.is_empty() { PollFlags::empty() } else { PollFlags::POLLOUT };
                 let mut fds = vec![
@@ -160,7 +176,11 @@ impl Link {
                     reader.wake.answer();
                 }
                 let line = fds.first().and_then(PollFd::revents).unwrap_or(PollFlags::POLLERR);
-                (line.intersects(!PollFlags::POLLOUT), line.contains(PollFlags::POLLOUT), any(3))
+                (
+                    line.intersects(!PollFlags::POLLOUT) || self.wire.holds(),
+                    line.contains(PollFlags::POLLOUT),
+                    any(3),
+                )
             };
             if writable
                 && let Err(e) = reader.outbox.send(|bytes| self.wire.write(bytes))
@@ -255,6 +275,14 @@ impl Opener {
                 let link =
                     Link::new(Wire::Tcp(stream?), format!("TCP {address}"), format!("TCP {address}"), *idle);
                 Ok(Some(link))
+            }
+            SourceUrl::Http { address, path } => {
+                reader.busy.store(true, Ordering::Release);
+                let body = connect(address, reader.options.connect_timeout)
+                    .and_then(|stream| http::Body::of(stream, address, path, reader.options.connect_timeout));
+                reader.busy.store(false, Ordering::Release);
+                let name = self.url.to_string();
+                Ok(Some(Link::new(Wire::Http(body?), name.clone(), name, Some(TCP_IDLE))))
             }
             SourceUrl::TcpListen { bind, idle, .. } => {
                 let (bind, idle) = (*bind, *idle);
