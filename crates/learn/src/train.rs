@@ -21,6 +21,7 @@ mod layer;
 mod measure;
 mod network;
 mod prepare;
+mod processor;
 mod run;
 #[cfg(feature = "train")]
 mod run_conv;
@@ -37,4 +38,5 @@ pub use layer::Layer;
 pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};
 pub use prepare::Preparation;
+pub use processor::Processor;
 pub use run::{Outcome, Request, run};

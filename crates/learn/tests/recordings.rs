@@ -48,6 +48,7 @@ fn learn(
         model: None,
         resume: false,
         threads: 2,
+        processor: dermis_learn::train::Processor::Cpu,
         runtime: Runtime::load(&embedded).unwrap(),
     };
     let outcome = run(&request, &AtomicBool::new(false), &|_| {}).unwrap();

@@ -12,7 +12,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::run::check_framework;
-use super::{Outcome, Progress, Request, TrainConfig, run};
+use super::{Outcome, Processor, Progress, Request, TrainConfig, run};
 use crate::cli::Labels;
 use crate::target::MapTarget;
 use crate::{Dataset, LearnError, Requirement, SplitKind, Verdicts};
@@ -59,6 +59,10 @@ pub struct Options {
     /// Networks fitted at the same time; all cores where absent.
     #[arg(long)]
     threads: Option<usize>,
+    /// What convolutional networks are fitted on: `cpu`, or a GPU (`gpu`, `gpu:1`) in programs that were built with
+    /// `--features gpu`.
+    #[arg(long, default_value_t)]
+    processor: Processor,
     #[command(flatten)]
     labels: Labels,
     /// Say what the data lack, and train nothing.
@@ -121,6 +125,7 @@ pub fn train(
 ) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
     let config = configuration(options)?;
     check_framework(&config)?;
+    options.processor.check(&config)?;
     let skin = SkinDescription::load(&options.skin)?;
     let how = options.labels.options()?;
     let data = Dataset::survey(&options.bags, &skin, &how)?;
@@ -162,6 +167,7 @@ pub fn train(
         out,
         resume: options.resume,
         threads,
+        processor: options.processor,
         runtime: Runtime::load(&RuntimeConfig::default())?,
     };
     let bars = bars(&config)?;

@@ -7,7 +7,7 @@
 //! Training stops early where the error on the validation samples has not fallen for [`ConvTraining::patience`] epochs
 //! (Prechelt 1998), and the best network is kept.
 //!
-//! The framework is burn, on its backend `flex` (pure Rust, one or a few cores). The same description of a network
+//! The framework is burn, on its backend `flex` (pure Rust, one or a few cores) or on a GPU ([`Processor`](super::Processor)). The same description of a network
 //! ([`ConvSpec`]) is evaluated by burn and written as an ONNX graph, so that both have the same operators.
 //!
 //! Cost: 0.5 to 2 ms a sample and pass on one core for images of 77 × 103 and four levels.

@@ -21,6 +21,7 @@ use super::config::TrainConfig;
 use super::measure::{measure_features, measure_outputs};
 use super::network::{Batch, Mlp, Progress, State, advance, seed_of};
 use super::prepare::Preparation;
+use super::processor::Processor;
 use crate::dataset::{Dataset, SampleId, Truth, hex};
 use crate::evaluate::Evaluation;
 use crate::evaluator::GraphEvaluator;
@@ -48,6 +49,8 @@ pub struct Request<'a> {
     pub resume: bool,
     /// Networks that are fitted at the same time.
     pub threads: usize,
+    /// What a convolutional network is fitted on.
+    pub processor: Processor,
     /// Evaluates the graph on what was held out.
     pub runtime: &'a Runtime,
 }
@@ -473,6 +476,7 @@ fn write_bundle(
             outcome.others.iter().map(|(name, e)| json!({ "name": name, "result": e.to_json() })).collect(),
         ),
         ("fit_seconds", json!(outcome.seconds)),
+        ("processor", json!(request.processor.to_string())),
     ];
     let choice = outcome.choice.as_ref().map(|choice| ("choice", json!(choice)));
     let card = card.into_iter().chain(choice);

@@ -210,6 +210,7 @@ pub(super) fn fit_spec(
         momentum: config.training.momentum,
         noise,
         data: signature(request.data, config)?,
+        processor: request.processor,
     };
     let mut other = config.split;
     (other.seed, other.fraction, other.fold) = (config.split.seed.wrapping_add(1), VALIDATION, None);

@@ -31,6 +31,7 @@ fn train(data: &Dataset, out: &Path) -> crate::train::Outcome {
         out,
         resume: false,
         threads: 1,
+        processor: crate::train::Processor::Cpu,
         runtime: Runtime::load(&how).unwrap(),
     };
     run(&request, &AtomicBool::new(false), &|_| {}).unwrap()

@@ -11,6 +11,7 @@ use rand_distr::StandardNormal;
 use super::network::{ConvNetwork, batch_of, numbers};
 use super::{ConvSpec, TensorReader, TensorSample, checkpoint};
 use crate::LearnError;
+use crate::train::Processor;
 
 /// Decay of Adam's second moment, and what keeps its quotient finite.
 const DECAY: f32 = 0.999;
@@ -39,6 +40,9 @@ pub struct ConvTraining {
     pub noise: Vec<f32>,
     /// What the samples are, as a hash of them, say: the state of training on others is not continued.
     pub data: String,
+    /// What computes. Sums round differently on another one, and training that was interrupted goes on there all the same.
+    #[serde(skip)]
+    pub processor: Processor,
 }
 
 impl Default for ConvTraining {
@@ -53,6 +57,7 @@ impl Default for ConvTraining {
             momentum: 0.9,
             noise: Vec::new(),
             data: String::new(),
+            processor: Processor::Cpu,
         }
     }
 }
@@ -116,7 +121,7 @@ impl State {
 /// every epoch, and training goes on from what is there where `resume` is set. When `stop` is set, training ends after the
 /// step that it is at; an epoch that was begun is done again on resuming. `progress` is called after every epoch.
 ///
-/// The result depends on the samples, their order, the specification and the seed only, also across a resumption.
+/// On one processor, the result depends on the samples, their order, the specification and the seed only, also across a resumption.
 ///
 /// # Errors
 ///
@@ -141,6 +146,7 @@ pub fn fit(
         });
     }
     check_noise(spec, &training.noise)?;
+    let device = training.processor.device()?;
     let fresh = State::new(ConvNetwork::new(spec, training.seed)?);
     let mut now = match state {
         Some((path, true)) if path.exists() => checkpoint::load(path, fresh, spec, training)?,
@@ -152,14 +158,15 @@ pub fn fit(
             break;
         }
         let before = now.epoch;
-        let report = epoch(&mut now, training, (train, validation), stop).map_err(|error| match error {
-            LearnError::Interrupted { .. } => LearnError::Interrupted {
-                epoch: before,
-                epochs: training.epochs,
-                path: state.map(|(path, _)| path.to_owned()).unwrap_or_default(),
-            },
-            error => error,
-        })?;
+        let report =
+            epoch(&mut now, training, (train, validation), &device, stop).map_err(|error| match error {
+                LearnError::Interrupted { .. } => LearnError::Interrupted {
+                    epoch: before,
+                    epochs: training.epochs,
+                    path: state.map(|(path, _)| path.to_owned()).unwrap_or_default(),
+                },
+                error => error,
+            })?;
         if let Some((path, _)) = state {
             checkpoint::save(path, &now, training)?;
         }
@@ -173,10 +180,10 @@ fn epoch(
     state: &mut State,
     training: &ConvTraining,
     (train, validation): (&dyn TensorReader, &dyn TensorReader),
+    device: &Device,
     stop: &AtomicBool,
 ) -> Result<ConvProgress, LearnError> {
-    let device = Device::flex();
-    let mut live = Live::of(state, &device);
+    let mut live = Live::of(state, device);
     // A share of the way through all epochs: the number of samples need not be known before.
     let done = f64::from(state.epoch) / f64::from(training.epochs);
     let rate = training.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * done).cos());
@@ -201,7 +208,7 @@ fn epoch(
         if stop.load(Ordering::Relaxed) {
             return Err(LearnError::Interrupted { epoch: 0, epochs: 0, path: std::path::PathBuf::new() });
         }
-        let loss = live.step(&state.network, batch, (rate, training.momentum), &device)?;
+        let loss = live.step(&state.network, batch, (rate, training.momentum), device)?;
         sum.push(loss, batch.len());
         batch.clear();
         Ok(())
@@ -217,7 +224,7 @@ fn epoch(
     let loss = sum.value("train on")?;
     live.store(state)?;
     state.epoch += 1;
-    let checked = measure(&state.network, validation, training.batch)?;
+    let checked = measure(&state.network, validation, training.batch, device)?;
     if !(loss.is_finite() && checked.is_finite()) {
         return Err(LearnError::Training {
             reason: format!(
@@ -234,12 +241,16 @@ fn epoch(
 }
 
 /// Mean loss over samples, without learning from them.
-fn measure(network: &ConvNetwork, samples: &dyn TensorReader, size: usize) -> Result<f64, LearnError> {
-    let device = Device::flex();
-    let tensors = network.tensors(&device);
+fn measure(
+    network: &ConvNetwork,
+    samples: &dyn TensorReader,
+    size: usize,
+    device: &Device,
+) -> Result<f64, LearnError> {
+    let tensors = network.tensors(device);
     let (mut batch, mut sum) = (Vec::new(), Mean::default());
     let mut take = |batch: &mut Vec<TensorSample>| {
-        let loss = numbers(loss(network, &tensors, batch, &device))?;
+        let loss = numbers(loss(network, &tensors, batch, device))?;
         sum.push(f64::from(loss.first().copied().unwrap_or(f32::NAN)), batch.len());
         batch.clear();
         Ok(())

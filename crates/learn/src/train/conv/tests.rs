@@ -140,6 +140,27 @@ fn an_interrupted_run_ends_where_an_undisturbed_one_does() {
     insta::assert_snapshot!(told, @"checkpoint FILE: belongs to another network or another configuration; train without `--resume` to begin anew");
 }
 
+/// Sums round differently there, and each step builds on the one before: losses agree, numbers do not.
+#[cfg(feature = "gpu")]
+#[test]
+fn a_gpu_learns_what_the_processor_learns() {
+    let on = |processor| run(&ConvTraining { processor, ..training() }, None, &AtomicBool::new(false));
+    let cpu = on(crate::train::Processor::Cpu).unwrap();
+    let gpu = match on(crate::train::Processor::Gpu(None)) {
+        Ok(fitted) => fitted,
+        Err(error) => {
+            eprintln!("not tested: {error}");
+            return;
+        }
+    };
+    assert!(
+        (gpu.validation / cpu.validation - 1.0).abs() < 0.02,
+        "{} and {}",
+        gpu.validation,
+        cpu.validation
+    );
+}
+
 #[test]
 fn training_stops_where_nothing_is_gained_and_keeps_the_best() {
     // Targets of the validation samples have nothing to do with their inputs.

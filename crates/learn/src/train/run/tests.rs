@@ -30,7 +30,17 @@ fn runtime() -> &'static Runtime {
 }
 
 fn request<'a>(data: &'a Dataset, config: &'a TrainConfig, out: &'a Path) -> Request<'a> {
-    Request { data, others: &[], config, model: None, out, resume: false, threads: 1, runtime: runtime() }
+    Request {
+        data,
+        others: &[],
+        config,
+        model: None,
+        out,
+        resume: false,
+        threads: 1,
+        processor: Processor::Cpu,
+        runtime: runtime(),
+    }
 }
 
 #[test]
