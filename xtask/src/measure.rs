@@ -14,6 +14,7 @@ use crate::test::{BUILD, WITHOUT_ROS};
 mod e_skins;
 mod ert;
 mod hapdefx;
+mod insight;
 mod limb;
 
 /// What can be measured.
@@ -62,6 +63,9 @@ pub enum Measurement {
     /// One to six contacts on the simulated conductive panel, found by inversion of its forward model, beside the Cramér–Rao bound of the
     /// very same frames. Written to benches/results/ert-inversion.json.
     Panel,
+    /// One contact, and one to five at once, on the simulated soft thumb, found by inversion of its forward model, beside the Cramér–Rao
+    /// bound of the very same frames. Written to benches/results/insight-accuracy.json and insight-contacts.json.
+    Insight,
     /// Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, written to benches/results/ert-tables.json; the result says
     /// what is reduced.
     ErtTables(ert::Sizes),
@@ -89,6 +93,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Start => start(root)?,
         Measurement::Gap => gap(root)?,
         Measurement::Panel => ert::inversion(root)?,
+        Measurement::Insight => insight::accuracy(root)?,
         Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,

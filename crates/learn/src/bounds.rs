@@ -82,9 +82,10 @@ pub struct OfSeveral {
 pub struct AgainstBound {
     /// True contacts of the frames.
     pub contacts: usize,
-    /// `position` or `force.normal`.
+    /// `position`, `force.normal` or, of one contact whose shear is looked for, `force` (length of the difference) and `angle` (between both
+    /// forces of contacts that were found; its bound is that of the shear over the pressing force).
     pub quantity: String,
-    /// `m` or `N`.
+    /// `m`, `N` or `rad`.
     pub unit: String,
     /// Over all forces.
     pub all: Ratio,
@@ -253,9 +254,12 @@ impl FrameBounds {
     #[must_use]
     pub fn against(&self, errors: &[ContactError], edges: &[f64]) -> Vec<AgainstBound> {
         type Of = fn(&ContactError, &ContactBound) -> (f64, f64);
-        let quantities: [(&str, &str, Of); 2] = [
+        let quantities: [(&str, &str, Of); 4] = [
             ("position", "m", |e, b| (e.position, b.position)),
             ("force.normal", "N", |e, b| (e.normal_force, b.normal_force)),
+            ("force", "N", |e, b| (e.vector, b.shear.map_or(f64::NAN, |shear| shear.hypot(b.normal_force)))),
+            // To first order, where the shear is small beside what presses.
+            ("angle", "rad", |e, b| (e.angle, b.shear.map_or(f64::NAN, |shear| shear / e.force))),
         ];
         let mut pairs: BTreeMap<(usize, usize), Vec<(f64, Pair)>> = BTreeMap::new();
         for error in errors {
@@ -383,7 +387,24 @@ mod tests {
     }
 
     fn error(id: SampleId, contact: [usize; 2], position: f64, normal_force: f64) -> ContactError {
-        ContactError { id, contact, force: 1.0, position, normal_force, found: true }
+        let (vector, angle) = (f64::NAN, f64::NAN);
+        ContactError { id, contact, force: 1.0, position, normal_force, vector, angle, found: true }
+    }
+
+    #[test]
+    fn all_of_a_force_stands_beside_its_bound_where_shear_is_looked_for() {
+        let id = SampleId { run: 0, sample: 0 };
+        let mut sheared = bound(1e-3);
+        (sheared.1.normal_force, sheared.1.shear) = (0.03, Some(0.04));
+        let mut found = ContactError { force: 2.0, ..error(id, [0, 1], 1e-3, 0.1) };
+        (found.vector, found.angle) = (0.1, 0.01);
+        let bounds = |of| FrameBounds { frames: [(id, vec![of])].into(), ..FrameBounds::default() };
+        let against = bounds(sheared).against(&[found], &FORCE_BINS);
+        let ratio = |name: &str| against.iter().find(|a| a.quantity == name).unwrap().all.ratio_of_rms;
+        approx::assert_relative_eq!(ratio("force"), 2.0, max_relative = 1e-12);
+        approx::assert_relative_eq!(ratio("angle"), 0.5, max_relative = 1e-12);
+        let straight = bounds(bound(1e-3)).against(&[found], &FORCE_BINS);
+        assert!(straight.iter().all(|a| a.quantity != "force" && a.quantity != "angle"));
     }
 
     fn bound(position: f64) -> (f64, ContactBound) {

@@ -185,7 +185,11 @@ pub struct ContactError {
     pub position: f64,
     /// \[N\] estimate − truth.
     pub normal_force: f64,
-    /// Whether the contact was found; otherwise both errors are what the rule says.
+    /// \[N\] length of the difference of both forces.
+    pub vector: f64,
+    /// \[rad\] between both forces; NaN where the contact was not found.
+    pub angle: f64,
+    /// Whether the contact was found; otherwise errors of place and force are what the rule says.
     pub found: bool,
 }
 
@@ -302,6 +306,8 @@ impl Scores {
             force: true_force,
             position: f64::NAN,
             normal_force: f64::NAN,
+            vector: f64::NAN,
+            angle: f64::NAN,
             found,
         };
         if let Some(force) = normal_force
@@ -319,6 +325,7 @@ impl Scores {
             let along = FORCES.map(|name| truth.value(name));
             if let ([Some(x), Some(y), Some(z)], false) = (along, silent) {
                 let angle = Vector3::from(force).angle(&Vector3::new(x, y, z));
+                error.angle = angle;
                 self.add("angle", of, true_force, angle, true);
             }
             let mut squares = Some(0.0);
@@ -330,7 +337,8 @@ impl Scores {
                 squares = squares.zip(known).map(|(s, known): (f64, f64)| s + (value - known).powi(2));
             }
             if let Some(squares) = squares {
-                self.add("force", of, true_force, squares.sqrt(), found);
+                error.vector = squares.sqrt();
+                self.add("force", of, true_force, error.vector, found);
             }
         }
         if let Some(position) = given {
@@ -386,7 +394,17 @@ impl Scores {
             self.add(names.1, (id, truth), force, normal_force, answer.is_some());
             let contact = [n, truth.contacts.len()];
             let found = answer.is_some();
-            self.contacts.push(ContactError { id, contact, force, position, normal_force, found });
+            let (vector, angle) = (f64::NAN, f64::NAN);
+            self.contacts.push(ContactError {
+                id,
+                contact,
+                force,
+                position,
+                normal_force,
+                vector,
+                angle,
+                found,
+            });
         }
     }
 

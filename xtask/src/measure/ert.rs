@@ -117,7 +117,7 @@ pub(super) fn inversion(root: &Path) -> Result<Value> {
     Ok(value)
 }
 
-fn write(root: &Path, file: &str, value: &Value) -> Result<()> {
+pub(super) fn write(root: &Path, file: &str, value: &Value) -> Result<()> {
     let path = root.join(file);
     let text = serde_json::to_string_pretty(value)? + "\n";
     std::fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))

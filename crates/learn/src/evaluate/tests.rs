@@ -244,7 +244,9 @@ fn parts_are_evaluated_by_themselves_and_without_what_nobody_asks_for() {
     let parts = [("one", one), ("two", two)];
     let both = evaluate_parts(&mut Known, &data, &parts, &|_| true).unwrap().unwrap();
     for ((name, ids), found) in parts.iter().zip(&both) {
-        assert_eq!(found, &evaluate(&mut Known, &data, Some(ids), *name).unwrap());
+        // As text: a contact's error is NaN in what nobody measured, and NaN is not equal to itself.
+        let alone = evaluate(&mut Known, &data, Some(ids), *name).unwrap();
+        assert_eq!(format!("{found:#?}"), format!("{alone:#?}"));
     }
     // It counts what it is asked.
     struct Counted(usize);

@@ -227,6 +227,8 @@ mod tests {
             force: 2.0,
             position,
             normal_force,
+            vector: f64::NAN,
+            angle: f64::NAN,
             found,
         };
         let all =

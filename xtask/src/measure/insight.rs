@@ -1,0 +1,122 @@
+//! The soft thumb: contacts by inversion of its forward model.
+//!
+//! Problem: how far off are place and force of one contact on the simulated thumb, how often is the number of several right, and what can
+//! frames say at best? Method: frames of the plans that ship, at places that nothing was fitted to, answered by the node's own estimator
+//! without a bundle; the Cramér–Rao bound of the very same frames beside. Assumptions: the device is as designed. Cost: some minutes of CPU
+//! time on two cores.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+use serde_json::{Value, json};
+
+use super::{PROGRAM, children_cpu, evaluation, scratch};
+use crate::run::{cargo, run as execute, target_dir};
+
+const SKIN: &str = "launch/skins/insight-thumb.toml";
+/// Plan, result, what is less than in the thesis or than was asked for; in the order in which they are measured.
+const PLANS: [(&str, &str, &str); 2] = [
+    (
+        "evaluate",
+        "benches/results/insight-accuracy.json",
+        "150 places with two presses each; the thesis has 187,358 samples at 3,800 places",
+    ),
+    (
+        "contacts",
+        "benches/results/insight-contacts.json",
+        "three presses of each number of contacts, each with some ten touched frames",
+    ),
+];
+/// \[N\] at which bins begin.
+const BINS: &str = "0.03,0.1,0.3,1";
+
+/// Measures, and writes each result beside the others as soon as it is there.
+pub(super) fn accuracy(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(PROGRAM))?;
+    let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "insight")?);
+    let mut all = serde_json::Map::new();
+    for (plan, result, reduced) in PLANS {
+        let (bag, file) = (dir.join(plan), format!("launch/plans/insight-thumb-{plan}.toml"));
+        let mut collect = Command::new(&dermis);
+        collect.args(["collect", SKIN, "--plan", &file, "--no-images", "--out"]).arg(&bag);
+        execute(collect.current_dir(root))?;
+        let mut evaluate = Command::new(&dermis);
+        evaluate.args(["evaluate", "--invert", "--json", "--skin", SKIN, "--bins", BINS]).arg(&bag);
+        let cpu = children_cpu()?;
+        let found = evaluation(evaluate.current_dir(root))?;
+        let seconds = children_cpu()? - cpu;
+        let mut of = summary(&found).with_context(|| format!("what was measured by {file}"))?;
+        // A lower bound of what a node answers: the start of the program and the bounds of all frames are in it.
+        let touched = found["bound"]["left_out"]["touched"].as_f64();
+        of["touched_frames_per_cpu_second"] = json!(touched.map(|frames| frames / seconds));
+        of["cpu_seconds"] = json!(seconds);
+        of["seed"] = json!(seed(root, &file)?);
+        of["reduced"] = json!(reduced);
+        of["evaluation"] = found;
+        super::ert::write(root, result, &of)?;
+        all.insert(plan.to_owned(), of);
+    }
+    Ok(Value::Object(all))
+}
+
+fn seed(root: &Path, plan: &str) -> Result<Option<i64>> {
+    let text = std::fs::read_to_string(root.join(plan)).with_context(|| format!("{plan} cannot be read"))?;
+    Ok(text.parse::<toml::Table>()?.get("seed").and_then(toml::Value::as_integer))
+}
+
+/// What tables show, in millimetres, newtons and degrees: by number of contacts and force.
+fn summary(found: &Value) -> Result<Value> {
+    let mut numbers = serde_json::Map::new();
+    for against in found["against_bound"].as_array().context("there are no bounds")? {
+        let quantity = against["quantity"].as_str().context("a bound has no quantity")?;
+        let factor = match quantity {
+            "position" => 1e3,
+            "angle" => 180.0 / std::f64::consts::PI,
+            _ => 1.0,
+        };
+        let of = |ratio: &Value| -> Value {
+            let scaled = |name: &str| ratio[name].as_f64().map(|v| v * factor);
+            json!({
+                "contacts": ratio["samples"], "not_found_percent": ratio["not_found"].as_f64().map(|v| v * 100.0),
+                "median": scaled("error_median"), "bound_median": scaled("bound_median"),
+                "median_ratio": ratio["median_ratio"],
+            })
+        };
+        let bins: Vec<Value> = against["by_force"].as_array().into_iter().flatten().map(of).collect();
+        let number = numbers.entry(against["contacts"].to_string()).or_insert_with(|| json!({}));
+        number[quantity.replace('.', "_")] = json!({ "all": of(&against["all"]), "by_force": bins });
+    }
+    for (number, share) in found["count_right"].as_object().into_iter().flatten() {
+        let of = numbers.entry(number.clone()).or_insert_with(|| json!({}));
+        of["right_percent"] = json!(share.as_f64().map(|v| v * 100.0));
+    }
+    Ok(json!({ "numbers": numbers }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_tables_show_is_in_their_units() {
+        let ratio = |median: f64| {
+            json!({
+                "samples": 10, "not_found": 0.1, "error_median": median, "bound_median": median / 2.0, "median_ratio": 2.0,
+            })
+        };
+        let of = |quantity: &str, median: f64| json!({ "contacts": 1, "quantity": quantity, "all": ratio(median), "by_force": [ratio(3.0 * median)] });
+        let found = json!({
+            "against_bound": [of("position", 4e-4), of("force.normal", 0.02), of("angle", 0.1)],
+            "count_right": { "1": 0.95 },
+        });
+        let summary = summary(&found).unwrap();
+        let one = &summary["numbers"]["1"];
+        assert!((one["position"]["all"]["median"].as_f64().unwrap() - 0.4).abs() < 1e-12);
+        assert_eq!(one["position"]["by_force"][0]["contacts"], 10);
+        assert_eq!(one["force_normal"]["all"]["bound_median"], 0.01);
+        assert!((one["angle"]["all"]["median"].as_f64().unwrap() - 5.7296).abs() < 1e-3);
+        assert_eq!(one["right_percent"], 95.0);
+        assert!(super::summary(&json!({})).is_err());
+    }
+}
