@@ -28,6 +28,12 @@ fn main() {
             println!("cargo::rustc-link-arg-bins={option}");
         }
     }
+    // Cargo strips only debugging information from a package that has an optimisation level of its own, whatever the
+    // profile says: 20 MB of symbols stay.
+    let strip = "-Wl,--strip-all";
+    if env::var("PROFILE").is_ok_and(|profile| profile == "release") && works(&folder, strip) {
+        println!("cargo::rustc-link-arg-bins={strip}");
+    }
 }
 
 /// Whether a program of one line links with this option, and runs.
