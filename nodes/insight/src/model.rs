@@ -332,8 +332,13 @@ impl ForwardModel for ThumbModel {
         }
         let brighter = self.brighter(stimulus.temperature);
         let mut columns = out.chunks_exact_mut(self.channels());
+        let switches = SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
+            self.displace(stimulus, field)?;
+            self.shading.changes(field, changes);
+            Ok(self.picture.switches(changes, brighter))
+        })?;
         self.each_slope(stimulus, unknowns, differences, |changes| match (columns.next(), changes) {
-            (Some(column), Some(changes)) => self.picture.change(changes, brighter, column),
+            (Some(column), Some(changes)) => self.picture.change(changes, &switches, brighter, column),
             (Some(column), None) => column.fill(0.0),
             _ => {}
         })

@@ -1,5 +1,6 @@
 //! What the camera sees of the inside: lens, lamps, and the table from which pictures are made.
 
+mod clipping;
 pub mod lens;
 pub mod light;
 mod numbers;

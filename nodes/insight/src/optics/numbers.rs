@@ -1,6 +1,7 @@
 //! The numbers of a frame without a picture: a sparse matrix from what changes at the nodes of the inside.
 //!
-//! They are what [`Observer`] makes of a picture without noise: a pixel at the end of its scale has no part in their changes. Cost: some
+//! They are what [`Observer`] makes of a picture without noise, as long as pixels stay as open or as saturated as they are where nothing
+//! touches: one at the end of its scale has no part in their changes, and [`Clipping`](super::clipping::Clipping) knows the others. Cost: some
 //! twenty products for each node that changes and each block that sees it.
 
 use std::collections::HashMap;
@@ -123,7 +124,8 @@ impl Numbers {
         &self.noise
     }
 
-    /// As [`Picture::respond`](super::Picture::respond).
+    /// As [`Picture::respond`](super::Picture::respond), of pixels that neither reach the end of their scale nor leave it; numbers may lie beyond
+    /// theirs.
     pub(super) fn respond(&self, shown: &[(&Changes, f64)], brighter: f64, out: &mut [f64]) {
         for ((value, untouched), free) in out.iter_mut().zip(&self.untouched).zip(&self.free) {
             *value = untouched + (brighter - 1.0) * free;
@@ -134,7 +136,6 @@ impl Numbers {
                 .collect();
             self.add(changes, &by_row, out);
         }
-        out.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
     }
 
     /// What changes alone add, however small: neither the untouched numbers nor the ends of the scale.

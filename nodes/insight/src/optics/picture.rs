@@ -1,9 +1,10 @@
 //! From the lit inside to pictures, and to the numbers of a frame.
 //!
 //! A table holds for every pixel which cell of the grid it sees and what it says where nothing touches. A touch adds what its nodes change,
-//! linear in between. Where the inside has ridges, the table also has what a pixel says more where a ridge moves by a radian of its phase; it is a
-//! mean over parts of a pixel, and the change its first harmonic. The numbers of a frame ([`Observer`]) follow from the nodes' changes by a
-//! sparse matrix, so that they need no pictures.
+//! linear in between, and is cut at the ends of the scale. Where the inside has ridges, the table also has what a pixel says more where a ridge
+//! moves by a radian of its phase; it is a mean over parts of a pixel, and the change its first harmonic. The numbers of a frame ([`Observer`])
+//! follow from the nodes' changes by a sparse matrix, and from the few pixels that a touch brings to an end of their scale or away from it
+//! ([`Clipping`]), so that they need no pictures.
 //!
 //! Noise has the variance a·I + b² of a pixel that says I: a table of standard normal numbers, which each row reads from another place. One
 //! number of the caller's is the seed of a picture.
@@ -17,6 +18,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
+use super::clipping::{Clipping, Switch};
 use super::light::COLOURS;
 use super::numbers::Numbers;
 use super::observer::Observer;
@@ -60,6 +62,7 @@ pub struct Picture {
     noise: Noise,
     observer: Arc<Observer>,
     numbers: Numbers,
+    clipping: Clipping,
 }
 
 impl Picture {
@@ -67,7 +70,8 @@ impl Picture {
     #[must_use]
     pub fn new(table: Table, noise: Noise, observer: Arc<Observer>) -> Self {
         let numbers = Numbers::new(&table, &observer, noise, table.nodes);
-        Self { table, noise, observer, numbers }
+        let clipping = Clipping::new(&table, &observer);
+        Self { table, noise, observer, numbers, clipping }
     }
 
     /// Pixels across and down.
@@ -92,11 +96,20 @@ impl Picture {
     /// have the more of a row, the earlier it is read. Lamps are `brighter` by this factor in a picture.
     pub fn respond(&self, shown: &[(&Changes, f64)], brighter: f64, out: &mut [f64]) {
         self.numbers.respond(shown, brighter, out);
+        self.clipping.cut(&self.table, &self.observer, shown, brighter as f32, out);
+        out.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
     }
 
-    /// What changes alone add to the numbers, to first order.
-    pub fn change(&self, changes: &Changes, brighter: f64, out: &mut [f64]) {
+    /// Values that a touch brings to the end of their scale or away from it.
+    #[must_use]
+    pub(crate) fn switches(&self, changes: &Changes, brighter: f64) -> Vec<Switch> {
+        self.clipping.switches(&self.table, changes, brighter as f32)
+    }
+
+    /// What changes alone add to the numbers, to first order, where these values count otherwise than where nothing touches.
+    pub(crate) fn change(&self, changes: &Changes, switches: &[Switch], brighter: f64, out: &mut [f64]) {
         self.numbers.change(changes, brighter, out);
+        self.clipping.change((&self.table, &self.observer), switches, changes, brighter as f32, out);
     }
 
     /// A picture, row by row, three bytes a pixel; without noise where there is no seed for it. The rest as for [`respond`](Self::respond).
