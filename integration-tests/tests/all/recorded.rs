@@ -87,9 +87,9 @@ fn a_recording_that_knows_one_component_of_the_force_is_learned() {
         &[("--config", &config), ("--skin", &skin), ("--out", &model), ("", &bag)],
     );
     assert!(told.contains("force.x"), "{told}");
-    // Strokes reach 18 N. The root mean square is 2.4 N: the last strokes go beyond those that this short training has seen.
+    // Strokes reach 18 N, and hold still at a part of that, which must not be taken for the zero.
     let held_out = dermis(
-        &["evaluate", "--held-out", "--json", "--require", "force_x_median<=0.6"],
+        &["evaluate", "--held-out", "--json", "--require", "force_x_rms<=0.8"],
         &[("--skin", &skin), ("--model", &model), ("", &bag)],
     );
     println!("held-out strokes: {}", held_out.trim());
