@@ -66,6 +66,9 @@ pub enum Measurement {
     /// One contact, and one to five at once, on the simulated soft thumb, found by inversion of its forward model, beside the Cramér–Rao
     /// bound of the very same frames. Written to benches/results/insight-accuracy.json and insight-contacts.json.
     Insight,
+    /// Table 6.6 of the thesis on the simulated soft thumb, reduced: force maps by a network for each of five ways to spread a ball's force, and
+    /// by inversion. Written to benches/results/insight-maps.json.
+    InsightMaps,
     /// Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, written to benches/results/ert-tables.json; the result says
     /// what is reduced.
     ErtTables(ert::Sizes),
@@ -94,6 +97,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Gap => gap(root)?,
         Measurement::Panel => ert::inversion(root)?,
         Measurement::Insight => insight::accuracy(root)?,
+        Measurement::InsightMaps => insight::maps(root)?,
         Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded(root, "force", "normal_force")?,

@@ -22,7 +22,7 @@ pub use condition::{ConditionError, Conditioned, Conditioner, TareRefusal};
 pub use contacts::{TaxelShares, Tracker};
 pub use estimator::{Maps, Quality, SkinEstimator, Verdict};
 pub use finder::{ConditionedFrame, ContactFinder, FindError};
-pub use models::{Models, SetupError, UnpackedModel, inverter, settings_without_bundle};
+pub use models::{Models, SetupError, UnpackedModel, inverter, is_pictured, settings_without_bundle};
 
 /// What finds faults of a device in whole frames; of the design, whatever effects the description switches on.
 ///

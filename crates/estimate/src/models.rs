@@ -36,13 +36,19 @@ const SHEAR: f64 = 0.3;
 /// Share by which a device and its forward model differ where nobody measured it: gains, and what the medium remembers.
 const UNMEASURED: f64 = 0.02;
 
+/// Whether a skin's channels are so many that each place has a pattern of its own: those of pictures.
+#[must_use]
+pub fn is_pictured(skin: &SkinDescription) -> bool {
+    skin.channels().len() >= PICTURED
+}
+
 /// How contacts are looked for on a skin's forward model alone: those of the tip and the forces that the skin is built for, one after
 /// the other.
 #[must_use]
-pub fn settings_without_bundle(skin: &SkinDescription) -> Settings {
+pub fn settings_without_bundle(skin: &SkinDescription, model: &dyn ForwardModel) -> Settings {
     let rated = skin.rated_press();
     let mut settings = Settings::new(rated.diameter, STRONGER * rated.force[1]);
-    if skin.channels().len() >= PICTURED {
+    if is_pictured(skin) {
         (settings.unknowns, settings.search) = (Unknowns::Full, Search::Near);
         settings.shear = Some(SHEAR);
     }
@@ -51,6 +57,10 @@ pub fn settings_without_bundle(skin: &SkinDescription) -> Settings {
     settings.tip = rated.tip;
     settings.distance = settings.distance.max(rated.diameter);
     settings.model_error = UNMEASURED;
+    if settings.contacts > 1 && !model.superposes() {
+        // All contacts are refined together there, which takes long: this search follows them from frame to frame.
+        settings.search = Search::Pairs;
+    }
     settings
 }
 
@@ -258,7 +268,7 @@ impl Pipeline {
         let manifest = bundle.manifest();
         let peaks = Peaks::of(bundle, surface, runtime)?;
         let input = (bundle.features(), manifest.baseline);
-        let output = (Some(bundle.session(runtime)?), bundle.outputs());
+        let output = (bundle.session(runtime)?, bundle.outputs());
         let pipeline = Self::of_model(bundle.path().to_owned(), input, output, surface)?;
         let points = surface.points.len();
         let weights = manifest.peaks.as_ref().map_or(0, |peaks| peaks.weights.len());
@@ -293,11 +303,7 @@ impl Pipeline {
         let model = sensor
             .model(skin)
             .map_err(|source| SetupError::NotInvertible { skin: skin.name.clone(), source })?;
-        let mut settings = settings_without_bundle(skin);
-        if settings.contacts > 1 && !model.superposes() {
-            // All contacts are refined together there, which takes long: this search follows them from frame to frame.
-            settings.search = Search::Pairs;
-        }
+        let settings = settings_without_bundle(skin, model.as_ref());
         let force_range = Some([0.0, settings.force_max]);
         let inverter = Inverter::new(model, settings)
             .map_err(|source| SetupError::Inversion { path: path.clone(), source })?;

@@ -1,4 +1,4 @@
-//! Model bundles: a folder with `bundle.toml`, `model.onnx`, `normalisation.npy` where the channels are many,
+//! Model bundles: a folder with `bundle.toml`, `model.onnx` where anything was learned, `normalisation.npy` where the channels are many,
 //! `sensitivity.onnx` where contacts are read off a map, `correction.json` where a forward model was corrected by what was
 //! recorded, and, for people, `card.json`.
 
@@ -11,7 +11,7 @@ use dermis_skin::SkinDescription;
 use sha2::{Digest, Sha256};
 
 use crate::correction::{self, CorrectionError};
-use crate::features::Features;
+use crate::features::{FeatureConfig, Features};
 use crate::file;
 use crate::interface::Interface;
 use crate::limits::Limits;
@@ -195,7 +195,8 @@ pub struct SkinMismatch {
 pub struct Bundle {
     path: PathBuf,
     manifest: Manifest,
-    graph: Vec<u8>,
+    /// `None` where contacts are found on the forward model alone.
+    graph: Option<Vec<u8>>,
     /// The network that turns peaks into forces.
     sensitivity: Option<Vec<u8>>,
     correction: Option<Correction>,
@@ -236,7 +237,10 @@ impl Bundle {
         let mut manifest = Manifest::from_toml(&text, &manifest_path.display().to_string())?;
         read_normalisation(path, &mut manifest, limits)?;
         fits(path, &manifest.skin, skin)?;
-        let graph = read_graph(path, (MODEL, "model"), &manifest.model, limits)?;
+        let graph = match &manifest.model {
+            Some(model) => Some(read_graph(path, (MODEL, "model"), model, limits)?),
+            None => None,
+        };
         let sensitivity = match &manifest.peaks {
             Some(peaks) => {
                 Some(read_graph(path, (SENSITIVITY, "peaks.sensitivity"), &peaks.sensitivity, limits)?)
@@ -357,10 +361,14 @@ impl Bundle {
         BundleError::Encode { path: self.path.clone(), file, reason: reason.to_string() }
     }
 
-    /// Turns frames into its input; starts with an empty history.
+    /// Turns frames into its input, which is the newest frame where there is no graph; starts with an empty history.
     #[must_use]
     pub fn features(&self) -> Features {
-        Features::of_valid(self.manifest.input.clone())
+        let channels = self.manifest.skin.channels.len();
+        Features::of_valid(match self.graph {
+            Some(_) => self.manifest.input.clone(),
+            None => FeatureConfig::newest(vec![0.0; channels], vec![1.0; channels]),
+        })
     }
 
     /// Reads its output.
@@ -369,16 +377,18 @@ impl Bundle {
         Outputs::of_valid(self.manifest.output.clone())
     }
 
-    /// Loads its graph into a runtime, after it has shown that it can be loaded, and gives finite numbers ([`trial`]).
+    /// Loads its graph into a runtime, after it has shown that it can be loaded, and gives finite numbers ([`trial`]); `None` where it
+    /// has none.
     ///
     /// # Errors
     ///
     /// [`BundleError::Model`] where the runtime refuses the graph, or it fails its trial.
     ///
     /// [`trial`]: crate::trial
-    pub fn session(&self, runtime: &Runtime) -> Result<Model, BundleError> {
-        let interface = &self.manifest.model.interface;
-        trial::load(runtime, &Candidate { graph: &self.graph, interface, ranges: &[] }, &self.limits)
+    pub fn session(&self, runtime: &Runtime) -> Result<Option<Model>, BundleError> {
+        let (Some(graph), Some(model)) = (&self.graph, &self.manifest.model) else { return Ok(None) };
+        trial::load(runtime, &Candidate { graph, interface: &model.interface, ranges: &[] }, &self.limits)
+            .map(Some)
             .map_err(|source| BundleError::Model { path: self.path.join(MODEL), source })
     }
 
@@ -560,20 +570,23 @@ impl BundleWriter {
     /// Gives the graph another interface than one flat tensor each.
     #[must_use]
     pub fn with_interface(mut self, interface: Interface) -> Self {
-        self.manifest.model.interface = interface;
+        if let Some(model) = &mut self.manifest.model {
+            model.interface = interface;
+        }
         self
     }
 
-    /// Writes the folder whole or not at all, with `graph` as its ONNX file. An older bundle at the same path is
-    /// replaced; anything else is left alone.
+    /// Writes the folder whole or not at all, with `graph` as its ONNX file where its manifest speaks of one. An older bundle at the same
+    /// path is replaced; anything else is left alone.
     ///
     /// # Errors
     ///
     /// [`BundleError`] where the manifest contradicts itself or the graph, or the folder cannot be written.
     pub fn write(mut self, path: impl AsRef<Path>, graph: &[u8]) -> Result<(), BundleError> {
         let path = path.as_ref();
-        self.manifest.model.bytes = graph.len() as u64;
-        self.manifest.model.hash = hash(graph);
+        if let Some(model) = &mut self.manifest.model {
+            (model.bytes, model.hash) = (graph.len() as u64, hash(graph));
+        }
         if let (Some(peaks), Some(sensitivity)) = (&mut self.manifest.peaks, &self.sensitivity) {
             peaks.sensitivity = ModelSection {
                 bytes: sensitivity.len() as u64,
@@ -588,8 +601,10 @@ impl BundleWriter {
         self.manifest.normalisation =
             normalisation.as_ref().map(|bytes| FileSection { bytes: bytes.len() as u64, hash: hash(bytes) });
         self.manifest.validate(&path.join(MANIFEST).display().to_string())?;
-        onnx::check(graph, &self.manifest.model.interface)
-            .map_err(|source| BundleError::Model { path: path.join(MODEL), source })?;
+        if let Some(model) = &self.manifest.model {
+            onnx::check(graph, &model.interface)
+                .map_err(|source| BundleError::Model { path: path.join(MODEL), source })?;
+        }
         let encode = |file, reason: String| BundleError::Encode { path: path.to_owned(), file, reason };
         let manifest =
             toml::to_string(&*self.manifest.written()).map_err(|e| encode(MANIFEST, e.to_string()))?;
@@ -610,8 +625,10 @@ impl BundleWriter {
         std::fs::create_dir_all(parent).map_err(written(parent))?;
         let scratch = scratch_folder(parent).map_err(written(parent))?;
         let sensitivity = self.sensitivity.as_deref().filter(|_| self.manifest.peaks.is_some());
-        let files = [(MANIFEST, manifest.as_bytes()), (MODEL, graph), (CARD, card.as_bytes())];
-        let optional = [(SENSITIVITY, sensitivity), (NORMALISATION, normalisation.as_deref())];
+        let files = [(MANIFEST, manifest.as_bytes()), (CARD, card.as_bytes())];
+        let graph = self.manifest.model.is_some().then_some(graph);
+        let optional =
+            [(MODEL, graph), (SENSITIVITY, sensitivity), (NORMALISATION, normalisation.as_deref())];
         let optional = optional.into_iter().filter_map(|(file, content)| Some((file, content?)));
         for (file, content) in files.into_iter().chain(optional) {
             let at = scratch.path().join(file);

@@ -104,6 +104,18 @@ impl FeatureConfig {
         }
     }
 
+    /// Of no model: what stands where there is none.
+    #[must_use]
+    pub fn none() -> Self {
+        Self::newest(Vec::new(), Vec::new())
+    }
+
+    /// Whether it is [`none`](Self::none).
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        *self == Self::none()
+    }
+
     /// Number of channels, or of the numbers of an image.
     #[must_use]
     pub fn channels(&self) -> usize {

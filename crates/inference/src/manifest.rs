@@ -103,19 +103,23 @@ pub struct Manifest {
     pub force_range: Option<[f64; 2]>,
     /// The skin it was trained for.
     pub skin: SkinSection,
-    /// The graph.
-    pub model: ModelSection,
-    /// How frames become its input.
+    /// The graph; where absent, contacts are found on the skin's forward model alone, as `inversion` says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<ModelSection>,
+    /// How frames become its input; left out where there is no graph.
+    #[serde(default = "FeatureConfig::none", skip_serializing_if = "FeatureConfig::is_none")]
     pub input: FeatureConfig,
     /// The file that holds mean and scale of the channels, where they are many; `input` holds them where absent. A bundle
     /// that was read has them in `input`, too.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub normalisation: Option<FileSection>,
-    /// What its output means.
+    /// What its output means; left out where there is no graph.
+    #[serde(default = "OutputConfig::none", skip_serializing_if = "OutputConfig::is_empty")]
     pub output: OutputConfig,
     /// Where it comes from.
     pub training: TrainingSection,
-    /// Refines the model's answer on the skin's forward model, with these settings; the model only where absent.
+    /// Refines the model's answer on the skin's forward model, with these settings; the model only where absent. Where there is no model,
+    /// finds contacts on the forward model alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inversion: Option<Settings>,
     /// How the device differs from that forward model; it is as designed where absent.
@@ -196,7 +200,7 @@ impl Manifest {
             baseline,
             force_range: None,
             skin: SkinSection::of(skin),
-            model: ModelSection { interface, ..Default::default() },
+            model: Some(ModelSection { interface, ..Default::default() }),
             input,
             normalisation: None,
             output,
@@ -207,6 +211,19 @@ impl Manifest {
             force_peaks: None,
             metrics: BTreeMap::new(),
         }
+    }
+
+    /// A manifest of this format for a skin whose contacts are found on its forward model alone, as `settings` say.
+    #[must_use]
+    pub fn of_inversion(
+        name: impl Into<String>,
+        skin: &SkinDescription,
+        settings: Settings,
+        training: TrainingSection,
+    ) -> Self {
+        let (input, output) = (FeatureConfig::none(), OutputConfig::none());
+        let manifest = Self::new(name, skin, Baseline::Tared, input, output, training);
+        Self { model: None, inversion: Some(settings), ..manifest }
     }
 
     /// Reads a manifest; `file` is what errors call it.
@@ -286,6 +303,52 @@ impl Manifest {
         let wrong = |field: &str, reason: String| {
             Err(ManifestError::Impossible { file: file.to_owned(), field: field.to_owned(), reason })
         };
+        if self.name.is_empty() {
+            return wrong("name", "is empty".into());
+        }
+        if !is_hash(&self.skin.hash) {
+            return wrong("skin.hash", "must be `sha256:` and 64 hex digits".into());
+        }
+        match &self.model {
+            Some(model) => self.check_model(model, &wrong)?,
+            None => self.check_without_model(&wrong)?,
+        }
+        if let Some([low, high]) = self.force_range
+            && !(low.is_finite() && high.is_finite() && low < high)
+        {
+            return wrong("force_range", format!("[{low}, {high}] is empty: low must be below high"));
+        }
+        if let Some(settings) = &self.inversion
+            && let Err(error) = settings.check(self.skin.channels.len())
+        {
+            return wrong("inversion", error.to_string());
+        }
+        if let Some(correction) = &self.correction {
+            if let Err((field, reason)) = correction.check() {
+                return wrong(&format!("correction.{field}"), reason);
+            }
+            if self.inversion.is_none() {
+                return wrong("correction", "there is no `inversion` whose forward model it corrects".into());
+            }
+        }
+        if let Err((field, reason)) = self.check_peaks() {
+            return wrong(&field, reason);
+        }
+        if self.training.seed > i64::MAX.cast_unsigned() {
+            return wrong("training.seed", "is beyond 2^63 - 1, the largest number that TOML has".into());
+        }
+        if let Some((name, _)) = self.metrics.iter().find(|(_, value)| !value.is_finite()) {
+            return wrong(&format!("metrics.{name}"), "must be a finite number".into());
+        }
+        Ok(())
+    }
+
+    /// Says what is impossible of a graph, what goes in and what comes out.
+    fn check_model(
+        &self,
+        model: &ModelSection,
+        wrong: &dyn Fn(&str, String) -> Result<(), ManifestError>,
+    ) -> Result<(), ManifestError> {
         let input = self.whole_input();
         if let Err(FeatureError::Impossible { field, reason }) = input.validate() {
             return wrong(&format!("input.{field}"), reason);
@@ -293,13 +356,7 @@ impl Manifest {
         if let Err(OutputError::Impossible { field, reason }) = self.output.validate() {
             return wrong(&format!("output.{field}"), reason);
         }
-        if self.name.is_empty() {
-            return wrong("name", "is empty".into());
-        }
-        if !is_hash(&self.skin.hash) {
-            return wrong("skin.hash", "must be `sha256:` and 64 hex digits".into());
-        }
-        if !is_hash(&self.model.hash) {
+        if !is_hash(&model.hash) {
             return wrong("model.hash", "must be `sha256:` and 64 hex digits".into());
         }
         if let Some(section) = &self.normalisation
@@ -317,7 +374,7 @@ impl Manifest {
                 ),
             );
         }
-        let interface = &self.model.interface;
+        let interface = &model.interface;
         let sides = [
             // Further inputs are tensors that the sensor's estimator fills: an image, say.
             (
@@ -352,34 +409,32 @@ impl Manifest {
                 );
             }
         }
-        if let Some([low, high]) = self.force_range
-            && !(low.is_finite() && high.is_finite() && low < high)
-        {
-            return wrong("force_range", format!("[{low}, {high}] is empty: low must be below high"));
-        }
-        if let Some(settings) = &self.inversion
-            && let Err(error) = settings.check(self.skin.channels.len())
-        {
-            return wrong("inversion", error.to_string());
-        }
-        if let Some(correction) = &self.correction {
-            if let Err((field, reason)) = correction.check() {
-                return wrong(&format!("correction.{field}"), reason);
-            }
-            if self.inversion.is_none() {
-                return wrong("correction", "there is no `inversion` whose forward model it corrects".into());
-            }
-        }
-        if let Err((field, reason)) = self.check_peaks() {
-            return wrong(&field, reason);
-        }
-        if self.training.seed > i64::MAX.cast_unsigned() {
-            return wrong("training.seed", "is beyond 2^63 - 1, the largest number that TOML has".into());
-        }
-        if let Some((name, _)) = self.metrics.iter().find(|(_, value)| !value.is_finite()) {
-            return wrong(&format!("metrics.{name}"), "must be a finite number".into());
-        }
         Ok(())
+    }
+
+    /// Says what is impossible where there is no graph.
+    fn check_without_model(
+        &self,
+        wrong: &dyn Fn(&str, String) -> Result<(), ManifestError>,
+    ) -> Result<(), ManifestError> {
+        if self.inversion.is_none() {
+            let reason = "is missing, and so is `inversion`: a bundle has at least one of the two to find contacts with";
+            return wrong("model", reason.into());
+        }
+        let graph = [
+            ("input", self.input.is_none()),
+            ("normalisation", self.normalisation.is_none()),
+            ("output", self.output.is_empty()),
+            ("peaks", self.peaks.is_none()),
+            ("force_peaks", self.force_peaks.is_none()),
+        ];
+        match graph.into_iter().find(|(_, absent)| !absent) {
+            Some((field, _)) => wrong(
+                field,
+                "speaks of a graph, and there is no `[model]`; remove one or add the other".into(),
+            ),
+            None => Ok(()),
+        }
     }
 }
 

@@ -101,13 +101,19 @@ pub struct OutputConfig {
 }
 
 impl OutputConfig {
+    /// Of no model: what stands where there is none.
+    #[must_use]
+    pub fn none() -> Self {
+        Self { values: Vec::new() }
+    }
+
     /// Length of the model's output.
     #[must_use]
     pub fn len(&self) -> usize {
         self.values.iter().map(|v| v.count).fold(0, usize::saturating_add)
     }
 
-    /// Whether there is no output; never so in a valid bundle.
+    /// Whether there is no output: so where there is no model.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
@@ -232,7 +238,7 @@ impl Outputs {
     /// Of what is no learned model: there is nothing to decode.
     #[must_use]
     pub fn none() -> Self {
-        Self::of_valid(OutputConfig { values: Vec::new() })
+        Self::of_valid(OutputConfig::none())
     }
 
     pub(crate) fn of_valid(config: OutputConfig) -> Self {

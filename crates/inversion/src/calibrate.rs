@@ -72,6 +72,28 @@ impl Calibration {
         unknowns: Unknowns,
         frames: impl Iterator<Item = (&'a Stimulus, &'a [f32])>,
     ) -> Result<Self, CalibrationError> {
+        Self::of(model, unknowns, true, frames)
+    }
+
+    /// [`measure`](Self::measure) where channels have no gains of their own, as the numbers of a picture: their gains are 1.
+    ///
+    /// # Errors
+    ///
+    /// [`CalibrationError::Model`] where the model has no answer.
+    pub fn without_gains<'a>(
+        model: &dyn ForwardModel,
+        unknowns: Unknowns,
+        frames: impl Iterator<Item = (&'a Stimulus, &'a [f32])>,
+    ) -> Result<Self, CalibrationError> {
+        Self::of(model, unknowns, false, frames)
+    }
+
+    fn of<'a>(
+        model: &dyn ForwardModel,
+        unknowns: Unknowns,
+        with_gains: bool,
+        frames: impl Iterator<Item = (&'a Stimulus, &'a [f32])>,
+    ) -> Result<Self, CalibrationError> {
         let channels = model.channels();
         let noise = model.noise();
         let untouched = Untouched::of(model)?;
@@ -88,12 +110,13 @@ impl Calibration {
         let force_max = contacts().map(|c| c.force.norm()).fold(0.0, f64::max);
         let diameter = contacts().map(Indentation::diameter).fold(0.0, f64::max);
         let mut heard: Option<Vec<f64>> = None;
-        let gains = gains(&all, noise, &mut |channel| {
+        let mut is_audible = |channel| {
             if heard.is_none() {
                 heard = Some(audible(model, &untouched, force_max, diameter)?);
             }
             Ok(heard.as_ref().and_then(|shares| shares.get(channel)).is_some_and(|share| *share > QUIET))
-        })?;
+        };
+        let gains = if with_gains { gains(&all, noise, &mut is_audible)? } else { vec![1.0; channels] };
         // Sum of squared deviations over what is expected, if the noise is `scale` times what it should be and the model is
         // off by `error`.
         let excess = |frames: &[&Labelled<'_>], scale: f64, error: f64| -> Result<f64, ModelError> {
@@ -271,6 +294,22 @@ mod tests {
     fn what_the_model_does_not_explain_is_its_error() {
         let error = measured(&recording(&[1.0; 25], 0.03)).model_error;
         assert!((0.02..0.04).contains(&error), "{error}");
+    }
+
+    #[test]
+    fn without_gains_what_they_are_off_by_is_the_model_s_error() {
+        let without_gains = |gains: &[f64]| {
+            let recorded = recording(gains, 0.0);
+            let frames = recorded.iter().map(|(s, v)| (s, v.as_slice()));
+            Calibration::without_gains(&grid(20.0), Unknowns::Normal, frames).unwrap()
+        };
+        // One gain of all is a force: it is only what they differ by that no contact explains.
+        let even = without_gains(&[1.05; 25]);
+        assert_eq!(even.gains, [1.0; 25]);
+        assert!(even.model_error < 0.01, "{}", even.model_error);
+        let uneven: Vec<f64> = (0..25).map(|i| 1.0 + 0.05 * f64::from(i % 2)).collect();
+        let error = without_gains(&uneven).model_error;
+        assert!((0.01..0.05).contains(&error), "{error}");
     }
 
     #[test]

@@ -54,7 +54,7 @@ pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mo
 pub use metrics::{
     Answer, Bin, COUNTED_FROM, ChannelErrors, ContactError, ContactsOfMaps, ContactsRead, FORCE_BINS,
     MapContacts, MapErrors, MapOfNumber, MapPart, MapReading, MapScores, MapSummary, Rule, Scores, Spread,
-    Summary, bins,
+    StrongestErrors, StrongestPart, Summary, bins,
 };
 pub use recordings::{Recorded, superpose};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -21,12 +21,14 @@ use crate::dataset::{SampleId, Truth, TruthContact};
 mod contacts;
 mod maps;
 mod statistics;
+mod strongest;
 
 pub use contacts::{ContactsOfMaps, ContactsRead, MapContacts, MapReading, Spread};
 pub(crate) use maps::MapScorer;
 pub use maps::{ChannelErrors, MapErrors, MapOfNumber, MapPart, MapScores, MapSummary};
 pub(crate) use statistics::median;
 use statistics::summarise;
+pub use strongest::{StrongestErrors, StrongestPart};
 
 /// \[N\] edges of the bins of normal force that errors are reported by; the last bin is open.
 pub const FORCE_BINS: [f64; 9] = [0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];

@@ -36,7 +36,7 @@ const HIGHEST: f64 = 30.0;
 pub type Watch<'a> = &'a dyn Fn(f64) -> bool;
 
 /// Settings of an inversion that fit these samples: gains of the channels against the forward model, and how far the two
-/// still differ. The tip is the one that pressed most often.
+/// still differ. The tip is the one that pressed most often. Pixels have no gains of their own, and neither have the numbers of a picture.
 ///
 /// # Errors
 ///
@@ -74,15 +74,20 @@ pub fn settings(
     let most_often = diameters.chunk_by(|a, b| a == b).max_by_key(|run| run.len()).map(|run| run[0]);
     let forces = frames.iter().flat_map(|(s, _)| s.contacts.iter().map(|c| c.force.norm()));
     let force_max = forces.fold(0.0, f64::max) * ROOM;
-    let calibration = Calibration::measure(model, unknowns, frames.iter().map(|(s, v)| (s, v.as_slice())))
-        .map_err(|e| failed(e.to_string()))?;
+    let labelled = frames.iter().map(|(s, v)| (s, v.as_slice()));
+    let is_pictured = dermis_estimate::is_pictured(data.skin());
+    let calibration = match is_pictured {
+        true => Calibration::without_gains(model, unknowns, labelled),
+        false => Calibration::measure(model, unknowns, labelled),
+    };
+    let calibration = calibration.map_err(|e| failed(e.to_string()))?;
     let mut settings = Settings::new(most_often.unwrap_or(0.004), force_max);
     let shapes = || frames.iter().flat_map(|(s, _)| &s.contacts).map(|c| &c.tip.shape);
     let flat = shapes().filter(|shape| matches!(shape, TipShape::FlatPunch { .. })).count();
     if 2 * flat > shapes().count() {
         settings.tip = TipKind::FlatPunch;
     }
-    settings.gains = calibration.gains;
+    settings.gains = if is_pictured { Vec::new() } else { calibration.gains };
     settings.model_error = calibration.model_error;
     settings.unknowns = unknowns;
     settings.contacts = contacts;

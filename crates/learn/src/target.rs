@@ -13,6 +13,7 @@
 //! gives for a sphere, √(1 − r²/a²), so that the points sum to the force. The radius a = √(R d) of the patch follows from the
 //! depth d to which the forward model lets the tip of radius R sink in; without a forward model the patch is taken to be
 //! half as wide as the tip. A flat tip presses evenly on its whole face. Where the patch is so small that no point lies in it, the nearest point gets the force.
+//! That is what acts; what a network learns best may be smoother ([`ForceProfile`]).
 //! Displacements are those of the forward model. A network that learns the signal from readings of a device takes away what the device
 //! has and its model lacks (a transfer network, thesis section 4.3.1): what was trained on the model can then work on the device.
 //!
@@ -27,6 +28,7 @@ pub use dermis_inference::MAP_NORMAL;
 use dermis_model::{ForwardModel, Stimulus};
 use dermis_skin::{SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 use crate::bounds::stimulus;
@@ -116,9 +118,43 @@ impl Target {
     }
 }
 
+/// How the force of a ball is spread over the points around a contact, x \[m\] from them (thesis, section 6.4.2, equations 6.1 to 6.4; σ is
+/// the ball's radius). A flat tip presses evenly on its whole face, whatever is chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ForceProfile {
+    /// Hertz' pressure over the patch that the ball touches at its depth.
+    #[default]
+    Patch,
+    /// The same up to σ (equation 6.4).
+    Uniform,
+    /// Hertz' pressure up to σ, √(1 − x²/σ²) (equation 6.1).
+    Hertz,
+    /// exp(−x²/(0.8 σ²)) up to 2σ (equation 6.3).
+    Gaussian,
+    /// exp(−x/(0.87 σ)) up to 2σ (equation 6.2), as high as Hertz'.
+    Laplacian1,
+    /// exp(−x/(0.5 σ)) up to 2σ (equation 6.2).
+    Laplacian2,
+}
+
+impl ForceProfile {
+    /// Every one.
+    pub const ALL: [Self; 6] =
+        [Self::Patch, Self::Uniform, Self::Hertz, Self::Gaussian, Self::Laplacian1, Self::Laplacian2];
+
+    /// Whether it is what acts, as far as Hertz knows.
+    #[must_use]
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
 /// Makes maps of what was true.
 pub struct Maps {
     surface: Surface,
+    profile: ForceProfile,
     model: Option<Arc<dyn ForwardModel>>,
     displacement: Vec<f64>,
     /// Whether the forward model knows displacements, once it was asked.
@@ -161,8 +197,15 @@ impl Maps {
             channels: skin.channels().len(),
             unit: skin.unit.clone(),
             surface,
+            profile: ForceProfile::default(),
             model,
         })
+    }
+
+    /// Spreads forces like this.
+    #[must_use]
+    pub fn spread_by(self, profile: ForceProfile) -> Self {
+        Self { profile, ..self }
     }
 
     /// What maps lie over.
@@ -252,7 +295,7 @@ impl Maps {
                 let force = -pressed.force.dot(&truth.normal);
                 model.depth_of_tip(&pressed.position, &pressed.tip.shape, force)
             });
-            let patch = Patch::of(truth, depth);
+            let patch = Patch::of(truth, depth, self.profile);
             for (i, share) in shares(&self.surface, &pressed.position, patch) {
                 let force: Vector3<f64> = pressed.force * share;
                 match map {
@@ -304,34 +347,60 @@ impl Maps {
     }
 }
 
-/// Where a tip touches.
+/// Where a tip presses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Patch {
-    /// \[m\]
+    /// \[m\] beyond which nothing acts.
     radius: f64,
-    /// Whether the pressure is the same everywhere, in place of Hertz's.
-    even: bool,
+    pressure: Pressure,
+}
+
+/// Pressure by distance, but for a factor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Pressure {
+    Even,
+    /// √(1 − x²/r²), r the patch's radius.
+    Hertz,
+    /// exp(−x²/a), a in m².
+    Gaussian(f64),
+    /// exp(−x/λ), λ in m.
+    Exponential(f64),
 }
 
 impl Patch {
     /// The patch of a tip that has sunk in so deep \[m\].
-    fn of(contact: &TruthContact, depth: Option<f64>) -> Self {
+    fn of(contact: &TruthContact, depth: Option<f64>, profile: ForceProfile) -> Self {
         let tip = contact.diameter / 2.0;
-        let radius = match depth.filter(|d| *d > 0.0) {
-            _ if contact.flat => tip,
-            Some(depth) => (tip * depth).sqrt().min(tip),
-            None => tip / 2.0,
+        let (radius, pressure) = match profile {
+            _ if contact.flat => (tip, Pressure::Even),
+            ForceProfile::Patch => match depth.filter(|d| *d > 0.0) {
+                Some(depth) => ((tip * depth).sqrt().min(tip), Pressure::Hertz),
+                None => (tip / 2.0, Pressure::Hertz),
+            },
+            ForceProfile::Uniform => (tip, Pressure::Even),
+            ForceProfile::Hertz => (tip, Pressure::Hertz),
+            ForceProfile::Gaussian => (2.0 * tip, Pressure::Gaussian(0.8 * tip * tip)),
+            ForceProfile::Laplacian1 => (2.0 * tip, Pressure::Exponential(0.87 * tip)),
+            ForceProfile::Laplacian2 => (2.0 * tip, Pressure::Exponential(0.5 * tip)),
         };
-        Self { radius, even: contact.flat }
+        Self { radius, pressure }
+    }
+
+    fn at(&self, distance: f64) -> f64 {
+        match self.pressure {
+            Pressure::Even => 1.0,
+            Pressure::Hertz => (1.0 - (distance / self.radius).powi(2)).sqrt(),
+            Pressure::Gaussian(width) => (-distance * distance / width).exp(),
+            Pressure::Exponential(length) => (-distance / length).exp(),
+        }
     }
 }
 
 /// Points of a surface on which a contact at `at` acts, and what share of its force each of them gets; the shares sum to 1.
-fn shares(surface: &Surface, at: &Point3<f64>, Patch { radius, even }: Patch) -> Vec<(usize, f64)> {
+fn shares(surface: &Surface, at: &Point3<f64>, patch: Patch) -> Vec<(usize, f64)> {
     let within = |(i, point): (usize, &Point3<f64>)| {
         let distance = (point - at).norm();
-        let pressure = if even { 1.0 } else { (1.0 - (distance / radius).powi(2)).sqrt() };
-        (distance < radius).then_some((i, pressure * surface.areas[i]))
+        (distance < patch.radius).then(|| (i, patch.at(distance) * surface.areas[i]))
     };
     let mut found: Vec<(usize, f64)> = surface.points.iter().enumerate().filter_map(within).collect();
     let total: f64 = found.iter().map(|(_, share)| share).sum();
@@ -368,7 +437,9 @@ mod tests {
         Analytic::of_skin(skin, |_, _| 0.0).on_spring(25e3, 1.0).displaced_by(|surface, stimulus, out| {
             out.fill(0.0);
             for contact in &stimulus.contacts {
-                for (i, share) in shares(surface, &contact.position, Patch { radius: 0.0, even: false }) {
+                for (i, share) in
+                    shares(surface, &contact.position, Patch { radius: 0.0, pressure: Pressure::Hertz })
+                {
                     out[i] -= 1e-3 * share * contact.force.z;
                 }
             }
@@ -404,6 +475,56 @@ mod tests {
         let sum = |axis: usize| forces.iter().skip(axis).step_by(3).sum::<f64>();
         approx::assert_relative_eq!(sum(0), 0.5, max_relative = 1e-9);
         approx::assert_relative_eq!(sum(2), -3.0, max_relative = 1e-9);
+    }
+
+    #[test]
+    fn profiles_are_those_of_the_thesis() {
+        let skin = fine();
+        let surface = skin.surface();
+        // A ball of 4 mm on a point: σ is 2 mm, and points are 0.5 mm apart.
+        let middle =
+            surface.points.iter().min_by(|a, b| a.coords.norm().total_cmp(&b.coords.norm())).unwrap();
+        let at = TruthContact { diameter: 0.004, ..contact(middle.x, middle.y, 2.0) };
+        let map = |profile| {
+            let mut maps = Maps::new(&skin, None, &[MapTarget::Normal]).unwrap().spread_by(profile);
+            let mut map = Vec::new();
+            maps.append(MapTarget::Normal, &truth(vec![at.clone()]), &mut map).unwrap();
+            approx::assert_relative_eq!(map.iter().sum::<f64>(), 2.0, max_relative = 1e-9);
+            map
+        };
+        let value = |map: &[f64], x: f64| {
+            let found = surface.points.iter().position(|p| (p.x - middle.x - x).hypot(p.y - middle.y) < 1e-6);
+            map[found.unwrap()]
+        };
+        let ratio = |profile, x: f64| {
+            let map = map(profile);
+            value(&map, x) / value(&map, 0.0)
+        };
+        approx::assert_relative_eq!(ratio(ForceProfile::Uniform, 1e-3), 1.0, max_relative = 1e-9);
+        approx::assert_relative_eq!(ratio(ForceProfile::Hertz, 1e-3), 0.75_f64.sqrt(), max_relative = 1e-9);
+        approx::assert_relative_eq!(
+            ratio(ForceProfile::Gaussian, 1e-3),
+            (-1.0_f64 / 3.2).exp(),
+            max_relative = 1e-9
+        );
+        approx::assert_relative_eq!(
+            ratio(ForceProfile::Laplacian1, 1e-3),
+            (-1.0_f64 / 1.74).exp(),
+            max_relative = 1e-9
+        );
+        approx::assert_relative_eq!(
+            ratio(ForceProfile::Laplacian2, 3e-3),
+            (-3.0_f64).exp(),
+            max_relative = 1e-9
+        );
+        // Cut at σ, or at twice that.
+        for profile in [ForceProfile::Uniform, ForceProfile::Hertz] {
+            assert_eq!(value(&map(profile), 2.5e-3), 0.0);
+        }
+        for profile in [ForceProfile::Gaussian, ForceProfile::Laplacian1, ForceProfile::Laplacian2] {
+            assert!(value(&map(profile), 3.5e-3) > 0.0);
+            assert_eq!(value(&map(profile), 4.5e-3), 0.0);
+        }
     }
 
     #[test]

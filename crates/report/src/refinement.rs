@@ -8,7 +8,7 @@ use dermis_studies::refinement::Findings;
 /// For people.
 #[must_use]
 pub fn text(findings: &Findings) -> String {
-    let Findings { refinement, ratio, on, before, after } = findings;
+    let Findings { refinement, ratio, on, before, after, has_network } = findings;
     let mut out = String::new();
     let settings = &refinement.settings;
     if let Some((learned, _)) = &refinement.correction {
@@ -38,13 +38,16 @@ pub fn text(findings: &Findings) -> String {
             settings.presence
         );
     }
+    let (alone, with) = match has_network {
+        true => ("the model alone", "with the forward model"),
+        false => ("the forward model as it was", "with what was recorded"),
+    };
     if let Some(ratio) = ratio {
-        let _ = writeln!(
-            out,
-            "with the forward model the error is {ratio:.3} times that of the model alone (choosing half)"
-        );
+        let _ = writeln!(out, "{with} the error is {ratio:.3} times that of {alone} (choosing half)");
     }
-    let _ = writeln!(out, "refinement is {}\n", if *on { "on" } else { "off: the model alone is better" });
-    let _ = write!(out, "model alone, other half: {before}\nwith the forward model, other half: {after}");
+    let off = format!("off: {alone} is better");
+    let _ = writeln!(out, "refinement is {}\n", if *on { "on" } else { off.as_str() });
+    let alone = alone.strip_prefix("the ").filter(|_| *has_network).unwrap_or(alone);
+    let _ = write!(out, "{alone}, other half: {before}\n{with}, other half: {after}");
     out
 }

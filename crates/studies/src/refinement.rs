@@ -10,11 +10,12 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, ValueEnum};
-use dermis_inference::{Bundle, CorrectionSection, Manifest};
+use dermis_estimate::settings_without_bundle;
+use dermis_inference::{Bundle, BundleWriter, CorrectionSection, Manifest, TrainingSection};
 use dermis_inversion::{Corrected, Correction, ForcePrior, Search, Settings};
 use dermis_learn::cli::Labels;
 use dermis_learn::refine::Learned;
-use dermis_learn::{Dataset, Evaluation, Recorded, SampleId, evaluate_parts, refine, superpose};
+use dermis_learn::{Dataset, Evaluation, Recorded, SampleId, SplitConfig, evaluate_parts, refine, superpose};
 use dermis_model::{ForwardModel, Unknowns};
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize, Serializer};
@@ -33,6 +34,10 @@ pub struct Request {
     /// Model bundle; its manifest is amended.
     #[arg(long)]
     pub model: PathBuf,
+    /// Without a network: contacts are found on the skin's forward model alone, as a node does it that has no bundle, with what the
+    /// recordings tell of that model. The bundle is made where there is none yet.
+    #[arg(long, conflicts_with_all = ["contacts", "unknowns", "force_prior", "distance", "search", "correct"])]
+    pub invert: bool,
     /// Contacts at once, at most.
     #[arg(long, default_value_t = Request::default().contacts)]
     pub contacts: usize,
@@ -59,7 +64,7 @@ pub struct Request {
     /// How the bags are read.
     #[command(flatten)]
     pub labels: Labels,
-    /// The labelled bags that the model was trained on.
+    /// The labelled bags that the model was trained on, or that it shall be made of.
     #[arg(required = true)]
     pub bags: Vec<PathBuf>,
 }
@@ -69,6 +74,7 @@ impl Default for Request {
         Self {
             skin: PathBuf::new(),
             model: PathBuf::new(),
+            invert: false,
             contacts: 1,
             unknowns: UnknownsChoice::Normal,
             force_prior: ForcePriorChoice::Uniform,
@@ -154,9 +160,24 @@ impl From<UnknownsChoice> for Unknowns {
 pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
     let model = families.model_of_file(&options.skin, &skin)?;
-    let mut bundle = Bundle::load(&options.model, &skin)?;
+    let exists = options.model.join(MANIFEST).exists();
+    let loaded = (exists || !options.invert).then(|| Bundle::load(&options.model, &skin)).transpose()?;
     bar.begin("reading what was recorded");
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
+    let unmeasured = options.invert.then(|| settings_without_bundle(&skin, model.as_ref()));
+    let mut bundle = match (loaded, &unmeasured) {
+        (None, Some(settings)) => without_network(&options.model, &skin, settings, &data)?,
+        (Some(bundle), _) => bundle,
+        (None, None) => Bundle::load(&options.model, &skin)?,
+    };
+    let has_network = bundle.manifest().model.is_some();
+    if has_network == options.invert {
+        let (what, how) = match has_network {
+            true => ("has a network", "leave out `--invert`, or choose another folder"),
+            false => ("has no network", "say `--invert`"),
+        };
+        bail!("model bundle {}: {what}; {how}", options.model.display());
+    }
     let split = split_of(&options.model)?.apply(&data)?;
     let (choosing, reporting) = halves(&data, &split.test);
     if choosing.is_empty() || reporting.is_empty() {
@@ -164,14 +185,14 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
     }
     let mut done = Done::of(&options.model, key(options, &bundle, &data));
     if done.refinement.is_none() {
-        done.refinement = prepare(options, model, &data, &split.train, bar)?;
+        done.refinement = prepare(options, unmeasured.as_ref(), model, &data, &split.train, bar)?;
         done.keep()?;
     }
     let Some(refinement) = done.refinement.clone() else { return Err(interrupted(&done)) };
 
     let trial = tempfile::tempdir().context("a folder for the trial cannot be made")?;
-    let with = copy(&bundle, &skin, trial.path().join("with"), Some(&refinement))?;
-    let without = copy(&bundle, &skin, trial.path().join("without"), None)?;
+    let with = copy(&bundle, &skin, trial.path().join("with"), Some(&refinement), unmeasured.as_ref())?;
+    let without = copy(&bundle, &skin, trial.path().join("without"), None, unmeasured.as_ref())?;
     let measure = |folder: &Path, what: &str| -> Result<Option<[Evaluation; 2]>> {
         bar.begin(what);
         let mut estimator = families.estimator(&skin, &[folder.to_owned()])?;
@@ -180,11 +201,13 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
         Ok(found.and_then(|all| all.try_into().ok()))
     };
     if done.without.is_none() {
-        done.without = measure(&without, "the model alone")?;
+        let what = if has_network { "the model alone" } else { "the forward model as it was" };
+        done.without = measure(&without, what)?;
         done.keep()?;
     }
     if done.with.is_none() {
-        done.with = measure(&with, "with the forward model")?;
+        let what = if has_network { "with the forward model" } else { "the forward model as recorded" };
+        done.with = measure(&with, what)?;
         done.keep()?;
     }
     let (Some([chosen_without, before]), Some([chosen_with, after])) = (&done.without, &done.with) else {
@@ -196,12 +219,18 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
 
     let mut manifest = bundle.manifest().clone();
     let chosen_refinement = on.then_some(&refinement);
-    refined(&mut manifest, chosen_refinement);
+    refined(&mut manifest, chosen_refinement, unmeasured.as_ref());
     let chosen = if on { after } else { before };
     dermis_learn::card::measured(&mut manifest, chosen);
     bundle.amend(manifest, chosen_refinement.and_then(Refinement::correction))?;
-    let findings =
-        Findings { refinement: refinement.clone(), ratio, on, before: before.clone(), after: after.clone() };
+    let findings = Findings {
+        has_network,
+        refinement: refinement.clone(),
+        ratio,
+        on,
+        before: before.clone(),
+        after: after.clone(),
+    };
     amend_card(&options.model, &serde_json::to_value(&findings)?)?;
     done.forget()?;
     Ok(findings)
@@ -209,6 +238,8 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
 
 /// What refinement does to a bundle's errors.
 pub struct Findings {
+    /// Whether the forward model refines what a network says; it is all that there is otherwise.
+    pub has_network: bool,
     /// Settings, and the correction where there is one.
     pub refinement: Refinement,
     /// Error with the forward model over that of the model alone, on the half that is chosen by.
@@ -236,8 +267,33 @@ impl Serialize for Findings {
     }
 }
 
+/// What a bundle says about itself.
+const MANIFEST: &str = "bundle.toml";
 /// Where what is done is kept in the bundle until all is.
 const DONE: &str = "refinement.partial.json";
+
+/// Makes a bundle that finds contacts on the skin's forward model alone, as a node does it that has none, and holds out what a trained one would.
+fn without_network(
+    folder: &Path,
+    skin: &SkinDescription,
+    settings: &Settings,
+    data: &Dataset,
+) -> Result<Bundle> {
+    let split = SplitConfig::default();
+    let training = TrainingSection {
+        data_hash: data.hash(),
+        seed: split.seed,
+        samples: split.apply(data)?.train.len() as u64,
+        held_out: split.describe(),
+    };
+    let mut manifest = Manifest::of_inversion(&skin.name, skin, settings.clone(), training);
+    manifest.description = "contacts by inversion of the skin's forward model; nothing was learned".into();
+    let mut writer = BundleWriter::new(manifest);
+    writer.card = dermis_learn::card::of_data(data)?;
+    writer.card.insert("split".into(), serde_json::to_value(split)?);
+    writer.write(folder, &[])?;
+    Ok(Bundle::load(folder, skin)?)
+}
 
 /// What is done of a refinement, so that an interruption costs one step at most.
 #[derive(Serialize, Deserialize)]
@@ -291,11 +347,12 @@ fn key(options: &Request, bundle: &Bundle, data: &Dataset) -> serde_json::Value 
     json!({
         "version": env!("CARGO_PKG_VERSION"),
         "skin": manifest.skin.hash,
-        "model": manifest.model.hash,
+        "model": manifest.model.as_ref().map(|model| &model.hash),
         "data": data.hash(),
         "labels": format!("{:?}", options.labels),
         "contacts": options.contacts,
         "unknowns": format!("{:?}", options.unknowns),
+        "invert": options.invert,
         "force_prior": format!("{:?}", options.force_prior),
         "search": format!("{:?}", options.search),
         "distance": options.distance,
@@ -318,9 +375,9 @@ impl Refinement {
     }
 }
 
-/// Has a manifest speak of a refinement, or of none.
-fn refined(manifest: &mut Manifest, refinement: Option<&Refinement>) {
-    manifest.inversion = refinement.map(|r| r.settings.clone());
+/// Has a manifest speak of a refinement, or of none; without a network, of what is used where nobody measured anything.
+fn refined(manifest: &mut Manifest, refinement: Option<&Refinement>, unmeasured: Option<&Settings>) {
+    manifest.inversion = refinement.map(|r| &r.settings).or(unmeasured).cloned();
     manifest.correction =
         refinement.and_then(|r| r.correction.as_ref()).map(|(learned, data_hash)| CorrectionSection {
             data_hash: data_hash.clone(),
@@ -338,9 +395,10 @@ const PRESSES: usize = 12_000;
 const SUMS: usize = 60;
 
 /// Gains, correction and evidence, from the training part alone: four of five of its places to learn from, the fifth to choose
-/// by. `None` where it was interrupted.
+/// by. What recordings do not tell is as in `unmeasured`, or as `options` say. `None` where it was interrupted.
 fn prepare(
     options: &Request,
+    unmeasured: Option<&Settings>,
     model: Arc<dyn ForwardModel>,
     data: &Dataset,
     train: &[SampleId],
@@ -352,18 +410,27 @@ fn prepare(
     let kept: BTreeSet<u32> = places.into_iter().step_by(5).collect();
     let (choose, learn): (Vec<SampleId>, Vec<SampleId>) =
         train.iter().copied().partition(|id| place(id).is_some_and(|p| kept.contains(&p)));
-    let unknowns = options.unknowns.into();
+    let (unknowns, contacts) = match unmeasured {
+        Some(unmeasured) => (unmeasured.unknowns, unmeasured.contacts),
+        None => (options.unknowns.into(), options.contacts),
+    };
     let set = |settings: &mut Settings| {
-        settings.distance = options.distance;
-        settings.search = options.search.into();
-        settings.force_prior = options.force_prior.into();
+        if let Some(unmeasured) = unmeasured {
+            settings.force_max = unmeasured.force_max.max(settings.force_max);
+            (settings.distance, settings.search) = (unmeasured.distance, unmeasured.search);
+            (settings.force_prior, settings.shear) = (unmeasured.force_prior, unmeasured.shear);
+        } else {
+            settings.distance = options.distance;
+            settings.search = options.search.into();
+            settings.force_prior = options.force_prior.into();
+        }
     };
     let mut settings = refine::settings(
         model.as_ref(),
         data,
         if options.correct { &learn } else { train },
         unknowns,
-        options.contacts,
+        contacts,
     )?;
     set(&mut settings);
     let chosen = Recorded::of(data, &choose, 0.0, PRESSES / 4)?;
@@ -383,14 +450,14 @@ fn prepare(
             return Ok(None);
         };
         model = Arc::new(Corrected::new(model, learned.correction.clone())?);
-        settings = refine::settings(model.as_ref(), data, &choose, unknowns, options.contacts)?;
+        settings = refine::settings(model.as_ref(), data, &choose, unknowns, contacts)?;
         set(&mut settings);
         // They are in the correction; measured once more on a few places they would only add noise.
         settings.gains.clear();
         correction = Some((learned, data.hash()));
     }
     if settings.in_pairs() {
-        let sums: Vec<_> = (1..=options.contacts.min(3))
+        let sums: Vec<_> = (1..=contacts.min(3))
             .flat_map(|n| superpose(model.as_ref(), &chosen, n, SUMS, FAR.min(reach(&chosen) / 3.0), 77))
             .collect();
         bar.begin("how much evidence a contact needs");
@@ -426,6 +493,7 @@ fn copy(
     skin: &SkinDescription,
     to: PathBuf,
     refinement: Option<&Refinement>,
+    unmeasured: Option<&Settings>,
 ) -> Result<PathBuf> {
     std::fs::create_dir(&to).with_context(|| format!("{} cannot be made", to.display()))?;
     for entry in std::fs::read_dir(bundle.path()).with_context(|| format!("{}", bundle.path().display()))? {
@@ -438,7 +506,7 @@ fn copy(
     }
     let mut copied = Bundle::load(&to, skin)?;
     let mut manifest = copied.manifest().clone();
-    refined(&mut manifest, refinement);
+    refined(&mut manifest, refinement, unmeasured);
     copied.amend(manifest, refinement.and_then(Refinement::correction))?;
     Ok(to)
 }

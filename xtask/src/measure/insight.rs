@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
 use super::{PROGRAM, children_cpu, evaluation, scratch};
-use crate::run::{cargo, run as execute, target_dir};
+use crate::run::{cargo, output, run as execute, target_dir};
 
 const SKIN: &str = "launch/skins/insight-thumb.toml";
 /// Plan, result, what is less than in the thesis or than was asked for; in the order in which they are measured.
@@ -60,6 +60,104 @@ pub(super) fn accuracy(root: &Path) -> Result<Value> {
     Ok(Value::Object(all))
 }
 
+/// Ways to spread a ball's force over points, and what the thesis found with each: median errors of place \[mm\], force \[N\] and angle \[°\], and
+/// widths \[mm\] of the contact by points above 0.02 and 0.01 N (Table 6.6).
+const PROFILES: [(&str, [f64; 5]); 5] = [
+    ("uniform", [1.9, 0.10, 11.1, 2.4, 2.9]),
+    ("hertz", [1.8, 0.11, 12.4, 2.4, 2.7]),
+    ("gaussian", [0.7, 0.10, 11.7, 2.6, 3.7]),
+    ("laplacian1", [0.6, 0.08, 10.2, 2.4, 4.2]),
+    ("laplacian2", [0.7, 0.12, 13.7, 2.2, 3.5]),
+];
+const MAPS: &str = "benches/results/insight-maps.json";
+const MAP_CONFIG: &str = "launch/train/insight-thumb-map.toml";
+
+/// One network for each way to spread a force (Table 6.6 of the thesis), and the inversion, on the same frames.
+pub(super) fn maps(root: &Path) -> Result<Value> {
+    execute(cargo(root).args(PROGRAM))?;
+    let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "insight-maps")?);
+    let [train, test] = ["train", "evaluate"].map(|plan| dir.join(plan));
+    for bag in [&train, &test] {
+        let name = bag.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let plan = format!("launch/plans/insight-thumb-{name}.toml");
+        let mut collect = Command::new(&dermis);
+        collect.args(["collect", SKIN, "--plan", &plan, "--no-images", "--out"]).arg(bag);
+        execute(collect.current_dir(root))?;
+    }
+    let config = std::fs::read_to_string(root.join(MAP_CONFIG))
+        .with_context(|| format!("{MAP_CONFIG} cannot be read"))?;
+    let mut config: toml::Table = config.parse()?;
+    let mut found = serde_json::Map::new();
+    for (profile, thesis) in PROFILES {
+        config.insert("force_profile".into(), profile.into());
+        let (file, model) = (dir.join(format!("{profile}.toml")), dir.join(profile));
+        std::fs::write(&file, config.to_string())?;
+        let mut fit = Command::new(&dermis);
+        fit.args(["train", "--skin", SKIN, "--config"]).arg(&file).arg("--out").arg(&model).arg(&train);
+        let cpu = children_cpu()?;
+        execute(fit.current_dir(root))?;
+        let seconds = children_cpu()? - cpu;
+        let mut evaluate = Command::new(&dermis);
+        evaluate
+            .args(["evaluate", "--json", "--skin", SKIN, "--bins", BINS, "--model"])
+            .arg(&model)
+            .arg(&test);
+        let mut of = strongest(&evaluation(evaluate.current_dir(root))?)?;
+        of["thesis"] = row(thesis);
+        of["cpu_seconds"] = json!(seconds);
+        found.insert(profile.into(), of);
+    }
+    let mut evaluate = Command::new(&dermis);
+    evaluate.args(["evaluate", "--invert", "--json", "--skin", SKIN, "--bins", BINS]).arg(&test);
+    found.insert("inversion".into(), strongest(&evaluation(evaluate.current_dir(root))?)?);
+    let commit = output(Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root))?;
+    let record = json!({
+        "command": "cargo xtask measure insight-maps",
+        "commit": commit.trim(),
+        "reduced": "600 places and a dense network of 128 and 128 on 1500 numbers; the thesis has 187,358 samples at 3,800 places and a \
+                    residual network on pictures of 410 x 308 pixels",
+        "seeds": { "train": seed(root, "launch/plans/insight-thumb-train.toml")?, "test": seed(root, "launch/plans/insight-thumb-evaluate.toml")? },
+        "maps": found,
+    });
+    super::ert::write(root, MAPS, &record)?;
+    Ok(record)
+}
+
+/// Errors of one contact by the strongest points of the force map, in millimetres, newtons and degrees.
+fn strongest(found: &Value) -> Result<Value> {
+    let of = &found["maps"]["map.force"]["strongest"];
+    let number = |part: &Value, name: &str| {
+        part[name].as_f64().with_context(|| format!("no {name} of a map was measured"))
+    };
+    let part = |part: &Value| -> Result<Value> {
+        let wide = |k: usize| part["diameters"][k].as_f64().context("no width was measured");
+        let angle = number(part, "angle")?.to_degrees();
+        let all = [
+            number(part, "position")? * 1e3,
+            number(part, "amplitude")?,
+            angle,
+            wide(0)? * 1e3,
+            wide(1)? * 1e3,
+        ];
+        let mut row = row(all);
+        row["frames"] = part["frames"].clone();
+        row["from"] = part["from"].clone();
+        row["force_vector"] = part["force"].clone();
+        Ok(row)
+    };
+    let by_force: Vec<Value> =
+        of["by_force"].as_array().into_iter().flatten().map(part).collect::<Result<_>>()?;
+    let touched = &found["maps"]["map.force"]["touched"];
+    Ok(json!({
+        "all": part(&of["all"])?, "by_force": by_force, "left_out": of["left_out"],
+        "unanswered": touched["unanswered"], "frames": touched["frames"],
+    }))
+}
+
+fn row([position, force, angle, wide, wider]: [f64; 5]) -> Value {
+    json!({ "position": position, "force": force, "angle": angle, "diameters": [wide, wider] })
+}
+
 fn seed(root: &Path, plan: &str) -> Result<Option<i64>> {
     let text = std::fs::read_to_string(root.join(plan)).with_context(|| format!("{plan} cannot be read"))?;
     Ok(text.parse::<toml::Table>()?.get("seed").and_then(toml::Value::as_integer))
@@ -97,6 +195,23 @@ fn summary(found: &Value) -> Result<Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn maps_are_shown_in_their_units() {
+        let part = json!({
+            "from": 0.0, "frames": 3, "position": 6e-4, "force": 0.09, "amplitude": 0.08, "angle": 0.1, "diameters": [2e-3, 4e-3],
+        });
+        let found = json!({
+            "maps": { "map.force": {
+                "touched": { "frames": 3, "unanswered": 1 }, "strongest": { "all": part, "by_force": [part], "left_out": 0.25 },
+            } },
+        });
+        let shown = strongest(&found).unwrap();
+        assert!((shown["all"]["position"].as_f64().unwrap() - 0.6).abs() < 1e-12);
+        assert!((shown["by_force"][0]["angle"].as_f64().unwrap() - 5.7296).abs() < 1e-3);
+        assert_eq!((&shown["all"]["force"], &shown["left_out"]), (&json!(0.08), &json!(0.25)));
+        assert!(strongest(&json!({})).is_err());
+    }
 
     #[test]
     fn what_tables_show_is_in_their_units() {

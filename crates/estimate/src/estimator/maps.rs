@@ -4,11 +4,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_inference::{MAP_DISPLACEMENT, MAP_NORMAL};
-use dermis_model::{Indentation, Stimulus};
+use dermis_model::{Indentation, Stimulus, Unknowns};
 use dermis_skin::{Contact, DisplacementMap, Estimate, ForceMap, ForceValues, Surface};
+use nalgebra::Vector3;
 
 use super::SkinEstimator;
-use crate::models::{MAP_FORCE, gives};
+use crate::models::{MAP_FORCE, Pipeline, gives};
 
 /// \[m\] about a contact of unknown diameter that its force is spread over.
 pub(super) const REACH: f64 = 0.005;
@@ -58,11 +59,23 @@ impl SkinEstimator {
         } else if let Some(map) = self.map(MAP_NORMAL) {
             ForceValues::Normal(map.iter().map(|f| *f as f32).collect())
         } else if placed {
-            ForceValues::Normal(spread(&self.surface, contacts))
+            match self.knows_vectors() {
+                true => ForceValues::Vector(spread_vectors(&self.surface, contacts)),
+                false => ForceValues::Normal(spread(&self.surface, contacts)),
+            }
         } else {
             return None;
         };
         Some(ForceMap { indices: None, forces })
+    }
+
+    /// Whether the force map has all of the forces and not what presses alone: a learned map says which; where there is none, contacts are
+    /// spread, and the forward model that refines them knows.
+    fn knows_vectors(&self) -> bool {
+        let refines =
+            |p: &Pipeline| p.inverter.as_ref().is_some_and(|i| i.settings().unknowns == Unknowns::Full);
+        gives(&self.pipelines, &[MAP_FORCE])
+            || !gives(&self.pipelines, &[MAP_NORMAL]) && self.pipelines.iter().any(refines)
     }
 
     /// What a learned model gives or, where none does, what the forward model that refined contacts makes of them.
@@ -93,7 +106,7 @@ impl SkinEstimator {
     pub(super) fn untouched(&self) -> Estimate {
         let points = self.surface.points.len();
         let can = self.maps();
-        let forces = if gives(&self.pipelines, &[MAP_FORCE]) {
+        let forces = if self.knows_vectors() {
             ForceValues::Vector(vec![[0.0; 3]; points])
         } else {
             ForceValues::Normal(vec![0.0; points])
@@ -113,18 +126,31 @@ impl SkinEstimator {
 pub(super) fn spread(surface: &Surface, contacts: &[Contact]) -> Vec<f32> {
     let mut forces = vec![0.0; surface.points.len()];
     for contact in contacts {
-        let radius = if contact.diameter.is_finite() { f64::from(contact.diameter) / 2.0 } else { REACH };
-        let distance = |i: usize| (surface.points[i] - contact.position).norm();
-        let mut under: Vec<usize> = (0..forces.len()).filter(|i| distance(*i) <= radius).collect();
-        if under.is_empty() {
-            // Between the points of a coarse surface.
-            under.extend((0..forces.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b))));
-        }
-        let area: f64 = under.iter().map(|i| surface.areas[*i]).sum();
-        for i in &under {
-            let share = if area > 0.0 { surface.areas[*i] / area } else { 1.0 / under.len() as f64 };
-            forces[*i] += contact.normal_force() * share;
-        }
+        let force = contact.normal_force();
+        under(surface, contact).into_iter().for_each(|(i, share)| forces[i] += force * share);
     }
     forces.iter().map(|f| *f as f32).collect()
+}
+
+/// The same with all of the force of each contact.
+pub(super) fn spread_vectors(surface: &Surface, contacts: &[Contact]) -> Vec<[f32; 3]> {
+    let mut forces = vec![Vector3::zeros(); surface.points.len()];
+    for contact in contacts {
+        under(surface, contact).into_iter().for_each(|(i, share)| forces[i] += contact.force * share);
+    }
+    forces.iter().map(|f: &Vector3<f64>| [f.x as f32, f.y as f32, f.z as f32]).collect()
+}
+
+/// Points within a contact's radius, and what share of its force each of them gets; the nearest one between the points of a coarse surface.
+fn under(surface: &Surface, contact: &Contact) -> Vec<(usize, f64)> {
+    let radius = if contact.diameter.is_finite() { f64::from(contact.diameter) / 2.0 } else { REACH };
+    let points = surface.points.len();
+    let distance = |i: usize| (surface.points[i] - contact.position).norm();
+    let mut under: Vec<usize> = (0..points).filter(|i| distance(*i) <= radius).collect();
+    if under.is_empty() {
+        under.extend((0..points).min_by(|a, b| distance(*a).total_cmp(&distance(*b))));
+    }
+    let area: f64 = under.iter().map(|i| surface.areas[*i]).sum();
+    let even = 1.0 / under.len() as f64;
+    under.into_iter().map(|i| (i, if area > 0.0 { surface.areas[i] / area } else { even })).collect()
 }

@@ -1,4 +1,4 @@
-use super::maps::{REACH, spread};
+use super::maps::{REACH, spread, spread_vectors};
 use super::*;
 use crate::testing::{
     COMPLIANCE, Out, STRETCHED, TestBundle, load, load_for, membrane, nine, skin_with, tared_estimator,
@@ -504,9 +504,13 @@ fn a_force_without_a_point_under_it_goes_to_the_nearest() {
     let mut contact = Contact::at(Point3::new(0.001, 0.0, 0.0), Vector3::z());
     contact.force = Vector3::new(0.3, 0.0, -2.0);
     contact.diameter = 0.001;
-    let forces = spread(&surface, &[contact]);
+    let contacts = [contact];
+    let forces = spread(&surface, &contacts);
     assert_eq!(forces.iter().filter(|f| **f > 0.0).count(), 1);
     assert!((forces.iter().sum::<f32>() - 2.0).abs() < 1e-6);
+    let vectors = spread_vectors(&surface, &contacts);
+    let pressed: Vec<&[f32; 3]> = vectors.iter().filter(|f| f[2] != 0.0).collect();
+    assert_eq!(pressed, [&[0.3, 0.0, -2.0]]);
 }
 
 #[test]

@@ -126,7 +126,7 @@ fn a_frame_becomes_named_outputs() {
     assert_eq!(bundle.manifest().metrics["position_rmse_m"], 0.000_45);
     let mut features = bundle.features();
     let mut outputs = bundle.outputs();
-    let mut model = bundle.session(embedded()).unwrap();
+    let mut model = bundle.session(embedded()).unwrap().unwrap();
     features.push(0, &[125.0, 100.0, 75.0, f32::NAN, 150.0]).unwrap();
     let mut raw = Vec::new();
     model.run(features.input().unwrap(), &mut raw).unwrap();
@@ -320,7 +320,7 @@ proptest! {
             bytes[at] = value;
         }
         disk.replace_graph(&bytes);
-        if let Ok(mut model) = Bundle::load(&disk.path, &pad()).and_then(|bundle| bundle.session(embedded())) {
+        if let Ok(Some(mut model)) = Bundle::load(&disk.path, &pad()).and_then(|bundle| bundle.session(embedded())) {
             let _ = model.run(&[0.5; 5], &mut Vec::new());
         }
     }
@@ -481,8 +481,8 @@ fn a_bundle_of_several_tensors_takes_and_gives_them_by_name() {
     let path = folder.path().join("two");
     writer.write(&path, &graph).unwrap();
     let bundle = Bundle::load(&path, &pad()).unwrap();
-    assert_eq!(bundle.manifest().model.interface, interface);
-    let mut model = bundle.session(embedded()).unwrap();
+    assert_eq!(bundle.manifest().model.as_ref().unwrap().interface, interface);
+    let mut model = bundle.session(embedded()).unwrap().unwrap();
     let mut raw = Vec::new();
     model.run(&[1.0, 2.0, 3.0, 4.0, 5.0, 0.1, 0.2, 0.3, 0.4], &mut raw).unwrap();
     assert_eq!(raw, [15.0, 0.2, 0.4, 0.6, 0.8]);
@@ -499,4 +499,56 @@ fn a_bundle_of_several_tensors_takes_and_gives_them_by_name() {
 
 fn approx_eq(found: &[f64], expected: &[f64]) {
     assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?}");
+}
+
+/// A bundle without a network for [`pad`].
+fn inverting() -> BundleWriter {
+    let training = TrainingSection { data_hash: "sha256:0".into(), ..TrainingSection::default() };
+    let mut settings = Settings::new(0.004, 2.0);
+    settings.model_error = 0.003;
+    BundleWriter::new(Manifest::of_inversion("pad-inverted", &pad(), settings, training))
+}
+
+#[test]
+fn a_bundle_may_be_nothing_but_settings_of_an_inversion() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("inverted");
+    inverting().write(&path, &[]).unwrap();
+    assert!(!path.join("model.onnx").exists());
+    let text = std::fs::read_to_string(path.join("bundle.toml")).unwrap();
+    assert!(!text.contains("[model]") && !text.contains("[input]") && !text.contains("[output]"), "{text}");
+    let mut bundle = Bundle::load(&path, &pad()).unwrap();
+    assert_eq!(bundle.manifest().inversion.as_ref().unwrap().model_error, 0.003);
+    assert!(bundle.session(embedded()).unwrap().is_none());
+    // Its input is the newest frame as it is.
+    let mut features = bundle.features();
+    features.push(0, &[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+    assert_eq!(features.input().unwrap(), [1.0, 2.0, 3.0, 4.0, 5.0]);
+    assert!(bundle.outputs().config().is_empty());
+    let mut manifest = bundle.manifest().clone();
+    manifest.metrics.insert("position_rmse_m".into(), 1e-4);
+    bundle.amend(manifest.clone(), None).unwrap();
+    assert_eq!(Bundle::load(&path, &pad()).unwrap().manifest(), &manifest);
+}
+
+#[test]
+fn without_a_network_there_are_settings_and_nothing_of_a_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let refusal = |change: &dyn Fn(&mut Manifest)| {
+        let mut writer = inverting();
+        change(&mut writer.manifest);
+        let text = writer.write(folder.path().join("b"), &[]).unwrap_err().to_string();
+        text.replace(folder.path().to_str().unwrap(), "")
+    };
+    insta::assert_snapshot!(refusal(&|m| m.inversion = None), @"bundle file /b/bundle.toml: field `model`: is missing, and so is `inversion`: a bundle has at least one of the two to find contacts with");
+    let with = writer().manifest;
+    insta::assert_snapshot!(refusal(&|m| m.input = with.input.clone()), @"bundle file /b/bundle.toml: field `input`: speaks of a graph, and there is no `[model]`; remove one or add the other");
+    insta::assert_snapshot!(refusal(&|m| m.output = with.output.clone()), @"bundle file /b/bundle.toml: field `output`: speaks of a graph, and there is no `[model]`; remove one or add the other");
+    // And one that speaks of a graph has to have one.
+    let disk = OnDisk::new();
+    disk.edit(
+        "[input]\nmean = [100.0, 100.0, 100.0, 100.0, 100.0]\nscale = [50.0, 50.0, 50.0, 50.0, 50.0]\n",
+        "[input]\n",
+    );
+    insta::assert_snapshot!(disk.refusal(&pad()), @"bundle file /pad-mlp/bundle.toml: field `input.mean`: is empty: a skin has at least one channel");
 }

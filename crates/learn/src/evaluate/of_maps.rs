@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use crate::metrics::{ContactsRead, MapContacts, MapErrors, MapPart, Spread};
+use crate::metrics::{ContactsRead, MapContacts, MapErrors, MapPart, Spread, StrongestErrors, StrongestPart};
 
 /// Errors of maps, for people: micrometres and millinewtons a point, newtons in all.
 pub(super) fn write(f: &mut fmt::Formatter<'_>, maps: &BTreeMap<String, MapErrors>) -> fmt::Result {
@@ -36,6 +36,42 @@ pub(super) fn write(f: &mut fmt::Formatter<'_>, maps: &BTreeMap<String, MapError
     by_number(f, maps)?;
     for (name, errors) in maps {
         errors.contacts.iter().try_for_each(|of| contacts(f, name, of))?;
+        errors.strongest.iter().try_for_each(|of| strongest(f, name, of))?;
+    }
+    Ok(())
+}
+
+/// One contact by the strongest points of a map: medians in millimetres, newtons and degrees.
+fn strongest(f: &mut fmt::Formatter<'_>, name: &str, of: &StrongestErrors) -> fmt::Result {
+    writeln!(f, "  one contact by the {} strongest points of {name}, medians", StrongestErrors::POINTS)?;
+    writeln!(
+        f,
+        "    {:<12}{:>8}{:>16}{:>12}{:>16}{:>12}{:>20}",
+        "from [N]", "frames", "position [mm]", "force [N]", "amplitude [N]", "angle [°]", "wide [mm]"
+    )?;
+    let row = |f: &mut fmt::Formatter<'_>, name: &str, part: &StrongestPart| {
+        let [most, least] = part.diameters.map(|d| d * 1e3);
+        writeln!(
+            f,
+            "    {name:<12}{:>8}{:>16.2}{:>12.3}{:>16.3}{:>12.1}{:>20}",
+            part.frames,
+            part.position * 1e3,
+            part.force,
+            part.amplitude,
+            part.angle.to_degrees(),
+            format!("{most:.1} and {least:.1}"),
+        )
+    };
+    of.by_force.iter().try_for_each(|part| row(f, &part.from.to_string(), part))?;
+    row(f, "all", &of.all)?;
+    let [most, least] = StrongestErrors::THRESHOLDS;
+    writeln!(
+        f,
+        "    wide: as a circle of the area whose points have more than {most} N, and {least} N, each"
+    )?;
+    if of.left_out > 0.0 {
+        let share = of.left_out * 100.0;
+        writeln!(f, "    {share:.1} % of the touched frames are left out: not one contact of known force")?;
     }
     Ok(())
 }
@@ -153,6 +189,12 @@ pub(super) fn figures(maps: &BTreeMap<String, MapErrors>, all: &mut BTreeMap<Str
         for (number, of) in &errors.by_number {
             all.extend(of.fvu.map(|fvu| (format!("{name}_fvu_of_{number}"), fvu)));
         }
+        if let Some(of) = &errors.strongest {
+            let StrongestPart { position, force, amplitude, angle, .. } = of.all;
+            let medians =
+                [("position", position), ("force", force), ("amplitude", amplitude), ("angle", angle)];
+            all.extend(medians.map(|(what, median)| (format!("{name}_strongest_{what}_median"), median)));
+        }
         for of in &errors.contacts {
             let name = format!("{name}_{}n", of.threshold.to_string().replace('.', "_"));
             figures_of(&name, &of.all, all);
@@ -182,7 +224,7 @@ mod tests {
 
     use crate::dataset::tests::contact;
     use crate::metrics::{ContactsOfMaps, MapErrors, MapOfNumber, MapPart, MapReading, Scores};
-    use crate::{Evaluation, Truth, TruthContact};
+    use crate::{Evaluation, StrongestErrors, StrongestPart, Truth, TruthContact};
 
     /// One to three contacts, of which maps hold nine tenths of the force 8 mm beside it; the last one is not in them.
     fn made_up() -> Evaluation {
@@ -217,6 +259,19 @@ mod tests {
             untouched: MapPart::default(),
             by_number: [(1, of(0.0123, Some(0.25))), (2, of(0.0234, None)), (3, of(0.03, Some(0.5)))].into(),
             contacts: contacts.finish(),
+            strongest: Some(StrongestErrors {
+                left_out: 0.5,
+                all: StrongestPart {
+                    from: 0.0,
+                    frames: 3,
+                    position: 0.6e-3,
+                    force: 0.09,
+                    amplitude: 0.08,
+                    angle: 0.17,
+                    diameters: [4.8e-3, 5.6e-3],
+                },
+                by_force: Vec::new(),
+            }),
             channels: None,
         };
         let mut evaluation = Evaluation::of(&Scores::default(), "made up", 3, 0, 0);
@@ -248,6 +303,11 @@ mod tests {
             all           3    83.3%   66.7%      -11 ± 16     37.4 ± 65.7       8.0 ± 0.0     42.6 ± 77.4        8.37       -10 ± 0       -10 ± 0
             16.7 % of the true contacts were not found: `position` has their distance to the middle of the surface, `force [N]` a force of 0; the other columns leave them out
             contacts a frame where nothing touches: 0.000
+          one contact by the 20 strongest points of map.normal, medians
+            from [N]      frames   position [mm]   force [N]   amplitude [N]   angle [°]           wide [mm]
+            all                3            0.60       0.090           0.080         9.7         4.8 and 5.6
+            wide: as a circle of the area whose points have more than 0.02 N, and 0.01 N, each
+            50.0 % of the touched frames are left out: not one contact of known force
         ");
     }
 

@@ -115,6 +115,7 @@ fn people_read_errors_of_maps() {
         untouched,
         by_number: BTreeMap::new(),
         contacts: Vec::new(),
+        strongest: None,
         channels: None,
     };
     let mut depths = of("m", part(40, 0), part(0, 0));

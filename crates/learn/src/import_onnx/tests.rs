@@ -48,7 +48,7 @@ fn a_graph_of_someone_else_becomes_a_bundle_that_is_measured() {
     let figures = adopted.measured.unwrap().figures();
     assert!(figures["position_rms"] < 1e-6 && figures["force_normal_rms"] < 0.01, "{figures:?}");
     let bundle = Bundle::load(&out, &skin).unwrap();
-    assert_eq!(bundle.manifest().model.interface.input, "taxels");
+    assert_eq!(bundle.manifest().model.as_ref().unwrap().interface.input, "taxels");
     assert!(bundle.manifest().output.values[2].sigma.unwrap() < 0.01);
     assert_eq!(bundle.manifest().force_range, Some([1.0, 5.0]));
     bundle.session(runtime()).unwrap();
@@ -89,7 +89,7 @@ fn outputs_of_a_graph_with_several_are_taken_in_its_order() {
     let figures = import_onnx(&request).unwrap().measured.unwrap().figures();
     assert!(figures["position_rms"] < 1e-6 && figures["force_normal_rms"] < 0.01, "{figures:?}");
     let bundle = Bundle::load(&out, &skin).unwrap();
-    let interface = &bundle.manifest().model.interface;
+    let interface = &bundle.manifest().model.as_ref().unwrap().interface;
     assert_eq!((interface.output.as_str(), interface.more_outputs[0].name.as_str()), ("force", "place"));
     bundle.session(runtime()).unwrap();
 }

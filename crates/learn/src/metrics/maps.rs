@@ -13,6 +13,7 @@ use dermis_skin::{Estimate, ForceValues};
 use serde::{Deserialize, Serialize};
 
 use super::contacts::{ContactsOfMaps, MapContacts, MapReading};
+use super::strongest::{StrongestErrors, StrongestPoints};
 use crate::LearnError;
 use crate::dataset::Truth;
 use crate::target::{MapTarget, Maps};
@@ -32,6 +33,9 @@ pub struct MapErrors {
     /// Contacts that are read off a map of forces, for each threshold; empty for displacements and where nobody asked.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub contacts: Vec<MapContacts>,
+    /// One contact by the strongest points, on touched frames; only of `map.force`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub strongest: Option<StrongestErrors>,
     /// Of every channel on touched frames; only of `signal`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channels: Option<ChannelErrors>,
@@ -131,6 +135,7 @@ struct Collected {
     sums: [Sums; 2],
     by_number: BTreeMap<usize, MapScores>,
     contacts: Option<ContactsOfMaps>,
+    strongest: Option<StrongestPoints>,
     channels: Option<ChannelSums>,
 }
 
@@ -215,6 +220,7 @@ impl MapScorer {
                 by_number: BTreeMap::new(),
                 contacts: (self.reading.clone().filter(|_| map.is_force()))
                     .map(|reading| ContactsOfMaps::new(self.maps.surface(), reading)),
+                strongest: (map == MapTarget::Force).then(|| StrongestPoints::new(self.maps.surface())),
                 channels: (map == MapTarget::Signal).then(ChannelSums::default),
             });
             collected.sums[part].push(map, &self.truth, &answer);
@@ -223,6 +229,9 @@ impl MapScorer {
                 of_number.push(&self.truth, &answer);
                 if let Some(channels) = &mut collected.channels {
                     channels.push(&self.truth, &answer);
+                }
+                if let Some(strongest) = &mut collected.strongest {
+                    strongest.push(truth, &answer);
                 }
             }
             if let Some(contacts) = &mut collected.contacts {
@@ -260,12 +269,13 @@ impl MapScorer {
             let MapSummary { maps: frames, rms, fvu } = scores.summary();
             (number, MapOfNumber { frames, rms, fvu: Some(fvu).filter(|fvu| fvu.is_finite()) })
         };
-        let errors = |Collected { map, sums, by_number, contacts, channels }| MapErrors {
+        let errors = |Collected { map, sums, by_number, contacts, strongest, channels }| MapErrors {
             unit: self.maps.unit(map).into(),
             touched: sums[1].part(map, touched),
             untouched: sums[0].part(map, untouched),
             by_number: by_number.into_iter().map(of_number).collect(),
             contacts: contacts.map(|contacts| contacts.finish()).unwrap_or_default(),
+            strongest: strongest.and_then(|strongest| strongest.finish()),
             channels: channels.and_then(ChannelSums::errors),
         };
         self.sums.into_iter().map(|(name, of)| (name.to_owned(), errors(of))).collect()

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::candidates::{self, ModelChoice};
 use super::image::ImageConfig;
 use crate::dataset::Truth;
-use crate::target::{MAP_NORMAL, MapTarget, Target};
+use crate::target::{ForceProfile, MAP_NORMAL, MapTarget, Target};
 use crate::{LearnError, SplitConfig};
 
 /// Everything that decides what comes out of training, besides the data. A file is TOML; unknown keys are errors.
@@ -36,6 +36,10 @@ pub struct TrainConfig {
     /// `force.normal`, `contact`, and the maps `map.normal`, `map.force`, `map.displacement`; see
     /// [`target`](crate::target).
     pub targets: Vec<String>,
+    /// How forces are spread over the points of `map.normal` and `map.force` that are learned. Errors of maps are still those against what
+    /// acts.
+    #[serde(default, skip_serializing_if = "ForceProfile::is_default")]
+    pub force_profile: ForceProfile,
     /// Whether the model takes readings minus their zero, or as they are.
     #[serde(default = "tared")]
     pub baseline: Baseline,

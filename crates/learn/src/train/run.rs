@@ -101,7 +101,8 @@ pub fn run(
     let split = config.split.apply(data)?;
     let features = measure_features(data, config, &split)?;
     let held_out: BTreeSet<SampleId> = split.test.iter().copied().collect();
-    let mut maps = Maps::new(data.skin(), request.model.clone(), &config.maps())?;
+    let mut maps =
+        Maps::new(data.skin(), request.model.clone(), &config.maps())?.spread_by(config.force_profile);
     let specs = measure_outputs(data, &outputs, &split, &mut maps)?;
     let decoder = Outputs::new(specs.clone())?;
     let job = Job { request, split: &split, features: &features, outputs: &outputs, decoder: &decoder };

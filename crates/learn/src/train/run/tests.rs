@@ -198,7 +198,7 @@ fn a_map_is_learned_and_its_bundle_gives_it() {
     let spec = &bundle.manifest().output.values[1];
     assert_eq!((spec.name.as_str(), spec.count, spec.sigma), ("map.normal", points, touched.rms));
     assert_eq!(Some(bundle.manifest().metrics["map_normal_rmse_n"]), touched.rms);
-    let (mut model, mut outputs) = (bundle.session(runtime()).unwrap(), bundle.outputs());
+    let (mut model, mut outputs) = (bundle.session(runtime()).unwrap().unwrap(), bundle.outputs());
     let (mut features, mut raw, mut errors) = (bundle.features(), Vec::new(), Vec::new());
     for sample in samples(&data).iter().skip(20) {
         features.push(sample.frame.stamp, &sample.tared).unwrap();
