@@ -66,8 +66,8 @@ pub enum Measurement {
     /// One contact, and one to five at once, on the simulated soft thumb, found by inversion of its forward model, beside the Cramér–Rao
     /// bound of the very same frames. Written to benches/results/insight-accuracy.json and insight-contacts.json.
     Insight,
-    /// Table 6.6 of the thesis on the simulated soft thumb, reduced: force maps by a network for each of five ways to spread a ball's force, and
-    /// by inversion. Written to benches/results/insight-maps.json.
+    /// Table 6.6 of the thesis on the simulated soft thumb, reduced: force maps by a network for each of five ways to spread a ball's force.
+    /// Written to benches/results/insight-maps.json.
     InsightMaps,
     /// Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, written to benches/results/ert-tables.json; the result says
     /// what is reduced.

@@ -24,7 +24,7 @@ use crate::fit::{Datum, LEAST_GAIN, Minimum, Problem, STRIDE};
 use crate::pairs::Pairs;
 use crate::settings::{InverterError, Search, Settings};
 use modes::Mode;
-use starts::Start;
+use starts::{APART, Start};
 
 /// A weak contact whose place is known no better than this many spacings of the dictionary is answered by the mean over
 /// all places that it may have.
@@ -248,7 +248,7 @@ impl Inverter {
         let most = self.most(&data);
         let untouched = vec![0.0; data.len()];
         let mut best: Option<Minimum> = None;
-        for start in self.matches(&data, &untouched, PAIRS) {
+        for start in self.matches(&data, &untouched, PAIRS, APART) {
             let minimum = problem.minimise(vec![start])?;
             if best.as_ref().is_none_or(|b| self.score(&minimum) < self.score(b)) {
                 best = Some(minimum);

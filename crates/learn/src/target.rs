@@ -145,7 +145,6 @@ impl ForceProfile {
 
     /// Whether it is what acts, as far as Hertz knows.
     #[must_use]
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }

@@ -13,6 +13,16 @@ macro_rules! bundle {
     };
 }
 
+/// The files of a bundle that ships and has no network.
+macro_rules! inversion {
+    ($name:literal) => {
+        &[
+            ("bundle.toml", include_bytes!(concat!("../../../models/", $name, "/bundle.toml"))),
+            ("card.json", include_bytes!(concat!("../../../models/", $name, "/card.json"))),
+        ]
+    };
+}
+
 /// A skin that ships, with the text of its plan if it has one, and the files of its bundle.
 macro_rules! skin {
     ($name:literal, $plan:expr, $bundle:expr) => {
@@ -33,7 +43,7 @@ pub const SKINS: [Contents<'static>; 6] = [
     skin!("baro-dome", None, bundle!("baro-dome")),
     skin!("hapdef-shin", None, bundle!("hapdef-shin")),
     skin!("ert-panel", None, &[]),
-    skin!("insight-thumb", None, &[]),
+    skin!("insight-thumb", None, inversion!("insight-thumb")),
 ];
 
 /// The skin that is shown where none is named.

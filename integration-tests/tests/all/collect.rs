@@ -98,6 +98,45 @@ fn a_collection_that_is_killed_goes_on_to_the_bag_that_it_would_have_been() {
     assert!(!dir.path().join("bag.interrupted").exists());
 }
 
+/// What a node without a bundle has to suppose of its device, labelled presses tell: no network is needed for that.
+#[test]
+fn labelled_presses_make_a_bundle_without_a_network() {
+    let dir = tempfile::tempdir().unwrap();
+    let [bag, model] = ["bag", "model"].map(|name| dir.path().join(name));
+    let steps = r#"steps = [{ kind = "idle", duration = 2.0 }, { kind = "presses", count = 150, force = [0.2, 1.2] }]"#;
+    finish(&mut collect(&plan(dir.path(), steps), &bag));
+    let refine = |model: &Path, more: &[&str]| {
+        let mut command = dermis();
+        command.args(["refine", "--skin", GRID, "--model"]).arg(model).args(more).arg(&bag);
+        command
+    };
+    let made = json(&finish(&mut refine(&model, &["--invert", "--json"])));
+    // The device is as designed, where 2 % are supposed without a bundle.
+    let error = made["settings"]["model_error"].as_f64().unwrap();
+    assert!(error < 0.01, "{made}");
+    assert!(!model.join("model.onnx").exists());
+    let text = std::fs::read_to_string(model.join("bundle.toml")).unwrap();
+    assert!(text.contains("[inversion]") && !text.contains("[output]"), "{text}");
+    let mut evaluate = dermis();
+    evaluate.args([
+        "evaluate",
+        "--held-out",
+        "--skin",
+        GRID,
+        "--require",
+        "position_median<=0.0002",
+        "--model",
+    ]);
+    finish(evaluate.arg(&model).arg(&bag));
+    // Nothing is taken for what it is not.
+    let told = refused(&mut refine(&model, &[]));
+    assert!(told.contains("has no network; say `--invert`"), "{told}");
+    let told = refused(&mut refine(&root().join("models/baro-grid"), &["--invert"]));
+    assert!(told.contains("has a network; leave out `--invert`"), "{told}");
+    let told = refused(&mut refine(&model, &["--invert", "--contacts", "2"]));
+    assert!(told.contains("--contacts"), "{told}");
+}
+
 #[test]
 fn depth_shear_and_force_agree_in_what_is_recorded() {
     let dir = tempfile::tempdir().unwrap();

@@ -303,6 +303,7 @@ fn a_node_reads_while_it_computes_and_computes_once() {
 /// What ships passes the checks that what comes from outside has to pass.
 #[test]
 fn the_models_that_ship_are_taken() {
+    dermis_skin::register(dermis_insight::FAMILY);
     let runtime = Runtime::load(&RuntimeConfig::default()).unwrap();
     let mut count = 0;
     for entry in std::fs::read_dir(root().join("models")).unwrap() {
@@ -318,5 +319,5 @@ fn the_models_that_ship_are_taken() {
         bundle.sensitivity(runtime).unwrap_or_else(|e| panic!("{name}: {e}"));
         count += 1;
     }
-    assert!(count >= 6, "{count} bundles");
+    assert!(count >= 7, "{count} bundles");
 }

@@ -2,7 +2,7 @@
 //!
 //! Problem: how far off are place and force of one contact on the simulated thumb, how often is the number of several right, and what can
 //! frames say at best? Method: frames of the plans that ship, at places that nothing was fitted to, answered by the node's own estimator
-//! without a bundle; the Cramér–Rao bound of the very same frames beside. Assumptions: the device is as designed. Cost: some minutes of CPU
+//! with the bundle that ships, which has no network; the Cramér–Rao bound of the very same frames beside. Assumptions: the device is as designed. Cost: some minutes of CPU
 //! time on two cores.
 
 use std::path::Path;
@@ -15,6 +15,7 @@ use super::{PROGRAM, children_cpu, evaluation, scratch};
 use crate::run::{cargo, output, run as execute, target_dir};
 
 const SKIN: &str = "launch/skins/insight-thumb.toml";
+const MODEL: &str = "models/insight-thumb";
 /// Plan, result, what is less than in the thesis or than was asked for; in the order in which they are measured.
 const PLANS: [(&str, &str, &str); 2] = [
     (
@@ -42,7 +43,7 @@ pub(super) fn accuracy(root: &Path) -> Result<Value> {
         collect.args(["collect", SKIN, "--plan", &file, "--no-images", "--out"]).arg(&bag);
         execute(collect.current_dir(root))?;
         let mut evaluate = Command::new(&dermis);
-        evaluate.args(["evaluate", "--invert", "--json", "--skin", SKIN, "--bins", BINS]).arg(&bag);
+        evaluate.args(["evaluate", "--model", MODEL, "--json", "--skin", SKIN, "--bins", BINS]).arg(&bag);
         let cpu = children_cpu()?;
         let found = evaluation(evaluate.current_dir(root))?;
         let seconds = children_cpu()? - cpu;
@@ -72,7 +73,7 @@ const PROFILES: [(&str, [f64; 5]); 5] = [
 const MAPS: &str = "benches/results/insight-maps.json";
 const MAP_CONFIG: &str = "launch/train/insight-thumb-map.toml";
 
-/// One network for each way to spread a force (Table 6.6 of the thesis), and the inversion, on the same frames.
+/// One network for each way to spread a force (Table 6.6 of the thesis), on the same frames.
 pub(super) fn maps(root: &Path) -> Result<Value> {
     execute(cargo(root).args(PROGRAM))?;
     let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "insight-maps")?);
@@ -107,9 +108,6 @@ pub(super) fn maps(root: &Path) -> Result<Value> {
         of["cpu_seconds"] = json!(seconds);
         found.insert(profile.into(), of);
     }
-    let mut evaluate = Command::new(&dermis);
-    evaluate.args(["evaluate", "--invert", "--json", "--skin", SKIN, "--bins", BINS]).arg(&test);
-    found.insert("inversion".into(), strongest(&evaluation(evaluate.current_dir(root))?)?);
     let commit = output(Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root))?;
     let record = json!({
         "command": "cargo xtask measure insight-maps",

@@ -11,6 +11,9 @@ use crate::fit::{Datum, Minimum};
 /// Starts of a further contact that are tried.
 const STARTS: usize = 2;
 
+/// Spacings of the dictionary that these are apart.
+pub(super) const APART: f64 = 3.0;
+
 /// Ways to begin with one contact more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Start {
@@ -29,7 +32,9 @@ impl Inverter {
             all
         };
         match kind {
-            Start::Dictionary => self.matches(data, &best.signal, STARTS).into_iter().map(with).collect(),
+            Start::Dictionary => {
+                self.matches(data, &best.signal, STARTS, APART).into_iter().map(with).collect()
+            }
             // Two contacts that stand close look like one between them.
             Start::Split => {
                 let Some((last, others)) = best.contacts.split_last() else { return Vec::new() };
@@ -54,8 +59,14 @@ impl Inverter {
         }
     }
 
-    /// Contacts of the dictionary that explain whitened residuals best, no two of them near to each other.
-    pub(super) fn matches(&self, data: &[Datum], signal: &[f64], most: usize) -> Vec<Indentation> {
+    /// Contacts of the dictionary that explain whitened residuals best, no two of them within so many spacings of each other.
+    pub(crate) fn matches(
+        &self,
+        data: &[Datum],
+        signal: &[f64],
+        most: usize,
+        spacings: f64,
+    ) -> Vec<Indentation> {
         let left = residuals(data, signal);
         let mut scores: Vec<(f32, usize)> = self.dictionary.project(&left).zip(0..).collect();
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -65,7 +76,7 @@ impl Inverter {
             if chosen.len() == most {
                 break;
             }
-            if chosen.iter().any(|c| (c.position - place.position).norm() < 3.0 * self.spacing) {
+            if chosen.iter().any(|c| (c.position - place.position).norm() < spacings * self.spacing) {
                 continue;
             }
             chosen.push(self.pressed(index, &left));
