@@ -94,8 +94,8 @@ impl StrongestPoints {
             / strongest.len().max(1) as f64;
         let sum: Vector3<f64> = forces.iter().sum();
         let width = |threshold: f64| {
-            let area: f64 =
-                order.iter().take_while(|(f, _)| *f > threshold).map(|(_, i)| self.areas[*i]).sum();
+            let within = order.iter().take_while(|(f, _)| *f > threshold);
+            let area = within.fold(0.0, |sum, (_, i)| sum + self.areas[*i]);
             2.0 * (area / std::f64::consts::PI).sqrt()
         };
         self.found.push(Errors {
