@@ -5,8 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use dermis_inference::{
-    Baseline, Bundle, BundleError, FeatureConfig, Features, MAP_DISPLACEMENT, MAP_NORMAL, Model, Outputs,
-    Runtime,
+    Baseline, Bundle, BundleError, Features, MAP_DISPLACEMENT, MAP_NORMAL, Model, Outputs, Runtime,
 };
 use dermis_inversion::{Corrected, Inverter, InverterError, Search, Settings};
 use dermis_model::{ForwardModel, Stimulus, Unknowns};
@@ -307,13 +306,7 @@ impl Pipeline {
         let force_range = Some([0.0, settings.force_max]);
         let inverter = Inverter::new(model, settings)
             .map_err(|source| SetupError::Inversion { path: path.clone(), source })?;
-        let channels = skin.channels().len();
-        let features = Features::new(FeatureConfig::newest(vec![0.0; channels], vec![1.0; channels]))
-            .map_err(|error| SetupError::Output {
-                path: path.clone(),
-                output: "contacts".into(),
-                reason: error.to_string(),
-            })?;
+        let features = Features::as_read(skin.channels().len());
         let pipeline =
             Self::of_model(path, (features, Baseline::Tared), (None, Outputs::none()), &skin.surface())?;
         Ok(Self { name: Models::INVERSION.into(), force_range, ..pipeline }.refined_by(inverter))

@@ -11,7 +11,7 @@ use dermis_skin::SkinDescription;
 use sha2::{Digest, Sha256};
 
 use crate::correction::{self, CorrectionError};
-use crate::features::{FeatureConfig, Features};
+use crate::features::Features;
 use crate::file;
 use crate::interface::Interface;
 use crate::limits::Limits;
@@ -24,7 +24,7 @@ use crate::peaks::PeakSection;
 use crate::runtime::Runtime;
 use crate::trial::{self, Candidate};
 
-const MANIFEST: &str = "bundle.toml";
+const MANIFEST: &str = Bundle::MANIFEST;
 const MODEL: &str = "model.onnx";
 const SENSITIVITY: &str = "sensitivity.onnx";
 const CORRECTION: &str = "correction.json";
@@ -364,11 +364,10 @@ impl Bundle {
     /// Turns frames into its input, which is the newest frame where there is no graph; starts with an empty history.
     #[must_use]
     pub fn features(&self) -> Features {
-        let channels = self.manifest.skin.channels.len();
-        Features::of_valid(match self.graph {
-            Some(_) => self.manifest.input.clone(),
-            None => FeatureConfig::newest(vec![0.0; channels], vec![1.0; channels]),
-        })
+        match self.graph {
+            Some(_) => Features::of_valid(self.manifest.input.clone()),
+            None => Features::as_read(self.manifest.skin.channels.len()),
+        }
     }
 
     /// Reads its output.
@@ -405,6 +404,9 @@ impl Bundle {
             .map(Some)
             .map_err(|source| BundleError::Model { path: self.path.join(SENSITIVITY), source })
     }
+
+    /// What says that a folder is a bundle, and which one.
+    pub const MANIFEST: &str = "bundle.toml";
 
     /// The files that a bundle may consist of.
     pub const FILES: [&str; 6] = [MANIFEST, MODEL, NORMALISATION, SENSITIVITY, CORRECTION, CARD];

@@ -276,6 +276,12 @@ impl Features {
         Ok(Self::of_valid(config))
     }
 
+    /// The newest frame of so many channels, as it was read.
+    #[must_use]
+    pub fn as_read(channels: usize) -> Self {
+        Self::of_valid(FeatureConfig::newest(vec![0.0; channels], vec![1.0; channels]))
+    }
+
     pub(crate) fn of_valid(config: FeatureConfig) -> Self {
         let mut nanos_back = config.difference.iter().copied().map(nanos).max().unwrap_or(0);
         let mut frames_back = 0;

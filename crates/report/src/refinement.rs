@@ -39,15 +39,14 @@ pub fn text(findings: &Findings) -> String {
         );
     }
     let (alone, with) = match has_network {
-        true => ("the model alone", "with the forward model"),
-        false => ("the forward model as it was", "with what was recorded"),
+        true => ("model alone", "with the forward model"),
+        false => ("forward model as it was", "with what was recorded"),
     };
     if let Some(ratio) = ratio {
-        let _ = writeln!(out, "{with} the error is {ratio:.3} times that of {alone} (choosing half)");
+        let _ = writeln!(out, "{with} the error is {ratio:.3} times that of the {alone} (choosing half)");
     }
-    let off = format!("off: {alone} is better");
+    let off = format!("off: the {alone} is better");
     let _ = writeln!(out, "refinement is {}\n", if *on { "on" } else { off.as_str() });
-    let alone = alone.strip_prefix("the ").filter(|_| *has_network).unwrap_or(alone);
     let _ = write!(out, "{alone}, other half: {before}\n{with}, other half: {after}");
     out
 }

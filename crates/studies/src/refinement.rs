@@ -160,24 +160,18 @@ impl From<UnknownsChoice> for Unknowns {
 pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
     let model = families.model_of_file(&options.skin, &skin)?;
-    let exists = options.model.join(MANIFEST).exists();
-    let loaded = (exists || !options.invert).then(|| Bundle::load(&options.model, &skin)).transpose()?;
+    let unmeasured = options.invert.then(|| settings_without_bundle(&skin, model.as_ref()));
+    let to_make = unmeasured.as_ref().filter(|_| !options.model.join(Bundle::MANIFEST).exists());
+    if to_make.is_none() {
+        // What cannot be refined is refused before hours of recordings are read.
+        check_kind(&Bundle::load(&options.model, &skin)?, options.invert)?;
+    }
     bar.begin("reading what was recorded");
     let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
-    let unmeasured = options.invert.then(|| settings_without_bundle(&skin, model.as_ref()));
-    let mut bundle = match (loaded, &unmeasured) {
-        (None, Some(settings)) => without_network(&options.model, &skin, settings, &data)?,
-        (Some(bundle), _) => bundle,
-        (None, None) => Bundle::load(&options.model, &skin)?,
-    };
-    let has_network = bundle.manifest().model.is_some();
-    if has_network == options.invert {
-        let (what, how) = match has_network {
-            true => ("has a network", "leave out `--invert`, or choose another folder"),
-            false => ("has no network", "say `--invert`"),
-        };
-        bail!("model bundle {}: {what}; {how}", options.model.display());
+    if let Some(settings) = to_make {
+        make_without_network(&options.model, &skin, settings, &data)?;
     }
+    let mut bundle = Bundle::load(&options.model, &skin)?;
     let split = split_of(&options.model)?.apply(&data)?;
     let (choosing, reporting) = halves(&data, &split.test);
     if choosing.is_empty() || reporting.is_empty() {
@@ -201,12 +195,12 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
         Ok(found.and_then(|all| all.try_into().ok()))
     };
     if done.without.is_none() {
-        let what = if has_network { "the model alone" } else { "the forward model as it was" };
+        let what = if options.invert { "the forward model as it was" } else { "the model alone" };
         done.without = measure(&without, what)?;
         done.keep()?;
     }
     if done.with.is_none() {
-        let what = if has_network { "with the forward model" } else { "the forward model as recorded" };
+        let what = if options.invert { "the forward model as recorded" } else { "with the forward model" };
         done.with = measure(&with, what)?;
         done.keep()?;
     }
@@ -224,7 +218,7 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
     dermis_learn::card::measured(&mut manifest, chosen);
     bundle.amend(manifest, chosen_refinement.and_then(Refinement::correction))?;
     let findings = Findings {
-        has_network,
+        has_network: !options.invert,
         refinement: refinement.clone(),
         ratio,
         on,
@@ -267,18 +261,16 @@ impl Serialize for Findings {
     }
 }
 
-/// What a bundle says about itself.
-const MANIFEST: &str = "bundle.toml";
 /// Where what is done is kept in the bundle until all is.
 const DONE: &str = "refinement.partial.json";
 
 /// Makes a bundle that finds contacts on the skin's forward model alone, as a node does it that has none, and holds out what a trained one would.
-fn without_network(
+fn make_without_network(
     folder: &Path,
     skin: &SkinDescription,
     settings: &Settings,
     data: &Dataset,
-) -> Result<Bundle> {
+) -> Result<()> {
     let split = SplitConfig::default();
     let training = TrainingSection {
         data_hash: data.hash(),
@@ -291,8 +283,17 @@ fn without_network(
     let mut writer = BundleWriter::new(manifest);
     writer.card = dermis_learn::card::of_data(data)?;
     writer.card.insert("split".into(), serde_json::to_value(split)?);
-    writer.write(folder, &[])?;
-    Ok(Bundle::load(folder, skin)?)
+    Ok(writer.write(folder, &[])?)
+}
+
+/// Refuses a bundle with a network where one without is asked for, and the other way round.
+fn check_kind(bundle: &Bundle, invert: bool) -> Result<()> {
+    let (what, how) = match (bundle.manifest().model.is_some(), invert) {
+        (true, true) => ("has a network", "leave out `--invert`, or choose another folder"),
+        (false, false) => ("has no network", "say `--invert`"),
+        _ => return Ok(()),
+    };
+    bail!("model bundle {}: {what}; {how}", bundle.path().display())
 }
 
 /// What is done of a refinement, so that an interruption costs one step at most.

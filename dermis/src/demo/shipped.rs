@@ -2,24 +2,13 @@
 
 use dermis_operate::demo::Contents;
 
-/// The files of a bundle that ships.
+/// The files of a bundle that ships: of one with a network, or these.
 macro_rules! bundle {
     ($name:literal) => {
-        &[
-            ("bundle.toml", include_bytes!(concat!("../../../models/", $name, "/bundle.toml"))),
-            ("model.onnx", include_bytes!(concat!("../../../models/", $name, "/model.onnx"))),
-            ("card.json", include_bytes!(concat!("../../../models/", $name, "/card.json"))),
-        ]
+        bundle!($name: "bundle.toml", "model.onnx", "card.json")
     };
-}
-
-/// The files of a bundle that ships and has no network.
-macro_rules! inversion {
-    ($name:literal) => {
-        &[
-            ("bundle.toml", include_bytes!(concat!("../../../models/", $name, "/bundle.toml"))),
-            ("card.json", include_bytes!(concat!("../../../models/", $name, "/card.json"))),
-        ]
+    ($name:literal: $($file:literal),+) => {
+        &[$(($file, include_bytes!(concat!("../../../models/", $name, "/", $file)))),+]
     };
 }
 
@@ -43,7 +32,7 @@ pub const SKINS: [Contents<'static>; 6] = [
     skin!("baro-dome", None, bundle!("baro-dome")),
     skin!("hapdef-shin", None, bundle!("hapdef-shin")),
     skin!("ert-panel", None, &[]),
-    skin!("insight-thumb", None, inversion!("insight-thumb")),
+    skin!("insight-thumb", None, bundle!("insight-thumb": "bundle.toml", "card.json")),
 ];
 
 /// The skin that is shown where none is named.

@@ -215,31 +215,28 @@ impl ThumbModel {
         Ok(())
     }
 
-    /// Calls with what changes for each unknown of each contact, to first order; `None` where nothing can move.
+    /// Calls with what changes for each unknown of each contact, to first order; `None` where nothing can move. `field` has the displacements of
+    /// the stimulus.
     fn each_slope(
         &self,
-        stimulus: &Stimulus,
-        unknowns: Unknowns,
+        (stimulus, unknowns): (&Stimulus, Unknowns),
         differences: &Differences,
+        Scratch { field, moved, changes }: &mut Scratch,
         mut each: impl FnMut(Option<&Changes>),
     ) -> Result<(), ModelError> {
-        SCRATCH.with_borrow_mut(|Scratch { field, moved, changes }| {
-            self.displace(stimulus, field)?;
-            for (index, contact) in stimulus.contacts.iter().enumerate() {
-                for unknown in unknowns.list() {
-                    let (plus, minus, step) =
-                        differences.neighbours(&self.surface, contact, unknowns, *unknown);
-                    if step == 0.0 {
-                        each(None);
-                        continue;
-                    }
-                    self.displace_by(index, [(&plus, 1.0 / step), (&minus, -1.0 / step)], moved)?;
-                    self.shading.slopes(field, moved, changes);
-                    each(Some(&*changes));
+        for (index, contact) in stimulus.contacts.iter().enumerate() {
+            for unknown in unknowns.list() {
+                let (plus, minus, step) = differences.neighbours(&self.surface, contact, unknowns, *unknown);
+                if step == 0.0 {
+                    each(None);
+                    continue;
                 }
+                self.displace_by(index, [(&plus, 1.0 / step), (&minus, -1.0 / step)], moved)?;
+                self.shading.slopes(field, moved, changes);
+                each(Some(&*changes));
             }
-            Ok(())
-        })
+        }
+        Ok(())
     }
 
     /// Fisher's information about the unknowns of contacts in all pixels of one picture, whose noise is Gaussian: the inverse bounds
@@ -255,8 +252,11 @@ impl ThumbModel {
         differences: &Differences,
     ) -> Result<DMatrix<f64>, ModelError> {
         let mut columns: Vec<Vec<f32>> = Vec::new();
-        self.each_slope(stimulus, unknowns, differences, |changes| {
-            columns.push(changes.map_or_else(Vec::new, |changes| self.picture.whitened(changes)));
+        SCRATCH.with_borrow_mut(|scratch| {
+            self.displace(stimulus, &mut scratch.field)?;
+            self.each_slope((stimulus, unknowns), differences, scratch, |changes| {
+                columns.push(changes.map_or_else(Vec::new, |changes| self.picture.whitened(changes)));
+            })
         })?;
         let product = |a: &[f32], b: &[f32]| -> f64 {
             // Sums of parts, so that f32 does not lose the small ones.
@@ -332,15 +332,19 @@ impl ForwardModel for ThumbModel {
         }
         let brighter = self.brighter(stimulus.temperature);
         let mut columns = out.chunks_exact_mut(self.channels());
-        let switches = SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
-            self.displace(stimulus, field)?;
-            self.shading.changes(field, changes);
-            Ok(self.picture.switches(changes, brighter))
-        })?;
-        self.each_slope(stimulus, unknowns, differences, |changes| match (columns.next(), changes) {
-            (Some(column), Some(changes)) => self.picture.change(changes, &switches, brighter, column),
-            (Some(column), None) => column.fill(0.0),
-            _ => {}
+        SCRATCH.with_borrow_mut(|scratch| {
+            self.displace(stimulus, &mut scratch.field)?;
+            self.shading.changes(&scratch.field, &mut scratch.changes);
+            let switches = self.picture.switches(&scratch.changes, brighter);
+            self.each_slope((stimulus, unknowns), differences, scratch, |changes| {
+                match (columns.next(), changes) {
+                    (Some(column), Some(changes)) => {
+                        self.picture.change(changes, &switches, brighter, column);
+                    }
+                    (Some(column), None) => column.fill(0.0),
+                    _ => {}
+                }
+            })
         })
     }
 

@@ -54,12 +54,9 @@ pub(crate) struct Switch {
 
 impl Clipping {
     pub(super) fn new(table: &Table, observer: &Observer) -> Self {
-        let [columns, block_rows] = observer.blocks().map(|n| n as usize);
-        let mut counts = vec![0_u32; columns * block_rows];
         let mut starts = vec![0_u32; table.nodes + 1];
         let mut reach = vec![ANYWHERE; table.nodes];
         for (i, pixel) in table.pixels.iter().enumerate() {
-            counts[observer.block(i)] += 1;
             starts[pixel.corner as usize + 1] += 1;
             let of = &mut reach[pixel.corner as usize];
             of.factor = of.factor.max(table.factor(i).abs());
@@ -84,8 +81,14 @@ impl Clipping {
             pixels[*place as usize] = i as u32;
             *place += 1;
         }
-        let shares = counts.into_iter().map(|count| 1.0 / f64::from(count.max(1))).collect();
-        Self { block_rows, per_block: observer.per_block(), shares, pixels, starts, reach }
+        Self {
+            block_rows: observer.blocks()[1] as usize,
+            per_block: observer.per_block(),
+            shares: observer.shares(),
+            pixels,
+            starts,
+            reach,
+        }
     }
 
     /// Takes from the numbers what [`Numbers::respond`](super::numbers::Numbers::respond) has too much.

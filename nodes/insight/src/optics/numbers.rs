@@ -8,7 +8,7 @@ use std::collections::HashMap;
 
 use super::light::COLOURS;
 use super::observer::{Observer, PATTERNS};
-use super::picture::{Noise, shares};
+use super::picture::{self, Noise};
 use super::shading::{CHANGES, Changes};
 use super::table::Table;
 
@@ -45,17 +45,14 @@ impl Numbers {
     pub(super) fn new(table: &Table, observer: &Observer, noise: Noise, nodes: usize) -> Self {
         let [columns, rows] = observer.blocks().map(|n| n as usize);
         let per = observer.per_block();
-        let mut pixels_of = vec![0_u32; columns * rows];
-        for pixel in 0..table.pixels.len() {
-            pixels_of[observer.block(pixel)] += 1;
-        }
+        let shares = observer.shares();
         let mut untouched = vec![0.0; observer.numbers()];
         let mut free = untouched.clone();
         let mut variance = untouched.clone();
         let mut found: HashMap<(u32, u32), Weights> = HashMap::new();
         for (i, pixel) in table.pixels.iter().enumerate() {
             let block = observer.block(i);
-            let share = 1.0 / f64::from(pixels_of[block]);
+            let share = shares[block];
             let open = pixel.base.map(|v| if v < 1.0 { 1.0_f32 } else { 0.0 });
             let patterns = observer.weights(i, block);
             let place = block * per;
@@ -132,7 +129,7 @@ impl Numbers {
         }
         for (k, (changes, _)) in shown.iter().enumerate() {
             let by_row: Vec<f32> = (0..self.rows)
-                .map(|row| shares(shown, (row as f64 + 0.5) / self.rows as f64)[k] * brighter as f32)
+                .map(|row| picture::shares(shown, (row as f64 + 0.5) / self.rows as f64)[k] * brighter as f32)
                 .collect();
             self.add(changes, &by_row, out);
         }

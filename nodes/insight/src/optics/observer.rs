@@ -140,6 +140,14 @@ impl Observer {
         self.blocks[0] as usize * self.blocks[1] as usize * self.per_block()
     }
 
+    /// Share of one pixel in a mean of its block, by block.
+    pub(super) fn shares(&self) -> Vec<f64> {
+        let [blocks, pixels] = [self.blocks, self.size].map(|[a, b]| (a * b) as usize);
+        let mut counts = vec![0_u32; blocks];
+        (0..pixels).for_each(|pixel| counts[self.block(pixel)] += 1);
+        counts.into_iter().map(|count| 1.0 / f64::from(count)).collect()
+    }
+
     /// Block of a pixel: blocks are as equal as whole pixels let them be.
     pub(super) fn block(&self, pixel: usize) -> usize {
         let ([width, height], [columns, rows]) = (self.size, self.blocks);
