@@ -36,7 +36,8 @@ pub fn frame_check(
     sensor.frame_check(skin).map_err(SetupError::FrameCheck)
 }
 
-/// Frame → contacts, and the maps that a model gives by itself, with these bundles; `masked` names channels to leave out.
+/// Frame → contacts and maps, with these bundles; `masked` names channels to leave out. Force maps are those that a node publishes;
+/// displacements are those that a model gives by itself, because a forward model takes far longer for them than for a frame.
 ///
 /// # Errors
 ///
@@ -66,7 +67,7 @@ pub fn inverting(
     ready(sensor, skin, masked, Models::inverted(sensor, skin)?)
 }
 
-/// An estimator with its models, which gives the maps that are theirs.
+/// An estimator with its models and their maps.
 fn ready(
     sensor: &dyn Sensor,
     skin: &SkinDescription,
@@ -75,7 +76,7 @@ fn ready(
 ) -> Result<Box<dyn Estimator>, SetupError> {
     let mut estimator = SkinEstimator::new(skin, masked)?;
     estimator.set_check(frame_check(sensor, skin)?);
-    let maps = models.own_maps();
+    let maps = Maps { force: models.maps().force, displacement: models.own_maps().displacement };
     estimator.set_models(models);
     estimator.want_maps(maps);
     Ok(Box::new(estimator))

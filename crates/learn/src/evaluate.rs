@@ -272,24 +272,25 @@ pub fn evaluate_by(
     Ok(evaluator.finish(name))
 }
 
-/// As [`evaluate`], on several parts of a data set at once, each by itself, for estimators that take their time: touched frames of
-/// presses that no part asks for are left out. `watch` is told how far it is, from 0 to 1, and says whether it goes on; `None`
-/// where it does not.
+/// As [`evaluate_by`], on several parts of a data set at once, each by an evaluator of its own, for estimators that take their time:
+/// touched frames of presses that no part asks for are left out. `watch` is told how far it is, from 0 to 1, and says whether it goes
+/// on; `None` where it does not.
 ///
 /// # Errors
 ///
-/// As [`evaluate`].
+/// As [`evaluate_by`].
 pub fn evaluate_parts(
     estimator: &mut dyn Estimator,
     data: &Dataset,
-    parts: &[(&str, &[SampleId])],
+    parts: Vec<(Evaluator, &str, &[SampleId])>,
     watch: &dyn Fn(f64) -> bool,
 ) -> Result<Option<Vec<Evaluation>>, LearnError> {
-    let asked: Vec<BTreeSet<SampleId>> = parts.iter().map(|(_, ids)| ids.iter().copied().collect()).collect();
+    let asked: Vec<BTreeSet<SampleId>> =
+        parts.iter().map(|(.., ids)| ids.iter().copied().collect()).collect();
     let press = |id: &SampleId| Some((id.run, data.sample(*id)?.truth.as_ref()?.press));
     let presses: BTreeSet<(usize, u64)> = asked.iter().flatten().filter_map(press).collect();
-    let mut evaluators: Vec<Evaluator> =
-        parts.iter().map(|_| Evaluator::of(data).by_force(&FORCE_BINS)).collect();
+    let (mut evaluators, names): (Vec<Evaluator>, Vec<&str>) =
+        parts.into_iter().map(|(evaluator, name, _)| (evaluator, name)).unzip();
     let total = data.runs().iter().map(|r| r.samples.len()).sum::<usize>().max(1) as f64;
     let mut done = 0u32;
     for (run, r) in data.runs().iter().enumerate() {
@@ -320,7 +321,7 @@ pub fn evaluate_parts(
             }
         }
     }
-    Ok(Some(evaluators.into_iter().zip(parts).map(|(e, (name, _))| e.finish(*name)).collect()))
+    Ok(Some(evaluators.into_iter().zip(names).map(|(e, name)| e.finish(name)).collect()))
 }
 
 #[cfg(test)]

@@ -15,7 +15,11 @@ use dermis_inference::{Bundle, BundleWriter, CorrectionSection, Manifest, Traini
 use dermis_inversion::{Corrected, Correction, ForcePrior, Search, Settings};
 use dermis_learn::cli::Labels;
 use dermis_learn::refine::Learned;
-use dermis_learn::{Dataset, Evaluation, Recorded, SampleId, SplitConfig, evaluate_parts, refine, superpose};
+use dermis_learn::target::Maps;
+use dermis_learn::{
+    Bin, Dataset, Evaluation, Evaluator, FORCE_BINS, Recorded, SampleId, SplitConfig, evaluate_parts, refine,
+    superpose,
+};
 use dermis_model::{ForwardModel, Unknowns};
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize, Serializer};
@@ -179,6 +183,7 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
     }
     let mut done = Done::of(&options.model, key(options, &bundle, &data));
     if done.refinement.is_none() {
+        let model = Arc::clone(&model);
         done.refinement = prepare(options, unmeasured.as_ref(), model, &data, &split.train, bar)?;
         done.keep()?;
     }
@@ -190,8 +195,13 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
     let measure = |folder: &Path, what: &str| -> Result<Option<[Evaluation; 2]>> {
         bar.begin(what);
         let mut estimator = families.estimator(&skin, &[folder.to_owned()])?;
-        let parts = [("held out", choosing.as_slice()), ("held out", reporting.as_slice())];
-        let found = evaluate_parts(estimator.as_mut(), &data, &parts, &|share| bar.at(share))?;
+        let part = |half| -> Result<_> {
+            // Maps that nobody can know here are not compared.
+            let maps = Maps::new(&skin, Some(Arc::clone(&model)), &[])?;
+            Ok((Evaluator::of(&data).by_force(&FORCE_BINS).with_maps(maps), "held out", half))
+        };
+        let parts = vec![part(choosing.as_slice())?, part(reporting.as_slice())?];
+        let found = evaluate_parts(estimator.as_mut(), &data, parts, &|share| bar.at(share))?;
         Ok(found.and_then(|all| all.try_into().ok()))
     };
     if done.without.is_none() {
@@ -513,19 +523,22 @@ fn copy(
 }
 
 /// Geometric mean over the bins of force from 0.1 N on of the ratio of the errors of place, or of force where the bundle
-/// gives no place; `None` where they have no bin in common.
+/// gives no place, or over the maps of touched frames where it gives neither; `None` where they have nothing in common.
 fn ratio(with: &Evaluation, without: &Evaluation) -> Option<f64> {
     let name = if with.by_force.contains_key("position") { "position" } else { "force.normal" };
-    let (a, b) = (with.by_force.get(name)?, without.by_force.get(name)?);
-    let logs: Vec<f64> = a
-        .iter()
-        .filter(|bin| bin.from >= 0.1)
-        .filter_map(|bin| {
-            let other = b.iter().find(|o| o.from.to_bits() == bin.from.to_bits())?;
-            let ratio = bin.rms / other.rms;
-            (ratio.is_finite() && ratio > 0.0).then(|| ratio.ln())
-        })
-        .collect();
+    let pairs: Vec<(f64, f64)> = match (with.by_force.get(name), without.by_force.get(name)) {
+        (Some(a), Some(b)) => {
+            let heavy = a.iter().filter(|bin| bin.from >= 0.1);
+            let same = |bin: &Bin| b.iter().find(|o| o.from.to_bits() == bin.from.to_bits());
+            heavy.filter_map(|bin| Some((bin.rms, same(bin)?.rms))).collect()
+        }
+        _ => {
+            let other = |name| without.maps.get(name)?.touched.rms;
+            with.maps.iter().filter_map(|(name, map)| Some((map.touched.rms?, other(name)?))).collect()
+        }
+    };
+    let logs = pairs.into_iter().map(|(a, b)| (a / b).ln()).filter(|log| log.is_finite());
+    let logs: Vec<f64> = logs.collect();
     (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
 }
 
@@ -549,7 +562,35 @@ fn amend_card(bundle: &Path, record: &serde_json::Value) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use dermis_learn::{MapErrors, MapPart, Scores};
+
     use super::*;
+
+    fn evaluation(position: Option<f64>, map: Option<f64>) -> Evaluation {
+        let mut evaluation = Evaluation::of(&Scores::default(), "held out", 10, 0, 0);
+        let bin = |from, rms| Bin { from, to: None, samples: 5, rms, mean: rms, median: None };
+        if let Some(rms) = position {
+            evaluation.by_force.insert("position".into(), vec![bin(0.02, 100.0 * rms), bin(0.4, rms)]);
+        }
+        if let Some(rms) = map {
+            let touched = MapPart { frames: 5, rms: Some(rms), ..MapPart::default() };
+            let errors = MapErrors { unit: "N".into(), touched, ..MapErrors::default() };
+            evaluation.maps.insert("map.normal".into(), errors);
+        }
+        evaluation
+    }
+
+    #[test]
+    fn what_gives_maps_alone_is_judged_by_its_maps() {
+        let of = |with, without| ratio(&with, &without);
+        let half = of(evaluation(None, Some(0.01)), evaluation(None, Some(0.02)));
+        approx::assert_relative_eq!(half.unwrap(), 0.5, max_relative = 1e-12);
+        // Places come first, and light contacts do not count.
+        let twice = of(evaluation(Some(0.002), Some(0.01)), evaluation(Some(0.001), Some(0.02)));
+        approx::assert_relative_eq!(twice.unwrap(), 2.0, max_relative = 1e-12);
+        assert_eq!(of(evaluation(Some(0.002), None), evaluation(None, Some(0.02))), None);
+        assert_eq!(of(evaluation(None, None), evaluation(None, None)), None);
+    }
 
     #[test]
     fn what_is_done_is_gone_on_with_by_the_same_command_alone() {

@@ -242,9 +242,11 @@ fn parts_are_evaluated_by_themselves_and_without_what_nobody_asks_for() {
     let data = presses(10, 2);
     let held_out = crate::SplitConfig::default().apply(&data).unwrap().test;
     let (one, two) = held_out.split_at(held_out.len() / 2);
-    let parts = [("one", one), ("two", two)];
-    let both = evaluate_parts(&mut Known, &data, &parts, &|_| true).unwrap().unwrap();
-    for ((name, ids), found) in parts.iter().zip(&both) {
+    let halves = [("one", one), ("two", two)];
+    let by_bins = || Evaluator::of(&data).by_force(&FORCE_BINS);
+    let parts = || halves.map(|(name, ids)| (by_bins(), name, ids)).into();
+    let both = evaluate_parts(&mut Known, &data, parts(), &|_| true).unwrap().unwrap();
+    for ((name, ids), found) in halves.iter().zip(&both) {
         // As text: a contact's error is NaN in what nobody measured, and NaN is not equal to itself.
         let alone = evaluate(&mut Known, &data, Some(ids), *name).unwrap();
         assert_eq!(format!("{found:#?}"), format!("{alone:#?}"));
@@ -259,8 +261,8 @@ fn parts_are_evaluated_by_themselves_and_without_what_nobody_asks_for() {
         fn reset(&mut self) {}
     }
     let mut counted = Counted(0);
-    evaluate_parts(&mut counted, &data, &parts, &|_| true).unwrap();
+    evaluate_parts(&mut counted, &data, parts(), &|_| true).unwrap();
     let all: usize = data.runs().iter().map(|r| r.samples.len()).sum();
     assert!(counted.0 < all && counted.0 >= held_out.len(), "{} of {all}", counted.0);
-    assert_eq!(evaluate_parts(&mut Known, &data, &parts, &|share| share < 0.5).unwrap(), None);
+    assert_eq!(evaluate_parts(&mut Known, &data, parts(), &|share| share < 0.5).unwrap(), None);
 }

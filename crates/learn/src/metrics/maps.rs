@@ -19,7 +19,7 @@ use crate::dataset::Truth;
 use crate::target::{MapTarget, Maps};
 
 /// Errors of one map, on frames of which the true map is known.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MapErrors {
     /// `m` or `N`, of one point.
     pub unit: String,
