@@ -81,6 +81,12 @@ pub enum MechanicsError {
         /// \[m\].
         z: f64,
     },
+    /// A rigid tip that rests on nothing.
+    #[error("the tip has no contact: {reason}")]
+    Contact {
+        /// A sentence without its end.
+        reason: String,
+    },
     /// Newton's method that found no equilibrium.
     #[error(
         "no equilibrium at {share} of the load after {iterations} iterations: take more steps, or less load"

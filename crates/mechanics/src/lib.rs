@@ -8,6 +8,7 @@
 //!   displacement of the surface;
 //! - [`Load`]: point, disc and Hertz-like surface loads;
 //! - [`SphereContact`]: a rigid sphere pressed into the medium: contact radius, indentation, pressure;
+//! - [`RigidContact`]: a rigid tip of any shape on a surface that is known by its compliance at points;
 //! - [`PressureTable`]: what a sensor at one depth reads for a sphere, tabulated over force and distance;
 //! - [`Case`]: a figure and the reference that it is checked against.
 //!
@@ -34,6 +35,7 @@ mod friction;
 mod medium;
 mod memory;
 mod quadrature;
+mod rigid;
 pub mod shell;
 mod table;
 
@@ -45,4 +47,5 @@ pub use friction::Friction;
 pub use medium::{Base, Load, Medium};
 pub use memory::{Prony, RandomWalk, Wander, Warmth, random_field, stream};
 pub use quadrature::gauss_legendre;
+pub use rigid::RigidContact;
 pub use table::{PressureTable, Profile, SphereContacts};

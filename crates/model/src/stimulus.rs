@@ -1,5 +1,7 @@
 //! What touches a skin: the input of a forward model.
 
+use std::f64::consts::TAU;
+
 use dermis_skin::{ModelError, Surface, TipKind};
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -79,6 +81,29 @@ impl TipShape {
             Self::Cylinder { diameter, length } => diameter.max(length),
             Self::Wedge { length, .. } => length,
             Self::Box { size: [x, y] } => x.hypot(y),
+        }
+    }
+
+    /// \[m\] by which the tip's face lies above its lowest point, over (x, y) \[m\] in its own frame; `None` beside the face.
+    #[must_use]
+    pub fn face(&self, x: f64, y: f64) -> Option<f64> {
+        let round =
+            |radius: f64, r: f64| (r <= radius).then(|| radius - (radius * radius - r * r).max(0.0).sqrt());
+        match *self {
+            Self::Sphere { diameter } => round(diameter / 2.0, x.hypot(y)),
+            Self::Cylinder { diameter, length } => {
+                round(diameter / 2.0, y.abs()).filter(|_| x.abs() <= length / 2.0)
+            }
+            Self::FlatPunch { diameter } => (x.hypot(y) <= diameter / 2.0).then_some(0.0),
+            Self::Wedge { angle, length } => (x.abs() <= length / 2.0).then(|| y.abs() / (angle / 2.0).tan()),
+            Self::Polygon { sides, diameter } => {
+                // Within half a side of the middle of the nearest one, all of which are as far away.
+                let side = TAU / f64::from(sides);
+                let beside = (y.atan2(x) - side / 2.0).rem_euclid(side);
+                let beside = beside.min(side - beside);
+                (x.hypot(y) * beside.cos() <= diameter / 2.0 * (side / 2.0).cos()).then_some(0.0)
+            }
+            Self::Box { size } => (x.abs() <= size[0] / 2.0 && y.abs() <= size[1] / 2.0).then_some(0.0),
         }
     }
 
@@ -275,9 +300,44 @@ impl Default for Stimulus {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use approx::assert_relative_eq;
     use dermis_skin::SurfaceSpec;
 
     use super::*;
+
+    #[test]
+    fn faces_are_as_wide_and_high_as_their_shapes() {
+        let sphere = TipShape::Sphere { diameter: 0.004 };
+        assert_relative_eq!(sphere.face(0.0, 0.002).unwrap(), 0.002);
+        assert_eq!((sphere.face(0.0, 0.0), sphere.face(0.0015, 0.0015)), (Some(0.0), None));
+        let rod = TipShape::Cylinder { diameter: 0.004, length: 0.010 };
+        assert_eq!(
+            (rod.face(0.005, 0.0), rod.face(0.0051, 0.0), rod.face(0.0, 0.0021)),
+            (Some(0.0), None, None)
+        );
+        let wedge = TipShape::Wedge { angle: FRAC_PI_2, length: 0.010 };
+        assert_relative_eq!(wedge.face(0.004, -0.001).unwrap(), 0.001, max_relative = 1e-12);
+        assert_eq!(wedge.face(0.006, 0.0), None);
+        // Of a blunt one, the flanks rise slowly.
+        let blunt = TipShape::Wedge { angle: 0.9 * PI, length: 0.010 };
+        assert!(blunt.face(0.0, 0.001).unwrap() < 2e-4);
+        let plate = TipShape::Box { size: [0.004, 0.002] };
+        assert_eq!((plate.face(0.002, 0.001), plate.face(0.0021, 0.0)), (Some(0.0), None));
+        // The area of a polygon's face: n/2 sin(2π/n) of the square of its circle's radius.
+        for sides in [3, 4, 6, 9] {
+            let shape = TipShape::Polygon { sides, diameter: 2.0 };
+            let at = |i: i32| (f64::from(i) + 0.5) / 200.0;
+            let inside = (-200..200).flat_map(|i| (-200..200).map(move |j| (i, j)));
+            let inside = inside.filter(|(i, j)| shape.face(at(*i), at(*j)).is_some()).count();
+            let n = f64::from(sides);
+            assert_relative_eq!(inside as f64 / 4e4, n / 2.0 * (TAU / n).sin(), max_relative = 5e-3);
+            // A corner is on x, and the side across from a triangle's corner is half as far away.
+            assert!(shape.face(0.999, 0.0).is_some() && shape.face(1.001, 0.0).is_none());
+            assert_eq!(shape.face(-0.6, 0.0).is_some(), sides > 3);
+        }
+    }
 
     #[test]
     fn what_presses_is_taken_and_what_pulls_is_refused() {

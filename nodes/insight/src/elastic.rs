@@ -11,6 +11,7 @@ pub use mesh::{Elastomer, Fovea, Meridians, Skeleton};
 #[cfg(test)]
 pub(crate) mod tests {
     use dermis_mechanics::{Base, Medium, SphereContact};
+    use dermis_model::{Tip, TipShape};
 
     use super::*;
     use crate::shape::Thumb;
@@ -74,6 +75,11 @@ pub(crate) mod tests {
             let footprint = Footprint::of_sphere(&thumb, &rings, &at, [diameter, force, modulus]);
             let depth = basis.mean_give(&footprint.shares, &(-normal * force)) + footprint.height;
             assert!((depth / exact.indentation() - 1.0).abs() < 0.12, "{diameter}: {depth}");
+            // What is solved for tips of any shape finds the same for a ball.
+            let ball = Tip::standing(TipShape::Sphere { diameter }, &normal);
+            let footprint = Footprint::of_tip((&thumb, &rings, &basis), &at, &ball, [force, 1.0]).unwrap();
+            let depth = basis.mean_give(&footprint.shares, &(-normal * force)) + footprint.height;
+            assert!((depth / exact.indentation() - 1.0).abs() < 0.12, "{diameter}: {depth} as any tip");
         }
     }
 }

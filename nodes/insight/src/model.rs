@@ -19,7 +19,8 @@ pub(crate) mod tests;
 use std::cell::RefCell;
 use std::sync::{Arc, OnceLock};
 
-use dermis_model::{DeviceState, Differences, ForwardModel, Indentation, Stimulus, TipShape, Unknowns};
+use dermis_mechanics::MechanicsError;
+use dermis_model::{DeviceState, Differences, ForwardModel, Indentation, Stimulus, Tip, TipShape, Unknowns};
 use dermis_skin::{Image, ModelError, PixelFormat, SkinDescription, Surface};
 use nalgebra::{DMatrix, Point3, Vector3};
 
@@ -140,28 +141,33 @@ impl ThumbModel {
     ) -> Result<Option<(Footprint, Vector3<f64>)>, ModelError> {
         let normal = contact.check_any_tip(index, &self.surface)?;
         let pressing = -contact.force.dot(&normal);
-        let Some(footprint) = self.under(&contact.position, &contact.tip.shape, pressing) else {
-            let reason = format!(
-                "its tip is a {}, and this model knows spheres and flat punches: give a tip of shape \"sphere\" or \"flat-punch\"",
-                contact.tip.shape.name()
-            );
-            return Err(ModelError::Stimulus { index, reason });
-        };
-        Ok((pressing > 0.0).then(|| (footprint, gripping(contact, &normal, self.parameters.friction))))
+        if pressing <= 0.0 {
+            return Ok(None);
+        }
+        let footprint = self.under(&contact.position, &contact.tip, pressing)?.map_err(|error| {
+            let reason = format!("its {}: {error}", contact.tip.shape.name());
+            ModelError::Stimulus { index, reason }
+        })?;
+        Ok(Some((footprint, gripping(contact, &normal, self.parameters.friction))))
     }
 
-    fn under(&self, at: &Point3<f64>, tip: &TipShape, force: f64) -> Option<Footprint> {
-        let Parameters { elastomer, rings, .. } = &self.parameters;
-        let modulus = self.parameters.modulus();
-        match *tip {
+    /// What a tip does that presses with `force` \[N\]; a flat punch is taken to stand straight. The inner error is that of a tip which meets
+    /// nothing.
+    fn under(
+        &self,
+        at: &Point3<f64>,
+        tip: &Tip,
+        force: f64,
+    ) -> Result<Result<Footprint, MechanicsError>, ModelError> {
+        let Parameters { elastomer, rings, stiffness, .. } = &self.parameters;
+        let thumb = &elastomer.thumb;
+        Ok(match tip.shape {
             TipShape::Sphere { diameter } => {
-                Some(Footprint::of_sphere(&elastomer.thumb, rings, at, [diameter, force, modulus]))
+                Ok(Footprint::of_sphere(thumb, rings, at, [diameter, force, self.parameters.modulus()]))
             }
-            TipShape::FlatPunch { diameter } => {
-                Some(Footprint::of_punch(&elastomer.thumb, rings, at, diameter))
-            }
-            _ => None,
-        }
+            TipShape::FlatPunch { diameter } => Ok(Footprint::of_punch(thumb, rings, at, diameter)),
+            _ => Footprint::of_tip((thumb, rings, self.basis()?), at, tip, [force, *stiffness]),
+        })
     }
 
     /// Displacements of the inside.
@@ -442,8 +448,11 @@ impl ForwardModel for ThumbModel {
         if !(0.0..=STRONGEST).contains(&force) {
             return None;
         }
-        let footprint = self.under(at, tip, force)?;
+        if force == 0.0 {
+            return Some(0.0);
+        }
         let (_, normal) = self.surface.project(at);
+        let footprint = self.under(at, &Tip::standing(*tip, &normal), force).ok()?.ok()?;
         let give =
             self.basis().ok()?.mean_give(&footprint.shares, &(normal * (-force / self.parameters.stiffness)));
         Some(give + footprint.height)

@@ -347,15 +347,76 @@ fn noise_is_what_it_was_asked_to_be_and_another_each_time() {
     assert!((difference(&a, &clean) * 2f64.sqrt() / both - 1.0).abs() < 0.1);
 }
 
+/// Root mean square distances \[m\] of a contact's force from its middle, along and across the tip's own x.
+fn spread(model: &ThumbModel, contact: &Indentation) -> [f64; 2] {
+    let (footprint, _) = model.footprint(0, contact).unwrap().unwrap();
+    let places = model.parameters().rings.places();
+    let own = |point: usize| {
+        let (p, _) = model.parameters().elastomer.thumb.point(places[point][0], places[point][1], 0.0);
+        contact.tip.orientation.inverse_transform_vector(&(p - contact.position))
+    };
+    let mean =
+        |of: &dyn Fn(Vector3<f64>) -> f64| footprint.shares.iter().map(|(p, w)| of(own(*p)) * w).sum::<f64>();
+    let middle = [mean(&|v| v.x), mean(&|v| v.y)];
+    [mean(&|v| (v.x - middle[0]).powi(2)).sqrt(), mean(&|v| (v.y - middle[1]).powi(2)).sqrt()]
+}
+
 #[test]
-fn tips_of_other_shapes_are_refused_with_those_that_are_known() {
+fn tips_of_any_shape_press_where_their_faces_are() {
+    let text = SMALL.replace("spacing = 0.005", "spacing = 0.002");
+    let model = ThumbModel::new(&skin(&text)).unwrap();
+    let contact = press(&model, 0.03, 2.0, 1.0, 0.0);
+    let normal = model.surface().project(&contact.position).1;
+    let with = |shape: TipShape, turn: f64| {
+        let mut contact = contact.clone();
+        contact.tip = Tip::standing(shape, &normal);
+        contact.tip.orientation *= nalgebra::UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        contact
+    };
+    let wedge = TipShape::Wedge { angle: 1.0, length: 0.012 };
+    for turn in [0.0, 0.8, std::f64::consts::FRAC_PI_2] {
+        // A sharp edge: its force lies along it, whichever way it is turned.
+        let [along, across] = spread(&model, &with(wedge, turn));
+        assert!(along > 1.8 * across, "{turn}: {along} {across}");
+    }
+    let square = spread(&model, &with(TipShape::Box { size: [0.008, 0.008] }, 0.0));
+    let long = spread(&model, &with(TipShape::Box { size: [0.016, 0.004] }, 0.0));
+    assert!(long[0] > 1.3 * square[0] && long[1] < 0.8 * square[1], "{long:?} {square:?}");
+    // Blunter tips of one force sink in less deeply, and deeper ones bear more.
+    let at = &contact.position;
+    let depth = |shape: TipShape, force: f64| model.depth_of_tip(at, &shape, force).unwrap();
+    let [sharp, blunt] = [0.6, 2.6].map(|angle| depth(TipShape::Wedge { angle, length: 0.012 }, 1.0));
+    assert!(sharp > 1.2 * blunt, "{sharp} {blunt}");
+    let rod = TipShape::Cylinder { diameter: 0.004, length: 0.010 };
+    let force = model.force_of_tip(at, &rod, depth(rod, 0.7)).unwrap();
+    assert!((force - 0.7).abs() < 0.01, "{force}");
+    // All of the force is there, and pictures differ by shape.
+    let read = |shape| {
+        let mut out = vec![0.0; model.channels()];
+        model.response(&touched(vec![with(shape, 0.0)]), &mut out).unwrap();
+        out
+    };
+    let [triangle, hexagon] = [3, 6].map(|sides| read(TipShape::Polygon { sides, diameter: 0.012 }));
+    let untouched = {
+        let mut out = vec![0.0; model.channels()];
+        model.response(&Stimulus::default(), &mut out).unwrap();
+        out
+    };
+    assert!(rms(&triangle, &hexagon) > 0.03 * rms(&triangle, &untouched), "a triangle looks like a hexagon");
+    let (footprint, force) = model.footprint(0, &with(wedge, 0.3)).unwrap().unwrap();
+    let sum: f64 = footprint.shares.iter().map(|(_, w)| w).sum();
+    assert!((sum - 1.0).abs() < 1e-9 && (force.norm() - 1.0).abs() < 1e-9, "{sum} {force}");
+}
+
+#[test]
+fn tips_that_look_away_are_refused() {
     let model = ThumbModel::new(&small(vec![])).unwrap();
     let mut contact = press(&model, 0.03, 2.0, 0.4, 0.0);
-    contact.tip.shape = TipShape::FlatPunch { diameter: 0.004 };
-    assert!(model.response(&touched(vec![contact.clone()]), &mut vec![0.0; model.channels()]).is_ok());
-    contact.tip.shape = TipShape::Box { size: [0.01, 0.01] };
+    let normal = model.surface().project(&contact.position).1;
+    contact.tip = Tip::standing(TipShape::Box { size: [0.002, 0.002] }, &normal);
+    contact.tip.orientation *= nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 3.0);
     let error = model.response(&touched(vec![contact]), &mut vec![0.0; model.channels()]).unwrap_err();
-    assert!(error.to_string().contains("box") && error.to_string().contains("flat-punch"), "{error}");
+    assert!(error.to_string().contains("box") && error.to_string().contains("looks away"), "{error}");
 }
 
 #[test]
