@@ -14,10 +14,10 @@ mod trends;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use dermis_learn::cli::Labels;
-use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns};
-use dermis_skin::{Rated, SkinDescription, Surface};
+use dermis_model::{ForwardModel, Indentation, Stimulus, TipShape, Unknowns};
+use dermis_skin::{Rated, SkinDescription, Surface, TipKind};
 use dermis_theory::resolution::{Testbed, on_surface};
 use dermis_theory::{
     BandBox, Isoline, Line, LineStudy, Responses, StudyOptions, Summary, SurfaceBound, TwoContacts,
@@ -56,9 +56,12 @@ pub struct Request {
     /// Pressing force [N]; may be repeated. Those that the skin is rated for where absent.
     #[arg(long)]
     pub force: Vec<f64>,
-    /// Diameter of the tip [m], a ball; that which the skin is rated for where absent.
+    /// Diameter of the tip [m]; that which the skin is rated for where absent.
     #[arg(long)]
     pub diameter: Option<f64>,
+    /// End of the tip; that which the skin is rated for where absent. Isolines are always those of a ball.
+    #[arg(long, value_enum)]
+    pub tip: Option<TipChoice>,
     /// Shear is unknown, too; otherwise the contact is known to press along the normal.
     #[arg(long, conflicts_with = "line")]
     pub shear: bool,
@@ -85,6 +88,7 @@ impl Default for Request {
             skin: PathBuf::new(),
             force: Vec::new(),
             diameter: None,
+            tip: None,
             shear: false,
             line: false,
             bag: Vec::new(),
@@ -105,13 +109,48 @@ impl Request {
             request.force = rated.ladder();
         }
         request.diameter.get_or_insert(rated.diameter);
+        request.tip.get_or_insert(rated.tip.into());
         request
+    }
+
+    /// What presses.
+    #[must_use]
+    pub fn tip(&self) -> TipShape {
+        TipShape::of_kind(self.tip.unwrap_or(TipChoice::Sphere).into(), self.diameter())
     }
 
     /// \[m\] of the tip.
     #[must_use]
     pub fn diameter(&self) -> f64 {
         self.diameter.unwrap_or_else(|| Rated::default().diameter)
+    }
+}
+
+/// [`TipKind`], as the command line says it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TipChoice {
+    /// A ball.
+    Sphere,
+    /// The flat end of a round rod.
+    FlatPunch,
+}
+
+impl From<TipKind> for TipChoice {
+    fn from(kind: TipKind) -> Self {
+        match kind {
+            TipKind::Sphere => Self::Sphere,
+            TipKind::FlatPunch => Self::FlatPunch,
+        }
+    }
+}
+
+impl From<TipChoice> for TipKind {
+    fn from(choice: TipChoice) -> Self {
+        match choice {
+            TipChoice::Sphere => Self::Sphere,
+            TipChoice::FlatPunch => Self::FlatPunch,
+        }
     }
 }
 
@@ -232,7 +271,7 @@ pub fn bound(options: &Request, families: &Families, progress: &dyn Progress) ->
     if let Some(model) = &model {
         let bands = unknowns == Unknowns::Normal && reason.is_none();
         (maps, boxes) = over_all_forces(model.as_ref(), options, (unknowns, bands), progress)?;
-        pairs = pairs_of(model.as_ref(), middle, options.diameter(), unknowns)?;
+        pairs = pairs_of(model.as_ref(), middle, options.tip(), unknowns)?;
     }
     let feet = feet(&skin, &surface);
     let mut distinguishable = Vec::new();
@@ -293,11 +332,11 @@ fn over_all_forces(
     let (mut maps, mut boxes) = (Vec::new(), Vec::new());
     for (i, &force) in options.force.iter().enumerate() {
         if bands {
-            let (map, bands) = over_surface_and_bands(model, force, options.diameter(), unknowns)?;
+            let (map, bands) = over_surface_and_bands(model, force, options.tip(), unknowns)?;
             maps.push(map);
             boxes.push(bands);
         } else {
-            maps.push(over_surface(model, force, options.diameter(), unknowns)?);
+            maps.push(over_surface(model, force, options.tip(), unknowns)?);
         }
         progress.at(0.3 * (i + 1) as f64 / options.force.len() as f64);
     }
@@ -453,12 +492,12 @@ fn middle_of(surface: &Surface) -> Point3<f64> {
 fn pairs_of(
     model: &dyn ForwardModel,
     force: f64,
-    diameter: f64,
+    tip: TipShape,
     unknowns: Unknowns,
 ) -> Result<Vec<TwoContacts>> {
     let middle = middle_of(model.surface());
     let width = model.surface().points.iter().map(|p| (p.x - middle.x).abs()).fold(0.0, f64::max) * 2.0;
-    let step = LEAST_STEP.max(diameter / 4.0);
+    let step = LEAST_STEP.max(tip.extent() / 4.0);
     let distances: Vec<f64> = DISTANCES.map(|steps| f64::from(steps) * step).filter(|d| *d < width).collect();
-    Ok(two_contacts(model, &middle, &distances, force, diameter, unknowns)?)
+    Ok(two_contacts(model, &middle, &distances, force, tip, unknowns)?)
 }

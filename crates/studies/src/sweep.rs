@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum as _};
 use dermis_figures::short;
-use dermis_model::{ForwardModel, Unknowns, WithNoise};
+use dermis_model::{ForwardModel, TipShape, Unknowns, WithNoise};
 use dermis_skin::{SkinDescription, SurfaceSpec};
 use dermis_theory::resolution::{along_line, on_surface};
 use dermis_theory::{Responses, Summary, force_ladder, over_surface};
@@ -215,7 +215,8 @@ fn varied(
 fn figures(skin: &SkinDescription, model: &dyn ForwardModel, options: &Request) -> Result<Figures> {
     let surface = model.surface();
     let unknowns = if options.line { Unknowns::Line } else { Unknowns::Normal };
-    let map = over_surface(model, options.force, options.diameter, unknowns)?;
+    let tip = TipShape::of_kind(skin.rated_press().tip, options.diameter);
+    let map = over_surface(model, options.force, tip, unknowns)?;
     let noise = model.noise().iter().copied().fold(0.0, f64::max);
     let least = skin.condition.contact_threshold * noise;
     let needed = if options.line { 2 } else { 3 };
@@ -322,7 +323,7 @@ mod tests {
         }
         let request = Request { force: 0.5, diameter: 0.004, line: false, ..Request::default() };
         let found = figures(&skin, &model, &request).unwrap();
-        let map = over_surface(&model, 0.5, 0.004, Unknowns::Normal).unwrap();
+        let map = over_surface(&model, 0.5, TipShape::Sphere { diameter: 0.004 }, Unknowns::Normal).unwrap();
         let all: f64 = model.surface.areas.iter().sum();
         let of = |areas: &dyn Fn(usize) -> f64| {
             let rms = |k: usize| {

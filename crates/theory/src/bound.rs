@@ -179,7 +179,7 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     use dermis_fixtures::Analytic;
-    use dermis_model::Indentation;
+    use dermis_model::{Indentation, TipShape};
 
     use super::*;
     use crate::over_surface_and_bands;
@@ -302,8 +302,13 @@ mod tests {
     #[test]
     fn boxes_over_a_surface_are_those_of_each_point() {
         let model = shifted(grid());
-        let (map, boxes) = over_surface_and_bands(&model, 0.7, 0.004, Unknowns::Normal).unwrap();
-        assert_eq!(map, crate::over_surface(&model, 0.7, 0.004, Unknowns::Normal).unwrap());
+        let (map, boxes) =
+            over_surface_and_bands(&model, 0.7, TipShape::Sphere { diameter: 0.004 }, Unknowns::Normal)
+                .unwrap();
+        assert_eq!(
+            map,
+            crate::over_surface(&model, 0.7, TipShape::Sphere { diameter: 0.004 }, Unknowns::Normal).unwrap()
+        );
         for (at, found) in model.surface().points.iter().zip(&boxes) {
             let contact = Stimulus { contacts: vec![press(at.x, at.y, 0.7)], ..Stimulus::default() };
             assert_eq!(*found, strongest_bands(&model, &contact, Unknowns::Normal).unwrap());

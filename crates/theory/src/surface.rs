@@ -1,7 +1,7 @@
 //! The bound over a whole skin, and of two contacts that come ever closer.
 
-use dermis_model::{ForwardModel, Indentation, Stimulus, Unknowns, Untouched, tangents};
-use nalgebra::Point3;
+use dermis_model::{ForwardModel, Indentation, Stimulus, Tip, TipShape, Unknowns, Untouched, tangents};
+use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
 use crate::bound::{Derivatives, bands, bounds, derivatives};
@@ -12,7 +12,7 @@ use crate::{BandBox, ContactBound, TheoryError, cramer_rao};
 pub struct SurfaceBound {
     /// \[N\] pressing force.
     pub force: f64,
-    /// \[m\] diameter of the tip.
+    /// \[m\] diameter of the tip, or its widest extent.
     pub diameter: f64,
     /// One for each point of the surface, in their order.
     pub bounds: Vec<ContactBound>,
@@ -68,20 +68,20 @@ pub(crate) fn positive(quantity: &'static str, value: f64) -> Result<f64, Theory
     }
 }
 
-/// Bounds one contact that presses with `force` \[N\] and a tip of `diameter` \[m\], at every point of the skin.
+/// Bounds one contact that presses straight with `force` \[N\] and this tip, at every point of the skin.
 ///
 /// # Errors
 ///
-/// As [`cramer_rao`], and where force or diameter are not positive.
+/// As [`cramer_rao`], where force or tip are not positive, and where the model does not know such a tip.
 pub fn over_surface(
     model: &dyn ForwardModel,
     force: f64,
-    diameter: f64,
+    tip: TipShape,
     unknowns: Unknowns,
 ) -> Result<SurfaceBound, TheoryError> {
     let each = |derivatives: &Derivatives, _: &Stimulus| Ok(bounds(derivatives, unknowns)[0]);
-    let bounds = at_every_point(model, force, diameter, unknowns, each)?;
-    Ok(SurfaceBound::of(model, force, diameter, bounds))
+    let bounds = at_every_point(model, force, tip, unknowns, each)?;
+    Ok(SurfaceBound::of(model, force, tip.extent(), bounds))
 }
 
 /// [`over_surface`], and the box of the [strongest bands](crate::strongest_bands) at every point: from the same derivatives.
@@ -92,7 +92,7 @@ pub fn over_surface(
 pub fn over_surface_and_bands(
     model: &dyn ForwardModel,
     force: f64,
-    diameter: f64,
+    tip: TipShape,
     unknowns: Unknowns,
 ) -> Result<(SurfaceBound, Vec<BandBox>), TheoryError> {
     let untouched = Untouched::of(model)?;
@@ -102,29 +102,34 @@ pub fn over_surface_and_bands(
         untouched.subtract(&mut signal);
         Ok((bounds(derivatives, unknowns)[0], bands(derivatives, &signal, unknowns)))
     };
-    let (bounds, bands) = at_every_point(model, force, diameter, unknowns, each)?.into_iter().unzip();
-    Ok((SurfaceBound::of(model, force, diameter, bounds), bands))
+    let (bounds, bands) = at_every_point(model, force, tip, unknowns, each)?.into_iter().unzip();
+    Ok((SurfaceBound::of(model, force, tip.extent(), bounds), bands))
 }
 
 /// What `of` makes of the derivatives for one contact at every point of a skin.
 fn at_every_point<T>(
     model: &dyn ForwardModel,
     force: f64,
-    diameter: f64,
+    tip: TipShape,
     unknowns: Unknowns,
     mut of: impl FnMut(&Derivatives, &Stimulus) -> Result<T, TheoryError>,
 ) -> Result<Vec<T>, TheoryError> {
     positive("force [N]", force)?;
-    positive("diameter of the tip [m]", diameter)?;
+    positive("diameter of the tip [m]", tip.extent())?;
     let surface = model.surface();
     let points = surface.points.iter().zip(&surface.normals);
     points
         .map(|(position, normal)| {
-            let contact = Indentation::sphere(*position, -normal * force, diameter);
+            let contact = straight(*position, normal, force, tip);
             let stimulus = Stimulus { contacts: vec![contact], ..Stimulus::default() };
             of(&derivatives(model, &stimulus, unknowns)?, &stimulus)
         })
         .collect()
+}
+
+/// A tip that stands straight on the skin.
+fn straight(position: Point3<f64>, normal: &Vector3<f64>, force: f64, tip: TipShape) -> Indentation {
+    Indentation { position, force: -normal * force, tip: Tip::standing(tip, normal) }
 }
 
 impl SurfaceBound {
@@ -164,11 +169,11 @@ pub fn two_contacts(
     centre: &Point3<f64>,
     distances: &[f64],
     force: f64,
-    diameter: f64,
+    tip: TipShape,
     unknowns: Unknowns,
 ) -> Result<Vec<TwoContacts>, TheoryError> {
     positive("force [N]", force)?;
-    positive("diameter of the tip [m]", diameter)?;
+    positive("diameter of the tip [m]", tip.extent())?;
     let surface = model.surface();
     let (middle, normal) = surface.project(centre);
     let [along, _] = tangents(&normal);
@@ -178,7 +183,7 @@ pub fn two_contacts(
             positive("distance of two contacts [m]", distance)?;
             let contacts = [0.5, -0.5].map(|side| {
                 let (position, normal) = surface.project(&(middle + along * (side * distance)));
-                Indentation::sphere(position, -normal * force, diameter)
+                straight(position, &normal, force, tip)
             });
             let stimulus = Stimulus { contacts: contacts.to_vec(), ..Stimulus::default() };
             let bounds = cramer_rao(model, &stimulus, unknowns)?;
@@ -198,6 +203,8 @@ pub fn two_contacts(
 mod tests {
     use super::*;
 
+    const BALL: TipShape = TipShape::Sphere { diameter: 0.004 };
+
     #[test]
     fn summaries_weigh_by_area() {
         let summary = Summary::of([1.0, 2.0, 10.0].into_iter(), &[1.0, 8.0, 1.0]);
@@ -209,11 +216,11 @@ mod tests {
     #[test]
     fn points_of_a_surface_count_with_their_area() {
         let mut model = crate::testing::grid();
-        let even = over_surface(&model, 0.7, 0.004, Unknowns::Normal).unwrap();
+        let even = over_surface(&model, 0.7, BALL, Unknowns::Normal).unwrap();
         for (point, area) in model.surface.points.iter().zip(&mut model.surface.areas) {
             *area *= if point.x.hypot(point.y) > 0.015 { 5.0 } else { 1.0 };
         }
-        let uneven = over_surface(&model, 0.7, 0.004, Unknowns::Normal).unwrap();
+        let uneven = over_surface(&model, 0.7, BALL, Unknowns::Normal).unwrap();
         assert_eq!(even.bounds, uneven.bounds);
         let all: f64 = model.surface.areas.iter().sum();
         let weighed = uneven.bounds.iter().zip(&model.surface.areas);

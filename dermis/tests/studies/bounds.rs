@@ -1,4 +1,4 @@
-use dermis_model::Unknowns;
+use dermis_model::{TipShape, Unknowns};
 use dermis_report::bounds as report;
 use dermis_skin::SkinDescription;
 use dermis_studies::Unwatched;
@@ -52,9 +52,13 @@ fn the_row_is_bounded_as_a_prototype_found() {
     for (interval, expected) in edges.windows(2).zip(expected) {
         let forces: Vec<f64> =
             (0..8).map(|i| interval[0] + (interval[1] - interval[0]) * (f64::from(i) + 0.5) / 8.0).collect();
-        let squares = forces
-            .iter()
-            .map(|f| over_surface(model.as_ref(), *f, 0.004, Unknowns::Line).unwrap().position.rms.powi(2));
+        let squares = forces.iter().map(|f| {
+            over_surface(model.as_ref(), *f, TipShape::Sphere { diameter: 0.004 }, Unknowns::Line)
+                .unwrap()
+                .position
+                .rms
+                .powi(2)
+        });
         let rms = (squares.sum::<f64>() / forces.len() as f64).sqrt() * 1e3;
         assert!((rms / expected - 1.0).abs() < 0.35, "{interval:?} N: {rms:.4} mm, not {expected}");
     }
@@ -100,7 +104,8 @@ fn a_panel_is_bounded_without_isolines() {
     assert!((1e-4..0.1).contains(&medians[1]), "{medians:?}");
     let text = report::text(&findings);
     assert!(
-        text.contains("tip of 20 mm") && text.contains("isolines are not studied: the channels are coupled"),
+        text.contains("flat tip of 20 mm")
+            && text.contains("isolines are not studied: the channels are coupled"),
         "{text}"
     );
     assert!(!text.contains("NaN") && !text.contains("σ_S"), "{text}");

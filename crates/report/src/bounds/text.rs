@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use dermis_studies::bounds::{Findings, INTERVALS, alphas, by_interval, median};
+use dermis_studies::bounds::{Findings, INTERVALS, TipChoice, alphas, by_interval, median};
 use dermis_theory::{Averages, ByForce, LineStudy};
 
 /// Millimetres, as few digits as say something.
@@ -99,8 +99,9 @@ fn bounds(out: &mut String, findings: &Findings) {
     let options = &findings.request;
     let _ = writeln!(
         out,
-        "{}: least error of one contact from one frame (Cramér–Rao), tip of {} mm, over the surface\n",
+        "{}: least error of one contact from one frame (Cramér–Rao), {}tip of {} mm, over the surface\n",
         findings.skin.name,
+        if options.tip == Some(TipChoice::FlatPunch) { "flat " } else { "" },
         options.diameter() * 1e3
     );
     let mut rows = vec![

@@ -54,6 +54,7 @@ pub fn summary(findings: &Findings) -> Value {
     json!({
         "skin": findings.skin.name,
         "channels": findings.skin.channels().len(),
+        "tip": findings.request.tip().name(),
         "diameter_m": findings.request.diameter(),
         "unknowns": findings.unknowns,
         "isolines_from": findings.source.describe(),

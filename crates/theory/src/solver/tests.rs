@@ -1,5 +1,5 @@
 use dermis_fixtures::Analytic;
-use dermis_model::Unknowns;
+use dermis_model::{TipShape, Unknowns};
 use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
@@ -122,7 +122,10 @@ fn three_taxels_beat_two_in_an_elastic_layer_where_crossings_are_weighted() {
         let of = |solver: &IsolineSolver, taxels| errors(&model, solver, &places, force, taxels, 20.0).0;
         let (two, three) = (of(&weighted, 2), of(&weighted, 3));
         assert!(three < two, "{force} N: {three} {two}");
-        let bound = over_surface(&model, force, 0.004, Unknowns::Line).unwrap().position.rms;
+        let bound = over_surface(&model, force, TipShape::Sphere { diameter: 0.004 }, Unknowns::Line)
+            .unwrap()
+            .position
+            .rms;
         assert!(three > 0.9 * bound && two < 1.15 * bound, "{force} N: {three} {two}, bound {bound}");
         // Two taxels on the same side of a contact have nearly parallel isolines here: what the thesis averages spoils it.
         assert!(of(&plain, 3) > 2.0 * two);

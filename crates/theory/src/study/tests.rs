@@ -1,6 +1,6 @@
 use approx::assert_relative_eq;
 use dermis_fixtures::Analytic;
-use dermis_model::{ForwardModel, Unknowns};
+use dermis_model::{ForwardModel, TipShape, Unknowns};
 
 use super::*;
 use crate::testing::{dome, grid, row, thesis_row, toy};
@@ -45,7 +45,10 @@ fn the_row_of_the_thesis() {
     let least = |x: f64| study.minimum_force[((x + 0.01625) / 1.25e-4).round() as usize].unwrap();
     assert!(least(0.0) < least(0.00325) && least(-0.01625) > least(0.0));
     for by in &study.by_force {
-        let bound = over_surface(&model, by.force, 0.004, Unknowns::Line).unwrap().position.rms;
+        let bound = over_surface(&model, by.force, TipShape::Sphere { diameter: 0.004 }, Unknowns::Line)
+            .unwrap()
+            .position
+            .rms;
         assert_relative_eq!(by.bound.unwrap().position_rms, bound, max_relative = 0.05);
         let (fits, corners) = (by.fits.unwrap(), by.corners.unwrap());
         assert!((0.2..5.0).contains(&(fits.position / corners.position)), "{by:?}");
