@@ -1,4 +1,5 @@
-//! How fast the soft thumb's forward model makes pictures, noise included, and how untouched ones compare to real frames.
+//! How fast the soft thumb's forward model makes pictures, noise included, beside a renderer that others wrote, and how untouched ones
+//! compare to real frames.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -11,7 +12,9 @@ use dermis_skin::SkinDescription;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
+use zune_jpeg::zune_core::bytestream::ZCursor;
 
+use crate::peers;
 use crate::sampling::{capture, sample};
 
 /// Stimuli that are sampled again and again.
@@ -25,6 +28,9 @@ const MARGIN: f64 = 0.004;
 const SIZES: [[i64; 2]; 2] = [[410, 308], [1640, 1232]];
 /// Recorded frames: untouched, by all lamps, and touched.
 const FRAMES: [&str; 3] = ["dataflow_reference.jpg", "imaging_all_leds.jpg", "dataflow_contact_pinch.jpg"];
+/// Pictures of the peer, and \[mm\] by which its balls sink into its gel.
+const PEER_PRESSES: usize = 24;
+const PEER_DEPTHS: std::ops::Range<f64> = 0.2..1.0;
 /// Bytes from which a value counts as saturated: 0.98 of full scale.
 const SATURATED: u8 = 250;
 
@@ -34,6 +40,9 @@ pub struct Options {
     /// Folder of recorded frames; leaves the comparison out where absent.
     #[arg(long)]
     frames: Option<PathBuf>,
+    /// Python with Taxim and JAX; leaves the peer out where absent.
+    #[arg(long)]
+    peer_python: Option<PathBuf>,
     /// Root of the repository.
     #[arg(long, default_value = ".")]
     root: PathBuf,
@@ -91,10 +100,47 @@ pub fn run(options: &Options) -> Result<Value> {
         let mean = idle.iter().zip(&pinch).map(square).sum::<f64>() / idle.len() as f64;
         statistics.insert("difference of the recorded pinch".to_owned(), json!(mean.sqrt() / 255.0));
     }
-    Ok(json!({
+    let mut result = json!({
         "skin": "insight-thumb", "contacts": "one to three", "threads": options.threads, "basis_s": basis,
         "sizes": sizes, "looks": statistics,
-    }))
+    });
+    if let Some(python) = &options.peer_python {
+        let peers = beside(python, options)?;
+        let [ours, theirs] = [&result["sizes"][0], &peers[0]].map(megapixels);
+        result["times_the_pixels_of_peer"] = json!(ours / theirs);
+        result["peers"] = json!(peers);
+    }
+    Ok(result)
+}
+
+/// A renderer of another sensor: it takes the shape of its flat gel from the ball alone, and the shading of each pixel from a table of
+/// slopes, where ours moves an elastomer and follows eight lamps. So only their pixels per second can be compared.
+fn beside(python: &Path, options: &Options) -> Result<Vec<Value>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut press =
+        || [rng.random_range(0.1..0.9), rng.random_range(0.1..0.9), rng.random_range(PEER_DEPTHS)];
+    let presses: Vec<Vec<[f64; 3]>> =
+        (0..PEER_PRESSES).map(|i| (0..=i % 3).map(|_| press()).collect()).collect();
+    let data = json!({ "diameter": DIAMETER * 1e3, "presses": presses });
+    let Options { root, seconds, threads, .. } = options;
+    let peers =
+        peers::Run { python, root, seconds: *seconds, threads: *threads }.answers("taxim_peer.py", &data)?;
+    for peer in &peers {
+        let number = |name: &str| peer[name].as_f64().unwrap_or(f64::NAN);
+        let name = peer["name"].as_str().unwrap_or_default();
+        eprintln!(
+            "{name:<34} {:>9.2} pictures/s, {:>9.2} by CPU time",
+            number("pictures_per_s"),
+            number("pictures_by_cpu_time")
+        );
+    }
+    Ok(peers)
+}
+
+/// Millions of pixels a second by CPU time: what else runs on the machine meets both alike.
+fn megapixels(of: &Value) -> f64 {
+    let number = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
+    number(&of["size"][0]) * number(&of["size"][1]) * number(&of["pictures_by_cpu_time"]) * 1e-6
 }
 
 /// The thumb that ships, with pictures of another size.
@@ -126,8 +172,9 @@ fn stimulus(model: &ThumbModel, rng: &mut ChaCha8Rng) -> Stimulus {
 
 /// Three bytes a pixel.
 fn frame(path: &Path) -> Result<Vec<u8>> {
-    let image = image::open(path).with_context(|| format!("{} cannot be read", path.display()))?;
-    Ok(image.to_rgb8().into_raw())
+    let jpeg = std::fs::read(path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let decoded = zune_jpeg::JpegDecoder::new(ZCursor::new(&jpeg)).decode();
+    decoded.with_context(|| format!("{} is no JPEG that can be read", path.display()))
 }
 
 /// Mean of each colour, and the share of values that are saturated and dark.

@@ -184,7 +184,7 @@ fn measure(options: &Options, mut device: Device, model: &Path, domain: u16) -> 
 }
 
 /// Latency of all that was answered, and of what holds contacts. `seen` is in the order of its frames, one of each.
-fn summary(seen: &[Arrival], sent: &[i64], frames: u64, rate: f64, cores: f64) -> Value {
+pub fn summary(seen: &[Arrival], sent: &[i64], frames: u64, rate: f64, cores: f64) -> Value {
     let latency = |of: &dyn Fn(&&Arrival) -> bool| {
         let took = |a: &Arrival| Some((a.received_ns - sent.get(a.sequence as usize)?) as f64 * 1e-6);
         let mut ms: Vec<f64> = seen.iter().filter(of).filter_map(took).collect();
@@ -207,7 +207,8 @@ fn summary(seen: &[Arrival], sent: &[i64], frames: u64, rate: f64, cores: f64) -
     })
 }
 
-fn table(rows: &[Value], rate: f64) {
+/// Prints such summaries as a table.
+pub fn table(rows: &[Value], rate: f64) {
     eprintln!(
         "\n{:<28} {:>8} {:>8} {:>9} {:>15} {:>15} {:>12} {:>7}",
         "bundle", "p50 ms", "p99 ms", "max ms", "touched p50 ms", "touched p99 ms", "passed over", "cores"

@@ -19,6 +19,7 @@ mod shell;
 mod soak;
 mod start;
 mod subscriber;
+mod thumb;
 
 use std::path::PathBuf;
 
@@ -61,6 +62,8 @@ enum Command {
     /// The node of the limb at its rate, by the bundles that look for one and for two contacts: latency, frames without an answer,
     /// CPU time.
     Limb(limb::Options),
+    /// The node of the soft thumb at its camera's rate, with one and with two contacts: frames answered per second, latency, CPU time.
+    Thumb(thumb::Options),
     /// How soon contacts are known after a node was started, with an empty and with a warm cache.
     Start(start::Options),
     /// What publishing costs, with and without a subscriber.
@@ -91,6 +94,7 @@ fn main() -> Result<()> {
         Command::Fusion(options) => fusion::run(&options)?,
         Command::Gap(options) => gap::run(&options)?,
         Command::Limb(options) => limb::run(&options)?,
+        Command::Thumb(options) => thumb::run(&options)?,
         Command::Start(options) => start::run(&options)?,
         Command::Publish(options) => publish::run(&options)?,
         Command::Soak(options) => soak::run(&options)?,

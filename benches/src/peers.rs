@@ -1,4 +1,4 @@
-//! Peers in Python that compute the same as ours.
+//! Peers in Python.
 
 use std::path::Path;
 use std::process::Command;
@@ -19,9 +19,21 @@ pub struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// What the peers of `benches/python/<script>` say of themselves, given `data`. Each names its `deviation` from ours, which may be
+    /// As [`answers`](Self::answers), of peers that compute the same as ours: each names its `deviation` from that, which may be
     /// `deviation` at most.
     pub fn of(&self, script: &str, data: &Value, deviation: f64) -> Result<Vec<Value>> {
+        let peers = self.answers(script, data)?;
+        for peer in &peers {
+            // A peer that computes something else is none.
+            if peer["deviation"].as_f64().is_none_or(|d| d > deviation) {
+                bail!("what a peer computes is not ours: {peer}");
+            }
+        }
+        Ok(peers)
+    }
+
+    /// What the peers of `benches/python/<script>` say of themselves, given `data`.
+    pub fn answers(&self, script: &str, data: &Value) -> Result<Vec<Value>> {
         let folder = tempfile::tempdir()?;
         let file = folder.path().join("data.json");
         std::fs::write(&file, data.to_string())?;
@@ -36,14 +48,6 @@ impl Run<'_> {
         if !out.status.success() {
             bail!("a peer failed: {}", String::from_utf8_lossy(&out.stderr));
         }
-        let peers: Vec<Value> =
-            serde_json::from_slice(&out.stdout).context("the peers printed something else")?;
-        for peer in &peers {
-            // A peer that computes something else is none.
-            if peer["deviation"].as_f64().is_none_or(|d| d > deviation) {
-                bail!("what a peer computes is not ours: {peer}");
-            }
-        }
-        Ok(peers)
+        serde_json::from_slice(&out.stdout).context("the peers printed something else")
     }
 }

@@ -23,13 +23,15 @@ pub enum Name {
     Shell,
     /// Frames per second of the panel of fabric, against scipy and pyEIT.
     Ert,
-    /// Pictures per second of the soft thumb; beside real frames where `DERMIS_DATA` names the folder of the recordings.
+    /// Pictures per second of the soft thumb, against Taxim; beside real frames where `DERMIS_DATA` names the folder of the recordings.
     Insight,
     Fusion,
     /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
     Gap,
     /// The node of the limb at its rate, by the bundles for one and for two contacts.
     Limb,
+    /// The node of the soft thumb at its camera's rate.
+    Thumb,
     /// Publishing with and without a subscriber.
     Publish,
     /// Recording, against the disk.
@@ -63,6 +65,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                 Name::Node,
                 Name::Reflex,
                 Name::Limb,
+                Name::Thumb,
                 Name::Publish,
                 Name::Recording,
             ]
@@ -100,7 +103,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             }
         } else {
             command.arg(text);
-            if name == Name::Limb {
+            if matches!(name, Name::Limb | Name::Thumb) {
                 command.arg("--programs").arg(&programs);
             }
             if matches!(name, Name::Model | Name::Fusion) {
@@ -112,10 +115,14 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                     Err(why) => eprintln!("scipy and pyEIT are left out, they cannot be installed: {why:#}"),
                 }
             }
-            if name == Name::Insight
-                && let Some(data) = std::env::var_os("DERMIS_DATA")
-            {
-                command.arg("--frames").arg(Path::new(&data).join("insight_frames"));
+            if name == Name::Insight {
+                if let Some(data) = std::env::var_os("DERMIS_DATA") {
+                    command.arg("--frames").arg(Path::new(&data).join("insight_frames"));
+                }
+                match environment::taxim(root) {
+                    Ok(python) => _ = command.arg("--peer-python").arg(python),
+                    Err(why) => eprintln!("Taxim is left out, it cannot be installed: {why:#}"),
+                }
             }
             if name == Name::Shell {
                 if let Some(why) = environment::calculix() {

@@ -23,6 +23,30 @@ pub fn clients(root: &Path) -> Result<PathBuf> {
     venv(&home(root).join("clients"), &requirements)
 }
 
+/// Makes sure of what Debian has and ROS 2 messages, r2r and the tests of networks need; where that cannot be installed, the step that
+/// misses something says what. `iproute2` joins network namespaces, `openssl` makes certificates.
+pub fn system_packages() {
+    let runs = |name: &str| Command::new(name).arg("--version").output().is_ok_and(|o| o.status.success());
+    let there = || ["cmake", "g++", "pkg-config"].into_iter().all(runs) && has_libclang();
+    debian(&["cmake", "g++", "pkg-config", "libclang-dev", "python3-dev", "python3-venv"], there);
+    let there = || {
+        let starts = |name: &str, version: &str| Command::new(name).arg(version).output().is_ok();
+        starts("ip", "-V") && starts("openssl", "version")
+    };
+    debian(&["iproute2", "openssl"], there);
+}
+
+/// Whether r2r's build finds the library that reads headers.
+fn has_libclang() -> bool {
+    let holds = |folder: &Path| {
+        let files = fs::read_dir(folder).into_iter().flatten().flatten();
+        files.map(|file| file.file_name()).any(|name| name.to_string_lossy().starts_with("libclang"))
+    };
+    let llvm = fs::read_dir("/usr/lib").into_iter().flatten().flatten();
+    let llvm = llvm.map(|entry| entry.path().join("lib")).filter(|folder| folder.is_dir());
+    std::env::var_os("LIBCLANG_PATH").is_some() || llvm.into_iter().any(|folder| holds(&folder))
+}
+
 /// Chromium, in which pages and figures are looked at; installs it where it may. Says what is not tested without it.
 pub fn chromium() -> Option<String> {
     let there = || Command::new("chromium").arg("--version").output().is_ok_and(|o| o.status.success());
@@ -60,6 +84,11 @@ pub fn cholmod(root: &Path) -> Result<Option<PathBuf>> {
 /// Python with pyEIT, which the panel of fabric is compared with.
 pub fn pyeit(root: &Path) -> Result<PathBuf> {
     venv(&home(root).join("pyeit"), &root.join("benches/python/pyeit.lock.txt"))
+}
+
+/// Python with Taxim, whose pictures are rendered beside those of the soft thumb.
+pub fn taxim(root: &Path) -> Result<PathBuf> {
+    venv(&home(root).join("taxim"), &root.join("benches/python/taxim.lock.txt"))
 }
 
 /// Whether what Debian's `packages` bring is `there`, if need be after installing them.

@@ -64,6 +64,7 @@ fn main() -> Result<()> {
     match Cli::parse().command {
         Command::Test(options) => test::run(&root, &options),
         Command::Setup { no_ros } => {
+            environment::system_packages();
             let clients = environment::clients(&root)?;
             println!("DERMIS_CLIENT_PYTHON={}", clients.display());
             if !no_ros {

@@ -63,8 +63,9 @@ pub enum Measurement {
     /// One to six contacts on the simulated conductive panel, found by inversion of its forward model, beside the Cramér–Rao bound of the
     /// very same frames. Written to benches/results/ert-inversion.json.
     Panel,
-    /// One contact, and one to five at once, on the simulated soft thumb, found by inversion of its forward model, beside the Cramér–Rao
-    /// bound of the very same frames. Written to benches/results/insight-accuracy.json and insight-contacts.json.
+    /// One contact anywhere, on the fovea and by a larger ball than is assumed, and one to five at once, on the simulated soft thumb, found by
+    /// inversion of its forward model, beside the Cramér–Rao bound of the very same frames. Written to benches/results/insight-accuracy.json,
+    /// insight-fovea.json, insight-large-tip.json and insight-contacts.json.
     Insight,
     /// Table 6.6 of the thesis on the simulated soft thumb, reduced: force maps by a network for each of five ways to spread a ball's force.
     /// Written to benches/results/insight-maps.json.

@@ -55,6 +55,10 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         step("formatting", || execute(cargo(root).args(["fmt", "--all", "--check"])))?;
     }
     step("test runner", || environment::subcommand(root, "nextest", "0.9.143"))?;
+    step("system packages", || {
+        environment::system_packages();
+        Ok(())
+    })?;
     skipped.extend(step("CalculiX", || Ok(environment::calculix()))?);
     skipped.extend(step("Chromium", || Ok(environment::chromium()))?);
     let clients = step("Python clients", || environment::clients(root))?;

@@ -12,15 +12,19 @@
 
 pub mod stream;
 
-use std::io::Cursor;
+use std::fmt::Display;
 use std::sync::Arc;
 
 use dermis_sensor::{Decoder, Encoder};
 use dermis_skin::{Frame, Image, PixelFormat};
 use dermis_transport::framing::{DecoderStats, Rejection};
 use dermis_transport::{ClockState, DeviceClock};
-use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
-use image::{ColorType, ExtendedColorType, ImageDecoder};
+use jpeg_encoder::{ColorType, Encoder as JpegEncoder, SamplingFactor};
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::errors::DecodeErrors;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
 
 use crate::optics::Observer;
 use crate::optics::light::COLOURS;
@@ -179,19 +183,20 @@ fn most_bytes([width, height]: [u32; 2]) -> usize {
 
 /// A picture of `size` pixels, or of a whole multiple of them.
 fn decode(jpeg: &[u8], [width, height]: [u32; 2]) -> Result<Image, String> {
-    let wrong = |error: image::ImageError| format!("a picture is no JPEG that can be read: {error}");
-    // Reads the header only.
-    let decoder = JpegDecoder::new(Cursor::new(jpeg)).map_err(wrong)?;
-    let (wide, high) = decoder.dimensions();
-    let times = wide / width.max(1);
-    if decoder.color_type() != ColorType::Rgb8
+    let wrong = |error: DecodeErrors| format!("a picture is no JPEG that can be read: {error}");
+    let options = DecoderOptions::default().set_strict_mode(false);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(jpeg), options);
+    decoder.decode_headers().map_err(wrong)?;
+    let (wide, high) = decoder.info().map_or((0, 0), |info| (u32::from(info.width), u32::from(info.height)));
+    let (times, colours) = (wide / width.max(1), decoder.input_colorspace());
+    if !matches!(colours, Some(ColorSpace::YCbCr | ColorSpace::RGB))
         || !(1..=MULTIPLE).contains(&times)
         || [wide, high] != [width * times, height * times]
     {
+        let colours = colours.map_or_else(|| "of unknown colours".to_owned(), |c| format!("{c:?}"));
         return Err(format!(
-            "a picture has {wide} x {high} pixels ({:?}), and this skin's has {width} x {height} in colour, or a whole multiple of that up \
-             to {MULTIPLE}: set `medium.camera.size`, or the camera",
-            decoder.color_type()
+            "a picture has {wide} x {high} pixels ({colours}), and this skin's has {width} x {height} in colour, or a whole multiple of that up \
+             to {MULTIPLE}: set `medium.camera.size`, or the camera"
         ));
     }
     if matches!(times, 2 | 4 | 8) {
@@ -199,8 +204,7 @@ fn decode(jpeg: &[u8], [width, height]: [u32; 2]) -> Result<Image, String> {
         return Image::new(width, height, PixelFormat::Rgb8, data)
             .ok_or_else(|| "a picture has too few bytes".to_owned());
     }
-    let mut data = vec![0; wide as usize * high as usize * COLOURS];
-    decoder.read_image(&mut data).map_err(wrong)?;
+    let mut data = decoder.decode().map_err(wrong)?;
     if times > 1 {
         data = reduced(&data, [width as usize, height as usize], times as usize);
     }
@@ -252,14 +256,18 @@ impl Encoder for PictureWriter {
     fn encode(&mut self, frame: &Frame, _: u64) -> Result<&[u8], String> {
         let image = frame.image.as_ref().ok_or("sends pictures, and there is none")?;
         let colour = match image.format() {
-            PixelFormat::Rgb8 => ExtendedColorType::Rgb8,
-            PixelFormat::Mono8 => ExtendedColorType::L8,
+            PixelFormat::Rgb8 => ColorType::Rgb,
+            PixelFormat::Mono8 => ColorType::Luma,
         };
+        let wrong = |reason: &dyn Display| format!("cannot make a JPEG of {image:?}: {reason}");
+        let side = |length: u32| u16::try_from(length).map_err(|error| wrong(&error));
+        let [width, height] = [side(image.width())?, side(image.height())?];
         self.bytes.clear();
         self.bytes.extend_from_slice(&[0; HEAD]);
-        JpegEncoder::new_with_quality(&mut self.bytes, QUALITY)
-            .encode(image.data(), image.width(), image.height(), colour)
-            .map_err(|error| format!("cannot make a JPEG of {image:?}: {error}"))?;
+        let mut encoder = JpegEncoder::new(&mut self.bytes, QUALITY);
+        // Every pixel keeps its colour: it is what the picture is measured by.
+        encoder.set_sampling_factor(SamplingFactor::F_1_1);
+        encoder.encode(image.data(), width, height, colour).map_err(|error| wrong(&error))?;
         let length = u32::try_from(self.bytes.len() - HEAD).map_err(|_| "a picture is too large")?;
         self.bytes[..HEAD].copy_from_slice(&length.to_le_bytes());
         Ok(&self.bytes)
