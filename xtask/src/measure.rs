@@ -16,6 +16,8 @@ mod ert;
 mod hapdefx;
 mod insight;
 mod limb;
+mod recorded;
+mod rivals;
 
 /// What can be measured.
 #[derive(Subcommand)]
@@ -30,6 +32,12 @@ pub enum Measurement {
     Force,
     /// Shear along the stroke on a stack of two boards of that skin: import, train on the first part of the trial, evaluate on its end.
     Shear,
+    /// From one recorded run of the magnetic skin to another, and to the end of a run: what `dermis train` chooses of a network, support
+    /// vectors and a Gaussian process, beside each of them alone. Written to benches/results/transfers.json.
+    Transfers,
+    /// The shipped bundles of the barometer skins beside the network of the thesis, tuned regressors on the same frames, and isolines, on
+    /// held-out places of the training bags. Written to benches/results/comparison-line.json, comparison-grid.json and comparison-dome.json.
+    Comparisons,
     /// Localisation on recorded hydrogel skins, one plain and four patterned: import, train on four presses of five, evaluate on the
     /// rest. `DERMIS_E_SKINS` names the folder of the recordings.
     ESkins,
@@ -88,7 +96,7 @@ const GAP_CONTROLS: &str = "50";
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
     let value = match measurement {
         Measurement::ColdBuild => cold_build(root)?,
-        Measurement::Localisation => recorded(root, "position", "spatial_resolution")?,
+        Measurement::Localisation => recorded::recorded(root, "position", "spatial_resolution")?,
         Measurement::Accuracy => accuracy(root)?,
         Measurement::Realism => realism(root)?,
         Measurement::Limb => limb::limb(root)?,
@@ -101,10 +109,12 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::InsightMaps => insight::maps(root)?,
         Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Restart => restart(root)?,
-        Measurement::Force => recorded(root, "force", "normal_force")?,
+        Measurement::Force => recorded::recorded(root, "force", "normal_force")?,
+        Measurement::Transfers => recorded::transfers(root)?,
+        Measurement::Comparisons => rivals::comparisons(root)?,
         Measurement::Tanks => tanks(root)?,
         Measurement::ESkins => e_skins::e_skins(root)?,
-        Measurement::Shear => recorded(root, "shear", "shear_force")?,
+        Measurement::Shear => recorded::recorded(root, "shear", "shear_force")?,
     };
     println!("{value}");
     Ok(())
@@ -365,90 +375,4 @@ fn explained(value: &Value, outline: &str) -> Value {
     shares.sort_by(f64::total_cmp);
     let median = shares.get(shares.len() / 2);
     json!({ "frames": shares.len(), "least": shares.first(), "median": median, "most": shares.last() })
-}
-
-/// Trains on each of the recorded runs with `launch/train/eflesh-<what>.toml` and evaluates.
-fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
-    let data = std::env::var("DERMIS_DATA").map_or_else(|_| root.join("../shared/data"), PathBuf::from);
-    let source = data.join("eflesh").join(folder);
-    let mut runs: Vec<PathBuf> = std::fs::read_dir(&source)
-        .with_context(|| format!("{} is missing: set DERMIS_DATA", source.display()))?
-        .map(|e| e.map(|e| e.path()))
-        .collect::<Result<_, _>>()?;
-    runs.sort();
-    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
-    let dermis = target_dir(root).join("release/dermis");
-    let dir = scratch(root, what)?;
-    let mut bags = Vec::new();
-    for run in &runs {
-        let bag = dir.join(run.file_name().unwrap_or_default());
-        execute(Command::new(&dermis).arg("import").arg(run).arg("-o").arg(&bag).current_dir(root))?;
-        bags.push(bag);
-    }
-    let config = root.join(format!("launch/train/eflesh-{what}.toml"));
-    let skin = if what == "shear" { "eflesh-shear" } else { "eflesh" };
-    let skin = root.join(format!("launch/skins/{skin}.toml"));
-    // The figures that the authors state hold out presses (or the end of a trial); ours hold out locations too.
-    let splits: &[&str] = if what == "position" { &["press", "location"] } else { &["time"] };
-    let mut rows = Vec::new();
-    for (i, train) in bags.iter().enumerate() {
-        for split in splits {
-            let model = dir.join(format!("model-{i}-{split}"));
-            execute(
-                Command::new(&dermis)
-                    .arg("train")
-                    .args(["--config".as_ref(), config.as_os_str()])
-                    .args(["--skin".as_ref(), skin.as_os_str()])
-                    .args(["--split", split])
-                    .args(["--out".as_ref(), model.as_os_str()])
-                    .arg(train)
-                    .current_dir(root),
-            )?;
-            for (j, bag) in bags.iter().enumerate() {
-                if i != j && *split == "press" {
-                    continue;
-                }
-                let mut evaluate = Command::new(&dermis);
-                evaluate.arg("evaluate").args(["--skin".as_ref(), skin.as_os_str()]).current_dir(root);
-                evaluate.args(["--model".as_ref(), model.as_os_str()]).arg("--json");
-                if i == j {
-                    evaluate.arg("--held-out");
-                }
-                evaluate.arg(bag);
-                let result = evaluation(&mut evaluate)?;
-                rows.push(json!({
-                    "trained_on": train.file_name().map(|n| n.to_string_lossy()),
-                    "tested_on": bag.file_name().map(|n| n.to_string_lossy()),
-                    "split": if i == j { split } else { &"other run" },
-                    "result": result,
-                }));
-            }
-        }
-    }
-    // The worst of the runs counts.
-    let worst = |split: &str, figure: &str, factor: f64| {
-        let of = |row: &Value| row["result"]["figures"][figure].as_f64().filter(|_| row["split"] == split);
-        rows.iter().filter_map(of).fold(f64::NAN, f64::max) * factor
-    };
-    Ok(if what == "position" {
-        json!({
-            "press_not_found": worst("press", "not_found", 1.0),
-            "press_found_mean_mm": worst("press", "position_found_mean", 1e3),
-            "other_run_not_found": worst("other run", "not_found", 1.0),
-            "press_mean_mm": worst("press", "position_mean", 1e3),
-            "press_rms_mm": worst("press", "position_rms", 1e3),
-            "location_mean_mm": worst("location", "position_mean", 1e3),
-            "location_rms_mm": worst("location", "position_rms", 1e3),
-            "other_run_mean_mm": worst("other run", "position_mean", 1e3),
-            "rows": rows,
-        })
-    } else {
-        json!({
-            "time_not_found": worst("time", "not_found", 1.0),
-            "time_force_x_rms_n": worst("time", "force_x_rms", 1.0),
-            "time_rms_n": worst("time", "force_normal_rms", 1.0),
-            "other_run_rms_n": worst("other run", "force_normal_rms", 1.0),
-            "rows": rows,
-        })
-    })
 }

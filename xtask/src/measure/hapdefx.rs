@@ -101,19 +101,19 @@ fn recorded(found: &Value) -> Result<Map<String, Value>> {
     record.insert("sizes".into(), sizes.iter().map(|(name, of)| (name.clone(), json!(widths(of)))).collect());
     record.insert("maps".into(), maps(found));
     record.insert("methods".into(), methods(found));
-    let strongest = |contacts: u64, rule: &str| {
-        let rows = found["strongest"].as_array().into_iter().flatten();
+    let strongest = |key: &str, contacts: u64, rule: &str| {
+        let rows = found[key].as_array().into_iter().flatten();
         let fits = |row: &&Value| row["contacts"] == contacts && row["rule"] == rule;
         rows.clone().find(fits).cloned().unwrap_or(Value::Null)
     };
-    record.insert(
-        "strongest".into(),
-        json!({
-            "single": strongest(1, "strongest"),
-            "double": strongest(2, "strongest"),
-            "double_next": strongest(2, "next_within_tenth"),
-        }),
-    );
+    for key in ["strongest", "strongest_of_true_maps"] {
+        let of = json!({
+            "single": strongest(key, 1, "strongest"),
+            "double": strongest(key, 2, "strongest"),
+            "double_next": strongest(key, 2, "next_within_tenth"),
+        });
+        record.insert(key.into(), of);
+    }
     record.insert("thesis".into(), thesis());
     Ok(record)
 }
@@ -208,6 +208,7 @@ mod tests {
                 { "contacts": 1, "rule": "strongest", "position_mean": 0.004 },
                 { "contacts": 2, "rule": "next_within_tenth", "position_mean": 0.010 },
             ],
+            "strongest_of_true_maps": [{ "contacts": 1, "rule": "strongest", "position_mean": 0.002 }],
         })
     }
 
@@ -227,6 +228,7 @@ mod tests {
         assert!((double - 0.011).abs() < 1e-12, "{double}");
         assert_eq!(record["strongest"]["double_next"]["position_mean"], 0.010);
         assert_eq!(record["strongest"]["double"], Value::Null);
+        assert_eq!(record["strongest_of_true_maps"]["single"]["position_mean"], 0.002);
     }
 
     #[test]

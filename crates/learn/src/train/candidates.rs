@@ -41,6 +41,10 @@ pub enum Candidate {
     Vectors,
     /// The mean of a Gaussian process.
     Gaussian,
+    /// The mean of the answers of all other candidates, each with the same weight. It errs by no more than they do on average, and
+    /// most often by less than the best, where their errors differ (R. T. Clemen, *Combining forecasts: a review*, International
+    /// Journal of Forecasting 5, 1989).
+    Mean,
     /// Extremely randomised trees. Only to be compared with: see [`exports`](Self::exports).
     Trees,
     /// Nearest neighbours. Only to be compared with: see [`exports`](Self::exports).
@@ -51,13 +55,16 @@ impl Candidate {
     /// For people.
     #[must_use]
     pub fn in_words(self) -> &'static str {
-        self.method().map_or("network", Method::in_words)
+        match self {
+            Self::Mean => "mean of all",
+            _ => self.method().map_or("network", Method::in_words),
+        }
     }
 
-    /// The regression, of all but networks.
+    /// The regression, of all but networks and means.
     fn method(self) -> Option<Method> {
         match self {
-            Self::Network => None,
+            Self::Network | Self::Mean => None,
             Self::Vectors => Some(Method::Vectors),
             Self::Gaussian => Some(Method::Gaussian),
             Self::Trees => Some(Method::Trees),
@@ -99,6 +106,12 @@ pub(super) fn check(
         if candidates[..i].contains(candidate) {
             return wrong(&field, format!("{} is already a candidate", candidate.in_words()));
         }
+    }
+    if let Some(i) = candidates.iter().position(|c| *c == Candidate::Mean)
+        && candidates.len() < 3
+    {
+        let field = format!("model.candidates[{i}]");
+        return wrong(&field, "is the mean of all others, and there are fewer than two".into());
     }
     let only_network = candidates.as_slice() == [Candidate::Network];
     if candidates.is_empty() {

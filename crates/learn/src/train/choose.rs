@@ -5,7 +5,7 @@
 //! and assessment of statistical predictions*, JRSS B 36, 1974), between runs where there are several, else between locations, else
 //! between stretches of time. Positions, forces and contact are judged apart, and each is answered by whoever errs least on it; one graph
 //! holds them all. The error is the weighted mean square in the units of the outputs' scales, which is what networks are fitted by; for
-//! contact that of the probability. Settings of kernels are chosen on the same folds, which favours them a little; what was held out of
+//! contact that of the probability. The mean of all others is a candidate like them, judged on their answers to the same rows. Settings of kernels are chosen on the same folds, which favours them a little; what was held out of
 //! training judges the result. Assumptions: inputs of some tens of numbers. Cost: a training of the network for each fold, and some
 //! hundred fits of at most [`TUNED`] rows for each kind of kernel.
 
@@ -101,6 +101,15 @@ impl fmt::Display for Choice {
         }
         writeln!(f, "  root mean squares in units of the outputs' scales")
     }
+}
+
+/// Answers of a candidate to the rows that everyone is judged on, by group.
+type Answers = BTreeMap<&'static str, Vec<Vec<f64>>>;
+
+/// Regressors that answer a group: their mean.
+pub(super) struct Kept {
+    kernels: Vec<KernelExpansion>,
+    network: bool,
 }
 
 /// Rows of the training part, and the fold of each.
@@ -206,29 +215,44 @@ impl<'a> Table<'a> {
         fit().map_err(|e| LearnError::Training { reason: format!("a kernel cannot be fitted: {e}") })
     }
 
-    /// Weighted mean square error of answers to the judged rows of every fold; `answer` gives one number an output of the group.
-    fn judge(
-        &self,
-        group: &Group,
-        mut answer: impl FnMut(usize, usize) -> Result<Vec<f64>, LearnError>,
-    ) -> Result<f64, LearnError> {
-        let (mut sum, mut total) = (0.0, 0.0);
-        for fold in 0..self.count {
-            let rows: Vec<usize> = self.known(group).into_iter().filter(|i| self.folds[*i] == fold).collect();
-            for i in thinned(&rows, JUDGED) {
-                let weight = f64::from(self.weight(i, &group.columns));
-                let targets = self.target(i, &group.columns);
-                for (answer, target) in answer(fold, i)?.into_iter().zip(targets) {
-                    let value = if group.name == "contact" { logistic(answer) } else { answer };
-                    sum += weight * (value - f64::from(*target)).powi(2);
-                    total += weight;
-                }
-            }
-        }
-        Ok(if total > 0.0 { sum / total } else { f64::NAN })
+    /// Rows that everyone is judged on, each with its fold.
+    fn judged_rows(&self, group: &Group) -> Vec<(usize, usize)> {
+        let known = self.known(group);
+        let of = |fold: usize| {
+            let rows: Vec<usize> = known.iter().copied().filter(|i| self.folds[*i] == fold).collect();
+            thinned(&rows, JUDGED).into_iter().map(move |i| (fold, i))
+        };
+        (0..self.count).flat_map(of).collect()
     }
 
-    fn network(&self, config: &TrainConfig, stop: &AtomicBool) -> Result<Option<Judged>, LearnError> {
+    /// Weighted mean square error of answers to the judged rows, one number an output of the group.
+    fn error(&self, group: &Group, answers: &[Vec<f64>]) -> f64 {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for ((_, i), answer) in self.judged_rows(group).into_iter().zip(answers) {
+            let weight = f64::from(self.weight(i, &group.columns));
+            for (answer, target) in answer.iter().zip(self.target(i, &group.columns)) {
+                let value = if group.name == "contact" { logistic(*answer) } else { *answer };
+                sum += weight * (value - f64::from(*target)).powi(2);
+                total += weight;
+            }
+        }
+        if total > 0.0 { sum / total } else { f64::NAN }
+    }
+
+    /// A candidate by its answers.
+    fn judged(
+        &self,
+        candidate: Candidate,
+        answers: &Answers,
+        settings: BTreeMap<&'static str, Settings>,
+    ) -> Judged {
+        let error = |group: &Group| {
+            (group.name, answers.get(group.name).map_or(f64::NAN, |own| self.error(group, own)))
+        };
+        Judged { candidate, errors: self.groups.iter().map(error).collect(), settings }
+    }
+
+    fn network(&self, config: &TrainConfig, stop: &AtomicBool) -> Result<Option<Answers>, LearnError> {
         let mut members = Vec::with_capacity(self.count);
         for fold in 0..self.count {
             let mut part =
@@ -249,9 +273,8 @@ impl<'a> Table<'a> {
             }
             members.push(fitted);
         }
-        let mut errors = BTreeMap::new();
-        for group in &self.groups {
-            let error = self.judge(group, |fold, i| {
+        let answer = |group: &Group| {
+            let of = |(fold, i): (usize, usize)| {
                 let mut mean = vec![0.0; group.columns.len()];
                 for member in &members[fold] {
                     let answer = member.predict(self.row(i));
@@ -260,15 +283,21 @@ impl<'a> Table<'a> {
                         .zip(own)
                         .for_each(|(m, a)| *m += f64::from(*a) / members[fold].len() as f64);
                 }
-                Ok(mean)
-            })?;
-            errors.insert(group.name, error);
-        }
-        Ok(Some(Judged { candidate: Candidate::Network, errors, settings: BTreeMap::new() }))
+                mean
+            };
+            (group.name, self.judged_rows(group).into_iter().map(of).collect())
+        };
+        Ok(Some(self.groups.iter().map(answer).collect()))
     }
 
-    fn kernels(&self, candidate: Candidate, method: Method, most: usize) -> Result<Judged, LearnError> {
-        let (mut errors, mut all) = (BTreeMap::new(), BTreeMap::new());
+    /// Answers by group, and settings.
+    fn kernels(
+        &self,
+        candidate: Candidate,
+        method: Method,
+        most: usize,
+    ) -> Result<(Answers, BTreeMap<&'static str, Settings>), LearnError> {
+        let (mut answers, mut all) = (Answers::new(), BTreeMap::new());
         for group in &self.groups {
             let rows = self.taught(group, TUNED, |_| true);
             let (inputs, targets) = self.tables(&rows, group);
@@ -287,19 +316,20 @@ impl<'a> Table<'a> {
             let fitted = (0..self.count)
                 .map(|fold| self.fit(&settings, &self.taught(group, most, |i| self.folds[i] != fold), group))
                 .collect::<Result<Vec<Fitted>, LearnError>>()?;
-            let error = self.judge(group, |fold, i| {
+            let answer = |(fold, i): (usize, usize)| {
                 let row: Vec<f64> = self.row(i).iter().map(|v| f64::from(*v)).collect();
-                let answer = fitted[fold].predict(&row);
+                let answer: Result<Vec<f64>, _> = fitted[fold].predict(&row);
                 let mut answer = answer.map_err(|e| LearnError::Training { reason: e.to_string() })?;
                 if group.name == "contact" {
                     answer.iter_mut().for_each(|a| *a = SLOPE * (*a - 0.5));
                 }
                 Ok(answer)
-            })?;
-            errors.insert(group.name, error);
+            };
+            let own = self.judged_rows(group).into_iter().map(answer).collect::<Result<_, LearnError>>()?;
+            answers.insert(group.name, own);
             all.insert(group.name, settings);
         }
-        Ok(Judged { candidate, errors, settings: all })
+        Ok((answers, all))
     }
 
     /// Judges everyone; `None` where it was asked to stop.
@@ -308,18 +338,23 @@ impl<'a> Table<'a> {
         config: &TrainConfig,
         stop: &AtomicBool,
     ) -> Result<Option<Choice>, LearnError> {
-        let mut judged = Vec::new();
-        for candidate in &config.model.candidates {
+        let (mut judged, mut all) = (Vec::new(), Vec::new());
+        for candidate in config.model.candidates.iter().filter(|c| **c != Candidate::Mean) {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            match candidate.kernel() {
-                Some(method) => judged.push(self.kernels(*candidate, method, config.model.most)?),
+            let (answers, settings) = match candidate.kernel() {
+                Some(method) => self.kernels(*candidate, method, config.model.most)?,
                 None => match self.network(config, stop)? {
-                    Some(network) => judged.push(network),
+                    Some(answers) => (answers, BTreeMap::new()),
                     None => return Ok(None),
                 },
-            }
+            };
+            judged.push(self.judged(*candidate, &answers, settings));
+            all.push(answers);
+        }
+        if config.model.candidates.contains(&Candidate::Mean) {
+            judged.push(self.judged(Candidate::Mean, &mean(&all), BTreeMap::new()));
         }
         let mut kept = BTreeMap::new();
         for group in &self.groups {
@@ -332,29 +367,48 @@ impl<'a> Table<'a> {
         Ok(Some(Choice { between: self.between, folds: self.count, judged, kept }))
     }
 
-    /// The kernels of a group on all of the training part, as they answer in the units of the outputs; `None` where a network
-    /// was kept.
-    pub(super) fn kept(
-        &self,
-        group: &Group,
-        choice: &Choice,
-        most: usize,
-    ) -> Result<Option<KernelExpansion>, LearnError> {
-        let own = choice.judged.iter().find(|j| choice.kept.get(group.name) == Some(&j.candidate));
-        let Some(settings) = own.and_then(|j| j.settings.get(group.name)) else { return Ok(None) };
-        let fitted = self.fit(settings, &self.taught(group, most, |_| true), group)?;
-        let mut expansion = fitted.expansion().cloned();
-        if let Some(expansion) = expansion.as_mut().filter(|_| group.name == "contact") {
-            expansion.weights.iter_mut().for_each(|w| *w *= SLOPE);
-            expansion.bias.iter_mut().for_each(|b| *b = SLOPE * (*b - 0.5));
+    /// Who answers a group, fitted on all of the training part: kernels as they answer in the units of the outputs, and whether the
+    /// network answers, too.
+    pub(super) fn kept(&self, group: &Group, choice: &Choice, most: usize) -> Result<Kept, LearnError> {
+        let kept = choice.kept.get(group.name).copied();
+        let of = |judged: &&Judged| match kept {
+            Some(Candidate::Mean) => judged.candidate != Candidate::Mean,
+            kept => kept == Some(judged.candidate),
+        };
+        let mut all = Kept { kernels: Vec::new(), network: false };
+        for judged in choice.judged.iter().filter(of) {
+            let Some(settings) = judged.settings.get(group.name) else {
+                all.network = true;
+                continue;
+            };
+            let fitted = self.fit(settings, &self.taught(group, most, |_| true), group)?;
+            let Some(mut expansion) = fitted.expansion().cloned() else { continue };
+            if group.name == "contact" {
+                expansion.weights.iter_mut().for_each(|w| *w *= SLOPE);
+                expansion.bias.iter_mut().for_each(|b| *b = SLOPE * (*b - 0.5));
+            }
+            all.kernels.push(expansion);
         }
-        Ok(expansion)
+        Ok(all)
     }
 
     /// What belongs together.
     pub(super) fn groups(&self) -> &[Group] {
         &self.groups
     }
+}
+
+/// The mean of several candidates' answers to the same rows.
+fn mean(all: &[Answers]) -> Answers {
+    let mut sum = Answers::new();
+    let share = 1.0 / all.len().max(1) as f64;
+    for (group, rows) in all.iter().flatten() {
+        let own = sum.entry(group).or_insert_with(|| rows.iter().map(|row| vec![0.0; row.len()]).collect());
+        for (sum, value) in own.iter_mut().flatten().zip(rows.iter().flatten()) {
+            *sum += share * value;
+        }
+    }
+    sum
 }
 
 fn logistic(value: f64) -> f64 {
@@ -367,13 +421,14 @@ fn thinned(rows: &[usize], most: usize) -> Vec<usize> {
 
 /// The networks of which a group keeps none are not fitted.
 pub(super) fn needs_network(choice: &Choice) -> bool {
-    choice.kept.values().any(|kept| *kept == Candidate::Network)
+    let fitted = choice.judged.iter().any(|j| j.candidate == Candidate::Network);
+    fitted && choice.kept.values().any(|kept| matches!(kept, Candidate::Network | Candidate::Mean))
 }
 
 /// Networks and kernels behind one preparation, as a graph of batch 1: `input` → `output`.
 pub(super) fn to_onnx(
     networks: &[Mlp],
-    kernels: &[(Group, Option<KernelExpansion>)],
+    kept: &[(Group, Kept)],
     preparation: &super::prepare::Preparation,
     outputs: usize,
 ) -> Result<Vec<u8>, dermis_inference::onnx::OnnxError> {
@@ -382,15 +437,24 @@ pub(super) fn to_onnx(
     let prepared = preparation.to_graph(&mut g, &input);
     let network = Mlp::mean_to_graph(networks, &mut g, &prepared);
     let mut parts = Vec::new();
-    for (group, kernel) in kernels {
+    for (group, kept) in kept {
         let end = |v: usize| i64::try_from(v).unwrap_or(i64::MAX);
-        match (kernel, &network) {
-            (Some(kernel), _) => parts.push(super::kernels::to_graph(kernel, &mut g, &prepared, group.name)),
-            (None, Some(mean)) => {
-                parts.push(g.slice(mean, 1, end(group.columns.start), end(group.columns.end)));
-            }
-            (None, None) => {}
+        let mut own = Vec::new();
+        for (k, kernel) in kept.kernels.iter().enumerate() {
+            let name = format!("{}_{k}", group.name);
+            own.push(super::kernels::to_graph(kernel, &mut g, &prepared, &name));
         }
+        if let Some(mean) = network.as_ref().filter(|_| kept.network) {
+            own.push(g.slice(mean, 1, end(group.columns.start), end(group.columns.end)));
+        }
+        let count = own.len() as f32;
+        let Some(sum) = own.into_iter().reduce(|a, b| g.add(&a, &b)) else { continue };
+        parts.push(if count > 1.0 {
+            let share = g.constant(&format!("{}_share", group.name), &[1, 1], &[1.0 / count]);
+            g.mul(&sum, &share)
+        } else {
+            sum
+        });
     }
     let all = match parts.as_slice() {
         [one] => one.clone(),

@@ -249,12 +249,12 @@ fn fit_dense(
     } else {
         Vec::new()
     };
-    let kernels = table
+    let kept = table
         .groups()
         .iter()
         .map(|group| Ok((group.clone(), table.kept(group, &choice, config.model.most)?)))
         .collect::<Result<Vec<_>, LearnError>>()?;
-    let graph = choose::to_onnx(&networks, &kernels, &preparation, columns.len()).map_err(written)?;
+    let graph = choose::to_onnx(&networks, &kept, &preparation, columns.len()).map_err(written)?;
     Ok(Trained { graph, interface, samples, choice: Some(choice) })
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use dermis_studies::real2sim::compare::Row;
-use dermis_studies::real2sim::thesis::{Findings, Rule};
+use dermis_studies::real2sim::thesis::{Findings, Rule, Strongest};
 
 /// What was found, for people.
 #[must_use]
@@ -77,12 +77,19 @@ fn contacts(out: &mut String, findings: &Findings) {
             errors.lost * 100.0
         );
     }
-    let _ = writeln!(
-        out,
-        "\nstrongest peaks, each held against the nearest contact, as many as there are contacts\n{:<38}{:>8}{:>10}{:>10}{:>10}",
-        "", "frames", "mean mm", "mean N", "short %"
-    );
-    for row in &findings.strongest {
+    let whose = [("", &findings.strongest), (" of the true maps", &findings.strongest_of_true_maps)];
+    for (whose, rows) in whose {
+        let _ = writeln!(
+            out,
+            "\nstrongest peaks{whose}, each held against the nearest contact, as many as there are contacts\n{:<38}{:>8}{:>10}{:>10}{:>10}",
+            "", "frames", "mean mm", "mean N", "short %"
+        );
+        strongest(out, rows);
+    }
+}
+
+fn strongest(out: &mut String, rows: &[Strongest]) {
+    for row in rows {
         let rule = match row.rule {
             Rule::Strongest => "the strongest",
             Rule::NextWithinTenth => "the next for the last if within 10 %",
@@ -116,7 +123,7 @@ mod tests {
     use dermis_learn::MapSummary;
     use dermis_learn::real2sim::{Settings, Trained};
     use dermis_studies::real2sim::compare::Errors;
-    use dermis_studies::real2sim::thesis::{MapRow, Sizes, Strongest};
+    use dermis_studies::real2sim::thesis::{MapRow, Sizes};
 
     use super::*;
 
@@ -181,6 +188,14 @@ mod tests {
                 force_mean: 6.0,
                 short: 0.2,
             }],
+            strongest_of_true_maps: vec![Strongest {
+                contacts: 1,
+                rule: Rule::Strongest,
+                frames: 10,
+                position_mean: 0.002,
+                force_mean: 1.0,
+                short: 0.0,
+            }],
             seconds: 12.0,
         };
         let text = text(&findings);
@@ -190,6 +205,7 @@ mod tests {
             "      24 network                 4.0 15.0           29.0 15.0",
             "peaks of maps           single              10      5.00      3.00      10.0        50.0",
             "2 the next for the last if within 10 %      10     10.00      6.00      20.0",
+            "1 the strongest                             10      2.00      1.00       0.0",
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");
         }

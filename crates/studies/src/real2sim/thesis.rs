@@ -162,6 +162,8 @@ pub struct Findings {
     pub rows: Vec<Row>,
     /// Errors of the strongest peaks, as the thesis counts them (Table 3.2).
     pub strongest: Vec<Strongest>,
+    /// The same of the true maps: what reading peaks costs where the map is known.
+    pub strongest_of_true_maps: Vec<Strongest>,
     /// \[s\] that this run took, without what an earlier one had done.
     pub seconds: f64,
 }
@@ -228,7 +230,7 @@ pub fn measure(options: &Request, families: &Families, progress: &dyn Progress) 
     let (pipeline, trained, maps) = train(&known, &options, &frames, runtime, progress)?;
     let pipeline = Arc::new(pipeline);
     progress.begin("strongest peaks");
-    let strongest = strongest::of(&pipeline, known.model.surface(), &frames, runtime)?;
+    let [strongest, of_true_maps] = strongest::of(&pipeline, known.model.surface(), &frames, runtime)?;
     let compared: Vec<_> = asked.compared().copied().collect();
     let bounds = frame_bounds(known.model.as_ref(), &data, Some(&compared), Unknowns::Normal)?;
     let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: asked.kept.as_ref() };
@@ -254,6 +256,7 @@ pub fn measure(options: &Request, families: &Families, progress: &dyn Progress) 
         maps,
         rows,
         strongest,
+        strongest_of_true_maps: of_true_maps,
         seconds: started.elapsed().as_secs_f64(),
     })
 }

@@ -74,6 +74,49 @@ fn who_errs_least_is_kept_and_answers_from_the_bundle() {
 }
 
 #[test]
+fn a_mean_answers_from_the_bundle_what_its_parts_answer_on_average() {
+    let rows = |values: [f64; 2]| Answers::from([("force", values.map(|v| vec![v, 2.0 * v]).to_vec())]);
+    assert_eq!(mean(&[rows([1.0, 4.0]), rows([3.0, 5.0])])["force"], [vec![2.0, 4.0], vec![4.5, 9.0]]);
+
+    let data = presses(16, 1);
+    let config = TrainConfig::from_toml(CONFIG, "c.toml").unwrap();
+    let ids: Vec<SampleId> = data.labelled().map(|(id, ..)| id).collect();
+    let inputs: Vec<f32> = (0..ids.len()).map(|i| (i % 13) as f32 * 0.1).collect();
+    let targets = inputs.iter().map(|x| x * x).collect();
+    let batch = Batch { inputs, targets, width: 1, outputs: 1, ..Batch::default() };
+    let table = Table::new(&data, &batch, &ids, &["force.normal"], &config).unwrap();
+    let stop = AtomicBool::new(false);
+    let mut config = config;
+    config.model.candidates = vec![Candidate::Vectors, Candidate::Gaussian, Candidate::Mean];
+    let mut choice = table.choose(&config, &stop).unwrap().unwrap();
+    assert_eq!(choice.judged.len(), 3);
+    assert!(!needs_network(&choice));
+    let features = dermis_inference::FeatureConfig::newest(vec![0.0], vec![1.0]);
+    let preparation = crate::train::prepare::Preparation::measure(
+        crate::train::InputForm::Plain,
+        &features,
+        &[1.0],
+        &batch.inputs,
+    );
+    let how = RuntimeConfig { choice: RuntimeChoice::Embedded, library: None };
+    let runtime = Runtime::load(&how).unwrap();
+    let mut answer = |kept: Candidate| {
+        choice.kept.insert("force", kept);
+        let group = table.groups()[0].clone();
+        let kept = table.kept(&group, &choice, 500).unwrap();
+        let graph = to_onnx(&[], &[(group, kept)], &preparation, 1).unwrap();
+        let interface = dermis_inference::Interface::flat(1, 1);
+        let mut model = dermis_inference::Model::load(runtime, &graph, &interface).unwrap();
+        let mut out = Vec::new();
+        model.run(&[0.55], &mut out).unwrap();
+        out[0]
+    };
+    let (vectors, gaussian) = (answer(Candidate::Vectors), answer(Candidate::Gaussian));
+    assert!((vectors - gaussian).abs() > 1e-6, "the test needs two that differ");
+    assert!((answer(Candidate::Mean) - (vectors + gaussian) / 2.0).abs() < 1e-5);
+}
+
+#[test]
 fn several_runs_are_held_out_one_by_one() {
     let dir = tempfile::tempdir().unwrap();
     let runs = [presses(6, 1), presses(7, 1), presses(8, 1)].map(|d| d.runs()[0].clone()).to_vec();
@@ -125,6 +168,7 @@ fn candidates_that_cannot_be_are_refused() {
     };
     insta::assert_snapshot!(told("candidates = [\"network\", \"trees\"]"), @"c.toml: field `model.candidates[1]`: is extra trees, which no bundle can hold: the embedded runtime has no operator for them; `dermis compare` measures them");
     insta::assert_snapshot!(told("candidates = [\"vectors\", \"vectors\"]"), @"c.toml: field `model.candidates[1]`: support vectors is already a candidate");
+    insta::assert_snapshot!(told("candidates = [\"vectors\", \"mean\"]"), @"c.toml: field `model.candidates[1]`: is the mean of all others, and there are fewer than two");
     insta::assert_snapshot!(told("candidates = []"), @"c.toml: field `model.candidates`: is empty: someone has to be the model");
     insta::assert_snapshot!(told("folds = 1"), @"c.toml: field `model.folds`: is 1 and must be 2 to 20");
     let maps = "targets = [\"map.normal\"]\n[model]\ncandidates = [\"gaussian\"]";

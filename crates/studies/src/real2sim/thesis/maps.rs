@@ -62,6 +62,12 @@ impl Frames {
         self.stimuli[of].iter().zip(self.signals[of].chunks_exact(self.channels))
     }
 
+    /// What pressed, one (0) or two (1) contacts, and the true maps \[m\], one by one.
+    pub(super) fn true_maps(&self, of: usize) -> impl Iterator<Item = (&Stimulus, &[f32])> {
+        let points = self.maps[of].len() / self.stimuli[of].len().max(1);
+        self.stimuli[of].iter().zip(self.maps[of].chunks_exact(points.max(1)))
+    }
+
     /// Errors of maps that a function makes of all signals.
     fn judge(&self, of: usize, maps: impl Fn(&[f32]) -> Result<Vec<f32>>) -> Result<MapSummary> {
         let mut scores = MapScores::new();

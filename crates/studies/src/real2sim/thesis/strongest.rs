@@ -45,21 +45,28 @@ pub struct Strongest {
     pub short: f64,
 }
 
-/// Of one and of two contacts, under both rules.
+/// Of one and of two contacts, under both rules: of the maps of a pipeline, and of the true ones, which say what the reading of peaks
+/// itself costs.
 pub(super) fn of(
     pipeline: &Pipeline,
     surface: &Surface,
     frames: &Frames,
     runtime: &Runtime,
-) -> Result<Vec<Strongest>> {
+) -> Result<[Vec<Strongest>; 2]> {
     let mut reader = pipeline.contacts(surface, runtime)?;
-    let mut all = Vec::new();
+    let mut all = [Vec::new(), Vec::new()];
     for contacts in [1, 2] {
-        let mut found = Vec::new();
+        let (mut learned, mut truth) = (Vec::new(), Vec::new());
         for (stimulus, signal) in frames.each(contacts - 1) {
-            found.push((stimulus, reader.candidates(&pipeline.map(signal)?)?));
+            learned.push((stimulus, reader.candidates(&pipeline.map(signal)?)?));
         }
-        all.extend([Rule::Strongest, Rule::NextWithinTenth].map(|rule| sum(contacts, rule, &found)));
+        for (stimulus, map) in frames.true_maps(contacts - 1) {
+            let map: Vec<f64> = map.iter().map(|d| f64::from(*d)).collect();
+            truth.push((stimulus, reader.candidates(&map)?));
+        }
+        for (of, found) in all.iter_mut().zip([&learned, &truth]) {
+            of.extend([Rule::Strongest, Rule::NextWithinTenth].map(|rule| sum(contacts, rule, found)));
+        }
     }
     Ok(all)
 }
