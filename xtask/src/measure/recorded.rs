@@ -197,7 +197,7 @@ pub(super) fn transfers(root: &Path) -> Result<Value> {
                         .with_context(|| format!("no {} was measured", quantity.figure))?;
                     errors.insert((*candidate).into(), json!(error * quantity.unit.1));
                 }
-                rows.push(row(quantity, bag, other, errors));
+                rows.push(row(quantity, bag, other, &errors));
             }
         }
     }
@@ -215,7 +215,7 @@ pub(super) fn transfers(root: &Path) -> Result<Value> {
 }
 
 /// Errors of one transfer, and what is chosen over the best of those that were alone.
-fn row(quantity: &Quantity, from: &Path, to: &Path, errors: serde_json::Map<String, Value>) -> Value {
+fn row(quantity: &Quantity, from: &Path, to: &Path, errors: &serde_json::Map<String, Value>) -> Value {
     let name = |bag: &Path| bag.file_name().map(|n| n.to_string_lossy().into_owned());
     let of = |candidate: &str| errors.get(candidate).and_then(Value::as_f64);
     let best = CANDIDATES.iter().filter_map(|c| of(c)).fold(f64::NAN, f64::min);
