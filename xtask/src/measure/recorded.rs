@@ -12,7 +12,6 @@ use serde_json::{Value, json};
 
 use super::{evaluation, scratch};
 use crate::run::{cargo, output, run as execute, target_dir};
-use crate::test::{BUILD, WITHOUT_ROS};
 
 /// Folder of the recordings.
 fn recordings(root: &Path) -> PathBuf {
@@ -38,7 +37,7 @@ fn import(root: &Path, dermis: &Path, folder: &str, dir: &Path) -> Result<Vec<Pa
 
 /// Trains on each of the recorded runs with `launch/train/eflesh-<what>.toml` and evaluates.
 pub(super) fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
-    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
+    execute(cargo(root).args(super::PROGRAM))?;
     let dermis = target_dir(root).join("release/dermis");
     let dir = scratch(root, what)?;
     let bags = import(root, &dermis, folder, &dir)?;
