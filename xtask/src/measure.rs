@@ -11,13 +11,13 @@ use serde_json::{Value, json};
 use crate::run::{cargo, output, run as execute, target_dir};
 use crate::test::{BUILD, WITHOUT_ROS};
 
+mod comparisons;
 mod e_skins;
 mod ert;
 mod hapdefx;
 mod insight;
 mod limb;
 mod recorded;
-mod rivals;
 
 /// What can be measured.
 #[derive(Subcommand)]
@@ -96,7 +96,7 @@ const GAP_CONTROLS: &str = "50";
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
     let value = match measurement {
         Measurement::ColdBuild => cold_build(root)?,
-        Measurement::Localisation => recorded::recorded(root, "position", "spatial_resolution")?,
+        Measurement::Localisation => recorded::recorded(root, &recorded::POSITION)?,
         Measurement::Accuracy => accuracy(root)?,
         Measurement::Realism => realism(root)?,
         Measurement::Limb => limb::limb(root)?,
@@ -109,12 +109,12 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::InsightMaps => insight::maps(root)?,
         Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Restart => restart(root)?,
-        Measurement::Force => recorded::recorded(root, "force", "normal_force")?,
+        Measurement::Force => recorded::recorded(root, &recorded::FORCE)?,
         Measurement::Transfers => recorded::transfers(root)?,
-        Measurement::Comparisons => rivals::comparisons(root)?,
+        Measurement::Comparisons => comparisons::comparisons(root)?,
         Measurement::Tanks => tanks(root)?,
         Measurement::ESkins => e_skins::e_skins(root)?,
-        Measurement::Shear => recorded::recorded(root, "shear", "shear_force")?,
+        Measurement::Shear => recorded::recorded(root, &recorded::SHEAR)?,
     };
     println!("{value}");
     Ok(())
@@ -127,6 +127,29 @@ fn scratch(root: &Path, name: &str) -> Result<PathBuf> {
     }
     std::fs::create_dir_all(&dir)?;
     Ok(dir)
+}
+
+/// Folder of the recordings that others made.
+fn recordings(root: &Path) -> PathBuf {
+    std::env::var("DERMIS_DATA").map_or_else(|_| root.join("../shared/data"), PathBuf::from)
+}
+
+/// The commit that is measured.
+fn commit(root: &Path) -> Result<String> {
+    let text = output(Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root))?;
+    Ok(text.trim().to_owned())
+}
+
+/// Writes a record of results.
+fn write(path: &Path, value: &Value) -> Result<()> {
+    let text = serde_json::to_string_pretty(value)? + "\n";
+    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+}
+
+fn read_toml(path: &Path) -> Result<toml::Table> {
+    let text = dermis_io::read_text(path, dermis_io::TEXT)
+        .with_context(|| format!("{} cannot be read", path.display()))?;
+    text.parse().with_context(|| format!("{} is not TOML", path.display()))
 }
 
 /// What a command with `--json` prints in its last line.
@@ -348,7 +371,7 @@ fn realism(root: &Path) -> Result<Value> {
 
 /// The model of tanks against recordings.
 fn tanks(root: &Path) -> Result<Value> {
-    let data = std::env::var("DERMIS_DATA").map_or_else(|_| root.join("../shared/data"), PathBuf::from);
+    let data = recordings(root);
     let folders: Vec<PathBuf> = ["eidors_tanks", "pyeidors_tank"]
         .map(|name| data.join(name))
         .into_iter()

@@ -1,9 +1,9 @@
 //! The barometer skins' shipped bundles beside other estimators.
 //!
 //! Problem: what do the search on the forward model and our networks gain over what others would use on the same readings? Method:
-//! `dermis compare` on the places that were held out of the bundles' training, with the network of the thesis (10 x 100, trained here on
-//! the same bag), regressors with settings chosen by cross-validation over places, and isolines. Assumptions: the device is as designed.
-//! Cost: a quarter of an hour of CPU time, most of it the training of the networks of the thesis.
+//! `dermis compare` on the places that were held out of the bundles' training, with the network of the thesis (10 x 100, on the row
+//! 6 x 100, trained here on the same bag), regressors with settings chosen by cross-validation over places, and isolines. Assumptions: the device is as designed.
+//! Cost: a quarter of an hour of CPU time.
 
 use std::path::Path;
 use std::process::Command;
@@ -11,8 +11,8 @@ use std::process::Command;
 use anyhow::Result;
 use serde_json::{Value, json};
 
-use super::{PROGRAM, scratch};
-use crate::run::{cargo, output, run as execute, target_dir};
+use super::{PROGRAM, commit, evaluation, scratch, write};
+use crate::run::{cargo, run as execute, target_dir};
 
 /// Skins, and whether the thesis has a network for it.
 const SKINS: [(&str, bool); 3] = [("line", true), ("grid", true), ("dome", false)];
@@ -20,7 +20,7 @@ const SKINS: [(&str, bool); 3] = [("line", true), ("grid", true), ("dome", false
 pub(super) fn comparisons(root: &Path) -> Result<Value> {
     execute(cargo(root).args(PROGRAM))?;
     let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "comparisons")?);
-    let commit = output(Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root))?;
+    let commit = commit(root)?;
     let mut all = serde_json::Map::new();
     for (name, thesis) in SKINS {
         let skin = format!("launch/skins/baro-{name}.toml");
@@ -38,10 +38,10 @@ pub(super) fn comparisons(root: &Path) -> Result<Value> {
             execute(train.current_dir(root))?;
             compare.arg("--model").arg(model);
         }
-        let mut found = super::evaluation(compare.arg(&bag).current_dir(root))?;
+        let mut found = evaluation(compare.arg(&bag).current_dir(root))?;
         found["command"] = json!("cargo xtask measure comparisons");
-        found["commit"] = json!(commit.trim());
-        super::ert::write(root, &format!("benches/results/comparison-{name}.json"), &found)?;
+        found["commit"] = json!(commit);
+        write(&root.join(format!("benches/results/comparison-{name}.json")), &found)?;
         all.insert(name.into(), found);
     }
     Ok(Value::Object(all))

@@ -14,7 +14,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use toml::{Table, Value as Toml};
 
-use super::{PROGRAM, evaluation, scratch};
+use super::{PROGRAM, evaluation, read_toml, scratch, write};
 use crate::run::{cargo, run as execute, target_dir};
 
 const SKIN: &str = "launch/skins/ert-panel.toml";
@@ -98,7 +98,7 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
         "table_4_4": structure(root)?,
         "table_4_5": work.maps()?,
     });
-    write(root, RESULT, &value)?;
+    write(&root.join(RESULT), &value)?;
     Ok(value)
 }
 
@@ -113,14 +113,8 @@ pub(super) fn inversion(root: &Path) -> Result<Value> {
     let mut evaluate = Command::new(&dermis);
     evaluate.args(["evaluate", "--invert", "--json", "--skin", SKIN]).arg(&bag).current_dir(root);
     let value = evaluation(&mut evaluate)?;
-    write(root, INVERSION, &value)?;
+    write(&root.join(INVERSION), &value)?;
     Ok(value)
-}
-
-pub(super) fn write(root: &Path, file: &str, value: &Value) -> Result<()> {
-    let path = root.join(file);
-    let text = serde_json::to_string_pretty(value)? + "\n";
-    std::fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 /// What is less than in the thesis, in words and numbers.
@@ -139,12 +133,6 @@ fn reduced(root: &Path, sizes: &Sizes) -> Result<Value> {
 
 fn plan(root: &Path, name: &str) -> Result<Table> {
     read_toml(&root.join(format!("launch/plans/ert-panel-{name}.toml")))
-}
-
-fn read_toml(path: &Path) -> Result<Table> {
-    let text = dermis_io::read_text(path, dermis_io::TEXT)
-        .with_context(|| format!("{} cannot be read", path.display()))?;
-    text.parse().with_context(|| format!("{} is not TOML", path.display()))
 }
 
 /// A plan with a share of the presses of each step, of one number of contacts or of all; and how many presses of the kind it has.

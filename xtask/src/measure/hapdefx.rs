@@ -8,8 +8,8 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 
 use super::limb::{LIMB_EFFECTS, limb_bag};
-use super::{LIMB, PROGRAM, evaluation};
-use crate::run::{cargo, output, run as execute, target_dir};
+use super::{LIMB, PROGRAM, commit, evaluation, write};
+use crate::run::{cargo, run as execute, target_dir};
 
 /// How much is measured.
 #[derive(Args)]
@@ -57,8 +57,7 @@ pub(super) fn run(root: &Path, options: &Options) -> Result<Value> {
     measure.arg("--states").arg(&states).arg("--train").arg(&train).arg(&doubles);
     let found = evaluation(measure.current_dir(root))?;
     let mut record = recorded(&found)?;
-    let commit = output(Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root))?;
-    record.insert("commit".into(), json!(commit.trim()));
+    record.insert("commit".into(), json!(commit(root)?));
     let flag = if options.reduced { " --reduced" } else { "" };
     record.insert("command".into(), json!(format!("cargo xtask measure hapdefx{flag}")));
     let record = Value::Object(record);
@@ -77,8 +76,7 @@ fn keep(path: &Path, record: &Value) -> Result<()> {
         eprintln!("{} holds a whole run and stays: this one was reduced", path.display());
         return Ok(());
     }
-    let text = serde_json::to_string_pretty(record)? + "\n";
-    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+    write(path, record)
 }
 
 /// What `dermis real2sim thesis --json` prints, in the places that tables look for.

@@ -11,8 +11,8 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{PROGRAM, children_cpu, evaluation, scratch};
-use crate::run::{cargo, output, run as execute, target_dir};
+use super::{PROGRAM, children_cpu, commit, evaluation, read_toml, scratch, write};
+use crate::run::{cargo, run as execute, target_dir};
 
 const SKIN: &str = "launch/skins/insight-thumb.toml";
 const MODEL: &str = "models/insight-thumb";
@@ -61,7 +61,7 @@ pub(super) fn accuracy(root: &Path) -> Result<Value> {
         of["seed"] = json!(seed(root, &file)?);
         of["reduced"] = json!(reduced);
         of["evaluation"] = found;
-        super::ert::write(root, result, &of)?;
+        write(&root.join(result), &of)?;
         all.insert(plan.to_owned(), of);
     }
     Ok(Value::Object(all))
@@ -88,9 +88,7 @@ pub(super) fn maps(root: &Path) -> Result<Value> {
     let mut collect = Command::new(&dermis);
     collect.args(["collect", SKIN, "--plan", MAP_PLAN, "--no-images", "--out"]).arg(&train);
     execute(collect.current_dir(root))?;
-    let config = std::fs::read_to_string(root.join(MAP_CONFIG))
-        .with_context(|| format!("{MAP_CONFIG} cannot be read"))?;
-    let mut config: toml::Table = config.parse()?;
+    let mut config = read_toml(&root.join(MAP_CONFIG))?;
     let mut found = serde_json::Map::new();
     for (profile, thesis) in PROFILES {
         config.insert("force_profile".into(), profile.into());
@@ -109,16 +107,15 @@ pub(super) fn maps(root: &Path) -> Result<Value> {
         of["cpu_seconds"] = json!(seconds);
         found.insert(profile.into(), of);
     }
-    let commit = output(Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root))?;
     let record = json!({
         "command": "cargo xtask measure insight-maps",
-        "commit": commit.trim(),
+        "commit": commit(root)?,
         "reduced": "600 places, a quarter of them held out, and a dense network of 128 and 128 on 1500 numbers; the thesis has 187,358 samples at 3,800 places and a \
                     residual network on pictures of 410 x 308 pixels",
         "seed": seed(root, MAP_PLAN)?,
         "maps": found,
     });
-    super::ert::write(root, MAPS, &record)?;
+    write(&root.join(MAPS), &record)?;
     Ok(record)
 }
 
@@ -158,8 +155,7 @@ fn row([position, force, angle, wide, wider]: [f64; 5]) -> Value {
 }
 
 fn seed(root: &Path, plan: &str) -> Result<Option<i64>> {
-    let text = std::fs::read_to_string(root.join(plan)).with_context(|| format!("{plan} cannot be read"))?;
-    Ok(text.parse::<toml::Table>()?.get("seed").and_then(toml::Value::as_integer))
+    Ok(read_toml(&root.join(plan))?.get("seed").and_then(toml::Value::as_integer))
 }
 
 /// What tables show, in millimetres, newtons and degrees: by number of contacts and force.

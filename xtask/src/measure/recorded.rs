@@ -10,17 +10,92 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{evaluation, scratch};
-use crate::run::{cargo, output, run as execute, target_dir};
+use super::{PROGRAM, commit, evaluation, read_toml, recordings, scratch, write};
+use crate::run::{cargo, run as execute, target_dir};
 
-/// Folder of the recordings.
-fn recordings(root: &Path) -> PathBuf {
-    std::env::var("DERMIS_DATA").map_or_else(|_| root.join("../shared/data"), PathBuf::from).join("eflesh")
+/// What is learned, of which recordings, and the figure of the result that transfers are judged by.
+pub(super) struct Quantity {
+    /// Configuration `launch/train/eflesh-<name>.toml`.
+    name: &'static str,
+    folder: &'static str,
+    skin: &'static str,
+    figure: &'static str,
+    /// Unit of the figure that is written, and how many of it are one SI unit.
+    unit: (&'static str, f64),
+    /// Whether the last part of the same run is a transfer, too: forces creep with time, places do not.
+    same_run: bool,
+}
+
+pub(super) const POSITION: Quantity = Quantity {
+    name: "position",
+    folder: "spatial_resolution",
+    skin: "eflesh",
+    figure: "position_mean",
+    unit: ("mm", 1e3),
+    same_run: false,
+};
+pub(super) const FORCE: Quantity = Quantity {
+    name: "force",
+    folder: "normal_force",
+    skin: "eflesh",
+    figure: "force_normal_rms",
+    unit: ("N", 1.0),
+    same_run: true,
+};
+pub(super) const SHEAR: Quantity = Quantity {
+    name: "shear",
+    folder: "shear_force",
+    skin: "eflesh-shear",
+    figure: "force_x_rms",
+    unit: ("N", 1.0),
+    same_run: true,
+};
+
+impl Quantity {
+    fn config(&self, root: &Path) -> PathBuf {
+        root.join(format!("launch/train/eflesh-{}.toml", self.name))
+    }
+}
+
+/// The program, and one kind of recording.
+struct Work<'a> {
+    root: &'a Path,
+    dermis: PathBuf,
+    skin: PathBuf,
+    bags: Vec<PathBuf>,
+}
+
+impl<'a> Work<'a> {
+    /// Builds the program, and imports the recordings into a folder.
+    fn begin(root: &'a Path, quantity: &Quantity, dir: &Path) -> Result<Self> {
+        execute(cargo(root).args(PROGRAM))?;
+        let dermis = target_dir(root).join("release/dermis");
+        let bags = import(root, &dermis, quantity.folder, dir)?;
+        Ok(Self { root, dermis, skin: root.join(format!("launch/skins/{}.toml", quantity.skin)), bags })
+    }
+
+    /// Learns a model from a bag.
+    fn train(&self, config: &Path, bag: &Path, model: &Path, split: Option<&str>) -> Result<()> {
+        let mut train = Command::new(&self.dermis);
+        train.args(["train", "--config"]).arg(config).arg("--skin").arg(&self.skin);
+        train.args(split.map(|split| ["--split", split]).iter().flatten()).arg("--out").arg(model).arg(bag);
+        execute(train.current_dir(self.root))
+    }
+
+    /// Evaluates a model on a bag, or on what was held out of it.
+    fn evaluate(&self, model: &Path, bag: &Path, held_out: bool) -> Result<Value> {
+        let mut evaluate = Command::new(&self.dermis);
+        evaluate.args(["evaluate", "--json", "--skin"]).arg(&self.skin).arg("--model").arg(model);
+        if held_out {
+            evaluate.arg("--held-out");
+        }
+        evaluation(evaluate.arg(bag).current_dir(self.root))
+    }
 }
 
 /// Bags of all runs in a folder of recordings, in the order of their names.
 fn import(root: &Path, dermis: &Path, folder: &str, dir: &Path) -> Result<Vec<PathBuf>> {
-    let source = recordings(root).join(folder);
+    let source = recordings(root).join("eflesh").join(folder);
     let mut runs: Vec<PathBuf> = std::fs::read_dir(&source)
         .with_context(|| format!("{} is missing: set DERMIS_DATA", source.display()))?
         .map(|e| e.map(|e| e.path()))
@@ -35,43 +110,24 @@ fn import(root: &Path, dermis: &Path, folder: &str, dir: &Path) -> Result<Vec<Pa
     Ok(bags)
 }
 
-/// Trains on each of the recorded runs with `launch/train/eflesh-<what>.toml` and evaluates.
-pub(super) fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
-    execute(cargo(root).args(super::PROGRAM))?;
-    let dermis = target_dir(root).join("release/dermis");
-    let dir = scratch(root, what)?;
-    let bags = import(root, &dermis, folder, &dir)?;
-    let config = root.join(format!("launch/train/eflesh-{what}.toml"));
-    let skin = if what == "shear" { "eflesh-shear" } else { "eflesh" };
-    let skin = root.join(format!("launch/skins/{skin}.toml"));
+/// Trains on each of the recorded runs with the shipped configuration and evaluates.
+pub(super) fn recorded(root: &Path, quantity: &Quantity) -> Result<Value> {
+    let dir = scratch(root, quantity.name)?;
+    let work = Work::begin(root, quantity, &dir)?;
+    let config = quantity.config(root);
+    let of_position = quantity.name == POSITION.name;
     // The figures that the authors state hold out presses (or the end of a trial); ours hold out locations too.
-    let splits: &[&str] = if what == "position" { &["press", "location"] } else { &["time"] };
+    let splits: &[&str] = if of_position { &["press", "location"] } else { &["time"] };
     let mut rows = Vec::new();
-    for (i, train) in bags.iter().enumerate() {
+    for (i, train) in work.bags.iter().enumerate() {
         for split in splits {
             let model = dir.join(format!("model-{i}-{split}"));
-            execute(
-                Command::new(&dermis)
-                    .arg("train")
-                    .args(["--config".as_ref(), config.as_os_str()])
-                    .args(["--skin".as_ref(), skin.as_os_str()])
-                    .args(["--split", split])
-                    .args(["--out".as_ref(), model.as_os_str()])
-                    .arg(train)
-                    .current_dir(root),
-            )?;
-            for (j, bag) in bags.iter().enumerate() {
+            work.train(&config, train, &model, Some(split))?;
+            for (j, bag) in work.bags.iter().enumerate() {
                 if i != j && *split == "press" {
                     continue;
                 }
-                let mut evaluate = Command::new(&dermis);
-                evaluate.arg("evaluate").args(["--skin".as_ref(), skin.as_os_str()]).current_dir(root);
-                evaluate.args(["--model".as_ref(), model.as_os_str()]).arg("--json");
-                if i == j {
-                    evaluate.arg("--held-out");
-                }
-                evaluate.arg(bag);
-                let result = evaluation(&mut evaluate)?;
+                let result = work.evaluate(&model, bag, i == j)?;
                 rows.push(json!({
                     "trained_on": train.file_name().map(|n| n.to_string_lossy()),
                     "tested_on": bag.file_name().map(|n| n.to_string_lossy()),
@@ -86,7 +142,7 @@ pub(super) fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
         let of = |row: &Value| row["result"]["figures"][figure].as_f64().filter(|_| row["split"] == split);
         rows.iter().filter_map(of).fold(f64::NAN, f64::max) * factor
     };
-    Ok(if what == "position" {
+    Ok(if of_position {
         json!({
             "press_not_found": worst("press", "not_found", 1.0),
             "press_found_mean_mm": worst("press", "position_found_mean", 1e3),
@@ -109,88 +165,24 @@ pub(super) fn recorded(root: &Path, what: &str, folder: &str) -> Result<Value> {
     })
 }
 
-/// One transfer: what is learned, of which recordings, the figure of the result that is judged, and how many of its units are one here.
-struct Quantity {
-    /// Configuration `launch/train/eflesh-<name>.toml`.
-    name: &'static str,
-    folder: &'static str,
-    skin: &'static str,
-    figure: &'static str,
-    /// Unit that is written, and how many of it are one SI unit.
-    unit: (&'static str, f64),
-    /// Whether the last part of the very run is a transfer, too: forces creep with time, places do not.
-    same_run: bool,
-}
-
-const QUANTITIES: [Quantity; 3] = [
-    Quantity {
-        name: "position",
-        folder: "spatial_resolution",
-        skin: "eflesh",
-        figure: "position_mean",
-        unit: ("mm", 1e3),
-        same_run: false,
-    },
-    Quantity {
-        name: "force",
-        folder: "normal_force",
-        skin: "eflesh",
-        figure: "force_normal_rms",
-        unit: ("N", 1.0),
-        same_run: true,
-    },
-    Quantity {
-        name: "shear",
-        folder: "shear_force",
-        skin: "eflesh-shear",
-        figure: "force_x_rms",
-        unit: ("N", 1.0),
-        same_run: true,
-    },
-];
 /// Regressors that a bundle can hold, each alone; the shipped configuration lets `dermis train` choose among them.
 const CANDIDATES: [&str; 3] = ["network", "vectors", "gaussian"];
+/// What is called so is chosen among them.
+const CHOSEN: &str = "chosen";
 const RESULT: &str = "benches/results/transfers.json";
 
 /// What `dermis train` chooses beside each regressor alone, on another run and on the end of the same.
 pub(super) fn transfers(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(super::PROGRAM))?;
-    let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "transfers")?);
+    let dir = scratch(root, "transfers")?;
     let mut rows = Vec::new();
-    for quantity in &QUANTITIES {
-        let bags = import(root, &dermis, quantity.folder, &dir)?;
-        let shipped = root.join(format!("launch/train/eflesh-{}.toml", quantity.name));
-        let text =
-            dermis_io::read_text(&shipped, dermis_io::TEXT).map_err(|error| anyhow::anyhow!("{error}"))?;
-        let skin = root.join(format!("launch/skins/{}.toml", quantity.skin));
-        for (i, bag) in bags.iter().enumerate() {
-            let mut models = vec![("chosen", dir.join(format!("{}-{i}-chosen", quantity.name)))];
-            for candidate in CANDIDATES {
-                models.push((candidate, dir.join(format!("{}-{i}-{candidate}", quantity.name))));
-            }
-            for (candidate, model) in &models {
-                let mut config: toml::Table = text.parse()?;
-                if *candidate != "chosen" {
-                    config.insert("model".into(), toml::toml! { candidates = [(*candidate)] }.into());
-                }
-                let file = model.with_extension("toml");
-                std::fs::write(&file, config.to_string())?;
-                let mut train = Command::new(&dermis);
-                train.args(["train", "--config"]).arg(&file).arg("--skin").arg(&skin);
-                execute(train.arg("--out").arg(model).arg(bag).current_dir(root))?;
-            }
-            for (j, other) in bags.iter().enumerate() {
-                if i == j && !quantity.same_run {
-                    continue;
-                }
+    for quantity in [&POSITION, &FORCE, &SHEAR] {
+        let work = Work::begin(root, quantity, &dir)?;
+        for (i, bag) in work.bags.iter().enumerate() {
+            let models = learn(&work, quantity, bag, &dir.join(format!("{}-{i}", quantity.name)))?;
+            for (j, other) in work.bags.iter().enumerate().filter(|(j, _)| i != *j || quantity.same_run) {
                 let mut errors = serde_json::Map::new();
                 for (candidate, model) in &models {
-                    let mut evaluate = Command::new(&dermis);
-                    evaluate.args(["evaluate", "--json", "--skin"]).arg(&skin).arg("--model").arg(model);
-                    if i == j {
-                        evaluate.arg("--held-out");
-                    }
-                    let result = evaluation(evaluate.arg(other).current_dir(root))?;
+                    let result = work.evaluate(model, other, i == j)?;
                     let error = result["figures"][quantity.figure]
                         .as_f64()
                         .with_context(|| format!("no {} was measured", quantity.figure))?;
@@ -201,16 +193,37 @@ pub(super) fn transfers(root: &Path) -> Result<Value> {
         }
     }
     let ratios = || rows.iter().filter_map(|row| row["ratio_to_best"].as_f64());
-    let commit = output(Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root))?;
     let record = json!({
         "command": "cargo xtask measure transfers",
-        "commit": commit.trim(),
+        "commit": commit(root)?,
         "worst_ratio_to_best": ratios().fold(f64::NAN, f64::max),
         "best_chosen": ratios().filter(|ratio| *ratio <= 1.0).count(),
         "transfers": rows,
     });
-    super::ert::write(root, RESULT, &record)?;
+    write(&root.join(RESULT), &record)?;
     Ok(record)
+}
+
+/// Models of one run in a folder: by the shipped configuration, which chooses, and by each regressor alone.
+fn learn(
+    work: &Work<'_>,
+    quantity: &Quantity,
+    bag: &Path,
+    folder: &Path,
+) -> Result<Vec<(&'static str, PathBuf)>> {
+    std::fs::create_dir_all(folder)?;
+    let shipped = read_toml(&quantity.config(work.root))?;
+    let learn = |candidate: &'static str| {
+        let mut config = shipped.clone();
+        if candidate != CHOSEN {
+            config.insert("model".into(), toml::toml! { candidates = [candidate] }.into());
+        }
+        let (file, model) = (folder.join(format!("{candidate}.toml")), folder.join(candidate));
+        std::fs::write(&file, config.to_string())?;
+        work.train(&file, bag, &model, None)?;
+        Ok((candidate, model))
+    };
+    std::iter::once(CHOSEN).chain(CANDIDATES).map(learn).collect()
 }
 
 /// Errors of one transfer, and what is chosen over the best of those that were alone.
@@ -224,7 +237,7 @@ fn row(quantity: &Quantity, from: &Path, to: &Path, errors: &serde_json::Map<Str
         "unit": quantity.unit.0,
         "trained_on": name(from),
         "tested_on": if from == to { Some("its last part, held out".to_owned()) } else { name(to) },
-        "ratio_to_best": of("chosen").map(|chosen| chosen / best),
+        "ratio_to_best": of(CHOSEN).map(|chosen| chosen / best),
         "errors": errors,
     })
 }
