@@ -5,9 +5,10 @@
 //! and assessment of statistical predictions*, JRSS B 36, 1974), between runs where there are several, else between locations, else
 //! between stretches of time. Positions, forces and contact are judged apart, and each is answered by whoever errs least on it; one graph
 //! holds them all. The error is the weighted mean square in the units of the outputs' scales, which is what networks are fitted by; for
-//! contact that of the probability. The mean of all others is a candidate like them, judged on their answers to the same rows. Settings of kernels are chosen on the same folds, which favours them a little; what was held out of
-//! training judges the result. Assumptions: inputs of some tens of numbers. Cost: a training of the network for each fold, and some
-//! hundred fits of at most [`TUNED`] rows for each kind of kernel.
+//! contact that of the probability. The mean of all others is a candidate like them, judged by their answers to the same rows. Settings
+//! of kernels are chosen on the same folds, which favours them a little; what was held out of training judges the result. Assumptions:
+//! inputs of some tens of numbers. Cost: a training of the network for each fold, and some hundred fits of at most [`TUNED`] rows for each
+//! kind of kernel.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -318,7 +319,7 @@ impl<'a> Table<'a> {
                 .collect::<Result<Vec<Fitted>, LearnError>>()?;
             let answer = |(fold, i): (usize, usize)| {
                 let row: Vec<f64> = self.row(i).iter().map(|v| f64::from(*v)).collect();
-                let answer: Result<Vec<f64>, _> = fitted[fold].predict(&row);
+                let answer = fitted[fold].predict(&row);
                 let mut answer = answer.map_err(|e| LearnError::Training { reason: e.to_string() })?;
                 if group.name == "contact" {
                     answer.iter_mut().for_each(|a| *a = SLOPE * (*a - 0.5));
