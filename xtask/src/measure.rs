@@ -32,8 +32,8 @@ pub enum Measurement {
     Force,
     /// Shear along the stroke on a stack of two boards of that skin: import, train on the first part of the trial, evaluate on its end.
     Shear,
-    /// From one recorded run of the magnetic skin to another, and to the end of a run: what `dermis train` chooses of a network, support
-    /// vectors and a Gaussian process, beside each of them alone. Written to benches/results/transfers.json.
+    /// How well a model of one recorded run of the magnetic skin answers another run, or the end of the same: the one that `dermis train`
+    /// chooses, beside a network, support vectors and a Gaussian process, each alone. Written to benches/results/transfers.json.
     Transfers,
     /// The shipped bundles of the barometer skins beside the network of the thesis, tuned regressors on the same frames, and isolines, on
     /// held-out places of the training bags. Written to benches/results/comparison-line.json, comparison-grid.json and comparison-dome.json.

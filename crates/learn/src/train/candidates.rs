@@ -41,8 +41,8 @@ pub enum Candidate {
     Vectors,
     /// The mean of a Gaussian process.
     Gaussian,
-    /// The mean of the answers of all other candidates, each with the same weight. It errs by no more than they do on average, and
-    /// most often by less than the best, where their errors differ (R. T. Clemen, *Combining forecasts: a review*, International
+    /// The mean of the answers of all other candidates, each with the same weight. Its mean square error is no larger than theirs is on
+    /// average, and often smaller than the smallest, where their errors differ (R. T. Clemen, *Combining forecasts: a review*, International
     /// Journal of Forecasting 5, 1989).
     Mean,
     /// Extremely randomised trees. Only to be compared with: see [`exports`](Self::exports).

@@ -107,7 +107,7 @@ impl fmt::Display for Choice {
 /// Answers of a candidate to the rows that everyone is judged on, by group.
 type Answers = BTreeMap<&'static str, Vec<Vec<f64>>>;
 
-/// Regressors that answer a group: their mean.
+/// Regressors whose mean answers a group: one of them, or all where `mean` was kept.
 pub(super) struct Kept {
     kernels: Vec<KernelExpansion>,
     network: bool,

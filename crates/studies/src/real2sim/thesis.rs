@@ -162,7 +162,7 @@ pub struct Findings {
     pub rows: Vec<Row>,
     /// Errors of the strongest peaks, as the thesis counts them (Table 3.2).
     pub strongest: Vec<Strongest>,
-    /// The same of the true maps: what reading peaks costs where the map is known.
+    /// The same of the true maps: how far peaks err where the map is known.
     pub strongest_of_true_maps: Vec<Strongest>,
     /// \[s\] that this run took, without what an earlier one had done.
     pub seconds: f64,

@@ -45,8 +45,8 @@ pub struct Strongest {
     pub short: f64,
 }
 
-/// Of one and of two contacts, under both rules: of the maps of a pipeline, and of the true ones, which say what the reading of peaks
-/// itself costs.
+/// Of one and of two contacts, under both rules: of the maps of a pipeline, and of the true ones: how far peaks err where the
+/// map is known.
 pub(super) fn of(
     pipeline: &Pipeline,
     surface: &Surface,
