@@ -1,5 +1,7 @@
 //! `dermis-bench`: measurements of speed, each against a named peer in the same run. Start it by `cargo xtask bench`.
 
+mod chain;
+mod counts;
 mod device;
 mod ert;
 mod fusion;
@@ -40,7 +42,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// From the last byte of a frame to the message at a subscriber in another process, and frames/s per core: our node
-    /// over each backend, and a node of rclpy and ONNX Runtime with the same model.
+    /// over each backend, a node of rclpy and ONNX Runtime with the same model, and a chain in C that only writes to a socket.
     Node(node::Options),
     /// From the last byte of the first pressed frame to the stop message at a subscriber in another process: our reflexes over each
     /// backend, and a subscriber of rclpy that compares forces; on the machine as it is, and beside load.

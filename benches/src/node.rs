@@ -11,9 +11,11 @@ use dermis_msgs::msg::ContactArray;
 use dermis_skin::SkinDescription;
 use serde_json::{Value, json};
 
+use crate::chain::Chain;
+use crate::counts::{Trace, per_frame, switches};
 use crate::device::Device;
 use crate::machine::{Process, cpu_time};
-use crate::subscriber::{Arrival, Choice, domain_of, spawn, start};
+use crate::subscriber::{Arrival, Choice, domain_of, spawn, start, start_datagrams};
 
 /// The pad.
 pub const SKIN: &str = "launch/skins/baro-grid.toml";
@@ -21,6 +23,9 @@ pub const SKIN: &str = "launch/skins/baro-grid.toml";
 const WINDOW: u64 = 256;
 /// Longest wait for a node to report its first calibrated frame.
 pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// How long system calls are counted.
+const TRACED: Duration = Duration::from_secs(3);
 
 /// What to measure.
 #[derive(Debug, Args)]
@@ -61,9 +66,20 @@ struct Candidate {
 }
 
 enum Kind {
-    Ours { programs: PathBuf, onnxruntime: Option<PathBuf> },
-    Peer { python: PathBuf },
+    Ours {
+        programs: PathBuf,
+        onnxruntime: Option<PathBuf>,
+    },
+    Peer {
+        python: PathBuf,
+    },
+    /// Its subscriber has no ROS 2, either.
+    Chain(Chain),
 }
+
+/// Names of rows that others are compared with.
+const PEER: &str = "rclpy + onnxruntime";
+const CHAIN: &str = "chain in C";
 
 /// Runs all that this machine has, and prints the table.
 ///
@@ -94,8 +110,11 @@ pub fn run(options: &Options) -> Result<Value> {
     }
     if let Some(python) = &options.ros_python {
         let kind = Kind::Peer { python: python.clone() };
-        candidates.push(Candidate { name: "rclpy + onnxruntime", backend: Choice::Ros2, kind });
+        candidates.push(Candidate { name: PEER, backend: Choice::Ros2, kind });
     }
+    let skin = SkinDescription::load(options.root.join(SKIN))?;
+    let kind = Kind::Chain(Chain::build(&options.root, &skin, bundle.path())?);
+    candidates.push(Candidate { name: CHAIN, backend: Choice::Hiroz, kind });
     let mut rows = Vec::new();
     for (i, candidate) in candidates.iter().enumerate() {
         eprintln!("measuring {}", candidate.name);
@@ -103,27 +122,28 @@ pub fn run(options: &Options) -> Result<Value> {
             .with_context(|| candidate.name.to_owned())?;
         rows.push(row);
     }
-    let peer = rows.iter().find(|r| r["name"] == "rclpy + onnxruntime").cloned();
+    let named = |rows: &[Value], name: &str| rows.iter().find(|r| r["name"] == name).cloned();
+    let (peer, chain) = (named(&rows, PEER), named(&rows, CHAIN));
     for row in &mut rows {
-        let ratio = peer.as_ref().and_then(|p| {
-            Some(row["frames_per_second_and_core"].as_f64()? / p["frames_per_second_and_core"].as_f64()?)
-        });
-        row["ratio"] = json!(ratio);
-        // Most nodes are not run flat out: at this rate each has costs that do not grow with frames.
-        let at_rate = peer
-            .as_ref()
-            .and_then(|p| Some(p["latency"]["cores"].as_f64()? / row["latency"]["cores"].as_f64()?));
-        row["ratio_at_rate"] = json!(at_rate);
+        // CPU time flat out, and at a rate: there each has costs that do not grow with frames.
+        for (key, pointer) in [("ratio", "/cpu_us_per_frame"), ("ratio_at_rate", "/latency/cores")] {
+            let over = |row: &Value, of: &Option<Value>| {
+                Some(of.as_ref()?.pointer(pointer)?.as_f64()? / row.pointer(pointer)?.as_f64()?)
+            };
+            row[key] = json!(over(row, &peer));
+            row[format!("{key}_to_chain")] = json!(over(row, &chain).map(f64::recip));
+        }
     }
     table(&rows, options);
-    let of = |name: &str| rows.iter().find(|r| r["name"] == name).cloned().unwrap_or(Value::Null);
+    let of = |name: &str| named(&rows, name).unwrap_or(Value::Null);
     Ok(json!({
         "rate_hz": options.rate,
         "seconds": options.seconds,
         "hiroz": of("dermis, hiroz"),
         "hiroz_native": of("dermis, hiroz, ONNX Runtime"),
         "r2r": of("dermis, r2r"),
-        "peer": of("rclpy + onnxruntime"),
+        "peer": of(PEER),
+        "chain": of(CHAIN),
         "rows": rows,
     }))
 }
@@ -186,13 +206,17 @@ fn command(options: &Options, candidate: &Candidate, model: &Path, device: &Devi
             }
             c
         }
+        Kind::Chain(chain) => chain.command(&device.path()),
     }
 }
 
 fn measure(options: &Options, candidate: &Candidate, model: &Path, domain: u16) -> Result<Value> {
     let skin = SkinDescription::load(options.root.join(SKIN))?;
     let mut device = Device::new(&skin, 1)?;
-    let (subscriber, arrivals) = start(candidate.backend, domain)?;
+    let (subscriber, arrivals) = match &candidate.kind {
+        Kind::Chain(chain) => start_datagrams(&chain.socket())?,
+        _ => start(candidate.backend, domain)?,
+    };
     let node = spawn(&mut command(options, candidate, model, &device), domain)?;
 
     // The zero is taken from untouched frames.
@@ -210,9 +234,11 @@ fn measure(options: &Options, candidate: &Candidate, model: &Path, domain: u16) 
     }
 
     let latency = latency(options, &mut device, &arrivals, &node)?;
+    let calls = calls(options, &mut device, &arrivals, &node)?;
     let mut row = rate(options, &mut device, &arrivals, &node)?;
     row["name"] = json!(candidate.name);
     row["latency"] = latency;
+    row["calls_per_frame"] = calls;
     drop(node);
     drop(subscriber);
     Ok(row)
@@ -233,6 +259,7 @@ fn latency(
         pace.wait();
     }
     let first = device.sent.len() as u64;
+    let before = switches(&node.0)?;
     let (cpu, begun) = (cpu_time(&node.0)?, Instant::now());
     let end = begun + Duration::from_secs_f64(options.seconds);
     let mut seen = Vec::new();
@@ -242,7 +269,9 @@ fn latency(
         seen.extend(arrivals.try_iter());
     }
     let used = (cpu_time(&node.0)? - cpu).as_secs_f64() / begun.elapsed().as_secs_f64();
+    let after = switches(&node.0)?;
     let last = device.sent.len() as u64;
+    let per_frame = |before: u64, after: u64| after.saturating_sub(before) as f64 / (last - first) as f64;
     // The last ones are still on their way.
     let deadline = Instant::now() + Duration::from_secs(5);
     while !seen.iter().any(|a: &Arrival| a.sequence + 1 >= last) && Instant::now() < deadline {
@@ -270,7 +299,34 @@ fn latency(
         "frames": last - first,
         "lost": (last - first).saturating_sub(counted.len() as u64),
         "cores": used,
+        "switches_per_frame": {
+            "voluntary": per_frame(before.voluntary, after.voluntary),
+            "forced": per_frame(before.forced, after.forced),
+            "all": per_frame(before.voluntary + before.forced, after.voluntary + after.forced),
+        },
     }))
+}
+
+/// System calls per frame at the rate, by strace in a phase of its own: it slows what it watches. Null where there is none.
+fn calls(
+    options: &Options,
+    device: &mut Device,
+    arrivals: &Receiver<Arrival>,
+    node: &Process,
+) -> Result<Value> {
+    let Some(trace) = Trace::begin(&node.0)? else {
+        eprintln!("system calls are not counted: apt-get install strace");
+        return Ok(Value::Null);
+    };
+    let (mut pace, first) = (Pace::new(options.rate), device.sent.len());
+    let end = Instant::now() + TRACED;
+    while Instant::now() < end {
+        device.send(true)?;
+        pace.wait();
+        arrivals.try_iter().for_each(drop);
+    }
+    let frames = device.sent.len() - first;
+    Ok(per_frame(&trace.end()?, frames as u64))
 }
 
 /// As fast as the node takes them: frames per second of CPU time of the node.
@@ -356,37 +412,39 @@ pub fn number(value: &Value, digits: usize) -> String {
 }
 
 fn table(rows: &[Value], options: &Options) {
-    eprintln!(
-        "\n{:<30} {:>14} {:>8} {:>13} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
-        "node",
-        "frames/s/core",
-        "ratio",
-        "ratio at rate",
-        "CPU us",
-        "p50 ms",
-        "p99 ms",
-        "p99.9 ms",
-        "lost",
-        "cores"
-    );
+    let columns = |cells: [String; 13]| {
+        let [name, cells @ ..] = cells;
+        let cells: String = cells.iter().map(|cell| format!(" {cell:>9}")).collect();
+        eprintln!("{name:<28}{cells}");
+    };
+    eprintln!();
+    let heads = [
+        "node", "frames/s", "CPU us", "to rclpy", "at rate", "to C", "at rate", "p50 ms", "p99 ms", "lost",
+        "cores", "switches", "calls",
+    ];
+    columns(heads.map(str::to_owned));
     for row in rows {
         let l = &row["latency"];
-        eprintln!(
-            "{:<30} {:>14} {:>8} {:>13} {:>10} {:>9} {:>9} {:>9} {:>7} {:>7}",
-            row["name"].as_str().unwrap_or(""),
+        columns([
+            row["name"].as_str().unwrap_or("").to_owned(),
             number(&row["frames_per_second_and_core"], 0),
+            number(&row["cpu_us_per_frame"], 1),
             number(&row["ratio"], 1),
             number(&row["ratio_at_rate"], 1),
-            number(&row["cpu_us_per_frame"], 1),
+            number(&row["ratio_to_chain"], 1),
+            number(&row["ratio_at_rate_to_chain"], 1),
             number(&l["p50_ms"], 3),
             number(&l["p99_ms"], 3),
-            number(&l["p999_ms"], 3),
             number(&l["lost"], 0),
             number(&l["cores"], 3),
-        );
+            number(&l["switches_per_frame"]["all"], 1),
+            number(&row["calls_per_frame"]["all"], 1),
+        ]);
     }
     eprintln!(
-        "\nLatency at {} Hz, from the last byte of a frame to the decoded message at a subscriber in another process.",
+        "\nFrames/s are those of a core, and CPU time flat out; `to` compares CPU time, flat out and at {0} Hz. Latency at {0} Hz, from \
+         the last byte of a frame to the decoded message at a subscriber in another process; switches and system calls per frame at \
+         that rate.",
         options.rate
     );
 }

@@ -1,9 +1,11 @@
 //! The subscriber process: says of each message which frame it is of and when it was here.
 
 use std::io::{Read, Write};
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -53,8 +55,11 @@ impl Choice {
 #[derive(Debug, Args)]
 pub struct Options {
     /// ROS 2 implementation.
-    #[arg(long, value_enum)]
-    backend: Choice,
+    #[arg(long, value_enum, required_unless_present = "socket")]
+    backend: Option<Choice>,
+    /// No ROS 2: answers of the chain in C as datagrams to this Unix socket.
+    #[arg(long, conflicts_with = "backend")]
+    socket: Option<PathBuf>,
     /// Topic of contact arrays, or of stops.
     #[arg(long, default_value = "contacts")]
     topic: String,
@@ -109,7 +114,10 @@ impl Arrival {
 ///
 /// Where ROS refuses.
 pub fn run(options: &Options) -> Result<()> {
-    let backend = options.backend.open()?;
+    if let Some(socket) = &options.socket {
+        return datagrams(socket);
+    }
+    let backend = options.backend.context("neither a backend nor a socket is named")?.open()?;
     let node = Node::open(NodeOptions::new("bench_subscriber"), backend.as_ref())?;
     let waiting = Arc::new(Mutex::new(Vec::<u8>::new()));
     let sink = Arc::clone(&waiting);
@@ -141,6 +149,25 @@ pub fn run(options: &Options) -> Result<()> {
     }
 }
 
+/// The same of the datagrams of the chain in C: sequence, status, number of contacts, and what it found.
+fn datagrams(path: &Path) -> Result<()> {
+    let socket = UnixDatagram::bind(path).with_context(|| format!("{} cannot be opened", path.display()))?;
+    let mut out = std::io::stdout().lock();
+    let mut bytes = [0; 256];
+    loop {
+        let n = socket.recv(&mut bytes)?;
+        let received_ns = now_ns();
+        let Some((sequence, [status, contacts, ..])) = bytes[..n].split_first_chunk() else {
+            bail!("the chain sends {n} bytes")
+        };
+        let sequence = u64::from_ne_bytes(*sequence);
+        let arrival = Arrival { sequence, received_ns, status: *status, contacts: *contacts };
+        if out.write_all(&arrival.to_bytes()).and_then(|()| out.flush()).is_err() {
+            return Ok(());
+        }
+    }
+}
+
 /// Reads what such a process prints.
 pub fn arrivals(mut pipe: impl Read + Send + 'static) -> Receiver<Arrival> {
     let (tx, rx) = channel();
@@ -161,7 +188,24 @@ pub fn arrivals(mut pipe: impl Read + Send + 'static) -> Receiver<Arrival> {
 ///
 /// Where it cannot be started.
 pub fn start(backend: Choice, domain: u16) -> Result<(Process, Receiver<Arrival>)> {
-    start_with(backend, domain, &[])
+    start_with(domain, &["--backend", backend.name()])
+}
+
+/// The same for answers of the chain in C; it listens when this returns.
+///
+/// # Errors
+///
+/// Where it cannot be started.
+pub fn start_datagrams(socket: &Path) -> Result<(Process, Receiver<Arrival>)> {
+    let started = start_with(domain_of(0), &["--socket", &socket.display().to_string()])?;
+    let begun = Instant::now();
+    while !socket.exists() {
+        if begun.elapsed() > Duration::from_secs(10) {
+            bail!("the subscriber did not open {}", socket.display());
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    Ok(started)
 }
 
 /// The same for stops on the topic `stop`.
@@ -170,14 +214,14 @@ pub fn start(backend: Choice, domain: u16) -> Result<(Process, Receiver<Arrival>
 ///
 /// Where it cannot be started.
 pub fn start_stops(backend: Choice, domain: u16) -> Result<(Process, Receiver<Arrival>)> {
-    start_with(backend, domain, &["--stops", "--topic", "stop"])
+    start_with(domain, &["--backend", backend.name(), "--stops", "--topic", "stop"])
 }
 
-fn start_with(backend: Choice, domain: u16, more: &[&str]) -> Result<(Process, Receiver<Arrival>)> {
+fn start_with(domain: u16, arguments: &[&str]) -> Result<(Process, Receiver<Arrival>)> {
     let this = std::env::current_exe().context("this program has no path")?;
     let mut child = isolated(&mut std::process::Command::new(this), domain)
-        .args(["subscriber", "--backend", backend.name()])
-        .args(more)
+        .arg("subscriber")
+        .args(arguments)
         .stdout(std::process::Stdio::piped())
         .spawn()
         .context("the subscriber cannot be started")?;
