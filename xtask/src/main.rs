@@ -79,7 +79,7 @@ fn main() -> Result<()> {
             let mut it = command.iter();
             let program = it.next().map(String::as_str).unwrap_or_default();
             let mut child = std::process::Command::new(program);
-            child.args(it).envs(ros.variables());
+            run::without_own_variables(child.args(it).envs(ros.variables()));
             let status = child.status()?;
             std::process::exit(status.code().unwrap_or(1));
         }

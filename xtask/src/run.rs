@@ -34,14 +34,7 @@ pub fn output(command: &mut Command) -> Result<String> {
 pub fn cargo(root: &Path) -> Command {
     let mut c = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     c.current_dir(root);
-    // `cargo xtask` sets these for this program. A build script that asks for one of them (ring's does) would run again whenever
-    // cargo is called now from here and now by hand, and everything above it be compiled again.
-    for (name, _) in std::env::vars_os() {
-        let name_text = name.to_string_lossy();
-        if name_text.starts_with("CARGO_PKG_") || name_text.starts_with("CARGO_MANIFEST_") {
-            c.env_remove(&name);
-        }
-    }
+    without_own_variables(&mut c);
     // Subcommands that were installed for this repository.
     let path = std::env::var_os("PATH").unwrap_or_default();
     let folders = std::env::split_paths(&path).chain([root.join(".dermis/tools/bin")]);
@@ -49,6 +42,17 @@ pub fn cargo(root: &Path) -> Command {
         c.env("PATH", path);
     }
     c
+}
+
+/// Takes away what `cargo xtask` sets for this program. A build script that asks for one of these variables (ring's does) would run
+/// again whenever cargo is called now from here and now by hand, and everything above it be compiled again.
+pub fn without_own_variables(command: &mut Command) {
+    for (name, _) in std::env::vars_os() {
+        let text = name.to_string_lossy();
+        if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST_") {
+            command.env_remove(&name);
+        }
+    }
 }
 
 /// Where cargo puts what it builds.
