@@ -1,5 +1,7 @@
-//! A byte source that runs by itself: a thread reads, reconnects and reports through a bounded queue.
+//! A byte source that runs by itself: a thread reads, reconnects and reports through a bounded queue. A consumer that waits and is
+//! quick reads in its place ([`lent`]).
 
+mod lent;
 mod link;
 mod outbox;
 mod queue;
@@ -21,9 +23,12 @@ use nix::sys::time::TimeSpec;
 use serde::Serialize;
 
 use crate::SourceUrl;
+#[cfg(test)]
+use lent::GUARD;
+use lent::{Lent, Pump, Returned};
 use link::{Opener, ReadOutcome};
 use outbox::{Outbox, Wake};
-use queue::Queue;
+use queue::{Next, Queue};
 
 /// What a source tells its consumer, in the order in which it happened.
 #[derive(Debug, Clone, PartialEq)]
@@ -178,10 +183,9 @@ pub struct SourceStats {
 pub struct Source {
     url: SourceUrl,
     queue: Arc<Queue>,
-    outbox: Option<Arc<Outbox>>,
+    /// `None` where its thread could not be started.
+    reader: Option<Arc<Reader>>,
     stop: Option<PipeWriter>,
-    // Set while the thread is in a system call that the stop pipe cannot interrupt (connecting, resolving).
-    busy: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -191,22 +195,29 @@ impl Source {
     #[must_use]
     pub fn open(url: SourceUrl, options: SourceOptions) -> Self {
         let queue = Arc::new(Queue::new(options.queue_bytes, options.queue_chunks.max(1)));
-        let busy = Arc::new(AtomicBool::new(false));
         let mut source =
-            Self { url: url.clone(), queue: queue.clone(), outbox: None, stop: None, busy, thread: None };
+            Self { url: url.clone(), queue: queue.clone(), reader: None, stop: None, thread: None };
         let spawned = std::io::pipe().and_then(|(stopped, stop)| {
             let (outbox, wake) = Outbox::new()?;
-            let outbox = Arc::new(outbox);
-            let (queue, busy, out) = (queue.clone(), source.busy.clone(), Arc::clone(&outbox));
-            let thread = std::thread::Builder::new().name("dermis-source".into()).spawn(move || {
-                Reader { url, options, queue, outbox: out, wake, stop: Stop(stopped), busy }.run();
-            })?;
-            Ok((stop, outbox, thread))
+            let reader = Arc::new(Reader {
+                url,
+                options,
+                queue: queue.clone(),
+                outbox,
+                wake,
+                stop: Stop(stopped),
+                busy: AtomicBool::new(false),
+                lent: Lent::default(),
+            });
+            let running = Arc::clone(&reader);
+            let thread =
+                std::thread::Builder::new().name("dermis-source".into()).spawn(move || running.run())?;
+            Ok((stop, reader, thread))
         });
         match spawned {
-            Ok((stop, outbox, thread)) => {
+            Ok((stop, reader, thread)) => {
                 source.stop = Some(stop);
-                source.outbox = Some(outbox);
+                source.reader = Some(reader);
                 source.thread = Some(thread);
             }
             Err(e) => {
@@ -223,16 +234,25 @@ impl Source {
         self.queue.next().await
     }
 
-    /// The next event, or `None` after `timeout`; blocks the thread.
+    /// The next event, or `None` after `timeout`; blocks the thread. A caller who always comes back within a millisecond reads the
+    /// line itself while it waits.
     pub fn next_timeout(&self, timeout: Duration) -> Option<Event> {
-        self.queue.next_timeout(timeout)
+        let until = Instant::now() + timeout;
+        loop {
+            let lent = || Some((self.reader.as_ref()?, self.reader.as_ref()?.lent.take()?));
+            match self.queue.next_until(until, lent) {
+                Next::Event(event) => return Some(event),
+                Next::Nothing => return None,
+                Next::Lent((reader, pump)) => reader.read_lent(pump, until),
+            }
+        }
     }
 
     /// Writes to the device, for one that answers requests. The bytes are sent by the source's own thread as soon as the line
     /// takes them; over UDP to the sender that is read. `false` where they do not fit behind what waits already (64 KiB), the link
     /// is down, or the source is a recording: a request that was not sent is made again.
     pub fn send(&self, bytes: &[u8]) -> bool {
-        self.outbox.as_ref().is_some_and(|outbox| outbox.put(bytes))
+        self.reader.as_ref().is_some_and(|reader| reader.outbox.put(bytes))
     }
 
     /// What was read, dropped and reconnected so far.
@@ -270,9 +290,11 @@ impl Drop for Source {
     fn drop(&mut self) {
         self.queue.close();
         self.stop = None;
+        let Some(reader) = &self.reader else { return };
+        reader.lent.close();
         // Joined so that the device is free again once the source is gone; but nobody waits for a slow name server.
         if let Some(thread) = self.thread.take()
-            && !self.busy.load(Ordering::Acquire)
+            && !reader.busy.load(Ordering::Acquire)
         {
             let _ = thread.join();
         }
@@ -280,6 +302,7 @@ impl Drop for Source {
 }
 
 /// The end of a pipe that hangs up when the source is dropped.
+#[derive(Debug)]
 struct Stop(PipeReader);
 
 impl Stop {
@@ -311,18 +334,21 @@ fn poll_timeout(time: Option<Duration>) -> PollTimeout {
     }
 }
 
+#[derive(Debug)]
 struct Reader {
     url: SourceUrl,
     options: SourceOptions,
     queue: Arc<Queue>,
-    outbox: Arc<Outbox>,
+    outbox: Outbox,
     wake: Wake,
     stop: Stop,
-    busy: Arc<AtomicBool>,
+    /// The thread is in a system call that the stop pipe cannot interrupt (connecting, resolving).
+    busy: AtomicBool,
+    lent: Lent,
 }
 
 impl Reader {
-    fn run(self) {
+    fn run(&self) {
         let _end = EndOnDrop(&self.queue);
         if let SourceUrl::Replay { path, speed, topic, skin, repeat } = &self.url {
             let (topic, skin) = (topic.as_deref(), skin.as_deref());
@@ -344,15 +370,15 @@ impl Reader {
                 return;
             }
             let (reason, was_up) = match opened {
-                Ok(Some(mut link)) => {
+                Ok(Some(link)) => {
                     self.outbox.open();
                     self.queue.connected(link.description());
-                    let ended = self.pump(&mut link, &mut opener, &mut backoff);
+                    let pump = Pump { link, opener, buffer: vec![0; self.buffer_size()] };
+                    let ended = self.pump(Box::new(pump), &mut backoff);
                     self.outbox.close();
-                    match ended {
-                        Some(reason) => (reason, true),
-                        None => return,
-                    }
+                    let Some((opener_again, reason)) = ended else { return };
+                    opener = opener_again;
+                    (reason, true)
                 }
                 Ok(None) => return,
                 Err(reason) => (reason, false),
@@ -365,23 +391,52 @@ impl Reader {
         }
     }
 
-    /// Reads until the link is down, and says why, or `None` when it is time to stop.
-    fn pump(&self, link: &mut link::Link, opener: &mut Opener, backoff: &mut Backoff) -> Option<String> {
-        // A datagram is read whole or its end is lost; a stream can be cut to what the queue takes.
-        let size = match &self.url {
+    /// \[bytes\] A datagram is read whole or its end is lost; a stream can be cut to what the queue takes.
+    fn buffer_size(&self) -> usize {
+        match &self.url {
             SourceUrl::Udp { .. } => 1 << 16,
             _ => (1 << 14).min(self.options.queue_bytes).max(1),
-        };
-        let mut buffer = vec![0; size];
+        }
+    }
+
+    /// Reads until the link is down, and says why, or `None` when it is time to stop.
+    fn pump(&self, mut pump: Box<Pump>, backoff: &mut Backoff) -> Option<(Opener, String)> {
         loop {
-            match link.read(&mut buffer, self, opener) {
+            let Pump { link, opener, buffer } = &mut *pump;
+            match link.read(buffer, self, opener, None) {
                 ReadOutcome::Bytes(n) => {
                     backoff.reset();
+                    let quick = self.queue.quick_consumer();
                     self.queue.push(Bytes::copy_from_slice(&buffer[..n]), crate::now_ns());
+                    if quick {
+                        self.lent.offer(pump);
+                        // One that waits already looks again.
+                        self.queue.nudge();
+                        pump = match self.lent.returned() {
+                            Returned::Unread(pump) => pump,
+                            Returned::Down(opener, reason) => return Some((opener, reason?)),
+                            Returned::Closed => return None,
+                        };
+                    }
                 }
-                ReadOutcome::Down(reason) => return Some(reason),
+                ReadOutcome::Nothing => {}
+                ReadOutcome::Down(reason) => return Some((pump.opener, reason)),
                 ReadOutcome::Stopped => return None,
             }
+        }
+    }
+
+    /// Reads in the consumer's thread, once.
+    fn read_lent(&self, mut pump: Box<Pump>, until: Instant) {
+        let Pump { link, opener, buffer } = &mut *pump;
+        match link.read(buffer, self, opener, Some(until)) {
+            ReadOutcome::Bytes(n) => {
+                self.queue.push(Bytes::copy_from_slice(&buffer[..n]), crate::now_ns());
+                self.lent.offer(pump);
+            }
+            ReadOutcome::Nothing => self.lent.offer(pump),
+            ReadOutcome::Down(reason) => self.lent.down(pump.opener, Some(reason)),
+            ReadOutcome::Stopped => self.lent.down(pump.opener, None),
         }
     }
 }
@@ -432,7 +487,27 @@ fn random_fraction() -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write as _;
+
     use super::*;
+
+    #[test]
+    fn a_quick_consumer_is_lent_the_link_and_one_that_is_away_loses_it() {
+        let mut device = crate::Pty::open().unwrap();
+        let url = SourceUrl::parse(&format!("pty://{}", device.slave_path().display())).unwrap();
+        let source = Source::open(url, SourceOptions::default());
+        let lent = &source.reader.as_ref().unwrap().lent;
+        let until = Instant::now() + Duration::from_secs(20);
+        while !lent.is_free() {
+            assert!(Instant::now() < until, "never lent");
+            device.write_all(b"more").unwrap();
+            source.next_timeout(Duration::from_millis(100));
+        }
+        while lent.is_free() {
+            assert!(Instant::now() < until, "never taken back");
+            std::thread::sleep(GUARD);
+        }
+    }
 
     #[test]
     fn backoff_doubles_to_its_bound_and_starts_again() {

@@ -177,6 +177,37 @@ fn unplugged_in_the_middle_of_a_frame_and_plugged_in_again() {
 }
 
 #[test]
+fn a_line_that_a_quick_consumer_reads_itself_is_emptied_while_it_is_away() {
+    let mut device = Pty::open().unwrap();
+    let mut consumer = Consumer::new(open(&format!("serial://{}", device.slave_path().display())));
+    consumer.until("the link", |c| c.connected == 1);
+    let mut sent = 0;
+    for round in 1..=3 {
+        // One at a time: the consumer waits for each, and reads it in its own thread.
+        for _ in 0..50 {
+            device.write_all(&frame(sent)).unwrap();
+            sent += 1;
+            let all = sent as usize;
+            consumer.until("a frame", |c| c.frames.len() == all);
+        }
+        // More than a terminal holds, while nobody waits: the writer would hang.
+        let away = sent + 200;
+        for sequence in sent..away {
+            device.write_all(&frame(sequence)).unwrap();
+        }
+        sent = away;
+        let bytes = (0..sent).map(|i| frame(i).len() as u64).sum::<u64>();
+        wait_for("the bytes", || (consumer.source.stats().bytes == bytes).then_some(()));
+        let all = sent as usize;
+        consumer.until("the frames from before", |c| c.frames.len() == all);
+        assert_eq!(consumer.overflows, 0, "round {round}");
+    }
+    consumer.assert_true();
+    drop(device);
+    consumer.until("the end of the line, though no thread reads it", |c| c.reasons.len() == 1);
+}
+
+#[test]
 fn a_device_that_is_not_there_yet_is_waited_for() {
     let folder = tempfile::tempdir().unwrap();
     let link = link_in(folder.path());

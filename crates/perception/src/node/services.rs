@@ -96,7 +96,9 @@ impl Shared {
                 core.estimator.cancel_tare();
                 return Err(format!("not tared: {why}"));
             }
+            core.awaited += 1;
             core = self.progress.wait_timeout(core, left.min(TICK)).unwrap_or_else(PoisonError::into_inner).0;
+            core.awaited -= 1;
         }
     }
 

@@ -43,7 +43,7 @@ pub(super) struct Shared {
     pub(super) model_folders: Vec<PathBuf>,
     pub(super) kept_zero: KeptZero,
     pub(super) core: Mutex<Core>,
-    /// Notified after every batch of frames.
+    /// Notified after every batch of frames while [`Core::awaited`] says that somebody waits.
     pub(super) progress: Condvar,
     pub(super) active: AtomicBool,
     pub(super) stop: AtomicBool,
@@ -68,6 +68,8 @@ pub(super) struct Core {
     pub(super) blind: Option<(u8, String)>,
     /// Jumps of the device's clock that were warned of, and when that was.
     pub(super) jumps: (u64, Option<Instant>),
+    /// Threads that wait for [`Shared::progress`].
+    pub(super) awaited: usize,
 }
 
 /// Rates and delays since the last diagnosis, and totals.
@@ -137,6 +139,7 @@ impl Shared {
                 refused: 0,
                 blind: None,
                 jumps: (0, None),
+                awaited: 0,
             }),
             progress: Condvar::new(),
             active: AtomicBool::new(false),

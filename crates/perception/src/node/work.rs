@@ -96,8 +96,9 @@ impl<'a> Worker<'a> {
                 self.shared.lock().source = Some(source.watch());
                 source
             });
-            self.turn(source);
-            self.shared.progress.notify_all();
+            if self.turn(source) {
+                self.shared.progress.notify_all();
+            }
         }
     }
 
@@ -125,8 +126,8 @@ impl<'a> Worker<'a> {
         self.shared.clear_arrows(&mut core);
     }
 
-    /// Decodes what came, estimates the contacts of one frame, and reports a skin that is blind.
-    fn turn(&mut self, source: &mut Source) {
+    /// Decodes what came, estimates the contacts of one frame, and reports a skin that is blind; returns whether somebody waits for it.
+    fn turn(&mut self, source: &mut Source) -> bool {
         let shared = self.shared;
         let request = shared.lock().decoder.as_mut().and_then(|decoder| decoder.request(now_ns()));
         if let Some(request) = request {
@@ -150,6 +151,7 @@ impl<'a> Worker<'a> {
         if !stale {
             self.keep_zero(&core);
         }
+        core.awaited > 0
     }
 
     /// Decodes this event and, of a device, those that are there already.

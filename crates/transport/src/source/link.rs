@@ -26,6 +26,8 @@ pub(super) enum ReadOutcome {
     Down(String),
     /// It is time to stop.
     Stopped,
+    /// No bytes came in the one wait that was asked for.
+    Nothing,
 }
 
 enum Wire {
@@ -138,9 +140,21 @@ impl Link {
         &self.description
     }
 
-    /// Waits for bytes and reads them.
-    pub(super) fn read(&mut self, buffer: &mut [u8], reader: &Reader, opener: &mut Opener) -> ReadOutcome {
+    /// Waits for bytes and reads them. Where a time is named, it waits once and not beyond it: what the wait brought may be an event
+    /// that is in the queue now.
+    pub(super) fn read(
+        &mut self,
+        buffer: &mut [u8],
+        reader: &Reader,
+        opener: &mut Opener,
+        until: Option<Instant>,
+    ) -> ReadOutcome {
+        let mut waited = false;
         loop {
+            if waited && until.is_some() {
+                return ReadOutcome::Nothing;
+            }
+            waited = true;
             let mut left = self.idle.map(|idle| idle.saturating_sub(self.last.elapsed()));
             if let (Some(idle), Some(Duration::ZERO)) = (self.idle, left) {
                 return ReadOutcome::Down(format!("{} is silent for {idle:?}", self.name));
@@ -149,6 +163,10 @@ impl Link {
                 Decision::Nothing => {}
                 Decision::In(time) => left = Some(left.map_or(time, |left| left.min(time))),
                 Decision::Replace(reason) => return ReadOutcome::Down(reason),
+            }
+            if let Some(until) = until {
+                let wait = until.saturating_duration_since(Instant::now());
+                left = Some(left.map_or(wait, |left| left.min(wait)));
             }
             if self.wire.holds() {
                 left = Some(Duration::ZERO);

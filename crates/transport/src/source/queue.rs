@@ -39,7 +39,27 @@ struct State {
     stats: SourceStats,
     ended: bool,
     closed: bool,
+    /// Threads that wait for an event, and for room: who wakes nobody asks nothing of the system.
+    listeners: usize,
+    pushers: usize,
+    /// When the consumer left with an event or without one, and the longest that it stayed away of late \[s\].
+    left: Option<Instant>,
+    away: f64,
 }
+
+/// What a wait for an event brought.
+pub(super) enum Next<T> {
+    Event(Event),
+    /// The time is over.
+    Nothing,
+    /// Something else to do than to wait.
+    Lent(T),
+}
+
+/// \[s\] A consumer that comes back sooner reads the line itself.
+const QUICK: f64 = 1e-3;
+/// What an absence counts at the next return.
+const FADING: f64 = 0.9;
 
 impl State {
     fn drop_oldest_bytes(&mut self) {
@@ -108,9 +128,31 @@ impl Queue {
     }
 
     fn wake(&self, state: MutexGuard<'_, State>) {
+        let awaited = state.listeners > 0;
         drop(state);
-        self.arrived.notify_one();
+        if awaited {
+            self.arrived.notify_one();
+        }
         self.notify.notify_one();
+    }
+
+    fn made_room(&self, state: MutexGuard<'_, State>) {
+        let awaited = state.pushers > 0;
+        drop(state);
+        if awaited {
+            self.taken.notify_one();
+        }
+    }
+
+    /// Whether a consumer waits that could read the line itself: one that always comes back soon.
+    pub(super) fn quick_consumer(&self) -> bool {
+        let state = self.state();
+        state.listeners > 0 && state.away < QUICK
+    }
+
+    /// Wakes a consumer that waits: there is something else to do.
+    pub(super) fn nudge(&self) {
+        self.wake(self.state());
     }
 
     /// Appends bytes, and drops the oldest where the consumer is too slow.
@@ -132,7 +174,9 @@ impl Queue {
             && state.chunks > 0
             && (state.chunks >= self.limit_chunks || state.stats.queued_bytes + data.len() > self.limit_bytes)
         {
+            state.pushers += 1;
             state = self.taken.wait(state).unwrap_or_else(PoisonError::into_inner);
+            state.pushers -= 1;
         }
         if state.closed {
             return false;
@@ -252,30 +296,39 @@ impl Queue {
         }
     }
 
-    pub(super) fn next_timeout(&self, timeout: Duration) -> Option<Event> {
-        let until = Instant::now() + timeout;
+    /// The next event until then, or what `lent` gives where there is none yet and the time is not over.
+    pub(super) fn next_until<T>(&self, until: Instant, lent: impl Fn() -> Option<T>) -> Next<T> {
         let mut state = self.state();
+        let mut now = Instant::now();
+        if let Some(left) = state.left {
+            state.away = (FADING * state.away).max(now.saturating_duration_since(left).as_secs_f64());
+        }
         loop {
             if let Some(event) = state.pop() {
-                drop(state);
-                self.taken.notify_one();
-                return Some(event);
+                state.left = Some(now);
+                self.made_room(state);
+                return Next::Event(event);
             }
-            let left = until.saturating_duration_since(Instant::now());
+            let left = until.saturating_duration_since(now);
             if left.is_zero() {
-                return None;
+                state.left = Some(now);
+                return Next::Nothing;
             }
+            if let Some(lent) = lent() {
+                state.left = None;
+                return Next::Lent(lent);
+            }
+            state.listeners += 1;
             state = self.arrived.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+            state.listeners -= 1;
+            now = Instant::now();
         }
     }
 
     fn take(&self, mut state: MutexGuard<'_, State>) -> Option<Event> {
-        let event = state.pop();
-        drop(state);
-        if event.is_some() {
-            self.taken.notify_one();
-        }
-        event
+        let event = state.pop()?;
+        self.made_room(state);
+        Some(event)
     }
 
     pub(super) fn stats(&self) -> SourceStats {
@@ -286,6 +339,15 @@ impl Queue {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    impl Queue {
+        fn next_timeout(&self, timeout: Duration) -> Option<Event> {
+            match self.next_until(Instant::now() + timeout, || None::<()>) {
+                Next::Event(event) => Some(event),
+                _ => None,
+            }
+        }
+    }
 
     fn bytes(n: usize) -> Bytes {
         Bytes::from(vec![n as u8; n])
@@ -356,6 +418,36 @@ mod tests {
         queue.push(bytes(1), 0);
         queue.close();
         assert!(!queue.push_waiting(bytes(1), || 0), "nobody waits for a consumer that is gone");
+    }
+
+    #[test]
+    fn only_a_consumer_that_always_comes_back_soon_is_quick() {
+        let queue = Queue::new(1000, 20);
+        let waits = || {
+            let patience = Instant::now() + Duration::from_secs(20);
+            while queue.state().listeners == 0 {
+                assert!(Instant::now() < patience, "nobody waits");
+                std::thread::yield_now();
+            }
+            queue.quick_consumer()
+        };
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while let Some(Event::Bytes { received_ns, .. }) = queue.next_timeout(Duration::from_secs(20))
+                {
+                    std::thread::sleep(Duration::from_millis(received_ns.unsigned_abs()));
+                }
+            });
+            // It was not away yet.
+            assert!(waits());
+            queue.push(bytes(1), 5);
+            while queue.state().listeners > 0 {
+                std::thread::yield_now();
+            }
+            assert!(!waits(), "away for 5 ms");
+            queue.end();
+        });
+        assert!(!queue.quick_consumer(), "nobody waits");
     }
 
     #[test]
