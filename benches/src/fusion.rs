@@ -5,7 +5,7 @@
 //! eight reports and one answer each millisecond. The peer has the contacts of all skins as arrays, takes every report for the contacts that it
 //! is of, and neither assigns nor merges: what it computes is position, velocity and force with their covariances, of the same reports.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Result, bail};
@@ -84,9 +84,8 @@ pub fn run(options: &Options) -> Result<Value> {
     Ok(result)
 }
 
-/// A robot with so many skins, each on an arm of its own.
-fn robot(skins: usize) -> Result<Robot> {
-    let folder = tempfile::tempdir()?;
+/// Writes a robot with so many skins, each on an arm of its own; its file.
+pub fn write_robot(folder: &Path, skins: usize) -> Result<PathBuf> {
     let mut urdf = "<robot name=\"r\"><link name=\"base\"/>".to_owned();
     let mut text = "schema = \"dermis-robot/1\"\nname = \"r\"\nurdf = \"r.urdf\"\n".to_owned();
     for i in 0..skins {
@@ -98,12 +97,16 @@ fn robot(skins: usize) -> Result<Robot> {
             "[[skins]]\nname = \"s{i}\"\nmount = {{ parent = \"l{i}\", translation = [0.0, 0.0, 0.0], rpy = [0.0, 0.0, 0.0] }}\n"
         );
     }
-    std::fs::write(folder.path().join("r.urdf"), urdf + "</robot>")?;
-    Ok(Robot::from_toml(&text, &folder.path().join("r.toml"))?)
+    std::fs::write(folder.join("r.urdf"), urdf + "</robot>")?;
+    let file = folder.join("r.toml");
+    std::fs::write(&file, text)?;
+    Ok(file)
 }
 
 fn fuser(skins: usize) -> Result<Fuser> {
-    let mut fuser = Fuser::new(robot(skins)?, Settings::default(), HistoryLimits::default(), &[], &[])?;
+    let folder = tempfile::tempdir()?;
+    let robot = Robot::load(write_robot(folder.path(), skins)?)?;
+    let mut fuser = Fuser::new(robot, Settings::default(), HistoryLimits::default(), &[], &[])?;
     fuser.assume_rest();
     Ok(fuser)
 }

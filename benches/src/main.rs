@@ -1,5 +1,6 @@
 //! `dermis-bench`: measurements of speed, each against a named peer in the same run. Start it by `cargo xtask bench`.
 
+mod body;
 mod chain;
 mod counts;
 mod device;
@@ -59,6 +60,8 @@ enum Command {
     Insight(insight::Options),
     /// Eight skins at 1 kHz merged: time of an update, and how it grows with contacts; against the same filter in numpy.
     Fusion(fusion::Options),
+    /// Eight skins at 1 kHz and the fusion, each a process: from the last byte of a frame to the body's message at one more process.
+    Body(body::Options),
     /// A diagnosis of ten thousand contacts on a fabric of 784 channels: seconds after its signatures are kept, and memory.
     Gap(gap::Options),
     /// The node of the limb at its rate, by the bundles that look for one and for two contacts: latency, frames without an answer,
@@ -94,6 +97,7 @@ fn main() -> Result<()> {
         Command::Ert(options) => ert::run(&options)?,
         Command::Insight(options) => insight::run(&options)?,
         Command::Fusion(options) => fusion::run(&options)?,
+        Command::Body(options) => body::run(&options)?,
         Command::Gap(options) => gap::run(&options)?,
         Command::Limb(options) => limb::run(&options)?,
         Command::Thumb(options) => thumb::run(&options)?,

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use dermis_msgs::msg::ContactArray;
+use dermis_msgs::msg::{BodyContacts, ContactArray};
 use dermis_msgs::std_msgs::msg::Bool;
 use dermis_node::{Backend, HirozBackend, Node, NodeOptions, Qos};
 use dermis_transport::now_ns;
@@ -64,8 +64,12 @@ pub struct Options {
     #[arg(long, default_value = "contacts")]
     topic: String,
     /// It brings stops (`std_msgs/msg/Bool`), whose value is given as the status.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "body")]
     stops: bool,
+    /// It brings what a body feels (`dermis_msgs/msg/BodyContacts`): for each skin an arrival with the stamp of its latest frame
+    /// \[ns\] in place of the sequence, the skin's place in the list in place of the status, and the number of the body's contacts.
+    #[arg(long)]
+    body: bool,
 }
 
 /// One message that arrived.
@@ -128,6 +132,16 @@ pub fn run(options: &Options) -> Result<()> {
     let _subscription = if options.stops {
         node.subscribe::<Bool>(&options.topic, qos, move |stop, _| {
             keep(Arrival { sequence: 0, received_ns: now_ns(), status: u8::from(stop.data), contacts: 0 });
+        })?
+    } else if options.body {
+        node.subscribe::<BodyContacts>(&options.topic, qos, move |body, _| {
+            let received_ns = now_ns();
+            let contacts = u8::try_from(body.contacts.len()).unwrap_or(u8::MAX);
+            for (place, skin) in (0..=u8::MAX).zip(&body.skins) {
+                let sequence =
+                    u64::from(skin.stamp.sec.unsigned_abs()) * 1_000_000_000 + u64::from(skin.stamp.nanosec);
+                keep(Arrival { sequence, received_ns, status: place, contacts });
+            }
         })?
     } else {
         node.subscribe::<ContactArray>(&options.topic, qos, move |array, _| {
@@ -215,6 +229,15 @@ pub fn start_datagrams(socket: &Path) -> Result<(Process, Receiver<Arrival>)> {
 /// Where it cannot be started.
 pub fn start_stops(backend: Choice, domain: u16) -> Result<(Process, Receiver<Arrival>)> {
     start_with(domain, &["--backend", backend.name(), "--stops", "--topic", "stop"])
+}
+
+/// The same for what a body feels, on this topic.
+///
+/// # Errors
+///
+/// Where it cannot be started.
+pub fn start_body(backend: Choice, domain: u16, topic: &str) -> Result<(Process, Receiver<Arrival>)> {
+    start_with(domain, &["--backend", backend.name(), "--body", "--topic", topic])
 }
 
 fn start_with(domain: u16, arguments: &[&str]) -> Result<(Process, Receiver<Arrival>)> {

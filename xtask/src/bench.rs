@@ -13,7 +13,7 @@ use crate::test::{ROS_IN_PROGRAM, WITH_ROS, build_aside};
 /// What can be measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Name {
-    /// Bytes on a line → message at a subscriber in another process, against rclpy and ONNX Runtime.
+    /// Bytes on a line → message at a subscriber in another process, against rclpy and ONNX Runtime, and a chain in C.
     Node,
     /// First pressed frame → stop message at another process, against a subscriber of rclpy.
     Reflex,
@@ -26,6 +26,8 @@ pub enum Name {
     /// Pictures per second of the soft thumb, against Taxim; beside real frames where `DERMIS_DATA` names the folder of the recordings.
     Insight,
     Fusion,
+    /// Eight skins at 1 kHz and the fusion, each a process.
+    Body,
     /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
     Gap,
     /// The node of the limb at its rate, by the bundles for one and for two contacts.
@@ -62,6 +64,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                 Name::Ert,
                 Name::Insight,
                 Name::Fusion,
+                Name::Body,
                 Name::Node,
                 Name::Reflex,
                 Name::Limb,
@@ -85,7 +88,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         let value = name.to_possible_value();
         let text = value.as_ref().map_or("", |v| v.get_name());
         let mut command = Command::new(programs.join("dermis-bench"));
-        if matches!(name, Name::Node | Name::Reflex) {
+        if matches!(name, Name::Node | Name::Reflex | Name::Body) {
             let aside = build_aside(&programs, &PROGRAMS, || {
                 let mut c = cargo(root);
                 let mut features = ROS_IN_PROGRAM.map(str::to_owned);
@@ -95,7 +98,9 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             command = Command::new(aside.join("dermis-bench"));
             command.envs(ros.variables()).arg(text);
             command.arg("--programs").arg(&programs).arg("--ros-programs").arg(&aside);
-            command.arg("--ros-python").arg(&ros.variables()["DERMIS_ROS_PYTHON"]);
+            if name != Name::Body {
+                command.arg("--ros-python").arg(&ros.variables()["DERMIS_ROS_PYTHON"]);
+            }
             if name == Name::Node {
                 // The interpreter lies in `bin` of its environment.
                 let venv = clients.ancestors().nth(2).unwrap_or(root);

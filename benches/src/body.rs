@@ -1,0 +1,208 @@
+//! What a body costs across processes: eight skins at 1 kHz, a node for each, the fusion, and a subscriber, all processes of their own.
+//!
+//! Device (in this process) → node of the skin → fusion → subscriber. The delay of a frame is from its last byte to the first message of the
+//! body that says of its skin that this was its latest frame. The fusion answers at most 1,000 times a second, and a frame that a later one
+//! of its skin overtakes on the way stands in no message: such frames are counted.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail};
+use clap::Args;
+use dermis_skin::SkinDescription;
+use serde_json::{Value, json};
+
+use crate::device::Device;
+use crate::fusion::write_robot;
+use crate::machine::{Process, cpu_time};
+use crate::node::{PATIENCE, Pace, SKIN, learned_only, number, percentile, skin_node};
+use crate::subscriber::{Arrival, Choice, domain_of, spawn, start_body};
+
+/// Skins of the robot, each on a link of its own.
+const SKINS: usize = 8;
+/// Until every zero is taken and touch has settled.
+const SETTLING: Duration = Duration::from_secs(3);
+/// \[ns\] How much earlier than its last byte a frame may be stamped: clocks are mapped by the fastest frames.
+const EARLY: i64 = 300_000;
+
+/// What to measure.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Folder of our programs without ROS 2.
+    #[arg(long)]
+    programs: PathBuf,
+    /// Folder of our programs with ROS 2 in them; leaves ROS 2 out where absent.
+    #[arg(long)]
+    ros_programs: Option<PathBuf>,
+    /// Root of the repository.
+    #[arg(long, default_value = ".")]
+    root: PathBuf,
+    /// \[s\] of each row.
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+    /// \[Hz\] of each device.
+    #[arg(long, default_value_t = 1000.0)]
+    rate: f64,
+}
+
+/// Runs it over each backend that this machine has, and prints the table.
+///
+/// # Errors
+///
+/// Where a process does not come up.
+pub fn run(options: &Options) -> Result<Value> {
+    let mut rows = vec![("dermis, hiroz", Choice::Hiroz, &options.programs)];
+    rows.extend(options.ros_programs.iter().map(|programs| ("dermis, r2r", Choice::Ros2, programs)));
+    let bundle = learned_only(&options.root)?;
+    let mut measured = Vec::new();
+    for (i, (name, backend, programs)) in rows.into_iter().enumerate() {
+        eprintln!("measuring {name}");
+        let mut row = measure(options, backend, programs, bundle.path(), domain_of(i))
+            .with_context(|| name.to_owned())?;
+        row["name"] = json!(name);
+        measured.push(row);
+    }
+    eprintln!(
+        "\n{:<16} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13}",
+        "", "p50 ms", "p99 ms", "max ms", "overtaken", "nodes, cores", "fusion, cores"
+    );
+    for row in &measured {
+        eprintln!(
+            "{:<16} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13}",
+            row["name"].as_str().unwrap_or_default(),
+            number(&row["p50_ms"], 3),
+            number(&row["p99_ms"], 3),
+            number(&row["max_ms"], 3),
+            number(&row["overtaken"], 4),
+            number(&row["nodes_cores"], 3),
+            number(&row["fusion_cores"], 3),
+        );
+    }
+    let mut result =
+        json!({ "skins": SKINS, "rate_hz": options.rate, "seconds": options.seconds, "rows": measured });
+    for (key, name) in [("hiroz", "dermis, hiroz"), ("r2r", "dermis, r2r")] {
+        result[key] = measured.iter().find(|row| row["name"] == name).cloned().unwrap_or(Value::Null);
+    }
+    Ok(result)
+}
+
+/// A device that sends by itself; when each frame was sent.
+struct Sender {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Result<Vec<i64>>>,
+}
+
+impl Sender {
+    /// A pause without touch, then pressed frames until it is stopped.
+    fn start(mut device: Device, rate: f64, pressed: Arc<AtomicBool>) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let thread = std::thread::spawn(move || {
+            let mut pace = Pace::new(rate);
+            while !stopped.load(Ordering::Relaxed) {
+                device.send(pressed.load(Ordering::Relaxed))?;
+                pace.wait();
+            }
+            Ok(device.sent)
+        });
+        Self { stop, thread }
+    }
+
+    fn end(self) -> Result<Vec<i64>> {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join().map_err(|_| anyhow!("a device's thread panicked"))?
+    }
+}
+
+fn measure(options: &Options, backend: Choice, programs: &Path, model: &Path, domain: u16) -> Result<Value> {
+    let file = options.root.join(SKIN);
+    let skin = SkinDescription::load(&file)?;
+    let folder = tempfile::tempdir()?;
+    let robot = write_robot(folder.path(), SKINS)?;
+    let (_subscriber, arrivals) = start_body(backend, domain, "/body_contacts")?;
+    let mut fusion = Command::new(programs.join("dermis"));
+    fusion.arg("fusion").arg("--robot").arg(&robot).arg("--assume-rest");
+    fusion.args(["--backend", backend.name()]).env("DERMIS_LOG", "error");
+    let fusion = spawn(&mut fusion, domain)?;
+    let pressed = Arc::new(AtomicBool::new(false));
+    let (mut nodes, mut senders) = (Vec::new(), Vec::new());
+    for i in 0..SKINS {
+        let device = Device::new(&skin, i as u64 + 1)?;
+        let mut node = skin_node(programs, backend, (&file, model), &device);
+        node.args(["--namespace", &format!("/s{i}"), "--instance", &format!("s{i}")]);
+        node.args(["--frame-id", &format!("s{i}_skin")]);
+        nodes.push(spawn(&mut node, domain)?);
+        senders.push(Sender::start(device, options.rate, Arc::clone(&pressed)));
+    }
+    let found = observe(options, &arrivals, &pressed, &nodes, &fusion);
+    let sent: Vec<Vec<i64>> = senders.into_iter().map(Sender::end).collect::<Result<_>>()?;
+    let (seen, mut row) = found?;
+    let (mut ms, mut frames) = (Vec::new(), 0_usize);
+    let (first, last) = (row["first_ns"].as_i64().unwrap_or(0), row["last_ns"].as_i64().unwrap_or(0));
+    for (place, sent) in sent.iter().enumerate() {
+        let counted = |at: i64| (first..last).contains(&at);
+        frames += sent.iter().filter(|at| counted(**at)).count();
+        let mut latest = None;
+        for arrival in seen.iter().filter(|a| usize::from(a.status) == place) {
+            let stamp = i64::try_from(arrival.sequence)?;
+            // The last frame that had been sent by then.
+            let Some(k) = sent.partition_point(|at| *at - EARLY <= stamp).checked_sub(1) else { continue };
+            if latest.replace(k) != Some(k) && counted(sent[k]) {
+                ms.push((arrival.received_ns - sent[k]) as f64 * 1e-6);
+            }
+        }
+    }
+    ms.sort_by(f64::total_cmp);
+    row["frames"] = json!(frames);
+    row["overtaken"] = json!(1.0 - ms.len() as f64 / frames.max(1) as f64);
+    for (key, p) in [("p50_ms", 50.0), ("p99_ms", 99.0), ("p999_ms", 99.9), ("max_ms", 100.0)] {
+        row[key] = json!(percentile(&ms, p));
+    }
+    Ok(row)
+}
+
+/// Waits until all feel, lets all press, and listens for the time of a row.
+fn observe(
+    options: &Options,
+    arrivals: &Receiver<Arrival>,
+    pressed: &AtomicBool,
+    nodes: &[Process],
+    fusion: &Process,
+) -> Result<(Vec<Arrival>, Value)> {
+    std::thread::sleep(SETTLING);
+    pressed.store(true, Ordering::Relaxed);
+    let begun = Instant::now();
+    // Every skin is pressed at one place of its own.
+    while !arrivals.try_iter().any(|arrival| usize::from(arrival.contacts) == SKINS) {
+        if begun.elapsed() > PATIENCE {
+            bail!("not all {SKINS} skins were felt within {} s", PATIENCE.as_secs());
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    std::thread::sleep(SETTLING);
+    arrivals.try_iter().for_each(drop);
+    let cpu = |of: &[Process]| of.iter().map(|p| cpu_time(&p.0)).sum::<Result<Duration>>();
+    let before = (cpu(nodes)?, cpu_time(&fusion.0)?);
+    let (first, begun) = (dermis_transport::now_ns(), Instant::now());
+    std::thread::sleep(Duration::from_secs_f64(options.seconds));
+    let last = dermis_transport::now_ns();
+    let wall = begun.elapsed().as_secs_f64();
+    let (of_nodes, of_fusion) = (cpu(nodes)? - before.0, cpu_time(&fusion.0)? - before.1);
+    // The last ones are still on their way.
+    std::thread::sleep(Duration::from_millis(200));
+    let seen: Vec<Arrival> = arrivals.try_iter().collect();
+    let without = seen.iter().filter(|a| usize::from(a.contacts) != SKINS).count();
+    let row = json!({
+        "first_ns": first, "last_ns": last,
+        "messages_per_s": seen.len() as f64 / SKINS as f64 / wall,
+        "not_all_felt": without as f64 / seen.len().max(1) as f64,
+        "nodes_cores": of_nodes.as_secs_f64() / wall,
+        "fusion_cores": of_fusion.as_secs_f64() / wall,
+    });
+    Ok((seen, row))
+}
