@@ -106,7 +106,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         (cores + 1).to_string()
     });
     let nextest = |mut c: Command, programs: &Path, which: &str| {
-        c.env("NEXTEST_TEST_THREADS", &threads);
+        c.env("NEXTEST_TEST_THREADS", &threads).env("ORT_DISABLE_TELEMETRY", "1");
         c.env("DERMIS_CLIENT_PYTHON", &clients).env("DERMIS_DATA", &data).env("DERMIS_BIN", programs);
         execute(c.args(["-E", which, "--no-tests=pass"]).args(&options.filter))
     };

@@ -189,6 +189,10 @@ impl Runtime {
     }
 }
 
+/// While it is set, libraries of ONNX Runtime keep to themselves what runs on them. From 1.31 on those for Linux report it to their maker
+/// over the network, and keep a database of it in the user's cache folder; `with_telemetry(false)` comes too late for that.
+const NO_TELEMETRY: &str = "ORT_DISABLE_TELEMETRY";
+
 struct Native {
     api: OrtApi,
     version: String,
@@ -201,6 +205,11 @@ impl Native {
     fn open(path: &Path) -> Result<Self, String> {
         if !path.is_file() {
             return Err("no such file".into());
+        }
+        if std::env::var_os(NO_TELEMETRY).is_none() {
+            // SAFETY: it is set once, before the first library is loaded that reads it, while the choice of a runtime is locked; our own
+            // threads read the environment through the standard library, which locks it.
+            unsafe { std::env::set_var(NO_TELEMETRY, "1") };
         }
         // SAFETY: loading runs the library's initialisers. The path is ONNX Runtime's by configuration or by its
         // file name in a folder that only the user or the system's administrator writes to, and its initialisers

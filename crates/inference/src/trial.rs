@@ -249,6 +249,11 @@ fn tried() -> Result<(), String> {
 #[cfg(unix)]
 fn confine(limits: &Limits) -> std::io::Result<()> {
     use nix::sys::resource::{Resource, setrlimit};
+    use nix::sys::signal::{SigSet, Signal};
+    // A library that wants to write a file beside its work is refused, and not ended.
+    let mut signals = SigSet::empty();
+    signals.add(Signal::SIGXFSZ);
+    signals.thread_block().map_err(std::io::Error::from)?;
     // What it dies of is of no interest as a file.
     for (resource, most) in [
         (Resource::RLIMIT_AS, limits.memory_bytes),
@@ -311,6 +316,27 @@ mod tests {
         let interface = Interface::flat(2, 2);
         let candidate = Candidate { graph: &vec![0; 1 << 20], interface: &interface, ranges: &[] };
         attempt_elsewhere(command.args(arguments), runtime(), &candidate, limits)
+    }
+
+    #[test]
+    #[ignore = "run by another test, in a process of its own"]
+    fn writes_a_file_in_a_trial() {
+        let Some(path) = std::env::var_os("DERMIS_WRITES") else { return };
+        confine(&Limits::default()).unwrap();
+        let refused = std::fs::write(path, "what a library keeps for itself").unwrap_err();
+        assert_eq!(refused.kind(), std::io::ErrorKind::FileTooLarge);
+    }
+
+    #[test]
+    fn who_writes_a_file_in_a_trial_is_refused_and_not_ended() {
+        let folder = tempfile::tempdir().unwrap();
+        let output = Command::new(std::env::current_exe().unwrap())
+            .args(["trial::tests::writes_a_file_in_a_trial", "--exact", "--ignored"])
+            .env("DERMIS_WRITES", folder.path().join("file"))
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(std::fs::read(folder.path().join("file")).unwrap(), b"");
     }
 
     /// With other programs in the place of ours, which read nothing of what they are sent.
