@@ -57,11 +57,14 @@ static size_t unstuff(const uint8_t *in, size_t n, uint8_t *out, size_t room) {
     size_t at = 0, to = 0;
     while (at < n) {
         size_t run = in[at++];
-        if (run == 0 || at + run - 1 > n || to + run > room) return 0;
+        if (run == 0 || at + run - 1 > n || to + run - 1 > room) return 0;
         memcpy(out + to, in + at, run - 1);
         at += run - 1;
         to += run - 1;
-        if (run < 255 && at < n) out[to++] = 0;
+        if (run < 255 && at < n) {
+            if (to == room) return 0;
+            out[to++] = 0;
+        }
     }
     return to;
 }
