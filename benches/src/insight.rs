@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use zune_jpeg::zune_core::bytestream::ZCursor;
 
 use crate::peers;
-use crate::sampling::{capture, sample};
+use crate::sampling::{render, sample};
 
 /// Stimuli that are sampled again and again.
 const STIMULI: usize = 256;
@@ -75,7 +75,7 @@ pub fn run(options: &Options) -> Result<Value> {
         basis = begun.elapsed().as_secs_f64().max(basis);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let stimuli: Vec<Stimulus> = (0..STIMULI).map(|_| stimulus(&model, &mut rng)).collect();
-        let pictures = capture(&model, &stimuli, options.seconds, options.threads)?;
+        let pictures = render(&model, &stimuli, options.seconds, options.threads)?;
         let numbers = sample(&model, &skin, &stimuli, false, options.seconds, options.threads)?;
         let name = format!("{} x {}", size[0], size[1]);
         eprintln!("{name:<12} {:>9.1} pictures/s, {:>9.1} by CPU time", pictures[0], pictures[1]);

@@ -4,6 +4,7 @@ use std::sync::Barrier;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use dermis_insight::model::ThumbModel;
 use dermis_model::{ForwardModel, Stimulus};
 use dermis_skin::SkinDescription;
 use rand::{Rng, SeedableRng};
@@ -60,19 +61,14 @@ pub fn sample(
     })
 }
 
-/// Pictures per second of all threads, by the clock and by their CPU time, noise included.
-pub fn capture(
-    model: &dyn ForwardModel,
-    stimuli: &[Stimulus],
-    seconds: f64,
-    threads: usize,
-) -> Result<[f64; 2]> {
+/// Pictures per second of all threads, by the clock and by their CPU time, noise included; before a camera would compress them.
+pub fn render(model: &ThumbModel, stimuli: &[Stimulus], seconds: f64, threads: usize) -> Result<[f64; 2]> {
     rates(seconds, threads, |seed| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed as u64);
         let mut next = stimuli.iter().cycle();
         move || {
             let Some(stimulus) = next.next() else { bail!("there is nothing to sample") };
-            let image = model.capture(stimulus, &mut || rng.sample(StandardNormal))?;
+            let image = model.render(stimulus, &mut || rng.sample(StandardNormal))?;
             std::hint::black_box(image.context("this skin has no camera")?);
             Ok(1)
         }

@@ -214,8 +214,12 @@ fn measure(options: &Options, camera: &Camera, domain: u16) -> Result<Value> {
     let used = (cpu_time(&node.0)? - cpu).as_secs_f64() / elapsed;
     let sent = camera.sent();
     let frames = sent.len() as u64 - first;
-    // The last ones are still on their way.
-    while let Ok(arrival) = arrivals.recv_timeout(Duration::from_secs(1)) {
+    // The last ones are still on their way; the camera goes on meanwhile.
+    let end = Instant::now() + Duration::from_secs(3);
+    while let Ok(arrival) = arrivals.recv_timeout(end.saturating_duration_since(Instant::now())) {
+        if arrival.sequence >= first + frames {
+            break;
+        }
         seen.push(arrival);
     }
     drop((node, subscriber));

@@ -6,6 +6,7 @@
 
 pub mod effects;
 pub mod elastic;
+mod jpeg;
 pub mod model;
 pub mod optics;
 pub mod parameters;

@@ -83,7 +83,7 @@ impl ThumbModel {
             true => Arc::new(Observer::new(&table, design.blocks)),
             false => observer(&design),
         };
-        let picture = Picture::new(table, parameters.noise, observer);
+        let picture = Picture::new(table, parameters.noise, observer).compressed();
         let numbers = picture.observer().numbers();
         if skin.channels().len() != numbers {
             let reason = format!(
@@ -278,9 +278,22 @@ impl ThumbModel {
         change.clamp(FACTORS[0], FACTORS[1]).powf(1.0 / self.parameters.light.gamma)
     }
 
-    fn image(&self, data: Vec<u8>) -> Option<Image> {
-        let [width, height] = self.picture.size();
-        Image::new(width, height, PixelFormat::Rgb8, data)
+    /// A picture before the camera compresses it; `noise` as for [`capture`](ForwardModel::capture).
+    ///
+    /// # Errors
+    ///
+    /// As [`capture`](ForwardModel::capture).
+    pub fn render(
+        &self,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
+            self.displace(stimulus, field)?;
+            self.shading.changes(field, changes);
+            let brighter = self.brighter(stimulus.temperature);
+            Ok(self.picture.image(&[(changes, 1.0)], brighter, seed(noise)))
+        })
     }
 }
 
@@ -384,7 +397,7 @@ impl ForwardModel for ThumbModel {
             self.displace(stimulus, field)?;
             self.shading.changes(field, changes);
             let brighter = self.brighter(stimulus.temperature);
-            Ok(self.image(self.picture.render(&[(changes, 1.0)], brighter, seed(noise))))
+            Ok(self.picture.capture(&[(changes, 1.0)], brighter, seed(noise)))
         })
     }
 

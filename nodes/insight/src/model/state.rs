@@ -95,6 +95,6 @@ impl DeviceState for Device<'_> {
     ) -> Result<Option<Image>, ModelError> {
         self.advance(time, stimulus)?;
         let brighter = self.model.brighter(stimulus.temperature);
-        Ok(self.model.image(self.model.picture.render(&self.shown(), brighter, seed(noise))))
+        Ok(self.model.picture.capture(&self.shown(), brighter, seed(noise)))
     }
 }

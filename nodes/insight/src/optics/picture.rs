@@ -13,6 +13,7 @@
 
 use std::sync::{Arc, OnceLock};
 
+use dermis_skin::{Image, PixelFormat};
 use nalgebra::Point3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -24,6 +25,10 @@ use super::numbers::Numbers;
 use super::observer::Observer;
 use super::shading::{CHANGES, Changes, Ridges};
 use super::table::Table;
+use crate::jpeg::sent;
+
+/// Pictures that the noise of what was compressed is taken from.
+const PICTURES: u64 = 8;
 
 /// Noise of a pixel that says I, full scale 1: variance shot · I + read².
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,6 +77,59 @@ impl Picture {
         let numbers = Numbers::new(&table, &observer, noise, table.nodes);
         let clipping = Clipping::new(&table, &observer);
         Self { table, noise, observer, numbers, clipping }
+    }
+
+    /// The same, whose numbers are as noisy as those of pictures that were sent: what compression changes of a picture is another thing for
+    /// each noise, and so adds to it.
+    #[must_use]
+    pub fn compressed(mut self) -> Self {
+        let per = self.observer.per_block();
+        let [raw, sent] = [false, true].map(|compress| {
+            let mut sums = vec![[0.0; 2]; self.observer.numbers()];
+            let mut numbers = vec![0.0; self.observer.numbers()];
+            for seed in 1..=PICTURES {
+                let image = match compress {
+                    true => self.capture(&[], 1.0, Some(seed)),
+                    false => self.image(&[], 1.0, Some(seed)),
+                };
+                let Some(image) = image else { continue };
+                self.observer.observe(image.data(), &mut numbers);
+                sums.iter_mut().zip(&numbers).for_each(|([sum, squares], value)| {
+                    *sum += value;
+                    *squares += value * value;
+                });
+            }
+            // In units of the noise, so that every number of a kind counts alike.
+            let mut spread = vec![0.0; per];
+            for (i, ([sum, squares], sigma)) in sums.iter().zip(self.numbers.noise()).enumerate() {
+                if *sigma > 0.0 {
+                    spread[i % per] += (squares - sum * sum / PICTURES as f64) / (sigma * sigma);
+                }
+            }
+            spread
+        });
+        let more = |(sent, raw): (&f64, &f64)| if *raw > 0.0 { (sent / raw).max(1.0).sqrt() } else { 1.0 };
+        let factors: Vec<f64> = sent.iter().zip(&raw).map(more).collect();
+        self.numbers.scale_noise(&factors);
+        self
+    }
+
+    /// A picture as the camera takes it; `None` of no pixels. The rest as for [`render`](Self::render).
+    #[must_use]
+    pub fn image(&self, shown: &[(&Changes, f64)], brighter: f64, seed: Option<u64>) -> Option<Image> {
+        let [width, height] = self.size();
+        Image::new(width, height, PixelFormat::Rgb8, self.render(shown, brighter, seed))
+    }
+
+    /// A picture as a host has it that the camera sent it to; without noise, as the camera takes it.
+    #[must_use]
+    pub fn capture(&self, shown: &[(&Changes, f64)], brighter: f64, seed: Option<u64>) -> Option<Image> {
+        let image = self.image(shown, brighter, seed)?;
+        match seed {
+            // Sides that no JPEG can have are refused where a picture is sent.
+            Some(_) => Some(sent(&image).unwrap_or(image)),
+            None => Some(image),
+        }
     }
 
     /// Pixels across and down.
