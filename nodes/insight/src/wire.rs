@@ -199,6 +199,7 @@ impl Encoder for PictureWriter {
 mod tests {
     use super::*;
     use crate::jpeg::MULTIPLE;
+    use dermis_skin::{Image, PixelFormat};
     use proptest::prelude::*;
 
     pub(super) const SIZE: [u32; 2] = [40, 24];
