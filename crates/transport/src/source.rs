@@ -1,7 +1,7 @@
 //! A byte source that runs by itself: a thread reads, reconnects and reports through a bounded queue. A consumer that waits and is
-//! quick reads in its place ([`lent`]).
+//! quick reads the link itself ([`handover`]).
 
-mod lent;
+mod handover;
 mod link;
 mod outbox;
 mod queue;
@@ -24,8 +24,8 @@ use serde::Serialize;
 
 use crate::SourceUrl;
 #[cfg(test)]
-use lent::GUARD;
-use lent::{Lent, Pump, Returned};
+use handover::MAX_UNREAD;
+use handover::{Handover, OpenLink, Returned};
 use link::{Opener, ReadOutcome};
 use outbox::{Outbox, Wake};
 use queue::{Next, Queue};
@@ -207,7 +207,7 @@ impl Source {
                 wake,
                 stop: Stop(stopped),
                 busy: AtomicBool::new(false),
-                lent: Lent::default(),
+                handover: Handover::default(),
             });
             let running = Arc::clone(&reader);
             let thread =
@@ -238,12 +238,15 @@ impl Source {
     /// line itself while it waits.
     pub fn next_timeout(&self, timeout: Duration) -> Option<Event> {
         let until = Instant::now() + timeout;
+        let link = || {
+            let reader = self.reader.as_ref()?;
+            Some((reader, reader.handover.take()?))
+        };
         loop {
-            let lent = || Some((self.reader.as_ref()?, self.reader.as_ref()?.lent.take()?));
-            match self.queue.next_until(until, lent) {
+            match self.queue.next_until(until, link) {
                 Next::Event(event) => return Some(event),
                 Next::Nothing => return None,
-                Next::Lent((reader, pump)) => reader.read_lent(pump, until),
+                Next::Instead((reader, link)) => reader.read_for_consumer(link, until),
             }
         }
     }
@@ -291,7 +294,7 @@ impl Drop for Source {
         self.queue.close();
         self.stop = None;
         let Some(reader) = &self.reader else { return };
-        reader.lent.close();
+        reader.handover.close();
         // Joined so that the device is free again once the source is gone; but nobody waits for a slow name server.
         if let Some(thread) = self.thread.take()
             && !reader.busy.load(Ordering::Acquire)
@@ -344,7 +347,7 @@ struct Reader {
     stop: Stop,
     /// The thread is in a system call that the stop pipe cannot interrupt (connecting, resolving).
     busy: AtomicBool,
-    lent: Lent,
+    handover: Handover,
 }
 
 impl Reader {
@@ -373,8 +376,8 @@ impl Reader {
                 Ok(Some(link)) => {
                     self.outbox.open();
                     self.queue.connected(link.description());
-                    let pump = Pump { link, opener, buffer: vec![0; self.buffer_size()] };
-                    let ended = self.pump(Box::new(pump), &mut backoff);
+                    let open = OpenLink { link, opener, buffer: vec![0; self.buffer_size()] };
+                    let ended = self.read_until_down(Box::new(open), &mut backoff);
                     self.outbox.close();
                     let Some((opener_again, reason)) = ended else { return };
                     opener = opener_again;
@@ -400,43 +403,43 @@ impl Reader {
     }
 
     /// Reads until the link is down, and says why, or `None` when it is time to stop.
-    fn pump(&self, mut pump: Box<Pump>, backoff: &mut Backoff) -> Option<(Opener, String)> {
+    fn read_until_down(&self, mut open: Box<OpenLink>, backoff: &mut Backoff) -> Option<(Opener, String)> {
         loop {
-            let Pump { link, opener, buffer } = &mut *pump;
+            let OpenLink { link, opener, buffer } = &mut *open;
             match link.read(buffer, self, opener, None) {
                 ReadOutcome::Bytes(n) => {
                     backoff.reset();
                     let quick = self.queue.quick_consumer();
                     self.queue.push(Bytes::copy_from_slice(&buffer[..n]), crate::now_ns());
                     if quick {
-                        self.lent.offer(pump);
+                        self.handover.offer(open);
                         // One that waits already looks again.
                         self.queue.nudge();
-                        pump = match self.lent.returned() {
-                            Returned::Unread(pump) => pump,
+                        open = match self.handover.returned() {
+                            Returned::Unread(open) => open,
                             Returned::Down(opener, reason) => return Some((opener, reason?)),
                             Returned::Closed => return None,
                         };
                     }
                 }
                 ReadOutcome::Nothing => {}
-                ReadOutcome::Down(reason) => return Some((pump.opener, reason)),
+                ReadOutcome::Down(reason) => return Some((open.opener, reason)),
                 ReadOutcome::Stopped => return None,
             }
         }
     }
 
     /// Reads in the consumer's thread, once.
-    fn read_lent(&self, mut pump: Box<Pump>, until: Instant) {
-        let Pump { link, opener, buffer } = &mut *pump;
+    fn read_for_consumer(&self, mut open: Box<OpenLink>, until: Instant) {
+        let OpenLink { link, opener, buffer } = &mut *open;
         match link.read(buffer, self, opener, Some(until)) {
             ReadOutcome::Bytes(n) => {
                 self.queue.push(Bytes::copy_from_slice(&buffer[..n]), crate::now_ns());
-                self.lent.offer(pump);
+                self.handover.offer(open);
             }
-            ReadOutcome::Nothing => self.lent.offer(pump),
-            ReadOutcome::Down(reason) => self.lent.down(pump.opener, Some(reason)),
-            ReadOutcome::Stopped => self.lent.down(pump.opener, None),
+            ReadOutcome::Nothing => self.handover.offer(open),
+            ReadOutcome::Down(reason) => self.handover.down(open.opener, Some(reason)),
+            ReadOutcome::Stopped => self.handover.down(open.opener, None),
         }
     }
 }
@@ -492,20 +495,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_quick_consumer_is_lent_the_link_and_one_that_is_away_loses_it() {
+    fn a_quick_consumer_gets_the_link_and_one_that_is_away_loses_it() {
         let mut device = crate::Pty::open().unwrap();
         let url = SourceUrl::parse(&format!("pty://{}", device.slave_path().display())).unwrap();
         let source = Source::open(url, SourceOptions::default());
-        let lent = &source.reader.as_ref().unwrap().lent;
+        let handover = &source.reader.as_ref().unwrap().handover;
         let until = Instant::now() + Duration::from_secs(20);
-        while !lent.is_free() {
-            assert!(Instant::now() < until, "never lent");
+        while !handover.is_free() {
+            assert!(Instant::now() < until, "never handed over");
             device.write_all(b"more").unwrap();
             source.next_timeout(Duration::from_millis(100));
         }
-        while lent.is_free() {
+        while handover.is_free() {
             assert!(Instant::now() < until, "never taken back");
-            std::thread::sleep(GUARD);
+            std::thread::sleep(MAX_UNREAD);
         }
     }
 

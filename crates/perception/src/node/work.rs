@@ -96,9 +96,7 @@ impl<'a> Worker<'a> {
                 self.shared.lock().source = Some(source.watch());
                 source
             });
-            if self.turn(source) {
-                self.shared.progress.notify_all();
-            }
+            self.turn(source);
         }
     }
 
@@ -126,8 +124,8 @@ impl<'a> Worker<'a> {
         self.shared.clear_arrows(&mut core);
     }
 
-    /// Decodes what came, estimates the contacts of one frame, and reports a skin that is blind; returns whether somebody waits for it.
-    fn turn(&mut self, source: &mut Source) -> bool {
+    /// Decodes what came, estimates the contacts of one frame, and reports a skin that is blind.
+    fn turn(&mut self, source: &mut Source) {
         let shared = self.shared;
         let request = shared.lock().decoder.as_mut().and_then(|decoder| decoder.request(now_ns()));
         if let Some(request) = request {
@@ -151,7 +149,9 @@ impl<'a> Worker<'a> {
         if !stale {
             self.keep_zero(&core);
         }
-        core.awaited > 0
+        if core.awaited > 0 {
+            shared.progress.notify_all();
+        }
     }
 
     /// Decodes this event and, of a device, those that are there already.

@@ -52,8 +52,8 @@ pub(super) enum Next<T> {
     Event(Event),
     /// The time is over.
     Nothing,
-    /// Something else to do than to wait.
-    Lent(T),
+    /// What the consumer is to do instead of waiting.
+    Instead(T),
 }
 
 /// \[s\] A consumer that comes back sooner reads the line itself.
@@ -296,8 +296,8 @@ impl Queue {
         }
     }
 
-    /// The next event until then, or what `lent` gives where there is none yet and the time is not over.
-    pub(super) fn next_until<T>(&self, until: Instant, lent: impl Fn() -> Option<T>) -> Next<T> {
+    /// The next event until then, or what `instead` gives where there is none yet and the time is not over.
+    pub(super) fn next_until<T>(&self, until: Instant, instead: impl Fn() -> Option<T>) -> Next<T> {
         let mut state = self.state();
         let mut now = Instant::now();
         if let Some(left) = state.left {
@@ -314,9 +314,9 @@ impl Queue {
                 state.left = Some(now);
                 return Next::Nothing;
             }
-            if let Some(lent) = lent() {
+            if let Some(instead) = instead() {
                 state.left = None;
-                return Next::Lent(lent);
+                return Next::Instead(instead);
             }
             state.listeners += 1;
             state = self.arrived.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
