@@ -1,6 +1,7 @@
 //! Pictures as a camera sends them: JPEG.
 //!
-//! A picture of a multiple of the skin's pixels is made smaller, by powers of two in the cosine transform of its blocks.
+//! A picture that is twice, four or eight times as wide as the skin's is made smaller while it is decoded: of each square of 8 pixels
+//! only the lowest frequencies are transformed back, which takes half of the time or less. Of other multiples means are taken.
 
 use std::fmt::Display;
 

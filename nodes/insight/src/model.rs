@@ -83,7 +83,7 @@ impl ThumbModel {
             true => Arc::new(Observer::new(&table, design.blocks)),
             false => observer(&design),
         };
-        let picture = Picture::new(table, parameters.noise, observer).compressed();
+        let picture = Picture::new(table, parameters.noise, observer);
         let numbers = picture.observer().numbers();
         if skin.channels().len() != numbers {
             let reason = format!(
@@ -288,11 +288,19 @@ impl ThumbModel {
         stimulus: &Stimulus,
         noise: &mut dyn FnMut() -> f64,
     ) -> Result<Option<Image>, ModelError> {
+        self.show(stimulus, |shown, brighter| self.picture.image(shown, brighter, seed(noise)))
+    }
+
+    /// What `make` makes of what a stimulus changes inside, and by what factor lamps are brighter.
+    fn show<T>(
+        &self,
+        stimulus: &Stimulus,
+        make: impl FnOnce(&[(&Changes, f64)], f64) -> T,
+    ) -> Result<T, ModelError> {
         SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
             self.displace(stimulus, field)?;
             self.shading.changes(field, changes);
-            let brighter = self.brighter(stimulus.temperature);
-            Ok(self.picture.image(&[(changes, 1.0)], brighter, seed(noise)))
+            Ok(make(&[(changes, 1.0)], self.brighter(stimulus.temperature)))
         })
     }
 }
@@ -330,12 +338,7 @@ impl ForwardModel for ThumbModel {
 
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
         debug_assert_eq!(out.len(), self.channels());
-        SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
-            self.displace(stimulus, field)?;
-            self.shading.changes(field, changes);
-            self.picture.respond(&[(changes, 1.0)], self.brighter(stimulus.temperature), out);
-            Ok(())
-        })
+        self.show(stimulus, |shown, brighter| self.picture.respond(shown, brighter, out))
     }
 
     fn jacobian(
@@ -393,12 +396,7 @@ impl ForwardModel for ThumbModel {
         stimulus: &Stimulus,
         noise: &mut dyn FnMut() -> f64,
     ) -> Result<Option<Image>, ModelError> {
-        SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
-            self.displace(stimulus, field)?;
-            self.shading.changes(field, changes);
-            let brighter = self.brighter(stimulus.temperature);
-            Ok(self.picture.capture(&[(changes, 1.0)], brighter, seed(noise)))
-        })
+        self.show(stimulus, |shown, brighter| self.picture.capture(shown, brighter, seed(noise)))
     }
 
     fn observe(&self, image: &Image, out: &mut [f64]) -> bool {

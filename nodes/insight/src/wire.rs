@@ -6,9 +6,6 @@
 //! of the skin's size, or a whole multiple of it up to eight, which is reduced to means.
 //!
 //! There is no clock and no number in an answer: frames are stamped on arrival and counted here.
-//!
-//! A picture that is twice, four or eight times as wide as the skin's is made smaller while it is decoded: of each square of 8 pixels
-//! only the lowest frequencies are transformed back, which takes half of the time or less.
 
 pub mod stream;
 

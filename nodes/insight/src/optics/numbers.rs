@@ -117,11 +117,7 @@ impl Numbers {
         }
     }
 
-    /// Multiplies the noise of all numbers of a kind; `factors` by their place in a block.
-    pub(super) fn scale_noise(&mut self, factors: &[f64]) {
-        self.noise.iter_mut().zip(factors.iter().cycle()).for_each(|(sigma, factor)| *sigma *= factor);
-    }
-
+    /// Of pictures as the camera takes them.
     pub(super) fn noise(&self) -> &[f64] {
         &self.noise
     }

@@ -68,6 +68,43 @@ pub struct Picture {
     observer: Arc<Observer>,
     numbers: Numbers,
     clipping: Clipping,
+    deviations: OnceLock<Vec<f64>>,
+}
+
+/// How far numbers of pictures of the same are apart.
+struct Spread<'a> {
+    observer: &'a Observer,
+    numbers: Vec<f64>,
+    /// Of each number over all pictures: it, and its square.
+    sums: Vec<[f64; 2]>,
+}
+
+impl<'a> Spread<'a> {
+    fn new(observer: &'a Observer) -> Self {
+        let n = observer.numbers();
+        Self { observer, numbers: vec![0.0; n], sums: vec![[0.0; 2]; n] }
+    }
+
+    fn add(&mut self, picture: &[u8]) {
+        self.observer.observe(picture, &mut self.numbers);
+        self.sums.iter_mut().zip(&self.numbers).for_each(|([sum, squares], value)| {
+            *sum += value;
+            *squares += value * value;
+        });
+    }
+
+    /// By place in a block, summed over blocks in units of `noise`, so that every number counts alike.
+    fn by_place(&self, noise: &[f64]) -> Vec<f64> {
+        let mut spread = vec![0.0; self.observer.per_block()];
+        for (block, noise) in self.sums.chunks(spread.len()).zip(noise.chunks(spread.len())) {
+            for ((sum, [once, squares]), sigma) in spread.iter_mut().zip(block).zip(noise) {
+                if *sigma > 0.0 {
+                    *sum += (squares - once * once / PICTURES as f64) / (sigma * sigma);
+                }
+            }
+        }
+        spread
+    }
 }
 
 impl Picture {
@@ -76,42 +113,7 @@ impl Picture {
     pub fn new(table: Table, noise: Noise, observer: Arc<Observer>) -> Self {
         let numbers = Numbers::new(&table, &observer, noise, table.nodes);
         let clipping = Clipping::new(&table, &observer);
-        Self { table, noise, observer, numbers, clipping }
-    }
-
-    /// The same, whose numbers are as noisy as those of pictures that were sent: what compression changes of a picture is another thing for
-    /// each noise, and so adds to it.
-    #[must_use]
-    pub fn compressed(mut self) -> Self {
-        let per = self.observer.per_block();
-        let [raw, sent] = [false, true].map(|compress| {
-            let mut sums = vec![[0.0; 2]; self.observer.numbers()];
-            let mut numbers = vec![0.0; self.observer.numbers()];
-            for seed in 1..=PICTURES {
-                let image = match compress {
-                    true => self.capture(&[], 1.0, Some(seed)),
-                    false => self.image(&[], 1.0, Some(seed)),
-                };
-                let Some(image) = image else { continue };
-                self.observer.observe(image.data(), &mut numbers);
-                sums.iter_mut().zip(&numbers).for_each(|([sum, squares], value)| {
-                    *sum += value;
-                    *squares += value * value;
-                });
-            }
-            // In units of the noise, so that every number of a kind counts alike.
-            let mut spread = vec![0.0; per];
-            for (i, ([sum, squares], sigma)) in sums.iter().zip(self.numbers.noise()).enumerate() {
-                if *sigma > 0.0 {
-                    spread[i % per] += (squares - sum * sum / PICTURES as f64) / (sigma * sigma);
-                }
-            }
-            spread
-        });
-        let more = |(sent, raw): (&f64, &f64)| if *raw > 0.0 { (sent / raw).max(1.0).sqrt() } else { 1.0 };
-        let factors: Vec<f64> = sent.iter().zip(&raw).map(more).collect();
-        self.numbers.scale_noise(&factors);
-        self
+        Self { table, noise, observer, numbers, clipping, deviations: OnceLock::new() }
     }
 
     /// A picture as the camera takes it; `None` of no pixels. The rest as for [`render`](Self::render).
@@ -144,10 +146,29 @@ impl Picture {
         &self.observer
     }
 
-    /// Standard deviation of each number of a frame.
+    /// Standard deviation of each number of a frame whose picture was sent. What compression changes of a picture is another thing for each
+    /// noise, and so adds to it: it is counted in some pictures without a touch when it is first asked for.
     #[must_use]
     pub fn deviations(&self) -> &[f64] {
-        self.numbers.noise()
+        self.deviations.get_or_init(|| {
+            let raw = self.numbers.noise();
+            let factors = self.compression();
+            raw.iter().zip(factors.iter().cycle()).map(|(sigma, factor)| sigma * factor).collect()
+        })
+    }
+
+    /// By what factor numbers are noisier for compression, by their place in a block.
+    fn compression(&self) -> Vec<f64> {
+        let mut spreads = [(); 2].map(|()| Spread::new(&self.observer));
+        for seed in 1..=PICTURES {
+            let Some(image) = self.image(&[], 1.0, Some(seed)) else { continue };
+            spreads[0].add(image.data());
+            // Sides that no JPEG can have are refused where a picture is sent.
+            spreads[1].add(sent(&image).as_ref().unwrap_or(&image).data());
+        }
+        let [raw, sent] = spreads.map(|spread| spread.by_place(self.numbers.noise()));
+        let more = |(sent, raw): (&f64, &f64)| if *raw > 0.0 { (sent / raw).max(1.0).sqrt() } else { 1.0 };
+        sent.iter().zip(&raw).map(more).collect()
     }
 
     /// The numbers of a frame without noise. Changes of the inside come with their share in the first row: those of the frame before
