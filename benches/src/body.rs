@@ -4,7 +4,8 @@
 //! body that says of its skin that this was its latest frame. The fusion answers at most 1,000 times a second, and a frame that a later one
 //! of its skin overtakes on the way stands in no message: such frames are counted.
 
-use std::path::{Path, PathBuf};
+use std::ops::Range;
+use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,12 +16,14 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use dermis_skin::SkinDescription;
+use dermis_transport::now_ns;
 use serde_json::{Value, json};
 
 use crate::device::Device;
 use crate::fusion::write_robot;
 use crate::machine::{Process, cpu_time};
 use crate::node::{PATIENCE, Pace, SKIN, learned_only, number, percentile, skin_node};
+use crate::programs::{HIROZ, Programs, R2R, named};
 use crate::subscriber::{Arrival, Choice, domain_of, spawn, start_body};
 
 /// Skins of the robot, each on a link of its own.
@@ -33,15 +36,8 @@ const EARLY: i64 = 300_000;
 /// What to measure.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Folder of our programs without ROS 2.
-    #[arg(long)]
-    programs: PathBuf,
-    /// Folder of our programs with ROS 2 in them; leaves ROS 2 out where absent.
-    #[arg(long)]
-    ros_programs: Option<PathBuf>,
-    /// Root of the repository.
-    #[arg(long, default_value = ".")]
-    root: PathBuf,
+    #[command(flatten)]
+    programs: Programs,
     /// \[s\] of each row.
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
@@ -56,11 +52,9 @@ pub struct Options {
 ///
 /// Where a process does not come up.
 pub fn run(options: &Options) -> Result<Value> {
-    let mut rows = vec![("dermis, hiroz", Choice::Hiroz, &options.programs)];
-    rows.extend(options.ros_programs.iter().map(|programs| ("dermis, r2r", Choice::Ros2, programs)));
-    let bundle = learned_only(&options.root)?;
+    let bundle = learned_only(&options.programs.root)?;
     let mut measured = Vec::new();
-    for (i, (name, backend, programs)) in rows.into_iter().enumerate() {
+    for (i, (name, backend, programs)) in options.programs.rows().enumerate() {
         eprintln!("measuring {name}");
         let mut row = measure(options, backend, programs, bundle.path(), domain_of(i))
             .with_context(|| name.to_owned())?;
@@ -83,12 +77,10 @@ pub fn run(options: &Options) -> Result<Value> {
             number(&row["fusion_cores"], 3),
         );
     }
-    let mut result =
-        json!({ "skins": SKINS, "rate_hz": options.rate, "seconds": options.seconds, "rows": measured });
-    for (key, name) in [("hiroz", "dermis, hiroz"), ("r2r", "dermis, r2r")] {
-        result[key] = measured.iter().find(|row| row["name"] == name).cloned().unwrap_or(Value::Null);
-    }
-    Ok(result)
+    Ok(json!({
+        "skins": SKINS, "rate_hz": options.rate, "seconds": options.seconds,
+        "hiroz": named(&measured, HIROZ), "r2r": named(&measured, R2R), "rows": measured,
+    }))
 }
 
 /// A device that sends by itself; when each frame was sent.
@@ -120,7 +112,7 @@ impl Sender {
 }
 
 fn measure(options: &Options, backend: Choice, programs: &Path, model: &Path, domain: u16) -> Result<Value> {
-    let file = options.root.join(SKIN);
+    let file = options.programs.root.join(SKIN);
     let skin = SkinDescription::load(&file)?;
     let folder = tempfile::tempdir()?;
     let robot = write_robot(folder.path(), SKINS)?;
@@ -141,11 +133,10 @@ fn measure(options: &Options, backend: Choice, programs: &Path, model: &Path, do
     }
     let found = observe(options, &arrivals, &pressed, &nodes, &fusion);
     let sent: Vec<Vec<i64>> = senders.into_iter().map(Sender::end).collect::<Result<_>>()?;
-    let (seen, mut row) = found?;
+    let Observed { seen, within, mut row } = found?;
     let (mut ms, mut frames) = (Vec::new(), 0_usize);
-    let (first, last) = (row["first_ns"].as_i64().unwrap_or(0), row["last_ns"].as_i64().unwrap_or(0));
     for (place, sent) in sent.iter().enumerate() {
-        let counted = |at: i64| (first..last).contains(&at);
+        let counted = |at: i64| within.contains(&at);
         frames += sent.iter().filter(|at| counted(**at)).count();
         let mut latest = None;
         for arrival in seen.iter().filter(|a| usize::from(a.status) == place) {
@@ -166,6 +157,16 @@ fn measure(options: &Options, backend: Choice, programs: &Path, model: &Path, do
     Ok(row)
 }
 
+/// What was heard in the time of a row.
+struct Observed {
+    /// One of each skin for each message.
+    seen: Vec<Arrival>,
+    /// \[ns since the epoch\] Frames that count were sent then.
+    within: Range<i64>,
+    /// What can be said without the frames.
+    row: Value,
+}
+
 /// Waits until all feel, lets all press, and listens for the time of a row.
 fn observe(
     options: &Options,
@@ -173,7 +174,7 @@ fn observe(
     pressed: &AtomicBool,
     nodes: &[Process],
     fusion: &Process,
-) -> Result<(Vec<Arrival>, Value)> {
+) -> Result<Observed> {
     std::thread::sleep(SETTLING);
     pressed.store(true, Ordering::Relaxed);
     let begun = Instant::now();
@@ -188,9 +189,9 @@ fn observe(
     arrivals.try_iter().for_each(drop);
     let cpu = |of: &[Process]| of.iter().map(|p| cpu_time(&p.0)).sum::<Result<Duration>>();
     let before = (cpu(nodes)?, cpu_time(&fusion.0)?);
-    let (first, begun) = (dermis_transport::now_ns(), Instant::now());
+    let (first, begun) = (now_ns(), Instant::now());
     std::thread::sleep(Duration::from_secs_f64(options.seconds));
-    let last = dermis_transport::now_ns();
+    let within = first..now_ns();
     let wall = begun.elapsed().as_secs_f64();
     let (of_nodes, of_fusion) = (cpu(nodes)? - before.0, cpu_time(&fusion.0)? - before.1);
     // The last ones are still on their way.
@@ -198,11 +199,10 @@ fn observe(
     let seen: Vec<Arrival> = arrivals.try_iter().collect();
     let without = seen.iter().filter(|a| usize::from(a.contacts) != SKINS).count();
     let row = json!({
-        "first_ns": first, "last_ns": last,
         "messages_per_s": seen.len() as f64 / SKINS as f64 / wall,
         "not_all_felt": without as f64 / seen.len().max(1) as f64,
         "nodes_cores": of_nodes.as_secs_f64() / wall,
         "fusion_cores": of_fusion.as_secs_f64() / wall,
     });
-    Ok((seen, row))
+    Ok(Observed { seen, within, row })
 }

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail, ensure};
-use dermis_inference::{Bundle, OutputSpec, rehearse_embedded};
+use dermis_inference::{Bundle, Model, OutputSpec, Runtime, RuntimeChoice, RuntimeConfig};
 use dermis_skin::SkinDescription;
 use onnx_rs::ast::{AttributeType, Graph, Node};
 
 /// How far its answers may be from ours, as a share of what an answer is worth at most.
-const ROUNDING: f32 = 1e-4;
+const ROUNDING: f64 = 1e-4;
 /// Readings that it must answer as we do before it is measured.
 const CHECKED: usize = 64;
 
@@ -67,13 +67,13 @@ impl Chain {
         let section = manifest.model.as_ref().context("the bundle has no network")?;
         let (mean, scale) = (&manifest.input.mean, &manifest.input.scale);
         // Spread over what the network was trained on, each channel at another phase.
-        let readings = (0..CHECKED).map(|i| {
+        let reading = |i: usize| {
             let at = |(k, (mean, scale)): (usize, (&f32, &f32))| {
                 mean + 2.0 * scale * ((i * (k + 1)) as f32 * 0.37).sin()
             };
-            mean.iter().zip(scale).enumerate().map(at).collect::<Vec<f32>>()
-        });
-        let readings: Vec<Vec<f32>> = readings.collect();
+            mean.iter().zip(scale).enumerate().map(at).collect()
+        };
+        let readings: Vec<Vec<f32>> = (0..CHECKED).map(reading).collect();
         let mut child = Command::new(self.folder.path().join("chain"))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -86,17 +86,15 @@ impl Chain {
         let answers: Vec<f32> = answers.iter().map(|b| f32::from_le_bytes(*b)).collect();
         let values = &manifest.output.values;
         ensure!(answers.len() == CHECKED * values.len(), "the chain answers {} numbers", answers.len());
+        let embedded = RuntimeConfig { choice: RuntimeChoice::Embedded, ..RuntimeConfig::default() };
+        let mut model = Model::load(Runtime::load(&embedded)?, graph, &section.interface)?;
+        let (mut features, mut outputs, mut raw) = (bundle.features(), bundle.outputs(), Vec::new());
         for (reading, answers) in readings.iter().zip(answers.chunks_exact(values.len())) {
-            let input: Vec<f32> = reading
-                .iter()
-                .zip(mean.iter().zip(scale))
-                .map(|(x, (mean, scale))| (x - mean) / scale)
-                .collect();
-            let ours = rehearse_embedded(graph, &section.interface, &input)?;
-            for ((spec, ours), theirs) in values.iter().zip(&ours).zip(answers) {
-                let ours = ours * spec.scale as f32 + spec.mean as f32;
-                let most = ROUNDING * ours.abs().max(spec.scale.abs() as f32);
-                if (ours - theirs).abs() > most {
+            features.push(0, reading)?;
+            model.run(features.input().context("one frame is not enough")?, &mut raw)?;
+            outputs.decode(&raw)?;
+            for ((spec, ours), theirs) in values.iter().zip(outputs.all()).zip(answers) {
+                if (ours - f64::from(*theirs)).abs() > ROUNDING * ours.abs().max(spec.scale.abs()) {
                     bail!("the chain answers {theirs} for `{}`, our runtime {ours}", spec.name);
                 }
             }

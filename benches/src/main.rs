@@ -13,6 +13,7 @@ mod machine;
 mod model;
 mod node;
 mod peers;
+mod programs;
 mod publish;
 mod recording;
 mod reflex;

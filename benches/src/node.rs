@@ -15,6 +15,7 @@ use crate::chain::Chain;
 use crate::counts::{Trace, per_frame, switches};
 use crate::device::Device;
 use crate::machine::{Process, cpu_time};
+use crate::programs::{HIROZ, Programs, R2R, named};
 use crate::subscriber::{Arrival, Choice, domain_of, spawn, start, start_datagrams};
 
 /// The pad.
@@ -30,21 +31,14 @@ const TRACED: Duration = Duration::from_secs(3);
 /// What to measure.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Folder of our programs without ROS 2.
-    #[arg(long)]
-    programs: PathBuf,
-    /// Folder of our programs with ROS 2 in them; leaves ROS 2 out where absent.
-    #[arg(long)]
-    ros_programs: Option<PathBuf>,
+    #[command(flatten)]
+    programs: Programs,
     /// Python with rclpy, our messages and ONNX Runtime; leaves the peer out where absent.
     #[arg(long)]
     ros_python: Option<PathBuf>,
     /// Folder of Python packages that the peer needs beside those of ROS: ONNX Runtime.
     #[arg(long)]
     peer_packages: Option<PathBuf>,
-    /// Root of the repository.
-    #[arg(long, default_value = ".")]
-    root: PathBuf,
     /// \[s\] of each phase.
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
@@ -77,7 +71,8 @@ enum Kind {
     Chain(Chain),
 }
 
-/// Names of rows that others are compared with.
+/// Names of rows.
+const NATIVE: &str = "dermis, hiroz, ONNX Runtime";
 const PEER: &str = "rclpy + onnxruntime";
 const CHAIN: &str = "chain in C";
 
@@ -87,33 +82,24 @@ const CHAIN: &str = "chain in C";
 ///
 /// Where a node does not come up or loses frames that it must not lose.
 pub fn run(options: &Options) -> Result<Value> {
-    let bundle = learned_only(&options.root)?;
-    let mut candidates = Vec::new();
-    let ours = |programs: &Path, onnxruntime: Option<&PathBuf>| Kind::Ours {
-        programs: programs.to_owned(),
-        onnxruntime: onnxruntime.cloned(),
-    };
-    candidates.push(Candidate {
-        name: "dermis, hiroz",
-        backend: Choice::Hiroz,
-        kind: ours(&options.programs, None),
-    });
+    let root = &options.programs.root;
+    let bundle = learned_only(root)?;
     // The peer's library serves us, too, so that the runtimes can be told from the rest.
     let library = options.onnxruntime.clone().or_else(|| library_in(options.peer_packages.as_deref()?));
-    if let Some(library) = &library {
-        let kind = ours(&options.programs, Some(library));
-        candidates.push(Candidate { name: "dermis, hiroz, ONNX Runtime", backend: Choice::Hiroz, kind });
-    }
-    if let Some(programs) = &options.ros_programs {
-        let kind = ours(programs, None);
-        candidates.push(Candidate { name: "dermis, r2r", backend: Choice::Ros2, kind });
+    let mut candidates = Vec::new();
+    for (name, backend, programs) in options.programs.rows() {
+        let ours = |onnxruntime: Option<PathBuf>| Kind::Ours { programs: programs.to_owned(), onnxruntime };
+        candidates.push(Candidate { name, backend, kind: ours(None) });
+        if name == HIROZ && library.is_some() {
+            candidates.push(Candidate { name: NATIVE, backend, kind: ours(library.clone()) });
+        }
     }
     if let Some(python) = &options.ros_python {
         let kind = Kind::Peer { python: python.clone() };
         candidates.push(Candidate { name: PEER, backend: Choice::Ros2, kind });
     }
-    let skin = SkinDescription::load(options.root.join(SKIN))?;
-    let kind = Kind::Chain(Chain::build(&options.root, &skin, bundle.path())?);
+    let skin = SkinDescription::load(root.join(SKIN))?;
+    let kind = Kind::Chain(Chain::build(root, &skin, bundle.path())?);
     candidates.push(Candidate { name: CHAIN, backend: Choice::Hiroz, kind });
     let mut rows = Vec::new();
     for (i, candidate) in candidates.iter().enumerate() {
@@ -122,28 +108,26 @@ pub fn run(options: &Options) -> Result<Value> {
             .with_context(|| candidate.name.to_owned())?;
         rows.push(row);
     }
-    let named = |rows: &[Value], name: &str| rows.iter().find(|r| r["name"] == name).cloned();
     let (peer, chain) = (named(&rows, PEER), named(&rows, CHAIN));
     for row in &mut rows {
         // CPU time flat out, and at a rate: there each has costs that do not grow with frames.
         for (key, pointer) in [("ratio", "/cpu_us_per_frame"), ("ratio_at_rate", "/latency/cores")] {
-            let over = |row: &Value, of: &Option<Value>| {
-                Some(of.as_ref()?.pointer(pointer)?.as_f64()? / row.pointer(pointer)?.as_f64()?)
+            let over = |row: &Value, of: &Value| {
+                Some(of.pointer(pointer)?.as_f64()? / row.pointer(pointer)?.as_f64()?)
             };
             row[key] = json!(over(row, &peer));
             row[format!("{key}_to_chain")] = json!(over(row, &chain).map(f64::recip));
         }
     }
     table(&rows, options);
-    let of = |name: &str| named(&rows, name).unwrap_or(Value::Null);
     Ok(json!({
         "rate_hz": options.rate,
         "seconds": options.seconds,
-        "hiroz": of("dermis, hiroz"),
-        "hiroz_native": of("dermis, hiroz, ONNX Runtime"),
-        "r2r": of("dermis, r2r"),
-        "peer": of(PEER),
-        "chain": of(CHAIN),
+        "hiroz": named(&rows, HIROZ),
+        "hiroz_native": named(&rows, NATIVE),
+        "r2r": named(&rows, R2R),
+        "peer": named(&rows, PEER),
+        "chain": named(&rows, CHAIN),
         "rows": rows,
     }))
 }
@@ -186,7 +170,7 @@ pub fn skin_node(
 }
 
 fn command(options: &Options, candidate: &Candidate, model: &Path, device: &Device) -> Command {
-    let skin = options.root.join(SKIN);
+    let skin = options.programs.root.join(SKIN);
     match &candidate.kind {
         Kind::Ours { programs, onnxruntime } => {
             let mut c = skin_node(programs, candidate.backend, (&skin, model), device);
@@ -199,7 +183,7 @@ fn command(options: &Options, candidate: &Candidate, model: &Path, device: &Devi
         }
         Kind::Peer { python } => {
             let mut c = Command::new(python);
-            c.arg(options.root.join("benches/python/rclpy_node.py"));
+            c.arg(options.programs.root.join("benches/python/rclpy_node.py"));
             c.arg(skin).arg(model).arg(device.path());
             if let Some(packages) = &options.peer_packages {
                 c.env("PYTHONPATH", packages);
@@ -211,7 +195,7 @@ fn command(options: &Options, candidate: &Candidate, model: &Path, device: &Devi
 }
 
 fn measure(options: &Options, candidate: &Candidate, model: &Path, domain: u16) -> Result<Value> {
-    let skin = SkinDescription::load(options.root.join(SKIN))?;
+    let skin = SkinDescription::load(options.programs.root.join(SKIN))?;
     let mut device = Device::new(&skin, 1)?;
     let (subscriber, arrivals) = match &candidate.kind {
         Kind::Chain(chain) => start_datagrams(&chain.socket())?,

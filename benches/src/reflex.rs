@@ -21,6 +21,7 @@ use serde_json::{Value, json};
 use crate::device::Device;
 use crate::machine::{Process, cpu_time};
 use crate::node::{PATIENCE, Pace, SKIN, learned_only, number, percentile, skin_node};
+use crate::programs::{Programs, R2R};
 use crate::subscriber::{Arrival, Choice, domain_of, spawn, start_stops};
 
 /// Frames without touch between two trials, at least.
@@ -33,18 +34,11 @@ const LIMIT: f64 = 0.3;
 /// What to measure.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Folder of our programs without ROS 2.
-    #[arg(long)]
-    programs: PathBuf,
-    /// Folder of our programs with ROS 2 in them; leaves ROS 2 and rclpy out where absent.
-    #[arg(long)]
-    ros_programs: Option<PathBuf>,
+    #[command(flatten)]
+    programs: Programs,
     /// Python with rclpy and our messages; leaves rclpy out where absent.
     #[arg(long)]
     ros_python: Option<PathBuf>,
-    /// Root of the repository.
-    #[arg(long, default_value = ".")]
-    root: PathBuf,
     /// Trials of each row.
     #[arg(long, default_value_t = 500)]
     trials: usize,
@@ -72,20 +66,15 @@ struct Row {
 ///
 /// Where a process does not come up.
 pub fn run(options: &Options) -> Result<Value> {
-    let mut rows = vec![Row {
-        name: "dermis, hiroz",
-        backend: Choice::Hiroz,
-        programs: options.programs.clone(),
-        stopper: Stopper::Ours,
-    }];
-    if let Some(programs) = &options.ros_programs {
-        let row = |name, stopper| Row { name, backend: Choice::Ros2, programs: programs.clone(), stopper };
-        rows.push(row("dermis, r2r", Stopper::Ours));
-        if let Some(python) = &options.ros_python {
+    let mut rows: Vec<Row> = Vec::new();
+    for (name, backend, programs) in options.programs.rows() {
+        let row = |name, stopper| Row { name, backend, programs: programs.to_owned(), stopper };
+        rows.push(row(name, Stopper::Ours));
+        if let (R2R, Some(python)) = (name, &options.ros_python) {
             rows.push(row("dermis, r2r + rclpy", Stopper::Rclpy(python.clone())));
         }
     }
-    let bundle = learned_only(&options.root)?;
+    let bundle = learned_only(&options.programs.root)?;
     let mut measured = Vec::new();
     for (i, row) in rows.iter().enumerate() {
         eprintln!("measuring {}", row.name);
@@ -112,7 +101,7 @@ fn rules(options: &Options, folder: &Path) -> Result<PathBuf> {
 }
 
 fn measure(options: &Options, row: &Row, model: &Path, domain: u16) -> Result<Value> {
-    let file = options.root.join(SKIN);
+    let file = options.programs.root.join(SKIN);
     let mut device = Device::new(&SkinDescription::load(&file)?, 1)?;
     let folder = tempfile::tempdir()?;
     let (_subscriber, stops) = start_stops(row.backend, domain)?;
@@ -126,7 +115,7 @@ fn measure(options: &Options, row: &Row, model: &Path, domain: u16) -> Result<Va
         }
         Stopper::Rclpy(python) => {
             let mut command = Command::new(python);
-            command.arg(options.root.join("benches/python/rclpy_stop.py")).arg(LIMIT.to_string());
+            command.arg(options.programs.root.join("benches/python/rclpy_stop.py")).arg(LIMIT.to_string());
             command
         }
     };
