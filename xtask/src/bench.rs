@@ -141,7 +141,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
                 }
             }
         }
-        // The peers' libraries do not report to their maker what is measured.
+        // Without the telemetry of ONNX Runtime in the peers.
         command.current_dir(root).env("DERMIS_BIN", &programs).env("ORT_DISABLE_TELEMETRY", "1");
         command.arg("--out").arg(results.join(format!("{text}.json")));
         execute(command.args(&options.arguments))?;

@@ -189,8 +189,8 @@ impl Runtime {
     }
 }
 
-/// While it is set, libraries of ONNX Runtime keep to themselves what runs on them. From 1.31 on those for Linux report it to their maker
-/// over the network, and keep a database of it in the user's cache folder; `with_telemetry(false)` comes too late for that.
+/// Switches the telemetry of ONNX Runtime off. From 1.31 on its builds for Linux send usage data to Microsoft and keep a database of it in the
+/// user's cache folder; `with_telemetry(false)` comes too late to prevent that.
 const NO_TELEMETRY: &str = "ORT_DISABLE_TELEMETRY";
 
 struct Native {

@@ -100,7 +100,7 @@ fn work(folder: &Path, choice: &str, library: Option<&Path>) -> Output {
         .args(["runtimes::worker", "--exact", "--ignored", "--nocapture"])
         .env("DERMIS_WORKER", folder)
         .env("DERMIS_WORKER_CHOICE", choice)
-        // What a library keeps of us, it keeps there.
+        // Where a library's telemetry would keep its database.
         .envs([("HOME", folder.join("home")), ("XDG_CACHE_HOME", folder.join("home"))])
         .env_remove("ORT_DISABLE_TELEMETRY")
         .env_remove("ORT_DYLIB_PATH")
@@ -226,7 +226,7 @@ fn native_and_embedded_agree() {
         serde_json::from_slice(&std::fs::read(folder.path().join("report.json")).unwrap()).unwrap();
     assert_eq!(report["kind"], "native");
     assert_eq!(report["path"], library.to_str().unwrap());
-    // Versions from 1.31 on keep a database of what runs on them, to send it to their maker.
+    // The telemetry of versions from 1.31 on keeps a database there.
     assert!(!folder.path().join("home").exists(), "the library wrote into the user's folder");
     for graph in graphs::all() {
         let read = |suffix| floats(&folder.path().join(format!("{}.{suffix}", graph.name)));
