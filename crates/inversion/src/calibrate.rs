@@ -313,6 +313,55 @@ mod tests {
     }
 
     #[test]
+    fn frames_count_from_ten_deviations_of_the_noise_on() {
+        let model = grid(20.0);
+        let frames = |strongest: f32| {
+            let mut signal = vec![0.0; 25];
+            signal[12] = strongest;
+            let stimulus = Stimulus { contacts: vec![press(0.0, 0.0, 0.2)], ..Stimulus::default() };
+            let frames = [(&stimulus, signal.as_slice())].into_iter();
+            Calibration::without_gains(&model, Unknowns::Normal, frames).unwrap().frames
+        };
+        assert_eq!([199.0, 201.0, -201.0].map(frames), [0, 1, 1]);
+    }
+
+    #[test]
+    fn noise_that_is_larger_than_declared_is_no_error_of_the_model() {
+        let mut recording = recording(&[1.0; 25], 0.0);
+        let mut random = random(8);
+        for value in recording.iter_mut().flat_map(|(_, signal)| signal) {
+            let noise: f64 = StandardNormal.sample(&mut random);
+            // Three times the noise of the model, with what is there.
+            *value += (8f64.sqrt() * 20.0 * noise) as f32;
+        }
+        let found = measured(&recording);
+        assert!(found.model_error < 3e-3, "{}", found.model_error);
+    }
+
+    #[test]
+    fn frames_that_nothing_explains_do_not_stand_for_all() {
+        let mut recording = recording(&[1.0; 25], 0.03);
+        for (_, signal) in recording.iter_mut().step_by(50) {
+            signal.iter_mut().step_by(2).for_each(|v| *v *= -1.0);
+        }
+        let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
+        let found = Calibration::without_gains(&grid(20.0), Unknowns::Normal, frames).unwrap();
+        assert!((0.02..0.06).contains(&found.model_error), "{}", found.model_error);
+    }
+
+    #[test]
+    fn a_press_that_fits_best_may_be_stronger_than_any_label() {
+        // A force cell that says two thirds of what there is: no error of the model.
+        let mut recording = recording(&[1.0; 25], 0.0);
+        for (stimulus, _) in &mut recording {
+            stimulus.contacts.iter_mut().for_each(|c| c.force *= 2.0 / 3.0);
+        }
+        let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
+        let found = Calibration::without_gains(&grid(20.0), Unknowns::Normal, frames).unwrap();
+        assert!(found.model_error < 3e-3, "{}", found.model_error);
+    }
+
+    #[test]
     fn a_channel_that_hardly_any_press_tells_keeps_the_gain_of_its_design() {
         let model = grid(20.0);
         let untouched = Untouched::of(&model).unwrap();
