@@ -280,6 +280,11 @@ mod tests {
         Calibration::measure(&grid(20.0), Unknowns::Normal, frames).unwrap()
     }
 
+    fn without_gains(recording: &[(Stimulus, Vec<f32>)]) -> Calibration {
+        let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
+        Calibration::without_gains(&grid(20.0), Unknowns::Normal, frames).unwrap()
+    }
+
     #[test]
     fn gains_are_found_although_labels_are_off() {
         let gains: Vec<f64> = (0..25).map(|i| 1.1 + 0.02 * f64::from(i % 5)).collect();
@@ -298,29 +303,22 @@ mod tests {
 
     #[test]
     fn without_gains_what_they_are_off_by_is_the_model_s_error() {
-        let without_gains = |gains: &[f64]| {
-            let recorded = recording(gains, 0.0);
-            let frames = recorded.iter().map(|(s, v)| (s, v.as_slice()));
-            Calibration::without_gains(&grid(20.0), Unknowns::Normal, frames).unwrap()
-        };
         // One gain of all is a force: it is only what they differ by that no contact explains.
-        let even = without_gains(&[1.05; 25]);
+        let even = without_gains(&recording(&[1.05; 25], 0.0));
         assert_eq!(even.gains, [1.0; 25]);
         assert!(even.model_error < 0.01, "{}", even.model_error);
         let uneven: Vec<f64> = (0..25).map(|i| 1.0 + 0.05 * f64::from(i % 2)).collect();
-        let error = without_gains(&uneven).model_error;
+        let error = without_gains(&recording(&uneven, 0.0)).model_error;
         assert!((0.01..0.05).contains(&error), "{error}");
     }
 
     #[test]
     fn frames_count_from_ten_deviations_of_the_noise_on() {
-        let model = grid(20.0);
         let frames = |strongest: f32| {
             let mut signal = vec![0.0; 25];
             signal[12] = strongest;
             let stimulus = Stimulus { contacts: vec![press(0.0, 0.0, 0.2)], ..Stimulus::default() };
-            let frames = [(&stimulus, signal.as_slice())].into_iter();
-            Calibration::without_gains(&model, Unknowns::Normal, frames).unwrap().frames
+            without_gains(&[(stimulus, signal)]).frames
         };
         assert_eq!([199.0, 201.0, -201.0].map(frames), [0, 1, 1]);
     }
@@ -344,8 +342,7 @@ mod tests {
         for (_, signal) in recording.iter_mut().step_by(50) {
             signal.iter_mut().step_by(2).for_each(|v| *v *= -1.0);
         }
-        let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
-        let found = Calibration::without_gains(&grid(20.0), Unknowns::Normal, frames).unwrap();
+        let found = without_gains(&recording);
         assert!((0.02..0.06).contains(&found.model_error), "{}", found.model_error);
     }
 
@@ -356,8 +353,7 @@ mod tests {
         for (stimulus, _) in &mut recording {
             stimulus.contacts.iter_mut().for_each(|c| c.force *= 2.0 / 3.0);
         }
-        let frames = recording.iter().map(|(s, v)| (s, v.as_slice()));
-        let found = Calibration::without_gains(&grid(20.0), Unknowns::Normal, frames).unwrap();
+        let found = without_gains(&recording);
         assert!(found.model_error < 3e-3, "{}", found.model_error);
     }
 
