@@ -338,6 +338,10 @@ impl Drop for Peer {
         // It may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
+        if std::thread::panicking() {
+            self.drain();
+            eprintln!("process {} printed:\n{}", self.child.id(), self.seen.join("\n"));
+        }
     }
 }
 
