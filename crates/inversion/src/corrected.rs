@@ -315,6 +315,7 @@ struct CorrectedState<'a> {
     corrected: &'a Corrected,
 }
 
+#[deny(clippy::missing_trait_methods)]
 impl DeviceState for CorrectedState<'_> {
     fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
         self.inner.apply_to_stimulus(time, stimulus);

@@ -346,10 +346,13 @@ mod tests {
             |force: [f64; 3]| Indentation::sphere(Point3::new(0.03, 0.0, 0.01), Vector3::from(force), 0.004);
         let normal = on_wall([-1.0, 0.0, 0.0]).check(0, &dome).unwrap();
         assert!((normal - Vector3::x()).norm() < 1e-6, "{normal}");
-        // Nothing but along the wall is no pull; the least bit away from it is.
-        for (force, refused) in
-            [([-1.0, 3.0, 0.0], false), ([0.5, 0.0, -3.0], true), ([1e-6, 0.0, 0.0], true)]
-        {
+        // A force along the wall alone is no pull; the least bit away from the wall is.
+        for (force, refused) in [
+            ([-1.0, 3.0, 0.0], false),
+            ([0.0, 3.0, 0.0], false),
+            ([0.5, 0.0, -3.0], true),
+            ([1e-6, 0.0, 0.0], true),
+        ] {
             let checked = on_wall(force).check(2, &dome);
             assert_eq!(checked.is_err(), refused, "{force:?}");
             if let Err(error) = checked {

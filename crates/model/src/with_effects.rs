@@ -187,6 +187,7 @@ struct CommonEffectsState<'a> {
     acts: Vec<ActState<'a>>,
 }
 
+#[deny(clippy::missing_trait_methods)]
 impl DeviceState for CommonEffectsState<'_> {
     /// What the family says; the rig's error stays out of it, because what is left is what the rig's force cell measures.
     fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {

@@ -406,8 +406,16 @@ fn wrappers_forward_everything() {
     // Interference of 0 Hz and phase 0 is there, and adds nothing.
     let silent = Effect::new("interference").with("amplitude", 3.0).with("frequency", 0.0);
     skin.effects = vec![silent];
-    let made: Result<Arc<dyn ForwardModel>, ModelError> = device(&skin, |_| Ok(Arc::new(Probe::default())));
-    forwards_everything(made.unwrap().as_ref(), &[0.25, 0.5], false);
+    let made = |skin: &SkinDescription| -> Result<Arc<dyn ForwardModel>, ModelError> {
+        device(skin, |_| Ok(Arc::new(Probe::default())))
+    };
+    forwards_everything(made(&skin).unwrap().as_ref(), &[0.25, 0.5], false);
+
+    // Pictures show what the rig really does: 2 N, where it says 1 N.
+    skin.effects = vec![Effect::new("force-scale").with("factor", 2.0)];
+    let model = made(&skin).unwrap();
+    let image = model.start(1).capture(0.0, &press(0.0, 1.0), &mut || 0.0).unwrap().unwrap();
+    assert_eq!(image.data(), [2 + 2 * 40]);
 }
 
 #[test]

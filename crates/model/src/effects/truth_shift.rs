@@ -111,6 +111,25 @@ mod tests {
         near(&found, at, [0.1, 0.2, -1.0]);
     }
 
+    /// Each parameter moves along its own axis: x is along the normal of this place, so that only the curve of the wall shows it.
+    #[test]
+    fn every_parameter_has_its_own_axis() {
+        use dermis_fixtures::SkinFile;
+        use dermis_skin::Effect;
+
+        let dome = Surface::from_spec(&SurfaceSpec::Dome { radius: 0.03, cylinder: 0.02, spacing: 0.002 });
+        let skin = SkinFile::new("pad").read();
+        let effect = Effect::new("truth-shift").with("x", 0.001).with("y", 0.002).with("z", 0.004);
+        let acts = acts(&Settings::new(&EFFECT, &effect, &skin).unwrap()).unwrap();
+        let [Act::Rig(shift)] = acts.as_slice() else { panic!("it is one act on the rig") };
+        let mut contact =
+            Indentation::sphere(Point3::new(0.03, 0.0, 0.01), Vector3::new(-1.0, 0.0, 0.0), 0.004);
+        shift.real(&mut contact, &dome);
+        let angle = (0.002_f64).atan2(0.031);
+        let (at, force) = ([0.03 * angle.cos(), 0.03 * angle.sin(), 0.014], [-angle.cos(), -angle.sin(), 0.0]);
+        near(&contact, at, force);
+    }
+
     #[test]
     fn around_a_wall_forces_turn_with_the_normal() {
         let dome = Surface::from_spec(&SurfaceSpec::Dome { radius: 0.03, cylinder: 0.02, spacing: 0.002 });

@@ -26,9 +26,10 @@ impl Probe {
     }
 }
 
-/// Counts its steps from the seed on.
+/// Counts its steps and pictures from the seed on.
 struct ProbeState(f64);
 
+#[deny(clippy::missing_trait_methods)]
 impl DeviceState for ProbeState {
     fn apply_to_stimulus(&mut self, time: f64, stimulus: &mut Stimulus) {
         stimulus.temperature += 1.0 + time;
@@ -38,6 +39,19 @@ impl DeviceState for ProbeState {
         self.0 += 1.0;
         out.copy_from_slice(&[self.0 + time, stimulus.temperature]);
         Ok(())
+    }
+
+    /// One grey pixel that tells the count, the time, the forces and the noise: not what the model's own picture tells.
+    fn capture(
+        &mut self,
+        time: f64,
+        stimulus: &Stimulus,
+        noise: &mut dyn FnMut() -> f64,
+    ) -> Result<Option<Image>, ModelError> {
+        self.0 += 1.0;
+        let force: f64 = stimulus.contacts.iter().map(|c| c.force.norm()).sum();
+        let level = self.0 + 8.0 * time + 40.0 * force + noise();
+        Ok(Image::new(1, 1, PixelFormat::Mono8, vec![level as u8]))
     }
 
     fn quantize(&mut self, readings: &mut [f64]) {
@@ -208,6 +222,37 @@ pub fn forwards_everything(wrapper: &dyn ForwardModel, noise: &[f64], same_respo
         state.step(0.25, &real, &mut own).expect("a press can be");
         assert_eq!(own, [40.25 + f64::from(n), real.temperature], "step, and the seed of start");
     }
+    let image = state.capture(0.5, &real, &mut || 3.0).expect("a press can be");
+    // Two steps and this picture after a seed of 40, 0.5 s, 0.5 N, and the noise.
+    assert_eq!(image.expect("the probe has a camera").data(), [43 + 4 + 20 + 3], "capture with memory");
     state.quantize(&mut own);
     assert_eq!(own, [42.0, 295.0], "quantize");
+}
+
+#[cfg(test)]
+mod tests {
+    /// Names of the methods of a trait, as its source has them.
+    fn methods<'a>(source: &'a str, name: &str) -> Vec<&'a str> {
+        let (_, body) = source.split_once(&format!("\npub trait {name}")).expect("the trait stands here");
+        let (body, _) = body.split_once("\n}").expect("the trait ends");
+        let lines = body.lines().filter_map(|line| line.strip_prefix("    fn "));
+        lines.filter_map(|line| line.split_once('(')).map(|(method, _)| method).collect()
+    }
+
+    /// The lint makes the probe answer for a method that is new; this, that it is tried on wrappers.
+    #[test]
+    fn every_method_is_tried() {
+        let (_, tried) =
+            include_str!("probe.rs").split_once("pub fn forwards_everything").expect("it is here");
+        let (tried, _) = tried.split_once("\n}").expect("it ends");
+        let tried: String = tried.split_whitespace().collect();
+        let model = methods(include_str!("../forward.rs"), "ForwardModel");
+        let state = methods(include_str!("../state.rs"), "DeviceState");
+        assert!(model.contains(&"start") && state.contains(&"step"), "{model:?} {state:?}");
+        for (of, methods) in [("wrapper", model), ("state", state)] {
+            for method in methods {
+                assert!(tried.contains(&format!("{of}.{method}(")), "`{method}` is not tried on a {of}");
+            }
+        }
+    }
 }
