@@ -86,7 +86,7 @@ pub enum Measurement {
 /// Skins that gaps are diagnosed on, and the seeds of their packs: of all kinds, and of controls only.
 const GAPS: [(&str, &str, [&str; 2]); 3] = [
     ("line", "launch/skins/baro-line.toml", ["50521", "50531"]),
-    ("grid", "crates/gap-benchmark/skins/baro-grid-wide.toml", ["50502", "50512"]),
+    ("grid", "nodes/barodome/skins/baro-grid-wide.toml", ["50502", "50512"]),
     ("shin", LIMB, ["50503", "50513"]),
 ];
 /// Share of the full proportions, and controls that make up for what lacks of them.

@@ -3,6 +3,10 @@
 //! A data set holds, of every frame, when it was acquired and what was true ([`FrameInfo`]). Readings stay in the bags and
 //! are read again by who needs them ([`Dataset::stream`]), so that memory does not grow with the size of a frame; bags of
 //! up to [`DatasetOptions::memory`] are held, which saves the second reading.
+//!
+//! Memory grows with the number of frames: 72 bytes for each ([`FrameInfo`]), and 88 for each true contact ([`TruthContact`]);
+//! while a bag is read, up to 184 bytes for each frame, 96 more where it has ground truth, and 176 for each contact. An hour at
+//! 100 Hz, touched throughout by one contact, is 58 MB, and up to 164 MB while it is read. `tests/memory.rs` holds these.
 
 mod read;
 mod recording;

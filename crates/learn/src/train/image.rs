@@ -70,24 +70,39 @@ impl ImageConfig {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::path::Path;
-
+pub(super) mod tests {
+    use crate::train::TrainConfig;
     use crate::train::layer::shapes;
-    use crate::train::{ImageConfig, TrainConfig};
 
-    fn shipped(name: &str) -> TrainConfig {
-        TrainConfig::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/train").join(name))
-            .unwrap()
+    /// What the thesis calls its networks, in the descriptions of the configurations that ship.
+    pub(in crate::train) const RECON_NET: &str = "Recon-Net of the thesis";
+    const TRANSFER_NET: &str = "Transfer-Net of the thesis";
+
+    /// Texts of all configurations that ship, and what they say.
+    fn all_shipped() -> Vec<(String, TrainConfig)> {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../launch/train");
+        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        files
+            .filter(|path| path.extension().is_some_and(|e| e == "toml"))
+            .map(|path| {
+                let text = std::fs::read_to_string(&path).unwrap();
+                let config = TrainConfig::from_toml(&text, &path.display().to_string()).unwrap();
+                (text, config)
+            })
+            .collect()
     }
 
-    fn image(name: &str) -> ImageConfig {
-        shipped(name).network.image.unwrap()
+    /// The one configuration of those that ship whose description begins so.
+    pub(in crate::train) fn shipped(described: &str) -> (String, TrainConfig) {
+        let mut found = all_shipped();
+        found.retain(|(_, config)| config.description.starts_with(described));
+        assert_eq!(found.len(), 1, "configurations described as `{described}`");
+        found.remove(0)
     }
 
     #[test]
     fn the_thesis_network_has_the_shapes_of_its_table() {
-        let config = image("ert-panel-thesis.toml");
+        let config = shipped(RECON_NET).1.network.image.unwrap();
         // Table 4.4; its last input has two planes, whatever it says.
         let table = [
             [784, 1, 1],
@@ -108,23 +123,24 @@ mod tests {
     #[test]
     fn the_thesis_network_has_the_parameters_of_its_table() {
         use crate::train::conv::ConvNetwork;
-        let spec = image("ert-panel-thesis.toml").spec("map.normal", 784);
+        let spec = shipped(RECON_NET).1.network.image.unwrap().spec("map.normal", 784);
         assert_eq!(ConvNetwork::new(&spec, 1).unwrap().len(), 2_189_133);
     }
 
     #[test]
     fn the_transfer_network_has_the_parameters_of_the_thesis() {
         use crate::train::Mlp;
-        let config = shipped("ert-panel-transfer.toml");
+        let config = shipped(TRANSFER_NET).1;
         // 784 - 5 × 784 - 784: six layers of 784 × 784 weights and 784 biases.
         assert_eq!(Mlp::new(784, 784, &config.network, 1).len(), 6 * (784 * 784 + 784));
         assert_eq!(config.training.momentum, 0.7);
     }
 
     #[test]
-    fn the_network_that_ships_covers_the_same_square() {
-        let (ours, thesis) = (image("ert-panel.toml"), image("ert-panel-thesis.toml"));
-        for config in [ours, thesis] {
+    fn all_pictures_cover_the_square_of_the_thesis() {
+        let pictures: Vec<_> = all_shipped().into_iter().filter_map(|(_, c)| c.network.image).collect();
+        assert!(pictures.len() > 1, "that of the thesis, and a smaller one");
+        for config in pictures {
             assert!((config.pixel * config.pixels[0] as f64 - 0.640).abs() < 1e-12);
             assert_eq!(config.pixels[0], config.pixels[1]);
         }
@@ -132,10 +148,7 @@ mod tests {
 
     #[test]
     fn impossible_pictures_are_refused() {
-        let text = std::fs::read_to_string(
-            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/train/ert-panel-thesis.toml"),
-        )
-        .unwrap();
+        let text = shipped(RECON_NET).0;
         let refused = |from: &str, to: &str| {
             assert!(text.contains(from), "{from} is not in the configuration");
             TrainConfig::from_toml(&text.replacen(from, to, 1), "c.toml").unwrap_err().to_string()

@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::picture::Mixing;
+use crate::train::image::tests::{RECON_NET, shipped};
 
 /// Odd sizes: every level has to be cut.
 const SHAPE: [usize; 3] = [2, 13, 10];
@@ -292,9 +293,8 @@ fn graphs_answer_as_burn_does(runtime: &'static Runtime) {
     let most = apart(runtime, &network, &network.to_onnx("drawn").unwrap(), &by_burn(&network));
     assert!(most < 1e-4, "{most} apart");
 
-    let path =
-        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/train/ert-panel-thesis.toml");
-    let config = crate::train::TrainConfig::load(&path).unwrap().network.image.unwrap();
+    let (_, config) = shipped(RECON_NET);
+    let config = config.network.image.unwrap();
     let thesis = ConvNetwork::new(&config.spec("map.normal", 784), 3).unwrap();
     let panel = dermis_skin::SurfaceSpec::Rectangle { size: [0.54, 0.56], spacing: 0.01 };
     let mixing = Mixing::new(&config.picture(), &dermis_skin::Surface::from_spec(&panel)).unwrap();
