@@ -16,6 +16,15 @@ impl Scaled {
         Self { low, high, ticks: ticks(low, high, log) }
     }
 
+    /// What stands beside the ticks.
+    pub(crate) fn labels(&self, log: bool) -> Labels {
+        Labels::of(&self.ticks, log)
+    }
+
+    pub(crate) fn ticks(&self) -> &[f64] {
+        &self.ticks
+    }
+
     /// An axis with these ticks.
     pub(crate) fn at(low: f64, high: f64, ticks: Vec<f64>) -> Self {
         Self { low, high, ticks }
@@ -45,15 +54,75 @@ pub(crate) fn place(value: f64, log: bool) -> f64 {
     if log { value.log10() } else { value }
 }
 
-/// A number as a tick shows it: three digits that say something.
+/// A number with three digits that say something; a power of ten where it would have many zeros.
 #[must_use]
 pub fn short(value: f64) -> String {
-    if value == 0.0 {
+    if value == 0.0 || !value.is_finite() {
+        return if value == 0.0 { "0".to_owned() } else { value.to_string() };
+    }
+    let long = !FIXED.contains(&magnitude(value));
+    let step = 10f64.powi(magnitude(value) - 2);
+    // Whole numbers that are written out are whole.
+    number(value, if long { step } else { step.min(1.0) }, long)
+}
+
+/// Powers of ten of numbers that are written out.
+const FIXED: std::ops::Range<i32> = -4..6;
+
+fn magnitude(value: f64) -> i32 {
+    // A power of ten is not below itself by rounding.
+    (value.abs().log10() + 1e-9).floor() as i32
+}
+
+/// A number to the digit of `step`, without zeros that say nothing.
+fn number(value: f64, step: f64, power_of_ten: bool) -> String {
+    let trimmed = |text: String| {
+        let short = text.trim_end_matches('0').trim_end_matches('.').to_owned();
+        if text.contains('.') { short } else { text }
+    };
+    let last = if step > 0.0 { magnitude(step) } else { 0 };
+    if !power_of_ten {
+        let text = trimmed(format!("{value:.*}", (-last).max(0) as usize));
+        return if text == "-0" { "0".to_owned() } else { text };
+    }
+    let rounded = if step > 0.0 { (value / step).round() * step } else { value };
+    if rounded == 0.0 {
         return "0".to_owned();
     }
-    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 6) as usize;
-    let text = format!("{value:.digits$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    let first = magnitude(rounded);
+    let digits = (first - last).clamp(0, 15) as usize;
+    format!("{}e{first}", trimmed(format!("{:.digits$}", rounded / 10f64.powi(first))))
+}
+
+/// Labels of ticks: with as many digits as tell them apart, and powers of ten where all would be long.
+pub(crate) struct Labels {
+    step: f64,
+    power_of_ten: bool,
+    log: bool,
+}
+
+impl Labels {
+    pub(crate) fn of(ticks: &[f64], log: bool) -> Self {
+        let shown: Vec<f64> = ticks.iter().map(|t| if log { 10f64.powf(*t) } else { *t }).collect();
+        let largest = shown.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let step = shown.windows(2).map(|w| (w[1] - w[0]).abs()).fold(f64::INFINITY, f64::min);
+        // A single tick shows three digits.
+        let alone = || if largest > 0.0 { 10f64.powi(magnitude(largest) - 2) } else { 0.0 };
+        let step = if step.is_finite() { step } else { alone() };
+        let power_of_ten =
+            largest > 0.0 && (!FIXED.contains(&magnitude(largest)) || magnitude(step) < FIXED.start);
+        Self { step, power_of_ten, log }
+    }
+
+    pub(crate) fn label(&self, tick: f64) -> String {
+        if !self.log {
+            return number(tick, self.step, self.power_of_ten);
+        }
+        let value = 10f64.powf(tick);
+        // Decades are apart by factors, so that small ones need digits of their own.
+        let own = 10f64.powi(magnitude(value) - 1).min(self.step);
+        number(value, own, !FIXED.contains(&magnitude(value)))
+    }
 }
 
 /// Round numbers between two places of an axis.
@@ -90,53 +159,85 @@ pub(crate) fn ticks(low: f64, high: f64, log: bool) -> Vec<f64> {
     round(step.unwrap_or(span))
 }
 
-pub(crate) fn tick(value: f64, log: bool) -> String {
-    if log && value < -3.9 {
-        format!("{:.0e}", 10f64.powf(value))
-    } else if log {
-        let shown = 10f64.powf(value);
-        let digits = (1 - shown.log10().floor() as i32).clamp(0, 9) as usize;
-        let text = format!("{shown:.digits$}");
-        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-    } else if value.abs() < 1e-12 {
-        "0".to_owned()
-    } else {
-        short(value)
-    }
-}
-
-/// A value beside a linear axis.
-pub(crate) fn tick_text(value: f64) -> String {
-    tick(value, false)
-}
-
-/// From the least to the largest of values that can be shown, with some room.
-pub(crate) fn range(values: impl Iterator<Item = f64>, given: Option<(f64, f64)>, log: bool) -> (f64, f64) {
+/// From the least to the largest of values that can be shown, with some room; `None` where there are none.
+pub(crate) fn range(
+    values: impl Iterator<Item = f64>,
+    given: Option<(f64, f64)>,
+    log: bool,
+) -> Option<(f64, f64)> {
     if let Some((low, high)) = given {
-        return (place(low, log), place(high, log));
+        return Some((place(low, log), place(high, log)));
     }
     let shown = values.map(|v| place(v, log)).filter(|v| v.is_finite());
     let (low, high) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
     if !(low.is_finite() && high.is_finite()) {
-        return (0.0, 1.0);
+        return None;
     }
-    let room = ((high - low) * 0.04).max(high.abs().max(1e-9) * 1e-3);
+    let size = low.abs().max(high.abs());
+    let room = ((high - low) * 0.04).max(if size > 0.0 { size * 1e-3 } else { 1.0 });
     // A quantity that cannot be negative starts at 0 where that is near.
     let low = if !log && low >= 0.0 && low < 0.3 * high { 0.0 } else { low - room };
-    (low, high + room)
+    Some((low, high + room))
 }
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    fn labels(low: f64, high: f64, log: bool) -> Vec<String> {
+        let axis = Scaled::new(low, high, log);
+        let of = axis.labels(log);
+        axis.ticks.iter().map(|t| of.label(*t)).collect()
+    }
 
     #[test]
     fn ticks_are_short() {
-        let of = |v: f64| tick(v, false);
-        assert_eq!([of(0.0), of(0.05), of(12.0), of(1234.5)], ["0", "0.05", "12", "1234"]);
+        assert_eq!(
+            [short(0.0), short(0.05), short(12.0), short(1234.5), short(-0.001), short(1.0)],
+            ["0", "0.05", "12", "1234", "-0.001", "1"]
+        );
+        assert_eq!([short(2.345e-7), short(-4e9), short(f64::INFINITY)], ["2.34e-7", "-4e9", "inf"]);
         assert_eq!(ticks(0.0, 1.04, false), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
-        let log: Vec<String> = ticks(-1.1, 1.2, true).iter().map(|v| tick(*v, true)).collect();
-        assert_eq!(log, ["0.1", "0.2", "0.5", "1", "2", "5", "10"]);
-        assert_eq!([tick(-2.0, true), tick(2.0, true), tick(-1.5, true)], ["0.01", "100", "0.032"]);
+        assert_eq!(labels(0.0, 1.04, false), ["0", "0.2", "0.4", "0.6", "0.8", "1"]);
+        assert_eq!(labels(-1.1, 1.2, true), ["0.1", "0.2", "0.5", "1", "2", "5", "10"]);
+        assert_eq!(labels(-2.0, 2.5, true), ["0.01", "0.1", "1", "10", "100"]);
+    }
+
+    #[test]
+    fn small_large_and_narrow_axes_have_labels_that_differ() {
+        assert_eq!(labels(-2e-8, 6e-8, false), ["-2e-8", "0", "2e-8", "4e-8", "6e-8"]);
+        assert_eq!(labels(1234.5, 1234.9, false), ["1234.5", "1234.6", "1234.7", "1234.8", "1234.9"]);
+        assert_eq!(labels(0.0, 2e7, false), ["0", "5e6", "1e7", "1.5e7", "2e7"]);
+        assert_eq!(labels(-7.0, -4.0, true), ["1e-7", "3e-7", "1e-6", "3e-6", "1e-5", "3e-5", "0.0001"]);
+    }
+
+    #[test]
+    fn nothing_has_no_range_and_one_value_has_one() {
+        assert_eq!(range([f64::NAN, f64::INFINITY].into_iter(), None, false), None);
+        for value in [0.0, 3e-15, -2.0, 1e12] {
+            let (low, high) = range([value].into_iter(), None, false).unwrap();
+            assert!(low <= value && value <= high && low < high, "{value}: {low} to {high}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn labels_of_an_axis_differ_and_rise(middle in -3.0..3.0f64, span in 1e-3..2.0f64, power in -15..15i32) {
+            let unit = 10f64.powi(power);
+            let all = labels((middle - span) * unit, (middle + span) * unit, false);
+            prop_assert!(all.len() > 1, "{all:?}");
+            let read: Vec<f64> = all.iter().map(|l| l.parse().unwrap()).collect();
+            prop_assert!(read.windows(2).all(|w| w[0] < w[1]), "{all:?}");
+            prop_assert!(all.iter().all(|l| l != "-0" && l.len() < 12), "{all:?}");
+        }
+
+        #[test]
+        fn labels_of_a_logarithmic_axis_differ_and_rise(low in -12.0..6.0f64, span in 0.05..8.0f64) {
+            let all = labels(low, low + span, true);
+            let read: Vec<f64> = all.iter().map(|l| l.parse().unwrap()).collect();
+            prop_assert!(read.windows(2).all(|w| w[0] < w[1]), "{all:?}");
+        }
     }
 }

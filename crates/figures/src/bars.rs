@@ -4,8 +4,8 @@ use plotters::prelude::*;
 use plotters::style::FontTransform;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use crate::axis::Scaled;
-use crate::{Area, Axes, COLOURS, Failure, Result, label, svg, tick_text};
+use crate::axis::{Labels, Scaled};
+use crate::{Area, Axes, COLOURS, Failure, Result, label, svg};
 
 /// \[pixels\] that a letter takes at most, on average over a label.
 const LETTER: f64 = 8.0;
@@ -122,7 +122,11 @@ pub fn bars(heading: &str, rows: &[Bar], full: Option<f64>) -> Result<String> {
 pub fn histogram(axes: &Axes, bins: &[(f64, f64)]) -> Result<String> {
     let most = bins.iter().map(|bin| bin.1).filter(|v| v.is_finite()).fold(0.0, f64::max);
     let count = bins.len() as f64;
+    let begins: Vec<f64> = bins.iter().map(|bin| bin.0).collect();
+    let begins = Labels::of(&begins, false);
     svg(axes.size(), |root| {
+        let heights = Scaled::new(0.0, (most * 1.05).max(1.0), false);
+        let labels = heights.labels(false);
         let mut chart = ChartBuilder::on(root)
             .caption(&axes.title, ("sans-serif", 15))
             .margin(10)
@@ -130,16 +134,16 @@ pub fn histogram(axes: &Axes, bins: &[(f64, f64)]) -> Result<String> {
             .y_label_area_size(54)
             .build_cartesian_2d(
                 Scaled::at(0.0, count.max(1.0), (0..bins.len()).map(|i| i as f64).collect()),
-                Scaled::new(0.0, (most * 1.05).max(1.0), false),
+                heights,
             )?;
-        let from = |at: &f64| bins.get(at.round() as usize).map_or(String::new(), |bin| tick_text(bin.0));
+        let from = |at: &f64| bins.get(at.round() as usize).map_or(String::new(), |bin| begins.label(bin.0));
         chart
             .configure_mesh()
             .disable_x_mesh()
             .x_desc(&axes.x)
             .y_desc(&axes.y)
             .x_label_formatter(&from)
-            .y_label_formatter(&|v| tick_text(*v))
+            .y_label_formatter(&|v| labels.label(*v))
             .light_line_style(WHITE)
             .bold_line_style(RGBColor(230, 230, 230))
             .draw()?;

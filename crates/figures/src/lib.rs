@@ -17,7 +17,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 pub use plotters::style::RGBColor;
 
 pub use axis::short;
-use axis::{Scaled, place, range, tick, tick_text};
+use axis::{Scaled, place, range};
 pub use bars::{Bar, bars, histogram, matrix};
 pub use points::{Dots, Segment, dots, segments};
 use scale::{BAR, Scale};
@@ -104,8 +104,8 @@ impl Axes {
     /// The same axes with one scale for both, so that distances are true, over all of these points.
     #[must_use]
     pub fn equal(self, points: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
-        let (x0, x1) = range(points.clone().map(|p| p.0), None, false);
-        let (y0, y1) = range(points.map(|p| p.1), None, false);
+        let (x0, x1) = range(points.clone().map(|p| p.0), None, false).unwrap_or((0.0, 1.0));
+        let (y0, y1) = range(points.map(|p| p.1), None, false).unwrap_or((0.0, 1.0));
         let half = f64::max(x1 - x0, y1 - y0) / 2.0;
         let around = |low: f64, high: f64| {
             let middle = f64::midpoint(low, high);
@@ -204,6 +204,8 @@ fn frame<'a, 'b>(
     y: (f64, f64),
     mesh: bool,
 ) -> Result<Chart<'a, 'b>, Failure> {
+    let (horizontal, vertical) = (Scaled::new(x.0, x.1, axes.log_x), Scaled::new(y.0, y.1, axes.log_y));
+    let (labels_x, labels_y) = (horizontal.labels(axes.log_x), vertical.labels(axes.log_y));
     let mut chart = ChartBuilder::on(root)
         .caption(&axes.title, ("sans-serif", 15))
         .margin(10)
@@ -211,8 +213,8 @@ fn frame<'a, 'b>(
         .margin_right(24)
         .x_label_area_size(38)
         .y_label_area_size(60)
-        .build_cartesian_2d(Scaled::new(x.0, x.1, axes.log_x), Scaled::new(y.0, y.1, axes.log_y))?;
-    let (label_x, label_y) = (|v: &f64| tick(*v, axes.log_x), |v: &f64| tick(*v, axes.log_y));
+        .build_cartesian_2d(horizontal, vertical)?;
+    let (label_x, label_y) = (|v: &f64| labels_x.label(*v), |v: &f64| labels_y.label(*v));
     let mut style = chart.configure_mesh();
     style.x_desc(&axes.x).y_desc(&axes.y).x_label_formatter(&label_x).y_label_formatter(&label_y);
     if mesh {
@@ -225,10 +227,21 @@ fn frame<'a, 'b>(
 
 fn draw_curves(root: &Area<'_>, axes: &Axes, curves: &[Curve]) -> Result<(), Failure> {
     let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0.is_finite() && p.1.is_finite());
-    let (x0, x1) = range(all().map(|p| p.0), axes.x_range, axes.log_x);
-    let (y0, y1) = range(all().map(|p| p.1), axes.y_range, axes.log_y);
-    let mut chart = frame(root, axes, (x0, x1), (y0, y1), true)?;
+    let x = range(all().map(|p| p.0), axes.x_range, axes.log_x);
+    let y = range(all().map(|p| p.1), axes.y_range, axes.log_y);
+    let (Some(x), Some(y)) = (x, y) else { return nothing(root, axes) };
+    let mut chart = frame(root, axes, x, y, true)?;
     draw_series(&mut chart, axes, curves)
+}
+
+/// In place of axes that no value would stand in.
+fn nothing(root: &Area<'_>, axes: &Axes) -> Result<(), Failure> {
+    let (width, height) = root.dim_in_pixel();
+    let middle = (width as i32 / 2, height as i32 / 2);
+    let style = || label(Pos::new(HPos::Center, VPos::Center));
+    root.draw(&Text::new(axes.title.clone(), (middle.0, 18), style()))?;
+    root.draw(&Text::new(format!("{}: no value is finite", axes.y), middle, style()))?;
+    Ok(())
 }
 
 /// Curves in axes that are there.

@@ -4,7 +4,9 @@ use plotters::prelude::*;
 
 use crate::axis::range;
 use crate::scale::{BAR, Scale};
-use crate::{Area, Axes, COLOURS, Curve, Failure, Pen, Result, beside, draw_legend, draw_series, frame, svg};
+use crate::{
+    Area, Axes, COLOURS, Curve, Failure, Pen, Result, beside, draw_legend, draw_series, frame, nothing, svg,
+};
 
 /// Points of one kind. Those that are not finite are left out.
 #[derive(Debug, Clone, Default)]
@@ -48,6 +50,7 @@ pub fn dots(axes: &Axes, groups: &[Dots], under: &[Curve]) -> Result<String> {
         let all = || under.iter().flat_map(|c| &c.points).chain(of_groups.clone());
         let x = range(all().map(|p| p.0), axes.x_range, false);
         let y = range(all().map(|p| p.1), axes.y_range, false);
+        let (Some(x), Some(y)) = (x, y) else { return nothing(&left, axes) };
         let mut chart = frame(&left, axes, x, y, true)?;
         draw_series(&mut chart, axes, under)?;
         for group in groups {
@@ -90,6 +93,7 @@ fn draw_segments(
 ) -> Result<(), Failure> {
     let x = range(pairs.iter().flat_map(|[a, b]| [a.0, b.0]), axes.x_range, false);
     let y = range(pairs.iter().flat_map(|[a, b]| [a.1, b.1]), axes.y_range, false);
+    let (Some(x), Some(y)) = (x, y) else { return nothing(root, axes) };
     let mut chart = frame(root, axes, x, y, true)?;
     let finite = |p: &(f64, f64)| p.0.is_finite() && p.1.is_finite();
     let known = || pairs.iter().zip(values).filter(|(pair, v)| pair.iter().all(finite) && v.is_finite());

@@ -8,7 +8,7 @@ use plotters::prelude::*;
 use plotters::style::FontTransform;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use crate::axis::{place, tick, ticks};
+use crate::axis::{Scaled, place};
 use crate::{Failure, label};
 
 /// \[pixels\] beside the axes.
@@ -100,11 +100,13 @@ impl Scale {
             area.draw(&Rectangle::new([(left, at(share(i + 1))), (right, at(share(i)))], colour.filled()))?;
         }
         area.draw(&Rectangle::new([(left, top), (right, bottom)], RGBColor(120, 120, 120).stroke_width(1)))?;
-        for value in ticks(self.low, self.high, self.log) {
+        let axis = Scaled::new(self.low, self.high, self.log);
+        let labels = axis.labels(self.log);
+        for &value in axis.ticks() {
             let y = at((value - self.low) / (self.high - self.low));
             area.draw(&PathElement::new(vec![(right, y), (right + 4, y)], BLACK.stroke_width(1)))?;
             let style = label(Pos::new(HPos::Left, VPos::Center));
-            area.draw(&Text::new(tick(value, self.log), (right + 7, y), style))?;
+            area.draw(&Text::new(labels.label(value), (right + 7, y), style))?;
         }
         let style = label(Pos::new(HPos::Center, VPos::Center)).transform(FontTransform::Rotate270);
         area.draw(&Text::new(name.to_owned(), (BAR as i32 - 10, i32::midpoint(top, bottom)), style))?;

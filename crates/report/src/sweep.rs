@@ -13,17 +13,19 @@ pub fn text(findings: &Findings) -> String {
     let Findings { request: options, skin, nominal, sweeps } = findings;
     let nominal = *nominal;
     let mut out = format!(
-        "{}: one contact of {} N, tip of {} mm: position {:.3} mm RMS ({:.3} median), force {:.4} N RMS, F_S {:.4} N \
-         median, Ω {:.0}\n\n",
+        "{}: one contact of {} N, tip of {} mm: position {}, force {:.4} N RMS, F_S {:.4} N median, Ω {:.0}\n",
         skin.name,
         options.force,
         options.diameter * 1e3,
-        nominal.position.rms * 1e3,
-        nominal.position.median * 1e3,
+        position(nominal),
         nominal.force.rms,
         nominal.minimum_force.median,
         nominal.factor
     );
+    if !nominal.position.rms.is_finite() {
+        out.push_str(UNDETERMINED);
+    }
+    out.push('\n');
     let _ = writeln!(
         out,
         "{:<16}{:>12} | {:>10}{:>10}{:>10}{:>10}{:>10}   least RMS in its range",
@@ -39,16 +41,16 @@ pub fn text(findings: &Findings) -> String {
             Parameter::Noise => skin.unit.as_str(),
             other => unit(other.label()),
         };
-        let best = best(sweep).map_or_else(String::new, |best| {
-            format!(
-                "{:.3} mm at {}",
-                best.figures.position.rms * 1e3,
-                short(sweep.parameter.shown(best.value))
-            )
-        });
+        let least = best(sweep).map_or_else(
+            || "not determined".to_owned(),
+            |best| {
+                let at = short(sweep.parameter.shown(best.value));
+                format!("{:.3} mm at {at}", best.figures.position.rms * 1e3)
+            },
+        );
         let _ = writeln!(
             out,
-            "{:<16}{:>12} | {:>10}{:>10}{:>10}{:>10}{:>10}   {best}",
+            "{:<16}{:>12} | {:>10}{:>10}{:>10}{:>10}{:>10}   {least}",
             sweep.parameter.name(),
             format!("{} {unit}", short(sweep.parameter.shown(now))).trim_end(),
             percent(e.position),
@@ -71,15 +73,27 @@ fn unit(label: &str) -> &str {
     label.split_once(" [").map_or("", |(_, unit)| unit.trim_end_matches(']'))
 }
 
+/// Why there is no error of the position.
+const UNDETERMINED: &str = "At some locations the channels do not determine the position: they read the same wherever along some direction \
+    the skin is touched. Of a row of taxels, --line asks for the position along the row alone.\n";
+
+fn position(figures: Figures) -> String {
+    let millimetres =
+        |v: f64| if v.is_finite() { format!("{:.3} mm", v * 1e3) } else { "not determined".to_owned() };
+    format!("{} RMS ({} median)", millimetres(figures.position.rms), millimetres(figures.position.median))
+}
+
+/// The variant with the least error of the position, where one has any.
 fn best(sweep: &Sweep) -> Option<&Variant> {
-    sweep.variants.iter().min_by(|a, b| a.figures.position.rms.total_cmp(&b.figures.position.rms))
+    let determined = sweep.variants.iter().filter(|v| v.figures.position.rms.is_finite());
+    determined.min_by(|a, b| a.figures.position.rms.total_cmp(&b.figures.position.rms))
 }
 
 /// What helps most, in a few sentences.
 fn advice(nominal: Figures, ranked: &[&Sweep]) -> String {
     let mut out = String::new();
     for sweep in ranked {
-        let Some(best) = best(sweep) else { continue };
+        let Some(best) = best(sweep).filter(|_| nominal.position.rms.is_finite()) else { continue };
         let (name, e) = (sweep.parameter.name(), sweep.elasticity.position);
         let gain = 1.0 - best.figures.position.rms / nominal.position.rms;
         if !e.is_finite() || gain < 0.02 {
@@ -167,15 +181,20 @@ pub fn html(findings: &Findings, text: &str) -> Result<String> {
         } else {
             format!(" Left out: {}.", escape(&sweep.refused.join("; ")))
         };
+        let e = sweep.elasticity;
+        let changes = [
+            ("the position error", e.position),
+            ("the force error", e.force),
+            ("F<sub>S</sub>", e.minimum_force),
+            ("Ω", e.factor),
+        ];
+        let changes = changes.iter().filter(|(_, by)| by.is_finite());
+        let changes: Vec<String> = changes.map(|(name, by)| format!("{name} by {by:+.2} %")).collect();
         body.push_str(&figure(
             &pictures,
             &format!(
-                "Everything else as it is; dots mark the skin as it is. One per cent more changes the position error by \
-                 {:+.2} %, the force error by {:+.2} %, F<sub>S</sub> by {:+.2} %, Ω by {:+.2} %.{refused}",
-                sweep.elasticity.position,
-                sweep.elasticity.force,
-                sweep.elasticity.minimum_force,
-                sweep.elasticity.factor
+                "Everything else as it is; dots mark the skin as it is. One per cent more changes {}.{refused}",
+                changes.join(", ")
             ),
         ));
     }

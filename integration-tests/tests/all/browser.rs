@@ -155,3 +155,20 @@ fn the_page_of_bounds_looks_right() {
     finish(Command::new(program("dermis")).arg("bounds").arg(skin).arg("--out").arg(folder.path()));
     looks_right(&folder.path().join("theory.html"));
 }
+
+/// A row of taxels tells where along it, and not where across: the page says so, and shows numbers where there are any.
+#[test]
+fn the_page_of_a_sweep_looks_right_with_and_without_a_position() {
+    for (flags, determined) in [(&["--line"][..], true), (&[], false)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut sweep = Command::new(program("dermis"));
+        sweep.arg("sweep").arg(root().join("launch/skins/baro-line.toml")).args(["--vary", "depth"]);
+        finish(sweep.args(flags).arg("--out").arg(folder.path()));
+        let file = folder.path().join("design.html");
+        let page = std::fs::read_to_string(&file).unwrap();
+        assert!(!page.contains("NaN") && !page.contains("inf "), "{}", file.display());
+        assert_eq!(page.contains("not determined"), !determined);
+        assert_eq!(page.contains("no value is finite"), !determined);
+        looks_right(&file);
+    }
+}
