@@ -1,6 +1,6 @@
 //! Where a simulated skin and a real one differ, which effect makes them, and how far that reduces the difference.
 
-mod pack;
+mod generate;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -35,7 +35,7 @@ pub enum Gap {
     Benchmark(Benchmark),
     /// The old name of `benchmark generate`.
     #[command(hide = true)]
-    MakePack(pack::Options),
+    MakePack(generate::Options),
     /// The old name of `benchmark run`.
     #[command(hide = true)]
     Check(Check),
@@ -47,7 +47,7 @@ pub enum Gap {
 #[derive(Subcommand)]
 pub enum Benchmark {
     /// Make recordings of skins with withheld effects, and keep the effects apart.
-    Generate(pack::Options),
+    Generate(generate::Options),
     /// Diagnose every recording, seal the reports, then open what was withheld and score.
     Run(Check),
 }
@@ -129,7 +129,7 @@ struct Output {
     json: bool,
 }
 
-/// Which packs to check on.
+/// Which benchmark sets to check on.
 #[derive(Args)]
 pub struct Check {
     /// The scores as JSON.
@@ -156,7 +156,7 @@ pub fn run(gap: &Gap) -> Result<()> {
         }
         Gap::Next(options) => next(options),
         Gap::Calibrate(options) => calibrate(options),
-        Gap::Benchmark(Benchmark::Generate(options)) | Gap::MakePack(options) => pack::run(options),
+        Gap::Benchmark(Benchmark::Generate(options)) | Gap::MakePack(options) => generate::run(options),
         Gap::Benchmark(Benchmark::Run(options)) | Gap::Check(options) => check(options),
         Gap::Schema => {
             print!("{}", dermis_gap::SCHEMA_JSON);
@@ -319,7 +319,7 @@ fn check(options: &Check) -> Result<()> {
         benchmark::Findings::Scored(scored) => scored,
     };
     let whole = serde_json::to_value(&scored)?;
-    let mut markdown = report::markdown(&scored.head, &scored.card, &scored.baselines);
+    let mut markdown = report::markdown(&scored.head, &scored.scorecard, &scored.baselines);
     for (number, card) in scored.followed.iter().enumerate() {
         markdown.push_str(&format!("\n## After {} follow-ups\n{}", number + 1, card.cells.table()));
     }
@@ -330,7 +330,7 @@ fn check(options: &Check) -> Result<()> {
             ("scores.json", pretty(&whole)?),
             ("summary.json", pretty(&scored.summary())?),
             ("summary.md", markdown.clone()),
-            ("summary.svg", report::svg(&scored.skin, &scored.card, &scored.baselines)?),
+            ("summary.svg", report::svg(&scored.skin, &scored.scorecard, &scored.baselines)?),
         ],
     )?;
     let single: Vec<(String, String)> = scored
@@ -340,7 +340,7 @@ fn check(options: &Check) -> Result<()> {
         .flatten()
         .map(|case| {
             let text = |key: &str| case[key].as_str().unwrap_or_default().to_owned();
-            Ok((format!("{}-{}-{}.json", case["pack"], text("skin"), text("case")), pretty(case)?))
+            Ok((format!("{}-{}-{}.json", case["set"], text("skin"), text("case")), pretty(case)?))
         })
         .collect::<Result<_>>()?;
     let single: Vec<(&str, String)> =

@@ -294,20 +294,23 @@ mod tests {
             }
             names
         };
+        let old = |word: &'static str, new: &str, old: &'static str| if word == new { old } else { word };
         assert_eq!(of(&["dermis", "theory", "a.toml", "--line"]), ["bounds"]);
         assert_eq!(of(&["dermis", "design", "a.toml", "--vary", "depth"]), ["sweep"]);
         assert_eq!(of(&["dermis", "place", "a.toml", "--method", "crlb"]), ["optimize-placement"]);
         assert_eq!(of(&["dermis", "verify", "baro"]), ["validate"]);
-        let run = ["--pack", "p", "--secret", "s", "--out", "o"];
-        let generate = ["--skin", "a.toml", "--seed", "1", "--secret", "s", "--out", "o"];
+        let run = ["--set", "p", "--truth", "s", "--out", "o"];
+        let generate = ["--skin", "a.toml", "--seed", "1", "--truth", "s", "--out", "o"];
+        let (old_run, old_generate) =
+            (run.map(|w| old(w, "--set", "--pack")), generate.map(|w| old(w, "--truth", "--secret")));
         let with = |words: &[&'static str], more: &[&'static str]| of(&[words, more].concat());
         assert_eq!(with(&["dermis", "gap", "benchmark", "run"], &run), ["gap", "benchmark", "run"]);
-        assert_eq!(with(&["dermis", "gap", "check"], &run), ["gap", "check"]);
+        assert_eq!(with(&["dermis", "gap", "check"], &old_run), ["gap", "check"]);
         assert_eq!(
             with(&["dermis", "gap", "benchmark", "generate"], &generate),
             ["gap", "benchmark", "generate"]
         );
-        assert_eq!(with(&["dermis", "gap", "make-pack"], &generate), ["gap", "make-pack"]);
+        assert_eq!(with(&["dermis", "gap", "make-pack"], &old_generate), ["gap", "make-pack"]);
     }
 
     #[test]
@@ -361,8 +364,8 @@ mod tests {
             &["--skin", "a", "--real", "b"],
             &serde_json::json!({ "diagnose": gap }),
         );
-        let made = serde_json::json!({ "skin": "a", "seed": 3, "secret": "s", "out": "o" });
-        let words = ["--skin", "a", "--seed", "3", "--secret", "s", "--out", "o"];
+        let made = serde_json::json!({ "skin": "a", "seed": 3, "truth": "s", "out": "o" });
+        let words = ["--skin", "a", "--seed", "3", "--truth", "s", "--out", "o"];
         same::<gap::generation::Request>(&words, &made);
         let pressed = serde_json::json!({ "skin": "a", "plan": "p", "out": "o" });
         same::<dermis_operate::collect::Request>(&["a", "--plan", "p", "--out", "o"], &pressed);
@@ -373,8 +376,10 @@ mod tests {
         same::<device::Simulation>(&["a"], &skin);
         let replayed = serde_json::json!({ "skin": "a", "bag": "b" });
         same::<device::Replay>(&["--skin", "a", "b"], &replayed);
-        let packs = serde_json::json!({ "pack": ["p"], "out": "o" });
-        same::<gap::benchmark::Request>(&["--pack", "p", "--out", "o"], &packs);
+        let sets = serde_json::json!({ "set": ["p"], "out": "o" });
+        same::<gap::benchmark::Request>(&["--set", "p", "--out", "o"], &sets);
+        let old = serde_json::json!({ "pack": ["p"], "secret": ["s"], "out": "o" });
+        same::<gap::benchmark::Request>(&["--pack", "p", "--truth", "s", "--out", "o"], &old);
         let compared = serde_json::json!({ "skin": "a", "train": ["t"], "bags": ["b"] });
         same::<real2sim::compare::Request>(&["--skin", "a", "--train", "t", "b"], &compared);
         same::<real2sim::thesis::Request>(&["--skin", "a", "--train", "t", "b"], &compared);

@@ -66,7 +66,7 @@ pub enum Measurement {
     /// Seconds from the start of a node's process until a subscriber has contacts with status OK, with an empty and with a warm
     /// cache.
     Start,
-    /// The diagnosis of gaps on packs with withheld causes, for the row of barometers, the pad and the limb.
+    /// The diagnosis of gaps on benchmark sets with withheld causes, for the row of barometers, the pad and the limb.
     Gap,
     /// One to six contacts on the simulated conductive panel, found by inversion of its forward model, beside the Cramér–Rao bound of the
     /// very same frames. Written to benches/results/ert-inversion.json.
@@ -83,7 +83,7 @@ pub enum Measurement {
     ErtTables(ert::Sizes),
 }
 
-/// Skins that gaps are diagnosed on, and the seeds of their packs: of all kinds, and of controls only.
+/// Skins that gaps are diagnosed on, and the seeds of their sets: of all kinds, and of controls only.
 const GAPS: [(&str, &str, [&str; 2]); 3] = [
     ("line", "launch/skins/baro-line.toml", ["50521", "50531"]),
     ("grid", "nodes/barodome/skins/baro-grid-wide.toml", ["50502", "50512"]),
@@ -273,7 +273,7 @@ const PROGRAM: [&str; 4] = ["build", "--release", "--package", "dermis"];
 /// The limb's skin.
 const LIMB: &str = "launch/skins/hapdef-shin.toml";
 
-/// Diagnoses packs with withheld causes.
+/// Diagnoses benchmark sets with withheld causes.
 fn gap(root: &Path) -> Result<Value> {
     execute(cargo(root).args(PROGRAM))?;
     let dermis = target_dir(root).join("release/dermis");
@@ -285,11 +285,11 @@ fn gap(root: &Path) -> Result<Value> {
         let mut check = Command::new(&dermis);
         check.args(["gap", "benchmark", "run", "--jobs", "2", "--out"]).arg(folder("-out"));
         for ((kind, seed), of) in kinds.into_iter().zip(seeds).zip(["", "-controls"]) {
-            let (pack, secret) = (folder(of), folder(&format!("{of}-secret")));
+            let (set, truth) = (folder(of), folder(&format!("{of}-truth")));
             let mut make = Command::new(&dermis);
             make.args(["gap", "benchmark", "generate", "--skin", skin, "--seed", seed]).args(kind);
-            execute(make.arg("--secret").arg(&secret).arg("-o").arg(&pack).current_dir(root))?;
-            check.arg("--pack").arg(pack).arg("--secret").arg(secret);
+            execute(make.arg("--truth").arg(&truth).arg("-o").arg(&set).current_dir(root))?;
+            check.arg("--set").arg(set).arg("--truth").arg(truth);
         }
         execute(check.current_dir(root))?;
         let summary = std::fs::read(folder("-out").join("summary.json"))?;

@@ -3,7 +3,7 @@
 //! | source | what it means |
 //! |---|---|
 //! | *paper* | the reference stands beside the number |
-//! | *calibrated* | set on benchmark sets of `dermis gap make-pack` (one barometer row, one pad, one limb; single causes, pairs, controls, causes outside of the library) until false alarms, precision and coverage were balanced; those sets are spent, and no run was kept for a single number. What the numbers come to on sets that they were not set on is measured by `cargo xtask measure gap` and kept in `benches/results/gap-check-*.json` |
+//! | *calibrated* | set on benchmark sets of `dermis gap benchmark generate` (one barometer row, one pad, one limb; single causes, pairs, controls, causes outside of the library) until false alarms, precision and coverage were balanced; those sets are spent, and no run was kept for a single number. What the numbers come to on sets that they were not set on is measured by `cargo xtask measure gap` and kept in `benches/results/gap-check-*.json` |
 //! | *design note* | the note that this crate was planned by; its numbers come from a pilot, or from the papers that it cites |
 //! | *chosen* | an engineering judgement that was not varied: sizes of tables, limits of work, tolerances of instruments |
 //!

@@ -16,12 +16,12 @@ use dermis_studies::gap::generation;
 #[must_use]
 pub fn generated(found: &generation::Findings) -> String {
     format!(
-        "{}: {} cases of {} on {}, sha256 {}; secrets in {}\n",
-        found.pack.display(),
+        "{}: {} cases of {} on {}, sha256 {}; ground truths in {}\n",
+        found.set.display(),
         found.cases,
         found.kind,
         found.skin,
         found.sha256,
-        found.secret.display()
+        found.truth.display()
     )
 }

@@ -13,34 +13,36 @@ fn gap() -> Command {
 
 fn make(what: &[&str], dir: &Path) -> serde_json::Value {
     let mut command = gap();
-    command.args(["make-pack", "--json", "--seed", "5", "--size", "0.3"]).args(what).arg("--skin");
+    command
+        .args(["benchmark", "generate", "--json", "--seed", "5", "--size", "0.3"])
+        .args(what)
+        .arg("--skin");
     command.arg(root().join("launch/skins/baro-line.toml"));
-    command.arg("--secret").arg(dir.join("secrets")).arg("--out").arg(dir.join("pack"));
+    command.arg("--truth").arg(dir.join("truth")).arg("--out").arg(dir.join("set"));
     json(&finish(&mut command))
 }
 
 #[test]
-fn a_small_pack_is_diagnosed_sealed_and_scored() {
+fn a_small_benchmark_set_is_diagnosed_sealed_and_scored() {
     let dir = tempfile::tempdir().unwrap();
     let made = make(&["--kind", "singles", "--count", "2"], dir.path());
     assert_eq!(made["cases"], 2);
-    let (pack, secrets, out) =
-        (dir.path().join("pack"), dir.path().join("secrets"), dir.path().join("check"));
+    let (set, truth, out) = (dir.path().join("set"), dir.path().join("truth"), dir.path().join("check"));
 
-    // Reports first, without any secret.
+    // Reports first, without any ground truth. The command and its flag have had other names.
     let mut sealing = gap();
-    sealing.args(["check", "--pack"]).arg(&pack).arg("--out").arg(&out).args(["--", "--resamples", "0"]);
+    sealing.args(["check", "--pack"]).arg(&set).arg("--out").arg(&out).args(["--", "--resamples", "0"]);
     let sealed = finish(&mut sealing);
     assert!(sealed.contains("reports sealed, sha256"), "{sealed}");
 
     let check = |out: &Path| {
         let mut command = gap();
-        command.args(["check", "--json", "--pack"]).arg(&pack).arg("--secret").arg(&secrets);
+        command.args(["benchmark", "run", "--json", "--set"]).arg(&set).arg("--truth").arg(&truth);
         command.arg("--out").arg(out).args(["--", "--resamples", "0"]);
         command
     };
     let scores = json(&finish(&mut check(&out)));
-    assert_eq!(scores["packs"][0]["sha256"], made["sha256"]);
+    assert_eq!(scores["sets"][0]["sha256"], made["sha256"]);
     let cases = scores["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 2);
     for case in cases {
@@ -61,7 +63,7 @@ fn a_small_pack_is_diagnosed_sealed_and_scored() {
     }
     crate::browser::looks_right(&out.join("summary.svg"));
 
-    // A report that is changed once the secrets may have been seen is refused.
+    // A report that is changed once the ground truths may have been seen is refused.
     let of_reports = |p: &std::path::PathBuf| p.is_dir() && !p.ends_with("cases");
     let folder = std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().path()).find(of_reports).unwrap();
     let report = folder.join("case-0001.json");
@@ -71,21 +73,21 @@ fn a_small_pack_is_diagnosed_sealed_and_scored() {
     assert!(said.contains("changed after they were sealed"), "{said}");
     std::fs::write(&report, text).unwrap();
 
-    // And so is a secret.
-    let secret = secrets.join("case-0002.json");
-    let text = std::fs::read_to_string(&secret).unwrap();
-    std::fs::write(&secret, format!("{text} ")).unwrap();
+    // And so is a ground truth.
+    let changed = truth.join("case-0002.json");
+    let text = std::fs::read_to_string(&changed).unwrap();
+    std::fs::write(&changed, format!("{text} ")).unwrap();
     let said = refused(&mut check(&out));
     assert!(said.contains("changed after it was sealed"), "{said}");
 }
 
 #[test]
-fn a_mixed_pack_tells_nobody_what_a_case_holds() {
+fn a_mixed_set_tells_nobody_what_a_case_holds() {
     let dir = tempfile::tempdir().unwrap();
     let made = make(&["--share", "0.01"], dir.path());
-    // In the proportions of a full pack, one of each kind at least.
+    // In the proportions of a full set, one of each kind at least.
     assert_eq!(made["cases"], 7);
-    let manifest = std::fs::read_to_string(dir.path().join("pack/manifest.json")).unwrap();
+    let manifest = std::fs::read_to_string(dir.path().join("set/manifest.json")).unwrap();
     for word in ["singles", "controls", "out-of-library", "pairs", "triples", "confounded"] {
         assert!(!manifest.contains(word), "{manifest}");
     }

@@ -126,7 +126,8 @@ mod tests {
             Indentation::sphere(Point3::new(0.03, 0.0, 0.01), Vector3::new(-1.0, 0.0, 0.0), 0.004);
         shift.real(&mut contact, &dome);
         let angle = (0.002_f64).atan2(0.031);
-        let (at, force) = ([0.03 * angle.cos(), 0.03 * angle.sin(), 0.014], [-angle.cos(), -angle.sin(), 0.0]);
+        let (at, force) =
+            ([0.03 * angle.cos(), 0.03 * angle.sin(), 0.014], [-angle.cos(), -angle.sin(), 0.0]);
         near(&contact, at, force);
     }
 

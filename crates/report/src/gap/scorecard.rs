@@ -22,7 +22,7 @@ fn shown(share: Share) -> String {
 
 /// The summary for people.
 #[must_use]
-pub fn markdown(head: &Value, card: &Scorecard, baselines: &[(String, Scorecard)]) -> String {
+pub fn markdown(head: &Value, scorecard: &Scorecard, baselines: &[(String, Scorecard)]) -> String {
     let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
     let mut out = format!(
         "# Check of the diagnosis: {}\n\n`{}` with {}.\n\n",
@@ -30,24 +30,26 @@ pub fn markdown(head: &Value, card: &Scorecard, baselines: &[(String, Scorecard)
         text(&head["command"]),
         text(&head["tool"])
     );
-    for pack in head["packs"].as_array().into_iter().flatten() {
-        let kind = pack["kind"].as_str().unwrap_or("all kinds");
+    // Results of before the first version say `packs`.
+    let sets = head["sets"].as_array().or_else(|| head["packs"].as_array());
+    for set in sets.into_iter().flatten() {
+        let kind = set["kind"].as_str().unwrap_or("all kinds");
         let _ = writeln!(
             out,
-            "- pack of {} cases, {kind}: sha256 `{}`, reports `{}`",
-            pack["cases"],
-            text(&pack["sha256"]),
-            text(&pack["reports_sha256"])
+            "- benchmark set of {} cases, {kind}: sha256 `{}`, reports `{}`",
+            set["cases"],
+            text(&set["sha256"]),
+            text(&set["reports_sha256"])
         );
     }
-    let _ = write!(out, "\n{}", card.table());
+    let _ = write!(out, "\n{}", scorecard.table());
     if !baselines.is_empty() {
         out.push_str(
             "\n| way | top-1 | top-3 | precision | false alarms | both of two |\n|---|---|---|---|---|---|\n",
         );
-        let own = [("dermis".to_owned(), card.clone())];
-        for (name, card) in own.iter().chain(baselines) {
-            let s = &card.headline;
+        let own = [("dermis".to_owned(), scorecard.clone())];
+        for (name, scorecard) in own.iter().chain(baselines) {
+            let s = &scorecard.headline;
             let _ = writeln!(
                 out,
                 "| {name} | {} | {} | {} | {} | {} |",
@@ -59,11 +61,11 @@ pub fn markdown(head: &Value, card: &Scorecard, baselines: &[(String, Scorecard)
             );
         }
     }
-    if !card.not_in_library.is_empty() {
+    if !scorecard.not_in_library.is_empty() {
         let _ = writeln!(
             out,
             "\nNames that would be right and that the tool does not have: {}.",
-            card.not_in_library.join(", ")
+            scorecard.not_in_library.join(", ")
         );
     }
     out
@@ -85,29 +87,30 @@ fn bar(name: &str, share: Share, aim: Option<Aim>) -> Bar {
 /// # Errors
 ///
 /// Where it cannot be drawn.
-pub fn svg(skin: &str, card: &Scorecard, baselines: &[(String, Scorecard)]) -> Result<String> {
+pub fn svg(skin: &str, scorecard: &Scorecard, baselines: &[(String, Scorecard)]) -> Result<String> {
     let heading = format!(
         "{skin}: gap of at least three times the floor, {} cases; 95 % intervals, aims in orange",
-        card.headline.cases
+        scorecard.headline.cases
     );
-    let rates = card.headline.rates().into_iter().filter(|(_, share, _)| share.of > 0);
+    let rates = scorecard.headline.rates().into_iter().filter(|(_, share, _)| share.of > 0);
     let rates: Vec<Bar> = rates.map(|(name, share, aim)| bar(name, share, aim)).collect();
     let mut pictures = vec![bars(&heading, &rates, Some(1.0))?];
     let grey = |bar: Bar| Bar { colour: GREY, ..bar };
-    let others = baselines.iter().filter(|(_, card)| card.headline.top1.of > 0);
-    let others: Vec<Bar> = others.map(|(name, card)| grey(bar(name, card.headline.top1, None))).collect();
+    let others = baselines.iter().filter(|(_, scorecard)| scorecard.headline.top1.of > 0);
+    let others: Vec<Bar> =
+        others.map(|(name, scorecard)| grey(bar(name, scorecard.headline.top1, None))).collect();
     if !others.is_empty() {
         pictures.push(bars("top-1 of simpler ways", &others, Some(1.0))?);
     }
-    pictures.push(confusion(card)?);
+    pictures.push(confusion(scorecard)?);
     Ok(column(&pictures))
 }
 
 /// Rows: what was withheld. Columns: the label of the first class.
-fn confusion(card: &Scorecard) -> Result<String> {
+fn confusion(scorecard: &Scorecard) -> Result<String> {
     let label = |said: &str| said.split(" or ").next().unwrap_or_default().to_owned();
     let mut table: BTreeMap<&str, BTreeMap<String, usize>> = BTreeMap::new();
-    for (cause, answers) in &card.headline.confusion {
+    for (cause, answers) in &scorecard.headline.confusion {
         for (said, count) in answers {
             *table.entry(cause).or_default().entry(label(said)).or_default() += count;
         }
@@ -130,18 +133,18 @@ mod tests {
 
     #[test]
     fn a_check_is_summed_up_for_people_and_eyes() {
-        let mut card = Scorecard::default();
-        card.headline.cases = 3;
-        card.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
-        card.headline.confusion.insert("cavity".to_owned(), [("a or b".to_owned(), 2)].into());
-        let head = json!({ "skin": "s", "command": "c", "tool": "t", "packs": [{ "cases": 3, "sha256": "x", "reports_sha256": "y" }] });
-        let text = markdown(&head, &card, &[("nearest".to_owned(), card.clone())]);
+        let mut scorecard = Scorecard::default();
+        scorecard.headline.cases = 3;
+        scorecard.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
+        scorecard.headline.confusion.insert("cavity".to_owned(), [("a or b".to_owned(), 2)].into());
+        let head = json!({ "skin": "s", "command": "c", "tool": "t", "sets": [{ "cases": 3, "sha256": "x", "reports_sha256": "y" }] });
+        let text = markdown(&head, &scorecard, &[("nearest".to_owned(), scorecard.clone())]);
         assert!(text.contains("| top-1, class-weighted | 0.667 | 0.21 to 0.94 | 3 | ≥ 0.9 | no |"), "{text}");
         assert!(text.contains("| cavity | 2× a or b |"), "{text}");
-        let picture = svg("s", &card, &[]).unwrap();
+        let picture = svg("s", &scorecard, &[]).unwrap();
         assert!(picture.contains(">\ncavity\n</text>") && picture.contains("0.67 of 3"), "{picture}");
         assert!(picture.contains(">\na\n</text>") && !picture.contains("simpler ways"), "{picture}");
-        let compared = svg("s", &card, &[("nearest".to_owned(), card.clone())]).unwrap();
+        let compared = svg("s", &scorecard, &[("nearest".to_owned(), scorecard.clone())]).unwrap();
         assert!(compared.contains(">\nnearest\n</text>") && compared.contains("#999999"), "{compared}");
     }
 }

@@ -1,4 +1,4 @@
-//! The check of the diagnosis: reports first, sealed by their hash; then the secrets are opened and scored.
+//! The check of the diagnosis: reports first, sealed by their hash; then the ground truths are opened and the reports scored.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -19,17 +19,19 @@ use super::follow_ups::{Asking, ask};
 use super::scorecard;
 use crate::{Families, Progress};
 
-/// Which packs to check on.
+/// Which benchmark sets to check on.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Request {
-    /// Folder of a pack; several are scored together, of one skin or of several.
-    #[arg(long, required = true, value_name = "DIR")]
-    pub pack: Vec<PathBuf>,
-    /// Folder of the secrets of each pack, in the same order. Without them the reports are written and sealed, and nothing is
+    /// Folder of a benchmark set; several are scored together, of one skin or of several.
+    #[arg(long, alias = "pack", required = true, value_name = "DIR")]
+    #[serde(alias = "pack")]
+    pub set: Vec<PathBuf>,
+    /// Folder of the ground truths of each set, in the same order. Without them the reports are written and sealed, and nothing is
     /// opened.
-    #[arg(long, value_name = "DIR")]
-    pub secret: Vec<PathBuf>,
+    #[arg(long, alias = "secret", value_name = "DIR")]
+    #[serde(alias = "secret")]
+    pub truth: Vec<PathBuf>,
     /// Folder for reports, their hashes, scores.json (every case) and summary.json, .md and .svg; reports that are there already
     /// are not made again.
     #[arg(short, long, value_name = "DIR")]
@@ -44,7 +46,7 @@ pub struct Request {
     #[arg(long)]
     pub no_elsewhere: bool,
     /// How often each case may ask for presses (`dermis gap next`), which its reference device does, before it answers again; scored beside
-    /// the first answers. Needs the secrets.
+    /// the first answers. Needs the ground truths.
     #[arg(long, value_name = "K", default_value_t = 0)]
     pub follow_ups: usize,
     /// Minutes of pressing that a case may ask for each time.
@@ -58,8 +60,8 @@ pub struct Request {
 impl Default for Request {
     fn default() -> Self {
         Self {
-            pack: Vec::new(),
-            secret: Vec::new(),
+            set: Vec::new(),
+            truth: Vec::new(),
             out: PathBuf::new(),
             jobs: 1,
             no_baselines: false,
@@ -74,22 +76,22 @@ impl Default for Request {
 /// Skin file, bag and further options of one diagnosis → its report as JSON.
 pub type Diagnose<'a> = &'a (dyn Fn(&Path, &Path, &[String]) -> Result<Vec<u8>> + Sync);
 
-/// What became of the packs.
+/// What became of the sets.
 pub enum Findings {
-    /// Nothing was opened: the folder of the reports of each pack, and the hash of their list.
+    /// Nothing was opened: the folder of the reports of each set, and the hash of their list.
     Sealed(Vec<(PathBuf, String)>),
     /// The scores.
     Scored(Box<BenchmarkScores>),
 }
 
-/// Scores of opened packs.
+/// Scores of opened sets.
 pub struct BenchmarkScores {
-    /// Which tool, command and packs.
+    /// Which tool, command and sets.
     pub head: Value,
     /// Name of the skin.
     pub skin: String,
     /// Of the diagnosis.
-    pub card: Scorecard,
+    pub scorecard: Scorecard,
     /// After each number of follow-ups, from one on.
     pub followed: Vec<Scorecard>,
     /// Of simpler ways.
@@ -102,7 +104,7 @@ impl BenchmarkScores {
     /// Without the single cases.
     #[must_use]
     pub fn summary(&self) -> Value {
-        scorecard::json(&self.head, &self.card, &self.followed, &self.baselines)
+        scorecard::json(&self.head, &self.scorecard, &self.followed, &self.baselines)
     }
 }
 
@@ -118,38 +120,38 @@ impl Serialize for BenchmarkScores {
 ///
 /// # Errors
 ///
-/// Where a pack or its secrets cannot be read, a diagnosis fails, or reports were changed after they were sealed.
+/// Where a set or its ground truths cannot be read, a diagnosis fails, or reports were changed after they were sealed.
 pub fn run(
     options: &Request,
     families: &Families,
     diagnosis: Diagnose<'_>,
     progress: &dyn Progress,
 ) -> Result<Findings> {
-    if !options.secret.is_empty() && options.secret.len() != options.pack.len() {
+    if !options.truth.is_empty() && options.truth.len() != options.set.len() {
         bail!(
-            "{} packs and {} folders of secrets: name one for each pack, or none to seal the reports only",
-            options.pack.len(),
-            options.secret.len()
+            "{} benchmark sets and {} folders of ground truths: name one for each set, or none to seal the reports only",
+            options.set.len(),
+            options.truth.len()
         );
     }
-    let packs: Vec<Manifest> =
-        options.pack.iter().map(|dir| Manifest::load(dir)).collect::<Result<_, _>>()?;
+    let manifests: Vec<Manifest> =
+        options.set.iter().map(|dir| Manifest::load(dir)).collect::<Result<_, _>>()?;
     let mut seals = Vec::new();
-    for (dir, manifest) in options.pack.iter().zip(&packs) {
+    for (dir, manifest) in options.set.iter().zip(&manifests) {
         let out = options.out.join(Manifest::hash(dir)?.get(..12).unwrap_or_default());
         std::fs::create_dir_all(&out).with_context(|| format!("{} cannot be made", out.display()))?;
         diagnose(dir, manifest, &out, options, diagnosis, progress)?;
         let seal = seal(manifest, &out)?;
         seals.push((out, seal));
     }
-    if options.secret.is_empty() {
+    if options.truth.is_empty() {
         return Ok(Findings::Sealed(seals));
     }
     // From here on the reports must not change: their hashes lie on the disk.
     let mapping = Mapping::from_toml(Mapping::TEXT).map_err(anyhow::Error::msg)?;
     let mut cases: Vec<Opened> = Vec::new();
-    for (index, (((manifest, secrets), (out, _)), pack)) in
-        packs.iter().zip(&options.secret).zip(&seals).zip(&options.pack).enumerate()
+    for (index, (((manifest, truths), (out, _)), folder)) in
+        manifests.iter().zip(&options.truth).zip(&seals).zip(&options.set).enumerate()
     {
         for case in &manifest.cases {
             let path = report(out, case);
@@ -157,31 +159,31 @@ pub fn run(
                 .with_context(|| format!("{} cannot be read", path.display()))?;
             let read: Value =
                 serde_json::from_slice(&text).with_context(|| format!("{} is no report", path.display()))?;
-            let (secret, answer) = (set::open_ground_truth(secrets, case)?, answer(&read));
+            let (truth, answer) = (set::open_ground_truth(truths, case)?, answer(&read));
             cases.push(Opened {
-                secret,
+                truth,
                 answer,
                 report: read,
-                bag: pack.join(&case.bag),
+                bag: folder.join(&case.bag),
                 presses: case.presses,
-                pack: index,
+                set: index,
             });
         }
     }
     let library = library(&cases);
     let skins: Vec<SkinDescription> = options
-        .pack
+        .set
         .iter()
-        .map(|pack| SkinDescription::load(pack.join("skin.toml")))
+        .map(|folder| SkinDescription::load(folder.join("skin.toml")))
         .collect::<Result<_, _>>()?;
     if !options.no_elsewhere {
         elsewhere(&skins, &mut cases, options, families, progress)?;
     }
-    let card = Scorecard::new(cases.iter().map(|c| (&c.secret, &c.answer)), &mapping, &library);
+    let scorecard = Scorecard::new(cases.iter().map(|c| (&c.truth, &c.answer)), &mapping, &library);
     let mut followed = Vec::new();
     for times in 1..=options.follow_ups {
         let answers = follow(times, &skins, &cases, &seals, options, families, diagnosis, progress)?;
-        let of = cases.iter().zip(&answers).map(|(case, answer)| (&case.secret, answer));
+        let of = cases.iter().zip(&answers).map(|(case, answer)| (&case.truth, answer));
         followed.push(Scorecard::new(of, &mapping, &library));
     }
     let baselines = if options.no_baselines {
@@ -198,7 +200,7 @@ pub fn run(
         "command": command(options),
         "skin": name,
         "mapping_sha256": set::sha256(Mapping::TEXT.as_bytes()),
-        "packs": packs.iter().zip(&options.pack).zip(&seals).map(|((manifest, dir), (_, seal))| {
+        "sets": manifests.iter().zip(&options.set).zip(&seals).map(|((manifest, dir), (_, seal))| {
             Ok(serde_json::json!({ "kind": manifest.kind, "cases": manifest.cases.len(), "generator": manifest.generator,
                 "sha256": Manifest::hash(dir)?, "reports_sha256": seal }))
         }).collect::<Result<Vec<_>>>()?,
@@ -208,31 +210,38 @@ pub fn run(
     let cases = cases
         .iter()
         .map(|c| {
-            let s = &c.secret;
-            serde_json::json!({ "case": s.case, "pack": c.pack + 1, "skin": skins[c.pack].name, "kind": s.kind,
+            let s = &c.truth;
+            serde_json::json!({ "case": s.case, "set": c.set + 1, "skin": skins[c.set].name, "kind": s.kind,
                 "cell": score::cell(s, &within), "disturbance": s.disturbance, "gap": s.gap, "noise": s.noise,
                 "unexplained": s.unexplained, "causes": s.causes, "answer": c.answer })
         })
         .collect();
-    Ok(Findings::Scored(Box::new(BenchmarkScores { head, skin: name, card, followed, baselines, cases })))
+    Ok(Findings::Scored(Box::new(BenchmarkScores {
+        head,
+        skin: name,
+        scorecard,
+        followed,
+        baselines,
+        cases,
+    })))
 }
 
-/// A case whose secret is open.
+/// A case whose ground truth is open.
 struct Opened {
-    secret: GroundTruth,
+    truth: GroundTruth,
     answer: Answer,
     report: Value,
     bag: PathBuf,
     presses: usize,
-    /// Which pack it is of.
-    pack: usize,
+    /// Which set it is of.
+    set: usize,
 }
 
 /// How this check was called.
 fn command(options: &Request) -> String {
     let path = |p: &Path| p.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let mut text = "dermis gap benchmark run".to_owned();
-    for (flag, folders) in [("--pack", &options.pack), ("--secret", &options.secret)] {
+    for (flag, folders) in [("--set", &options.set), ("--truth", &options.truth)] {
         folders.iter().for_each(|folder| text.push_str(&format!(" {flag} {}", path(folder))));
     }
     text.push_str(&format!(" --out {}", path(&options.out)));
@@ -267,23 +276,23 @@ fn elsewhere(
     progress.begin("recording again");
     let (count, done) = (open.len().max(1), AtomicUsize::new(0));
     let one = |case: &Opened| -> Result<Option<f64>> {
-        let skin = &skins[case.pack];
+        let skin = &skins[case.set];
         let simulator = Simulator { skin, effects: families.of(skin)?.effects(), make: &make };
         let sigma = skin.channel_noise();
         let mut effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
-            .with_context(|| format!("{}: field `corrected` of its report", case.secret.case))?;
+            .with_context(|| format!("{}: field `corrected` of its report", case.truth.case))?;
         // A hum has another phase in every recording, and counts as noise where it is named.
-        let mut secret = case.secret.clone();
+        let mut truth = case.truth.clone();
         if effects.iter().any(|e| e.name == "interference") {
             effects.retain(|e| e.name != "interference");
-            secret.causes.retain(|told| told.cause.id != "mains-hum");
+            truth.causes.retain(|known| known.cause.id != "mains-hum");
         }
         if effects.is_empty() {
             return Ok(None);
         }
         let folder = tempfile::tempdir().context("no folder for another recording can be made")?;
         let bag = folder.path().join("again");
-        set::record_again(skin, &secret, &bag)?;
+        set::record_again(skin, &truth, &bag)?;
         let recording = dermis_gap::read(&[&bag], skin, None, None)?;
         let usable = vec![true; sigma.len()];
         let samples = Samples::draw(&recording, &usable, &SampleOptions::default());
@@ -333,19 +342,19 @@ fn follow(
     progress.begin("following up");
     let mut answers = Vec::new();
     for (n, case) in cases.iter().enumerate() {
-        let (out, _) = &seals[case.pack];
-        let skin_file = options.pack[case.pack].join("skin.toml");
+        let (out, _) = &seals[case.set];
+        let skin_file = options.set[case.set].join("skin.toml");
         let asking = Asking {
             skin_file: &skin_file,
-            skin: &skins[case.pack],
-            truth: &case.secret,
+            skin: &skins[case.set],
+            truth: &case.truth,
             bag: &case.bag,
-            report: out.join(format!("{}.json", case.secret.case)),
-            folder: out.join("follow-ups").join(&case.secret.case),
+            report: out.join(format!("{}.json", case.truth.case)),
+            folder: out.join("follow-ups").join(&case.truth.case),
         };
         let minutes = options.follow_up_minutes;
         let path = ask(&asking, (times, minutes), &options.diagnose, families, diagnosis)
-            .with_context(|| case.secret.case.clone())?;
+            .with_context(|| case.truth.case.clone())?;
         let text = dermis_io::read(&path, dermis_io::REPORT)
             .with_context(|| format!("{} cannot be read", path.display()))?;
         answers.push(answer(&serde_json::from_slice(&text)?));
@@ -369,9 +378,9 @@ fn baselines(
     let mut answers: Vec<Vec<Answer>> = Vec::new();
     let mut columns = super::baselines::Columns::default();
     for (n, case) in cases.iter().enumerate() {
-        // Cases of the same pack and presses have the same signatures.
+        // Cases of the same set and presses have the same signatures.
         let key = (case.bag.parent().map(Path::to_owned).unwrap_or_default(), case.presses);
-        let skin = &skins[case.pack];
+        let skin = &skins[case.set];
         answers.push(super::baselines::answers(skin, families, &case.bag, &key, &mut columns)?);
         progress.at((n + 1) as f64 / cases.len() as f64);
     }
@@ -379,15 +388,15 @@ fn baselines(
         .iter()
         .enumerate()
         .map(|(i, name)| {
-            let of = cases.iter().zip(&answers).map(|(case, all)| (&case.secret, &all[i]));
+            let of = cases.iter().zip(&answers).map(|(case, all)| (&case.truth, &all[i]));
             ((*name).to_owned(), Scorecard::new(of, mapping, library))
         })
         .collect();
     // Blind choice has no cases of its own: its share of hits is that of accepted names among all.
     let mut random = Scorecard::default();
     let within = mapping.within(library);
-    for case in cases.iter().filter(|c| c.secret.kind == set::Kind::Singles && c.secret.gap >= 3.0) {
-        let told = case.secret.causes.first();
+    for case in cases.iter().filter(|c| c.truth.kind == set::Kind::Singles && c.truth.gap >= 3.0) {
+        let told = case.truth.causes.first();
         let accepted = told.and_then(|t| within.causes.get(&t.cause.id)).map_or(0, |a| a.names.len());
         if accepted > 0 {
             let hit = accepted as f64 / library.len() as f64;
@@ -405,7 +414,7 @@ fn report(out: &Path, case: &Case) -> PathBuf {
 
 /// Has every case diagnosed that has no report yet, `jobs` at once.
 fn diagnose(
-    pack: &Path,
+    folder: &Path,
     manifest: &Manifest,
     out: &Path,
     options: &Request,
@@ -419,7 +428,7 @@ fn diagnose(
     progress.begin("diagnosing");
     let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let one = |case: &Case| -> Result<()> {
-        let said = diagnosis(&pack.join("skin.toml"), &pack.join(&case.bag), &options.diagnose)
+        let said = diagnosis(&folder.join("skin.toml"), &folder.join(&case.bag), &options.diagnose)
             .with_context(|| case.id.clone())?;
         let path = report(out, case);
         let part = path.with_extension("part");

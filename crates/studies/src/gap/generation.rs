@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
-    /// What is withheld; where absent, all kinds in the proportions of a full pack, mixed.
+    /// What is withheld; where absent, all kinds in the proportions of a full set, mixed.
     #[arg(long, value_enum)]
     #[serde(default)]
     pub kind: Option<Kind>,
@@ -24,26 +24,27 @@ pub struct Request {
     #[serde(default)]
     pub count: Option<usize>,
     /// Cases of each cell of the scorecard (does not repeat; in the library with the same law, with another law; design number off;
-    /// systematic and foreign; two causes; controls), mixed, in place of a share of a full pack.
+    /// systematic and foreign; two causes; controls), mixed, in place of a share of a full set.
     #[arg(long, value_name = "N", conflicts_with_all = ["kind", "share"])]
     #[serde(default)]
     pub cells: Option<usize>,
-    /// Share of a full pack, which has 180 cases with one cause, 100 without, 60 with one that no library holds, 60 with two, 20
+    /// Share of a full set, which has 180 cases with one cause, 100 without, 60 with one that no library holds, 60 with two, 20
     /// with three and 20 with one that the recording cannot tell: `full`, `small` (0.15) or a number.
     #[arg(long, default_value = "full", value_parser = share)]
     #[serde(default = "whole")]
     pub share: f64,
-    /// Of everything random. Who knows it can make the secrets again: publish it after they are opened, not before.
+    /// Of everything random. Who knows it can make the ground truths again: publish it after they are opened, not before.
     #[arg(long)]
     pub seed: u64,
     /// Presses of each case, compared to the usual 150.
     #[arg(long, default_value_t = 1.0, value_parser = size)]
     #[serde(default = "whole")]
     pub size: f64,
-    /// Folder of the secrets, apart from the pack; must not hold any yet.
-    #[arg(long, value_name = "DIR")]
-    pub secret: PathBuf,
-    /// Folder of the pack; must not hold one yet.
+    /// Folder of the ground truths, apart from the set; must not hold any yet.
+    #[arg(long, alias = "secret", value_name = "DIR")]
+    #[serde(alias = "secret")]
+    pub truth: PathBuf,
+    /// Folder of the set; must not hold one yet.
     #[arg(short, long)]
     pub out: PathBuf,
 }
@@ -80,7 +81,7 @@ impl Request {
         let mut order = SetSpec::mixed(self.share, self.seed, self.size);
         if let Some(kind) = self.kind {
             order.cases.retain(|(of, _)| *of == kind);
-            // A full pack does not hold the kinds of single cells.
+            // A full set does not hold the kinds of single cells.
             if order.cases.is_empty() {
                 order.cases.push((kind, 1));
             }
@@ -96,14 +97,14 @@ impl Request {
 #[derive(Debug, Clone, Serialize)]
 pub struct Findings {
     /// Folder of the set.
-    pub pack: PathBuf,
+    pub set: PathBuf,
     /// How many cases it has.
     pub cases: usize,
     /// Hash of the set.
     pub sha256: String,
     /// Folder of the ground truths.
     #[serde(skip)]
-    pub secret: PathBuf,
+    pub truth: PathBuf,
     /// What is withheld in all of them; `all kinds` where they are mixed.
     #[serde(skip)]
     pub kind: &'static str,
@@ -122,12 +123,12 @@ pub fn generate(request: &Request, done: impl FnMut(usize) -> bool) -> Result<Fi
     let text = dermis_io::read_text(&request.skin, dermis_io::TEXT)
         .with_context(|| format!("skin file {} cannot be read", request.skin.display()))?;
     SkinDescription::from_toml(&text, &request.skin.display().to_string())?;
-    let manifest = set::generate(&text, &request.order(), &request.out, &request.secret, done)?;
+    let manifest = set::generate(&text, &request.order(), &request.out, &request.truth, done)?;
     Ok(Findings {
-        pack: request.out.clone(),
+        set: request.out.clone(),
         cases: manifest.cases.len(),
         sha256: Manifest::hash(&request.out)?,
-        secret: request.secret.clone(),
+        truth: request.truth.clone(),
         kind: manifest.kind.map_or("all kinds", Kind::name),
         skin: manifest.skin,
     })
@@ -147,7 +148,7 @@ mod tests {
             share: 0.15,
             seed: 1,
             size: 1.0,
-            secret: PathBuf::new(),
+            truth: PathBuf::new(),
             out: PathBuf::new(),
         };
         assert_eq!(request(Some(Kind::Pairs), Some(7)).order().count(), 7);

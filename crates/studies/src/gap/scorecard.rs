@@ -29,31 +29,31 @@ fn note(value: &mut Value, aim: Option<Aim>, found: f64) {
     }
 }
 
-fn group(cards: &BTreeMap<String, Scores>) -> Value {
-    cards.iter().map(|(name, of)| (name.clone(), scores(of))).collect::<serde_json::Map<_, _>>().into()
+fn group(groups: &BTreeMap<String, Scores>) -> Value {
+    groups.iter().map(|(name, of)| (name.clone(), scores(of))).collect::<serde_json::Map<_, _>>().into()
 }
 
-/// The summary without the single cases. `head` says which tool, command and packs.
+/// The summary without the single cases. `head` says which tool, command and sets.
 pub(super) fn json(
     head: &Value,
-    card: &Scorecard,
+    scorecard: &Scorecard,
     followed: &[Scorecard],
     baselines: &[(String, Scorecard)],
 ) -> Value {
     let mut summary = head.clone();
-    summary["headline"] = scores(&card.headline);
-    summary["all"] = scores(&card.all);
-    summary["by_gap"] = group(&card.by_gap);
-    summary["by_noise"] = group(&card.by_noise);
-    summary["cells"] = cells(&card.cells);
+    summary["headline"] = scores(&scorecard.headline);
+    summary["all"] = scores(&scorecard.all);
+    summary["by_gap"] = group(&scorecard.by_gap);
+    summary["by_noise"] = group(&scorecard.by_noise);
+    summary["cells"] = cells(&scorecard.cells);
     if !followed.is_empty() {
-        summary["follow_ups"] = followed.iter().map(|card| cells(&card.cells)).collect();
+        summary["follow_ups"] = followed.iter().map(|after| cells(&after.cells)).collect();
     }
-    summary["confusion"] = json!(card.headline.confusion);
-    summary["not_in_library"] = json!(card.not_in_library);
+    summary["confusion"] = json!(scorecard.headline.confusion);
+    summary["not_in_library"] = json!(scorecard.not_in_library);
     summary["baselines"] = baselines
         .iter()
-        .map(|(name, card)| json!({ "name": name, "headline": scores(&card.headline) }))
+        .map(|(name, of)| json!({ "name": name, "headline": scores(&of.headline) }))
         .collect();
     summary
 }

@@ -1,4 +1,4 @@
-//! Packs of recordings with withheld causes, for the check of the diagnosis.
+//! Benchmark sets: recordings with withheld causes, for the check of the diagnosis.
 
 use std::sync::atomic::Ordering;
 
@@ -20,7 +20,7 @@ pub struct Options {
     json: bool,
 }
 
-/// Makes it. Ctrl-C ends early with a smaller, valid pack.
+/// Makes it. Ctrl-C ends early with a smaller, valid set.
 pub fn run(options: &Options) -> Result<()> {
     let progress = ProgressBar::new(options.request.order().count() as u64)
         .with_style(ProgressStyle::with_template("cases {wide_bar} {human_pos}/{human_len}, {eta} left")?);
