@@ -85,17 +85,18 @@ fn number(value: f64, step: f64, power_of_ten: bool) -> String {
         let text = trimmed(format!("{value:.*}", (-last).max(0) as usize));
         return if text == "-0" { "0".to_owned() } else { text };
     }
-    let rounded = if step > 0.0 { (value / step).round() * step } else { value };
-    if rounded == 0.0 {
+    if step > 0.0 && (value / step).round() == 0.0 {
         return "0".to_owned();
     }
-    let first = magnitude(rounded);
-    let digits = (first - last).clamp(0, 15) as usize;
-    format!("{}e{first}", trimmed(format!("{:.digits$}", rounded / 10f64.powi(first))))
+    let digits = (magnitude(value) - last).clamp(0, 15) as usize;
+    let text = format!("{value:.digits$e}");
+    text.split_once('e')
+        .map_or_else(|| text.clone(), |(factor, power)| format!("{}e{power}", trimmed(factor.to_owned())))
 }
 
 /// Labels of ticks: with as many digits as tell them apart, and powers of ten where all would be long.
 pub(crate) struct Labels {
+    /// Least difference of two neighbours, as a share of the larger one on a logarithmic axis.
     step: f64,
     power_of_ten: bool,
     log: bool,
@@ -105,9 +106,18 @@ impl Labels {
     pub(crate) fn of(ticks: &[f64], log: bool) -> Self {
         let shown: Vec<f64> = ticks.iter().map(|t| if log { 10f64.powf(*t) } else { *t }).collect();
         let largest = shown.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        let step = shown.windows(2).map(|w| (w[1] - w[0]).abs()).fold(f64::INFINITY, f64::min);
+        let apart = |w: &[f64]| (w[1] - w[0]).abs() / if log { w[1] } else { 1.0 };
+        let step = shown.windows(2).map(apart).fold(f64::INFINITY, f64::min);
         // A single tick shows three digits.
-        let alone = || if largest > 0.0 { 10f64.powi(magnitude(largest) - 2) } else { 0.0 };
+        let alone = || {
+            if log {
+                1e-2
+            } else if largest > 0.0 {
+                10f64.powi(magnitude(largest) - 2)
+            } else {
+                0.0
+            }
+        };
         let step = if step.is_finite() { step } else { alone() };
         let power_of_ten =
             largest > 0.0 && (!FIXED.contains(&magnitude(largest)) || magnitude(step) < FIXED.start);
@@ -119,9 +129,8 @@ impl Labels {
             return number(tick, self.step, self.power_of_ten);
         }
         let value = 10f64.powf(tick);
-        // Decades are apart by factors, so that small ones need digits of their own.
-        let own = 10f64.powi(magnitude(value) - 1).min(self.step);
-        number(value, own, !FIXED.contains(&magnitude(value)))
+        let two_digits = 10f64.powi(magnitude(value) - 1);
+        number(value, two_digits.min(self.step * value), !FIXED.contains(&magnitude(value)))
     }
 }
 
@@ -142,8 +151,11 @@ pub(crate) fn ticks(low: f64, high: f64, log: bool) -> Vec<f64> {
             s if s < 4.5 => &[1.0, 3.0],
             _ => &[1.0],
         };
+        // Not more than some eight, in whole steps of decades.
+        let step = ((span / 8.0).ceil() as i32).max(1);
         let decades = low.floor() as i32..=high.ceil() as i32;
         let found: Vec<f64> = decades
+            .filter(|d| d % step == 0)
             .flat_map(|d| parts.iter().map(move |p| f64::from(d) + p.log10()))
             .filter(|v| (low..=high).contains(v))
             .collect();
@@ -210,6 +222,11 @@ mod tests {
         assert_eq!(labels(-2e-8, 6e-8, false), ["-2e-8", "0", "2e-8", "4e-8", "6e-8"]);
         assert_eq!(labels(1234.5, 1234.9, false), ["1234.5", "1234.6", "1234.7", "1234.8", "1234.9"]);
         assert_eq!(labels(0.0, 2e7, false), ["0", "5e6", "1e7", "1.5e7", "2e7"]);
+        // A bound of nothing beside one of a metre.
+        assert_eq!(
+            labels(-14.3, 0.2, true),
+            ["1e-14", "1e-12", "1e-10", "1e-8", "1e-6", "0.0001", "0.01", "1"]
+        );
         assert_eq!(labels(-7.0, -4.0, true), ["1e-7", "3e-7", "1e-6", "3e-6", "1e-5", "3e-5", "0.0001"]);
     }
 
@@ -234,8 +251,9 @@ mod tests {
         }
 
         #[test]
-        fn labels_of_a_logarithmic_axis_differ_and_rise(low in -12.0..6.0f64, span in 0.05..8.0f64) {
+        fn labels_of_a_logarithmic_axis_differ_and_rise(low in -300.0..280.0f64, span in 0.05..20.0f64) {
             let all = labels(low, low + span, true);
+            prop_assert!(all.len() < 16 && all.iter().all(|l| l.len() < 12), "{all:?}");
             let read: Vec<f64> = all.iter().map(|l| l.parse().unwrap()).collect();
             prop_assert!(read.windows(2).all(|w| w[0] < w[1]), "{all:?}");
         }
