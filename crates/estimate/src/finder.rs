@@ -1,8 +1,9 @@
 //! From one conditioned frame to contacts: every way that there is, behind one trait.
 //!
 //! The node's [`SkinEstimator`](crate::SkinEstimator) makes its contacts with the functions of this module, and so do
-//! comparisons: `regressed` for the outputs of models, `peaks` for a map, `solve` and `inverted` for a forward
-//! model. The estimator adds what depends on earlier frames or on several bundles: presence, identities, confidence.
+//! comparisons: `regressed` for the outputs of models, `peaks` for a map, `solve` and `refined` for a forward
+//! model, `spread_forces` for maps. The estimator adds what depends on earlier frames or on several bundles: presence, identities,
+//! confidence. [`finder_of`] says which finder reads a bundle.
 //!
 //! | finder | from | to |
 //! |---|---|---|
@@ -14,22 +15,27 @@
 //! A finder does not judge whether something touches: who asks it for the contacts of an untouched frame gets what the noise
 //! looks like to it.
 
+mod choice;
 mod inversion;
 mod map;
 mod network;
 mod regression;
+mod spread;
 
 use dermis_inference::FeatureError;
 use dermis_inversion::{InverterError, Reading};
-use dermis_skin::{ChannelFlags, Contact, ImageGrid, Stamp};
+use dermis_skin::{ChannelFlags, Contact, Estimate, ImageGrid, Stamp};
 
+pub use choice::{finder_of, learned_finder_of};
 pub use inversion::{InversionFinder, Start};
-pub(crate) use inversion::{Learned, inverted, solve};
+pub(crate) use inversion::{Learned, refined, solve};
 pub use map::MapFinder;
 pub(crate) use map::{Peaks, peaks};
 pub use network::NetworkFinder;
 pub(crate) use network::{Regressed, is_flat, regressed};
 pub use regression::{Regress, RegressionFinder};
+pub use spread::GivenMaps;
+pub(crate) use spread::{REACH, given_displacements, given_forces, spread_forces};
 
 /// One frame after conditioning.
 #[derive(Debug, Clone, Copy)]
@@ -80,6 +86,23 @@ pub trait ContactFinder: Send {
     ///
     /// [`FindError`] says what failed.
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError>;
+
+    /// Maps that a model gave by itself for the latest frame whose contacts were asked for; none by default.
+    fn given_maps(&self) -> GivenMaps {
+        GivenMaps::default()
+    }
+
+    /// The contacts of a frame with their maps, as a node publishes them: those that a model gives by itself or, where it gives no
+    /// forces, the forces of contacts that are peaks or that a forward model refined, spread over the surface.
+    ///
+    /// # Errors
+    ///
+    /// As [`find`](Self::find).
+    fn estimate(&mut self, frame: &ConditionedFrame<'_>) -> Result<Estimate, FindError> {
+        let contacts = self.find(frame)?;
+        let GivenMaps { force: force_map, displacement: displacement_map } = self.given_maps();
+        Ok(Estimate { contacts, force_map, displacement_map })
+    }
 
     /// Takes a frame whose contacts nobody asks for into the history of what looks at several frames.
     ///

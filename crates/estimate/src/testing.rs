@@ -8,10 +8,11 @@ use std::sync::Arc;
 use dermis_fixtures::{Analytic, SkinFile};
 use dermis_inference::onnx::GraphBuilder;
 use dermis_inference::{
-    Baseline, Bundle, BundleWriter, FeatureConfig, Link, Manifest, OutputConfig, OutputSpec, Runtime,
-    RuntimeConfig, Taps, TrainingSection,
+    Baseline, Bundle, BundleWriter, FeatureConfig, ForcePeakSection, Link, MAP_DISPLACEMENT, MAP_NORMAL,
+    Manifest, ModelSection, OutputConfig, OutputSpec, PeakSection, Runtime, RuntimeConfig, Taps,
+    TrainingSection,
 };
-use dermis_inversion::Settings;
+use dermis_inversion::{PeakSettings, Settings};
 use dermis_model::{ForwardModel, Indentation};
 use dermis_skin::{Estimator, Family, Frame, ModelError, SkinDescription};
 use nalgebra::Point3;
@@ -216,6 +217,57 @@ impl TestBundle {
             .write(folder, &linear_graph("linear", [inputs, outputs], &weights))
             .unwrap();
     }
+}
+
+/// A bundle of the pad of [`nine`] that gives a map and contacts as its peaks: the point above an element gives way by 1 mm for
+/// 1 kPa, and presses with 500 N/m.
+pub fn write_map(skin: &SkinDescription, folder: &Path, inversion: Option<Settings>) {
+    let map = OutputSpec::new(MAP_DISPLACEMENT, "m", 0.0, 1e-3);
+    let (mut manifest, graph) = map_above(skin, map);
+    manifest.inversion = inversion;
+    manifest.peaks = Some(PeakSection {
+        settings: PeakSettings::default(),
+        weights: Vec::new(),
+        position_sigma: Some(1e-3),
+        force_sigma: Some(0.1),
+        sensitivity: ModelSection { interface: PeakSection::interface(), ..ModelSection::default() },
+    });
+    let mut writer = BundleWriter::new(manifest);
+    writer.sensitivity = Some(linear_graph("sensitivity", [4, 1], &[0.0, 0.0, 0.0, 500.0]));
+    writer.write(folder, &graph).unwrap();
+}
+
+/// The same of forces: the point above an element bears 0.5 N for 1 kPa.
+pub fn write_force_map(skin: &SkinDescription, folder: &Path, inversion: Option<Settings>) {
+    let (mut manifest, graph) = map_above(skin, OutputSpec::new(MAP_NORMAL, "N", 0.0, 0.5));
+    manifest.inversion = inversion;
+    manifest.force_peaks = Some(ForcePeakSection {
+        disc: 0.018,
+        threshold: 0.3,
+        most: 2,
+        position_sigma: Some(1e-3),
+        force_sigma: Some(0.1),
+    });
+    BundleWriter::new(manifest).write(folder, &graph).unwrap();
+}
+
+/// Manifest and graph of a model whose only output is one a kPa on the point above each element.
+fn map_above(skin: &SkinDescription, mut map: OutputSpec) -> (Manifest, Vec<u8>) {
+    let (surface, channels) = (skin.surface(), skin.channels().len());
+    let points = surface.points.len();
+    let mut weights = vec![0.0; channels * points];
+    for (channel, taxel) in skin.taxels.iter().enumerate() {
+        let distance = |p: &Point3<f64>| (p.x - taxel.position[0]).hypot(p.y - taxel.position[1]);
+        let above = (0..points)
+            .min_by(|a, b| distance(&surface.points[*a]).total_cmp(&distance(&surface.points[*b])))
+            .unwrap();
+        weights[channel * points + above] = 1.0;
+    }
+    map.count = points;
+    let input = FeatureConfig::newest(vec![0.0; channels], vec![1000.0; channels]);
+    let output = OutputConfig { values: vec![map] };
+    let manifest = Manifest::new("map", skin, Baseline::Tared, input, output, TrainingSection::default());
+    (manifest, linear_graph("map", [channels, points], &weights))
 }
 
 /// A graph that multiplies `input` by weights (inputs × outputs, row by row): an ONNX file.

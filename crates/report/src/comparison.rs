@@ -1,13 +1,15 @@
 //! Estimators side by side.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use anyhow::Result;
 use dermis_figures::{escape, page};
+use dermis_learn::Evaluation;
 use dermis_studies::comparison::Findings;
 use serde_json::Value;
 
-/// One table for places and one for forces.
+/// One table for places, one for forces, and one for each map that an estimator gives.
 ///
 /// # Errors
 ///
@@ -73,6 +75,7 @@ pub fn text(findings: &Findings) -> Result<String> {
             let _ = writeln!(out, "{:<38}{}", "  its median", cells(&record["bound"][bound], "median"));
         }
     }
+    maps(&mut out, &findings.methods);
     for (name, evaluation) in &findings.methods {
         if !evaluation.against_bound.is_empty() {
             let _ = writeln!(out, "\n{name}");
@@ -85,6 +88,32 @@ pub fn text(findings: &Findings) -> Result<String> {
         let _ = write!(out, "{}", bound.left_out);
     }
     Ok(out)
+}
+
+/// Errors of maps over all points of the readings that are compared.
+fn maps(out: &mut String, methods: &[(String, Evaluation)]) {
+    let names: BTreeSet<&String> = methods.iter().flat_map(|(_, e)| e.maps.keys()).collect();
+    for map in names {
+        let _ = writeln!(
+            out,
+            "\n{map}, over all points\n{:<38}{:>14}{:>16}{:>18}{:>9}{:>12}",
+            "", "RMSE", "of the truth", "total force [N]", "frames", "unanswered"
+        );
+        for (name, errors) in methods.iter().filter_map(|(name, e)| Some((name, e.maps.get(map)?))) {
+            let (unit, factor) = if errors.unit == "m" { ("µm", 1e6) } else { ("mN", 1e3) };
+            let of = &errors.touched;
+            let or_dash = |value: Option<String>| value.unwrap_or_else(|| "-".into());
+            let _ = writeln!(
+                out,
+                "{name:<38}{:>14}{:>16}{:>18}{:>9}{:>12}",
+                or_dash(of.rms.map(|v| format!("{:.3} {unit}", v * factor))),
+                or_dash(of.relative.map(|v| format!("{:.1} %", v * 100.0))),
+                or_dash(of.total_force.map(|v| format!("{v:.3}"))),
+                of.frames,
+                of.unanswered
+            );
+        }
+    }
 }
 
 /// The whole page.

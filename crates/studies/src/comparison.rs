@@ -1,8 +1,10 @@
 //! Estimators side by side on the same held-out readings, with the bound beside them.
 //!
-//! Networks of bundles, the same refined on the forward model, nearest neighbours in units of the noise, regressions that take what our
+//! Bundles by themselves (a network's contact, or the peaks of a map) and as a node reads them, refined on the forward model where they
+//! ask for it; nearest neighbours in units of the noise, regressions that take what our
 //! networks take (`regressions`), and the thesis' numeric solution by isolines answer the same frames of one contact; the Cramér–Rao bound says what is possible. All but the
-//! isolines are the finders of `dermis-estimate`, which the node's estimator is made of; none judges whether something touches.
+//! isolines are the finders of `dermis-estimate`, which the node's estimator is made of; none judges whether something touches. Force and
+//! displacement maps that come with contacts are held against the true ones by the figures of `evaluate`.
 //! Bags are read in order, and a bundle whose forward model searches in pairs follows contacts from frame to frame as the node does.
 //!
 //! Cost: one pass over the bags for all of them, and what follows contacts also looks at the frames between those that are asked; neighbours look at every reading of the training part for every answer.
@@ -13,10 +15,11 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use dermis_estimate::finder::{InversionFinder, NetworkFinder, RegressionFinder, Start};
-use dermis_estimate::{ConditionedFrame, ContactFinder, FindError, inverter};
+use dermis_estimate::finder::{RegressionFinder, finder_of, learned_finder_of};
+use dermis_estimate::{ConditionedFrame, ContactFinder, FindError};
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
 use dermis_learn::cli::Labels;
+use dermis_learn::target::Maps;
 use dermis_learn::{
     Bounds, Dataset, Evaluation, Evaluator, Sample, SampleId, Truth, TruthContact, frame_bounds,
 };
@@ -159,7 +162,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     }
     let finders = methods(options, &skin, &forward, &data, &split.train, progress)?;
     progress.begin("answering");
-    let mut rows = answer(finders, &data, &test, &options.bins, progress)?;
+    let mut rows = answer(finders, &data, &test, &options.bins, Some(&forward), progress)?;
     let bound = match rows.first() {
         None => None,
         Some((_, first)) => {
@@ -203,17 +206,22 @@ fn left_out(
 
 type Named = (String, Box<dyn ContactFinder>);
 
-/// What finders make of the asked frames. The frames between them feed the history of what looks at several, as in a node; a
+/// What finders make of the asked frames; true displacements are those of the `forward` model. The frames between them feed the history of what looks at several, as in a node; a
 /// history that is not filled yet is an answer of no contact, as there.
 fn answer(
     mut finders: Vec<Named>,
     data: &Dataset,
     asked: &[SampleId],
     bins: &[f64],
+    forward: Option<&Arc<dyn ForwardModel>>,
     progress: &dyn Progress,
 ) -> Result<Vec<(String, Evaluation)>> {
     let wanted: BTreeSet<SampleId> = asked.iter().copied().collect();
-    let mut evaluators: Vec<Evaluator> = finders.iter().map(|_| Evaluator::of(data).by_force(bins)).collect();
+    let evaluator = |_: &Named| {
+        let maps = Maps::new(data.skin(), forward.cloned(), &[])?;
+        anyhow::Ok(Evaluator::of(data).by_force(bins).with_maps(maps))
+    };
+    let mut evaluators = finders.iter().map(evaluator).collect::<Result<Vec<_>>>()?;
     let image = finders.iter().find_map(|(_, finder)| finder.image());
     if finders.iter().filter_map(|(_, finder)| finder.image()).any(|other| Some(other) != image) {
         bail!("these bundles take images of different sizes; compare them one after the other");
@@ -237,11 +245,12 @@ fn answer(
                     finder.pass(&frame)?;
                     continue;
                 };
-                let contacts = match finder.find(&frame) {
-                    Err(FindError::History(_)) => Vec::new(),
+                let estimate = match finder.estimate(&frame) {
+                    Err(FindError::History(_)) => Estimate::default(),
                     found => found?,
                 };
-                evaluator.push(id, truth, &Estimate { contacts, ..Estimate::default() });
+                evaluator.push(id, truth, &estimate);
+                evaluator.push_maps(truth, &estimate)?;
             }
             done += usize::from(truth.is_some());
             progress.at(done as f64 / wanted.len() as f64);
@@ -265,16 +274,10 @@ fn methods(
     let mut components = ForceComponents::Normal;
     for folder in &options.model {
         let bundle = Bundle::load(folder, skin)?;
-        let name = called(folder);
         if bundle.manifest().output.values.iter().any(|v| v.name == "force.x") {
             components = ForceComponents::Full;
         }
-        let network = || NetworkFinder::new(&bundle, skin, runtime);
-        methods.push((format!("{name}: network"), Box::new(network()?)));
-        if let Some(inverter) = inverter(&bundle, || Ok(Arc::clone(forward)))? {
-            let refined = InversionFinder::new(inverter, Start::Bundle(Box::new(network()?))).following();
-            methods.push((format!("{name}: with forward model"), Box::new(refined)));
-        }
+        methods.extend(of_bundle(&called(folder), &bundle, skin, forward, runtime)?);
     }
     let learned = data.gather(train)?;
     let name = format!("{} nearest neighbours", options.neighbours);
@@ -306,6 +309,26 @@ fn methods(
     for taxels in [solver.needed(), solver.needed() + 1] {
         let method = Isolines { solver: Arc::clone(&solver), taxels, surface: skin.surface() };
         methods.push((format!("isolines of {taxels} taxels"), Box::new(method)));
+    }
+    Ok(methods)
+}
+
+/// What a bundle gives by itself, where anything was learned, and what a node makes of it, where it is refined.
+fn of_bundle(
+    name: &str,
+    bundle: &Bundle,
+    skin: &SkinDescription,
+    forward: &Arc<dyn ForwardModel>,
+    runtime: &Runtime,
+) -> Result<Vec<Named>> {
+    let mut methods = Vec::new();
+    if let Some(learned) = learned_finder_of(bundle, skin, runtime)? {
+        let from = if learned.single() { "network" } else { "peaks" };
+        methods.push((format!("{name}: {from}"), learned));
+    }
+    if bundle.manifest().inversion.is_some() {
+        let refined = finder_of(bundle, skin, || Ok(Arc::clone(forward)), runtime)?;
+        methods.push((format!("{name}: with forward model"), refined));
     }
     Ok(methods)
 }

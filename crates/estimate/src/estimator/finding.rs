@@ -6,7 +6,7 @@ use dermis_model::Indentation;
 use dermis_skin::Contact;
 
 use super::SkinEstimator;
-use crate::finder::{Learned, Peaks, Regressed, inverted, is_flat, peaks, readings, regressed, solve};
+use crate::finder::{Learned, Peaks, Regressed, is_flat, peaks, readings, refined, regressed, solve};
 use crate::models::Pipeline;
 
 /// Presence by probability begins above the first and ends below the second.
@@ -128,8 +128,7 @@ impl SkinEstimator {
             return Ok(Vec::new());
         }
         let refined = self.pipelines.iter().any(|p| p.inverter.is_some());
-        let asked = |peaks: &Peaks| !refined || peaks.are_starts();
-        let reads = |p: &&mut Pipeline| p.fresh && p.peaks.as_ref().is_some_and(asked);
+        let reads = |p: &&mut Pipeline| p.fresh && p.reads_peaks(refined);
         let Some(pipeline) = self.pipelines.iter_mut().find(reads) else {
             return Ok(vec![self.contact()]);
         };
@@ -159,7 +158,6 @@ impl SkinEstimator {
         else {
             return Ok((learned, None));
         };
-        let settings = inverter.settings();
         let solution = match self.solution.take() {
             // Found when it was asked what the missing channels would read.
             Some(solution) => Ok(solution),
@@ -170,23 +168,16 @@ impl SkinEstimator {
         };
         let solution =
             solution.map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
-        self.before.clone_from(&solution.contacts);
-        if solution.contacts.is_empty() {
-            return Ok((learned, None));
+        let (mut contacts, refined) = refined(inverter, solution.contacts, learned, &mut self.before);
+        if !refined {
+            return Ok((contacts, None));
         }
-        let components = settings.unknowns.force_components();
-        let single = solution.contacts.len() == 1;
+        let single = contacts.len() == 1;
         let carrying = self.carrying();
-        let contacts = solution
-            .contacts
-            .into_iter()
-            .map(|found| {
-                let mut contact = inverted(&found, components);
-                contact.confidence = self.confidence(contact.normal_force()) as f32;
-                contact.taxels = if single { carrying.clone() } else { self.shares.near(&found.position) };
-                contact
-            })
-            .collect();
+        for contact in &mut contacts {
+            contact.confidence = self.confidence(contact.normal_force()) as f32;
+            contact.taxels = if single { carrying.clone() } else { self.shares.near(&contact.position) };
+        }
         Ok((contacts, Some(index)))
     }
 

@@ -5,14 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_inference::{MAP_DISPLACEMENT, MAP_NORMAL};
 use dermis_model::{Indentation, Stimulus, Unknowns};
-use dermis_skin::{Contact, DisplacementMap, Estimate, ForceMap, ForceValues, Surface};
-use nalgebra::Vector3;
+use dermis_skin::{Contact, DisplacementMap, Estimate, ForceMap, ForceValues};
 
 use super::SkinEstimator;
+use crate::finder::{REACH, given_displacements, given_forces, spread_forces};
 use crate::models::{MAP_FORCE, Pipeline, gives};
-
-/// \[m\] about a contact of unknown diameter that its force is spread over.
-pub(super) const REACH: f64 = 0.005;
 
 impl SkinEstimator {
     /// Whether a displacement map comes without delay. The first one of a forward model may take seconds: it is made ready on
@@ -52,21 +49,8 @@ impl SkinEstimator {
     /// What a learned model gives or, where none does, the forces of contacts that a forward model refined or that are peaks.
     pub(super) fn force_map(&self, contacts: &[Contact], refined: bool) -> Option<ForceMap> {
         let placed = refined || self.pipelines.iter().any(|p| p.fresh && p.peaks.is_some());
-        let forces = if let Some(map) = self.map(MAP_FORCE) {
-            ForceValues::Vector(
-                map.chunks_exact(3).map(|f| [f[0] as f32, f[1] as f32, f[2] as f32]).collect(),
-            )
-        } else if let Some(map) = self.map(MAP_NORMAL) {
-            ForceValues::Normal(map.iter().map(|f| *f as f32).collect())
-        } else if placed {
-            match self.knows_vectors() {
-                true => ForceValues::Vector(spread_vectors(&self.surface, contacts)),
-                false => ForceValues::Normal(spread(&self.surface, contacts)),
-            }
-        } else {
-            return None;
-        };
-        Some(ForceMap { indices: None, forces })
+        let spread = || spread_forces(&self.surface, contacts, self.knows_vectors());
+        given_forces(|output| self.map(output)).or_else(|| placed.then(spread))
     }
 
     /// Whether the force map has all of the forces and not what presses alone: a learned map says which; where there is none, contacts are
@@ -84,9 +68,8 @@ impl SkinEstimator {
         contacts: &[Contact],
         refined: Option<usize>,
     ) -> Option<DisplacementMap> {
-        if let Some(map) = self.map(MAP_DISPLACEMENT) {
-            let displacements = map.iter().map(|d| *d as f32).collect();
-            return Some(DisplacementMap { indices: None, displacements });
+        if let Some(map) = given_displacements(|output| self.map(output)) {
+            return Some(map);
         }
         let inverter = self.pipelines.get(refined?)?.inverter.as_ref()?;
         let settings = inverter.settings();
@@ -119,38 +102,4 @@ impl SkinEstimator {
                 .then_some(DisplacementMap { indices: None, displacements }),
         }
     }
-}
-
-/// \[N\] on every point of a surface: the pressing force of each contact on the points within its radius, shared by area.
-/// The points add up to the contacts.
-pub(super) fn spread(surface: &Surface, contacts: &[Contact]) -> Vec<f32> {
-    let mut forces = vec![0.0; surface.points.len()];
-    for contact in contacts {
-        let force = contact.normal_force();
-        under(surface, contact).into_iter().for_each(|(i, share)| forces[i] += force * share);
-    }
-    forces.iter().map(|f| *f as f32).collect()
-}
-
-/// The same with all of the force of each contact.
-pub(super) fn spread_vectors(surface: &Surface, contacts: &[Contact]) -> Vec<[f32; 3]> {
-    let mut forces = vec![Vector3::zeros(); surface.points.len()];
-    for contact in contacts {
-        under(surface, contact).into_iter().for_each(|(i, share)| forces[i] += contact.force * share);
-    }
-    forces.iter().map(|f: &Vector3<f64>| [f.x as f32, f.y as f32, f.z as f32]).collect()
-}
-
-/// Points within a contact's radius, and what share of its force each of them gets; the nearest one between the points of a coarse surface.
-fn under(surface: &Surface, contact: &Contact) -> Vec<(usize, f64)> {
-    let radius = if contact.diameter.is_finite() { f64::from(contact.diameter) / 2.0 } else { REACH };
-    let points = surface.points.len();
-    let distance = |i: usize| (surface.points[i] - contact.position).norm();
-    let mut under: Vec<usize> = (0..points).filter(|i| distance(*i) <= radius).collect();
-    if under.is_empty() {
-        under.extend((0..points).min_by(|a, b| distance(*a).total_cmp(&distance(*b))));
-    }
-    let area: f64 = under.iter().map(|i| surface.areas[*i]).sum();
-    let even = 1.0 / under.len() as f64;
-    under.into_iter().map(|i| (i, if area > 0.0 { surface.areas[i] / area } else { even })).collect()
 }

@@ -1,5 +1,5 @@
-use super::maps::{REACH, spread, spread_vectors};
 use super::*;
+use crate::finder::{REACH, spread_forces};
 use crate::testing::{
     COMPLIANCE, Out, STRETCHED, TestBundle, load, load_for, membrane, nine, skin_with, tared_estimator,
 };
@@ -505,10 +505,14 @@ fn a_force_without_a_point_under_it_goes_to_the_nearest() {
     contact.force = Vector3::new(0.3, 0.0, -2.0);
     contact.diameter = 0.001;
     let contacts = [contact];
-    let forces = spread(&surface, &contacts);
+    let ForceValues::Normal(forces) = spread_forces(&surface, &contacts, false).forces else {
+        panic!("vectors, and not what presses alone");
+    };
     assert_eq!(forces.iter().filter(|f| **f > 0.0).count(), 1);
     assert!((forces.iter().sum::<f32>() - 2.0).abs() < 1e-6);
-    let vectors = spread_vectors(&surface, &contacts);
+    let ForceValues::Vector(vectors) = spread_forces(&surface, &contacts, true).forces else {
+        panic!("what presses alone, and no vectors");
+    };
     let pressed: Vec<&[f32; 3]> = vectors.iter().filter(|f| f[2] != 0.0).collect();
     assert_eq!(pressed, [&[0.3, 0.0, -2.0]]);
 }

@@ -6,13 +6,27 @@
 //! millisecond or so for one contact, tens of them for all pairs of places; who follows pays for the frames that it passes, too.
 
 use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Search, Solution, SparseSettings};
-use dermis_model::Indentation;
-use dermis_skin::{Contact, ForceComponents};
+use dermis_model::{Indentation, Unknowns};
+use dermis_skin::{Contact, Estimate, ForceComponents, ImageGrid};
 
-use super::{ConditionedFrame, ContactFinder, FindError, readings};
+use super::{ConditionedFrame, ContactFinder, FindError, GivenMaps, readings, spread_forces};
+
+/// The contacts that an inverter `found` in a frame or, where it found none, those that were `learned`; and whether they are the
+/// former. `before` becomes what it found.
+pub(crate) fn refined(
+    inverter: &Inverter,
+    found: Vec<ContactEstimate>,
+    learned: Vec<Contact>,
+    before: &mut Vec<ContactEstimate>,
+) -> (Vec<Contact>, bool) {
+    let components = inverter.settings().unknowns.force_components();
+    let contacts: Vec<Contact> = found.iter().map(|found| inverted(found, components)).collect();
+    *before = found;
+    if contacts.is_empty() { (learned, false) } else { (contacts, true) }
+}
 
 /// What an inverter found, as a contact.
-pub(crate) fn inverted(found: &ContactEstimate, components: ForceComponents) -> Contact {
+fn inverted(found: &ContactEstimate, components: ForceComponents) -> Contact {
     let mut contact = Contact::at(found.position, found.normal);
     contact.force = found.force;
     contact.force_components = components;
@@ -89,6 +103,14 @@ impl Start {
             Self::Greedy | Self::Pairs | Self::Sparse(_) | Self::SparseOnly(_) => None,
         }
     }
+
+    /// The same, to look at.
+    fn asked(&self) -> Option<&dyn ContactFinder> {
+        match self {
+            Self::Refine(finder) | Self::Bundle(finder) => Some(finder.as_ref()),
+            Self::Greedy | Self::Pairs | Self::Sparse(_) | Self::SparseOnly(_) => None,
+        }
+    }
 }
 
 /// What a finder remembers of the frames before.
@@ -141,9 +163,9 @@ impl InversionFinder {
         self.followed.as_ref().map_or(&[], |followed| &followed.before)
     }
 
-    fn remember(&mut self, found: &[ContactEstimate]) {
+    fn remember(&mut self, found: Vec<ContactEstimate>) {
         if let Some(followed) = &mut self.followed {
-            followed.before = found.to_vec();
+            followed.before = found;
         }
     }
 
@@ -158,15 +180,13 @@ impl InversionFinder {
         }
         Ok(self.inverter.refine(readings, starts)?.contacts)
     }
-}
 
-impl ContactFinder for InversionFinder {
-    fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
+    /// The contacts of a frame, and whether the forward model found them: otherwise they are those of the other finder.
+    fn search(&mut self, frame: &ConditionedFrame<'_>) -> Result<(Vec<Contact>, bool), FindError> {
         let readings: Vec<_> = readings(frame.signal, frame.flags).collect();
         let others = self.start.other().map(|finder| finder.find(frame)).transpose()?.unwrap_or_default();
         self.watch(&readings);
         let inverter = &self.inverter;
-        let components = inverter.settings().unknowns.force_components();
         let found = match &self.start {
             Start::Greedy => inverter.solve(&readings, None)?.contacts,
             Start::Pairs => inverter.search(&readings)?.contacts,
@@ -180,15 +200,34 @@ impl ContactFinder for InversionFinder {
             }
             Start::Sparse(settings) => self.refine(&readings, &inverter.sparse(&readings, settings)?)?,
             Start::SparseOnly(settings) => {
+                let components = inverter.settings().unknowns.force_components();
                 let found = inverter.sparse(&readings, settings)?;
-                return Ok(found.iter().map(|c| placed(inverter, c, components)).collect());
+                return Ok((found.iter().map(|c| placed(inverter, c, components)).collect(), true));
             }
         };
-        self.remember(&found);
-        if found.is_empty() && matches!(self.start, Start::Bundle(_)) {
-            return Ok(others);
-        }
-        Ok(found.iter().map(|found| inverted(found, components)).collect())
+        let others = if matches!(self.start, Start::Bundle(_)) { others } else { Vec::new() };
+        let mut forgotten = Vec::new();
+        let before = self.followed.as_mut().map_or(&mut forgotten, |followed| &mut followed.before);
+        Ok(refined(&self.inverter, found, others, before))
+    }
+}
+
+impl ContactFinder for InversionFinder {
+    fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
+        Ok(self.search(frame)?.0)
+    }
+
+    fn given_maps(&self) -> GivenMaps {
+        self.start.asked().map_or_else(GivenMaps::default, |finder| finder.given_maps())
+    }
+
+    fn estimate(&mut self, frame: &ConditionedFrame<'_>) -> Result<Estimate, FindError> {
+        let (contacts, refined) = self.search(frame)?;
+        let GivenMaps { force, displacement: displacement_map } = self.given_maps();
+        let whole = self.inverter.settings().unknowns == Unknowns::Full;
+        let spread = || refined.then(|| spread_forces(self.inverter.surface(), &contacts, whole));
+        let force_map = force.or_else(spread);
+        Ok(Estimate { contacts, force_map, displacement_map })
     }
 
     fn pass(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {
@@ -201,7 +240,7 @@ impl ContactFinder for InversionFinder {
         if self.followed.as_ref().is_some_and(|followed| followed.present) {
             // A search in pairs can do without the other finder.
             let found = solve(&self.inverter, &readings, Learned::default(), self.before())?.contacts;
-            self.remember(&found);
+            self.remember(found);
         }
         Ok(())
     }
@@ -213,6 +252,10 @@ impl ContactFinder for InversionFinder {
         if let Some(followed) = &mut self.followed {
             *followed = Followed::default();
         }
+    }
+
+    fn image(&self) -> Option<ImageGrid> {
+        self.start.asked().and_then(|finder| finder.image())
     }
 }
 

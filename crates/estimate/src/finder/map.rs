@@ -3,9 +3,9 @@
 use dermis_inference::{
     Bundle, BundleError, ForceMapContacts, MAP_DISPLACEMENT, MAP_NORMAL, MapContacts, Runtime,
 };
-use dermis_skin::{Contact, ImageGrid, SkinDescription, Surface};
+use dermis_skin::{Contact, Estimate, ImageGrid, SkinDescription, Surface};
 
-use super::{ConditionedFrame, ContactFinder, FindError};
+use super::{ConditionedFrame, ContactFinder, FindError, GivenMaps, spread_forces};
 use crate::models::{Pipeline, SetupError};
 
 /// Reads contacts off the map that a bundle gives.
@@ -59,6 +59,7 @@ pub(crate) fn peaks(pipeline: &mut Pipeline) -> Result<Vec<Contact>, String> {
 /// Peaks of the map of a bundle.
 pub struct MapFinder {
     pipeline: Pipeline,
+    surface: Surface,
 }
 
 impl MapFinder {
@@ -68,11 +69,16 @@ impl MapFinder {
     ///
     /// [`SetupError`] where the bundle has no peaks, does not fit the surface, or cannot be loaded into the runtime.
     pub fn new(bundle: &Bundle, skin: &SkinDescription, runtime: &Runtime) -> Result<Self, SetupError> {
-        let pipeline = Pipeline::of(bundle, &skin.surface(), runtime)?;
+        let surface = skin.surface();
+        let pipeline = Pipeline::of(bundle, &surface, runtime)?;
         if pipeline.peaks.is_none() {
             return Err(SetupError::NoPeaks { path: pipeline.path });
         }
-        Ok(Self { pipeline })
+        Ok(Self::with(pipeline, surface))
+    }
+
+    pub(super) fn with(pipeline: Pipeline, surface: Surface) -> Self {
+        Self { pipeline, surface }
     }
 
     /// The map of displacements \[m\] of a frame, one number a point of the surface; empty where the bundle gives forces.
@@ -90,6 +96,17 @@ impl ContactFinder for MapFinder {
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
         self.pipeline.answer(frame)?;
         peaks(&mut self.pipeline).map_err(FindError::Model)
+    }
+
+    fn given_maps(&self) -> GivenMaps {
+        GivenMaps::of(&self.pipeline.outputs)
+    }
+
+    fn estimate(&mut self, frame: &ConditionedFrame<'_>) -> Result<Estimate, FindError> {
+        let contacts = self.find(frame)?;
+        let GivenMaps { force, displacement } = self.given_maps();
+        let force = force.unwrap_or_else(|| spread_forces(&self.surface, &contacts, false));
+        Ok(Estimate { contacts, force_map: Some(force), displacement_map: displacement })
     }
 
     fn pass(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {

@@ -4,7 +4,7 @@ use dermis_inference::{Bundle, Outputs, Runtime};
 use dermis_skin::{Contact, ForceComponents, ImageGrid, SkinDescription, Surface, SurfaceSpec};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::{ConditionedFrame, ContactFinder, FindError};
+use super::{ConditionedFrame, ContactFinder, FindError, GivenMaps};
 use crate::models::{Pipeline, SetupError, UnpackedModel};
 
 /// A contact as model outputs give it, and its pressing force \[N\] or, where no normal is known, the size of the force; NaN where
@@ -102,7 +102,7 @@ impl NetworkFinder {
     /// [`SetupError`] where the bundle does not fit the surface, or cannot be loaded into the runtime.
     pub fn new(bundle: &Bundle, skin: &SkinDescription, runtime: &Runtime) -> Result<Self, SetupError> {
         let surface = skin.surface();
-        Ok(Self { pipeline: Pipeline::of(bundle, &surface, runtime)?, surface, flat: is_flat(skin) })
+        Ok(Self::with(Pipeline::of(bundle, &surface, runtime)?, skin, surface))
     }
 
     /// A finder on a skin by a model that is no bundle yet.
@@ -112,7 +112,11 @@ impl NetworkFinder {
     /// [`SetupError::Output`] where a map of the model does not fit the surface.
     pub fn unpacked(model: UnpackedModel, skin: &SkinDescription) -> Result<Self, SetupError> {
         let surface = skin.surface();
-        Ok(Self { pipeline: Pipeline::unpacked(model, &surface)?, surface, flat: is_flat(skin) })
+        Ok(Self::with(Pipeline::unpacked(model, &surface)?, skin, surface))
+    }
+
+    pub(super) fn with(pipeline: Pipeline, skin: &SkinDescription, surface: Surface) -> Self {
+        Self { pipeline, surface, flat: is_flat(skin) }
     }
 
     /// The contact of a frame whatever the model gives: its place is NaN where the model gives none.
@@ -139,6 +143,10 @@ impl ContactFinder for NetworkFinder {
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
         let contact = self.contact(frame)?;
         Ok(if contact.position.x.is_nan() { Vec::new() } else { vec![contact] })
+    }
+
+    fn given_maps(&self) -> GivenMaps {
+        GivenMaps::of(&self.pipeline.outputs)
     }
 
     fn pass(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {

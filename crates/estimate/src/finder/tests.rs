@@ -1,18 +1,15 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use dermis_inference::{
-    Baseline, Bundle, BundleWriter, FeatureConfig, MAP_DISPLACEMENT, Manifest, ModelSection, OutputConfig,
-    OutputSpec, PeakSection, Runtime, RuntimeConfig, TrainingSection,
-};
-use dermis_inversion::{Inverter, PeakSettings, Search, Settings, SparseSettings};
+use dermis_inference::{Baseline, Bundle, Runtime, RuntimeConfig};
+use dermis_inversion::{Inverter, Search, Settings, SparseSettings};
 use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_skin::{Estimator, ForceComponents, Frame, SkinDescription};
 use nalgebra::{Point3, Vector3};
 
 use super::*;
 use crate::testing::{
-    STRETCHED, TestBundle, linear_graph, load_for, membrane, nine, skin_with, tared_estimator,
+    STRETCHED, TestBundle, load_for, membrane, nine, skin_with, tared_estimator, write_force_map, write_map,
 };
 use crate::{SetupError, SkinEstimator};
 
@@ -121,39 +118,10 @@ fn a_network_of_several_frames_waits_for_them() {
     assert!(matches!(finder.find(&frame(30, &signal, &flags)), Err(FindError::History(_))));
 }
 
-/// A bundle for the pad of nine: a point above an element gives way by 1 mm for 1 kPa, and presses with 500 N/m.
-fn write_map(skin: &SkinDescription, folder: &Path) {
-    let surface = skin.surface();
-    let points = surface.points.len();
-    let mut weights = vec![0.0; 9 * points];
-    for (channel, taxel) in skin.taxels.iter().enumerate() {
-        let distance = |p: &Point3<f64>| (p.x - taxel.position[0]).hypot(p.y - taxel.position[1]);
-        let above = (0..points)
-            .min_by(|a, b| distance(&surface.points[*a]).total_cmp(&distance(&surface.points[*b])))
-            .unwrap();
-        weights[channel * points + above] = 1.0;
-    }
-    let mut map = OutputSpec::new(MAP_DISPLACEMENT, "m", 0.0, 1e-3);
-    map.count = points;
-    let input = FeatureConfig::newest(vec![0.0; 9], vec![1000.0; 9]);
-    let output = OutputConfig { values: vec![map] };
-    let mut manifest = Manifest::new("map", skin, Baseline::Tared, input, output, TrainingSection::default());
-    manifest.peaks = Some(PeakSection {
-        settings: PeakSettings::default(),
-        weights: Vec::new(),
-        position_sigma: Some(1e-3),
-        force_sigma: Some(0.1),
-        sensitivity: ModelSection { interface: PeakSection::interface(), ..ModelSection::default() },
-    });
-    let mut writer = BundleWriter::new(manifest);
-    writer.sensitivity = Some(linear_graph("sensitivity", [4, 1], &[0.0, 0.0, 0.0, 500.0]));
-    writer.write(folder, &linear_graph("map", [9, points], &weights)).unwrap();
-}
-
 #[test]
 fn a_map_gives_a_contact_for_every_peak() {
     let (skin, dir) = (nine(), tempfile::tempdir().unwrap());
-    write_map(&skin, dir.path());
+    write_map(&skin, dir.path(), None);
     let bundle = Bundle::load(dir.path(), &skin).unwrap();
     let mut finder = MapFinder::new(&bundle, &skin, runtime()).unwrap();
     assert!(!finder.single());
@@ -192,7 +160,7 @@ fn a_bundle_that_gives_no_map_of_this_surface_is_no_map_finder() {
     assert!(error.to_string().contains("bundle.toml has no `[peaks]`"), "{error}");
 
     let (skin, dir) = (nine(), tempfile::tempdir().unwrap());
-    write_map(&skin, dir.path());
+    write_map(&skin, dir.path(), None);
     let bundle = Bundle::load(dir.path(), &skin).unwrap();
     let error = MapFinder::new(&bundle, &skin_with(""), runtime()).err().unwrap();
     assert!(error.to_string().contains("has 169 numbers where the surface needs 25"), "{error}");
@@ -353,49 +321,85 @@ fn a_regression_that_fails_says_so() {
     insta::assert_snapshot!(told(found(&mut finder, &[0.0; 3])), @"a regression was given 3 channels where its skin has 4");
 }
 
-/// Whether a finder gives the very contacts that the estimator of a node gave.
+/// Whether a finder gives the very contacts, and the force map, that the estimator of a node gave.
 #[track_caller]
-fn assert_same(estimator: &SkinEstimator, finder: &mut dyn ContactFinder, contacts: &[Contact]) {
-    let found = finder.find(&estimator.conditioned().frame()).unwrap();
-    assert_eq!(found.len(), contacts.len());
-    for (found, contact) in found.iter().zip(contacts) {
+fn assert_same(estimator: &SkinEstimator, finder: &mut dyn ContactFinder, estimate: &Estimate) {
+    let found = finder.estimate(&estimator.conditioned().frame()).unwrap();
+    assert_eq!(found.contacts.len(), estimate.contacts.len());
+    for (found, contact) in found.contacts.iter().zip(&estimate.contacts) {
         assert_eq!((found.position, found.force), (contact.position, contact.force));
         assert_eq!(found.position_covariance, contact.position_covariance);
         assert_eq!(found.force_covariance, contact.force_covariance);
         assert_eq!(found.force_components, contact.force_components);
     }
+    assert_eq!(found.force_map, estimate.force_map);
+    if found.displacement_map.is_some() {
+        assert_eq!(found.displacement_map, estimate.displacement_map);
+    }
+}
+
+/// A node of the pad of nine with this bundle, and what it makes of the first touch after a tare.
+fn node(folder: &Path, skin: &SkinDescription, press: &[f32]) -> (SkinEstimator, Estimate) {
+    let mut estimator = load_for(STRETCHED, skin, &[folder], &[]).unwrap();
+    for k in 0..80_u64 {
+        let wiggle = |i: usize| [6.0, -6.0, -6.0, 6.0][(k as usize + i) % 4];
+        let values = (0..9).map(|i| 101_325.0 + wiggle(i)).collect();
+        estimator.estimate(&Frame::new(k as i64 * 10 * MS, k, values)).unwrap();
+    }
+    let values = press.iter().map(|v| 101_325.0 + v).collect();
+    let estimate = estimator.estimate(&Frame::new(800 * MS, 80, values)).unwrap();
+    (estimator, estimate)
 }
 
 #[test]
 fn finders_give_what_the_estimator_of_a_node_gives() {
     let bundle = TestBundle::default();
-    let (mut estimator, _kept) = tared_estimator(&bundle);
+    let (mut estimator, kept) = tared_estimator(&bundle);
     let values = [2000.0, 300.0, 0.0, 100.0].map(|load| 101_325.0 + load).to_vec();
-    let contacts = estimator.estimate(&Frame::new(100 * 10 * MS, 100, values)).unwrap().contacts;
-    assert_eq!(contacts.len(), 1);
+    let estimate = estimator.estimate(&Frame::new(100 * 10 * MS, 100, values)).unwrap();
+    assert_eq!(estimate.contacts.len(), 1);
     let (mut finder, _dir) = network(&bundle);
-    assert_same(&estimator, &mut finder, &contacts);
+    assert_same(&estimator, &mut finder, &estimate);
+    let skin = skin_with("");
+    let loaded = Bundle::load(kept.path(), &skin).unwrap();
+    let mut finder = finder_of(&loaded, &skin, || panic!("nobody asked for a model"), runtime()).unwrap();
+    assert!(finder.single());
+    assert_same(&estimator, finder.as_mut(), &estimate);
+}
 
+#[test]
+fn the_finder_of_a_bundle_gives_what_a_node_with_it_gives() {
     let (skin, press) = (nine(), nine_read(&[([-0.007, -0.006], 1.0), ([0.006, 0.007], 1.2)]));
-    for search in [Search::Greedy, Search::Pairs] {
-        let mut settings = Settings::new(0.004, 5.0);
-        (settings.contacts, settings.distance, settings.search) = (2, 0.006, search);
-        let dir = tempfile::tempdir().unwrap();
-        TestBundle { inversion: Some(settings), ..TestBundle::default() }.write(&skin, dir.path());
-        let mut estimator = load_for(STRETCHED, &skin, &[dir.path()], &[]).unwrap();
-        for k in 0..80_u64 {
-            let wiggle = |i: usize| [6.0, -6.0, -6.0, 6.0][(k as usize + i) % 4];
-            let values = (0..9).map(|i| 101_325.0 + wiggle(i)).collect();
-            estimator.estimate(&Frame::new(k as i64 * 10 * MS, k, values)).unwrap();
-        }
-        let values = press.iter().map(|v| 101_325.0 + v).collect();
-        let contacts = estimator.estimate(&Frame::new(800 * MS, 80, values)).unwrap().contacts;
-        assert_eq!(contacts.len(), 2, "{search:?}: {contacts:?}");
+    type Write = fn(&SkinDescription, &Path, Option<Settings>);
+    let network: Write =
+        |skin, folder, inversion| TestBundle { inversion, ..TestBundle::default() }.write(skin, folder);
+    let bundles: [(&str, Write); 3] =
+        [("network", network), ("displacements", write_map), ("forces", write_force_map)];
+    let searches = [None, Some(Search::Greedy), Some(Search::Pairs)];
+    for ((name, write), search) in bundles.into_iter().flat_map(|b| searches.map(|search| (b, search))) {
+        let inversion = search.map(|search| {
+            let mut settings = Settings::new(0.004, 5.0);
+            (settings.contacts, settings.distance, settings.search) = (2, 0.006, search);
+            settings
+        });
+        let (dir, inverts) = (tempfile::tempdir().unwrap(), inversion.is_some());
+        write(&skin, dir.path(), inversion);
+        let (estimator, estimate) = node(dir.path(), &skin, &press);
+        let contacts = &estimate.contacts;
+        let one = name == "network" && !inverts;
+        assert_eq!(contacts.len(), if one { 1 } else { 2 }, "{name}, {search:?}: {contacts:?}");
+        // A network gives no map, and nothing spreads the force of its contact.
+        assert_eq!(estimate.force_map.is_none(), one, "{name}, {search:?}");
         let loaded = Bundle::load(dir.path(), &skin).unwrap();
-        let inverter = crate::inverter(&loaded, || STRETCHED.model(&skin)).unwrap().unwrap();
-        let network = NetworkFinder::new(&loaded, &skin, runtime()).unwrap();
-        let mut finder = InversionFinder::new(inverter, Start::Bundle(Box::new(network)));
-        assert_same(&estimator, &mut finder, &contacts);
+        let mut finder = finder_of(&loaded, &skin, || STRETCHED.model(&skin), runtime()).unwrap();
+        assert_eq!(finder.single(), one, "{name}, {search:?}");
+        assert_same(&estimator, finder.as_mut(), &estimate);
+        // What the bundle gives by itself does not depend on what refines it.
+        let mut learned = learned_finder_of(&loaded, &skin, runtime()).unwrap().unwrap();
+        assert_eq!(learned.single(), name == "network");
+        if !inverts {
+            assert_same(&estimator, learned.as_mut(), &estimate);
+        }
     }
 }
 

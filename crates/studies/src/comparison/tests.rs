@@ -1,8 +1,11 @@
 use std::sync::Mutex;
 
+use dermis_estimate::testing::{STRETCHED, TestBundle, membrane, nine, write_force_map, write_map};
 use dermis_fixtures::SkinFile;
+use dermis_inversion::{Search, Settings};
 use dermis_learn::Run;
-use dermis_skin::Frame;
+use dermis_model::Indentation;
+use dermis_skin::{EstimateError, Estimator, Frame};
 
 use super::*;
 use crate::Unwatched;
@@ -77,7 +80,8 @@ fn finders_see_every_frame_and_answer_those_that_are_asked() {
     let told = Arc::new(Mutex::new(Vec::new()));
     let noting = Noting { told: Arc::clone(&told), early: false };
     let asked: Vec<SampleId> = [10, 12, 24].map(|sample| SampleId { run: 0, sample }).to_vec();
-    let rows = answer(vec![("noting".into(), Box::new(noting))], &data, &asked, &[0.0], &Unwatched).unwrap();
+    let finders: Vec<Named> = vec![("noting".into(), Box::new(noting))];
+    let rows = answer(finders, &data, &asked, &[0.0], None, &Unwatched).unwrap();
     let mut expected = vec!["reset", "reset"];
     expected.extend(["pass"; 10]);
     expected.extend(["find [100.0, 0.0]", "pass", "find [100.0, 0.0]", "reset"]);
@@ -93,6 +97,118 @@ fn finders_see_every_frame_and_answer_those_that_are_asked() {
     assert!((evaluation.quantities["position found"].rms - 0.002).abs() < 1e-12);
     // The other two are 1 mm from the middle of the surface.
     assert!((evaluation.quantities["position"].rms - 2.0_f64.sqrt() * 1e-3).abs() < 1e-9);
+}
+
+/// Sixty untouched frames of the pad of nine and ten of a press that grows.
+fn pressed(skin: &SkinDescription) -> Dataset {
+    let forward = membrane(skin);
+    let (mut frames, mut labels) = (Vec::new(), Vec::new());
+    for k in 0..70_i32 {
+        let (touched, force) = (k >= 60, Vector3::new(0.0, 0.0, -0.2 * f64::from(k - 58)));
+        let press = Indentation::sphere(Point3::new(0.003, 0.0, 0.0), force, 0.004);
+        let signal = if touched { forward.read(&[press]) } else { vec![0.0; 9] };
+        let values = signal.iter().map(|v| 101_325.0 + *v as f32).collect();
+        frames.push(Frame::new(i64::from(k + 1) * 10_000_000, k as u64, values));
+        labels.push(Some(truth(touched.then_some((0.003, force)))));
+    }
+    let run = Run::of_frames(("made.bag".into(), "made".into(), String::new()), frames, labels, skin, true);
+    Dataset::from_runs(skin, vec![run])
+}
+
+/// Notes the contacts of every frame.
+struct Kept<T>(T, Arc<Mutex<Vec<Vec<Contact>>>>);
+
+impl<T> Kept<T> {
+    fn keep(&self, contacts: &[Contact]) {
+        self.1.lock().unwrap().push(contacts.to_vec());
+    }
+}
+
+impl ContactFinder for Kept<Box<dyn ContactFinder>> {
+    fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
+        self.0.find(frame)
+    }
+
+    fn estimate(&mut self, frame: &ConditionedFrame<'_>) -> Result<Estimate, FindError> {
+        self.0.estimate(frame).inspect(|estimate| self.keep(&estimate.contacts))
+    }
+
+    fn pass(&mut self, frame: &ConditionedFrame<'_>) -> Result<(), FindError> {
+        self.0.pass(frame)
+    }
+
+    fn reset(&mut self) {
+        self.0.reset();
+    }
+}
+
+impl Estimator for Kept<Box<dyn Estimator>> {
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {
+        self.0.estimate(frame).inspect(|estimate| self.keep(&estimate.contacts))
+    }
+
+    fn tare(&mut self) {
+        self.0.tare();
+    }
+
+    fn reset(&mut self) {
+        self.0.reset();
+    }
+}
+
+#[test]
+fn a_bundle_is_compared_by_the_contacts_and_maps_that_it_is_evaluated_by() {
+    let skin = nine();
+    let (data, runtime) = (pressed(&skin), Runtime::load(&RuntimeConfig::default()).unwrap());
+    let forward: Arc<dyn ForwardModel> = Arc::new(membrane(&skin));
+    let asked: Vec<SampleId> = (60..70).map(|sample| SampleId { run: 0, sample }).collect();
+    let pairs = || {
+        let mut settings = Settings::new(0.004, 5.0);
+        (settings.contacts, settings.distance, settings.search) = (2, 0.006, Search::Pairs);
+        Some(settings)
+    };
+    type Write = fn(&SkinDescription, &std::path::Path, Option<Settings>);
+    let network: Write =
+        |skin, folder, inversion| TestBundle { inversion, ..TestBundle::default() }.write(skin, folder);
+    let cases: [(Write, Option<Settings>, &str, Option<&str>); 5] = [
+        (network, None, "network", None),
+        (write_map, None, "peaks", Some("map.normal")),
+        (write_force_map, None, "peaks", Some("map.normal")),
+        (network, pairs(), "with forward model", Some("map.normal")),
+        (write_force_map, pairs(), "with forward model", Some("map.normal")),
+    ];
+    for (write, inversion, name, map) in cases {
+        let dir = tempfile::tempdir().unwrap();
+        write(&skin, dir.path(), inversion.clone());
+        let bundle = Bundle::load(dir.path(), &skin).unwrap();
+        let mut methods = of_bundle("made", &bundle, &skin, &forward, runtime).unwrap();
+        assert_eq!(methods.len(), if inversion.is_some() { 2 } else { 1 });
+        let (called, finder) = methods.pop().unwrap();
+        assert_eq!(called, format!("made: {name}"));
+        let [compared, evaluated] = [(); 2].map(|()| Arc::new(Mutex::new(Vec::new())));
+        let finders: Vec<Named> = vec![(called, Box::new(Kept(finder, Arc::clone(&compared))))];
+        let rows = answer(finders, &data, &asked, &[0.0], Some(&forward), &Unwatched).unwrap();
+
+        let estimator =
+            dermis_estimate::estimator(STRETCHED, &skin, &[dir.path().to_owned()], &[], runtime).unwrap();
+        let mut estimator = Kept(estimator, Arc::clone(&evaluated));
+        let maps = Maps::new(&skin, Some(Arc::clone(&forward)), &[]).unwrap();
+        let mut evaluator = Evaluator::of(&data).by_force(&[0.0]).with_maps(maps);
+        evaluator.run(&mut estimator, &data, Some(&asked)).unwrap();
+
+        let (compared, evaluated) = (compared.lock().unwrap(), evaluated.lock().unwrap());
+        assert_eq!(compared.len(), asked.len());
+        for (found, contacts) in compared.iter().zip(&evaluated[60..]) {
+            assert_eq!((found.len(), contacts.len()), (1, 1), "{name}: {found:?}, {contacts:?}");
+            let of = |c: &Contact| (c.position, c.force, c.position_covariance, c.force_covariance);
+            assert_eq!(of(&found[0]), of(&contacts[0]), "{name}");
+        }
+        let maps = |e: &Evaluation| serde_json::to_value(&e.maps).unwrap();
+        let evaluation = evaluator.finish("made");
+        assert_eq!(maps(&rows[0].1), maps(&evaluation), "{name}");
+        assert_eq!(map.is_some(), evaluation.maps.contains_key("map.normal"), "{name}");
+        assert_eq!(rows[0].1.quantities, evaluation.quantities, "{name}");
+    }
 }
 
 fn sample(values: [f32; 2], x: f64, force: Vector3<f64>) -> (SampleId, Sample) {
