@@ -13,7 +13,17 @@ pub(crate) struct Scaled {
 
 impl Scaled {
     pub(crate) fn new(low: f64, high: f64, log: bool) -> Self {
-        Self { low, high, ticks: ticks(low, high, log) }
+        let mut ticks = ticks(low, high, log);
+        // Values that floating point hardly tells apart would have the same label.
+        let labels = Labels::of(&ticks, log);
+        let mut last = f64::NEG_INFINITY;
+        ticks.retain(|tick| {
+            let read = labels.label(*tick).parse().unwrap_or(f64::NAN);
+            let kept = f64::is_finite(read) && read > last;
+            last = if kept { read } else { last };
+            kept
+        });
+        Self { low, high, ticks }
     }
 
     /// What stands beside the ticks.
@@ -54,11 +64,11 @@ pub(crate) fn place(value: f64, log: bool) -> f64 {
     if log { value.log10() } else { value }
 }
 
-/// A number with three digits that say something; a power of ten where it would have many zeros.
+/// A number with three digits that say something; a power of ten where it would have many zeros; in words where it is not finite.
 #[must_use]
 pub fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
-        return if value == 0.0 { "0".to_owned() } else { value.to_string() };
+        return if value == 0.0 { "0" } else { "not determined" }.to_owned();
     }
     let long = !FIXED.contains(&magnitude(value));
     let step = 10f64.powi(magnitude(value) - 2);
@@ -210,7 +220,10 @@ mod tests {
             [short(0.0), short(0.05), short(12.0), short(1234.5), short(-0.001), short(1.0)],
             ["0", "0.05", "12", "1234", "-0.001", "1"]
         );
-        assert_eq!([short(2.345e-7), short(-4e9), short(f64::INFINITY)], ["2.34e-7", "-4e9", "inf"]);
+        assert_eq!(
+            [short(2.345e-7), short(-4e9), short(f64::INFINITY)],
+            ["2.34e-7", "-4e9", "not determined"]
+        );
         assert_eq!(ticks(0.0, 1.04, false), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
         assert_eq!(labels(0.0, 1.04, false), ["0", "0.2", "0.4", "0.6", "0.8", "1"]);
         assert_eq!(labels(-1.1, 1.2, true), ["0.1", "0.2", "0.5", "1", "2", "5", "10"]);
@@ -248,6 +261,32 @@ mod tests {
             let read: Vec<f64> = all.iter().map(|l| l.parse().unwrap()).collect();
             prop_assert!(read.windows(2).all(|w| w[0] < w[1]), "{all:?}");
             prop_assert!(all.iter().all(|l| l != "-0" && l.len() < 12), "{all:?}");
+        }
+
+        #[test]
+        fn labels_of_any_finite_range_differ_and_rise(ends in any::<(f64, f64)>()) {
+            let (low, high) = (ends.0.min(ends.1), ends.0.max(ends.1));
+            prop_assume!(low.is_finite() && high.is_finite());
+            let all = labels(low, high, false);
+            let read: Vec<f64> = all.iter().map(|l| l.parse().unwrap()).collect();
+            prop_assert!(read.iter().all(|v| v.is_finite()) && read.windows(2).all(|w| w[0] < w[1]), "{all:?}");
+            prop_assert!(all.iter().all(|l| l != "-0"), "{all:?}");
+            // Of a range that is a part of its values, and not of the ends of what a number holds.
+            let size = low.abs().max(high.abs());
+            if high - low > 1e-3 * size && (1e-290..1e300).contains(&size) {
+                prop_assert!(all.len() > 1 && all.len() < 12, "{low} to {high}: {all:?}");
+                prop_assert!(all.iter().all(|l| l.len() < 14), "{all:?}");
+            }
+        }
+
+        #[test]
+        fn short_numbers_can_be_read(value in any::<f64>()) {
+            let text = short(value);
+            let read = text.parse::<f64>().ok();
+            prop_assert_eq!(read.is_some(), value.is_finite(), "{}", text);
+            if let Some(read) = read.filter(|_| value.abs() > 1e-290) {
+                prop_assert!((read / value - 1.0).abs() < 6e-3, "{value}: {text}");
+            }
         }
 
         #[test]

@@ -5,7 +5,7 @@ use plotters::style::FontTransform;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use crate::axis::{Labels, Scaled};
-use crate::{Area, Axes, COLOURS, Failure, Result, label, svg};
+use crate::{Area, Axes, COLOURS, Failure, Result, label, nothing, svg};
 
 /// \[pixels\] that a letter takes at most, on average over a label.
 const LETTER: f64 = 8.0;
@@ -125,6 +125,9 @@ pub fn histogram(axes: &Axes, bins: &[(f64, f64)]) -> Result<String> {
     let begins: Vec<f64> = bins.iter().map(|bin| bin.0).collect();
     let begins = Labels::of(&begins, false);
     svg(axes.size(), |root| {
+        if !bins.iter().any(|bin| bin.0.is_finite() && bin.1.is_finite()) {
+            return nothing(root, axes, &axes.y);
+        }
         let heights = Scaled::new(0.0, (most * 1.05).max(1.0), false);
         let labels = heights.labels(false);
         let mut chart = ChartBuilder::on(root)
@@ -147,7 +150,8 @@ pub fn histogram(axes: &Axes, bins: &[(f64, f64)]) -> Result<String> {
             .light_line_style(WHITE)
             .bold_line_style(RGBColor(230, 230, 230))
             .draw()?;
-        chart.draw_series(bins.iter().enumerate().map(|(i, (_, height))| {
+        let known = bins.iter().enumerate().filter(|(_, bin)| bin.1.is_finite());
+        chart.draw_series(known.map(|(i, (_, height))| {
             let corners = [(i as f64 + 0.04, 0.0), (i as f64 + 0.96, *height)];
             Rectangle::new(corners, COLOURS[0].filled())
         }))?;

@@ -21,7 +21,7 @@ use axis::{Scaled, place, range};
 pub use bars::{Bar, bars, histogram, matrix};
 pub use points::{Dots, Segment, dots, segments};
 use scale::{BAR, Scale};
-pub use surface::{surface, surface_within};
+pub use surface::{Kind, kinds, surface, surface_within};
 
 /// Colours that differ also for eyes that see red and green alike.
 pub const COLOURS: [RGBColor; 7] = [
@@ -151,8 +151,8 @@ pub fn curves(axes: &Axes, curves: &[Curve]) -> Result<String> {
     let legend = beside(curves);
     svg((width + legend, height), |root| {
         let (left, right) = root.split_horizontally(width);
-        draw_curves(&left, axes, curves)?;
-        if legend > 0 { draw_legend(&right, curves) } else { Ok(()) }
+        let drawn = draw_curves(&left, axes, curves)?;
+        if drawn && legend > 0 { draw_legend(&right, curves) } else { Ok(()) }
     })
 }
 
@@ -225,22 +225,37 @@ fn frame<'a, 'b>(
     Ok(chart)
 }
 
-fn draw_curves(root: &Area<'_>, axes: &Axes, curves: &[Curve]) -> Result<(), Failure> {
+/// Whether there was anything to draw.
+fn draw_curves(root: &Area<'_>, axes: &Axes, curves: &[Curve]) -> Result<bool, Failure> {
     let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0.is_finite() && p.1.is_finite());
     let x = range(all().map(|p| p.0), axes.x_range, axes.log_x);
     let y = range(all().map(|p| p.1), axes.y_range, axes.log_y);
-    let (Some(x), Some(y)) = (x, y) else { return nothing(root, axes) };
+    let (Some(x), Some(y)) = (x, y) else {
+        nothing(root, axes, &axes.y)?;
+        return Ok(false);
+    };
+    // Given ranges are no values.
+    if all().next().is_none() {
+        nothing(root, axes, &axes.y)?;
+        return Ok(false);
+    }
     let mut chart = frame(root, axes, x, y, true)?;
-    draw_series(&mut chart, axes, curves)
+    draw_series(&mut chart, axes, curves)?;
+    Ok(true)
 }
 
-/// In place of axes that no value would stand in.
-fn nothing(root: &Area<'_>, axes: &Axes) -> Result<(), Failure> {
+/// A sentence in place of axes that no value of this quantity would stand in.
+fn nothing(root: &Area<'_>, axes: &Axes, quantity: &str) -> Result<(), Failure> {
     let (width, height) = root.dim_in_pixel();
     let middle = (width as i32 / 2, height as i32 / 2);
     let style = || label(Pos::new(HPos::Center, VPos::Center));
     root.draw(&Text::new(axes.title.clone(), (middle.0, 18), style()))?;
-    root.draw(&Text::new(format!("{}: no value is finite", axes.y), middle, style()))?;
+    root.draw(&Text::new(quantity.to_owned(), (middle.0, middle.1 - 9), style()))?;
+    root.draw(&Text::new(
+        "is not determined anywhere: no value is finite.",
+        (middle.0, middle.1 + 9),
+        style(),
+    ))?;
     Ok(())
 }
 
@@ -296,6 +311,9 @@ pub fn heat(
     let (xs, ys) = (edges(x, axes.log_x), edges(y, axes.log_y));
     svg((width + BAR, height), |root| {
         let (left, right) = root.split_horizontally(width);
+        if !values.iter().flatten().flatten().any(|v| v.is_finite()) {
+            return nothing(&left, axes, name);
+        }
         let ends = |e: &[f64]| (e.first().copied().unwrap_or(0.0), e.last().copied().unwrap_or(1.0));
         let ((x0, x1), (y0, y1)) = (ends(&xs), ends(&ys));
         let mut chart = frame(&left, axes, (x0, x1), (y0, y1), false)?;
@@ -382,7 +400,41 @@ pub(crate) mod tests {
             &[],
         );
         assert!(!text.unwrap().contains("NaN"));
-        assert!(surface(&axes, "z", &[], &[], &[]).is_ok());
+    }
+
+    /// Texts of a figure.
+    pub(crate) fn texts(svg: &str) -> Vec<String> {
+        let of = |text: &str| Some(text.split_once('>')?.1.split_once("</text>")?.0.trim().to_owned());
+        svg.split("<text ").skip(1).filter_map(of).collect()
+    }
+
+    #[test]
+    fn a_sentence_stands_where_no_value_is_finite() {
+        let axes = Axes {
+            y_range: Some((0.0, 1.0)),
+            x_range: Some((0.0, 1.0)),
+            ..Axes::new("t", "x", "error [mm]")
+        };
+        let line = Curve::new("a", 0, vec![(0.0, f64::INFINITY), (1.0, f64::NAN)]);
+        let at = [(0.0, 0.0), (1.0, 1.0)];
+        let all = [
+            curves(&axes, std::slice::from_ref(&line)),
+            curves(&Axes::new("t", "x", "error [mm]"), std::slice::from_ref(&line)),
+            heat(&axes, "error [mm]", (&[1.0, 2.0], &[1.0]), &[vec![None, Some(f64::NAN)]], &[]),
+            surface(&axes, "error [mm]", &at, &[f64::NAN, f64::INFINITY], &[]),
+            surface_within(&axes, "error [mm]", &[], &[], [0.0, 1.0], 1.0),
+            segments(&Axes::new("t", "x", "error [mm]"), "e", &[[at[0], at[1]]], &[f64::NAN]),
+            dots(&Axes::new("t", "x", "error [mm]"), &[Dots::new("a", 0, line.points)], &[]),
+            histogram(&axes, &[]),
+        ];
+        for figure in all {
+            let figure = figure.unwrap();
+            assert_eq!(
+                texts(&figure),
+                ["t", "error [mm]", "is not determined anywhere: no value is finite."]
+            );
+            assert!(!figure.contains("NaN"));
+        }
     }
 
     /// Attribute of every element of a name, as a number.

@@ -50,7 +50,8 @@ pub fn dots(axes: &Axes, groups: &[Dots], under: &[Curve]) -> Result<String> {
         let all = || under.iter().flat_map(|c| &c.points).chain(of_groups.clone());
         let x = range(all().map(|p| p.0), axes.x_range, false);
         let y = range(all().map(|p| p.1), axes.y_range, false);
-        let (Some(x), Some(y)) = (x, y) else { return nothing(&left, axes) };
+        let any = all().any(|p| p.0.is_finite() && p.1.is_finite());
+        let (Some(x), Some(y), true) = (x, y, any) else { return nothing(&left, axes, &axes.y) };
         let mut chart = frame(&left, axes, x, y, true)?;
         draw_series(&mut chart, axes, under)?;
         for group in groups {
@@ -79,9 +80,17 @@ pub fn segments(axes: &Axes, name: &str, pairs: &[Segment], values: &[f64]) -> R
     let scale = Scale::of(values.iter().copied());
     svg((width + BAR, height), |root| {
         let (left, right) = root.split_horizontally(width);
+        if !pairs.iter().zip(values).any(known) {
+            return nothing(&left, axes, &axes.y);
+        }
         draw_segments(&left, axes, pairs, values, &scale)?;
         scale.bar(&right, name)
     })
+}
+
+/// Whether a line and its value are of finite numbers.
+fn known((ends, value): (&Segment, &f64)) -> bool {
+    ends.iter().all(|p| p.0.is_finite() && p.1.is_finite()) && value.is_finite()
 }
 
 fn draw_segments(
@@ -93,14 +102,13 @@ fn draw_segments(
 ) -> Result<(), Failure> {
     let x = range(pairs.iter().flat_map(|[a, b]| [a.0, b.0]), axes.x_range, false);
     let y = range(pairs.iter().flat_map(|[a, b]| [a.1, b.1]), axes.y_range, false);
-    let (Some(x), Some(y)) = (x, y) else { return nothing(root, axes) };
+    let (Some(x), Some(y)) = (x, y) else { return nothing(root, axes, &axes.y) };
     let mut chart = frame(root, axes, x, y, true)?;
-    let finite = |p: &(f64, f64)| p.0.is_finite() && p.1.is_finite();
-    let known = || pairs.iter().zip(values).filter(|(pair, v)| pair.iter().all(finite) && v.is_finite());
-    chart.draw_series(known().map(|([from, to], v)| {
+    let shown = || pairs.iter().zip(values).filter(|pair| known(*pair));
+    chart.draw_series(shown().map(|([from, to], v)| {
         PathElement::new([*from, cut([*from, *to], x, y)], scale.colour(*v).stroke_width(1))
     }))?;
-    chart.draw_series(known().map(|([from, _], v)| Circle::new(*from, 2, scale.colour(*v).filled())))?;
+    chart.draw_series(shown().map(|([from, _], v)| Circle::new(*from, 2, scale.colour(*v).filled())))?;
     Ok(())
 }
 

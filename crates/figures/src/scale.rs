@@ -40,8 +40,11 @@ fn between(anchors: &[u32; 9], share: f64) -> RGBColor {
 /// Which value has which colour: on a logarithmic scale where all are positive and far apart, from blue to red where they have
 /// both signs.
 pub(crate) struct Scale {
+    /// Ends of the bar: logarithms where `log`.
     low: f64,
     high: f64,
+    /// What the first and the last colour stand for; the bar lies between them.
+    ends: [f64; 2],
     log: bool,
     signed: bool,
 }
@@ -51,25 +54,30 @@ impl Scale {
         let known = values.filter(|v| v.is_finite());
         let low = known.clone().fold(f64::INFINITY, f64::min);
         let high = known.fold(f64::NEG_INFINITY, f64::max);
-        if !(low.is_finite() && high.is_finite()) {
-            return Self { low: 0.0, high: 1.0, log: false, signed: false };
-        }
         if low < 0.0 && high > 0.0 {
-            return Self::within([low, high]);
+            return Self::within([low, high], high);
         }
         let log = low > 0.0 && high > 3.0 * low;
-        let (low, high) = (place(low, log), place(high, log));
-        let high = if high > low { high } else { low + low.abs().max(1e-9) * 1e-3 };
-        Self { low, high, log, signed: false }
+        Self::magnitude(place(low, log), place(high, log), log)
     }
 
-    /// A linear scale from the first to the second value.
-    pub(crate) fn within([low, high]: [f64; 2]) -> Self {
+    /// A linear scale from the first to the second value; the last colour stands for `full` where that is farther from 0.
+    pub(crate) fn within([low, high]: [f64; 2], full: f64) -> Self {
         if low < 0.0 && high > 0.0 {
             let most = high.max(-low);
-            return Self { low: -most, high: most, log: false, signed: true };
+            let full = most.max(full);
+            return Self { low: -most, high: most, ends: [-full, full], log: false, signed: true };
         }
-        Self { low, high: if high > low { high } else { low + 1e-12 }, log: false, signed: false }
+        let scale = Self::magnitude(low, high, false);
+        Self { ends: [scale.low, scale.high.max(full)], ..scale }
+    }
+
+    /// From the least to the largest magnitude, which may be the same one.
+    fn magnitude(low: f64, high: f64, log: bool) -> Self {
+        // Where nothing is known, nothing is drawn: see `nothing`.
+        let (low, high) = if low.is_finite() && high.is_finite() { (low, high) } else { (0.0, 1.0) };
+        let high = if high > low { high } else { low + (low.abs() * 1e-3).max(1e-12) };
+        Self { low, high, ends: [low, high], log, signed: false }
     }
 
     fn map(&self) -> &'static [u32; 9] {
@@ -77,7 +85,13 @@ impl Scale {
     }
 
     pub(crate) fn colour(&self, value: f64) -> RGBColor {
-        between(self.map(), (place(value, self.log) - self.low) / (self.high - self.low))
+        self.at(place(value, self.log))
+    }
+
+    /// The colour at a place of the scale.
+    fn at(&self, place: f64) -> RGBColor {
+        let [first, last] = self.ends;
+        between(self.map(), (place - first) / (last - first))
     }
 
     /// The bar, its ticks to the right of it, and the name beyond them.
@@ -96,7 +110,7 @@ impl Scale {
         let at = |share: f64| bottom + (f64::from(top - bottom) * share).round() as i32;
         for i in 0..steps {
             let share = |k: i32| f64::from(k) / f64::from(steps);
-            let colour = between(self.map(), share(i) + 0.5 / f64::from(steps));
+            let colour = self.at(self.low + (self.high - self.low) * (share(i) + 0.5 / f64::from(steps)));
             area.draw(&Rectangle::new([(left, at(share(i + 1))), (right, at(share(i)))], colour.filled()))?;
         }
         area.draw(&Rectangle::new([(left, top), (right, bottom)], RGBColor(120, 120, 120).stroke_width(1)))?;
@@ -132,5 +146,36 @@ mod tests {
         assert_eq!(scale.colour(0.0), RGBColor(0xf7, 0xf7, 0xf7));
         // As far to either side: a quarter of the way to red is pale.
         assert!(scale.colour(0.25).1 > 180 && scale.colour(-1.0) == RGBColor(0x21, 0x66, 0xac));
+    }
+    #[test]
+    fn what_is_far_below_the_full_colour_is_pale_on_map_and_bar() {
+        let deep = |c: RGBColor| i32::from(c.0) - i32::from(c.1.max(c.2)) > 100;
+        let [strong, pale] = [2.0, 10.0].map(|full| Scale::within([-2.0, 2.0], full));
+        assert!(deep(strong.colour(2.0)) && !deep(pale.colour(2.0)));
+        for (scale, has) in [(strong, true), (pale, false)] {
+            let mut bar = String::new();
+            let root = SVGBackend::with_string(&mut bar, (BAR, 300)).into_drawing_area();
+            scale.bar(&root, "Pa").unwrap();
+            drop(root);
+            let colours =
+                bar.split('#').skip(1).filter_map(|rest| u32::from_str_radix(rest.get(..6)?, 16).ok());
+            let channel = |of: u32, shift: u32| ((of >> shift) & 0xff) as u8;
+            let mut colours = colours.map(|c| RGBColor(channel(c, 16), channel(c, 8), channel(c, 0)));
+            assert_eq!(colours.any(deep), has, "{bar}");
+            // The ends of the bar are those of the range all the same.
+            assert!(bar.contains(">\n2\n</text>") && !bar.contains(">\n10\n</text>"), "{bar}");
+        }
+        // A full colour within the range changes nothing.
+        assert_eq!(Scale::within([0.0, 3.0], 1.0).colour(3.0), RGBColor(0xfd, 0xe7, 0x25));
+    }
+
+    #[test]
+    fn one_value_has_a_scale_of_its_size() {
+        for value in [5e-9, 1.0, -7e12] {
+            let scale = Scale::of(std::iter::once(value));
+            assert!(scale.low < scale.high && scale.low <= value && value <= scale.high, "{value}");
+            let labels = Scaled::new(scale.low, scale.high, scale.log).labels(scale.log);
+            assert!(!labels.label(value).is_empty());
+        }
     }
 }

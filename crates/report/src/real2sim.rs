@@ -72,6 +72,8 @@ pub fn table_page(findings: &table::Findings, text: &str) -> Result<String> {
     for trained in 1..=4 {
         let axes = Axes {
             log_y: true,
+            // Two with their legends stand beside each other.
+            size: (420, 320),
             ..Axes::new(
                 format!("learned from {}", NUMERALS[..trained].join(", ")),
                 "contacts at once",
@@ -264,8 +266,8 @@ pub fn comparison_page(findings: &compare::Findings, text: &str) -> Result<Strin
         pictures.push(surface(&axes, "µm", &points, &micrometres, &crosses)?);
     }
     if !pictures.is_empty() {
-        let caption =
-            "Left: errors by force. Right: a map of the first bundle; crosses are the true contacts.";
+        let caption = "<i>One contact</i>: errors by force. <i>Two contacts, as the map shows them</i>: a map of the first bundle; \
+                       crosses are the true contacts.";
         body.push_str(&figure(&pictures, caption));
     }
     Ok(page(&format!("{}: ways to contacts", skin.name), &body))

@@ -6,6 +6,7 @@ use anyhow::Result;
 use dermis_figures::{Axes, Curve, Pen, curves, escape, figure, page, short};
 use dermis_studies::sweep::{Figures, Findings, Sweep, Variant};
 use dermis_studies::variation::Parameter;
+use dermis_theory::Summary;
 
 /// For people.
 #[must_use]
@@ -13,17 +14,17 @@ pub fn text(findings: &Findings) -> String {
     let Findings { request: options, skin, nominal, sweeps } = findings;
     let nominal = *nominal;
     let mut out = format!(
-        "{}: one contact of {} N, tip of {} mm: position {}, force {:.4} N RMS, F_S {:.4} N median, Ω {:.0}\n",
+        "{}: one contact of {} N, tip of {} mm: position {}, force {}, F_S {}, Ω {}\n",
         skin.name,
         options.force,
         options.diameter * 1e3,
-        position(nominal),
-        nominal.force.rms,
-        nominal.minimum_force.median,
-        nominal.factor
+        both(nominal.position, 1e3, 3, "mm"),
+        number(nominal.force.rms, 4, " N RMS"),
+        number(nominal.minimum_force.median, 4, " N median"),
+        number(nominal.factor, 0, "")
     );
-    if !nominal.position.rms.is_finite() {
-        out.push_str(UNDETERMINED);
+    for why in why_not(&nominal) {
+        let _ = writeln!(out, "{why}");
     }
     out.push('\n');
     let _ = writeln!(
@@ -42,7 +43,7 @@ pub fn text(findings: &Findings) -> String {
             other => unit(other.label()),
         };
         let least = best(sweep).map_or_else(
-            || "not determined".to_owned(),
+            || NOT_DETERMINED.to_owned(),
             |best| {
                 let at = short(sweep.parameter.shown(best.value));
                 format!("{:.3} mm at {at}", best.figures.position.rms * 1e3)
@@ -73,14 +74,46 @@ fn unit(label: &str) -> &str {
     label.split_once(" [").map_or("", |(_, unit)| unit.trim_end_matches(']'))
 }
 
-/// Why there is no error of the position.
-const UNDETERMINED: &str = "At some locations the channels do not determine the position: they read the same wherever along some direction \
-    the skin is touched. Of a row of taxels, --line asks for the position along the row alone.\n";
+const NOT_DETERMINED: &str = "not determined";
 
-fn position(figures: Figures) -> String {
-    let millimetres =
-        |v: f64| if v.is_finite() { format!("{:.3} mm", v * 1e3) } else { "not determined".to_owned() };
-    format!("{} RMS ({} median)", millimetres(figures.position.rms), millimetres(figures.position.median))
+/// Why there is no error of the position.
+const NO_POSITION: &str = "At some locations the channels do not determine the position: they read the same wherever along some direction the \
+    skin is touched.";
+/// What to do about it.
+const OF_A_ROW: &str = "Of a row of taxels, --line asks for the position along the row alone.";
+/// Why there is no error of the force.
+const NO_FORCE: &str = "At some locations the channels do not determine the force.";
+/// Why there is no F_S.
+const NO_MINIMUM_FORCE: &str =
+    "At some locations no force that was tried is read by as many taxels as locating a contact takes.";
+
+/// Why figures are not determined, a line for each reason.
+fn why_not(figures: &Figures) -> Vec<&'static str> {
+    let mut lines = Vec::new();
+    if !figures.position.rms.is_finite() {
+        lines.extend([NO_POSITION, OF_A_ROW]);
+    }
+    if !figures.force.rms.is_finite() {
+        lines.push(NO_FORCE);
+    }
+    if !figures.minimum_force.median.is_finite() {
+        lines.push(NO_MINIMUM_FORCE);
+    }
+    lines
+}
+
+/// A value with so many digits behind the point and its unit, where it is finite.
+fn number(value: f64, digits: usize, unit: &str) -> String {
+    if value.is_finite() { format!("{value:.digits$}{unit}") } else { NOT_DETERMINED.to_owned() }
+}
+
+/// Root mean square and median in another unit.
+fn both(of: Summary, factor: f64, digits: usize, unit: &str) -> String {
+    if !of.rms.is_finite() && !of.median.is_finite() {
+        return NOT_DETERMINED.to_owned();
+    }
+    let [rms, median] = [of.rms, of.median].map(|v| number(v * factor, digits, &format!(" {unit}")));
+    format!("{rms} RMS ({median} median)")
 }
 
 /// The variant with the least error of the position, where one has any.
@@ -103,7 +136,9 @@ fn advice(nominal: Figures, ranked: &[&Sweep]) -> String {
         let direction = if best.relative < 1.0 { "less" } else { "more" };
         let at = short(sweep.parameter.shown(best.value));
         let cost = best.figures.minimum_force.median / nominal.minimum_force.median - 1.0;
-        let price = if cost.abs() < 0.02 {
+        let price = if !cost.is_finite() {
+            "at a sensitivity that is not determined".to_owned()
+        } else if cost.abs() < 0.02 {
             "at the same sensitivity".to_owned()
         } else if cost > 0.0 {
             format!("but needs {:.0} % more force to be noticed by enough taxels", cost * 100.0)
@@ -149,7 +184,9 @@ pub fn html(findings: &Findings, text: &str) -> Result<String> {
         let chart = |title: &str, y: &str, lines: Vec<Curve>| {
             let axes = Axes { size: (400, 280), ..Axes::new(title, label, y) };
             let marked: Vec<Curve> = lines.iter().flat_map(|l| [l.clone(), now(l)]).collect();
-            curves(&axes, &marked)
+            // Axes without a value would be made up.
+            let known = lines.iter().flat_map(|l| &l.points).any(|p| p.1.is_finite());
+            known.then(|| curves(&axes, &marked)).transpose()
         };
         let pictures = [
             chart(
@@ -175,6 +212,16 @@ pub fn html(findings: &Findings, text: &str) -> Result<String> {
             )?,
             chart("super-resolution", "Ω", vec![line("by the bound", 0, &|f| f.factor)])?,
         ];
+        let missing = ["the position", "the force", "F<sub>S</sub>", "Ω"];
+        let reasons = [NO_POSITION, NO_FORCE, NO_MINIMUM_FORCE, NO_POSITION];
+        let missing =
+            pictures.iter().zip(missing.iter().zip(reasons)).filter(|(picture, _)| picture.is_none());
+        let missing: String = missing
+            .map(|(_, (what, why))| {
+                format!("<p>There is no figure of {what}: it is {NOT_DETERMINED}. {why}</p>\n")
+            })
+            .collect();
+        let pictures: Vec<String> = pictures.into_iter().flatten().collect();
         let _ = writeln!(body, "<h2>{}</h2>", escape(label));
         let refused = if sweep.refused.is_empty() {
             String::new()
@@ -190,12 +237,15 @@ pub fn html(findings: &Findings, text: &str) -> Result<String> {
         ];
         let changes = changes.iter().filter(|(_, by)| by.is_finite());
         let changes: Vec<String> = changes.map(|(name, by)| format!("{name} by {by:+.2} %")).collect();
+        let changes = if changes.is_empty() {
+            String::new()
+        } else {
+            format!(" One per cent more changes {}.", changes.join(", "))
+        };
+        body.push_str(&missing);
         body.push_str(&figure(
             &pictures,
-            &format!(
-                "Everything else as it is; dots mark the skin as it is. One per cent more changes {}.{refused}",
-                changes.join(", ")
-            ),
+            &format!("Everything else as it is; dots mark the skin as it is.{changes}{refused}"),
         ));
     }
     body.push_str(

@@ -64,7 +64,7 @@ pub struct Figures {
     pub force: Summary,
     /// F_S \[N\] over the surface.
     pub minimum_force: Summary,
-    /// Super-resolution factor, by the bound.
+    /// Super-resolution factor, by the bound; NaN where the position is not determined everywhere.
     pub factor: f64,
 }
 
@@ -237,7 +237,8 @@ fn figures(skin: &SkinDescription, model: &dyn ForwardModel, options: &Request) 
         position: map.position,
         force: map.normal_force,
         minimum_force: Summary::of(minimum_force, &surface.areas),
-        factor,
+        // Over an infinite error it would be a 0 that looks like a result.
+        factor: if map.position.rms.is_finite() { factor } else { f64::NAN },
     })
 }
 

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use dermis_integration_tests::{finish, program, root};
+use dermis_integration_tests::{finish, json, program, root};
 
 /// What a browser says of a page, as JSON: faults that a reader would see.
 const LOOK: &str = r#"
@@ -48,6 +48,21 @@ addEventListener("load", () => {
 </script>
 "#;
 
+/// Every colour that a browser shows on a page, as JSON.
+const COLOURS: &str = r#"
+<pre id="found">[]</pre>
+<script>
+addEventListener("load", () => {
+  const seen = new Set();
+  for (const element of document.querySelectorAll("body, body *:not(script)")) {
+    const style = getComputedStyle(element);
+    for (const colour of [style.fill, style.stroke, style.color, style.backgroundColor]) seen.add(colour);
+  }
+  document.getElementById("found").textContent = JSON.stringify([...seen]);
+});
+</script>
+"#;
+
 /// Width and height of the window, in which a whole page is seen.
 const WINDOW: &str = "--window-size=1400,12000";
 
@@ -82,15 +97,24 @@ fn open(browser: &Path, page: &Path, arguments: &[String]) -> String {
     finish(&mut command)
 }
 
-/// What is wrong with how a page or an SVG looks; `None` where there is no browser.
-fn faults(file: &Path) -> Option<Vec<String>> {
-    let browser = browser()?;
+/// What a script finds on a page or an SVG, which it writes into an element `found`.
+fn found(browser: &Path, file: &Path, script: &str) -> Vec<String> {
     let folder = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(file).unwrap();
     // A figure by itself stands in a page of its own; a page gets the script at its end.
     let seen = folder.path().join("page.html");
     let (head, tail) = text.rsplit_once("</body>").unwrap_or((&text, ""));
-    std::fs::write(&seen, format!("<!doctype html>\n{head}{LOOK}{tail}")).unwrap();
+    std::fs::write(&seen, format!("<!doctype html>\n{head}{script}{tail}")).unwrap();
+    let dom = open(browser, &seen, &["--dump-dom".to_owned()]);
+    let found = dom.rsplit_once("<pre id=\"found\">").and_then(|(_, rest)| rest.split_once("</pre>"));
+    let (found, _) = found.unwrap_or_else(|| panic!("the browser did not show {}", file.display()));
+    let found = found.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
+    serde_json::from_str(&found).unwrap()
+}
+
+/// What is wrong with how a page or an SVG looks; `None` where there is no browser. Keeps a screenshot.
+fn faults(file: &Path) -> Option<Vec<String>> {
+    let browser = browser()?;
     let shots = Path::new(env!("CARGO_TARGET_TMPDIR")).join("screenshots");
     std::fs::create_dir_all(&shots).unwrap();
     let name = file.file_stem().unwrap().to_string_lossy().into_owned();
@@ -98,11 +122,17 @@ fn faults(file: &Path) -> Option<Vec<String>> {
     open(&browser, file, &[format!("--screenshot={}", shot.display())]);
     assert!(std::fs::metadata(&shot).unwrap().len() > 1000, "{} is empty", shot.display());
     std::fs::rename(&shot, shots.join(format!("{name}.png"))).unwrap();
-    let dom = open(&browser, &seen, &["--dump-dom".to_owned()]);
-    let found = dom.rsplit_once("<pre id=\"found\">").and_then(|(_, rest)| rest.split_once("</pre>"));
-    let (found, _) = found.unwrap_or_else(|| panic!("the browser did not show {}", file.display()));
-    let found = found.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
-    Some(serde_json::from_str(&found).unwrap())
+    Some(found(&browser, file, LOOK))
+}
+
+/// Colours on a page or an SVG that are far more red than anything else; `None` where there is no browser.
+fn deep_reds(file: &Path) -> Option<Vec<String>> {
+    let mut colours = found(&browser()?, file, COLOURS);
+    colours.retain(|colour| {
+        let channels = colour.split(|c: char| !c.is_ascii_digit()).filter_map(|n| n.parse::<i32>().ok());
+        matches!(channels.collect::<Vec<_>>()[..], [red, green, blue, ..] if red - green.max(blue) > 100)
+    });
+    Some(colours)
 }
 
 /// Says what is wrong with how a page or an SVG looks.
@@ -138,6 +168,18 @@ fn a_bad_figure_is_seen() {
 }
 
 #[test]
+fn a_deep_red_is_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("red.svg");
+    let text = r##"<svg xmlns="http://www.w3.org/2000/svg" width="200" height="100">
+        <rect width="80" height="20" fill="#B2182B"/><rect width="80" height="20" fill="#F4A582"/></svg>"##;
+    std::fs::write(&file, text).unwrap();
+    if let Some(found) = deep_reds(&file) {
+        assert_eq!(found, ["rgb(178, 24, 43)"]);
+    }
+}
+
+#[test]
 fn committed_figures_look_right() {
     for folder in ["docs", "benches/results"] {
         let mut files: Vec<PathBuf> =
@@ -156,19 +198,172 @@ fn the_page_of_bounds_looks_right() {
     looks_right(&folder.path().join("theory.html"));
 }
 
+fn dermis(arguments: &[&str]) -> Command {
+    let mut command = Command::new(program("dermis"));
+    command.current_dir(root()).stdin(Stdio::null()).args(arguments);
+    command
+}
+
+/// Looks at a page in this folder, whose screenshot is kept under this name; the page's text.
+fn seen(folder: &Path, page: &str, name: &str) -> String {
+    let file = folder.join(name).with_extension("html");
+    std::fs::rename(folder.join(page), &file).unwrap();
+    let text = std::fs::read_to_string(&file).unwrap();
+    assert!(!text.contains("NaN") && !text.contains("inf "), "{}", file.display());
+    looks_right(&file);
+    text
+}
+
 /// A row of taxels tells where along it, and not where across: the page says so, and shows numbers where there are any.
 #[test]
 fn the_page_of_a_sweep_looks_right_with_and_without_a_position() {
-    for (flags, determined) in [(&["--line"][..], true), (&[], false)] {
+    for (flags, determined, name) in [(&["--line"][..], true, "sweep"), (&[], false, "sweep-undetermined")] {
         let folder = tempfile::tempdir().unwrap();
-        let mut sweep = Command::new(program("dermis"));
-        sweep.arg("sweep").arg(root().join("launch/skins/baro-line.toml")).args(["--vary", "depth"]);
+        let mut sweep = dermis(&["sweep", "launch/skins/baro-line.toml", "--vary", "depth"]);
         finish(sweep.args(flags).arg("--out").arg(folder.path()));
-        let file = folder.path().join("design.html");
-        let page = std::fs::read_to_string(&file).unwrap();
-        assert!(!page.contains("NaN") && !page.contains("inf "), "{}", file.display());
-        assert_eq!(page.contains("not determined"), !determined);
-        assert_eq!(page.contains("no value is finite"), !determined);
-        looks_right(&file);
+        let page = seen(folder.path(), "design.html", name);
+        for sentence in
+            ["position not determined", "There is no figure of the position", "There is no figure of Ω"]
+        {
+            assert_eq!(page.contains(sentence), !determined, "{name}: {sentence}");
+        }
+        assert_eq!(page.matches("<svg").count(), if determined { 4 } else { 2 });
+    }
+}
+
+#[test]
+fn the_page_of_a_placement_looks_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut place = dermis(&["optimize-placement", "launch/skins/baro-grid.toml", "--budget", "3"]);
+    place.args([
+        "--method",
+        "crlb",
+        "--method",
+        "pca-qr",
+        "--places",
+        "60",
+        "--searched",
+        "30",
+        "--repeats",
+        "2",
+    ]);
+    finish(place.arg("--out").arg(folder.path()));
+    let page = seen(folder.path(), "placement.html", "placement");
+    assert!(page.contains("can be built") && page.contains("pca-qr"), "{page}");
+}
+
+const SHIN: &str = "launch/skins/hapdef-shin.toml";
+
+/// A plan of short presses from these steps.
+fn plan(folder: &Path, name: &str, head: &str, steps: &[&str]) -> PathBuf {
+    let idle = "kind = \"idle\"\nduration = 1.0";
+    let steps: String = [idle].iter().chain(steps).map(|step| format!("[[steps]]\n{step}\n")).collect();
+    let file = folder.join(name).with_extension("toml");
+    let text = format!("schema = \"dermis-plan/1\"\nname = \"{name}\"\nseed = 3\n{head}\n{steps}");
+    std::fs::write(&file, text).unwrap();
+    file
+}
+
+/// A bag of this plan.
+fn recorded(skin: &Path, plan: &Path) -> PathBuf {
+    let bag = plan.with_extension("bag");
+    finish(dermis(&["collect", "--plan"]).arg(plan).arg("--out").arg(&bag).arg(skin));
+    bag
+}
+
+/// Few epochs and few contacts: what is learned is bad, and shown like any other.
+#[test]
+fn pages_of_several_contacts_by_simulation_look_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // A coarser mesh: seconds in place of minutes.
+    let skin = folder.join("shin.toml");
+    let text = std::fs::read_to_string(root().join(SHIN)).unwrap();
+    assert!(text.contains("spacing = 0.00245"));
+    std::fs::write(&skin, text.replace("spacing = 0.00245", "spacing = 0.008")).unwrap();
+    let settings = folder.join("settings.toml");
+    let few = |name: &str| format!("{name} = {{ hidden = [16] }}\n{name}_training = {{ epochs = 2 }}\n");
+    let networks: String = ["transfer", "reconstruction", "sensitivity"].map(few).concat();
+    let text = format!(
+        "most = 300\n[scenes]\nsites = 60\n[pipeline]\neach = 0\nsums = 100\nsamples = [100, 100, 100, 100]\n{networks}\
+         [table]\nsamples = [60, 60, 60, 60]\ntests = 30\nnetwork = {{ hidden = [16] }}\ntraining = {{ epochs = 2 }}\n"
+    );
+    std::fs::write(&settings, text).unwrap();
+
+    let table = folder.join("table");
+    let mut make = dermis(&["real2sim", "table", "--settings"]);
+    finish(make.arg(&settings).arg("--out").arg(&table).arg(&skin));
+    seen(&table, "table.html", "real2sim-table");
+
+    let head = "diameter = 0.010\nregion = [[-0.085, -1.0, -1.0], [0.085, 1.0, 1.0]]\n\
+                timing = { approach = [0.002, 0.004], load = [0.01, 0.02], hold = [0.01, 0.02], unload = [0.01, 0.02], \
+                gap = [0.005, 0.01] }";
+    let singles = "kind = \"presses\"\ncount = 24\nforce = [2.0, 34.3]";
+    let doubles =
+        "kind = \"multi\"\ncount = 24\ncontacts = [2, 2]\ndistance = [0.012, 0.075]\nforce = [2.0, 34.3]";
+    let learned = recorded(&skin, &plan(folder, "singles", head, &[singles]));
+    let asked = recorded(&skin, &plan(folder, "doubles", head, &[doubles, singles]));
+    let (bundle, out) = (folder.join("bundle"), folder.join("comparison"));
+    let mut train = dermis(&["real2sim", "train", "--skin"]);
+    train.arg(&skin).arg("--settings").arg(&settings).arg("--out").arg(&bundle);
+    finish(train.arg(&learned));
+    let mut compare = dermis(&[
+        "real2sim",
+        "compare",
+        "--most",
+        "4",
+        "--learn",
+        "100",
+        "--vectors",
+        "0",
+        "--contacts",
+        "1",
+    ]);
+    compare.arg("--skin").arg(&skin).arg("--model").arg(&bundle).arg("--train").arg(&learned);
+    finish(compare.arg("--out").arg(&out).arg(&asked));
+    let page = seen(&out, "comparison.html", "real2sim-comparison");
+    assert_eq!(page.matches("<svg").count(), 2, "errors by force, and a map");
+}
+
+#[test]
+fn the_page_of_a_comparison_looks_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let skin = root().join("launch/skins/baro-grid.toml");
+    let head = "diameter = 0.004";
+    let bag = recorded(
+        &skin,
+        &plan(folder, "presses", head, &["kind = \"presses\"\ncount = 60\nforce = [0.1, 1.5]"]),
+    );
+    let (bundle, out) = (folder.join("bundle"), folder.join("comparison"));
+    let mut train =
+        dermis(&["train", "--config", "launch/train/baro-grid.toml", "--members", "1", "--epochs", "2"]);
+    finish(train.arg("--skin").arg(&skin).arg("--out").arg(&bundle).arg(&bag));
+    let mut compare = dermis(&["compare", "--learn", "200", "--vectors", "50", "--skin"]);
+    finish(compare.arg(&skin).arg("--model").arg(&bundle).arg("--out").arg(&out).arg(&bag));
+    seen(&out, "comparison.html", "comparison");
+}
+
+/// Maps and their colour bars are pale where the sentence above them says that there is no gap.
+#[test]
+fn the_page_of_no_gap_has_no_deep_red() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let skin = root().join("launch/skins/baro-line.toml");
+    let head = "diameter = 0.004\n\
+                timing = { approach = [0.05, 0.1], load = [0.05, 0.1], hold = [0.3, 0.6], unload = [0.05, 0.1], gap = [0.1, 0.3] }";
+    let steps = [
+        "kind = \"presses\"\ncount = 100\nforce = [0.1, 1.0]",
+        "kind = \"grid\"\npitch = 0.004\nforces = [0.2, 0.6]\nrepeats = 2",
+    ];
+    let bag = recorded(&skin, &plan(folder, "designed", head, &steps));
+    let mut diagnose = dermis(&["gap", "diagnose", "--json", "--resamples", "4", "--skin"]);
+    diagnose.arg(&skin).arg("--real").arg(&bag).arg("--cache").arg(folder.join("kept"));
+    let report = json(&finish(diagnose.arg("--out").arg(folder.join("out"))));
+    assert_eq!(report["verdict"], "no-gap-beyond-noise", "{}", report["sentence"]);
+    let page = seen(&folder.join("out"), "report.html", "no-gap");
+    assert!(page.contains("before: mean") || page.contains("There is no map"), "{page}");
+    if let Some(found) = deep_reds(&folder.join("out/no-gap.html")) {
+        assert_eq!(found, Vec::<String>::new());
     }
 }

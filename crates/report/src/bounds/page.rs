@@ -114,7 +114,7 @@ fn isolines(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
     body.push_str(&figure(
         &[curves(&axes, &all)?, curves(&single, &fitted)?],
         "<b>Taxel value isolines</b> (5.3): how hard the row must be pressed at each place for a taxel to read one value. \
-         Where two of them cross, a contact is found. Right: dots are the isolines of one taxel, lines the fits \
+         Where two of them cross, a contact is found. <i>One taxel, and its fits</i>: dots are its isolines, lines the fits \
          I(d) = g(S) + λ|d|<sup>α</sup> (5.16). In the manner of the thesis' Figs. 5.9 B and 5.10 B.",
     ));
     Ok(())
@@ -282,9 +282,9 @@ fn over_surface(body: &mut String, findings: &Findings, study: &SurfaceStudy) ->
             surface(&Axes::new("minimum force", x, y), "F_S [N]", &points, &least, &taxels)?,
         ],
         &format!(
-            "<b>Isolines on a surface.</b> Left: the force that it takes for the taxel nearest to the middle to read one \
-             value, its iso-surface seen from above (Fig. 5.6 A). Right: the sensitivity F<sub>S</sub>, from which on three \
-             taxels read S<sub>min</sub> = {} {} as triangulation on a surface needs; lower between taxels than above them \
+            "<b>Isolines on a surface.</b> <i>Isoline</i>: the force that it takes for the taxel nearest to the middle to read one \
+             value, its iso-surface seen from above (Fig. 5.6 A). <i>Minimum force</i>: the sensitivity F<sub>S</sub>, from \
+             which on three taxels read S<sub>min</sub> = {} {} as triangulation on a surface needs; lower between taxels than above them \
              and higher at the rim (Figs. 5.6 C, 5.12 A). Crosses are taxels.",
             short(findings.least),
             findings.skin.unit
@@ -394,9 +394,9 @@ fn two_contacts(body: &mut String, findings: &Findings) -> Result<()> {
     body.push_str("<h2>Two contacts</h2>\n");
     body.push_str(&figure(
         &pictures,
-        "<b>How close two equal contacts may come.</b> Left: the bound of either when both are unknown; they are told apart \
-         where it is below half of their distance. Right: by isolines alone (Fig. 5.5) each contact needs two taxels of its \
-         own that the other leaves below S<sub>min</sub>, or crossings are spoilt; harder presses reach further, so that this \
+        "<b>How close two equal contacts may come.</b> <i>Two contacts across the middle</i>: the bound of either when both are \
+         unknown; they are told apart where it is below half of their distance. <i>By isolines, anywhere on the row</i> (Fig. 5.5): \
+         each contact needs two taxels of its own that the other leaves below S<sub>min</sub>, or crossings are spoilt; harder presses reach further, so that this \
          gets harder with force. The bound knows that readings add up and needs no taxel of its own.",
     ));
     Ok(())

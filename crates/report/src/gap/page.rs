@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use dermis_figures::{Axes, Bar, bars, escape, figure, page, surface_within};
-use dermis_gap::{Axis, Bin, Gap, Map, Report, Tier};
+use dermis_gap::{Axis, Bin, Gap, Map, Report, Tier, Verdict};
 
 use super::text::{percent, short, value};
 
@@ -38,7 +38,7 @@ pub fn html(report: &Report) -> Result<String> {
     confusions(&mut body, report);
     experiments(&mut body, report);
     tables(&mut body, report);
-    parity(&mut body, report);
+    consistency_checks(&mut body, report);
     provenance(&mut body, report);
     Ok(page(&format!("{}: the gap between model and recording", data.skin), &body))
 }
@@ -50,7 +50,7 @@ fn size(body: &mut String, report: &Report, gap: &Gap) -> Result<()> {
     let mut rows = vec![share("before", gap.fvu_before).interval(interval)];
     if let (Some(held), Some(reduction)) = (report.held_out, report.residual_reduction) {
         let open = held[0] - held[2];
-        let left = |closed: f64| held[0] - closed * open;
+        let left = |reduction: f64| held[0] - reduction * open;
         let interval = [left(reduction.interval[1]), left(reduction.interval[0])];
         rows.push(share("after, on contacts kept for the end", held[1]).interval(interval));
     }
@@ -96,28 +96,37 @@ fn flat(map: &Map) -> Vec<(f64, f64)> {
     map.points.iter().map(|p| (p[x] * 1e3, p[y] * 1e3)).collect()
 }
 
-/// Share of the readings' variance that, left unexplained everywhere, has the full colour of a map.
-const FULL: f64 = 0.05;
+/// Share of the readings' variance that, left unexplained everywhere, has the last colour of a map: yellow, or deep red or blue.
+///
+/// A gap of 0.5 % is the least that matters ([`Verdict::NoGapBeyondNoise`] lies below it). Ten times as much is one that no reader
+/// should overlook; its root mean square residual is 22 % of the readings' own standard deviation.
+const FULL_COLOUR_SHARE: f64 = 0.05;
 
-/// The residual, in the unit of the skin, that leaves [`FULL`] of the readings' variance unexplained: the colours of a map go at
-/// least so far. The readings' variance is that of the residual over the share that it leaves.
-fn full_colour(report: &Report) -> f64 {
+/// Times the largest value of a map that the last colour stands for where the verdict is that there is no gap: what is drawn then
+/// ends half way from white to deep red, whatever single places show.
+const PALE: f64 = 2.0;
+
+/// The residual, in the unit of the skin, that the last colour of a map stands for, at least: one that leaves
+/// [`FULL_COLOUR_SHARE`] of the readings' variance unexplained. The readings' variance is that of the residual over the share that
+/// it leaves. `top` is the largest value that is drawn.
+fn full_colour(report: &Report, top: f64) -> f64 {
+    let least = if report.verdict == Verdict::NoGapBeyondNoise { PALE * top } else { top };
     let known: Vec<f64> =
         report.maps.first().map(|m| m.rms.iter().flatten().copied().collect()).unwrap_or_default();
     let before = report.gap.as_ref().map_or(0.0, |gap| gap.fvu_before);
     if known.is_empty() || before.is_nan() || before <= 0.0 {
-        return 0.0;
+        return least;
     }
     let squares = known.iter().map(|v| v * v).sum::<f64>() / known.len() as f64;
-    (squares * FULL / before).sqrt()
+    (squares * FULL_COLOUR_SHARE / before).sqrt().max(least)
 }
 
 fn maps(body: &mut String, report: &Report) -> Result<()> {
     if report.maps.iter().all(|m| m.points.is_empty()) {
         return Ok(());
     }
+    let _ = writeln!(body, "<h2>Where on the surface</h2>");
     let mut pictures = Vec::new();
-    let full = full_colour(report);
     // Before and after on one scale each; what lies below the noise is not drawn.
     let most = |of: fn(&Map) -> &Vec<Option<f64>>| {
         report.maps.iter().flat_map(of).flatten().map(|v| v.abs()).fold(0.0, f64::max)
@@ -126,18 +135,23 @@ fn maps(body: &mut String, report: &Report) -> Result<()> {
     let mean: fn(&Map) -> &Vec<Option<f64>> = |m| &m.mean;
     for (of, what, low) in [(rms, "root mean square", 0.0), (mean, "mean", -1.0)] {
         let top = most(of);
-        // A page that says "no gap" must not look like one with a large gap.
-        let end = top.max(full);
         for (map, name) in report.maps.iter().zip(["before", "after"]) {
-            if map.points.is_empty() || top <= 0.0 {
+            let values: Vec<f64> = of(map).iter().map(|v| v.unwrap_or(f64::NAN)).collect();
+            if top <= 0.0 || values.iter().all(|v| v.is_nan()) {
                 continue;
             }
-            let values: Vec<f64> = of(map).iter().map(|v| v.unwrap_or(f64::NAN)).collect();
             let axes = Axes::new(format!("{name}: {what}"), "[mm]", "[mm]");
-            pictures.push(surface_within(&axes, &report.data.unit, &flat(map), &values, [low * end, end])?);
+            let (range, full) = ([low * top, top], full_colour(report, top));
+            pictures.push(surface_within(&axes, &report.data.unit, &flat(map), &values, range, full)?);
         }
     }
-    let _ = writeln!(body, "<h2>Where on the surface</h2>");
+    if pictures.is_empty() {
+        let _ = writeln!(
+            body,
+            "<p>There is no map: nowhere do readings differ from the model by more than the noise.</p>"
+        );
+        return Ok(());
+    }
     let peak = report.maps.first().and_then(|m| m.peak.map(|p| (p, m.prominence)));
     let peak = peak.map_or(String::new(), |(p, prominence)| {
         format!(
@@ -148,10 +162,20 @@ fn maps(body: &mut String, report: &Report) -> Result<()> {
             short(prominence)
         )
     });
+    let cleared = report
+        .maps
+        .iter()
+        .zip(["before", "after"])
+        .filter(|(m, _)| !m.points.is_empty() && m.rms.iter().all(Option::is_none));
+    let cleared: String = cleared
+        .map(|(_, name)| format!(" There is no map of <i>{name}</i>: it is below the noise everywhere."))
+        .collect();
     body.push_str(&figure(
         &pictures,
         &format!(
-            "Readings minus model over where was pressed; nothing is drawn where it is below the noise.{peak}"
+            "Readings minus model over where was pressed; nothing is drawn where it is below the noise. The strongest colour would \
+             stand for what leaves {} of the readings' variance unexplained, or for the largest value where that is more.{peak}{cleared}",
+            percent(FULL_COLOUR_SHARE)
         ),
     ));
     Ok(())
@@ -389,7 +413,7 @@ fn tables(body: &mut String, report: &Report) {
     }
 }
 
-fn parity(body: &mut String, report: &Report) {
+fn consistency_checks(body: &mut String, report: &Report) {
     if report.consistency_checks.is_empty() {
         return;
     }
@@ -442,4 +466,84 @@ fn provenance(body: &mut String, report: &Report) {
         p.seconds[0],
         p.seconds[1]
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    /// A report with a residual of 0.3 in most places and of 0.4 in one, which leaves this share of the variance.
+    fn report(verdict: &str, share: f64) -> Report {
+        let points: Vec<[f64; 3]> =
+            (0..16).map(|i| [1e-3 * f64::from(i % 4), 1e-3 * f64::from(i / 4), 0.0]).collect();
+        let values: Vec<Option<f64>> =
+            (0..16).map(|i| (i > 2).then_some(if i == 9 { 0.4 } else { 0.3 })).collect();
+        let map =
+            json!({ "points": points, "mean": values, "rms": values, "peak": points[9], "prominence": 1.3 });
+        serde_json::from_value(json!({
+            "schema": "gap-report/2",
+            "sentence": "a sentence",
+            "verdict": verdict,
+            "data": {
+                "name": "bag", "hash": "", "skin": "skin", "skin_hash": "", "unit": "Pa", "channels": 4, "frames": 9,
+                "presses": 3, "samples": 9, "places": [3, 1], "repeats": 0, "sessions": [], "missing": [], "problems": [],
+            },
+            "gap": {
+                "fvu_before": share, "floor": 0.9 * share, "systematic": 0.1 * share, "interval": [0.0, 0.2 * share],
+                "irreproducible": null, "repeats": 0,
+            },
+            "where": [], "channels": [], "maps": [map], "consistency_checks": [], "effects": [], "suspects": [],
+            "residual_reduction": null, "held_out": null,
+            "unknown": {
+                "share": 0.0, "library": 0.0, "model_discrepancy": 0.0, "explainable": 0.0, "fingerprint": [],
+            },
+            "next_experiments": [], "corrected": [],
+            "provenance": {
+                "tool": "dermis", "seed": 1, "library_hash": "", "tried": [], "silent": [], "model_discrepancy": [],
+                "seconds": [0.0, 0.0],
+            },
+            "warnings": [],
+        }))
+        .unwrap()
+    }
+
+    /// Whether a colour of the page is a deep red: far more red than anything else.
+    fn deep_red(page: &str) -> bool {
+        let colours = page.split('#').skip(1).filter_map(|rest| u32::from_str_radix(rest.get(..6)?, 16).ok());
+        let mut channels = colours.map(|c| [16, 8, 0].map(|shift| i64::from((c >> shift) & 0xff)));
+        channels.any(|[red, green, blue]| red - green.max(blue) > 100)
+    }
+
+    #[test]
+    fn a_page_of_no_gap_has_no_deep_red() {
+        // With much noise the residual that 5 % of the variance would leave is smaller than what single places show.
+        for share in [1e-4, 0.02, 0.3] {
+            let page = html(&report("no-gap-beyond-noise", share)).unwrap();
+            assert!(page.contains("before: mean") && !deep_red(&page), "{share}");
+        }
+        assert!(deep_red(&html(&report("unknown-systematic", 0.3)).unwrap()));
+        // A small gap is not painted like a large one, whatever the verdict.
+        assert!(!deep_red(&html(&report("named", 1e-3)).unwrap()));
+    }
+
+    #[test]
+    fn the_last_colour_stands_for_a_share_of_the_variance() {
+        let [small, large] = [0.05, 0.2].map(|share| full_colour(&report("named", share), 0.1));
+        // The residual's root mean square leaves 5 %: it has the last colour itself; where it leaves 20 %, half of it has.
+        let rms = ((12.0 * 0.09 + 0.16) / 13.0f64).sqrt();
+        assert!((small - rms).abs() < 1e-12 && (large - rms / 2.0).abs() < 1e-12, "{small} {large}");
+        assert_eq!(full_colour(&report("named", 0.05), 3.0), 3.0);
+        assert_eq!(full_colour(&report("no-gap-beyond-noise", 0.05), 3.0), 6.0);
+    }
+
+    #[test]
+    fn a_map_without_a_value_is_a_sentence() {
+        let mut report = report("no-gap-beyond-noise", 1e-4);
+        report.maps[0].rms.fill(None);
+        report.maps[0].mean.fill(None);
+        let page = html(&report).unwrap();
+        assert!(page.contains("There is no map") && !page.contains("before: mean"));
+    }
 }

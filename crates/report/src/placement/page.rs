@@ -3,13 +3,16 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use dermis_figures::{Axes, COLOURS, Curve, Pen, curves, escape, figure, page};
+use dermis_figures::{Axes, COLOURS, Curve, Kind, Pen, RGBColor, curves, escape, figure, kinds, page};
 use dermis_studies::flat::laid_flat;
 use dermis_studies::placement::{Choice, Findings, faster};
 use dermis_theory::placement::{Method, Verdict};
 use nalgebra::Point3;
 
 use super::text::{seconds, taxels};
+
+/// Colour of a skin below its elements.
+const GROUND: RGBColor = RGBColor(215, 222, 230);
 
 /// Colour of a method: the same in all figures.
 fn colour(method: Method) -> usize {
@@ -33,8 +36,11 @@ pub fn html(findings: &Findings, text: &str) -> Result<String> {
     Ok(page(&format!("{}: where to put sensing elements", findings.skin.name), &body))
 }
 
-/// Maps that keep the shape of the skin.
-fn map(findings: &Findings, title: String, over: Vec<Curve>) -> Result<String> {
+/// Size of figures, so that two with their legends stand beside each other on a page.
+const SIZE: (u32, u32) = (430, 320);
+
+/// A map that keeps the shape of the skin.
+fn map(findings: &Findings, title: String, cells: &[Kind], marks: &Kind) -> Result<String> {
     let (all, [x, y]) = flat(findings, &findings.surface.points);
     let span = |of: fn(&(f64, f64)) -> f64| {
         let ends =
@@ -43,49 +49,48 @@ fn map(findings: &Findings, title: String, over: Vec<Curve>) -> Result<String> {
         (ends.0 - room, ends.1 + room)
     };
     let (x_range, y_range) = (span(|p| p.0), span(|p| p.1));
-    let width = 420.0;
+    let width = f64::from(SIZE.0);
     let height =
-        ((width - 70.0) * (y_range.1 - y_range.0) / (x_range.1 - x_range.0) + 80.0).clamp(120.0, 700.0);
+        ((width - 94.0) * (y_range.1 - y_range.0) / (x_range.1 - x_range.0) + 80.0).clamp(140.0, 700.0);
     let axes = Axes {
         x_range: Some(x_range),
         y_range: Some(y_range),
-        size: (width as u32, height as u32),
+        size: (SIZE.0, height as u32),
         ..Axes::new(title, x, y)
     };
-    let ground = Curve { colour: dermis_figures::RGBColor(215, 222, 230), ..Curve::new("", 0, all) };
-    let mut drawn = vec![ground.pen(Pen::Dots)];
-    drawn.extend(over);
-    Ok(curves(&axes, &drawn)?)
+    Ok(kinds(&axes, cells, marks)?)
 }
 
 fn places(body: &mut String, findings: &Findings) -> Result<()> {
-    let feet = |keep: &dyn Fn(Verdict) -> bool| {
-        let kept: Vec<Point3<f64>> =
-            findings.feet.iter().filter(|(_, v)| keep(*v)).map(|(p, _)| *p).collect();
-        flat(findings, &kept).0
+    let cells = |name: &str, colour: RGBColor, points: &[Point3<f64>]| Kind {
+        name: name.into(),
+        points: flat(findings, points).0,
+        colour,
+    };
+    let feet = |wanted: Verdict| -> Vec<Point3<f64>> {
+        findings.feet.iter().filter(|(_, v)| *v == wanted).map(|(p, _)| *p).collect()
     };
     let few: Vec<Point3<f64>> =
         findings.reduction.chosen.iter().map(|c| findings.candidate_locations[*c]).collect();
-    let feasible = map(
-        findings,
-        "candidates".into(),
-        vec![
-            Curve::new("", 4, feet(&|v| v != Verdict::Feasible)).pen(Pen::Dots),
-            Curve::new("", 1, feet(&|v| v == Verdict::Feasible)).pen(Pen::Dots),
-            Curve { colour: COLOURS[6], ..Curve::new("", 6, flat(findings, &few).0) }.pen(Pen::Dots),
-        ],
-    )?;
+    let all = [
+        (cells("at an edge", COLOURS[4], &feet(Verdict::Edge)), findings.counts.edge),
+        (cells("close to a support", COLOURS[5], &feet(Verdict::Held)), findings.counts.held),
+        (cells("can be built", GROUND, &feet(Verdict::Feasible)), findings.counts.feasible),
+    ];
+    let all: Vec<Kind> = all.into_iter().filter(|(_, count)| *count > 0).map(|(kind, _)| kind).collect();
+    let feasible = map(findings, "candidates".into(), &all, &cells("tells the others", COLOURS[6], &few))?;
     let left = findings.reduction.unexplained.iter().map(|(n, share)| (*n as f64, 100.0 * share)).collect();
     let axes = Axes {
         log_y: true,
+        size: SIZE,
         ..Axes::new("candidates that tell the others", "number", "unexplained variance [%]")
     };
     let reduction = curves(&axes, &[Curve::new("", 0, left)])?;
     body.push_str("<h2>Candidates</h2>\n");
     body.push_str(&figure(
         &[feasible, reduction],
-        "<b>Where an element could be.</b> Left: blue at an edge or close to a support, orange fit to be built on, black those \
-         whose readings tell all others up to the unexplained variance, among which greedy-svr searches. Right: that variance \
+        "<b>Where an element could be.</b> Each cell of <i>candidates</i> is one; dots are those whose readings tell all others up \
+         to the unexplained variance, among which greedy-svr searches. <i>Candidates that tell the others</i> shows that variance \
          by their number. Thesis Fig. 2.3.",
     ));
     let maps = findings
@@ -94,9 +99,9 @@ fn places(body: &mut String, findings: &Findings) -> Result<()> {
         .map(|choice| {
             let sites: Vec<Point3<f64>> =
                 choice.sets.last().iter().map(|c| findings.candidate_locations[*c]).collect();
-            let shown = Curve::new("", colour(choice.method), flat(findings, &sites).0).pen(Pen::Mark);
             let title = format!("{}, {}", choice.method.name(), seconds(choice.seconds));
-            map(findings, title, vec![shown])
+            let ground = cells("", GROUND, &findings.surface.points);
+            map(findings, title, &[ground], &cells("", COLOURS[colour(choice.method)], &sites))
         })
         .collect::<Result<Vec<_>>>()?;
     body.push_str("<h2>Elements</h2>\n");
@@ -133,8 +138,11 @@ fn errors(body: &mut String, findings: &Findings) -> Result<()> {
         let by = judged.by_failures.iter().map(|f| (f.failed as f64, f.untaught * 1e3)).collect();
         untaught.push(Curve::new(choice.method.name(), n, by));
     }
-    let axes =
-        |title: &str, x: &str, log_y: bool| Axes { log_y, ..Axes::new(title, x, "position error [mm]") };
+    let axes = |title: &str, x: &str, log_y: bool| Axes {
+        log_y,
+        size: SIZE,
+        ..Axes::new(title, x, "position error [mm]")
+    };
     body.push_str("<h2>What they are worth</h2>\n");
     body.push_str(&figure(
         &[
@@ -150,9 +158,9 @@ fn errors(body: &mut String, findings: &Findings) -> Result<()> {
                 curves(&axes("taught anew", "failed elements", false), &failures)?,
                 curves(&axes("not taught anew", "failed elements", false), &untaught)?,
             ],
-            "<b>Error once elements fail</b>, drawn at random, the same positions of every method. Left: an estimator that learns \
-             anew from those that are left, as on the device of the thesis, whose tenth gauge was dead. Right: the estimator of \
-             all, which gets the mean of a failed one in place of its readings. Thesis Fig. 2.5 c.",
+            "<b>Error once elements fail</b>, drawn at random, the same positions of every method. <i>Taught anew</i>: an estimator that \
+             learns from those that are left, as on the device of the thesis, whose tenth gauge was dead. <i>Not taught anew</i>: the \
+             estimator of all, which gets the mean of a failed one in place of its readings. Thesis Fig. 2.5 c.",
         ));
     }
     Ok(())

@@ -245,5 +245,8 @@ taxels = [
         let findings = findings();
         let html = super::super::page::html(&findings, &text(&findings)).unwrap();
         assert!(html.contains("greedy-svr, 74 s") && html.contains("crlb, 0.3 s") && !html.contains("NaN"));
+        // Figures wrap into as many rows as the window needs: no caption says where one stands.
+        assert!(!html.contains("Left") && !html.contains("Right"));
+        assert!(html.contains("can be built") && html.contains("tells the others"));
     }
 }
