@@ -320,8 +320,8 @@ fn check(options: &Check) -> Result<()> {
     };
     let whole = serde_json::to_value(&scored)?;
     let mut markdown = report::markdown(&scored.head, &scored.scorecard, &scored.baselines);
-    for (number, card) in scored.followed.iter().enumerate() {
-        markdown.push_str(&format!("\n## After {} follow-ups\n{}", number + 1, card.cells.table()));
+    for (number, scorecard) in scored.followed.iter().enumerate() {
+        markdown.push_str(&format!("\n## After {} follow-ups\n{}", number + 1, scorecard.cells.table()));
     }
     let pretty = |value: &Value| Ok::<_, serde_json::Error>(serde_json::to_string_pretty(value)? + "\n");
     output::save(

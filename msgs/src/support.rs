@@ -1,3 +1,6 @@
+//! What a message or service type must offer to be sent, and how a program finds a type that it knows only by
+//! its name.
+
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;

@@ -1,3 +1,6 @@
+//! ROS 2 writes a time as seconds in 32 bits and nanoseconds; programs count nanoseconds in 64 bits. This
+//! converts one to the other and saturates.
+
 use crate::builtin_interfaces::msg::{Duration, Time};
 use crate::std_msgs::msg::Header;
 

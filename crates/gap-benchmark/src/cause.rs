@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::BenchmarkError;
 
@@ -94,10 +94,21 @@ impl CauseInfo {
     }
 }
 
+/// Old names of causes in ground truths that were sealed before, and the names of today.
+const RENAMED: [(&str, &str); 2] =
+    [("mains-hum", "mains-interference"), ("bent-characteristic", "nonlinear-characteristic")];
+
+fn current_id<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    let id = String::deserialize(from)?;
+    let renamed = RENAMED.iter().find(|(old, _)| *old == id);
+    Ok(renamed.map_or(id, |(_, now)| (*now).to_owned()))
+}
+
 /// A cause at work in one reference device.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cause {
     /// Which.
+    #[serde(deserialize_with = "current_id")]
     pub id: String,
     /// Share of the most that makes sense, 0 to 1.
     pub strength: f64,

@@ -40,8 +40,8 @@ pub(crate) const CROSSTALK: CauseInfo = CauseInfo::new(
     true,
 );
 
-pub(crate) const MAINS_HUM: CauseInfo = CauseInfo::new(
-    "mains-hum",
+pub(crate) const MAINS_INTERFERENCE: CauseInfo = CauseInfo::new(
+    "mains-interference",
     "interference of the mains, aliased by the sampling, other on each channel",
     "49.93 Hz at 100 frames a second",
     ("amplitude", "Pa", 4000.0),

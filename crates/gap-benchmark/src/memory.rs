@@ -96,7 +96,8 @@ pub(crate) fn gains(causes: &Causes, script: &Script, channels: usize, readings:
     for (cause, loss) in ["leads-off", "blocked-port"].into_iter().filter_map(|id| causes.get(id)) {
         on_channels(cause, channels).into_iter().flatten().for_each(|c| gain[c] *= 1.0 - loss);
     }
-    let bent = causes.get("bent-characteristic").map(|(cause, size)| (cause.normals(channels), size));
+    let nonlinear =
+        causes.get("nonlinear-characteristic").map(|(cause, size)| (cause.normals(channels), size));
     let warm = causes.get("warm-gain").map(|(cause, size)| {
         let own: Vec<f64> = cause.normals(channels).iter().map(|n| size * (1.0 + 0.3 * n)).collect();
         own
@@ -111,7 +112,7 @@ pub(crate) fn gains(causes: &Causes, script: &Script, channels: usize, readings:
         for (c, value) in row.iter_mut().enumerate() {
             let clean = *value;
             *value *= gain[c] * up;
-            if let Some((own, size)) = &bent {
+            if let Some((own, size)) = &nonlinear {
                 *value += own[c] * size * clean * clean.abs();
             }
             if let Some(own) = &warm {
@@ -155,7 +156,7 @@ pub(crate) fn electronics(causes: &Causes, script: &Script, channels: usize, rea
             row.iter_mut().for_each(|v| *v += now);
         }
     }
-    if let Some((cause, amplitude)) = causes.get("mains-hum") {
+    if let Some((cause, amplitude)) = causes.get("mains-interference") {
         let mut rng = cause.rng();
         let own: Vec<(f64, f64)> = (0..channels)
             .map(|_| (amplitude * rng.random_range(0.3..1.0), rng.random_range(0.0..std::f64::consts::TAU)))

@@ -1,3 +1,5 @@
+//! Why a recording gets no diagnosis: what is wrong with the simulator, the bag, its labels or a file.
+
 use std::path::PathBuf;
 
 use dermis_skin::ModelError;

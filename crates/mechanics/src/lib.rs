@@ -45,7 +45,7 @@ pub use displacement::{Displacement, SphereDisplacement};
 pub use error::{MechanicsError, VerifyError};
 pub use friction::Friction;
 pub use medium::{Base, Load, Medium};
-pub use memory::{Prony, RandomWalk, Wander, Warmth, random_field, stream};
+pub use memory::{Prony, RandomDrift, RandomWalk, Warmth, random_field, stream};
 pub use quadrature::gauss_legendre;
 pub use rigid::RigidContact;
 pub use table::{PressureTable, Profile, SphereContacts};

@@ -91,9 +91,9 @@ impl Prony {
     }
 }
 
-/// A slow random walk that comes back: Ornstein and Uhlenbeck's process, exact for any time between frames.
+/// A slow random drift about zero: an Ornstein-Uhlenbeck process, exact for any time between frames.
 #[derive(Debug, Clone)]
-pub struct Wander {
+pub struct RandomDrift {
     deviation: f64,
     time: f64,
     /// In deviations.
@@ -101,14 +101,14 @@ pub struct Wander {
     rng: ChaCha8Rng,
 }
 
-impl Wander {
+impl RandomDrift {
     /// With this standard deviation, forgetting itself in `time` \[s\].
     #[must_use]
     pub fn new(deviation: f64, time: f64, rng: ChaCha8Rng) -> Self {
         Self { deviation, time, value: None, rng }
     }
 
-    /// The same, as it wanders after another start.
+    /// The same, as it drifts after another start.
     #[must_use]
     pub fn restarted(&self, start: u64) -> Self {
         Self { rng: restarted(&self.rng, start), ..self.clone() }
@@ -163,17 +163,17 @@ impl RandomWalk {
 pub struct Warmth {
     self_heating: f64,
     heating_time: f64,
-    room: Wander,
+    room: RandomDrift,
 }
 
 impl Warmth {
     /// Of a device that warms up by `self_heating` \[K\] with the time `heating_time` \[s\] after it was switched on.
     #[must_use]
-    pub fn new(self_heating: f64, heating_time: f64, room: Wander) -> Self {
+    pub fn new(self_heating: f64, heating_time: f64, room: RandomDrift) -> Self {
         Self { self_heating, heating_time, room }
     }
 
-    /// The same, in a room that wanders as after another start.
+    /// The same, in a room whose temperature drifts as after another start.
     #[must_use]
     pub fn restarted(&self, start: u64) -> Self {
         Self { room: self.room.restarted(start), ..self.clone() }

@@ -1,3 +1,6 @@
+//! Why there is no bound for a skin, a path or a table of forces: what is wrong with the model, its noise or
+//! the numbers.
+
 use dermis_skin::ModelError;
 
 /// Why there is no bound.

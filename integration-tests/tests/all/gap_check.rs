@@ -1,4 +1,4 @@
-//! Packs with withheld causes and the check on them, through the program as anybody would call it.
+//! Benchmark sets with withheld causes and the check on them, through the program as anybody would call it.
 
 use std::path::Path;
 use std::process::Command;

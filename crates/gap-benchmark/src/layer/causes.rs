@@ -111,7 +111,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
     .cell(Cell::OtherLaw),
     CauseInfo::new(
         "weather",
-        "the pressure of the air wanders, and with it every reading",
+        "the pressure of the air drifts randomly, and with it every reading",
         "barometric tendency, doors and fans",
         ("deviation", "Pa", 3000.0),
         false,
@@ -162,7 +162,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
     ),
     common::CROSSTALK,
-    common::MAINS_HUM,
+    common::MAINS_INTERFERENCE,
     common::WARMING_UP,
     common::CABLE_TUG,
     common::WEARING,
@@ -184,7 +184,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         false,
     ),
     CauseInfo::new(
-        "bent-characteristic",
+        "nonlinear-characteristic",
         "every element has a quadratic share of its own",
         "non-linearity of the bridge",
         ("deviation", "1/Pa", 2.0e-4),

@@ -108,9 +108,10 @@ pub struct Answer {
     /// Share of the residual that it says it removes, before and after it is tried.
     #[serde(alias = "closure")]
     pub residual_reduction: Option<[f64; 2]>,
-    /// 90 % interval of the share that it says it closes.
+    /// 90 % interval of the share of the residual that it says it removes.
     pub interval: Option<[f64; 2]>,
-    /// Share of the gap that what it names closes in another recording of the same reference device, where that was tried.
+    /// Share of the residual that what it names removes in another recording of the same reference device,
+    /// where that was tried.
     pub elsewhere: Option<f64>,
     /// Share of the gap that it leaves unexplained; 0 where it sees none.
     pub unexplained: Option<f64>,

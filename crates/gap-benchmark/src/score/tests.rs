@@ -20,9 +20,10 @@ fn truth(kind: &str, cause: &str, region: &serde_json::Value) -> GroundTruth {
         }
     };
     serde_json::from_value(serde_json::json!({
-        "schema": "gap-secret/1", "generator": "", "case": "case-0001", "kind": kind, "salt": "", "seed": 1,
-        "causes": causes, "gap": if cause.is_empty() { 0.0 } else { 3.0 }, "noise": 1.0, "floor": 0.01,
-        "unexplained": 0.03, "alone": [0.03], "form": crate::Numerics::default(), "only_warmer": false, "size": 1.0,
+        "schema": "gap-ground-truth/1", "generator": "", "case": "case-0001", "kind": kind, "salt": "",
+        "seed": 1, "causes": causes, "gap": if cause.is_empty() { 0.0 } else { 3.0 }, "noise": 1.0, "floor": 0.01,
+        "unexplained": 0.03, "alone": [0.03], "numerics": crate::Numerics::default(), "only_warmer": false,
+        "size": 1.0,
     }))
     .unwrap()
 }

@@ -327,7 +327,7 @@ impl Manifest {
     }
 }
 
-/// Opens the ground truth of `case` in the folder `ground truths`.
+/// Opens the ground truth of `case` in the folder `ground_truths`.
 ///
 /// # Errors
 ///

@@ -14,7 +14,7 @@ fn order(kind: Kind, count: usize) -> SetSpec {
 #[test]
 fn a_set_is_sealed_and_the_same_every_time() {
     let dir = tempfile::tempdir().unwrap();
-    let (set, ground_truths) = (dir.path().join("pack"), dir.path().join("secrets"));
+    let (set, ground_truths) = (dir.path().join("set"), dir.path().join("truths"));
     let made = generate(LINE, &order(Kind::Singles, 3), &set, &ground_truths, |_| true).unwrap();
     assert_eq!(Manifest::load(&set).unwrap(), made);
     for case in &made.cases {
@@ -31,7 +31,7 @@ fn a_set_is_sealed_and_the_same_every_time() {
             assert!(!public.contains(&withheld.cause.id));
         }
     }
-    let (set2, ground_truths2) = (dir.path().join("pack2"), dir.path().join("secrets2"));
+    let (set2, ground_truths2) = (dir.path().join("set2"), dir.path().join("truths2"));
     let again = generate(LINE, &order(Kind::Singles, 3), &set2, &ground_truths2, |_| true).unwrap();
     let seals = |m: &Manifest| m.cases.iter().map(|c| c.ground_truth_sha256.clone()).collect::<Vec<_>>();
     assert_eq!(seals(&again), seals(&made));
@@ -63,4 +63,30 @@ fn every_cause_is_dealt_as_often_as_any_other() {
         assert_eq!(case.causes.len(), 3);
     }
     assert!(wanted(&order(Kind::Controls, 3), known).iter().all(|c| c.causes.is_empty()));
+}
+
+#[test]
+fn sets_and_ground_truths_with_old_names_are_read() {
+    let skin = SkinDescription::from_toml(LINE, "line").unwrap();
+    let known = crate::causes(&skin).unwrap();
+    let renamed = [("mains-hum", "mains-interference"), ("bent-characteristic", "nonlinear-characteristic")];
+    for (old, now) in renamed {
+        let truth: GroundTruth = serde_json::from_value(serde_json::json!({
+            "schema": "gap-secret/1", "generator": "", "case": "case-0001", "kind": "foreign", "salt": "",
+            "seed": 1, "causes": [{ "id": old, "strength": 0.5, "seed": 1, "what": "", "parameters": {} }],
+            "gap": 3.0, "noise": 1.0, "floor": 0.01, "unexplained": 0.03, "alone": [0.03],
+            "form": Numerics::default(), "only_warmer": false, "size": 1.0,
+        }))
+        .unwrap();
+        assert_eq!(truth.causes[0].cause.id, now);
+        assert!(known.iter().any(|k| k.id == now), "{now}");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let case = r#"{ "id": "case-0001", "bag": "b", "secret_sha256": "s", "bag_sha256": "b", "presses": 0 }"#;
+    let manifest = format!(
+        r#"{{ "schema": "gap-pack/1", "generator": "", "kind": null, "skin": "s", "skin_hash": "h", "size": 1,
+        "cases": [{case}] }}"#
+    );
+    std::fs::write(dir.path().join("manifest.json"), manifest).unwrap();
+    assert_eq!(Manifest::load(dir.path()).unwrap().cases[0].ground_truth_sha256, "s");
 }

@@ -127,13 +127,13 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
     common::LATE_STAMPS,
     // What a library of known effects will hardly hold.
     CauseInfo { size: ("share", "1", 0.8), ..common::CROSSTALK },
-    CauseInfo { size: ("amplitude", "1", 5e-4), ..common::MAINS_HUM },
+    CauseInfo { size: ("amplitude", "1", 5e-4), ..common::MAINS_INTERFERENCE },
     common::WARMING_UP,
     CauseInfo { size: ("deviation", "1", 1e-3), ..common::CABLE_TUG },
     common::WEARING,
     common::STALE_FRAMES,
     CauseInfo::new(
-        "bent-characteristic",
+        "nonlinear-characteristic",
         "every gauge has a quadratic share of its own",
         "non-linearity of the bridge",
         ("deviation", "1", 4e3),

@@ -10,22 +10,22 @@ use super::{
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "interference",
-    what: "The mains, or a motor, couples into all channels as a hum of one frequency; what is above half of the frame rate shows below it.",
+    what: "The mains, or a motor, couples interference of one frequency into all channels; above half of the frame rate it is aliased.",
     source: "Ott, Electromagnetic Compatibility Engineering, ch. 2; mains at 50 or 60 Hz",
     parameters: CommonParameters::Named(&[
         ParameterInfo::new(
             "amplitude",
             "",
-            "half of the hum from peak to peak",
+            "half of the interference from peak to peak",
             0.0,
             [0.0, 100.0],
             [0.0, 1e9],
         ),
-        ParameterInfo::new("frequency", "Hz", "of the hum", 50.0, [1.0, 400.0], [0.0, 1e6]),
+        ParameterInfo::new("frequency", "Hz", "of the interference", 50.0, [1.0, 400.0], [0.0, 1e6]),
         ParameterInfo::new(
             "phase",
             "rad",
-            "of the hum when the device is switched on",
+            "of the interference when the device is switched on",
             0.0,
             [0.0, 6.3],
             [-1e3, 1e3],

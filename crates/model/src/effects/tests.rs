@@ -377,8 +377,8 @@ fn time_since_power_on_matters_to_what_warms_and_what_wears() {
     approx::assert_relative_eq!(pressed[0], plain[0] * (-0.1f64).exp(), max_relative = 1e-12);
     let warm = at(Effect::new("warm-up").with("span", 0.2).with("time", 100.0), 100.0, 2.0);
     approx::assert_relative_eq!(warm[0], plain[0] * (1.0 + 0.2 / 1.0f64.exp()), max_relative = 1e-12);
-    let hum = Effect::new("interference").with("amplitude", 3.0).with("frequency", 10.0);
-    approx::assert_relative_eq!(at(hum, 0.025, 2.0)[1], plain[1] + 3.0, max_relative = 1e-12);
+    let mains = Effect::new("interference").with("amplitude", 3.0).with("frequency", 10.0);
+    approx::assert_relative_eq!(at(mains, 0.025, 2.0)[1], plain[1] + 3.0, max_relative = 1e-12);
 }
 
 #[test]

@@ -94,7 +94,7 @@ struct Simulated {
     changed: Vec<(&'static str, Vec<f64>)>,
 }
 
-/// What was simulated already, by pack and number of presses.
+/// What was simulated already, by benchmark set and number of presses.
 #[derive(Default)]
 pub struct Columns(BTreeMap<(PathBuf, usize), Simulated>);
 

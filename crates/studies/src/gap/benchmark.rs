@@ -281,11 +281,11 @@ fn elsewhere(
         let sigma = skin.channel_noise();
         let mut effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
             .with_context(|| format!("{}: field `corrected` of its report", case.truth.case))?;
-        // A hum has another phase in every recording, and counts as noise where it is named.
+        // Mains interference has another phase in every recording, and counts as noise where it is named.
         let mut truth = case.truth.clone();
         if effects.iter().any(|e| e.name == "interference") {
             effects.retain(|e| e.name != "interference");
-            truth.causes.retain(|known| known.cause.id != "mains-hum");
+            truth.causes.retain(|known| known.cause.id != "mains-interference");
         }
         if effects.is_empty() {
             return Ok(None);
@@ -365,7 +365,7 @@ fn follow(
     Ok(answers)
 }
 
-/// Cards of the baselines on the same cases.
+/// Scorecards of the baselines on the same cases.
 fn baselines(
     skins: &[SkinDescription],
     cases: &[Opened],
@@ -384,7 +384,7 @@ fn baselines(
         answers.push(super::baselines::answers(skin, families, &case.bag, &key, &mut columns)?);
         progress.at((n + 1) as f64 / cases.len() as f64);
     }
-    let mut cards: Vec<(String, Scorecard)> = super::baselines::NAMES
+    let mut scorecards: Vec<(String, Scorecard)> = super::baselines::NAMES
         .iter()
         .enumerate()
         .map(|(i, name)| {
@@ -396,16 +396,16 @@ fn baselines(
     let mut random = Scorecard::default();
     let within = mapping.within(library);
     for case in cases.iter().filter(|c| c.truth.kind == set::Kind::Singles && c.truth.gap >= 3.0) {
-        let told = case.truth.causes.first();
-        let accepted = told.and_then(|t| within.causes.get(&t.cause.id)).map_or(0, |a| a.names.len());
+        let withheld = case.truth.causes.first();
+        let accepted = withheld.and_then(|t| within.causes.get(&t.cause.id)).map_or(0, |a| a.names.len());
         if accepted > 0 {
             let hit = accepted as f64 / library.len() as f64;
             random.headline.top1 = random.headline.top1.and(hit.min(1.0));
             random.headline.top3 = random.headline.top3.and((3.0 * hit).min(1.0));
         }
     }
-    cards.push(("random".to_owned(), random));
-    Ok(cards)
+    scorecards.push(("random".to_owned(), random));
+    Ok(scorecards)
 }
 
 fn report(out: &Path, case: &Case) -> PathBuf {

@@ -43,7 +43,8 @@ pub struct Request {
     /// Of everything random.
     #[arg(long, default_value_t = Request::default().seed)]
     pub seed: u64,
-    /// Times that selection and fit are run again on other places, for the interval of what is closed.
+    /// Times that selection and fit are run again on other places, for the interval of the residual
+    /// reduction.
     #[arg(long, default_value_t = Request::default().resamples)]
     pub resamples: usize,
     /// Folder that keeps simulated signatures; the user's cache folder where absent.

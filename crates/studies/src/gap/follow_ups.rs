@@ -1,9 +1,9 @@
 //! What a benchmark's cases answer after they have asked for presses: report → `gap next` → the reference device presses → diagnosis of
 //! all recordings.
 //!
-//! The reference device presses in a process that has opened the secret; the diagnosis sees skin and bags only, as the first one did. A
-//! follow-up is recorded after the device was switched on anew, on material as it was at first: wear and set of the presses before are
-//! not carried over.
+//! The reference device presses in a process that has opened the ground truth; the diagnosis sees skin and
+//! bags only, as the first one did. A follow-up is recorded after the device was switched on anew, on
+//! material as it was at first: wear and set of the presses before are not carried over.
 
 use std::path::{Path, PathBuf};
 

@@ -98,11 +98,11 @@ mod tests {
 
     #[test]
     fn a_check_is_summed_up_for_programs() {
-        let mut card = Scorecard::default();
-        card.headline.cases = 3;
-        card.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
-        let head = json!({ "skin": "s", "command": "c", "tool": "t", "packs": [] });
-        let summary = json(&head, &card, &[], &[]);
+        let mut scorecard = Scorecard::default();
+        scorecard.headline.cases = 3;
+        scorecard.headline.top1 = Share::default().and(1.0).and(1.0).and(0.0);
+        let head = json!({ "skin": "s", "command": "c", "tool": "t", "sets": [] });
+        let summary = json(&head, &scorecard, &[], &[]);
         let top1 = &summary["headline"]["scores"]["top-1, class-weighted"];
         assert_eq!((top1["of"].as_u64(), top1["reached"].as_bool()), (Some(3), Some(false)));
     }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use dermis_mechanics::{Friction, Prony, Wander, Warmth, stream};
+use dermis_mechanics::{Friction, Prony, RandomDrift, Warmth, stream};
 use dermis_model::{Memory, Stimulus};
 use dermis_skin::{Effect, ModelError, SkinDescription};
 use rand::Rng;
@@ -90,13 +90,13 @@ impl Dynamics {
                         warmth: Warmth::new(
                             value("self_heating"),
                             value("heating_time"),
-                            Wander::new(value("room"), value("room_time"), stream(effect, channels)),
+                            RandomDrift::new(value("room"), value("room_time"), stream(effect, channels)),
                         ),
                     });
                 }
                 "ambient-pressure" => {
                     let deviation = strength * value("deviation");
-                    memory.weather = Some(Wander::new(deviation, value("time"), stream(effect, 0)));
+                    memory.weather = Some(RandomDrift::new(deviation, value("time"), stream(effect, 0)));
                 }
                 "read-skew" => {
                     memory.skew = Some(Skew { delay: strength * value("delay"), frames: VecDeque::new() });
@@ -130,7 +130,7 @@ pub struct MediumMemory {
     /// taxel has gathered beyond that: the medium flows away from above it.
     relaxation: Option<Prony>,
     air: Option<Air>,
-    weather: Option<Wander>,
+    weather: Option<RandomDrift>,
     skew: Option<Skew>,
     /// \[Pa\] above which readings grow by this share only.
     end: Option<(f64, f64)>,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_mechanics::{Friction, Prony, RandomWalk, Wander, Warmth, stream};
+use dermis_mechanics::{Friction, Prony, RandomDrift, RandomWalk, Warmth, stream};
 use dermis_model::{Memory, Stimulus, tangents};
 use dermis_skin::{Effect, ModelError, SkinDescription, Surface};
 use nalgebra::{Unit, UnitQuaternion};
@@ -55,7 +55,7 @@ impl Dynamics {
                 "temperature" => {
                     // Each gauge keeps 0 to twice what is left on average.
                     let left = strength * value("expansion") * (1.0 - value("compensation"));
-                    let room = Wander::new(value("room"), value("room_time"), stream(effect, channels));
+                    let room = RandomDrift::new(value("room"), value("room_time"), stream(effect, channels));
                     let per_kelvin =
                         (0..channels).map(|c| left * stream(effect, c).random_range(0.0..=2.0)).collect();
                     memory.warmth =
