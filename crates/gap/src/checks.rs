@@ -5,9 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::GapError;
 use crate::constants::check::{
-    AGREES, COMPARED, EXCHANGED, FACTOR, FEWEST_PRESSES, FEWEST_SAMPLES, FRAME_GAIN, IN_PLACE, KELVIN,
-    SAME_SHAPE, UNRELATED,
+    AGREES, COMPARED, EXCHANGED, FACTOR, FEWEST_PRESSES, FEWEST_SAMPLES, FRAME_GAIN, IDLE, IN_PLACE, KELVIN,
+    MIRRORED, NEVER_CHANGES, NO_NUMBER, SAME_SHAPE, UNRELATED,
 };
+use crate::constants::noise::REPEATS;
 use crate::recording::{Problem, Recording};
 use crate::samples::Samples;
 use crate::simulate::Simulator;
@@ -29,7 +30,7 @@ pub fn missing(recording: &Recording, samples: &Samples, repeats: usize) -> Vec<
     let mut lacks = |what: &str, blocks: &str| {
         found.push(Missing { what: what.to_owned(), blocks: blocks.to_owned() });
     };
-    if repeats < 10 {
+    if repeats < REPEATS {
         lacks(
             "repeats: presses of the same place and force, at least ten pairs",
             "how much of the gap comes again (irreproducible share); the floor is that of the noise within one press",
@@ -50,7 +51,7 @@ pub fn missing(recording: &Recording, samples: &Samples, repeats: usize) -> Vec<
         lacks("a temperature that changes", "whether zero or gain follow it");
     }
     let idle = recording.labels.iter().filter(|m| m.phase == Phase::Idle).count();
-    if idle < 50 {
+    if idle < IDLE {
         lacks(
             "windows without contact, at least half a second each",
             "offsets, drift and noise apart from contacts",
@@ -114,9 +115,9 @@ pub fn readings(recording: &Recording, skin: &SkinDescription, samples: &Samples
             found.push(if gaps == n {
                 Problem::note("dead-channel", format!("channel {name} never gives a number; it is left out"))
             } else {
-                Problem { code: "not-finite".to_owned(), what, fatal: share > 50.0 }
+                Problem { code: "not-finite".to_owned(), what, fatal: share > 100.0 * NO_NUMBER }
             });
-        } else if n > 100 && same + 1 == n {
+        } else if n > NEVER_CHANGES && same + 1 == n {
             found.push(Problem::note("dead-channel", format!("channel {name} never changes")));
         }
     }
@@ -308,7 +309,7 @@ pub fn agreement(
     match (order, turned) {
         (_, Some((agreement, name))) => {
             let also =
-                if agreement < 0.999 { ", or channels are in a mirrored order" } else { "" };
+                if agreement < MIRRORED { ", or channels are in a mirrored order" } else { "" };
             found.problems.push(Problem::fatal(
                 "frame",
                 format!(

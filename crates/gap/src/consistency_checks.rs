@@ -4,6 +4,8 @@ use dermis_skin::Phase;
 use serde::{Deserialize, Serialize};
 
 use crate::axes::View;
+use crate::constants::consistency::{ALIKE, COMPARED, DEVIATIONS, FACTOR, TOGETHER};
+use crate::constants::noise::SAME_PLACE;
 
 /// One check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,7 +47,7 @@ fn check(check: &str, what: &str, square: f64, signal: f64, n: usize, noise: f64
         violation,
         share: (n > 0 && signal > 0.0).then(|| (square / signal).sqrt()),
         compared: n,
-        violated: n >= 10 && square > noise * (1.0 + 4.0 / (n as f64).sqrt()) * 1.5,
+        violated: n >= COMPARED && square > noise * (1.0 + DEVIATIONS / (n as f64).sqrt()) * FACTOR,
     }
 }
 
@@ -94,7 +96,7 @@ fn common_mode(view: &View<'_>, readings: &[f32]) -> ConsistencyCheck {
     let untouched: Vec<usize> =
         (0..view.samples.list.len()).filter(|i| !view.samples.list[*i].phase.touched()).collect();
     let m = untouched.len();
-    if m < 10 || usable.len() < 2 {
+    if m < COMPARED || usable.len() < 2 {
         return check("common mode", COMMON, 0.0, 0.0, 0, 1.0);
     }
     let mean: Vec<f64> = usable
@@ -113,7 +115,7 @@ fn common_mode(view: &View<'_>, readings: &[f32]) -> ConsistencyCheck {
     }
     let (together, all) = (together / m as f64, all / m as f64);
     let mut found = check("common mode", COMMON, together, all, m, view.noise / n);
-    found.violated = m >= 10 && together > 4.0 * view.noise / n;
+    found.violated = m >= COMPARED && together > TOGETHER * view.noise / n;
     found
 }
 
@@ -129,9 +131,9 @@ fn homogeneity(view: &View<'_>, readings: &[f32]) -> ConsistencyCheck {
     let (mut square, mut signal, mut n) = (0.0, 0.0, 0usize);
     for pair in held.windows(2) {
         let (a, b) = (&samples[pair[0]], &samples[pair[1]]);
-        let near = a.position.iter().zip(b.position).all(|(x, y)| (x - y).abs() < 1e-4);
+        let near = a.position.iter().zip(b.position).all(|(x, y)| (x - y).abs() < SAME_PLACE);
         let ratio = a.force / b.force.max(1e-9);
-        if a.location != b.location || !near || (0.77..=1.3).contains(&ratio) || b.force <= 0.0 {
+        if a.location != b.location || !near || (ALIKE[0]..=ALIKE[1]).contains(&ratio) || b.force <= 0.0 {
             continue;
         }
         let (x, y) = (row(view.residual, view, pair[0]), row(view.residual, view, pair[1]));
@@ -173,13 +175,13 @@ fn superposition(view: &View<'_>) -> ConsistencyCheck {
     };
     let ((one, of_one, singles), (more, of_more, n)) = (energy(false), energy(true));
     let what = "the gap of several contacts at once beyond that of single ones, per signal";
-    if n < 10 || singles < 10 {
+    if n < COMPARED || singles < COMPARED {
         return check("superposition", what, 0.0, 0.0, 0, 1.0);
     }
     // What is in both is no violation.
     let expected = one / of_one.max(1e-300) * of_more;
     let beyond = ((more - expected) / n as f64).max(0.0);
     let mut found = check("superposition", what, beyond, of_more / n as f64, n, view.noise);
-    found.violated = more > 1.5 * expected && beyond > view.noise;
+    found.violated = more > FACTOR * expected && beyond > view.noise;
     found
 }

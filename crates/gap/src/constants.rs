@@ -8,7 +8,9 @@
 //! | *chosen* | an engineering judgement that was not varied: sizes of tables, limits of work, tolerances of instruments |
 //!
 //! Shares are fractions of 1. "Systematic gap" is the part of readings minus model that comes again, as a share of the readings'
-//! variance (FVU). What a user may set stands in [`SelectOptions`](crate::SelectOptions) and
+//! variance (FVU). Properties of an effect (values that a device can have, amounts at which its signature is linearised) stand in the
+//! effect's own file, see [`dermis_model::diagnosis`]; the experiments that may come next, with their times and forces, are a
+//! table in `experiments.rs`. What a user may set stands in [`SelectOptions`](crate::SelectOptions) and
 //! [`SampleOptions`](crate::SampleOptions); its defaults are here.
 
 /// Reading bags.
@@ -21,6 +23,18 @@ pub(crate) mod reading {
     pub const ZERO_AT_START: f64 = 1.0;
     /// \[s\] before a press that its zero is taken from. Chosen.
     pub const ZERO_BEFORE_PRESS: f64 = 0.5;
+    /// Share of the time between frames within which a ground truth belongs to a frame, and at least so much \[s\]. Chosen.
+    pub const SAME_TIME: [f64; 2] = [0.5, 0.01];
+    /// Changes of [`HELD`] within four frames from which on a press is loaded or unloaded. Chosen.
+    pub const CHANGES: f64 = 4.0;
+    /// \[N\] of a contact that pulls below which it is noise of the force cell. Chosen.
+    pub const PULLS: f64 = 0.05;
+    /// Shares of contacts off the surface, and of those that pull, from which on the frame of the ground truth is wrong. Chosen.
+    pub const WRONG_FRAME: [f64; 2] = [0.05, 0.2];
+    /// \[m\] off the surface from which on millimetres stand for metres. Chosen: no skin that one rig presses is as large.
+    pub const MILLIMETRES: f64 = 0.5;
+    /// \[m\] diameter of a tip of which none is stated. Chosen.
+    pub const TIP: f64 = 0.004;
 }
 
 /// Drawing samples.
@@ -51,6 +65,14 @@ pub(crate) mod noise {
     pub const SAME_PLACE: f64 = 1e-4;
     /// Pairs of repeats from which on the irreproducible share is measured. Chosen.
     pub const REPEATS: usize = 10;
+    /// Relative difference of the times since contact of frames of such presses, and from which time on \[s\] it is relative. Chosen.
+    pub const SAME_COURSE: [f64; 2] = [0.2, 0.05];
+    /// \[N\] from which force on its difference is relative. Chosen.
+    pub const SMALL_FORCE: f64 = 0.05;
+    /// Pairs of frames from which on the noise is that of pairs and not the measured one between frames. Chosen.
+    pub const PAIRS: f64 = 5.0;
+    /// Quantiles of the interval of the gap: 95 %.
+    pub const INTERVAL: [f64; 2] = [0.025, 0.975];
     /// Bootstrap draws of groups for the interval of the gap. Chosen; Efron and Tibshirani 1993 ask for 200 and more.
     pub const DRAWS: usize = 400;
 }
@@ -79,8 +101,30 @@ pub(crate) mod check {
     pub const EXCHANGED: [f64; 2] = [0.7, 0.15];
     /// \[K\] range of temperature below which it tells nothing. Chosen.
     pub const KELVIN: f64 = 0.2;
+    /// Untouched frames from which on a recording has windows without contact. Chosen.
+    pub const IDLE: usize = 50;
+    /// Share of frames without a number from which on a channel makes the recording useless. Chosen.
+    pub const NO_NUMBER: f64 = 0.5;
+    /// Frames without a change from which on a channel is dead. Chosen.
+    pub const NEVER_CHANGES: usize = 100;
+    /// Correlation in another frame of the ground truth below which channels may be mirrored, too. Chosen.
+    pub const MIRRORED: f64 = 0.999;
     /// Relative difference of two quantization steps that are one. Chosen.
     pub const SAME_STEP: f64 = 0.02;
+}
+
+/// Checks of readings that need no model, or next to none.
+pub(crate) mod consistency {
+    /// Comparisons from which on a check says anything. Chosen.
+    pub const COMPARED: usize = 10;
+    /// Factor of the noise above which a check is violated. Chosen.
+    pub const FACTOR: f64 = 1.5;
+    /// Standard errors of that noise, besides, roughly: chance over dozens of channels and checks. Chosen.
+    pub const DEVIATIONS: f64 = 4.0;
+    /// Factor of the noise of a mean over channels above which they have something in common. Chosen.
+    pub const TOGETHER: f64 = 4.0;
+    /// Ratio of forces between which presses are too alike for homogeneity. Chosen.
+    pub const ALIKE: [f64; 2] = [0.77, 1.3];
 }
 
 /// Quantized readings.
@@ -128,6 +172,20 @@ pub(crate) mod location {
     pub const COMMON: f64 = 0.95;
     /// Correlation of bins from which on two axes are one in a recording. Chosen.
     pub const ONE: f64 = 0.97;
+    /// Share of the samples of the larger axis that two axes must have in common to be one. Chosen.
+    pub const IN_BOTH: f64 = 0.9;
+    /// \[m\] that contacts must spread along an axis to be cut into cells along it. Chosen.
+    pub const SPREAD: f64 = 1e-3;
+    /// \[N\] below which a force does not scale speed and history. Chosen.
+    pub const FORCE: f64 = 0.01;
+    /// Single contacts from which on there is a map. Chosen.
+    pub const MAPPED: usize = 20;
+    /// Widths of the kernel of a map beyond which contacts do not count. Chosen: 1 % of its height.
+    pub const KERNEL: f64 = 3.0;
+    /// Weight of contacts, and their effective number, from which on a point of a map is known. Chosen.
+    pub const KNOWN: [f64; 2] = [0.05, 1.0];
+    /// Standard errors by which a point of a map must exceed the noise. Chosen.
+    pub const BEYOND: f64 = 3.0;
     /// Points of a map, at most. Chosen.
     pub const POINTS: usize = 400;
     /// Cells of the surface, about. Chosen.
@@ -144,6 +202,12 @@ pub(crate) mod signatures {
     pub const DEVICES: u64 = 8;
     /// Share of the energy of realisations that columns hold. Chosen.
     pub const HELD: f64 = 0.998;
+    /// The same of components of courses, whose changes are many times larger than the noise. Chosen.
+    pub const WHOLE: f64 = 0.9999;
+    /// The same of the model discrepancy. Chosen.
+    pub const DISCREPANCY: f64 = 0.9995;
+    /// Share of all readings at power-on that a column of a decay is for. Chosen: small, as the signature is linear.
+    pub const DECAY_SHARE: f64 = 0.1;
     /// Columns of an effect for all channels together, at most. Chosen.
     pub const TOGETHER: usize = 5;
     /// Columns of an effect for each channel, at most. Chosen.
@@ -202,6 +266,11 @@ pub(crate) mod select {
     pub const MARGIN: f64 = 0.005;
     /// Least gain of an effect [FVU]. Design note, §6: set on its pilot.
     pub const FLOOR: f64 = 0.002;
+    /// Part of that floor for an effect beside others whose signatures are exact: what is little of a gap that matters counts. Chosen.
+    pub const SECOND: f64 = 0.5;
+    /// What a sample leaves, as a share of the energy that the prior of the model discrepancy stands for, while the former is measured: so
+    /// little that the discrepancy is nearly free. Chosen.
+    pub const NEARLY_FREE: f64 = 0.1;
     /// Least gain of a first effect, as a share of the systematic gap. Calibrated.
     pub const SHARE: f64 = 0.05;
     /// The same of an effect beside others. Calibrated.
@@ -255,6 +324,10 @@ pub(crate) mod rivals {
     pub const CHANNELS: usize = 48;
     /// Inverse variance of coefficients: that of effects. Chosen.
     pub const PRIOR: f64 = 0.05;
+    /// Share of the energy that components of channels hold. Chosen.
+    pub const HELD: f64 = 0.999;
+    /// Width of a patch, in distances to the next one. Chosen: patches overlap at half of their height.
+    pub const WIDTH: f64 = 0.6;
     /// Factor that a coefficient of 1 stands for: that of gains. Chosen.
     pub const AMOUNT: f64 = 0.05;
     /// Patterns of all channels that each may hold. Chosen.
@@ -277,6 +350,15 @@ pub(crate) mod refine {
     pub const LAW: f64 = 0.08;
     /// Relative gain below which a round was the last. Chosen.
     pub const ENOUGH: f64 = 1e-3;
+    /// Step of finite differences, in large changes of a number. Chosen.
+    pub const STEP: f64 = 0.02;
+    /// First damping; factors by which it falls after a step that helps, to no less than the third, and rises after one that does not.
+    /// Marquardt 1963 begins at 0.01 and takes 1/10 and 10.
+    pub const DAMPING: [f64; 4] = [1e-3, 0.2, 1e-6, 10.0];
+    /// Steps that are tried in a round. Chosen.
+    pub const TRIES: usize = 4;
+    /// Large changes of a number that a step makes at most. Chosen.
+    pub const FAR: f64 = 2.0;
     /// Candidates that are fitted on the full simulator for each accepted effect. Chosen.
     pub const CANDIDATES: usize = 8;
     /// Starting points of a candidate. Design note, §5.
@@ -317,6 +399,14 @@ pub(crate) mod report {
     pub const IRREPRODUCIBLE: f64 = 0.5;
     /// Share of what is left that a smoother must predict for it to be systematic. Design note, §8.
     pub const EXPLAINABLE: f64 = 0.3;
+    /// Share of what is left that must be systematic for a smoother to say what of it can be explained. Chosen.
+    pub const LEFT: f64 = 0.02;
+    /// Share of the gap that a shape must explain for the sentence to name it. Chosen.
+    pub const SHAPED: f64 = 0.3;
+    /// The same of what names leave. Chosen.
+    pub const SHAPE_LEFT: f64 = 0.01;
+    /// Share of the gap along an axis from which on the sentence names the axis. Chosen.
+    pub const ALONG: f64 = 0.1;
     /// Share of the systematic gap that makes the model discrepancy the verdict. Chosen.
     pub const DISCREPANCY: f64 = 0.5;
     /// Share of the gap below which the fingerprint of what is left is reported. Design note, §8.
@@ -351,6 +441,17 @@ pub(crate) mod calibrate {
     pub const LAW: f64 = 0.2;
     /// Standard deviation of numbers of the medium and the tip, in tolerances. Chosen: half of devices lie within a third of one.
     pub const OFF: f64 = 0.5;
+    /// Share of all readings at power-on that a warm-up is drawn with (standard deviation), its least value, and its time constant \[s\].
+    /// Chosen.
+    pub const WARM_UP: [f64; 3] = [0.2, -0.5, 300.0];
+    /// Standard deviation of a number of the description that is off, in large changes of it. Chosen.
+    pub const NUMBER: f64 = 0.5;
+    /// Rounds in which an effect is scaled to the energy that is wanted, and the logarithm of the ratio that is near enough. Chosen.
+    pub const SCALINGS: usize = 3;
+    /// See [`SCALINGS`].
+    pub const NEAR: f64 = 0.2;
+    /// Least and largest factor of that scaling. Chosen.
+    pub const SCALE: [f64; 2] = [1e-3, 4.0];
     /// Share of the gap from which on factors count. Chosen.
     pub const SMALL: f64 = 0.01;
     /// Ridge of the regression, in trials. Chosen.

@@ -7,7 +7,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::constants::noise::{
-    BELIEVED, DRAWS, FEWEST_STEPS, FRAMES, MEDIAN_STEP, REPEATS, SAME_FORCE, SAME_PLACE,
+    BELIEVED, DRAWS, FEWEST_STEPS, FRAMES, INTERVAL, MEDIAN_STEP, PAIRS, REPEATS, SAME_COURSE, SAME_FORCE,
+    SAME_PLACE, SMALL_FORCE,
 };
 use crate::recording::Recording;
 use crate::samples::Samples;
@@ -123,8 +124,8 @@ pub fn measure(
             for &j in &frames[a + 1..] {
                 let (p, q) = (&samples.list[i], &samples.list[j]);
                 let near = p.position.iter().zip(q.position).all(|(a, b)| (a - b).abs() < SAME_PLACE);
-                let alike = (p.force - q.force).abs() < SAME_FORCE * p.force.max(0.05);
-                let label = (p.since - q.since).abs() < 0.2 * p.since.abs().max(0.05);
+                let alike = (p.force - q.force).abs() < SAME_FORCE * p.force.max(SMALL_FORCE);
+                let label = (p.since - q.since).abs() < SAME_COURSE[0] * p.since.abs().max(SAME_COURSE[1]);
                 if p.press != q.press && near && alike && label && p.diameter == q.diameter {
                     // A difference in force is no noise: what it makes is taken out to first order.
                     let ratio = (p.force / q.force.max(1e-9)) as f32;
@@ -157,7 +158,7 @@ pub fn measure(
             t.pairs += s.pairs;
         }
         // Without twins the noise is what it was measured to be between frames: 1.
-        let noise = if t.pairs >= 5.0 { t.twins / t.pairs / scale } else { 1.0 };
+        let noise = if t.pairs >= PAIRS { t.twins / t.pairs / scale } else { 1.0 };
         (t.energy / t.samples.max(1.0) / scale, noise)
     };
     let (before, twins) = total(&mut sums.iter().copied());
@@ -177,7 +178,7 @@ pub fn measure(
         fvu_before: before / variance,
         floor: floor / variance,
         systematic: (before - floor) / variance,
-        interval: [at(0.025), at(0.975)],
+        interval: INTERVAL.map(at),
         irreproducible: again.map(|a| a / variance),
         repeats,
         variance,

@@ -8,7 +8,7 @@ use indicatif::ProgressBar;
 use crate::GapError;
 use crate::algebra::cholesky_solve;
 use crate::constants::Z90;
-use crate::constants::refine::{ENOUGH, LAW, ROUNDS};
+use crate::constants::refine::{DAMPING, ENOUGH, FAR, LAW, ROUNDS, STEP, TRIES};
 use crate::recording::Recording;
 use crate::samples::Samples;
 use crate::simulate::Simulator;
@@ -201,7 +201,7 @@ pub fn fit(
     };
     let n = free.len();
     let mut halves = vec![f64::NAN; n];
-    let mut damping = 1e-3;
+    let [mut damping, falls, least_damping, rises] = DAMPING;
     for round in 0..ROUNDS {
         if n == 0 {
             break;
@@ -211,7 +211,7 @@ pub fn fit(
             .iter()
             .zip(&now)
             .map(|(f, v)| {
-                let step = 0.02 * f.scale;
+                let step = STEP * f.scale;
                 if v + step > f.limits[1] { -step } else { step }
             })
             .collect();
@@ -248,19 +248,19 @@ pub fn fit(
         }
         halves = intervals(&a, &slopes, &residual, target, free);
         let mut gained = 0.0;
-        for _ in 0..4 {
+        for _ in 0..TRIES {
             let mut damped = a.clone();
             let trace = (0..n).map(|i| a[i * n + i]).fold(0.0, f64::max);
             (0..n)
                 .for_each(|i| damped[i * n + i] = damped[i * n + i] * (1.0 + damping) + 1e-9 * trace + 1e-12);
             let mut x = b.clone();
             if cholesky_solve(&mut damped, n, &mut x).is_none() {
-                damping *= 10.0;
+                damping *= rises;
                 continue;
             }
             let mut other = effects.clone();
             for p in 0..n {
-                let to = (now[p] + x[p].clamp(-2.0, 2.0) * free[p].scale)
+                let to = (now[p] + x[p].clamp(-FAR, FAR) * free[p].scale)
                     .clamp(free[p].limits[0], free[p].limits[1]);
                 put(&mut other, &free[p], to);
             }
@@ -270,11 +270,11 @@ pub fn fit(
                 if less < loss {
                     gained = (loss - less) / loss.max(1e-300);
                     (effects, read, loss) = (other, candidate, less);
-                    damping = (damping * 0.2).max(1e-6);
+                    damping = (damping * falls).max(least_damping);
                     break;
                 }
             }
-            damping *= 10.0;
+            damping *= rises;
         }
         if gained < ENOUGH || round + 1 == ROUNDS {
             break;

@@ -11,7 +11,9 @@ use dermis_skin::{Frame, Phase, SkinDescription, Stamp, Surface};
 use nalgebra::{Point3, Vector3};
 
 use crate::GapError;
-use crate::constants::reading::{HELD, OFF_SURFACE};
+use crate::constants::reading::{
+    CHANGES, HELD, MILLIMETRES, OFF_SURFACE, PULLS, SAME_TIME, TIP, WRONG_FRAME,
+};
 use crate::recording::{FrameLabel, Problem, Recording};
 
 /// One frame as a bag gives it.
@@ -174,7 +176,7 @@ fn own(
     }
     let mut session = first_session;
     let begin = frames[0].stamp;
-    let tolerance = ((0.5 / skin.rate).max(0.01) * 1e9) as Stamp;
+    let tolerance = ((SAME_TIME[0] / skin.rate).max(SAME_TIME[1]) * 1e9) as Stamp;
     let surface = skin.surface();
     let mut doubts = Doubts::default();
     for frame in frames {
@@ -276,9 +278,9 @@ pub(crate) struct Doubts {
 impl Doubts {
     pub(crate) fn report(&self, place: &str, recording: &mut Recording) {
         let share = |n: usize| 100.0 * n as f64 / self.contacts.max(1) as f64;
-        if share(self.off) > 5.0 {
+        if share(self.off) > 100.0 * WRONG_FRAME[0] {
             let far = self.farthest;
-            let guess = if far > 0.5 { "millimetres instead of metres, or " } else { "" };
+            let guess = if far > MILLIMETRES { "millimetres instead of metres, or " } else { "" };
             recording.problems.push(Problem::fatal(
                 "frame",
                 format!(
@@ -288,7 +290,7 @@ impl Doubts {
                 ),
             ));
         }
-        if share(self.pulls) > 20.0 {
+        if share(self.pulls) > 100.0 * WRONG_FRAME[1] {
             recording.problems.push(Problem::fatal(
                 "frame",
                 format!(
@@ -342,12 +344,12 @@ pub(crate) fn stimulus(
         contact.position = on;
         if !(contact.diameter().is_finite() && contact.diameter() > 0.0) {
             doubts.tips += 1;
-            contact.tip = Tip::sphere(0.004);
+            contact.tip = Tip::sphere(TIP);
         }
         // What pulls is noise of the force cell around nothing, unless there is a lot of it.
         let pressing = -contact.force.dot(&normal);
         if pressing <= 0.0 {
-            doubts.pulls += usize::from(pressing < -0.05);
+            doubts.pulls += usize::from(pressing < -PULLS);
             continue;
         }
         kept.push(contact);
@@ -436,9 +438,9 @@ fn by_force(labels: &mut [FrameLabel]) {
         }
         let (a, b) = (force[i.saturating_sub(2)], force[(i + 2).min(force.len() - 1)]);
         let change = (b - a) / force[i].max(1e-9);
-        labels[i].phase = if change > 4.0 * HELD {
+        labels[i].phase = if change > CHANGES * HELD {
             Phase::Load
-        } else if change < -4.0 * HELD {
+        } else if change < -CHANGES * HELD {
             Phase::Unload
         } else {
             Phase::Hold

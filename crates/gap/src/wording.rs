@@ -1,5 +1,6 @@
 //! Numbers and verdicts as a person reads them.
 
+use crate::constants::report::{ALONG, IRREPRODUCIBLE, SHAPE_LEFT, SHAPED};
 use crate::report::{Report, ResidualReduction, Verdict};
 use crate::select::Tier;
 
@@ -55,7 +56,7 @@ fn reduces(report: &Report, of: &ResidualReduction) -> String {
 
 /// What an unknown cause is shaped like, where a shape explains much of the gap and more than what is named.
 fn shape(report: &Report) -> String {
-    let rival = report.rivals.first().filter(|r| r.explains > 0.3 && r.excess.is_none_or(|e| e > 0.0));
+    let rival = report.rivals.first().filter(|r| r.explains > SHAPED && r.excess.is_none_or(|e| e > 0.0));
     rival.map_or(String::new(), |r| {
         format!(", but shaped like {} ({} % of the gap)", r.what, percent(r.explains))
     })
@@ -70,7 +71,7 @@ fn called_unknown(report: &Report) -> bool {
 /// What the names leave, in words.
 fn remaining_shape(report: &Report) -> String {
     let of = &report.unknown;
-    let matters = of.shape.as_ref().zip(of.shape_share).filter(|(_, share)| *share > 0.01);
+    let matters = of.shape.as_ref().zip(of.shape_share).filter(|(_, share)| *share > SHAPE_LEFT);
     matters.map_or(String::new(), |(what, share)| {
         format!(", shaped like {what} ({} % of the gap),", percent(share))
     })
@@ -97,7 +98,7 @@ pub(crate) fn sentence(report: &Report) -> String {
         })
         .collect();
     let place = || {
-        let axis = report.axes.first().filter(|a| a.share > 0.1);
+        let axis = report.axes.first().filter(|a| a.share > ALONG);
         axis.map_or(String::new(), |a| format!(", mostly along {}", a.axis))
     };
     let next = report.next_experiments.first().map_or(String::new(), |e| format!(" Next: {}.", e.what));
@@ -132,17 +133,19 @@ pub(crate) fn sentence(report: &Report) -> String {
             place(),
             shape(report)
         ),
-        Verdict::Unmeasured => match gap.irreproducible.filter(|share| *share > 0.5 * gap.fvu_before) {
-            Some(share) => format!(
-                "Readings differ from press to press by {} % of what they do where the presses were done alike, and hardly \
+        Verdict::Unmeasured => {
+            match gap.irreproducible.filter(|share| *share > IRREPRODUCIBLE * gap.fvu_before) {
+                Some(share) => format!(
+                    "Readings differ from press to press by {} % of what they do where the presses were done alike, and hardly \
                  otherwise ({} %): no deterministic model removes that; look at the rig, and record what changes between presses.",
-                percent(share),
-                percent(gap.systematic.max(0.0))
-            ),
-            None => format!(
-                "The gap ({size}) follows nothing that was recorded: repeat presses, and record temperature and time."
-            ),
-        },
+                    percent(share),
+                    percent(gap.systematic.max(0.0))
+                ),
+                None => format!(
+                    "The gap ({size}) follows nothing that was recorded: repeat presses, and record temperature and time."
+                ),
+            }
+        }
         Verdict::NoGapBeyondNoise | Verdict::UnusableRecording => report.sentence.clone(),
     }
 }

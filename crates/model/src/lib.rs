@@ -28,8 +28,7 @@ mod wrapper;
 pub use case::Case;
 pub use differences::{Differences, MovedForce};
 pub use effects::{
-    COMMON, CURVED, CommonEffect, CommonParameters, NEUTRAL_TEMPERATURE, Signature, SignatureSample, Stage,
-    common_effect, full_scale,
+    COMMON, CommonEffect, CommonParameters, NEUTRAL_TEMPERATURE, Stage, common_effect, diagnosis, full_scale,
 };
 pub use forward::ForwardModel;
 pub use state::{DeviceState, Memory, Memoryless, Stepped};

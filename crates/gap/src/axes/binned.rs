@@ -7,7 +7,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use super::{CHANNEL, View};
-use crate::constants::location::{BINS, CELLS, COMMON, LEAST, ONE, STILL};
+use crate::constants::location::{BINS, CELLS, COMMON, FORCE, IN_BOTH, LEAST, ONE, SPREAD, STILL};
 use crate::samples::Sample;
 use crate::wording::short;
 
@@ -72,7 +72,7 @@ impl Binned {
         let (ab, aa, bb) =
             (sum(&|p| (p.0 - a) * (p.1 - b)), sum(&|p| (p.0 - a).powi(2)), sum(&|p| (p.1 - b).powi(2)));
         let most = known(&self.of).max(known(&other.of)) as f64;
-        n > 0.9 * most && ab.abs() > ONE * (aa * bb).sqrt()
+        n > IN_BOTH * most && ab.abs() > ONE * (aa * bb).sqrt()
     }
 }
 
@@ -139,7 +139,7 @@ fn cells(samples: &[Sample], most: usize) -> Option<Binned> {
         }
     }
     let spans: Vec<f64> = (0..3).map(|a| high[a] - low[a]).collect();
-    let wide: Vec<usize> = (0..3).filter(|a| spans[*a] > 1e-3).collect();
+    let wide: Vec<usize> = (0..3).filter(|a| spans[*a] > SPREAD).collect();
     if wide.is_empty() {
         return None;
     }
@@ -178,10 +178,10 @@ pub(super) fn all(view: &View<'_>, recorded: &[String]) -> Vec<Binned> {
     let after = |r: &Sample| if touched(r) { f64::NAN } else { r.since };
     let count = |r: &Sample| if r.press == usize::MAX { f64::NAN } else { r.press as f64 };
     let speed = |r: &Sample| {
-        let speed = r.speed / r.force.max(0.01);
+        let speed = r.speed / r.force.max(FORCE);
         if touched(r) && speed.abs() > STILL { speed } else { f64::NAN }
     };
-    let history = |r: &Sample| if touched(r) { r.before / r.force.max(0.01) } else { f64::NAN };
+    let history = |r: &Sample| if touched(r) { r.before / r.force.max(FORCE) } else { f64::NAN };
     let found = [
         cells(samples, CELLS),
         quantiles("force", samples, |r| if touched(r) { r.force } else { f64::NAN }, ("N", 1.0)),

@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 use super::View;
-use crate::constants::location::POINTS;
+use crate::constants::location::{BEYOND, KERNEL, KNOWN, MAPPED, POINTS};
 
 /// The gap over the surface.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -31,7 +31,7 @@ pub fn map(view: &View<'_>, surface: &Surface) -> Map {
     let single: Vec<usize> = (0..view.samples.list.len())
         .filter(|i| view.samples.list[*i].contacts == 1 && view.samples.list[*i].phase.touched())
         .collect();
-    if single.len() < 20 {
+    if single.len() < MAPPED {
         return Map::default();
     }
     let area: f64 = surface.areas.iter().sum();
@@ -49,7 +49,7 @@ pub fn map(view: &View<'_>, surface: &Surface) -> Map {
         let (mut weight, mut mean, mut square, mut contacts, mut raw) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for &i in &single {
             let away = (Point3::from(view.samples.list[i].position) - point).norm() / width;
-            if away > 3.0 {
+            if away > KERNEL {
                 continue;
             }
             let w = (-away * away / 2.0).exp();
@@ -64,10 +64,10 @@ pub fn map(view: &View<'_>, surface: &Surface) -> Map {
         }
         let n = usable.len().max(1) as f64;
         let effective = if contacts > 0.0 { weight * weight / contacts } else { 0.0 };
-        let known = weight > 0.05 && effective > 1.0;
+        let known = weight > KNOWN[0] && effective > KNOWN[1];
         let excess = raw / (weight.max(1e-12) * n);
         // Twice the noise of a mean over that many contacts.
-        let beyond = known && excess > view.noise * (1.0 + 3.0 / (effective * n).sqrt());
+        let beyond = known && excess > view.noise * (1.0 + BEYOND / (effective * n).sqrt());
         let value = (square / (weight.max(1e-12) * n)).sqrt();
         map.points.push((*point).into());
         map.mean.push(beyond.then(|| mean / (weight * n)));

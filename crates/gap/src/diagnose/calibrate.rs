@@ -20,6 +20,7 @@
 
 use std::collections::BTreeMap;
 
+use dermis_model::diagnosis::Signature;
 use dermis_skin::{Effect, Phase};
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
@@ -29,10 +30,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{Memory, Options, check, diagnose, signatures};
 use crate::GapError;
-use crate::constants::calibrate::{LAW, OFF, SIZES};
+use crate::constants::calibrate::{LAW, NEAR, NUMBER, OFF, SCALE, SCALINGS, SIZES, WARM_UP};
 use crate::constants::signatures::TOLERANCE;
 use crate::design;
-use crate::effects::{self, Coefficients};
+use crate::effects;
 use crate::recording::Recording;
 use crate::report::Verdict;
 use crate::rivals::{Shape, columns};
@@ -191,8 +192,9 @@ impl Bench<'_> {
         let numbers = design::numbers(self.simulator.skin).into_iter().filter(|n| stated(&n.path));
         let mut built: Vec<Effect> =
             numbers.map(|n| design::hypothesis(&n.path, n.value * off(OFF))).collect();
-        let tip = effects::TABLE.iter().find_map(|p| p.tolerance.map(|(parameter, _)| (p.name, parameter)));
-        built.extend(tip.map(|(name, parameter)| Effect::new(name).with(parameter, off(OFF))));
+        let tip = effects::with(|p| p.tolerance.is_some()).next();
+        let parameter = tip.and_then(|info| Some((info.name, info.diagnosis.tolerance?.0)));
+        built.extend(parameter.map(|(name, parameter)| Effect::new(name).with(parameter, off(OFF))));
         built
     }
 
@@ -209,9 +211,10 @@ impl Bench<'_> {
 
     /// A random device with this effect; `None` where nothing says how one is drawn.
     fn draw(&self, of: &Candidate, rng: &mut ChaCha8Rng) -> Option<Vec<Effect>> {
-        if let Coefficients::DecayFromPowerOn { time, share } = effects::of(&of.name).coefficients {
-            let start: f64 = 0.2 * rng.sample::<f64, _>(StandardNormal);
-            return Some(vec![Effect::new(of.name.clone()).with(time, 300.0).with(share.0, start.max(-0.5))]);
+        if let Signature::DecayFromPowerOn { time, share } = effects::of(&of.name).signature {
+            let [deviation, least, constant] = WARM_UP;
+            let start = (deviation * rng.sample::<f64, _>(StandardNormal)).max(least);
+            return Some(vec![Effect::new(of.name.clone()).with(time, constant).with(share.0, start)]);
         }
         if let Some(info) = self.simulator.effects.iter().find(|i| i.name == of.name) {
             let mut effect = Effect::new(info.name);
@@ -227,8 +230,8 @@ impl Bench<'_> {
         for (name, parameter, amount) in of.linear.iter().filter(|(.., amount)| *amount != 0.0) {
             let by: f64 = rng.sample(StandardNormal);
             let value = match design::value(self.simulator.skin, name) {
-                Some(nominal) => design::within(nominal, nominal + 0.5 * by * amount),
-                None => effects::of(name).value(by, *amount),
+                Some(nominal) => design::within(nominal, nominal + NUMBER * by * amount),
+                None => effects::value(effects::of(name), by, *amount),
             };
             match drawn.iter_mut().find(|e| e.name == *name) {
                 Some(effect) => {
@@ -261,12 +264,12 @@ impl Bench<'_> {
         };
         let mut scale: f64 = 1.0;
         let mut change = at(scale)?;
-        for _ in 0..3 {
+        for _ in 0..SCALINGS {
             let share = self.share(&change, nominal);
-            if share <= 0.0 || (share / size).ln().abs() < 0.2 {
+            if share <= 0.0 || (share / size).ln().abs() < NEAR {
                 break;
             }
-            scale = (scale * (size / share).sqrt()).clamp(1e-3, 4.0);
+            scale = (scale * (size / share).sqrt()).clamp(SCALE[0], SCALE[1]);
             change = at(scale)?;
         }
         if other_law {
@@ -286,16 +289,16 @@ impl Bench<'_> {
         }
         let number = design::value(self.simulator.skin, &effect.name);
         let properties = effects::of(&effect.name);
-        let fixed = match properties.coefficients {
-            Coefficients::DecayFromPowerOn { time, .. } => Some(time),
-            Coefficients::Proportional => None,
+        let fixed = match properties.signature {
+            Signature::DecayFromPowerOn { time, .. } => Some(time),
+            _ => None,
         };
         for (name, value) in scaled.parameters.iter_mut().filter(|(name, _)| fixed != Some(name.as_str())) {
             *value = match number {
                 Some(nominal) if name == design::VALUE => {
                     design::within(nominal, nominal + scale * (*value - nominal))
                 }
-                _ => properties.value(scale, *value - properties.neutral),
+                _ => effects::value(properties, scale, *value - properties.neutral),
             };
         }
         scaled

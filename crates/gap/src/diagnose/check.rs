@@ -1,10 +1,11 @@
 //! Stage `check`: whether a recording can be diagnosed, and what must be put right before readings and model are compared.
 
+use dermis_model::diagnosis::Evidence;
 use dermis_skin::{Effect, SkinDescription};
 
 use super::report::known_effect;
 use crate::constants::check::SAME_STEP;
-use crate::effects::{self, Evidence};
+use crate::effects;
 use crate::noise;
 use crate::recording::{Problem, Recording};
 use crate::report::NamedEffect;
@@ -125,12 +126,12 @@ fn fvu(of: &Prepared, samples: &Samples, seed: u64) -> f64 {
 
 /// Puts readings into the order of the model's channels.
 fn reorder(of: &mut Prepared, skin: &SkinDescription, order: &[usize], before: f64) -> Option<Known> {
-    let properties = effects::with(|p| p.evidence == Evidence::ChannelOrder).next()?;
+    let info = effects::with(|p| p.evidence == Evidence::ChannelOrder).next()?;
     let channels = of.sigma.len();
     let read = of.readings.clone();
     let deviations = of.sigma.clone();
     let names = skin.channels();
-    let mut effect = Effect::new(properties.name);
+    let mut effect = Effect::new(info.name);
     let mut exchanged = Vec::new();
     for (at, from) in order.iter().enumerate() {
         if at != *from {
@@ -143,7 +144,7 @@ fn reorder(of: &mut Prepared, skin: &SkinDescription, order: &[usize], before: f
         }
     }
     of.problems.push(Problem::note(
-        properties.name,
+        info.name,
         format!(
             "channels are in another order: {}; all that follows has them in the right one",
             exchanged.join(", ")

@@ -1,7 +1,9 @@
 //! What an effect follows in a recording, and what else does.
 
+use dermis_model::diagnosis::Covariate;
+
 use crate::constants::report::ALIAS;
-use crate::effects::{self, Covariate};
+use crate::effects;
 use crate::report::NamedEffect;
 use crate::samples::Samples;
 

@@ -47,3 +47,56 @@ pub(super) fn tests(
     put("own".to_owned(), named.iter().map(|n| n.gain).sum::<f64>() / systematic);
     found
 }
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::Effect;
+
+    use super::super::report::known_effect;
+    use super::super::testing::{Case, with_simulator};
+    use super::*;
+    use crate::rivals::Shape;
+
+    #[test]
+    fn what_a_name_leaves_and_what_beats_it_is_measured() {
+        with_simulator(|simulator| {
+            let case = Case::of(simulator, &[Effect::new("channel-gain").with("a", 1.2).with("b", 0.9)]);
+            let data = case.data(simulator);
+            let systematic = data.gap.systematic;
+            let remains = Remains { left: 0.3, beyond: Vec::new() };
+            let of = |effect: Effect, change: fn(&mut Explained, f64), rivals: &[Rival]| {
+                let mut named = known_effect(&effect, "", "");
+                (named.gain, named.class) = (0.25 * systematic, vec![]);
+                let mut explained = Explained { named: vec![named], ..Explained::default() };
+                explained.library = 0.8 * systematic;
+                change(&mut explained, systematic);
+                tests(&data, &explained, rivals, &remains)
+            };
+            let gain = Effect::new("channel-gain").with("a", 1.2);
+            let found = of(gain.clone(), |_, _| {}, &[]);
+            assert_eq!((found["left"], found["names"], found["per-channel"]), (0.3, 1.0, 1.0));
+            assert!((found["alone"] - 0.2).abs() < 1e-12 && (found["own"] - 0.25).abs() < 1e-12);
+            // Nothing competes, so that nothing says by how much.
+            assert!(!found.contains_key("excess"));
+            let rival = |excess| Rival {
+                shape: Shape::Place,
+                what: String::new(),
+                explains: 0.5,
+                excess: Some(excess),
+                deviations: None,
+            };
+            assert_eq!(of(gain.clone(), |_, _| {}, &[rival(-0.1), rival(0.2)])["excess"], 0.2);
+            let strange = |explained: &mut Explained, systematic: f64| {
+                explained.named[0].theta[0].plausibility = Some(1e-3);
+                explained.named[0].written = false;
+                explained.selection.library = 0.9 * systematic;
+            };
+            let doubted = of(gain, strange, &[]);
+            assert!((doubted["implausible"] - 1e-3f64.ln().abs()).abs() < 1e-9);
+            assert!((doubted["first-order"] - 0.1).abs() < 1e-9 && doubted["unwritten"] == 1.0);
+            assert_eq!(found["implausible"], 0.0);
+            let scale = of(Effect::new("force-scale").with("factor", 1.1), |_, _| {}, &[]);
+            assert_eq!(scale["per-channel"], 0.0);
+        });
+    }
+}

@@ -1,12 +1,12 @@
 //! Stage `measure`: how large the gap is, and what of it is no matter of presses.
 
-use dermis_model::common_effect;
+use dermis_model::diagnosis::Evidence;
+use dermis_model::{COMMON, common_effect};
 use dermis_skin::{Effect, SkinDescription};
 
 use super::check::{Known, Prepared};
 use super::report::known_effect;
 use crate::constants::report::{IRREPRODUCIBLE, UNSYSTEMATIC};
-use crate::effects::{self, Evidence};
 use crate::mains_interference::{self, Interference};
 use crate::noise::Gap;
 use crate::recording::Recording;
@@ -136,8 +136,8 @@ pub(super) fn interference(
 
 /// Interference as an effect that is named: its gain is its size, since no residual holds it.
 fn interference_effect(line: &Interference, size: f64, unit: &str) -> Option<(NamedEffect, Effect)> {
-    let (name, amplitude, frequency) = effects::TABLE.iter().find_map(|p| match p.evidence {
-        Evidence::Spectrum { amplitude, frequency } => Some((p.name, amplitude, frequency)),
+    let (name, amplitude, frequency) = COMMON.iter().find_map(|info| match info.diagnosis.evidence {
+        Evidence::Spectrum { amplitude, frequency } => Some((info.name, amplitude, frequency)),
         _ => None,
     })?;
     let effect = Effect::new(name).with(amplitude, line.amplitude).with(frequency, line.frequency);

@@ -1,5 +1,6 @@
 //! Stage `report`: verdict, where the gap lies, and what is left.
 
+use dermis_model::diagnosis::Evidence;
 use dermis_skin::{Effect, SkinDescription};
 use sha2::{Digest, Sha256};
 
@@ -9,10 +10,10 @@ use super::predict::{Explained, Members};
 use super::{Diagnosis, Options, contest, covariates};
 use crate::axes::{self, Axis, FREQUENCY, View};
 use crate::constants::report::{
-    DISCREPANCY, EFFECTS_ALONG_AXES, EXPLAINABLE, FINGERPRINT, NAMED, REMAINDER, SUSPECTS, UNSYSTEMATIC,
+    DISCREPANCY, EFFECTS_ALONG_AXES, EXPLAINABLE, FINGERPRINT, LEFT, NAMED, REMAINDER, SUSPECTS, UNSYSTEMATIC,
 };
 use crate::constants::select::{CLEARLY, SURELY};
-use crate::effects::{self, Evidence};
+use crate::effects;
 use crate::noise::Gap;
 use crate::protocol::design::Hypothesis;
 use crate::recording::{Recording, hex};
@@ -107,7 +108,7 @@ pub(super) fn library(report: &mut Report, signatures: &Signatures, simulated: f
     of.tried = signatures.candidates.iter().map(|c| c.name.clone()).collect();
     // No residual shows it: the spectrum of untouched frames does.
     let spectral = effects::with(|p| matches!(p.evidence, Evidence::Spectrum { .. }));
-    of.tried.extend(spectral.map(|p| p.name.to_owned()));
+    of.tried.extend(spectral.map(|info| info.name.to_owned()));
     of.library_hash = hex(&Sha256::digest(of.tried.join(",")));
     if samples.single_frame_samples > 0 {
         report.warnings.push(format!(
@@ -338,7 +339,7 @@ fn explainable(view: &View<'_>, gap: &Gap, seed: u64) -> f64 {
     let all = view.residual.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>()
         / (view.samples.list.len().max(1) * usable) as f64;
     let systematic = all - gap.floor * gap.variance;
-    if systematic > 0.02 * all { (share * all / systematic).clamp(0.0, 1.0) } else { 0.0 }
+    if systematic > LEFT * all { (share * all / systematic).clamp(0.0, 1.0) } else { 0.0 }
 }
 
 /// `sure` effects are named by what else shows them than residuals, out of `all`.

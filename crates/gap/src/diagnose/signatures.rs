@@ -52,3 +52,50 @@ pub(super) fn obtain(
     }
     Ok((found, seconds))
 }
+
+#[cfg(test)]
+mod tests {
+    use dermis_skin::Effect;
+
+    use super::super::testing::{Case, with_simulator};
+    use super::*;
+
+    #[test]
+    fn signatures_are_simulated_once_and_then_come_from_memory_or_from_the_disk() {
+        with_simulator(|simulator| {
+            let case = Case::of(simulator, &[Effect::new("channel-gain").with("a", 1.1)]);
+            let folder = tempfile::tempdir().unwrap();
+            let options = Options { cache: Some(folder.path().to_owned()), ..Options::default() };
+            let obtain = |memory: &Memory| {
+                super::obtain(simulator, &case.recording, &case.samples, &options, memory).unwrap()
+            };
+            let memory = Memory::default();
+            let (first, seconds) = obtain(&memory);
+            assert!(seconds > 0.0 && !first.candidates.is_empty());
+            let (again, seconds) = obtain(&memory);
+            assert!(Arc::ptr_eq(&first, &again) && seconds == 0.0);
+            let (stored, seconds) = obtain(&Memory::default());
+            assert_eq!((&stored.candidates, seconds), (&first.candidates, 0.0));
+            assert_eq!(stored.nominal, first.nominal);
+            // What cannot be read is simulated again.
+            for file in std::fs::read_dir(folder.path()).unwrap() {
+                std::fs::write(file.unwrap().path(), b"dgapsig").unwrap();
+            }
+            let (renewed, seconds) = obtain(&Memory::default());
+            assert!(seconds > 0.0 && renewed.candidates == first.candidates);
+        });
+    }
+
+    #[test]
+    fn other_presses_have_other_signatures() {
+        with_simulator(|simulator| {
+            let case = Case::of(simulator, &[]);
+            let mut fewer = case.samples.clone();
+            fewer.list.truncate(fewer.list.len() / 2);
+            let memory = Memory::default();
+            let options = Options::default();
+            let of = |samples| obtain(simulator, &case.recording, samples, &options, &memory).unwrap().0;
+            assert!(of(&case.samples).nominal.len() > of(&fewer).nominal.len());
+        });
+    }
+}

@@ -17,8 +17,8 @@ use crate::whitening;
 
 /// A device beside its design, up to the measured gap.
 pub(super) struct Case {
-    recording: Recording,
-    samples: Samples,
+    pub recording: Recording,
+    pub samples: Samples,
     pub measured: measure::Measured,
     signatures: Signatures,
     options: Options,

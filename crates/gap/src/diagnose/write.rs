@@ -1,5 +1,6 @@
 //! Coefficients of columns as effects with values, in the words of a skin description.
 
+use dermis_model::diagnosis::Signature;
 use dermis_skin::{Effect, SkinDescription};
 
 use super::data::Data;
@@ -7,7 +8,7 @@ use super::select::Selected;
 use crate::algebra::{cholesky_solve, dot};
 use crate::constants::refine::{HELD, STARTS};
 use crate::design;
-use crate::effects::{self, Coefficients};
+use crate::effects;
 use crate::signatures::{Candidate, uptime};
 use crate::statistics::{Column, Fit};
 use crate::whitening::whiten;
@@ -24,7 +25,7 @@ pub(super) fn effects(
     weights: &[f64],
 ) -> Vec<Effect> {
     let of = &data.signatures.candidates[candidate];
-    if let Coefficients::DecayFromPowerOn { time, share } = effects::of(&of.name).coefficients {
+    if let Signature::DecayFromPowerOn { time, share } = effects::of(&of.name).signature {
         return vec![decay(data, &selected.columns, of, fit, (time, share))];
     }
     if !of.linear.is_empty() {
@@ -52,7 +53,7 @@ fn proportional<'p>(skin: &SkinDescription, parts: impl Iterator<Item = (&'p Par
     for ((name, parameter, amount), coefficient) in parts.filter(|((.., amount), _)| *amount != 0.0) {
         let value = match design::value(skin, name) {
             Some(nominal) => design::within(nominal, nominal + coefficient * amount),
-            None => effects::of(name).value(coefficient, *amount),
+            None => effects::value(effects::of(name), coefficient, *amount),
         };
         match found.iter_mut().find(|e| e.name == *name) {
             Some(effect) => {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{Made, Shape};
 use crate::algebra::components;
-use crate::constants::rivals::{AMOUNT, FADE, PATCHES, PATTERNS, PLACES_A_PATCH, ZERO_KNOTS};
+use crate::constants::rivals::{AMOUNT, FADE, HELD, PATCHES, PATTERNS, PLACES_A_PATCH, WIDTH, ZERO_KNOTS};
 use crate::samples::{Sample, Samples};
 use crate::statistics::Column;
 
@@ -113,7 +113,7 @@ fn powers(list: &[Sample]) -> Vec<Vec<f64>> {
 fn mixing(count: usize, signals: &[f32], channels: usize) -> Vec<Column> {
     let own: Vec<Vec<f32>> =
         (0..channels).map(|k| signals.iter().skip(k).step_by(channels).copied().collect()).collect();
-    let (courses, _) = components(&own, 0.999, PATTERNS.min(channels.saturating_sub(1)));
+    let (courses, _) = components(&own, HELD, PATTERNS.min(channels.saturating_sub(1)));
     let mut found = Vec::new();
     for k in 0..channels {
         for course in &courses {
@@ -223,7 +223,7 @@ pub(super) fn patches(places: &Places, samples: &Samples) -> (Vec<Vec<f64>>, Vec
     let bump = |middle: usize| -> Vec<f64> {
         (0..at.len())
             .map(|i| {
-                let far = away(i, middle) / (0.6 * width);
+                let far = away(i, middle) / (WIDTH * width);
                 if far < 5.0 { (-0.5 * far * far).exp() } else { 0.0 }
             })
             .collect()

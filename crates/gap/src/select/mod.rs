@@ -225,7 +225,7 @@ impl<'a> Selector<'a> {
 
     /// Measures what an effective sample leaves on the best model with at most one effect beside `set`, with the model discrepancy nearly free.
     fn calibrate(&self, set: &[usize]) {
-        self.residual_per_sample.set(0.1 / self.tight);
+        self.residual_per_sample.set(constants::NEARLY_FREE / self.tight);
         let left = |set: &[usize]| self.losses(set, Tier::Strict).iter().sum::<f64>();
         let with = |e: usize| -> Vec<usize> { set.iter().copied().chain([e]).collect() };
         let others = (0..self.candidates.len()).filter(|e| !set.contains(e));
@@ -327,7 +327,7 @@ impl<'a> Selector<'a> {
         let (floor, share) = match others {
             [] => (self.options.floor, self.options.share),
             others if others.iter().any(inexact) => (self.options.floor, self.options.beside_nonlinear),
-            _ => (0.5 * self.options.floor, self.options.beside),
+            _ => (constants::SECOND * self.options.floor, self.options.beside),
         };
         floor.max(share * self.systematic)
     }

@@ -1,26 +1,22 @@
-//! Signatures of the effects that every skin can have: formulas over what the nominal model reads, or central differences.
+//! Signatures of the effects that every skin can have: by what each effect's file
+//! declares, formulas over what the nominal model reads, or central differences.
 
 use std::collections::BTreeSet;
 
-use dermis_model::{common_effect, full_scale};
+use dermis_model::diagnosis::{Amount, Covariate, Share, Signature, SignatureSample};
+use dermis_model::{COMMON, CommonEffect, NEUTRAL_TEMPERATURE, full_scale};
 use dermis_skin::SkinDescription;
 
 use super::{Candidate, Change, Changes, Signatures, central, uptime};
 use crate::algebra::dot;
 use crate::constants::check::KELVIN;
-use crate::constants::signatures::{MOVED, NONLINEAR, SHIFT};
-use crate::effects::{self, Properties, Signature};
+use crate::constants::signatures::{DECAY_SHARE, MOVED, NONLINEAR, SHIFT};
 use crate::samples::Samples;
 use crate::statistics::Column;
 use crate::zero_level::ZeroLevel;
 
-/// \[K\] at which thermal effects are neutral.
-const NEUTRAL: f64 = 293.15;
-
 /// What one parameter of an effect changes.
 pub(crate) struct Part {
-    /// The effect in whose parameters it is written, where that is another one.
-    effect: Option<&'static str>,
     pub(super) parameter: String,
     /// Value for which the column is.
     pub(super) amount: f64,
@@ -29,33 +25,33 @@ pub(crate) struct Part {
 
 impl Part {
     fn new(parameter: impl Into<String>, amount: f64, column: Column) -> Self {
-        Self { effect: None, parameter: parameter.into(), amount, column }
+        Self { parameter: parameter.into(), amount, column }
     }
 }
 
-/// What a formula says of an effect.
-pub(crate) enum Parts {
-    /// Its columns.
+/// What is known of the columns of an effect.
+enum Parts {
+    /// These.
     Columns(Vec<Part>),
     /// Why it cannot be seen in this recording.
     Silent(&'static str),
-    /// It is none that this skin can have.
+    /// It is none that this skin can have, or nothing in a residual shows it.
     Inapplicable,
 }
 
 /// What formulas work on.
-pub(crate) struct Context<'a> {
+struct Context<'a> {
     skin: &'a SkinDescription,
     samples: &'a Samples,
     noise: &'a [f64],
     /// Readings of the nominal model, samples × channels.
     nominal: &'a [f32],
     zero: &'a ZeroLevel,
-    /// Changes by all taxels moved along each axis.
-    taxels: &'a [Vec<Change>; 3],
     names: Vec<String>,
-    /// \[K\] of each sample.
-    kelvin: Vec<f64>,
+    /// Full scale of each channel.
+    full_scale: Vec<f64>,
+    /// Presses so far, at each sample.
+    presses: Vec<f64>,
 }
 
 impl<'a> Context<'a> {
@@ -64,11 +60,12 @@ impl<'a> Context<'a> {
         samples: &'a Samples,
         noise: &'a [f64],
         (nominal, zero): (&'a [f32], &'a ZeroLevel),
-        taxels: &'a [Vec<Change>; 3],
     ) -> Self {
-        let names = skin.channels().iter().map(|c| c.name.clone()).collect();
-        let kelvin = samples.list.iter().map(|s| s.temperature).collect();
-        Self { skin, samples, noise, nominal, zero, taxels, names, kelvin }
+        let channels = skin.channels();
+        let names = channels.iter().map(|c| c.name.clone()).collect();
+        let full_scale = channels.iter().map(|c| full_scale(c, skin.noise)).collect();
+        let presses = uptime::presses(samples);
+        Self { skin, samples, noise, nominal, zero, names, full_scale, presses }
     }
 
     fn channels(&self) -> usize {
@@ -79,21 +76,37 @@ impl<'a> Context<'a> {
         f64::from(self.nominal[sample * self.channels() + channel])
     }
 
+    fn at(&self, sample: usize, channel: usize) -> SignatureSample {
+        let of = &self.samples.list[sample];
+        SignatureSample {
+            nominal: self.reading(sample, channel),
+            zero: self.zero.subtracted(channel),
+            full_scale: self.full_scale[channel],
+            warmer: of.temperature - NEUTRAL_TEMPERATURE,
+            uptime: of.time,
+            presses: self.presses[sample],
+        }
+    }
+
     /// Mean deviation of the noise over channels.
     fn sigma(&self) -> f64 {
         self.noise.iter().sum::<f64>() / self.noise.len().max(1) as f64
     }
 
-    /// \[K\] above the neutral temperature.
-    fn warmth(&self, sample: usize) -> f64 {
-        self.kelvin[sample] - NEUTRAL
+    /// An amount, in the unit of the parameter.
+    fn amount(&self, of: Amount) -> f64 {
+        match of {
+            Amount::Si(amount) => amount,
+            Amount::Frames(count) => count / self.skin.rate,
+            Amount::Deviations(count) => count * self.sigma(),
+        }
     }
 
-    /// One column for each channel: `amount` times `value` of sample and channel.
-    fn of_channels(&self, amount: f64, value: impl Fn(usize, usize) -> f64) -> Vec<Part> {
+    /// One column for each channel: `amount` times the slope at sample and channel.
+    fn of_channels(&self, amount: f64, slope: fn(&SignatureSample) -> f64) -> Vec<Part> {
         (0..self.channels())
             .map(|k| {
-                let of = |i| (amount * value(i, k) / self.noise[k]) as f32;
+                let of = |i| (amount * slope(&self.at(i, k)) / self.noise[k]) as f32;
                 let values = (0..self.samples.list.len()).map(of).collect();
                 Part::new(&self.names[k], amount, Column { channel: Some(k), values })
             })
@@ -111,104 +124,84 @@ impl<'a> Context<'a> {
         Column { channel: None, values: (0..count).map(|i| value(i) as f32).collect() }
     }
 
+    /// One column for all channels, for the amount at which the largest share of a reading is the one that is wanted.
+    fn share(&self, of: &Share) -> Part {
+        let slopes: Vec<f64> = (0..self.samples.list.len()).map(|i| (of.slope)(&self.at(i, 0))).collect();
+        let amount = of.largest / slopes.iter().fold(0.0f64, |most, s| most.max(s.abs())).max(1e-9);
+        Part::new(of.parameter, amount, self.scaled(|i| amount * slopes[i]))
+    }
+
+    /// Zeros, and one factor of all readings, that decay from power-on.
+    fn decays(&self, share: &str) -> Vec<Part> {
+        let courses = uptime::decays(self.samples);
+        let sigma = self.sigma();
+        let mut parts: Vec<Part> = Vec::new();
+        for k in 0..self.channels() {
+            for course in &courses {
+                let factor = (sigma / self.noise[k]) as f32;
+                let values = course.iter().map(|v| v * factor).collect();
+                parts.push(Part::new(&self.names[k], sigma, Column { channel: Some(k), values }));
+            }
+        }
+        for course in &courses {
+            let column = self.scaled(|i| DECAY_SHARE * f64::from(course[i]));
+            parts.push(Part::new(share, DECAY_SHARE, column));
+        }
+        parts
+    }
+
+    /// Each taxel moved along each axis; `moved` holds changes by all taxels moved along each.
+    fn taxels(&self, moved: &[Vec<Change>; 3]) -> Parts {
+        let owners = self.skin.channel_taxels();
+        // Channels of one taxel move together, which columns of a channel each cannot say.
+        if owners.iter().collect::<BTreeSet<_>>().len() != owners.len() {
+            return Parts::Inapplicable;
+        }
+        let channels = self.channels();
+        let mut parts = Vec::new();
+        for (axis, realised) in moved.iter().enumerate() {
+            let Some(slope) = central(realised) else { continue };
+            for k in 0..channels {
+                let value = |i: usize| slope[i * channels + k] * SHIFT as f32;
+                let values = (0..self.samples.list.len()).map(value).collect();
+                let name = format!("{}.{}", self.skin.taxels[owners[k]].name, ["x", "y", "z"][axis]);
+                parts.push(Part::new(name, SHIFT, Column { channel: Some(k), values }));
+            }
+        }
+        Parts::Columns(parts)
+    }
+
     /// Why the temperature says nothing, where it does not.
     fn cold(&self) -> Option<&'static str> {
-        if self.kelvin.iter().any(|t| !t.is_finite()) {
+        let kelvin = || self.samples.list.iter().map(|s| s.temperature);
+        if kelvin().any(|t| !t.is_finite()) {
             return Some("the temperature is not recorded");
         }
-        let (low, high) =
-            self.kelvin.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(*t), h.max(*t)));
+        let (low, high) = kelvin().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), t| (l.min(t), h.max(t)));
         (high - low <= KELVIN).then_some("the temperature hardly changes in this recording")
     }
-}
 
-/// A constant for each channel.
-pub(crate) fn offsets(of: &Context<'_>) -> Parts {
-    Parts::Columns(of.of_channels(of.sigma(), |_, _| 1.0))
-}
-
-/// A factor for each channel. In a tared recording it scales signals: the zero was read with the same factor.
-pub(crate) fn gains(of: &Context<'_>) -> Parts {
-    Parts::Columns(of.of_channels(0.05, |i, k| of.reading(i, k)))
-}
-
-/// The square of the reading over the full scale, for each channel; in a tared recording less that of the zero.
-pub(crate) fn curvatures(of: &Context<'_>) -> Parts {
-    let full: Vec<f64> = of.skin.channels().iter().map(|c| full_scale(c, of.skin.noise)).collect();
-    Parts::Columns(of.of_channels(0.05, |i, k| {
-        let zero = of.zero.subtracted(k);
-        ((of.reading(i, k) + zero).powi(2) - zero.powi(2)) / full[k]
-    }))
-}
-
-/// Zeros that follow the temperature, linearly and by its square.
-pub(crate) fn thermal_zeros(of: &Context<'_>) -> Parts {
-    if let Some(why) = of.cold() {
-        return Parts::Silent(why);
-    }
-    let mut zeros = of.of_channels(of.sigma(), |i, _| of.warmth(i));
-    let squares = of.of_channels(0.1 * of.sigma(), |i, _| of.warmth(i) * of.warmth(i));
-    zeros.extend(squares.into_iter().map(|part| Part { effect: Some("thermal-bend"), ..part }));
-    Parts::Columns(zeros)
-}
-
-/// Factors that follow the temperature.
-pub(crate) fn thermal_spans(of: &Context<'_>) -> Parts {
-    match of.cold() {
-        Some(why) => Parts::Silent(why),
-        None => Parts::Columns(of.of_channels(0.01, |i, k| of.warmth(i) * of.reading(i, k))),
-    }
-}
-
-/// A sensitivity that falls with the time in use, and with presses.
-pub(crate) fn ageing(of: &Context<'_>) -> Parts {
-    let largest = |values: &[f64]| values.iter().copied().fold(0.0, f64::max).max(1e-9);
-    let times: Vec<f64> = of.samples.list.iter().map(|s| s.time).collect();
-    let counts = uptime::presses(of.samples);
-    let (rate, wear) = (0.1 / largest(&times), 0.1 / largest(&counts));
-    Parts::Columns(vec![
-        Part::new("rate", rate, of.scaled(|i| -rate * times[i])),
-        Part::new("wear", wear, of.scaled(|i| -wear * counts[i])),
-    ])
-}
-
-/// Zeros, and one factor of all readings, that decay from power-on.
-pub(crate) fn decays(of: &Context<'_>) -> Parts {
-    let courses = uptime::decays(of.samples);
-    let sigma = of.sigma();
-    let mut parts: Vec<Part> = Vec::new();
-    for k in 0..of.channels() {
-        for course in &courses {
-            let factor = (sigma / of.noise[k]) as f32;
-            let values = course.iter().map(|v| v * factor).collect();
-            parts.push(Part::new(&of.names[k], sigma, Column { channel: Some(k), values }));
+    /// The columns of an effect.
+    fn parts(&self, of: &CommonEffect, changes: &mut Changes) -> Parts {
+        if of.diagnosis.follows == Some(Covariate::Temperature)
+            && let Some(why) = self.cold()
+        {
+            return Parts::Silent(why);
+        }
+        match of.diagnosis.signature {
+            Signature::Channels { amount, slope } => {
+                Parts::Columns(self.of_channels(self.amount(amount), slope))
+            }
+            Signature::Shares(shares) => Parts::Columns(shares.iter().map(|s| self.share(s)).collect()),
+            Signature::DecayFromPowerOn { share, .. } => Parts::Columns(self.decays(share.0)),
+            Signature::Taxels => self.taxels(&changes.taxels),
+            Signature::Simulated(_) => match changes.common.remove(of.name) {
+                Some(realised) => Parts::Columns(differences(realised)),
+                None => Parts::Inapplicable,
+            },
+            Signature::None => Parts::Inapplicable,
         }
     }
-    for course in &courses {
-        parts.push(Part::new("span", 0.1, of.scaled(|i| 0.1 * f64::from(course[i]))));
-    }
-    Parts::Columns(parts)
-}
-
-/// Each taxel moved along each axis.
-pub(crate) fn taxel_positions(of: &Context<'_>) -> Parts {
-    let owners = of.skin.channel_taxels();
-    // Channels of one taxel move together, which columns of a channel each cannot say.
-    if owners.iter().collect::<BTreeSet<_>>().len() != owners.len() {
-        return Parts::Inapplicable;
-    }
-    let channels = of.channels();
-    let mut parts = Vec::new();
-    for (axis, realised) in of.taxels.iter().enumerate() {
-        let Some(slope) = central(realised) else { continue };
-        for k in 0..channels {
-            let value = |i: usize| slope[i * channels + k] * SHIFT as f32;
-            let values = (0..of.samples.list.len()).map(value).collect();
-            let name = format!("{}.{}", of.skin.taxels[owners[k]].name, ["x", "y", "z"][axis]);
-            parts.push(Part::new(name, SHIFT, Column { channel: Some(k), values }));
-        }
-    }
-    Parts::Columns(parts)
 }
 
 /// Columns of a simulated effect: for each parameter the central difference, and what a large amount changes beyond it.
@@ -239,8 +232,11 @@ pub(super) fn differences(mut realised: Vec<(String, Change)>) -> Vec<Part> {
     parts
 }
 
+/// Parts of a hypothesis, with the effect in whose parameters each is written.
+type Written = Vec<(&'static str, Part)>;
+
 impl Signatures {
-    /// Adds the effects of the table.
+    /// Adds the effects that every skin can have.
     pub(super) fn add_common(
         &mut self,
         skin: &SkinDescription,
@@ -249,52 +245,57 @@ impl Signatures {
         changes: &mut Changes,
     ) {
         let nominal = std::mem::take(&mut self.nominal);
-        let least = MOVED * ((samples.list.len() * noise.len()) as f64).sqrt();
         let zero = std::mem::take(&mut self.zero);
-        let context = Context::new(skin, samples, noise, (&nominal, &zero), &changes.taxels);
-        for of in effects::TABLE {
-            match of.signature {
-                Signature::None => {}
-                Signature::Formula(formula) => match formula(&context) {
-                    Parts::Columns(parts) => self.add_linear(of, parts, least),
-                    Parts::Silent(why) => self.silent.push((of.name.to_owned(), why.to_owned())),
-                    Parts::Inapplicable => {}
-                },
-                Signature::Simulated(_) => {
-                    if let Some(realised) = changes.common.remove(of.name) {
-                        self.add_linear(of, differences(realised), least);
-                    }
+        let context = Context::new(skin, samples, noise, (&nominal, &zero));
+        let mut hypotheses: Vec<(&CommonEffect, Written)> = Vec::new();
+        let (additions, own): (Vec<_>, Vec<_>) =
+            COMMON.iter().partition(|info| info.diagnosis.addition_to.is_some());
+        for info in own {
+            match context.parts(info, changes) {
+                Parts::Columns(parts) => {
+                    hypotheses.push((info, parts.into_iter().map(|part| (info.name, part)).collect()));
                 }
+                Parts::Silent(why) => self.silent.push((info.name.to_owned(), why.to_owned())),
+                Parts::Inapplicable => {}
             }
+        }
+        for info in additions {
+            let to = hypotheses.iter_mut().find(|(of, _)| info.diagnosis.addition_to == Some(of.name));
+            if let (Some((_, written)), Parts::Columns(parts)) = (to, context.parts(info, changes)) {
+                written.extend(parts.into_iter().map(|part| (info.name, part)));
+            }
+        }
+        let least = MOVED * ((samples.list.len() * noise.len()) as f64).sqrt();
+        for (info, parts) in hypotheses {
+            self.add_linear(info, parts, least);
         }
         (self.nominal, self.zero) = (nominal, zero);
     }
 
     /// Adds an effect that is known by its columns, each of one parameter; those that move nothing are left out.
-    fn add_linear(&mut self, of: &Properties, parts: Vec<Part>, least: f64) {
-        let Some(info) = common_effect(of.name) else { return };
+    fn add_linear(&mut self, of: &CommonEffect, parts: Written, least: f64) {
         let mut candidate = Candidate {
             name: of.name.to_owned(),
-            what: info.what.to_owned(),
+            what: of.what.to_owned(),
             family: false,
-            rig: info.rig,
+            rig: of.rig,
             number: false,
             columns: Vec::new(),
-            per_channel: of.per_channel,
+            per_channel: of.per_channel(),
             drifts_randomly: false,
-            nonlinear: of.nonlinear,
-            depends_on_uptime: of.depends_on_uptime,
+            nonlinear: of.diagnosis.nonlinear,
+            depends_on_uptime: of.diagnosis.depends_on_uptime,
             written_as: None,
             aliases: Vec::new(),
             starts: Vec::new(),
             linear: Vec::new(),
         };
-        for Part { effect, parameter, amount, column } in parts {
+        for (effect, Part { parameter, amount, column }) in parts {
             if dot(&column.values, &column.values).sqrt() < least {
                 continue;
             }
             candidate.columns.push(self.columns.len());
-            candidate.linear.push((effect.unwrap_or(of.name).to_owned(), parameter, amount));
+            candidate.linear.push((effect.to_owned(), parameter, amount));
             self.columns.push(column);
         }
         if candidate.columns.is_empty() {

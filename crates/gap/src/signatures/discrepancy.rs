@@ -8,7 +8,7 @@ use dermis_skin::SkinDescription;
 
 use super::{Changes, Signatures, central};
 use crate::algebra::components;
-use crate::constants::signatures::{DISCREPANCIES, LAW, TOLERANCE};
+use crate::constants::signatures::{DISCREPANCIES, DISCREPANCY, LAW, TOLERANCE};
 use crate::samples::Samples;
 use crate::statistics::Column;
 use crate::zero_level::ZeroLevel;
@@ -130,7 +130,7 @@ impl Signatures {
             }
         }
         // Many tolerances at once: components of their sum, not of their mean.
-        let (mut found, _) = components(&vectors, 0.9995, DISCREPANCIES);
+        let (mut found, _) = components(&vectors, DISCREPANCY, DISCREPANCIES);
         let back = (vectors.len() as f32).sqrt();
         for values in &mut found {
             values.iter_mut().for_each(|v| *v *= back);

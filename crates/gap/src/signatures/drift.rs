@@ -5,7 +5,7 @@
 
 use super::Realisation;
 use crate::algebra::{cholesky_solve, components, direction, dot};
-use crate::constants::signatures::{DRIFTS, FEW, KNOTS, ONE_COURSE, PAUSE, SMOOTH};
+use crate::constants::signatures::{DRIFTS, FEW, KNOTS, ONE_COURSE, PAUSE, SMOOTH, WHOLE};
 use crate::samples::Samples;
 use crate::statistics::Column;
 
@@ -130,7 +130,7 @@ pub(super) fn pattern(realised: &[Realisation], samples: &Samples, channels: usi
             patterns.push((0..channels).map(|k| own[k * m + w] as f32).collect());
         }
     }
-    let (found, _) = components(&patterns, 0.9999, 1);
+    let (found, _) = components(&patterns, WHOLE, 1);
     let energy: f64 = patterns.iter().map(|p| dot(p, p)).sum();
     let first = found.first()?;
     let held: f64 =

@@ -4,7 +4,7 @@ use dermis_skin::EffectInfo;
 
 use super::{Candidate, Realisation, Signatures, drift};
 use crate::algebra::{components, dot};
-use crate::constants::signatures::{EACH, FEW, HELD, MOVED, PREDICTED, SAME, TOGETHER};
+use crate::constants::signatures::{EACH, FEW, HELD, MOVED, PREDICTED, SAME, TOGETHER, WHOLE};
 use crate::samples::Samples;
 use crate::simulate::Simulator;
 use crate::statistics::{Column, Gram, Statistics};
@@ -145,7 +145,7 @@ fn predicted(realised: &[Realisation]) -> bool {
     for left in 0..devices.len() {
         let others: Vec<&[f32]> =
             devices.iter().enumerate().filter(|(i, _)| *i != left).map(|(_, v)| v.as_slice()).collect();
-        let (found, _) = components(&others, 0.9999, FEW);
+        let (found, _) = components(&others, WHOLE, FEW);
         let target = &devices[left];
         let energy = dot(target, target);
         let held: f64 = found.iter().map(|c| dot(c, target).powi(2) / dot(c, c).max(1e-300)).sum::<f64>();

@@ -1,10 +1,12 @@
 //! Which simulations signatures need: one job each.
 
+use dermis_model::COMMON;
+use dermis_model::diagnosis::{Amount, Needs, Signature};
 use dermis_skin::{Effect, SkinDescription};
 
 use crate::constants::signatures::{DEVICES, SHIFT, TOLERANCE};
 use crate::design;
-use crate::effects::{self, Amount, Needs, Signature};
+use crate::effects;
 use crate::samples::Samples;
 use crate::simulate::Simulator;
 
@@ -64,13 +66,15 @@ fn family(simulator: &Simulator<'_>, jobs: &mut Vec<Job>) {
     }
 }
 
-/// The effects whose signature the table asks to simulate.
+/// The common effects whose signature is simulated.
 fn common(simulator: &Simulator<'_>, samples: &Samples, jobs: &mut Vec<Job>) {
     let skin = simulator.skin;
     let period = 1.0 / skin.rate;
     let flat = samples.list.iter().all(|s| !s.position[2].is_finite() || s.position[2].abs() < 1e-6);
-    for of in effects::TABLE {
-        let Signature::Simulated(variations) = of.signature else { continue };
+    let noise = skin.channel_noise();
+    let noise = noise.iter().sum::<f64>() / noise.len().max(1) as f64;
+    for of in COMMON {
+        let Signature::Simulated(variations) = of.diagnosis.signature else { continue };
         for variation in variations {
             let possible = match variation.needs {
                 Needs::Nothing => true,
@@ -83,8 +87,9 @@ fn common(simulator: &Simulator<'_>, samples: &Samples, jobs: &mut Vec<Job>) {
             let amount = match variation.amount {
                 Amount::Si(amount) => amount,
                 Amount::Frames(count) => count * period,
+                Amount::Deviations(count) => count * noise,
             };
-            let effect = Effect::new(of.name).with(variation.parameter, of.neutral + amount);
+            let effect = Effect::new(of.name).with(variation.parameter, of.diagnosis.neutral + amount);
             let skin = simulator.with(&[effect]);
             let purpose = Purpose::Common(of.name, variation.parameter.to_owned(), amount);
             jobs.push(Job { skin, purpose });
@@ -113,9 +118,9 @@ fn tolerances(simulator: &Simulator<'_>, jobs: &mut Vec<Job>) {
         }
     }
     for of in effects::with(|p| p.tolerance.is_some()) {
-        let Some((parameter, name)) = of.tolerance else { continue };
+        let Some((parameter, name)) = of.diagnosis.tolerance else { continue };
         for side in [1.0, -1.0] {
-            let effect = Effect::new(of.name).with(parameter, of.neutral + side * TOLERANCE);
+            let effect = Effect::new(of.name).with(parameter, of.diagnosis.neutral + side * TOLERANCE);
             let purpose = Purpose::Tolerance(name.to_owned(), side);
             jobs.push(Job { skin: simulator.with(&[effect]), purpose });
         }

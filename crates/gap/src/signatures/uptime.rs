@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use crate::algebra::{components, dot};
-use crate::constants::signatures::{DECAY_COLUMNS, DECAYS};
+use crate::constants::signatures::{DECAY_COLUMNS, DECAYS, WHOLE};
 use crate::samples::Samples;
 
 /// What all decays from power-on have in common: a few courses, one value a sample each.
 pub(crate) fn decays(samples: &Samples) -> Vec<Vec<f32>> {
     let courses: Vec<Vec<f32>> = DECAYS.iter().map(|tau| decay(samples, *tau)).collect();
-    components(&courses, 0.9999, DECAY_COLUMNS).0
+    components(&courses, WHOLE, DECAY_COLUMNS).0
 }
 
 /// What is left of a value at power-on, one value a sample; `time` is the time constant in seconds.

@@ -2,9 +2,8 @@
 
 use dermis_skin::ParameterInfo;
 
-use super::{
-    Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Signature, Stage, StatefulAct,
-};
+use super::diagnosis::{Diagnosis, FreeNumber, Share, Signature};
+use super::{Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Stage, StatefulAct};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "ageing",
@@ -32,7 +31,15 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: true,
     rig: false,
     stage: Stage::Transducer,
-    signature: Signature { depends_on_uptime: true, ..Signature::SIMULATED },
+    diagnosis: Diagnosis {
+        depends_on_uptime: true,
+        free: &[FreeNumber::new(None, [-0.1, 0.1], 1e-4, 0.0)],
+        signature: Signature::Shares(&[
+            Share { parameter: "rate", slope: |sample| -sample.uptime, largest: 0.1 },
+            Share { parameter: "wear", slope: |sample| -sample.presses, largest: 0.1 },
+        ]),
+        ..Diagnosis::FAMILY
+    },
     acts,
 };
 

@@ -1,8 +1,7 @@
 //! Non-linearity of channels: `r + c · r² / full scale`, as far as the vertex of that parabola.
 
-use super::{
-    Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Signature, Stage, full_scale,
-};
+use super::diagnosis::{Amount, Diagnosis};
+use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Stage, full_scale};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "channel-curvature",
@@ -13,12 +12,17 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Transducer,
-    signature: Signature::of(|sample| sample.nominal.powi(2) / sample.full_scale),
+    diagnosis: Diagnosis {
+        limits: Some([-CURVED, CURVED]),
+        ..Diagnosis::of_channels(Amount::Si(0.05), |sample| {
+            ((sample.nominal + sample.zero).powi(2) - sample.zero.powi(2)) / sample.full_scale
+        })
+    },
     acts,
 };
 
 /// Curvature of a channel at most. Few skins use their channels to the full: what bends much there may be all but straight in use.
-pub const CURVED: f64 = 100.0;
+const CURVED: f64 = 100.0;
 
 fn acts(settings: &Settings<'_>) -> Result<Vec<Act>, Refused> {
     let curvatures = settings.channels(0.0, |value| {

@@ -1,6 +1,7 @@
 //! Sensitivity error of channels: `reading · gain`.
 
-use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Signature, Stage};
+use super::diagnosis::{Amount, Diagnosis};
+use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Stage};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "channel-gain",
@@ -11,7 +12,13 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Transducer,
-    signature: Signature::of(|sample| sample.nominal),
+    diagnosis: Diagnosis {
+        neutral: 1.0,
+        least: 1e-3,
+        describes_channels: true,
+        // In a tared recording it scales signals: the zero was read with the same factor.
+        ..Diagnosis::of_channels(Amount::Si(0.05), |sample| sample.nominal)
+    },
     acts,
 };
 

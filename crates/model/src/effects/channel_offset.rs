@@ -1,6 +1,7 @@
 //! Zero error of channels: `reading + offset`.
 
-use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Signature, Stage};
+use super::diagnosis::{Amount, Diagnosis};
+use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Stage};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "channel-offset",
@@ -11,7 +12,11 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Electronics,
-    signature: Signature::of(|_| 1.0),
+    diagnosis: Diagnosis {
+        describes_channels: true,
+        shifts_channels: true,
+        ..Diagnosis::of_channels(Amount::Deviations(1.0), |_| 1.0)
+    },
     acts,
 };
 

@@ -1,6 +1,7 @@
 //! Swapped lines: channel k reads what the line `order[k]` carries.
 
-use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Signature, Stage};
+use super::diagnosis::{Diagnosis, Evidence};
+use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Stage};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "channel-order",
@@ -11,7 +12,7 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Electronics,
-    signature: Signature::SIMULATED,
+    diagnosis: Diagnosis { evidence: Evidence::ChannelOrder, ..Diagnosis::FAMILY },
     acts,
 };
 

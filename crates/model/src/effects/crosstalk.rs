@@ -2,7 +2,11 @@
 
 use dermis_skin::ParameterInfo;
 
-use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Signature, Stage};
+use super::diagnosis::{Diagnosis, FreeNumber, Needs, Variation};
+use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Stage};
+
+/// Crosstalk beyond a half would be another channel's reading.
+const HALF: f64 = 0.49;
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "crosstalk",
@@ -30,7 +34,14 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Electronics,
-    signature: Signature::SIMULATED,
+    diagnosis: Diagnosis {
+        limits: Some([-HALF, HALF]),
+        free: &[FreeNumber::new(None, [-HALF, HALF], 0.1, 0.0)],
+        ..Diagnosis::simulated(&[
+            Variation::by("before", 0.05).needing(Needs::SeveralChannels),
+            Variation::by("after", 0.05).needing(Needs::SeveralChannels),
+        ])
+    },
     acts,
 };
 

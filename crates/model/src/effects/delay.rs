@@ -4,9 +4,8 @@ use std::collections::VecDeque;
 
 use dermis_skin::ParameterInfo;
 
-use super::{
-    Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Signature, Stage, StatefulAct,
-};
+use super::diagnosis::{Diagnosis, FORWARDS, FreeNumber, Variation};
+use super::{Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Stage, StatefulAct};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "delay",
@@ -24,7 +23,11 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: true,
     rig: false,
     stage: Stage::Electronics,
-    signature: Signature::SIMULATED,
+    diagnosis: Diagnosis {
+        limits: FORWARDS,
+        free: &[FreeNumber::LAG],
+        ..Diagnosis::simulated(&[Variation::frames("time", 1.0), Variation::frames("time", 5.0)])
+    },
     acts,
 };
 

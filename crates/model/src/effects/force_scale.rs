@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use dermis_skin::{ParameterInfo, Surface};
 
-use super::{Act, CommonEffect, CommonParameters, Refused, RigAct, Settings, Signature, Stage};
+use super::diagnosis::{Diagnosis, FACTOR, FreeNumber, Variation};
+use super::{Act, CommonEffect, CommonParameters, Refused, RigAct, Settings, Stage};
 use crate::Indentation;
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
@@ -23,7 +24,12 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: true,
     stage: Stage::Rig,
-    signature: Signature::SIMULATED,
+    diagnosis: Diagnosis {
+        neutral: 1.0,
+        limits: FACTOR,
+        free: &[FreeNumber::new(None, [0.1, 10.0], 0.2, 1.0)],
+        ..Diagnosis::simulated(&[Variation::by("factor", 0.05), Variation::by("factor", -0.05)])
+    },
     acts,
 };
 

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use dermis_skin::{ParameterInfo, Surface};
 
-use super::{Act, CommonEffect, CommonParameters, Refused, RigAct, Settings, Signature, Stage};
+use super::diagnosis::{Diagnosis, FreeNumber, Variation};
+use super::{Act, CommonEffect, CommonParameters, Refused, RigAct, Settings, Stage};
 use crate::Indentation;
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
@@ -23,7 +24,10 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: true,
     stage: Stage::Rig,
-    signature: Signature::SIMULATED,
+    diagnosis: Diagnosis {
+        free: &[FreeNumber::new(None, [-2.0, 2.0], 0.05, 0.0)],
+        ..Diagnosis::simulated(&[Variation::by("force", 0.005), Variation::by("force", -0.005)])
+    },
     acts,
 };
 

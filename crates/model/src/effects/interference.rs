@@ -4,9 +4,8 @@ use std::f64::consts::TAU;
 
 use dermis_skin::ParameterInfo;
 
-use super::{
-    Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Signature, Stage, StatefulAct,
-};
+use super::diagnosis::{Diagnosis, Evidence};
+use super::{Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Stage, StatefulAct};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "interference",
@@ -35,7 +34,10 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: true,
     rig: false,
     stage: Stage::Electronics,
-    signature: Signature::SIMULATED,
+    diagnosis: Diagnosis {
+        evidence: Evidence::Spectrum { amplitude: "amplitude", frequency: "frequency" },
+        ..Diagnosis::FAMILY
+    },
     acts,
 };
 

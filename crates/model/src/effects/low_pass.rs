@@ -2,9 +2,8 @@
 
 use dermis_skin::ParameterInfo;
 
-use super::{
-    Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Signature, Stage, StatefulAct,
-};
+use super::diagnosis::{Diagnosis, FORWARDS, FreeNumber, Variation};
+use super::{Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Stage, StatefulAct};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "low-pass",
@@ -22,7 +21,11 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: true,
     rig: false,
     stage: Stage::Electronics,
-    signature: Signature::SIMULATED,
+    diagnosis: Diagnosis {
+        limits: FORWARDS,
+        free: &[FreeNumber::LAG],
+        ..Diagnosis::simulated(&[Variation::frames("time", 1.0), Variation::frames("time", 10.0)])
+    },
     acts,
 };
 

@@ -2,7 +2,7 @@
 //!
 //! A skin description switches them on like those of its family; their parameters are named after channels (`b0 = 1.02`) or
 //! taxels (`"b0.x" = 1e-4`). The family's model never sees them: [`device`](crate::device()) takes them out and puts them around
-//! it. Each is a file of its own: what it is, where in the device it acts, how, and how a diagnosis can see it. A new one is a
+//! it. Each is a file of its own: what it is, where in the device it acts, how, and what a diagnosis must know of it. A new one is a
 //! file and a line in [`COMMON`].
 
 mod ageing;
@@ -12,6 +12,7 @@ mod channel_offset;
 mod channel_order;
 mod crosstalk;
 mod delay;
+pub mod diagnosis;
 mod force_scale;
 mod force_zero;
 mod interference;
@@ -31,7 +32,7 @@ use dermis_skin::{Channel, ParameterInfo, SkinDescription, Surface};
 use serde::Serialize;
 
 use crate::Indentation;
-pub use channel_curvature::CURVED;
+use diagnosis::Diagnosis;
 pub(crate) use settings::Settings;
 
 /// Every effect that is common to all skins, in the order in which those of one stage act. Names are part of the file format.
@@ -99,9 +100,9 @@ pub struct CommonEffect {
     pub rig: bool,
     /// Where it acts; one that acts twice (warm-up: on sensitivity and on zero) names the first stage.
     pub stage: Stage,
-    /// How a diagnosis can see it.
+    /// What a diagnosis of the sim-to-real gap must know of it.
     #[serde(skip)]
-    pub signature: Signature,
+    pub diagnosis: Diagnosis,
     /// What it does, with these settings: nothing where they are neutral.
     #[serde(skip)]
     pub(crate) acts: fn(&Settings<'_>) -> Result<Vec<Act>, Refused>,
@@ -115,6 +116,12 @@ impl CommonEffect {
             CommonParameters::Named(named) | CommonParameters::ChannelsAnd(named) => named,
             CommonParameters::Channels | CommonParameters::Taxels => &[],
         }
+    }
+
+    /// Whether each channel has parameters of its own.
+    #[must_use]
+    pub fn per_channel(&self) -> bool {
+        !matches!(self.parameters, CommonParameters::Named(_))
     }
 
     /// Unit of a parameter; empty: that of the skin.
@@ -136,38 +143,6 @@ pub enum CommonParameters {
     Named(&'static [ParameterInfo]),
     /// Names of channels, and these.
     ChannelsAnd(&'static [ParameterInfo]),
-}
-
-/// How an effect shows in recorded readings.
-#[derive(Debug, Clone, Copy)]
-pub struct Signature {
-    /// Change of a channel's reading by its parameter, at the neutral value: for effects whose parameters are called after
-    /// channels and that act on each channel alone.
-    pub slope: Option<fn(&SignatureSample) -> f64>,
-    /// Whether it depends on how long the device has been on, or used.
-    pub depends_on_uptime: bool,
-    /// Whether what it changes is not in proportion to its parameters.
-    pub nonlinear: bool,
-}
-
-impl Signature {
-    /// Of an effect that is in proportion to its parameters and whose columns only a simulation gives.
-    pub(crate) const SIMULATED: Self = Self { slope: None, depends_on_uptime: false, nonlinear: false };
-
-    pub(crate) const fn of(slope: fn(&SignatureSample) -> f64) -> Self {
-        Self { slope: Some(slope), ..Self::SIMULATED }
-    }
-}
-
-/// One reading of one channel, as the signature of an effect depends on it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SignatureSample {
-    /// Reading of the nominal model, in the unit of the skin.
-    pub nominal: f64,
-    /// Full scale of the channel ([`full_scale`]), in the unit of the skin.
-    pub full_scale: f64,
-    /// \[K\] above [`NEUTRAL_TEMPERATURE`].
-    pub warmer: f64,
 }
 
 /// \[K\] at which thermal effects are neutral.

@@ -1,6 +1,7 @@
 //! Placement tolerance: the family's model is made of other positions.
 
-use super::{Act, CommonEffect, CommonParameters, Refused, Settings, Signature, Stage};
+use super::diagnosis::{Diagnosis, Signature};
+use super::{Act, CommonEffect, CommonParameters, Refused, Settings, Stage};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "taxel-position",
@@ -11,7 +12,12 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Medium,
-    signature: Signature { nonlinear: true, ..Signature::SIMULATED },
+    diagnosis: Diagnosis {
+        signature: Signature::Taxels,
+        nonlinear: true,
+        describes_channels: true,
+        ..Diagnosis::FAMILY
+    },
     acts,
 };
 

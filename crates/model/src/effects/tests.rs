@@ -4,11 +4,11 @@ use dermis_fixtures::SkinFile;
 use dermis_skin::{Effect, ModelError, SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
 
+use super::diagnosis::{Evidence, Signature, SignatureSample};
 use super::{Act, Settings};
 use crate::{
     COMMON, CommonEffect, CommonParameters, DeviceState, ForwardModel, Indentation, Memory,
-    NEUTRAL_TEMPERATURE, SignatureSample, Stage, Stepped, Stimulus, Wrapper, common_effect, device,
-    full_scale,
+    NEUTRAL_TEMPERATURE, Stage, Stepped, Stimulus, Wrapper, common_effect, device, full_scale,
 };
 
 /// Reads force over distance.
@@ -319,24 +319,71 @@ fn acts_come_in_the_order_of_the_signal() {
 
 #[test]
 fn a_signature_is_the_slope_of_its_effect() {
-    let mut skin = SkinFile::new("pad").read();
     let stimulus = Stimulus { temperature: 299.0, ..press(0.001, 1.3) };
-    let nominal = read(vec![], &stimulus)[0];
-    let full = full_scale(&skin.channels()[0], skin.noise);
-    skin.effects.clear();
-    let sample = SignatureSample { nominal, full_scale: full, warmer: 299.0 - NEUTRAL_TEMPERATURE };
+    let skin = SkinFile::new("pad").read();
+    let sample = SignatureSample {
+        nominal: read(vec![], &stimulus)[0],
+        zero: 0.0,
+        full_scale: full_scale(&skin.channels()[0], skin.noise),
+        warmer: 299.0 - NEUTRAL_TEMPERATURE,
+        uptime: 40.0,
+        presses: 1.0,
+    };
     let mut seen = 0;
     for info in COMMON {
-        let Some(slope) = info.signature.slope else { continue };
-        let at = |by: f64| {
-            let neutral = if info.name == "channel-gain" { 1.0 } else { 0.0 };
-            read(vec![Effect::new(info.name).with("a", neutral + by)], &stimulus)[0]
+        let step = |parameter: &str, time: f64| {
+            let at = |by: f64| {
+                let effect = Effect::new(info.name).with(parameter, info.diagnosis.neutral + by);
+                let (model, mut out) = (made(vec![effect]).unwrap(), [0.0; 2]);
+                model.start(0).step(time, &stimulus, &mut out).unwrap();
+                out[0]
+            };
+            (at(1e-5) - at(-1e-5)) / 2e-5
         };
-        let found = (at(1e-4) - at(-1e-4)) / 2e-4;
-        approx::assert_relative_eq!(found, slope(&sample), max_relative = 1e-6);
-        seen += 1;
+        match info.diagnosis.signature {
+            Signature::Channels { slope, .. } => {
+                approx::assert_relative_eq!(step("a", 0.0), slope(&sample), max_relative = 1e-6);
+                seen += 1;
+            }
+            Signature::Shares(shares) => {
+                for share in shares {
+                    let expected = (share.slope)(&sample) * sample.nominal;
+                    approx::assert_relative_eq!(step(share.parameter, 40.0), expected, max_relative = 1e-6);
+                    seen += 1;
+                }
+            }
+            _ => {}
+        }
     }
-    assert_eq!(seen, 6);
+    assert_eq!(seen, 8);
+}
+
+#[test]
+fn what_a_diagnosis_is_said_fits_the_parameters() {
+    for info in COMMON {
+        let of = &info.diagnosis;
+        let has = |name: &str| info.named().iter().any(|p| p.name == name);
+        match of.signature {
+            Signature::Simulated(variations) => {
+                assert!(variations.iter().all(|v| has(v.parameter)), "{}", info.name);
+            }
+            Signature::Shares(shares) => assert!(shares.iter().all(|s| has(s.parameter)), "{}", info.name),
+            Signature::DecayFromPowerOn { time, share } => assert!(has(time) && has(share.0)),
+            Signature::Channels { .. } | Signature::Taxels => assert!(info.per_channel(), "{}", info.name),
+            Signature::None => assert_ne!(of.evidence, Evidence::Residual, "nothing shows {}", info.name),
+        }
+        if let Evidence::Spectrum { amplitude, frequency } = of.evidence {
+            assert!(has(amplitude) && has(frequency));
+        }
+        assert!(of.free.iter().filter_map(|f| f.parameter).all(has), "{}", info.name);
+        assert!(of.tolerance.is_none_or(|(parameter, _)| has(parameter)), "{}", info.name);
+        assert!(of.addition_to.is_none_or(|other| common_effect(other).is_some()), "{}", info.name);
+        // The value that changes nothing is the one that files may leave out.
+        let typical = info.named().iter().map(|p| p.typical);
+        if matches!(of.signature, Signature::Simulated(_)) {
+            assert!(typical.into_iter().all(|value| value == of.neutral), "{}", info.name);
+        }
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Zero of channels, square in the temperature: `reading + c · ΔT²`.
 
-use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Signature, Stage};
+use super::diagnosis::{Amount, Covariate, Diagnosis};
+use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Stage};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "thermal-bend",
@@ -11,7 +12,11 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Electronics,
-    signature: Signature::of(|sample| sample.warmer.powi(2)),
+    diagnosis: Diagnosis {
+        addition_to: Some("thermal-zero"),
+        follows: Some(Covariate::Temperature),
+        ..Diagnosis::of_channels(Amount::Deviations(0.1), |sample| sample.warmer.powi(2))
+    },
     acts,
 };
 

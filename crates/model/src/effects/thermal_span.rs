@@ -1,6 +1,7 @@
 //! Sensitivity of channels, linear in the temperature: `reading · (1 + c · ΔT)`.
 
-use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Signature, Stage};
+use super::diagnosis::{Amount, Covariate, Diagnosis};
+use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Stage};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "thermal-span",
@@ -11,7 +12,10 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Transducer,
-    signature: Signature::of(|sample| sample.warmer * sample.nominal),
+    diagnosis: Diagnosis {
+        follows: Some(Covariate::Temperature),
+        ..Diagnosis::of_channels(Amount::Si(0.01), |sample| sample.warmer * sample.nominal)
+    },
     acts,
 };
 

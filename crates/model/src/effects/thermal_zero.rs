@@ -1,6 +1,7 @@
 //! Zero of channels, linear in the temperature: `reading + c · ΔT`.
 
-use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Signature, Stage};
+use super::diagnosis::{Amount, Covariate, Diagnosis};
+use super::{Act, CommonEffect, CommonParameters, ReadingAct, Refused, Settings, Stage};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "thermal-zero",
@@ -11,7 +12,10 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: false,
     stage: Stage::Electronics,
-    signature: Signature::of(|sample| sample.warmer),
+    diagnosis: Diagnosis {
+        follows: Some(Covariate::Temperature),
+        ..Diagnosis::of_channels(Amount::Deviations(1.0), |sample| sample.warmer)
+    },
     acts,
 };
 

@@ -5,8 +5,14 @@ use std::sync::Arc;
 use dermis_skin::{ParameterInfo, Surface};
 use nalgebra::{Rotation3, Vector3};
 
-use super::{Act, CommonEffect, CommonParameters, Refused, RigAct, Settings, Signature, Stage};
+use super::diagnosis::{Diagnosis, FreeNumber, Needs, Variation};
+use super::{Act, CommonEffect, CommonParameters, Refused, RigAct, Settings, Stage};
 use crate::Indentation;
+
+/// \[m\] of central differences: small against a footprint of millimetres.
+const SHIFT: f64 = 2e-4;
+/// \[rad\] of central differences.
+const TURN: f64 = 0.02;
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "truth-shift",
@@ -50,7 +56,22 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: false,
     rig: true,
     stage: Stage::Rig,
-    signature: Signature::SIMULATED,
+    diagnosis: Diagnosis {
+        free: &[
+            FreeNumber::new(Some("turn"), [-0.5, 0.5], 0.05, 0.0),
+            FreeNumber::new(None, [-0.02, 0.02], 1e-3, 0.0),
+        ],
+        ..Diagnosis::simulated(&[
+            Variation::by("x", SHIFT),
+            Variation::by("x", -SHIFT),
+            Variation::by("y", SHIFT),
+            Variation::by("y", -SHIFT),
+            Variation::by("z", SHIFT).needing(Needs::CurvedSurface),
+            Variation::by("z", -SHIFT).needing(Needs::CurvedSurface),
+            Variation::by("turn", TURN),
+            Variation::by("turn", -TURN),
+        ])
+    },
     acts,
 };
 

@@ -2,9 +2,8 @@
 
 use dermis_skin::ParameterInfo;
 
-use super::{
-    Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Signature, Stage, StatefulAct,
-};
+use super::diagnosis::{Diagnosis, FreeNumber, Signature};
+use super::{Act, Circumstances, CommonEffect, CommonParameters, Refused, Settings, Stage, StatefulAct};
 
 pub(super) const EFFECT: CommonEffect = CommonEffect {
     name: "warm-up",
@@ -25,7 +24,15 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stateful: true,
     rig: false,
     stage: Stage::Transducer,
-    signature: Signature { depends_on_uptime: true, ..Signature::SIMULATED },
+    diagnosis: Diagnosis {
+        depends_on_uptime: true,
+        signature: Signature::DecayFromPowerOn { time: "time", share: ("span", -0.9) },
+        free: &[
+            FreeNumber::new(Some("time"), [1.0, 1e5], 300.0, 300.0),
+            FreeNumber::new(Some("span"), [-0.9, 9.0], 0.1, 0.0),
+        ],
+        ..Diagnosis::FAMILY
+    },
     acts,
 };
 

@@ -10,6 +10,8 @@ use clap::Args;
 use dermis_gap::{SampleOptions, Samples, Simulator};
 use dermis_gap_benchmark::score::{self, Answer, Mapping, Scorecard};
 use dermis_gap_benchmark::set::{self, Case, GroundTruth, Manifest};
+use dermis_model::common_effect;
+use dermis_model::diagnosis::Evidence;
 use dermis_skin::{Effect, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
@@ -177,7 +179,7 @@ pub fn run(
         .map(|folder| SkinDescription::load(folder.join("skin.toml")))
         .collect::<Result<_, _>>()?;
     if !options.no_elsewhere {
-        elsewhere(&skins, &mut cases, options, families, progress)?;
+        elsewhere(&skins, &mut cases, &mapping, options, families, progress)?;
     }
     let scorecard = Scorecard::new(cases.iter().map(|c| (&c.truth, &c.answer)), &mapping, &library);
     let mut followed = Vec::new();
@@ -267,6 +269,7 @@ fn library(cases: &[Opened]) -> BTreeSet<String> {
 fn elsewhere(
     skins: &[SkinDescription],
     cases: &mut [Opened],
+    mapping: &Mapping,
     options: &Request,
     families: &Families,
     progress: &dyn Progress,
@@ -281,11 +284,14 @@ fn elsewhere(
         let sigma = skin.channel_noise();
         let mut effects: Vec<Effect> = serde_json::from_value(case.report["corrected"].clone())
             .with_context(|| format!("{}: field `corrected` of its report", case.truth.case))?;
-        // Mains interference has another phase in every recording, and counts as noise where it is named.
+        // What a spectrum shows has another phase in every recording, and counts as noise where it is named.
         let mut truth = case.truth.clone();
-        if effects.iter().any(|e| e.name == "interference") {
-            effects.retain(|e| e.name != "interference");
-            truth.causes.retain(|known| known.cause.id != "mains-interference");
+        let spectral = |name: &str| {
+            let evidence = common_effect(name).map(|info| info.diagnosis.evidence);
+            matches!(evidence, Some(Evidence::Spectrum { .. }))
+        };
+        for effect in effects.extract_if(.., |e| spectral(&e.name)) {
+            truth.causes.retain(|known| !mapping.right(&known.cause.id, &effect.name));
         }
         if effects.is_empty() {
             return Ok(None);

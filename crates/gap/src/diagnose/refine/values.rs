@@ -185,7 +185,7 @@ impl Refiner<'_> {
         let data = &self.data;
         let period = 1.0 / data.simulator.skin.rate;
         let numbers = own.iter().filter_map(|e| design::free(data.simulator.skin, e));
-        let free = own.iter().flat_map(|e| effects::of(&e.name).free_numbers(e, period));
+        let free = own.iter().flat_map(|e| effects::free_numbers(e, period));
         let free: Vec<Free> = free.chain(numbers).collect();
         if free.is_empty() || data.options.nonlinear_refinement == 0 {
             let read = data.simulate(&with(beside, &own))?;
