@@ -30,6 +30,15 @@ pub struct Limits {
     pub effort: f64,
 }
 
+/// What a joint's motion takes of its drive's effort before anything moves: `<dynamics>` of a URDF.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Friction {
+    /// \[N m\] or \[N\] against the direction of motion, whatever the speed.
+    pub coulomb: f64,
+    /// \[N m s/rad\] or \[N s/m\] in proportion to the speed.
+    pub viscous: f64,
+}
+
 /// A joint that follows another: its position is `multiplier` × that of the other + `offset`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mimic {
@@ -58,6 +67,8 @@ pub struct Joint {
     pub axis: Unit<Vector3<f64>>,
     /// Where it has any.
     pub limits: Option<Limits>,
+    /// 0 where the file does not tell.
+    pub friction: Friction,
     /// Which coordinate moves it, and how; `None` for fixed joints. A joint that follows nobody has factor 1 and offset 0.
     pub moved_by: Option<Mimic>,
 }

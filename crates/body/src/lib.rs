@@ -46,7 +46,7 @@ pub mod taxel_table;
 mod urdf;
 mod wrench;
 
-pub use body::{Body, Joint, JointKind, Limits, Mimic};
+pub use body::{Body, Friction, Joint, JointKind, Limits, Mimic};
 pub use dynamics::{Inertia, Momentum};
 pub use history::{HistoryLimits, JointHistory, JointsAt, MissingJoint, Refused};
 pub use kinematics::Poses;

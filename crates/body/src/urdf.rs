@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use roxmltree::{Document, Node, ParsingOptions};
 
-use crate::body::{Body, Joint, JointKind, Limits, Mimic};
+use crate::body::{Body, Friction, Joint, JointKind, Limits, Mimic};
 use crate::dynamics::Inertia;
 
 /// Most XML nodes of a file.
@@ -280,6 +280,7 @@ impl<'a, 'i> Reader<'a, 'i> {
                 origin: child_of("origin").map_or(Ok(Isometry3::identity()), |n| self.origin(n))?,
                 axis,
                 limits: child_of("limit").map(|n| self.limits(n, kind)).transpose()?,
+                friction: child_of("dynamics").map_or(Ok(Friction::default()), |n| self.friction(n))?,
                 moved_by: None,
             },
             follows,
@@ -349,6 +350,17 @@ impl<'a, 'i> Reader<'a, 'i> {
             ));
         }
         Ok(limits)
+    }
+
+    fn friction(&self, node: Node<'_, '_>) -> Result<Friction, UrdfError> {
+        let least_0 = |key: &str| {
+            let value = self.number(node, key, 0.0)?;
+            if value < 0.0 {
+                return Err(self.wrong(node, format!("`{key}` is {value} and must be 0 or more")));
+            }
+            Ok(value)
+        };
+        Ok(Friction { coulomb: least_0("friction")?, viscous: least_0("damping")? })
     }
 
     fn root(&self, links: &[String], above: &[Option<usize>]) -> Result<usize, UrdfError> {

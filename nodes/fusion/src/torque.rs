@@ -6,7 +6,7 @@
 //! 2017, §IV-D). Its residual follows the external torque of each joint as a filter of first order with the
 //! [gain](TorqueSettings::gain) K, without accelerations:
 //!
-//! dr/dt = K (d/dt p − τ − ∂T/∂q − g − r), with the terms of [`dermis_body::Momentum`].
+//! dr/dt = K (d/dt p − (τ − τ_f) − ∂T/∂q − g − r), with the terms of [`dermis_body::Momentum`] and the [friction](JointFriction) τ_f of the joint.
 //!
 //! The torques Jᵀf of the skins' contacts go through the same filter, at the same instants, and are taken away.
 //!
@@ -14,7 +14,8 @@
 //!
 //! - noise of its torque and of all velocities through the filter. Both are measured, by the second differences of what comes, so that a
 //!   steady change does not count;
-//! - the square of its [deviation](TorqueSettings::deviation_share): friction, offsets, inertias that are not those of the file;
+//! - the square of its [deviation](TorqueSettings::deviation_share): offsets, inertias and friction that are not those of the files;
+//! - at rest, the square of its Coulomb friction, whose direction is not known there;
 //! - the covariances of the skins' forces and places through the Jacobian; of skins that measure the normal component only, friction on
 //!   their surface;
 //! - the time by which skins may be late, times the rate of change of what they explain.
@@ -34,7 +35,7 @@ use crate::track::seconds;
 
 mod settings;
 
-pub use settings::{TorqueError, TorqueSettings};
+pub use settings::{JointFriction, TorqueError, TorqueSettings};
 
 /// \[s\] over which noise is measured.
 const NOISE_TIME: f64 = 1.0;
@@ -152,7 +153,7 @@ struct Last {
     sample: Sample,
     /// p.
     momentum: Vec<f64>,
-    /// τ + ∂T/∂q + g.
+    /// τ − τ_f + ∂T/∂q + g.
     drive: Vec<f64>,
     /// \[s\] since the one before.
     dt: f64,
@@ -164,6 +165,7 @@ pub(crate) struct Observer {
     settings: TorqueSettings,
     /// Standard deviation of each joint's model; `None` where its torque does not count.
     deviations: Vec<Option<f64>>,
+    friction: Vec<JointFriction>,
     carries_mass: Vec<bool>,
     impossible: Option<String>,
     latest: Vec<Latest>,
@@ -185,6 +187,7 @@ impl Observer {
                 .coordinates()
                 .map(|j| settings.deviation(j).filter(|_| settings.counts(j)))
                 .collect(),
+            friction: robot.body.coordinates().map(|j| settings.friction(j)).collect(),
             carries_mass: robot.body.carries_mass(),
             impossible: robot.body.impossible_inertia().map(str::to_owned),
             latest: vec![Latest::unknown(); n],
@@ -300,7 +303,10 @@ impl Observer {
         let gravity = poses.root_from(robot.base).rotation * Vector3::from(self.settings.gravity);
         let terms = poses.momentum(&sample.rates, &gravity);
         let drive: Vec<f64> = (0..sample.efforts.len())
-            .map(|i| sample.efforts[i] + terms.kinetic[i] + terms.weight[i])
+            .map(|i| {
+                let friction = self.friction[i].effort(sample.rates[i], self.settings.standstill);
+                sample.efforts[i] - friction + terms.kinetic[i] + terms.weight[i]
+            })
             .collect();
         let dt = self.last.as_ref().map_or(f64::INFINITY, |last| seconds(last.sample.stamp, sample.stamp));
         match &self.last {
@@ -351,6 +357,7 @@ impl Observer {
             found.variances[i] = noise * share / (2.0 - share)
                 + spread[i] * (share / last.dt).powi(2) * 2.0 / (2.0 - share)
                 + deviation.powi(2)
+                + self.friction[i].variance(last.sample.rates[i], self.settings.standstill)
                 + load.variances[i]
                 + lag.powi(2);
         }

@@ -10,7 +10,7 @@ const ARM: &str = r#"<?xml version="1.0"?>
   <joint name="shoulder" type="revolute">
     <parent link="base"/> <child link="upper"/>
     <origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/> <axis xyz="0 2 0"/>
-    <limit lower="-1" upper="2" velocity="3" effort="40"/>
+    <limit lower="-1" upper="2" velocity="3" effort="40"/> <dynamics friction="0.5" damping="0.2"/>
   </joint>
   <joint name="elbow" type="revolute">
     <parent link="upper"/> <child link="fore"/> <mimic joint="shoulder" multiplier="-0.5" offset="0.1"/>
@@ -28,6 +28,8 @@ fn links_joints_and_limits_are_read() {
     assert_eq!((body.name(), body.links().len(), body.root()), ("arm", 3, 0));
     let shoulder = &body.joints()[0];
     assert_eq!(shoulder.limits, Some(Limits { lower: -1.0, upper: 2.0, velocity: 3.0, effort: 40.0 }));
+    assert_eq!(shoulder.friction, Friction { coulomb: 0.5, viscous: 0.2 });
+    assert_eq!(body.joints()[1].friction, Friction::default());
     assert_eq!(*shoulder.axis, Vector3::y(), "axes are made unit");
     assert_eq!(body.coordinates().map(|j| j.name.as_str()).collect::<Vec<_>>(), ["shoulder"]);
     assert_eq!(body.joints()[1].moved_by, Some(Mimic { coordinate: 0, multiplier: -0.5, offset: 0.1 }));
@@ -67,6 +69,7 @@ fn elements_that_cannot_be_are_named() {
     insta::assert_snapshot!(refused("1.5707963267948966", "90"), @r#"robot description arm.urdf: line 9: origin of joint "shoulder": `rpy` is [0.0, 0.0, 90.0], more than 10 rad; give radians"#);
     insta::assert_snapshot!(refused("\"0 2 0\"", "\"0 0 0\""), @r#"robot description arm.urdf: line 9: axis of joint "shoulder": has no direction; give a vector of length 1"#);
     insta::assert_snapshot!(refused("lower=\"-1\"", "lower=\"7\""), @r#"robot description arm.urdf: line 10: limit of joint "shoulder": `lower` is 7 and above `upper`, 2; exchange them"#);
+    insta::assert_snapshot!(refused("damping=\"0.2\"", "damping=\"-1\""), @r#"robot description arm.urdf: line 10: dynamics of joint "shoulder": `damping` is -1 and must be 0 or more"#);
     insta::assert_snapshot!(refused("type=\"revolute\"", "type=\"floating\""), @r#"robot description arm.urdf: line 7: joint "shoulder": has type "floating"; fixed, revolute, continuous and prismatic are known: write a joint of several degrees of freedom as several joints"#);
     insta::assert_snapshot!(refused("<child link=\"fore\"/>", ""), @r#"robot description arm.urdf: line 12: joint "elbow": has no <child link="…"/>; add it"#);
     insta::assert_snapshot!(refused("<child link=\"fore\"/>", "<child link=\"hand\"/>"), @r#"robot description arm.urdf: line 12: joint "elbow": names link "hand" as child, and there is none; add it or correct the name"#);

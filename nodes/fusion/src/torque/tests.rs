@@ -70,6 +70,8 @@ struct Simulation {
     rng: ChaCha8Rng,
     /// \[N m\] that stays.
     friction: Vec<f64>,
+    /// Friction that depends on the motion, as a share of the limits: Coulomb, and viscous at 1 rad/s.
+    moving: [f64; 2],
     pushes: Vec<Push>,
     /// \[1\] of the motion.
     speed: f64,
@@ -77,13 +79,19 @@ struct Simulation {
 
 impl Simulation {
     fn new(seed: u64, pushes: &[Push]) -> Self {
+        let mut simulation = Self::knowing(seed, &TorqueSettings::default(), &urdf());
+        simulation.pushes = pushes.to_vec();
+        simulation
+    }
+
+    /// With settings and a description of its own.
+    fn knowing(seed: u64, s: &TorqueSettings, urdf: &str) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let s = TorqueSettings::default();
         let friction = LIMITS.iter().map(|limit| limit * s.deviation_share * normal(&mut rng)).collect();
         let settings = Settings::default();
-        let mut fuser = Fuser::new(robot(&urdf()), settings, HistoryLimits::default(), &[], &[]).unwrap();
-        fuser.report_unknown(&s).unwrap();
-        Self { fuser, rng, friction, pushes: pushes.to_vec(), speed: 1.0 }
+        let mut fuser = Fuser::new(robot(urdf), settings, HistoryLimits::default(), &[], &[]).unwrap();
+        fuser.report_unknown(s).unwrap();
+        Self { fuser, rng, friction, moving: [0.0; 2], pushes: Vec::new(), speed: 1.0 }
     }
 
     /// Positions, velocities and accelerations at an instant.
@@ -136,7 +144,8 @@ impl Simulation {
                 }
             }
             for (i, effort) in efforts.iter_mut().enumerate() {
-                *effort += self.friction[i] + 0.002 * LIMITS[i] * normal(&mut self.rng);
+                let moving = self.moving[0] * v[i].signum() + self.moving[1] * v[i];
+                *effort += self.friction[i] + LIMITS[i] * moving + 0.002 * LIMITS[i] * normal(&mut self.rng);
             }
             let v: Vec<f64> = v.iter().map(|v| v + 1e-3 * normal(&mut self.rng)).collect();
             let values = JointValues { names: &names, positions: &q, velocities: &v, efforts: &efforts };
@@ -259,6 +268,47 @@ fn motion_is_no_touch() {
     assert!(asked > 350);
 }
 
+/// Friction of 10 % of the limits, five times what the variance allows for.
+#[test]
+fn friction_that_is_known_is_no_touch_and_hides_none() {
+    let moving = [0.1, 0.05];
+    let alarms = |s: &TorqueSettings, urdf: &str, pushes: &[Push]| {
+        let mut simulation = Simulation::knowing(11, s, urdf);
+        (simulation.moving, simulation.pushes) = (moving, pushes.to_vec());
+        let mut at = Vec::new();
+        simulation.run(2.0, |t, state| at.extend(unknown(state).first().map(|_| t)));
+        at
+    };
+    let s = TorqueSettings::default();
+    assert!(!alarms(&s, &urdf(), &[]).is_empty(), "the friction is too little to be taken for a touch");
+    let mut stated = urdf();
+    for limit in LIMITS {
+        let (coulomb, viscous) = (moving[0] * limit, moving[1] * limit);
+        let dynamics =
+            format!("effort='{limit}'/><dynamics friction='{coulomb}' damping='{viscous}'/></joint>");
+        stated = stated.replace(&format!("effort='{limit}'/></joint>"), &dynamics);
+    }
+    assert_eq!(alarms(&s, &stated, &[]), [0.0; 0]);
+    let measured = |i: usize| JointFriction {
+        coulomb: moving[0] * LIMITS[i],
+        viscous: moving[1] * LIMITS[i],
+        offset: 0.0,
+    };
+    let friction = (0..7).map(|i| (format!("j{}", i + 1), measured(i))).collect();
+    let s = TorqueSettings { friction, ..s };
+    assert_eq!(alarms(&s, &urdf(), &[]), [0.0; 0]);
+    let found = alarms(&s, &urdf(), &[on_hand()]);
+    assert!(found.iter().all(|t| (0.55..1.75).contains(t)) && found.len() > 20, "{found:?}");
+}
+
+#[test]
+fn at_rest_the_direction_of_friction_is_not_known() {
+    let friction = JointFriction { coulomb: 3.0, viscous: 2.0, offset: 0.5 };
+    assert_eq!((friction.effort(0.0, 0.01), friction.variance(0.0, 0.01)), (0.5, 9.0));
+    let (effort, variance) = (friction.effort(-1.0, 0.01), friction.variance(-1.0, 0.01));
+    assert!((effort + 4.5).abs() < 1e-9 && variance < 1e-9, "{effort}, {variance}");
+}
+
 #[test]
 fn without_efforts_or_inertias_one_sentence_says_so() {
     let names = |n: usize| -> Vec<String> { (1..=n).map(|i| format!("j{i}")).collect() };
@@ -301,6 +351,12 @@ fn settings_that_cannot_be_are_named() {
     let usual = TorqueSettings::default;
     insta::assert_snapshot!(wrong(TorqueSettings { gain: 0.0, ..usual() }), @"torques: `gain` is 0 and must be from 0.1 to 10000");
     insta::assert_snapshot!(wrong(TorqueSettings { joints: vec!["elbow".into()], ..usual() }), @r#"torques: `joints`: "elbow" is no joint of the robot that moves by itself; correct the name"#);
+    let none = |joint: &str, coulomb| {
+        let friction = JointFriction { coulomb, ..JointFriction::default() };
+        TorqueSettings { friction: [(joint.to_owned(), friction)].into(), ..usual() }
+    };
+    insta::assert_snapshot!(wrong(none("elbow", 1.0)), @r#"torques: `friction`: "elbow" is no joint of the robot that moves by itself; correct the name"#);
+    insta::assert_snapshot!(wrong(none("j1", -1.0)), @"torques: `friction.coulomb` is -1 and must be from 0 to 1000000");
     insta::assert_snapshot!(wrong(TorqueSettings { gravity: [0.0, f64::NAN, 0.0], ..usual() }), @"torques: `gravity` is NaN and must be from -100 to 100");
 }
 
