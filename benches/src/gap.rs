@@ -364,9 +364,9 @@ pub fn run(options: &Options) -> Result<Value> {
     let report = found.report;
     // How well the gain of every channel is told: against what the device was given.
     let truth: Vec<f64> = (0..recording.channels).map(|t| drawn_gain(&effects[0], t)).collect();
-    let told = found.corrected.effects.iter().find(|e| e.name == "channel-gain");
-    let errors: Option<Vec<f64>> = told.map(|told| {
-        let of = |t: &dermis_skin::Taxel| told.parameters.get(&t.name).copied().unwrap_or(1.0);
+    let channel_gains = found.corrected.effects.iter().find(|e| e.name == "channel-gain");
+    let errors: Option<Vec<f64>> = channel_gains.map(|channel_gains| {
+        let of = |t: &dermis_skin::Taxel| channel_gains.parameters.get(&t.name).copied().unwrap_or(1.0);
         let mut errors: Vec<f64> =
             skin.taxels.iter().zip(&truth).map(|(t, truth)| (of(t) - truth).abs()).collect();
         errors.sort_by(f64::total_cmp);
@@ -385,7 +385,7 @@ pub fn run(options: &Options) -> Result<Value> {
         "seconds": seconds,
         "peak_gib": peak / 1024.0 / 1024.0,
         "named": report.effects.iter().map(|e| e.label.as_str()).collect::<Vec<_>>(),
-        "channels_with_a_gain": told.map_or(0, |t| t.parameters.len()),
+        "channels_with_a_gain": channel_gains.map_or(0, |t| t.parameters.len()),
         "gain_error_median": errors.as_ref().map(|e| e[e.len() / 2]),
         "gain_error_90": errors.as_ref().map(|e| e[e.len() * 9 / 10]),
         "sentence": report.sentence,

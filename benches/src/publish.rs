@@ -48,13 +48,13 @@ pub fn run(options: &Options) -> Result<Value> {
         Ok(begun.elapsed().as_nanos() as f64 / f64::from(options.messages))
     };
     // As every node of ours does it: ask first, and compute nothing that nobody wants.
-    let mut asked = || -> Result<()> {
+    let mut request = || -> Result<()> {
         if black_box(&publisher).subscriber_count() > 0 {
             publisher.publish(black_box(&message))?;
         }
         Ok(())
     };
-    let unheard = mean_ns(&mut asked)?;
+    let unheard = mean_ns(&mut request)?;
     let careless = mean_ns(&mut || Ok(publisher.publish(black_box(&message))?))?;
     let (_subscriber, arrivals) = start(options.backend, domain)?;
     let patience = Instant::now() + Duration::from_secs(20);
@@ -64,7 +64,7 @@ pub fn run(options: &Options) -> Result<Value> {
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    let heard = mean_ns(&mut asked)?;
+    let heard = mean_ns(&mut request)?;
     let arrived = arrivals.recv_timeout(Duration::from_secs(5)).is_ok();
     if !arrived {
         bail!("no message arrived");

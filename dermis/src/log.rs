@@ -59,10 +59,10 @@ pub fn start(format: Format, level: &str) -> LogLimit {
 }
 
 /// A level alone is one for us; whoever writes a filter wants that filter.
-fn filter(asked: Option<&str>, level: &str) -> String {
+fn filter(requested: Option<&str>, level: &str) -> String {
     // How many lines were left out is said of those that pass the rest of the filter.
     let counts = format!("{}=info", log_limit::TARGET);
-    match asked {
+    match requested {
         Some(filter) if filter.contains(['=', ',']) => format!("{filter},{counts}"),
         Some(level) if !level.is_empty() => format!("{level},{QUIET},{counts}"),
         _ => format!("{level},{QUIET},{counts}"),

@@ -78,7 +78,7 @@ impl Launch {
     /// # Panics
     ///
     /// Where none comes in time.
-    pub fn told(&mut self, text: &str) -> String {
+    pub fn wait_for(&mut self, text: &str) -> String {
         self.wait("launch", text)["message"].as_str().unwrap().to_owned()
     }
 
@@ -90,7 +90,7 @@ impl Launch {
     pub fn ever(&mut self, text: &str) {
         let said = |r: &Value| r["process"] == "launch" && r["message"].as_str().unwrap().contains(text);
         if !self.records.iter().any(said) {
-            self.told(text);
+            self.wait_for(text);
         }
     }
 
@@ -100,7 +100,7 @@ impl Launch {
     ///
     /// Where none comes in time.
     pub fn started(&mut self, name: &str) -> i32 {
-        let text = self.told(&format!("{name} started, process "));
+        let text = self.wait_for(&format!("{name} started, process "));
         text.rsplit(' ').next().unwrap().parse().unwrap()
     }
 }

@@ -283,8 +283,8 @@ fn two_mounted_skins_are_in_the_tree_of_frames() {
     let Some(mut rclpy) = Rclpy::start("tf_listener") else { return };
     let folder = tempfile::tempdir().unwrap();
     let skin = |namespace: &str, frame: &str, mount: &str| {
-        let told = ["--backend", "ros2", "--namespace", namespace, "--frame-id", frame, "--mount", mount];
-        Pad::start(folder.path(), &told)
+        let options = ["--backend", "ros2", "--namespace", namespace, "--frame-id", frame, "--mount", mount];
+        Pad::start(folder.path(), &options)
     };
     let _left = skin("/left", "left_pad", "left_wrist,0.1,0,0.02,0,0,0.6,0.8");
     let _right = skin("/right", "right_pad", "right_wrist,0.1,0,0.02");

@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn senders_are_told_apart_and_kept_within_bounds() {
+    fn senders_are_distinguished_and_kept_within_bounds() {
         let mut counter = LossCounter::default();
         for round in 0..10_u64 {
             for sender in 0..1000_u64 {

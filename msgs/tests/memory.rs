@@ -17,7 +17,7 @@ use proptest::prelude::*;
 
 thread_local! {
     /// Bytes that this thread asked for, not counting what it gave back.
-    static ASKED: Cell<usize> = const { Cell::new(0) };
+    static ALLOCATED: Cell<usize> = const { Cell::new(0) };
 }
 
 struct Counting;
@@ -25,7 +25,7 @@ struct Counting;
 // SAFETY: every call goes to the system's allocator as it came.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ASKED.with(|asked| asked.set(asked.get() + layout.size()));
+        ALLOCATED.with(|allocated| allocated.set(allocated.get() + layout.size()));
         // SAFETY: the caller's promises are those of `GlobalAlloc::alloc`.
         unsafe { System.alloc(layout) }
     }
@@ -43,11 +43,16 @@ static ALLOCATOR: Counting = Counting;
 const MULTIPLE: usize = 12;
 
 fn decode<T: Message>(bytes: &[u8]) {
-    let before = ASKED.get();
+    let before = ALLOCATED.get();
     let result = T::from_cdr(bytes);
-    let asked = ASKED.get() - before;
+    let allocated = ALLOCATED.get() - before;
     drop(result);
-    assert!(asked <= MULTIPLE * bytes.len(), "{}: {asked} bytes for {} of input", T::TYPE_NAME, bytes.len());
+    assert!(
+        allocated <= MULTIPLE * bytes.len(),
+        "{}: {allocated} bytes for {} of input",
+        T::TYPE_NAME,
+        bytes.len()
+    );
 }
 
 fn decode_as_everything(bytes: &[u8]) {

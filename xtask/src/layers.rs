@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crate_outside_of_the_rooms_is_named() {
+    fn a_crate_outside_of_the_layers_is_named() {
         let found = violations(&metadata(("stuff", "dermis-stuff"), ("crates/skin", "dermis-skin"))).unwrap();
         assert_eq!(found.len(), 1);
     }

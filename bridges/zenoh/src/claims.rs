@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_two_topics_claim_is_told_apart_whichever_came_first() {
+    fn a_name_that_two_topics_claim_is_distinguished_whichever_came_first() {
         let now = Instant::now();
         for order in [["/gripper/left", "/gripper/right"], ["/gripper/right", "/gripper/left"]] {
             let mut claims = Claims::default();
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn two_like_skins_in_one_frame_are_told() {
+    fn two_like_skins_in_one_frame_are_reported() {
         let mut claims = Claims::default();
         assert_eq!(claims.place("left", "palm_link", "sha256:a"), None);
         assert_eq!(claims.place("cuff", "palm_link", "sha256:b"), None, "another type may share a link");

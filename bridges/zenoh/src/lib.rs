@@ -526,12 +526,12 @@ mod tests {
     }
 
     #[test]
-    fn it_listens_on_the_loopback_where_nothing_is_asked_for() {
+    fn it_listens_on_the_loopback_by_default() {
         let config = session_config(&BridgeConfig::default(), &Network::default()).unwrap();
         assert_eq!(config.get_json("listen/endpoints").unwrap(), "[\"tcp/127.0.0.1:0\"]");
         let listen = vec!["tcp/0.0.0.0:7448".to_owned()];
-        let asked = BridgeConfig { listen, ..BridgeConfig::default() };
-        let config = session_config(&asked, &Network::default()).unwrap();
+        let requested = BridgeConfig { listen, ..BridgeConfig::default() };
+        let config = session_config(&requested, &Network::default()).unwrap();
         assert_eq!(config.get_json("listen/endpoints").unwrap(), "[\"tcp/0.0.0.0:7448\"]");
     }
 

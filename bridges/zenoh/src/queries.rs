@@ -47,8 +47,8 @@ pub(crate) fn offer(
 }
 
 /// Whether a key expression asks for this command, and not for everything there is.
-fn names(asked: &str, word: &str) -> bool {
-    asked.rsplit('/').next() == Some(word)
+fn names(key_expression: &str, word: &str) -> bool {
+    key_expression.rsplit('/').next() == Some(word)
 }
 
 async fn obey(commander: &Commander, topic: &str, skin: &str, word: &str, key: &str, query: &Query) {
@@ -70,13 +70,13 @@ mod tests {
 
     #[test]
     fn looking_around_commands_nothing() {
-        for asked in ["dermis/arm/palm/tare", "dermis/*/*/tare", "**/tare"] {
-            assert!(names(asked, "tare"), "{asked}");
+        for key_expression in ["dermis/arm/palm/tare", "dermis/*/*/tare", "**/tare"] {
+            assert!(names(key_expression, "tare"), "{key_expression}");
         }
-        for asked in
+        for key_expression in
             ["dermis/**", "dermis/arm/palm/*", "**", "dermis/arm/palm/ta$*", "dermis/arm/tare/contacts"]
         {
-            assert!(!names(asked, "tare"), "{asked}");
+            assert!(!names(key_expression, "tare"), "{key_expression}");
         }
     }
 }

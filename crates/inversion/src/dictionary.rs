@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_stands_for_the_area_of_the_points_that_it_keeps_out() {
+    fn a_location_stands_for_the_area_of_the_points_that_it_keeps_out() {
         let surface = uneven();
         assert_eq!(surface.points.len(), 18);
         // Every point is a place.

@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_follows_from_a_mistake_is_not_told_again() {
+    fn what_follows_from_a_mistake_is_not_reported_again() {
         let mut faults = Faults::default();
         let mut push = |field: &str| {
             let before = faults.count();

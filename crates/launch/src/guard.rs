@@ -59,13 +59,13 @@ pub(crate) struct Guard {
 
 #[derive(Debug, Default)]
 struct Shared {
-    told: Mutex<Told>,
-    /// Told when the launch is over.
+    state: Mutex<State>,
+    /// Signalled when the launch is over.
     over: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct Told {
+struct State {
     /// Groups that run.
     groups: BTreeSet<i32>,
     /// To the guard; none while there is none.
@@ -97,16 +97,16 @@ impl Guard {
 
     /// Says that a process group runs, or that it has ended.
     pub(crate) fn tell(&self, group: i32, runs: bool) {
-        let mut told = self.shared.lock();
+        let mut state = self.shared.lock();
         if runs {
-            told.groups.insert(group);
+            state.groups.insert(group);
         } else {
-            told.groups.remove(&group);
+            state.groups.remove(&group);
         }
         let sign = if runs { '+' } else { '-' };
-        // One that somebody killed cannot be told; the next one is told everything.
-        if told.pipe.as_mut().is_some_and(|pipe| writeln!(pipe, "{sign}{group}").is_err()) {
-            told.pipe = None;
+        // One that somebody killed cannot be reached; the next one receives everything.
+        if state.pipe.as_mut().is_some_and(|pipe| writeln!(pipe, "{sign}{group}").is_err()) {
+            state.pipe = None;
         }
     }
 }
@@ -114,10 +114,10 @@ impl Guard {
 impl Drop for Guard {
     fn drop(&mut self) {
         {
-            let mut told = self.shared.lock();
-            told.over = true;
+            let mut state = self.shared.lock();
+            state.over = true;
             // It ends with its input.
-            told.pipe = None;
+            state.pipe = None;
         }
         self.shared.over.notify_all();
         if let Some(watch) = self.watch.take() {
@@ -127,21 +127,21 @@ impl Drop for Guard {
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Told> {
-        self.told.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Starts a guard and tells it what runs.
     fn start_one(&self, command: &mut Command) -> io::Result<Child> {
         let mut child = command.spawn()?;
-        let mut told = self.lock();
+        let mut state = self.lock();
         let mut pipe = child.stdin.take();
-        let lines: String = told.groups.iter().map(|group| format!("+{group}\n")).collect();
+        let lines: String = state.groups.iter().map(|group| format!("+{group}\n")).collect();
         // One that ended at once is noticed by who waits for it.
         if pipe.as_mut().is_some_and(|pipe| pipe.write_all(lines.as_bytes()).is_err()) {
             pipe = None;
         }
-        told.pipe = pipe.filter(|_| !told.over);
+        state.pipe = pipe.filter(|_| !state.over);
         Ok(child)
     }
 
@@ -152,25 +152,25 @@ impl Shared {
         loop {
             let begun = Instant::now();
             let how = child.take().map(|mut child| child.wait());
-            let mut told = self.lock();
-            told.pipe = None;
-            if told.over {
+            let mut state = self.lock();
+            state.pipe = None;
+            if state.over {
                 return;
             }
             let wait = restarts.next(&AGAIN, begun.elapsed()).unwrap_or_default();
-            let (told, _) = self
+            let (state, _) = self
                 .over
-                .wait_timeout_while(told, wait, |told| !told.over)
+                .wait_timeout_while(state, wait, |state| !state.over)
                 .unwrap_or_else(PoisonError::into_inner);
-            if told.over {
+            if state.over {
                 return;
             }
-            drop(told);
+            drop(state);
             match self.start_one(command) {
                 Ok(started) => {
                     if let Some(Ok(status)) = how {
                         let id = started.id();
-                        let how = crate::supervise::told(status);
+                        let how = crate::supervise::exit_text(status);
                         say(
                             Level::Warn,
                             format!("the guard of the launch {how}: started another one, process {id}"),
@@ -199,11 +199,11 @@ pub(crate) struct Starter {
 impl Starter {
     /// A thread that lives as long as this. Must be called where a tokio runtime is.
     pub(crate) fn new() -> io::Result<Self> {
-        let (jobs, asked) = channel::<(Command, oneshot::Sender<_>)>();
+        let (jobs, requests) = channel::<(Command, oneshot::Sender<_>)>();
         let runtime = tokio::runtime::Handle::current();
         std::thread::Builder::new().name("launch-start".to_owned()).spawn(move || {
             let _inside = runtime.enter();
-            for (command, answer) in asked {
+            for (command, answer) in requests {
                 // Who asked is gone only where the launch is.
                 let _ = answer.send(tokio::process::Command::from(command).spawn());
             }
@@ -242,18 +242,18 @@ mod tests {
     #[test]
     fn what_still_runs_is_killed_and_nonsense_is_left() {
         let start = || Command::new("sleep").arg("1000").process_group(0).spawn().unwrap();
-        let (mut told, mut over) = (start(), start());
+        let (mut running, mut over) = (start(), start());
         let text =
-            format!("+{}\n+{}\nnonsense\n+0\n+1\n+-1\n\n\u{e4}\n-{}\n", told.id(), over.id(), over.id());
+            format!("+{}\n+{}\nnonsense\n+0\n+1\n+-1\n\n\u{e4}\n-{}\n", running.id(), over.id(), over.id());
         guard(text.as_bytes());
-        let status = told.wait().unwrap();
+        let status = running.wait().unwrap();
         assert!(!status.success());
         assert!(over.try_wait().unwrap().is_none(), "one that ended before is not killed");
         over.kill().unwrap();
         over.wait().unwrap();
     }
 
-    /// A guard that writes down what it is told, and is killed.
+    /// A guard that writes down what it receives, and is killed.
     fn next_guard(heard: &Receiver<String>) -> i32 {
         let text = heard.recv_timeout(WAIT).unwrap();
         assert!(
@@ -264,9 +264,9 @@ mod tests {
     }
 
     #[test]
-    fn a_guard_that_is_killed_is_replaced_and_told_what_runs() {
+    fn a_guard_that_is_killed_is_replaced_and_receives_what_runs() {
         let folder = tempfile::tempdir().unwrap();
-        let out = folder.path().join("told");
+        let out = folder.path().join("received");
         let mut command = Command::new("sh");
         command.args(["-c", r#"while read line; do echo $$ $line >> "$0"; done"#]).arg(&out);
         let (tx, heard) = channel();

@@ -84,7 +84,7 @@ pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Resul
 
     let work = tokio::spawn(Arc::clone(&launch).work());
     let mut work = std::pin::pin!(work);
-    let mut asked: Option<Instant> = None;
+    let mut requested: Option<Instant> = None;
     let done = loop {
         let name = tokio::select! {
             done = &mut work => break done,
@@ -95,8 +95,8 @@ pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Resul
         if *launch.phase.borrow() == Phase::Run {
             launch.tap.say(Level::Info, format!("{name}: stopping; once more to hurry"));
             launch.phase.send_replace(Phase::Stop);
-            asked = Some(Instant::now());
-        } else if asked.is_none_or(|asked| asked.elapsed() > SAME_SIGNAL) {
+            requested = Some(Instant::now());
+        } else if requested.is_none_or(|requested| requested.elapsed() > SAME_SIGNAL) {
             launch.tap.say(Level::Warn, format!("{name} once more: not waiting any longer"));
             launch.phase.send_replace(Phase::Hurry);
         }
@@ -244,8 +244,10 @@ impl Launch {
             let ran = begin.elapsed();
             let how = match &end {
                 End::Stopped => return,
-                End::NotReady(status) => format!("{label} was not ready in time, and {}", told(*status)),
-                End::Itself(status) => format!("{label} {} after {:.1} s", told(*status), ran.as_secs_f64()),
+                End::NotReady(status) => format!("{label} was not ready in time, and {}", exit_text(*status)),
+                End::Itself(status) => {
+                    format!("{label} {} after {:.1} s", exit_text(*status), ran.as_secs_f64())
+                }
             };
             let failed = !matches!(&end, End::Itself(status) if status.success());
             let again =
@@ -383,7 +385,7 @@ impl Launch {
                 status = child.wait() => break status.map(End::Itself),
                 () = until(&self.stops[index], |stop| *stop) => {
                     break self.end(index, &mut child, group).await.map(|status| {
-                        self.say(Level::Info, format!("{} {}", process.label, told(status)));
+                        self.say(Level::Info, format!("{} {}", process.label, exit_text(status)));
                         End::Stopped
                     });
                 }
@@ -464,7 +466,7 @@ impl Group {
     }
 }
 
-pub(crate) fn told(status: ExitStatus) -> String {
+pub(crate) fn exit_text(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
         (Some(0), _) => "ended".to_owned(),
         (Some(code), _) => format!("ended with exit code {code}"),

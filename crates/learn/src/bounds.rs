@@ -188,16 +188,16 @@ pub fn frame_bounds(
     unknowns: Unknowns,
 ) -> Result<FrameBounds, TheoryError> {
     let only: Option<BTreeSet<SampleId>> = only.map(|ids| ids.iter().copied().collect());
-    let asked: Vec<_> = data
+    let sampled: Vec<_> = data
         .labelled()
         .filter(|(id, _, truth)| truth.touched() && only.as_ref().is_none_or(|ids| ids.contains(id)))
         .collect();
     let mut found = FrameBounds::default();
-    found.left_out.touched = asked.len();
-    let step = dermis_regress::stride(asked.len(), MOST);
-    found.left_out.thinned = asked.len() - asked.len().div_ceil(step);
+    found.left_out.touched = sampled.len();
+    let step = dermis_regress::stride(sampled.len(), MOST);
+    found.left_out.thinned = sampled.len() - sampled.len().div_ceil(step);
     let mut masked = WithNoise::new(model, model.noise().to_vec());
-    for (id, sample, truth) in asked.into_iter().step_by(step) {
+    for (id, sample, truth) in sampled.into_iter().step_by(step) {
         let Some(stimulus) = stimulus(truth) else {
             found.left_out.unknown += 1;
             continue;
@@ -360,8 +360,8 @@ mod tests {
         assert_eq!(found.left_out, Unbounded { touched: 40, undetermined: 40, ..Unbounded::default() });
         let errors = [error(data.labelled().find(|(_, _, t)| t.touched()).unwrap().0, [0, 1], 0.01, 0.05)];
         let against = found.against(&errors, &FORCE_BINS);
-        let told: Vec<(&str, usize)> = against.iter().map(|a| (&*a.quantity, a.all.samples)).collect();
-        assert_eq!(told, [("force.normal", 1)]);
+        let counts: Vec<(&str, usize)> = against.iter().map(|a| (&*a.quantity, a.all.samples)).collect();
+        assert_eq!(counts, [("force.normal", 1)]);
         approx::assert_relative_eq!(against[0].all.ratio_of_rms, 2.0, max_relative = 1e-9);
     }
 

@@ -67,10 +67,10 @@ impl ReadMaps {
     ///
     /// [`LearnError::Config`] names the flag whose number cannot be.
     pub fn reading(&self, surface: &Surface) -> Result<Option<MapReading>, LearnError> {
-        let asked =
+        let requested =
             self.map_disc.is_some() || self.map_least_force.is_some() || !self.map_threshold.is_empty();
         let own = MapReading::of_surface(surface);
-        if !asked {
+        if !requested {
             return Ok(own);
         }
         let mut reading = own.unwrap_or_default();

@@ -129,9 +129,9 @@ impl Evaluation {
             all.insert(format!("count_right_of_{number}"), *share);
         }
         of_maps::figures(&self.maps, &mut all);
-        let asked = self.frames + self.unanswered;
-        if asked > 0 {
-            all.insert("unanswered".into(), self.unanswered as f64 / asked as f64);
+        let total = self.frames + self.unanswered;
+        if total > 0 {
+            all.insert("unanswered".into(), self.unanswered as f64 / total as f64);
         }
         all
     }
@@ -285,10 +285,10 @@ pub fn evaluate_parts(
     parts: Vec<(Evaluator, &str, &[SampleId])>,
     watch: &dyn Fn(f64) -> bool,
 ) -> Result<Option<Vec<Evaluation>>, LearnError> {
-    let asked: Vec<BTreeSet<SampleId>> =
+    let targets: Vec<BTreeSet<SampleId>> =
         parts.iter().map(|(.., ids)| ids.iter().copied().collect()).collect();
     let press = |id: &SampleId| Some((id.run, data.sample(*id)?.truth.as_ref()?.press));
-    let presses: BTreeSet<(usize, u64)> = asked.iter().flatten().filter_map(press).collect();
+    let presses: BTreeSet<(usize, u64)> = targets.iter().flatten().filter_map(press).collect();
     let (mut evaluators, names): (Vec<Evaluator>, Vec<&str>) =
         parts.into_iter().map(|(evaluator, name, _)| (evaluator, name)).unzip();
     let total = data.runs().iter().map(|r| r.samples.len()).sum::<usize>().max(1) as f64;
@@ -313,7 +313,7 @@ pub fn evaluate_parts(
                 .estimate(&s.frame)
                 .map_err(|source| LearnError::Estimate { bag: r.path.clone(), source })?;
             let Some(truth) = &s.truth else { continue };
-            for (ids, evaluator) in asked.iter().zip(&mut evaluators) {
+            for (ids, evaluator) in targets.iter().zip(&mut evaluators) {
                 let id = SampleId { run, sample };
                 if ids.contains(&id) {
                     evaluator.take(id, &s, truth, &estimate)?;

@@ -70,8 +70,8 @@ impl GraphEvaluator {
                 }
                 let frame = read.conditioned();
                 let id = SampleId { run, sample };
-                let asked = read.truth.as_ref().filter(|_| wanted(&id));
-                let Some(truth) = asked else {
+                let truth = read.truth.as_ref().filter(|_| wanted(&id));
+                let Some(truth) = truth else {
                     self.finder.pass(&frame)?;
                     continue;
                 };
@@ -102,13 +102,13 @@ impl GraphEvaluator {
 fn answer(contact: &Contact, outputs: &Outputs) -> Answer {
     let depth = outputs.get("position.z");
     let plain = || outputs.get("position.x").zip(outputs.get("position.y"));
-    let told = Answer::of_contact(contact, depth.is_some());
+    let reported = Answer::of_contact(contact, depth.is_some());
     Answer {
-        position: told.position.or_else(|| plain().map(|(x, y)| [x, y, depth.unwrap_or(0.0)])),
-        force: told.force.or_else(|| known_forces(outputs)),
-        normal_force: told.normal_force.or_else(|| outputs.normal_force()),
+        position: reported.position.or_else(|| plain().map(|(x, y)| [x, y, depth.unwrap_or(0.0)])),
+        force: reported.force.or_else(|| known_forces(outputs)),
+        normal_force: reported.normal_force.or_else(|| outputs.normal_force()),
         contact: outputs.contact().map(|p| p > 0.5),
-        ..told
+        ..reported
     }
 }
 

@@ -415,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn a_disc_is_as_wide_as_it_was_asked_to_be() {
+    fn a_disc_has_the_requested_width() {
         let pictures = Pictures::new(map((4, 60)), &panel()).unwrap();
         let mut image = Vec::new();
         pictures.append(&truth(&[(0.0, 0.0, 9.0)]), &mut image);

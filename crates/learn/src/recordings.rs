@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn signals_of_places_that_stand_apart_add_up() {
+    fn signals_of_locations_that_stand_apart_add_up() {
         let press = |i: usize| Recorded {
             contact: Indentation::sphere(
                 Point3::new(i as f64 * 0.01, 0.0, 0.0),

@@ -51,8 +51,8 @@ pub fn settings(
     let failed = |reason: String| LearnError::Refinement { skin: data.skin().name.clone(), reason };
     let step = dermis_regress::stride(only.len(), MOST);
     let mut frames: Vec<(Stimulus, Vec<f32>)> = Vec::new();
-    let asked: Vec<SampleId> = only.iter().copied().step_by(step).collect();
-    for (_, sample) in data.gather(&asked)? {
+    let targets: Vec<SampleId> = only.iter().copied().step_by(step).collect();
+    for (_, sample) in data.gather(&targets)? {
         let Some(truth) = sample.truth.as_ref().filter(|t| t.touched()) else { continue };
         let Some(stimulus) = stimulus(truth) else { continue };
         // A force cell's noise pulls at the skin now and then, which no forward model knows.
@@ -221,17 +221,17 @@ pub fn tune_presence(
     // `None`: touched.
     let mut seen: Vec<Option<(f64, f64)>> = Vec::new();
     let total = only.len().max(1) as f64;
-    let mut asked = 0_u32;
+    let mut inspected = 0_u32;
     for run in 0..data.runs().len() {
         for (sample, read) in data.stream(run)?.enumerate() {
             let read = read?;
             if !only.contains(&SampleId { run, sample }) {
                 continue;
             }
-            if !watch(f64::from(asked) / total) {
+            if !watch(f64::from(inspected) / total) {
                 return Ok(false);
             }
-            asked += 1;
+            inspected += 1;
             let Some(truth) = &read.truth else { continue };
             if truth.touched() {
                 seen.push(None);

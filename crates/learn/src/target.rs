@@ -249,8 +249,8 @@ impl Maps {
         map != MapTarget::Displacement
             || *self.displaces.get_or_insert_with(|| {
                 let model = self.model.as_ref();
-                let asked = model.map(|m| m.displacement(&Stimulus::default(), &mut self.displacement));
-                matches!(asked, Some(Ok(true)))
+                let answer = model.map(|m| m.displacement(&Stimulus::default(), &mut self.displacement));
+                matches!(answer, Some(Ok(true)))
             })
     }
 

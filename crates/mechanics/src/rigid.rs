@@ -156,13 +156,13 @@ mod tests {
 
     #[test]
     fn what_cannot_rest_is_refused() {
-        let told =
+        let message =
             |c: DMatrix<f64>, h: &[f64], f: f64| RigidContact::solve(&c, h, f).unwrap_err().to_string();
-        assert!(told(DMatrix::zeros(0, 0), &[], 1.0).contains("no points"));
-        assert!(told(DMatrix::identity(2, 2), &[0.0; 3], 1.0).contains("missing"));
-        assert!(told(DMatrix::identity(1, 1), &[0.0], -1.0).contains("nothing presses"));
-        assert!(told(DMatrix::identity(1, 1), &[f64::INFINITY], 1.0).contains("not a number"));
-        assert!(told(-DMatrix::<f64>::identity(1, 1), &[0.0], 1.0).contains("positive definite"));
+        assert!(message(DMatrix::zeros(0, 0), &[], 1.0).contains("no points"));
+        assert!(message(DMatrix::identity(2, 2), &[0.0; 3], 1.0).contains("missing"));
+        assert!(message(DMatrix::identity(1, 1), &[0.0], -1.0).contains("nothing presses"));
+        assert!(message(DMatrix::identity(1, 1), &[f64::INFINITY], 1.0).contains("not a number"));
+        assert!(message(-DMatrix::<f64>::identity(1, 1), &[0.0], 1.0).contains("positive definite"));
     }
 
     proptest! {

@@ -41,13 +41,13 @@ pub(crate) struct Watch {
     poll: Poll,
     available: Arc<AtomicBool>,
     pending: Option<BoxFuture<'static, ()>>,
-    asked: Instant,
+    checked: Instant,
 }
 
 impl Watch {
     pub fn new(gate: Gate, poll: Poll, available: Arc<AtomicBool>) -> Self {
         let pending = poll();
-        Self { gate, poll, available, pending, asked: Instant::now() }
+        Self { gate, poll, available, pending, checked: Instant::now() }
     }
 
     fn step(&mut self) {
@@ -55,12 +55,12 @@ impl Watch {
             if pending.now_or_never().is_some() {
                 self.available.store(true, Ordering::Release);
                 self.pending = None;
-            } else if self.asked.elapsed() > AVAILABILITY {
+            } else if self.checked.elapsed() > AVAILABILITY {
                 self.available.store(false, Ordering::Release);
             }
-        } else if self.asked.elapsed() > AVAILABILITY {
+        } else if self.checked.elapsed() > AVAILABILITY {
             self.pending = (self.poll)();
-            self.asked = Instant::now();
+            self.checked = Instant::now();
         }
     }
 }

@@ -184,7 +184,7 @@ fn messages_of_rclpy_reach_us() {
 }
 
 #[test]
-fn quality_of_service_that_does_not_fit_is_told() {
+fn quality_of_service_that_does_not_fit_is_reported() {
     let Some(mut rclpy) = Rclpy::start("other") else { return };
     let node = node("picky");
     let kind = Wrench::TYPE_NAME;
@@ -200,8 +200,8 @@ fn quality_of_service_that_does_not_fit_is_told() {
     rclpy.tell(&json!({"do": "publish", "topic": "/misfits", "type": kind, "qos": {"reliable": false}, "period": 0.05}));
     loose.recv_timeout(PATIENCE).unwrap();
     // The middleware tells rclpy that its publisher offers too little, and our node says it in a sentence.
-    let told = rclpy.event("incompatible", |said| said["topic"] == "/misfits");
-    assert_eq!(told["policy"], 16, "reliability");
+    let reported = rclpy.event("incompatible", |said| said["topic"] == "/misfits");
+    assert_eq!(reported["policy"], 16, "reliability");
     until("the mismatch is a problem of the node", || {
         node.problems().iter().any(|p| p.kind == ProblemKind::QosMismatch && p.name == "/misfits")
     });
@@ -214,13 +214,13 @@ fn quality_of_service_that_does_not_fit_is_told() {
     // The other way round: our stream is best effort, they insist on reliable.
     let stream = node.publisher::<Wrench>("stream", Qos::sensor_data()).unwrap();
     rclpy.tell(&json!({"do": "subscribe", "topic": "/stream", "type": kind}));
-    let told = rclpy.event("incompatible", |said| said["topic"] == "/stream");
-    assert_eq!(told["policy"], 16, "reliability");
+    let reported = rclpy.event("incompatible", |said| said["topic"] == "/stream");
+    assert_eq!(reported["policy"], 16, "reliability");
     assert_eq!(stream.subscriber_count(), 0);
 }
 
 #[test]
-fn another_type_on_our_topic_is_told() {
+fn another_type_on_our_topic_is_reported() {
     let Some(mut rclpy) = Rclpy::start("stranger") else { return };
     let node = node("skin");
     let _sub = node.subscribe::<Wrench>("wrench", Qos::sensor_data(), |_, _| panic!("not a Wrench")).unwrap();
@@ -439,18 +439,18 @@ fn rclpy_manages_our_life() {
     // Event and answer come in any order.
     rclpy.tell(&json!({"do": "call", "service": "/managed/change_state",
         "type": "lifecycle_msgs/srv/ChangeState", "request": {"transition": {"label": "cleanup"}}}));
-    let (mut told, mut answered) = (false, false);
+    let (mut notified, mut answered) = (false, false);
     rclpy.wait("answer and event of the last transition", |said| {
-        told |= said["topic"] == "/managed/transition_event"
+        notified |= said["topic"] == "/managed/transition_event"
             && said["value"]["start_state"]["label"] == "cleaningup"
             && said["value"]["goal_state"]["label"] == "unconfigured";
         answered |= said["service"] == "/managed/change_state" && said["value"]["success"] == true;
-        (told && answered).then_some(())
+        (notified && answered).then_some(())
     });
 }
 
 #[test]
-fn two_nodes_of_one_name_are_told() {
+fn a_second_node_of_one_name_is_reported() {
     let node = if ros_python().is_some() { node("skin") } else { return };
     let Some(rclpy) = Rclpy::start("lonely") else { return };
     until("the other node is in the graph", || node.node_names().unwrap().contains(&"/lonely".to_owned()));

@@ -157,7 +157,7 @@ struct Inner {
     /// Told when a transition is over.
     idle: Condvar,
     /// A callback of the running transition asked for the end of the node.
-    end_asked: AtomicBool,
+    end_requested: AtomicBool,
     callbacks: Mutex<Vec<(Transition, Callback)>>,
     events: OnceLock<EventSink>,
     now: Box<dyn Fn() -> i64 + Send + Sync>,
@@ -174,7 +174,7 @@ impl Lifecycle {
             state: Mutex::new(State::Unconfigured),
             taking: Mutex::new(None),
             idle: Condvar::new(),
-            end_asked: AtomicBool::new(false),
+            end_requested: AtomicBool::new(false),
             callbacks: Mutex::new(Vec::new()),
             events: OnceLock::new(),
             now,
@@ -233,7 +233,7 @@ impl Lifecycle {
         {
             let taking = lock(&self.0.taking);
             if *taking == Some(me) {
-                self.0.end_asked.store(true, Ordering::Release);
+                self.0.end_requested.store(true, Ordering::Release);
                 return Ok(());
             }
             let busy = |taking: &mut Option<ThreadId>| taking.is_some();
@@ -274,8 +274,8 @@ impl Lifecycle {
                 break;
             }
         }
-        let end_asked = self.0.end_asked.load(Ordering::Acquire);
-        if end_asked {
+        let end_requested = self.0.end_requested.load(Ordering::Acquire);
+        if end_requested {
             // The node has ended meanwhile, and its callbacks may hold it: they are not put back.
             drop(callbacks);
             self.clear_callbacks();
@@ -285,7 +285,7 @@ impl Lifecycle {
             callbacks.append(&mut current);
             *current = callbacks;
         }
-        let reached = if end_asked {
+        let reached = if end_requested {
             State::Finalized
         } else if failure.is_none() || transition == Transition::Shutdown {
             goal

@@ -150,13 +150,13 @@ impl NetworkChoice {
     /// The same with another environment.
     pub(crate) fn resolve_in(&self, variable: &dyn Fn(&str) -> Option<String>) -> Result<Network, NodeError> {
         let variable = |name: &str| variable(name).filter(|value| !value.trim().is_empty());
-        if let Some(asked) = chosen(
+        if let Some(requested) = chosen(
             self.network,
             self.zenoh_config.as_deref(),
             &|reach| format!("`network` {reach}"),
             "give `network` or `zenoh_config`, not both: the file says all of it",
         )? {
-            return Ok(asked);
+            return Ok(requested);
         }
         let reach = match variable(NETWORK_VARIABLE) {
             Some(value) => Some(value.parse::<Reach>().map_err(|_| NodeError::Environment {
@@ -304,15 +304,15 @@ mod tests {
     }
 
     #[test]
-    fn what_was_asked_for_wins_over_the_environment() {
+    fn an_explicit_choice_wins_over_the_environment() {
         let everything = [
             (NETWORK_VARIABLE, "192.168.1.5"),
             (SESSION_CONFIG, "/a.json5"),
             (RANGE, "SUBNET"),
             (STATIC_PEERS, "10.0.0.1"),
         ];
-        let asked = NetworkChoice { network: Some(Reach::Loopback), zenoh_config: None };
-        let network = resolve(&asked, &everything).unwrap();
+        let requested = NetworkChoice { network: Some(Reach::Loopback), zenoh_config: None };
+        let network = resolve(&requested, &everything).unwrap();
         assert_eq!(
             (network.reach, network.static_peers, network.zenoh_config),
             (Reach::Loopback, vec![], None)

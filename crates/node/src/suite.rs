@@ -619,8 +619,8 @@ pub fn diagnostics_are_published(backend: &dyn Backend) {
     let bench = Bench::new(backend);
     let (a, b) = (bench.node("a"), bench.node("b"));
     a.diagnostics().set_hardware_id("BD-0042");
-    let asked = Arc::new(AtomicUsize::new(0));
-    let count = Arc::clone(&asked);
+    let calls = Arc::new(AtomicUsize::new(0));
+    let count = Arc::clone(&calls);
     a.diagnostics().add("transport", move || {
         count.fetch_add(1, Ordering::SeqCst);
         let mut status = Status::ok("streaming");
@@ -641,7 +641,7 @@ pub fn diagnostics_are_published(backend: &dyn Backend) {
     assert_eq!(status.message, "3 frames lost");
     assert_eq!(status.hardware_id, "BD-0042");
     assert_eq!((status.values[0].key.as_str(), status.values[0].value.as_str()), ("rate (Hz)", "100"));
-    assert!(asked.load(Ordering::SeqCst) > 0);
+    assert!(calls.load(Ordering::SeqCst) > 0);
 }
 
 /// Lines of the log reach those who listen to `/rosout`, latecomers too.

@@ -234,15 +234,15 @@ fn what_the_bus_lost_is_counted_by_publisher() {
     assert_eq!([send(2, 0, 63), send(2, 1, 64), send(1, 0, 65), send(1, 1, 66)], [2; 4]);
     assert_eq!(send(2, 10, 70), 10);
     assert_eq!((sub.losses().numbered, sub.losses().unnumbered, sub.dropped()), (12, 0, 0));
-    let told = |status: Vec<(String, dermis_node::Status)>| {
+    let loss_status = |status: Vec<(String, dermis_node::Status)>| {
         status.into_iter().find(|(name, _)| name == "subscriptions").unwrap().1
     };
     // The node asks once a second, too.
-    let status = told(node.diagnostics().collect());
+    let status = loss_status(node.diagnostics().collect());
     let value = (format!("{}: lost on the way", sub.topic()), "10".to_owned());
     assert!(status.values.contains(&value), "{status:?}");
     until("the next report is clean", || {
-        told(node.diagnostics().collect()).message == "nothing was lost since the last report"
+        loss_status(node.diagnostics().collect()).message == "nothing was lost since the last report"
     });
     publisher.put(Int32::default().to_cdr()).wait().unwrap();
     assert_eq!(expect_next(&rx, "one without a number"), None);
@@ -390,7 +390,7 @@ fn a_hanging_peer_never_holds_a_stream_up() {
 
 /// A peer that stops reading fills the buffers of the network. A publisher that does not wait drops then and
 /// goes on at its rate; 5 s long here.
-fn beside_a_hanging_peer(asked: Qos, publish: impl Fn(&Node) -> Publisher<Text>) {
+fn beside_a_hanging_peer(requested: Qos, publish: impl Fn(&Node) -> Publisher<Text>) {
     let port = free_port();
     let listen = format!("tcp/127.0.0.1:{port}");
     let talker = with(SessionOptions { multicast: false, listen: vec![listen], ..Default::default() });
@@ -407,7 +407,7 @@ fn beside_a_hanging_peer(asked: Qos, publish: impl Fn(&Node) -> Publisher<Text>)
     let b = Node::open(bench.options("b"), &reader).unwrap();
     let (tx, rx) = channel();
     let _sub = b
-        .subscribe("frames", asked, move |_: Text, _| {
+        .subscribe("frames", requested, move |_: Text, _| {
             let _ = tx.send(());
         })
         .unwrap();

@@ -332,7 +332,7 @@ impl Player<'_> {
     }
 
     fn once(&mut self, reader: &BagReader, filter: &Filter, start: i64, found: &mut Findings) -> Result<()> {
-        let mut told: Option<Instant> = None;
+        let mut warned: Option<Instant> = None;
         let mut now = start;
         let mut messages = reader.messages_by_time(filter).peekable();
         // Until the first message is read, no time passes.
@@ -351,8 +351,8 @@ impl Player<'_> {
                 }
                 let late = due.elapsed();
                 found.behind_s = found.behind_s.max(late.as_secs_f64());
-                if late > BEHIND && told.is_none_or(|last| last.elapsed() >= TELL) {
-                    told = Some(Instant::now());
+                if late > BEHIND && warned.is_none_or(|last| last.elapsed() >= TELL) {
+                    warned = Some(Instant::now());
                     let late = late.as_secs_f64();
                     self.progress.note(&format!("{late:.1} s behind: this is more than goes out in time"));
                 }

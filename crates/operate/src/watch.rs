@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn skins_are_told_apart_by_topic_and_name() {
+    fn skins_are_distinguished_by_topic_and_name() {
         let mut seen = Seen::default();
         for (topic, skin) in [
             ("/left/contacts", "pad"),
@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_asked_for_is_remembered_by_name_only() {
+    fn what_was_not_requested_is_remembered_by_name_only() {
         let mut seen = Seen::default();
         let wanted = ["tip".to_owned()];
         for _ in 0..3 {

@@ -146,21 +146,21 @@ mod tests {
 
     #[test]
     fn what_cannot_be_is_refused_with_a_sentence() {
-        let told = |text| serde_json::from_value::<record::Request>(text).unwrap_err().to_string();
+        let message = |text| serde_json::from_value::<record::Request>(text).unwrap_err().to_string();
         assert_eq!(
-            told(json!({ "duration": "3y" })),
+            message(json!({ "duration": "3y" })),
             "`y` is no unit of time: write e.g. `500ms`, `10s`, `10min` or `2h`"
         );
         assert_eq!(
-            told(json!({ "duration": -1.0 })),
+            message(json!({ "duration": -1.0 })),
             "`-1` is no duration: write e.g. `500ms`, `10s`, `10min` or `2h`"
         );
-        assert_eq!(told(json!({ "buffer": 0 })), "`0` is no size: write e.g. `500MB` or `1GiB`");
-        assert!(told(json!({ "regex": ["("] })).contains("unclosed group"));
-        assert!(told(json!({ "regexp": [] })).contains("unknown field `regexp`"));
-        let told = |text| serde_json::from_value::<play::Request>(text).unwrap_err().to_string();
-        assert!(told(json!({ "remap": ["a=b"] })).contains("a=b"));
-        let told = |text| serde_json::from_value::<slice::Request>(text).unwrap_err().to_string();
-        assert!(told(json!({ "split_size": "1 furlong" })).contains("furlong"));
+        assert_eq!(message(json!({ "buffer": 0 })), "`0` is no size: write e.g. `500MB` or `1GiB`");
+        assert!(message(json!({ "regex": ["("] })).contains("unclosed group"));
+        assert!(message(json!({ "regexp": [] })).contains("unknown field `regexp`"));
+        let message = |text| serde_json::from_value::<play::Request>(text).unwrap_err().to_string();
+        assert!(message(json!({ "remap": ["a=b"] })).contains("a=b"));
+        let message = |text| serde_json::from_value::<slice::Request>(text).unwrap_err().to_string();
+        assert!(message(json!({ "split_size": "1 furlong" })).contains("furlong"));
     }
 }

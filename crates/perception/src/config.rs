@@ -463,10 +463,10 @@ mod tests {
             ),
             ("translation = [0, 0, 0]", "missing"),
         ] {
-            let told = toml(&format!("{text}mount = {{ {mount} }}")).unwrap_err();
+            let message = toml(&format!("{text}mount = {{ {mount} }}")).unwrap_err();
             assert!(
-                told.starts_with("configuration palm.toml: field `mount") && told.contains(reason),
-                "{told}"
+                message.starts_with("configuration palm.toml: field `mount") && message.contains(reason),
+                "{message}"
             );
         }
     }

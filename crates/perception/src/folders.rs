@@ -13,14 +13,14 @@ use dermis_inference::Bundle;
 ///
 /// A sentence that says why it is not taken.
 pub(crate) fn bundle(name: &str, folders: &[PathBuf]) -> Result<PathBuf, String> {
-    let asked = Path::new(name);
+    let requested = Path::new(name);
     let listed = || folders.iter().map(|f| f.display().to_string()).collect::<Vec<_>>().join(", ");
     if folders.is_empty() {
         return Err(format!(
             "model bundle {name}: no model folder is configured; name one in `model_folders` of the node's configuration"
         ));
     }
-    if name.is_empty() || asked.components().any(|c| c == Component::ParentDir) {
+    if name.is_empty() || requested.components().any(|c| c == Component::ParentDir) {
         return Err(format!(
             "model bundle {name}: give the name of a bundle below {}, without `..`; nothing else is loaded",
             listed()
@@ -37,11 +37,11 @@ pub(crate) fn bundle(name: &str, folders: &[PathBuf]) -> Result<PathBuf, String>
         // Links are followed here, so that what is compared is where things really lie.
         let Ok(inside) = folder.canonicalize() else { continue };
         // An absolute name replaces the folder.
-        let Ok(found) = folder.join(asked).canonicalize() else { continue };
+        let Ok(found) = folder.join(requested).canonicalize() else { continue };
         if !found.starts_with(&inside) {
             continue;
         }
-        if found == inside && !asked.is_absolute() {
+        if found == inside && !requested.is_absolute() {
             continue;
         }
         for file in Bundle::FILES {
@@ -58,8 +58,8 @@ pub(crate) fn bundle(name: &str, folders: &[PathBuf]) -> Result<PathBuf, String>
         return Ok(found);
     }
     // What lies elsewhere is not told from what is not there.
-    let lexically = |f: &PathBuf| !asked.is_absolute() || asked.starts_with(f);
-    let linked = folders.iter().any(|f| f.join(asked).symlink_metadata().is_ok());
+    let lexically = |f: &PathBuf| !requested.is_absolute() || requested.starts_with(f);
+    let linked = folders.iter().any(|f| f.join(requested).symlink_metadata().is_ok());
     Err(if folders.iter().any(lexically) && !linked {
         format!("model bundle {name}: there is none of that name in {}", listed())
     } else {

@@ -124,7 +124,7 @@ impl Commander {
             Err(why) => return Answer::refused(why),
         };
         let name = format!("{node}/{}", command.word());
-        let told = match command {
+        let reply = match command {
             Command::Tare => self
                 .call(&self.tares, &name, &TriggerRequest::default())
                 .await
@@ -138,7 +138,7 @@ impl Commander {
                 .await
                 .map(|r| (r.success, r.message)),
         };
-        match told {
+        match reply {
             Ok((success, message)) => Answer { success, message },
             Err(why) => Answer::refused(why),
         }

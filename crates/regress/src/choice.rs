@@ -192,9 +192,9 @@ impl Settings {
         let fold = folds(&of, tuning.folds, tuning.seed);
         let (mut sum, mut count) = (0.0, 0_usize);
         for held_out in 0..tuning.folds {
-            let (learn, asked): (Vec<usize>, Vec<usize>) =
+            let (learn, validation): (Vec<usize>, Vec<usize>) =
                 (0..some.len()).partition(|i| fold[*i] != held_out);
-            if learn.is_empty() || asked.is_empty() {
+            if learn.is_empty() || validation.is_empty() {
                 continue;
             }
             let rows = |table: Rows<'_>| -> Vec<f64> {
@@ -203,7 +203,7 @@ impl Settings {
             let (x, t) = (rows(inputs), rows(targets));
             let fitted = self
                 .fit(Rows::new(&x, inputs.width(), "inputs")?, Rows::new(&t, targets.width(), "targets")?)?;
-            for i in asked {
+            for i in validation {
                 let answer = fitted.predict(inputs.row(some[i]))?;
                 let squares = answer.iter().zip(targets.row(some[i])).map(|(a, b)| (a - b) * (a - b));
                 sum += squares.sum::<f64>().sqrt();

@@ -105,10 +105,10 @@ mod tests {
         let (inputs, targets) = ([0.0, 0.0, 1.0, 0.0, 0.0, 100.0], [1.0, 2.0, 3.0]);
         let (inputs, targets) =
             (Rows::new(&inputs, 2, "inputs").unwrap(), Rows::new(&targets, 1, "targets").unwrap());
-        let asked = |model: Neighbours| model.predict(&[0.9, 60.0]).unwrap()[0];
+        let predicted = |model: Neighbours| model.predict(&[0.9, 60.0]).unwrap()[0];
         // In spreads of the columns, 0.47 and 47, the second row is nearest; as given it is the third.
-        assert!((asked(Neighbours::fit(inputs, targets, 1).unwrap()) - 2.0).abs() < 1e-12);
-        assert!((asked(Neighbours::fit_as_given(inputs, targets, 1).unwrap()) - 3.0).abs() < 1e-12);
+        assert!((predicted(Neighbours::fit(inputs, targets, 1).unwrap()) - 2.0).abs() < 1e-12);
+        assert!((predicted(Neighbours::fit_as_given(inputs, targets, 1).unwrap()) - 3.0).abs() < 1e-12);
     }
 
     #[test]

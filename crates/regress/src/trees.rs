@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn leaves_hold_as_many_rows_as_asked() {
+    fn leaves_hold_as_many_rows_as_requested() {
         let (inputs, targets) = made();
         let (x, t) = (Rows::new(&inputs, 2, "inputs").unwrap(), Rows::new(&targets, 2, "targets").unwrap());
         let settings = TreeSettings { trees: 1, leaf: 600, ..TreeSettings::default() };

@@ -221,7 +221,7 @@ pub fn comparison(findings: &compare::Findings) -> String {
     for ask in asks {
         let reached = if ask.reached { "reached" } else { "missed" };
         let _ =
-            writeln!(out, "{reached}: {} ({} asked): {} by {}", ask.what, ask.asked, ask.found, ask.method);
+            writeln!(out, "{reached}: {} (target {}): {} by {}", ask.what, ask.target, ask.found, ask.method);
     }
     out
 }

@@ -89,7 +89,7 @@ pub trait Encoder: Send {
     }
 
     /// Takes what the host wrote; how many frames that asks for. A device that sends by itself ignores it.
-    fn asked(&mut self, bytes: &[u8]) -> usize {
+    fn requested_frames(&mut self, bytes: &[u8]) -> usize {
         let _ = bytes;
         0
     }

@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_on_the_other_wire_is_told_the_key() {
+    fn a_device_on_the_other_wire_receives_the_key() {
         let mut frames = Vec::new();
         let mut binary = FrameReader::new(&skin_with("")).unwrap();
         binary.push(b"325,7\n1,2,3,4\n5,6,7,8\n", 1, &mut frames);

@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_of_other_channels_is_told_apart() {
+    fn a_frame_of_other_channels_is_distinguished() {
         let skin = SkinDescription::from_toml(PAD, "pad.toml").unwrap();
         let of =
             |from: &str, to: &str| SkinDescription::from_toml(&PAD.replace(from, to), "pad.toml").unwrap();

@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn elements_are_counted_before_they_are_looked_at() {
+    fn elements_are_counted_before_they_are_inspected() {
         let many: String =
             (0..=TAXELS).map(|i| format!("{{ name = \"t{i}\", position = [0, 0, 0] }},")).collect();
         let first = "{ name = \"a\", position = [-0.005, 0.0, -0.005] },";

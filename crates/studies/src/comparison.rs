@@ -211,12 +211,12 @@ type Named = (String, Box<dyn ContactFinder>);
 fn answer(
     mut finders: Vec<Named>,
     data: &Dataset,
-    asked: &[SampleId],
+    targets: &[SampleId],
     bins: &[f64],
     forward: Option<&Arc<dyn ForwardModel>>,
     progress: &dyn Progress,
 ) -> Result<Vec<(String, Evaluation)>> {
-    let wanted: BTreeSet<SampleId> = asked.iter().copied().collect();
+    let wanted: BTreeSet<SampleId> = targets.iter().copied().collect();
     let evaluator = |_: &Named| {
         let maps = Maps::new(data.skin(), forward.cloned(), &[])?;
         anyhow::Ok(Evaluator::of(data).by_force(bins).with_maps(maps))

@@ -169,8 +169,8 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
         (false, Some(kind)) => Some(SplitConfig { kind, ..SplitConfig::default() }),
         (false, None) => None,
     };
-    let asked = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
-    let kept = options.in_range.then(|| in_range(&data, asked.as_deref()));
+    let targets = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
+    let kept = options.in_range.then(|| in_range(&data, targets.as_deref()));
     let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
     let model = families.model(&skin).ok();
     // Maps that nobody can know here are not compared.
@@ -182,12 +182,12 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
     if let Some((kept, _)) = &kept {
         evaluator = evaluator.maps_of(kept);
     }
-    evaluator.run(estimator.as_mut(), &data, asked.as_deref())?;
+    evaluator.run(estimator.as_mut(), &data, targets.as_deref())?;
     let mut own = None;
     let others = if options.beside.is_empty() {
         Vec::new()
     } else {
-        let only = kept.as_ref().map(|(kept, _)| kept.as_slice()).or(asked.as_deref());
+        let only = kept.as_ref().map(|(kept, _)| kept.as_slice()).or(targets.as_deref());
         let (ids, others) =
             beside::beside(&skin, &options.beside, &options.labels, &data, only, &options.bins, progress)?;
         let same = evaluator.restricted(&ids).finish("the model, on the same frames");
@@ -197,14 +197,14 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
     let (everything, evaluation, bound) = match kept {
         None => {
             let (evaluation, bound) =
-                bounded(evaluator.finish(name), model.as_deref(), &data, asked.as_deref(), &options.bins)?;
+                bounded(evaluator.finish(name), model.as_deref(), &data, targets.as_deref(), &options.bins)?;
             (None, evaluation, bound)
         }
         Some((kept, left_out)) => {
             let part = evaluator.restricted(&kept).with_maps_of(&mut evaluator);
             let part = part.finish(format!("{name}, every channel within its range"));
             let of = |e, ids| bounded(e, model.as_deref(), &data, ids, &options.bins);
-            let (all, _) = of(evaluator.finish(name), asked.as_deref())?;
+            let (all, _) = of(evaluator.finish(name), targets.as_deref())?;
             let (evaluation, bound) = of(part, Some(&kept))?;
             (Some((all, left_out)), evaluation, bound)
         }
@@ -214,9 +214,9 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
 }
 
 /// Frames in which every channel is within its range, and what of the touched ones is not among them.
-fn in_range(data: &Dataset, asked: Option<&[SampleId]>) -> (Vec<SampleId>, Vec<LeftOut>) {
+fn in_range(data: &Dataset, targets: Option<&[SampleId]>) -> (Vec<SampleId>, Vec<LeftOut>) {
     let mut kept: Vec<SampleId> =
-        asked.map_or_else(|| data.labelled().map(|(id, ..)| id).collect(), <[SampleId]>::to_vec);
+        targets.map_or_else(|| data.labelled().map(|(id, ..)| id).collect(), <[SampleId]>::to_vec);
     let touched = |ids: &[SampleId]| {
         let truth = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref());
         ids.iter().filter_map(truth).filter(|t| t.touched()).count()

@@ -608,8 +608,8 @@ mod tests {
         std::fs::write(bundle.join(DONE), "{").unwrap();
         let fresh = Done::of(bundle, json!({ "data": "one" }));
         assert!(fresh.refinement.is_none());
-        let told = interrupted(&fresh).to_string();
-        assert!(told.starts_with("interrupted") && told.ends_with("goes on from there"), "{told}");
+        let message = interrupted(&fresh).to_string();
+        assert!(message.starts_with("interrupted") && message.ends_with("goes on from there"), "{message}");
         fresh.keep().unwrap();
         fresh.forget().unwrap();
         assert!(!bundle.join(DONE).exists());

@@ -207,7 +207,7 @@ fn a_loop_goes_on_counting() {
 }
 
 #[test]
-fn a_topic_is_chosen_or_asked_for() {
+fn a_topic_is_chosen_or_must_be_given() {
     let (folder, path) = bag();
     let mut recording = Recording::create(&path.join("run_0.mcap"));
     for i in 0..3 {
@@ -233,10 +233,10 @@ fn two_skins_are_never_sent_as_one() {
         recording.write("/twice/taxels", &of("foot", 300 + i), START);
     }
     recording.finish();
-    let told = |keys| hide(&failure(url(&path, keys)), folder.path());
-    insta::assert_snapshot!(told("?speed=0&topic=/taxels"), @"topic /taxels of BAG/run/run_0.mcap carries frames of `left_palm` and of `right_palm`, choose one with skin=…");
-    insta::assert_snapshot!(told("?speed=0&skin=foot"), @"BAG/run/run_0.mcap holds frames of skin `foot` on /foot/taxels and on /twice/taxels, choose one with topic=…");
-    insta::assert_snapshot!(told("?speed=0&skin=arm"), @"BAG/run holds no frame of skin `arm`; it has those of `foot`, `left_palm`, `right_palm`");
+    let refusal = |keys| hide(&failure(url(&path, keys)), folder.path());
+    insta::assert_snapshot!(refusal("?speed=0&topic=/taxels"), @"topic /taxels of BAG/run/run_0.mcap carries frames of `left_palm` and of `right_palm`, choose one with skin=…");
+    insta::assert_snapshot!(refusal("?speed=0&skin=foot"), @"BAG/run/run_0.mcap holds frames of skin `foot` on /foot/taxels and on /twice/taxels, choose one with topic=…");
+    insta::assert_snapshot!(refusal("?speed=0&skin=arm"), @"BAG/run holds no frame of skin `arm`; it has those of `foot`, `left_palm`, `right_palm`");
     for (keys, first) in
         [("skin=right_palm", 100), ("skin=left_palm", 0), ("skin=foot&topic=/twice/taxels", 300)]
     {

@@ -65,7 +65,7 @@ fn the_row_is_bounded_as_a_prototype_found() {
 }
 
 #[test]
-fn the_row_is_told_in_one_screen() {
+fn the_row_is_reported_on_one_screen() {
     let options = options("baro-line.toml", true);
     let findings = find(&options).unwrap();
     insta::assert_snapshot!(report::text(&findings), @r#"

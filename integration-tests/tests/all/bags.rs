@@ -231,8 +231,11 @@ fn a_full_disk_ends_a_recording_with_one_sentence() {
     drop(player);
     let said = std::fs::read_to_string(path("said")).unwrap();
     assert_eq!(status.code(), Some(1), "{said}");
-    let told: Vec<&str> = said.lines().filter(|line| line.starts_with("dermis: ")).collect();
-    assert!(told.len() == 1 && told[0].contains("b_0.mcap: the file has reached the largest size"), "{said}");
+    let warnings: Vec<&str> = said.lines().filter(|line| line.starts_with("dermis: ")).collect();
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("b_0.mcap: the file has reached the largest size"),
+        "{said}"
+    );
     assert!(!said.contains("panicked"), "{said}");
     let kept = so_far(&path("b"));
     assert!(kept > 100, "{kept} messages stay readable");
@@ -373,7 +376,7 @@ fn a_recording_of_the_demo_reads_elsewhere() {
 }
 
 #[test]
-fn a_sliced_bag_holds_what_was_asked_for() {
+fn a_sliced_bag_holds_what_was_requested() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
     make(&path("a"), 2);
@@ -407,9 +410,9 @@ fn a_bag_of_before_is_evaluated_played_and_converted() {
     let dir = tempfile::tempdir().unwrap();
     let old = root().join("crates/bag/tests/v0/before");
     let new = dir.path().join("new");
-    let told = succeed(dermis().args(["bag", "convert", "--json"]).arg(&old).arg(&new));
-    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
-    assert_eq!((&told["messages"], &told["complete"]), (&259.into(), &true.into()), "{told}");
+    let report = succeed(dermis().args(["bag", "convert", "--json"]).arg(&old).arg(&new));
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert_eq!((&report["messages"], &report["complete"]), (&259.into(), &true.into()), "{report}");
     succeed(dermis().args(["bag", "check"]).arg(&old));
     succeed(dermis().args(["bag", "check"]).arg(&new));
 

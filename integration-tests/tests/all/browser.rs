@@ -302,7 +302,7 @@ fn pages_of_several_contacts_by_simulation_look_right() {
     let doubles =
         "kind = \"multi\"\ncount = 24\ncontacts = [2, 2]\ndistance = [0.012, 0.075]\nforce = [2.0, 34.3]";
     let learned = recorded(&skin, &plan(folder, "singles", head, &[singles]));
-    let asked = recorded(&skin, &plan(folder, "doubles", head, &[doubles, singles]));
+    let presses = recorded(&skin, &plan(folder, "doubles", head, &[doubles, singles]));
     let (bundle, out) = (folder.join("bundle"), folder.join("comparison"));
     let mut train = dermis(&["real2sim", "train", "--skin"]);
     train.arg(&skin).arg("--settings").arg(&settings).arg("--out").arg(&bundle);
@@ -320,7 +320,7 @@ fn pages_of_several_contacts_by_simulation_look_right() {
         "1",
     ]);
     compare.arg("--skin").arg(&skin).arg("--model").arg(&bundle).arg("--train").arg(&learned);
-    finish(compare.arg("--out").arg(&out).arg(&asked));
+    finish(compare.arg("--out").arg(&out).arg(&presses));
     let page = seen(&out, "comparison.html", "real2sim-comparison");
     assert_eq!(page.matches("<svg").count(), 2, "errors by force, and a map");
 }

@@ -129,12 +129,12 @@ fn labelled_presses_make_a_bundle_without_a_network() {
     ]);
     finish(evaluate.arg(&model).arg(&bag));
     // Nothing is taken for what it is not.
-    let told = refused(&mut refine(&model, &[]));
-    assert!(told.contains("has no network; say `--invert`"), "{told}");
-    let told = refused(&mut refine(&root().join("models/baro-grid"), &["--invert"]));
-    assert!(told.contains("has a network; leave out `--invert`"), "{told}");
-    let told = refused(&mut refine(&model, &["--invert", "--contacts", "2"]));
-    assert!(told.contains("--contacts"), "{told}");
+    let refusal = refused(&mut refine(&model, &[]));
+    assert!(refusal.contains("has no network; say `--invert`"), "{refusal}");
+    let refusal = refused(&mut refine(&root().join("models/baro-grid"), &["--invert"]));
+    assert!(refusal.contains("has a network; leave out `--invert`"), "{refusal}");
+    let refusal = refused(&mut refine(&model, &["--invert", "--contacts", "2"]));
+    assert!(refusal.contains("--contacts"), "{refusal}");
 }
 
 #[test]

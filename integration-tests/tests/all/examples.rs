@@ -26,7 +26,7 @@ fn demo() -> Peer {
 }
 
 #[test]
-fn a_device_in_python_is_felt_in_the_middle() {
+fn a_device_in_python_is_detected_in_the_middle() {
     let Some(python) = client_python() else { return };
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("pad");

@@ -408,7 +408,7 @@ fn a_device_that_falls_silent_or_is_unplugged_comes_back() {
 }
 
 #[test]
-fn two_nodes_of_one_name_are_told_once() {
+fn two_nodes_of_one_name_are_reported_once() {
     let bench = Bench::new();
     let _device = Device::plug(&bench.tty(), healthy());
     let _first = bench.with_model();
@@ -639,7 +639,7 @@ fn a_listener_that_stops_reading_holds_nobody_up() {
     println!("before {before:?}\nwhile a listener was stopped {during:#?}\nmemory {first} {last} bytes");
 
     // It hears what is new, not only what was on its way.
-    let told = Instant::now();
+    let resumed = Instant::now();
     let newest = bench.skin_says("what it read", |_| true);
     let frames: u64 = value(&newest, "frames").parse().unwrap();
     loop {
@@ -647,7 +647,7 @@ fn a_listener_that_stops_reading_holds_nobody_up() {
         if line.trim_start_matches("heard ").parse::<u64>().unwrap() > frames {
             break;
         }
-        assert!(told.elapsed() < SOON, "the stopped listener never caught up");
+        assert!(resumed.elapsed() < SOON, "the stopped listener never caught up");
     }
     assert!(before.rate > 300.0, "{before:?}: this machine is too slow to tell anything");
     let mean = during.iter().map(|h| h.rate).sum::<f64>() / during.len() as f64;

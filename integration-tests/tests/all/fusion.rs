@@ -133,7 +133,7 @@ fn distances(body: &[BodyContacts], truth: &[Indentation]) -> Vec<f64> {
 }
 
 #[test]
-fn a_press_on_a_moving_hand_is_felt_where_it_is() {
+fn a_press_on_a_moving_hand_is_detected_where_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let file = launch_file(folder.path());
     let options = NodeOptions::new("fusion_test").domain_id(domain()).localhost_only(true);

@@ -356,7 +356,7 @@ impl Limb {
         let two = strain(presses(&both()));
         let mode = Arc::new(AtomicU8::new(0));
         let stop = Arc::new(AtomicBool::new(false));
-        let (told, ended) = (Arc::clone(&mode), Arc::clone(&stop));
+        let (current, ended) = (Arc::clone(&mode), Arc::clone(&stop));
         let mut pty = Pty::open().unwrap();
         pty.link(link).unwrap();
         let thread = std::thread::spawn(move || {
@@ -376,7 +376,7 @@ impl Limb {
                 if ended.load(Ordering::Acquire) {
                     return;
                 }
-                let mode = told.load(Ordering::Acquire);
+                let mode = current.load(Ordering::Acquire);
                 let share = |flag: u8| if mode & flag != 0 { 1.0 } else { 0.0 };
                 let mut counts: Vec<f32> = one
                     .iter()
@@ -414,7 +414,7 @@ impl Drop for Limb {
 
 /// What tells a gauge that fails from a press (`condition.coupled` of the skin).
 #[test]
-fn no_press_is_felt_by_one_gauge_alone() {
+fn no_press_is_detected_by_one_gauge_alone() {
     let skin = SkinDescription::load(shin()).unwrap();
     let [_, rail] = skin.channels()[0].range.unwrap();
     let mut least = f64::INFINITY;

@@ -278,7 +278,7 @@ fn one_is_replayed(folder: &Path, bag: &Path) {
 }
 
 #[test]
-fn names_that_are_left_out_are_told_apart_by_namespaces() {
+fn names_that_are_left_out_are_distinguished_by_namespaces() {
     let folder = tempfile::tempdir().unwrap();
     let check = |extra: [&str; 2]| {
         let mut command = dermis();
@@ -350,7 +350,7 @@ fn a_renamed_skin_file_loads_its_old_bundle() {
 }
 
 #[test]
-fn one_name_for_two_skins_is_told_apart_by_the_bridge() {
+fn one_name_for_two_skins_is_distinguished_by_the_bridge() {
     let robot = format!("clash{}", std::process::id());
     let Some(mut keys) = Keys::of(&robot) else { return };
     let _bridge = Peer::start(dermis().args(["bridge", "--robot", &robot]));

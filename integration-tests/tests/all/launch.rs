@@ -31,14 +31,14 @@ processes:
     );
     launch.started("slow");
     launch.started("talker");
-    launch.told("slow is ready");
+    launch.wait_for("slow is ready");
     launch.started("after");
     launch.wait("after", "it is there");
     let warning = launch.records.iter().find(|r| r["process"] == "talker").unwrap();
     assert_eq!(warning["level"], "WARN");
     launch.peer.interrupt();
     for name in ["after", "talker", "slow"] {
-        assert_eq!(launch.told("was ended"), format!("{name} was ended by signal 2 (SIGINT)"));
+        assert_eq!(launch.wait_for("was ended"), format!("{name} was ended by signal 2 (SIGINT)"));
     }
     assert!(launch.peer.end(PATIENCE).success(), "stopped as asked is no failure");
 }
@@ -75,13 +75,13 @@ processes:
     for (i, when) in ["at once", "in 0.05 s", "in 0.10 s", "in 0.15 s"].into_iter().enumerate() {
         let id = launch.started("worker");
         kill(id, "-KILL");
-        let told = launch.told("worker was ended by signal 9 (SIGKILL) after");
+        let message = launch.wait_for("worker was ended by signal 9 (SIGKILL) after");
         let expected = format!("starting it again {when} (restart {} of at most 4)", i + 1);
-        assert!(told.ends_with(&expected), "{told}");
+        assert!(message.ends_with(&expected), "{message}");
     }
     let id = launch.started("worker");
     kill(id, "-KILL");
-    launch.told("given up after 4 restarts in a row");
+    launch.wait_for("given up after 4 restarts in a row");
     assert_eq!(launch.peer.end(PATIENCE).code(), Some(1));
 }
 
@@ -114,9 +114,9 @@ processes:
 ",
     );
     let other = launch.started("other");
-    launch.told("main ended with exit code 3");
-    launch.told("main is required: stopping the others");
-    launch.told("other was ended by signal 2 (SIGINT)");
+    launch.wait_for("main ended with exit code 3");
+    launch.wait_for("main is required: stopping the others");
+    launch.wait_for("other was ended by signal 2 (SIGINT)");
     assert_eq!(launch.peer.end(PATIENCE).code(), Some(1));
     assert!(!runs(other));
 }
@@ -132,11 +132,11 @@ processes:
 "
     ));
     let id = launch.started("stubborn");
-    launch.told("stubborn is ready");
+    launch.wait_for("stubborn is ready");
     launch.peer.interrupt();
-    launch.told("stubborn ignores the interrupt for 0.2 s: SIGTERM");
-    launch.told("stubborn ignores SIGTERM too: SIGKILL");
-    launch.told("stubborn was ended by signal 9 (SIGKILL)");
+    launch.wait_for("stubborn ignores the interrupt for 0.2 s: SIGTERM");
+    launch.wait_for("stubborn ignores SIGTERM too: SIGKILL");
+    launch.wait_for("stubborn was ended by signal 9 (SIGKILL)");
     assert!(launch.peer.end(PATIENCE).success());
     assert!(!runs(id));
 }
@@ -150,15 +150,15 @@ processes:
   - {{name: b, program: {STUBBORN}, ready: {{line: up}}, stop: {{interrupt: 1000, terminate: 1000}}}}
 "
     ));
-    launch.told(" is ready");
-    launch.told(" is ready");
+    launch.wait_for(" is ready");
+    launch.wait_for(" is ready");
     launch.peer.interrupt();
-    launch.told("Ctrl-C: stopping; once more to hurry");
+    launch.wait_for("Ctrl-C: stopping; once more to hurry");
     let first = Instant::now();
     // One that comes at once is taken for the same.
     until("half a second has passed", || first.elapsed() > Duration::from_millis(500));
     launch.peer.interrupt();
-    launch.told("not waiting any longer");
+    launch.wait_for("not waiting any longer");
     assert!(launch.peer.end(PATIENCE).success());
 }
 
@@ -177,8 +177,8 @@ processes:
         skin.display()
     ));
     let parent = launch.started("parent");
-    let told = launch.wait("parent", "child ");
-    let child = told["message"].as_str().unwrap().rsplit(' ').next().unwrap().parse().unwrap();
+    let record = launch.wait("parent", "child ");
+    let child = record["message"].as_str().unwrap().rsplit(' ').next().unwrap().parse().unwrap();
     let device = match launch.records.iter().find_map(|r| {
         r["message"].as_str().unwrap().strip_prefix("device started, process ").map(str::to_owned)
     }) {
@@ -196,9 +196,9 @@ processes:
 fn what_a_process_started_ends_with_it() {
     let mut launch =
         Launch::start("processes: [{name: parent, program: [sh, -c, sleep 1000 & echo child $!]}]");
-    let told = launch.wait("parent", "child ");
-    let child: i32 = told["message"].as_str().unwrap().rsplit(' ').next().unwrap().parse().unwrap();
-    launch.told("parent ended after");
+    let record = launch.wait("parent", "child ");
+    let child: i32 = record["message"].as_str().unwrap().rsplit(' ').next().unwrap().parse().unwrap();
+    launch.wait_for("parent ended after");
     assert!(launch.peer.end(PATIENCE).success());
     assert!(!runs(child));
 }
@@ -275,8 +275,8 @@ fn the_demo_runs_from_anywhere_and_keeps_levels() {
     let seen = contacts_from("/left/contacts");
     until("contacts arrive", || *seen.1.lock().unwrap() > 10);
     launch.peer.interrupt();
-    launch.told("bridge ended");
-    launch.told("device ended");
+    launch.wait_for("bridge ended");
+    launch.wait_for("device ended");
     assert!(launch.peer.end(PATIENCE).success());
     assert_eq!(
         std::fs::read_dir(launch.folder.path()).unwrap().count(),
@@ -303,7 +303,7 @@ fn here(name: &str) -> NodeOptions {
 }
 
 #[test]
-fn two_nodes_of_one_name_are_told_once_and_diagnosed() {
+fn two_nodes_of_one_name_are_reported_once_and_diagnosed() {
     let skin = root().join("launch/skins/baro-grid.toml");
     let text = format!(
         "
@@ -313,8 +313,8 @@ processes:
         skin.display()
     );
     let watcher = Node::open(here("launch_test_diagnostics"), &backend()).unwrap();
-    let told = Arc::new(Mutex::new(0));
-    let sink = Arc::clone(&told);
+    let reports = Arc::new(Mutex::new(0));
+    let sink = Arc::clone(&reports);
     let _subscription = watcher
         .subscribe::<DiagnosticArray>("/diagnostics", Qos::reliable(10), move |array, _| {
             for status in array.status {
@@ -332,10 +332,10 @@ processes:
         assert!(sentence.contains("start it under another name or namespace"), "{sentence}");
     }
     // Seconds later, both still say it in their diagnostics, and the log has not repeated it.
-    until("diagnostics say it", || *told.lock().unwrap() >= 6);
+    until("diagnostics say it", || *reports.lock().unwrap() >= 6);
     for launch in &mut both {
         launch.peer.interrupt();
-        launch.told("twin ended");
+        launch.wait_for("twin ended");
         let count = launch
             .records
             .iter()

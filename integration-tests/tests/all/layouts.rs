@@ -137,9 +137,9 @@ fn layouts_show_what_a_node_publishes() {
             wish.topic,
             wish.types
         );
-        let Some(asked) = wish.qos else { continue };
+        let Some(requested) = wish.qos else { continue };
         for offer in viewer.endpoints(&wish.topic, EndpointKind::Publisher).unwrap() {
-            assert_eq!(asked.unmet_by(&offer.qos.unwrap()), None, "{}", wish.topic);
+            assert_eq!(requested.unmet_by(&offer.qos.unwrap()), None, "{}", wish.topic);
         }
     }
 }

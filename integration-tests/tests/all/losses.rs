@@ -152,12 +152,14 @@ fn what_a_stopped_recorder_missed_is_counted_exactly() {
     let recorded = frames(&bag);
     let missed = newest + 1 - recorded[0] - recorded.len() as u64;
     assert!(missed > 100, "{missed} frames were missed: the test tests nothing");
-    let told = |key: &str| {
+    let counted = |key: &str| {
         let status = status.lock().unwrap();
         let value = status.as_ref()?.values.iter().find(|value| value.key == key)?;
         value.value.parse::<u64>().ok()
     };
-    until("diagnostics tell it", || (told("lost on the way")? + told("dropped")? == missed).then_some(()));
+    until("diagnostics tell it", || {
+        (counted("lost on the way")? + counted("dropped")? == missed).then_some(())
+    });
 
     recorder.interrupt();
     let line = recorder.expect("{", SOON);
@@ -346,7 +348,7 @@ impl Launch {
     }
 
     /// The message of the next line of the log with this text.
-    fn told(&mut self, wanted: &str) -> String {
+    fn wait_for(&mut self, wanted: &str) -> String {
         let deadline = Instant::now() + SOON;
         loop {
             let line = self.peer.expect("{", deadline.saturating_duration_since(Instant::now()));
@@ -373,7 +375,7 @@ fn a_killed_recorder_goes_on_under_launch() {
             let killed = Command::new("kill").args(["-KILL", &process.to_string()]).status().unwrap();
             assert!(killed.success());
         }
-        let started = launch.told("recorder started, process ");
+        let started = launch.wait_for("recorder started, process ");
         process = started.rsplit(' ').next().unwrap().parse().unwrap();
         until("this part is recorded", || {
             source.stream(20);
@@ -432,7 +434,7 @@ fn a_full_disk_is_waited_for() {
     let node = node();
     let mut source = Source::new(&node);
     let mut launch = Launch::start(dir.path(), &bag);
-    launch.told("recorder started, process ");
+    launch.wait_for("recorder started, process ");
     until("recording goes on", || {
         source.stream(20);
         (frames(&bag).len() > 50).then_some(())
@@ -444,9 +446,9 @@ fn a_full_disk_is_waited_for() {
     drop(file);
     // Some more, which waits in memory.
     source.stream(100);
-    launch.told("the disk is full: recording waits for room");
+    launch.wait_for("the disk is full: recording waits for room");
     std::fs::remove_file(&filler).unwrap();
-    launch.told("there is room again");
+    launch.wait_for("there is room again");
     source.settle(&bag);
     launch.peer.interrupt();
     assert!(launch.peer.end(SOON).success());

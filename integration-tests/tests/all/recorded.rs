@@ -82,11 +82,11 @@ fn a_recording_that_knows_one_component_of_the_force_is_learned() {
     dermis(&["import"], &[("", &run), ("--out", &bag)]);
     let [skin, config] =
         ["launch/skins/eflesh-shear.toml", "launch/train/eflesh-shear.toml"].map(|f| root().join(f));
-    let told = dermis(
+    let report = dermis(
         &["train", "--epochs", "40", "--members", "1"],
         &[("--config", &config), ("--skin", &skin), ("--out", &model), ("", &bag)],
     );
-    assert!(told.contains("force.x"), "{told}");
+    assert!(report.contains("force.x"), "{report}");
     // Strokes reach 18 N, and hold still at a part of that, which must not be taken for the zero.
     let held_out = dermis(
         &["evaluate", "--held-out", "--json", "--require", "force_x_rms<=0.8"],

@@ -64,11 +64,11 @@ processes:
         until("it is gone", || !runs(skin));
         // Stamps are from the acquisition: those after its end are of the next process.
         next(&format!("within {bound} s after kill {kills}"), Duration::from_secs(bound), now_ns());
-        let told = launch.told("skin was ended by signal 9 (SIGKILL) after");
+        let message = launch.wait_for("skin was ended by signal 9 (SIGKILL) after");
         let when = ["at once", "in 0.50 s"][kills - 1];
         assert!(
-            told.contains(&format!("; starting it again {when} (restart {kills} of at most 10)")),
-            "{told}"
+            message.contains(&format!("; starting it again {when} (restart {kills} of at most 10)")),
+            "{message}"
         );
         skin = launch.started("skin");
         // It is pressed now and then, and could wait long for a new zero.
@@ -86,8 +86,8 @@ processes:
 ",
     );
     let parent = launch.started("parent");
-    let told = launch.wait("parent", "child ");
-    let child: i32 = told["message"].as_str().unwrap().rsplit(' ').next().unwrap().parse().unwrap();
+    let record = launch.wait("parent", "child ");
+    let child: i32 = record["message"].as_str().unwrap().rsplit(' ').next().unwrap().parse().unwrap();
     let guard = guard_of(&launch).unwrap();
     assert!([parent, child, guard].into_iter().all(runs));
     (launch, parent, child, guard)
@@ -102,8 +102,9 @@ fn guard_of(launch: &Launch) -> Option<i32> {
 fn a_killed_guard_is_replaced_and_a_killed_launch_still_leaves_nothing() {
     let (mut launch, parent, child, guard) = stubborn();
     kill(guard, "-KILL");
-    let told = launch.told("the guard of the launch was ended by signal 9 (SIGKILL): started another one");
-    let second: i32 = told.rsplit(' ').next().unwrap().parse().unwrap();
+    let message =
+        launch.wait_for("the guard of the launch was ended by signal 9 (SIGKILL): started another one");
+    let second: i32 = message.rsplit(' ').next().unwrap().parse().unwrap();
     assert_eq!(guard_of(&launch), Some(second));
     launch.peer.kill();
     for (what, id) in [("the process", parent), ("its child", child), ("the guard", second)] {

@@ -138,8 +138,8 @@ fn a_model_that_was_trained_elsewhere_runs_in_the_node() {
             .arg(&bag),
     );
     let script = |name: &str| root().join("integration-tests/python/training").join(name);
-    let told = finish(Command::new(&python).arg(script("fit.py")).arg(&table).arg("presses").arg(&onnx));
-    let fit = json(told.trim().strip_prefix("FIT ").unwrap());
+    let output = finish(Command::new(&python).arg(script("fit.py")).arg(&table).arg("presses").arg(&onnx));
+    let fit = json(output.trim().strip_prefix("FIT ").unwrap());
 
     let wiring = dir.path().join("wiring.toml");
     let text = "baseline = \"raw\"\nscale = 1000.0\n[outputs.\"position.x\"]\nscale = 1e-3\n[outputs.\"position.y\"]\nscale = 1e-3\n";
@@ -216,10 +216,10 @@ fn a_bag_that_cannot_be_learned_from_says_all_that_it_lacks() {
         command
     };
     finish(&mut check(&["--split", "time"]));
-    let told = refused(&mut check(&["--map", MAP]));
+    let error = refused(&mut check(&["--map", MAP]));
     for part in
         ["2 things are in the way", "holds nothing usable on /tool_pose", "holds nothing usable on /wrench"]
     {
-        assert!(told.contains(part), "{part} is not in: {told}");
+        assert!(error.contains(part), "{part} is not in: {error}");
     }
 }

@@ -69,7 +69,7 @@ impl Sensor for Insight {
         if let Some(protocol) = pictures(skin) {
             let observer = model::observer(&parameters::Parameters::nominal(skin)?);
             return Ok(match protocol {
-                Pictures::Asked => Box::new(wire::PictureReader::new(observer)),
+                Pictures::OnRequest => Box::new(wire::PictureReader::new(observer)),
                 Pictures::Streamed => Box::new(wire::stream::StreamReader::new(observer)),
             });
         }
@@ -79,7 +79,7 @@ impl Sensor for Insight {
 
     fn encoder(&self, skin: &SkinDescription) -> Result<Box<dyn Encoder>, ModelError> {
         match pictures(skin) {
-            Some(Pictures::Asked) => return Ok(Box::new(wire::PictureWriter::default())),
+            Some(Pictures::OnRequest) => return Ok(Box::new(wire::PictureWriter::default())),
             Some(Pictures::Streamed) => return Err(skin.refusal("wire.protocol", not_spoken())),
             None => {}
         }
@@ -99,7 +99,7 @@ impl Sensor for Insight {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Pictures {
     /// One for each request.
-    Asked,
+    OnRequest,
     /// One after another.
     Streamed,
 }
@@ -108,7 +108,7 @@ enum Pictures {
 fn pictures(skin: &SkinDescription) -> Option<Pictures> {
     let WireProtocol::Family(name) = &skin.wire.protocol else { return None };
     match name.as_str() {
-        wire::NAME => Some(Pictures::Asked),
+        wire::NAME => Some(Pictures::OnRequest),
         wire::stream::NAME => Some(Pictures::Streamed),
         _ => None,
     }

@@ -170,7 +170,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn places_are_found_again(share in 0.001..0.999f64, azimuth in -3.1..3.1f64, depth in -0.002..0.004f64) {
+        fn locations_are_found_again(share in 0.001..0.999f64, azimuth in -3.1..3.1f64, depth in -0.002..0.004f64) {
             let thumb = thumb();
             let s = share * thumb.length();
             let (p, normal) = thumb.point(s, azimuth, depth);

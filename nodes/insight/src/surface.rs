@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_lie_as_far_apart_as_was_asked() {
+    fn points_lie_as_far_apart_as_requested() {
         let thumb = Thumb::new(0.020, 0.070, 0.009).unwrap();
         let end = thumb.way_to(0.0115);
         let rings = Rings::new(&thumb, end, 0.001135);

@@ -86,14 +86,14 @@ pub struct PictureReader {
     pictures: Pictures,
     buffer: Vec<u8>,
     /// When the request was made that is not answered yet.
-    asked: Option<i64>,
+    requested: Option<i64>,
 }
 
 impl PictureReader {
     /// For pictures that `observer` makes a frame's numbers of.
     #[must_use]
     pub fn new(observer: Arc<Observer>) -> Self {
-        Self { pictures: Pictures::new(observer), buffer: Vec::new(), asked: None }
+        Self { pictures: Pictures::new(observer), buffer: Vec::new(), requested: None }
     }
 
     /// Bytes to pass over until an answer may begin, and its picture's length where that is known.
@@ -130,22 +130,22 @@ impl Decoder for PictureReader {
                 return;
             };
             let jpeg: Vec<u8> = self.buffer.drain(..end).skip(HEAD).collect();
-            self.asked = None;
+            self.requested = None;
             out.extend(self.pictures.frame(&jpeg, received_ns, self.buffer.len()));
         }
     }
 
     fn request(&mut self, now_ns: i64) -> Option<Vec<u8>> {
-        if self.asked.is_some_and(|at| now_ns - at < OVERDUE) {
+        if self.requested.is_some_and(|at| now_ns - at < OVERDUE) {
             return None;
         }
-        self.asked = Some(now_ns);
+        self.requested = Some(now_ns);
         Some(REQUEST.to_vec())
     }
 
     fn gap(&mut self) {
         self.buffer.clear();
-        self.asked = None;
+        self.requested = None;
     }
 
     fn stats(&self) -> &DecoderStats {
@@ -186,7 +186,7 @@ impl Encoder for PictureWriter {
     }
 
     /// Each line is a request; so is whatever comes without an end of line, up to 256 bytes, as the original device takes it.
-    fn asked(&mut self, bytes: &[u8]) -> usize {
+    fn requested_frames(&mut self, bytes: &[u8]) -> usize {
         let lines = bytes.iter().filter(|byte| **byte == b'\n').count();
         if lines > 0 { lines } else { bytes.len().div_ceil(REQUEST_MAX) }
     }
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_that_cannot_be_is_passed_over() {
+    fn a_length_that_cannot_be_is_skipped() {
         let good = answer(pixels(SIZE, 20));
         for length in [0_u32, 3, u32::MAX, 1 << 27] {
             let mut bad = good.clone();
@@ -298,7 +298,12 @@ mod tests {
         assert!(reader.request(OVERDUE + 1).is_some());
         let mut writer = PictureWriter::default();
         assert_eq!(
-            [writer.asked(REQUEST), writer.asked(b"x"), writer.asked(b""), writer.asked(&[7; 300])],
+            [
+                writer.requested_frames(REQUEST),
+                writer.requested_frames(b"x"),
+                writer.requested_frames(b""),
+                writer.requested_frames(&[7; 300])
+            ],
             [1, 1, 0, 2]
         );
         assert!(writer.on_request() && writer.encode(&Frame::new(0, 0, vec![]), 0).is_err());

@@ -372,14 +372,15 @@ impl Known {
             }
         };
         // A part of the region that nobody can tell of would never be felt.
-        let told = |input: &usize, skin: Option<&str>, link: Option<&str>| match &self.inputs[*input].kind {
+        let reports = |input: &usize, skin: Option<&str>, link: Option<&str>| match &self.inputs[*input].kind
+        {
             InputKind::Body => true,
             InputKind::Skin { skin: s, link: l } => {
                 (skin.is_some() && s.as_deref() == skin) || (link.is_some() && l.as_deref() == link)
             }
         };
-        let silent_link = region.links.iter().find(|l| !chosen.iter().any(|i| told(i, None, Some(l))));
-        let silent_skin = region.skins.iter().find(|s| !chosen.iter().any(|i| told(i, Some(s), None)));
+        let silent_link = region.links.iter().find(|l| !chosen.iter().any(|i| reports(i, None, Some(l))));
+        let silent_skin = region.skins.iter().find(|s| !chosen.iter().any(|i| reports(i, Some(s), None)));
         if let Some(part) = silent_link.or(silent_skin) {
             let reason = format!(
                 "no input that the rule listens to can tell of `{part}`: add one, or give one its `link` or `skin`"

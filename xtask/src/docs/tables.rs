@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_are_shown_as_asked() {
+    fn figures_are_shown_as_requested() {
         let (_dir, sources) = sources();
         for (what, shown) in [
             ("run /score/value | .2 reached", "0.50 \\*"),

@@ -374,16 +374,18 @@ mod tests {
         let text = toml::to_string(&three).unwrap();
         assert!(text.parse::<Table>().is_ok(), "{text}");
         let sizes = Sizes { share: 0.1, epochs: 5, maps: Vec::new() };
-        let told = reduced(&root(), &sizes).unwrap();
-        assert_eq!(told["places_of_each_number"], json!({ "here": 30, "thesis": 3000 }));
-        assert_eq!(told["random_presses"], json!({ "here": 800, "thesis": 200_000 }));
+        let record = reduced(&root(), &sizes).unwrap();
+        assert_eq!(record["places_of_each_number"], json!({ "here": 30, "thesis": 3000 }));
+        assert_eq!(record["random_presses"], json!({ "here": 800, "thesis": 200_000 }));
     }
 
     #[test]
     fn impossible_sizes_are_refused() {
-        let told = |sizes: Sizes| tables(Path::new("/nowhere"), &sizes).unwrap_err().to_string();
-        assert!(told(Sizes { share: 0.0, epochs: 1, maps: Vec::new() }).starts_with("--share"));
-        assert!(told(Sizes { share: 1.0, epochs: 1, maps: vec![13] }).contains("no map 13"));
-        assert!(told(Sizes { share: 1.0, epochs: 1, maps: vec![12] }).contains("ert-panel.toml is missing"));
+        let message = |sizes: Sizes| tables(Path::new("/nowhere"), &sizes).unwrap_err().to_string();
+        assert!(message(Sizes { share: 0.0, epochs: 1, maps: Vec::new() }).starts_with("--share"));
+        assert!(message(Sizes { share: 1.0, epochs: 1, maps: vec![13] }).contains("no map 13"));
+        assert!(
+            message(Sizes { share: 1.0, epochs: 1, maps: vec![12] }).contains("ert-panel.toml is missing")
+        );
     }
 }

@@ -67,7 +67,7 @@ fn before_the_first_tare_nothing_looks_like_a_signal() {
 }
 
 #[test]
-fn a_touch_is_felt_and_released() {
+fn a_touch_is_detected_and_released() {
     let mut run = Run::tared();
     assert!(!run.push([0.0; 4]).touched);
     let out = run.push([600.0, 0.0, 0.0, 0.0]);
@@ -87,7 +87,7 @@ fn the_threshold_has_hysteresis() {
 }
 
 #[test]
-fn ten_minutes_of_standing_are_felt_to_the_end() {
+fn ten_minutes_of_standing_are_detected_to_the_end() {
     let mut run = Run::tared();
     let before = run.conditioner.zero().unwrap().to_vec();
     run.seconds(600.0, [300.0, 100.0, 50.0, 0.0]);
@@ -110,7 +110,7 @@ fn slow_drift_is_followed_while_untouched() {
 }
 
 #[test]
-fn what_hysteresis_leaves_behind_is_the_new_zero_where_asked() {
+fn what_hysteresis_leaves_behind_is_the_new_zero_where_requested() {
     let left = [200.0, 200.0, 100.0, 100.0];
     for (share, released) in [(0.0, false), (0.5, true)] {
         let mut run = Run::new(&skin_with(&format!("condition = {{ release_share = {share:.1} }}")), &[]);
@@ -361,7 +361,7 @@ fn flags_of_a_recording_stay() {
 
 /// Recorded presses on a magnetic pad (eFlesh), each after a reading of the untouched pad.
 #[test]
-fn every_recorded_press_is_felt_and_ends() {
+fn every_recorded_press_is_detected_and_ends() {
     let data = std::env::var("DERMIS_DATA")
         .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data").into());
     let runs = std::path::Path::new(&data).join("eflesh/spatial_resolution");

@@ -11,35 +11,35 @@ impl SkinEstimator {
     pub(super) fn channel_faults(&self) -> (Vec<String>, usize, usize) {
         let reading = &self.cleaned.reading;
         let mut names = Vec::new();
-        let (mut invalid, mut asked) = (0, 0);
+        let (mut invalid, mut checked) = (0, 0);
         let of_part = |channel: usize| self.faults.iter().any(|fault| fault.channels.contains(&channel));
         for (k, (channel, flags)) in self.skin.channels().iter().zip(&reading.flags).enumerate() {
             if !flags.contains(ChannelFlags::MASKED) {
-                asked += 1;
+                checked += 1;
                 invalid += usize::from(flags.is_invalid());
             }
             if !flags.is_ok() && !of_part(k) {
                 names.push(format!("{} ({flags})", channel.name));
             }
         }
-        (names, invalid, asked)
+        (names, invalid, checked)
     }
 
     /// What is wrong with parts of the device, and with channels.
     fn faulty(&self) -> (Vec<String>, usize, usize) {
-        let (channels, invalid, asked) = self.channel_faults();
+        let (channels, invalid, checked) = self.channel_faults();
         let mut faults: Vec<String> = self.faults.iter().map(ToString::to_string).collect();
         faults.extend(channels);
-        (faults, invalid, asked)
+        (faults, invalid, checked)
     }
 
     pub(super) fn judge(&self) -> (Quality, String) {
-        let (faults, invalid, asked) = self.faulty();
-        if 2 * invalid > asked || asked == 0 {
+        let (faults, invalid, checked) = self.faulty();
+        if 2 * invalid > checked || checked == 0 {
             return (
                 Quality::Fault,
                 format!(
-                    "{invalid} of {asked} channels are unusable: {}; check the sensor and its wiring",
+                    "{invalid} of {checked} channels are unusable: {}; check the sensor and its wiring",
                     listed(&faults, 8)
                 ),
             );

@@ -164,7 +164,7 @@ fn presence_and_force_without_position_are_reported_as_such() {
 }
 
 #[test]
-fn all_three_components_are_told_from_the_normal_one() {
+fn all_three_components_follow_from_the_normal_one() {
     let mut bundle = TestBundle::default();
     bundle.outputs.retain(|o| o.name != "force.normal");
     for (axis, w) in [("x", 0.5), ("y", 0.0), ("z", -1.0)] {
@@ -177,7 +177,7 @@ fn all_three_components_are_told_from_the_normal_one() {
 }
 
 #[test]
-fn light_contacts_are_left_out_where_asked() {
+fn light_contacts_are_left_out_where_requested() {
     let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
     assert!((estimator.force_threshold() - 0.1).abs() < 1e-9, "the model's own error");
     estimator.set_least_force(0.5);
@@ -338,8 +338,8 @@ fn maps_are_made_of_refined_contacts_where_somebody_asks() {
         std::thread::yield_now();
     }
     estimator.want_maps(Maps::NONE);
-    let unasked = pressed(&mut estimator, 82, Some(([0.004, -0.002], 2.0)), &[]);
-    assert!(unasked.contacts.len() == 1 && unasked.force_map.is_none() && unasked.displacement_map.is_none());
+    let plain = pressed(&mut estimator, 82, Some(([0.004, -0.002], 2.0)), &[]);
+    assert!(plain.contacts.len() == 1 && plain.force_map.is_none() && plain.displacement_map.is_none());
     let blind = pressed(&mut estimator, 83, None, &[0, 1, 2, 3, 4, 5]);
     assert!(blind.force_map.is_none() && estimator.verdict().quality == Quality::Fault);
 }
@@ -409,7 +409,7 @@ fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
 }
 
 #[test]
-fn frames_that_are_passed_over_are_conditioned_all_the_same() {
+fn dropped_frames_are_conditioned_all_the_same() {
     let bundle = TestBundle { taps: vec![0, 5], ..TestBundle::default() };
     let (mut estimator, _dir) = tared_estimator(&bundle);
     for k in 80..86 {
@@ -518,7 +518,7 @@ fn a_force_without_a_point_under_it_goes_to_the_nearest() {
 }
 
 #[test]
-fn a_tare_that_is_told_to_leaves_identities_and_takes_a_new_zero() {
+fn a_requested_tare_leaves_identities_and_takes_a_new_zero() {
     let (mut estimator, _dir) = tared_estimator(&TestBundle::default());
     assert_eq!(press(&mut estimator, 80, [2000.0, 0.0, 0.0, 0.0]).contacts[0].track_id, 1);
     Estimator::tare(&mut estimator);

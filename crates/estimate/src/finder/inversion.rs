@@ -105,7 +105,7 @@ impl Start {
     }
 
     /// The same, to look at.
-    fn asked(&self) -> Option<&dyn ContactFinder> {
+    fn initializer(&self) -> Option<&dyn ContactFinder> {
         match self {
             Self::Refine(finder) | Self::Bundle(finder) => Some(finder.as_ref()),
             Self::Greedy | Self::Pairs | Self::Sparse(_) | Self::SparseOnly(_) => None,
@@ -218,7 +218,7 @@ impl ContactFinder for InversionFinder {
     }
 
     fn given_maps(&self) -> GivenMaps {
-        self.start.asked().map_or_else(GivenMaps::default, |finder| finder.given_maps())
+        self.start.initializer().map_or_else(GivenMaps::default, |finder| finder.given_maps())
     }
 
     fn estimate(&mut self, frame: &ConditionedFrame<'_>) -> Result<Estimate, FindError> {
@@ -255,7 +255,7 @@ impl ContactFinder for InversionFinder {
     }
 
     fn image(&self) -> Option<ImageGrid> {
-        self.start.asked().and_then(|finder| finder.image())
+        self.start.initializer().and_then(|finder| finder.image())
     }
 }
 

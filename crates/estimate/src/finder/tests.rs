@@ -278,11 +278,11 @@ fn an_inversion_does_without_a_channel_but_not_with_others() {
 #[test]
 fn an_inversion_hands_frames_and_resets_on() {
     let other = fixed(&[]);
-    let told = Arc::clone(&other.1);
+    let calls = Arc::clone(&other.1);
     let mut finder = inversion(Start::Refine(other));
     finder.pass(&frame(0, &[0.0; 9], &[ChannelFlags::default(); 9])).unwrap();
     finder.reset();
-    assert_eq!(*told.lock().unwrap(), ["pass", "reset"]);
+    assert_eq!(*calls.lock().unwrap(), ["pass", "reset"]);
 }
 
 /// A regression on the pad of four, whose noise is 20 Pa.
@@ -314,11 +314,11 @@ fn a_regression_takes_whitened_readings_and_gives_a_contact_on_the_surface() {
 
 #[test]
 fn a_regression_that_fails_says_so() {
-    let told = |answer: Result<Vec<Contact>, FindError>| answer.unwrap_err().to_string();
-    insta::assert_snapshot!(told(regression(|_| Err("failed: no rows".into()))), @"a regression failed: no rows");
-    insta::assert_snapshot!(told(regression(|_| Ok(vec![0.0; 3]))), @"a regression gave 3 numbers where 4 or 6 are expected");
+    let message = |answer: Result<Vec<Contact>, FindError>| answer.unwrap_err().to_string();
+    insta::assert_snapshot!(message(regression(|_| Err("failed: no rows".into()))), @"a regression failed: no rows");
+    insta::assert_snapshot!(message(regression(|_| Ok(vec![0.0; 3]))), @"a regression gave 3 numbers where 4 or 6 are expected");
     let mut finder = RegressionFinder::new(&skin_with(""), Box::new(|_| Ok(vec![0.0; 4])));
-    insta::assert_snapshot!(told(found(&mut finder, &[0.0; 3])), @"a regression was given 3 channels where its skin has 4");
+    insta::assert_snapshot!(message(found(&mut finder, &[0.0; 3])), @"a regression was given 3 channels where its skin has 4");
 }
 
 /// Whether a finder gives the very contacts, and the force map, that the estimator of a node gave.
@@ -408,8 +408,8 @@ fn a_bundle_asks_for_an_inverter_or_does_not() {
     let (skin, dir) = (nine(), tempfile::tempdir().unwrap());
     let load = || Bundle::load(dir.path(), &skin).unwrap();
     TestBundle::default().write(&skin, dir.path());
-    let unasked = crate::inverter(&load(), || panic!("nobody asked for a model"));
-    assert!(unasked.unwrap().is_none());
+    let unused = crate::inverter(&load(), || panic!("nobody asked for a model"));
+    assert!(unused.unwrap().is_none());
     TestBundle { inversion: Some(Settings::new(0.004, 5.0)), ..TestBundle::default() }
         .write(&skin, dir.path());
     let error = crate::inverter(&load(), || crate::testing::PAD.model(&skin)).err().unwrap();

@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn operators_that_make_as_much_as_they_are_told_to_are_found() {
+    fn operators_with_an_output_size_from_their_inputs_are_found() {
         assert_eq!(unbounded(&with_weights(&[1.0])), None);
         let mut g = GraphBuilder::new("tile");
         let x = g.input("input", &[1, 2]);

@@ -243,12 +243,12 @@ fn a_device_can_have_a_correction_of_its_own() {
     assert!(bundle.correction().is_none());
     bundle.take_correction(&file, &left).unwrap();
     assert_eq!(bundle.correction(), Some(&correction()));
-    let told = bundle.take_correction(&shared.path.join("none.json"), &left).unwrap_err().to_string();
-    assert!(told.contains("none.json"), "{told}");
+    let error = bundle.take_correction(&shared.path.join("none.json"), &left).unwrap_err().to_string();
+    assert!(error.contains("none.json"), "{error}");
     let mut moved = left.clone();
     moved.taxels[0].position[0] += 0.001;
-    let told = bundle.take_correction(&file, &moved).unwrap_err().to_string();
-    assert!(told.contains("was learned on skin `pad`"), "{told}");
+    let error = bundle.take_correction(&file, &moved).unwrap_err().to_string();
+    assert!(error.contains("was learned on skin `pad`"), "{error}");
 }
 
 #[test]
@@ -401,10 +401,10 @@ fn a_correction_that_cannot_be_is_refused() {
     insta::assert_snapshot!(refused("dermis-correction/1", "dermis-correction/2"), @r#"model bundle file /pad-mlp/correction.json: field `schema` is "dermis-correction/2" where this program reads "dermis-correction/1"; copy the bundle again, or learn the correction anew with `dermis refine --correct`"#);
     let disk = OnDisk::corrected();
     disk.edit_correction("\"name\":\"pad\",\"hash\":\"sha256:", "\"name\":\"other\",\"hash\":\"sha256:0");
-    let told = disk.refusal(&pad());
+    let error = disk.refusal(&pad());
     assert!(
-        told.contains("was learned on skin `other`") && told.contains("not on the bundle's `pad`"),
-        "{told}"
+        error.contains("was learned on skin `other`") && error.contains("not on the bundle's `pad`"),
+        "{error}"
     );
     let disk = OnDisk::corrected();
     disk.edit("[inversion]", "[unknown]");

@@ -143,7 +143,7 @@ fn of_two_places_that_explain_readings_the_likelier_is_answered() {
 }
 
 #[test]
-fn an_answer_says_that_another_place_explains_the_readings_too() {
+fn an_answer_says_that_another_location_explains_the_readings_too() {
     // 0.8 deviations apart: the likelier place is the true one with Φ(0.4) = 66 %.
     let (inverter, model) = row(0.005);
     let mut random = random(22);
@@ -218,7 +218,7 @@ fn lopsided(gain: f64) -> Analytic {
 }
 
 #[test]
-fn places_count_with_their_area() {
+fn locations_count_with_their_area() {
     let inverter = |model: Analytic| Inverter::new(Arc::new(model), Settings::new(0.004, 2.0)).unwrap();
     // Where the taxels of one half are deaf, 0.1 N cannot be detected in much of that half, and everywhere in the other one.
     let mut deaf = lopsided(0.0);
@@ -243,7 +243,7 @@ fn places_count_with_their_area() {
 }
 
 #[test]
-fn several_contacts_are_told_apart() {
+fn several_contacts_are_distinguished() {
     let (inverter, model) = inverter(20.0, |s| s.contacts = 3);
     let mut random = random(3);
     let (mut right, tries) = (0, 150);

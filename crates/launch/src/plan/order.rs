@@ -12,9 +12,9 @@ impl Loader<'_> {
     pub(super) fn beside(&mut self) {
         let nodes: Vec<(&Process, &Value)> =
             self.processes.iter().filter_map(|p| Some((p, p.config.as_ref()?))).collect();
-        let asked: Vec<(&str, &Value)> =
+        let given: Vec<(&str, &Value)> =
             nodes.iter().map(|(p, config)| (p.label.as_str(), *config)).collect();
-        for (i, Refusal { field, reason }) in self.host.together(&asked) {
+        for (i, Refusal { field, reason }) in self.host.together(&given) {
             let process = nodes[i].0;
             self.faults.push(At { file: &process.file, field: &process.field }.refuse(&field, reason));
         }

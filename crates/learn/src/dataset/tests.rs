@@ -169,7 +169,7 @@ fn frames_meet_their_ground_truth() {
 #[test]
 fn what_a_bag_lacks_is_said() {
     let dir = tempfile::tempdir().unwrap();
-    let told = |frames: &[TaxelFrame], truths: &[Indentation]| {
+    let refusal = |frames: &[TaxelFrame], truths: &[Indentation]| {
         let path = bag(dir.path(), frames, truths);
         let error =
             Dataset::from_bags(&[&path], &skin(), &DatasetOptions::default()).unwrap_err().to_string();
@@ -177,17 +177,17 @@ fn what_a_bag_lacks_is_said() {
         error.replace(&path.display().to_string(), "BAG")
     };
     let good = frame(0, 7, vec![1.0, 2.0]);
-    insta::assert_snapshot!(told(std::slice::from_ref(&good), &[]), @"bag BAG: holds 1 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it: nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`");
+    insta::assert_snapshot!(refusal(std::slice::from_ref(&good), &[]), @"bag BAG: holds 1 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it: nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`");
     let mut other = good.clone();
     other.skin = "arm".into();
-    insta::assert_snapshot!(told(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm` (/pad/taxels): there is nothing to learn from; `--skin-instance` names a device of this type, `dermis bag info` lists them");
-    insta::assert_snapshot!(told(std::slice::from_ref(&good), &[truth(STEP * 5, 0, &[])]), @"bag BAG: none of 1 frames has ground truth within 0.01 s of its stamp: frames reach from 0 to 0.00 s, the ground truth from 0.05 to 0.05 s after the first frame: check that both were stamped by the same clock");
+    insta::assert_snapshot!(refusal(&[other], &[truth(0, 0, &[])]), @"bag BAG: holds no frames of skin `pad`; it has those of `arm` (/pad/taxels): there is nothing to learn from; `--skin-instance` names a device of this type, `dermis bag info` lists them");
+    insta::assert_snapshot!(refusal(std::slice::from_ref(&good), &[truth(STEP * 5, 0, &[])]), @"bag BAG: none of 1 frames has ground truth within 0.01 s of its stamp: frames reach from 0 to 0.00 s, the ground truth from 0.05 to 0.05 s after the first frame: check that both were stamped by the same clock");
     // Skins of the same shape whose channels are not ours; the bag's geometry names them.
     let like = |from: &str, to: &str| {
         SkinDescription::from_toml(&file().to_string().replace(from, to), "pad.toml").unwrap()
     };
     let swapped = like("\"left\"", "\"x\"");
-    let told_of = |other: &SkinDescription| {
+    let refusal_of = |other: &SkinDescription| {
         let path = dir.path().join("bag");
         let mut writer = BagWriter::create(&path).unwrap();
         let geometry = other.geometry_message(&other.surface(), BEGIN);
@@ -203,12 +203,12 @@ fn what_a_bag_lacks_is_said() {
         std::fs::remove_dir_all(&path).unwrap();
         error.replace(&path.display().to_string(), "BAG")
     };
-    insta::assert_snapshot!(told_of(&swapped), @"bag BAG: frame 7: channel 0 is `x` where the skin has `left`: the readings cannot be told apart; check the skin description");
-    insta::assert_snapshot!(told_of(&like("\"Pa\"", "\"V\"")), @r#"bag BAG: frame 7 is in "V" where the skin is in "Pa": the readings cannot be told apart; check the skin description"#);
+    insta::assert_snapshot!(refusal_of(&swapped), @"bag BAG: frame 7: channel 0 is `x` where the skin has `left`: the readings cannot be told apart; check the skin description");
+    insta::assert_snapshot!(refusal_of(&like("\"Pa\"", "\"V\"")), @r#"bag BAG: frame 7 is in "V" where the skin is in "Pa": the readings cannot be told apart; check the skin description"#);
     let nameless = swapped.frame_message(&Frame::new(BEGIN, 7, vec![1.0, 2.0]));
-    insta::assert_snapshot!(told(&[nameless], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has the channel layout fa8ce54b where the skin has 988a1319, and no geometry says which channels those are: the readings cannot be told apart; check the skin description");
+    insta::assert_snapshot!(refusal(&[nameless], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has the channel layout fa8ce54b where the skin has 988a1319, and no geometry says which channels those are: the readings cannot be told apart; check the skin description");
     let short = frame(0, 7, vec![1.0]);
-    insta::assert_snapshot!(told(&[short], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has 1 values where the skin has 2 channels: the readings cannot be told apart; check the skin description");
+    insta::assert_snapshot!(refusal(&[short], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has 1 values where the skin has 2 channels: the readings cannot be told apart; check the skin description");
 }
 
 #[test]
@@ -259,7 +259,7 @@ fn inputs_are_those_of_a_node() {
 }
 
 #[test]
-fn frames_that_cannot_be_told_apart_or_joined_are_named_together() {
+fn frames_that_cannot_be_distinguished_or_joined_are_named_together() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("bag");
     let mut writer = BagWriter::create(&path).unwrap();
@@ -274,11 +274,11 @@ fn frames_that_cannot_be_told_apart_or_joined_are_named_together() {
         }
     }
     writer.finish().unwrap();
-    let told = |options: &DatasetOptions| {
+    let refusal = |options: &DatasetOptions| {
         let error = Dataset::from_bags(&[&path], &skin(), options).unwrap_err();
         error.to_string().replace(&path.display().to_string(), "BAG")
     };
-    insta::assert_snapshot!(told(&DatasetOptions::default()), @r"
+    insta::assert_snapshot!(refusal(&DatasetOptions::default()), @r"
     3 things are in the way
       1. bag BAG: 4 frames have no stamp (header.stamp is 0): nothing can be joined by acquisition time; let the driver stamp its frames
       2. bag BAG: frames of skin `pad` come on several topics: /left/taxels, /right/taxels: two skins would be taken for one; name one of them with `--taxels`, or skin.taxels of the map
@@ -286,7 +286,7 @@ fn frames_that_cannot_be_told_apart_or_joined_are_named_together() {
       note: bag BAG: 1 of 2 channels never change: right: a model will not know them; check the wiring before it is trained
     ");
     let one = DatasetOptions { taxels: Some("/right/taxels".into()), ..DatasetOptions::default() };
-    insta::assert_snapshot!(told(&one), @r"
+    insta::assert_snapshot!(refusal(&one), @r"
     bag BAG: holds 20 frames of skin `pad` but no ground truth (dermis_msgs/msg/Indentation) for it: nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`
       note: bag BAG: 1 of 2 channels never change: right: a model will not know them; check the wiring before it is trained
     ");
@@ -376,8 +376,8 @@ fn what_blocks_training_is_said_beside_what_bags_lack() {
     let data = Dataset::survey(&[&path], &skin(), &DatasetOptions::default()).unwrap();
     let findings = data.check(&["force.normal", "contact"], Baseline::Tared, &SplitConfig::default());
     assert!(findings.is_fatal());
-    let told = findings.to_string().replace(&path.display().to_string(), "BAG");
-    insta::assert_snapshot!(told, @r#"
+    let text = findings.to_string().replace(&path.display().to_string(), "BAG");
+    insta::assert_snapshot!(text, @r#"
     4 things are in the way
       1. bag BAG: `force.normal` is never known while the skin is touched; known are contact (12 samples), position.x (12 samples), position.y (12 samples), position.z (12 samples): it cannot be learned; name other targets or record them
       2. bag BAG: holds touched samples only: `contact` cannot be learned; leave it out or record idle frames

@@ -184,8 +184,8 @@ pub(super) fn figures(maps: &BTreeMap<String, MapErrors>, all: &mut BTreeMap<Str
             all.extend(known.map(|(figure, v)| (format!("{name}_{what}{figure}"), v)));
         }
         let unanswered = errors.touched.unanswered + errors.untouched.unanswered;
-        let asked = errors.touched.frames + errors.untouched.frames + unanswered;
-        all.insert(format!("{name}_unanswered"), unanswered as f64 / asked.max(1) as f64);
+        let targets = errors.touched.frames + errors.untouched.frames + unanswered;
+        all.insert(format!("{name}_unanswered"), unanswered as f64 / targets.max(1) as f64);
         for (number, of) in &errors.by_number {
             all.extend(of.fvu.map(|fvu| (format!("{name}_fvu_of_{number}"), fvu)));
         }

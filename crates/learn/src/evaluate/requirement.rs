@@ -111,8 +111,8 @@ mod tests {
 
     #[test]
     fn requirements_are_read_strictly() {
-        let told = |text: &str| text.parse::<Requirement>().unwrap_err().to_string();
-        insta::assert_snapshot!(told("position_rms<0.1"), @"requirement `position_rms<0.1`: needs `<=` or `>=`, as in `position_rms<=0.0005`");
-        insta::assert_snapshot!(told("position_rms<=0.5mm"), @"requirement `position_rms<=0.5mm`: `0.5mm` is not a number in SI units");
+        let message = |text: &str| text.parse::<Requirement>().unwrap_err().to_string();
+        insta::assert_snapshot!(message("position_rms<0.1"), @"requirement `position_rms<0.1`: needs `<=` or `>=`, as in `position_rms<=0.0005`");
+        insta::assert_snapshot!(message("position_rms<=0.5mm"), @"requirement `position_rms<=0.5mm`: `0.5mm` is not a number in SI units");
     }
 }

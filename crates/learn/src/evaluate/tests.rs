@@ -96,8 +96,8 @@ fn maps_are_scored_where_they_are_given() {
     // JSON keeps all digits but the last.
     assert!(figures.iter().all(|(name, v)| (read[name] - v).abs() <= 1e-12 * v.abs()), "{read:?}");
     assert_eq!(again.maps["map.normal"].by_number.keys().copied().collect::<Vec<_>>(), [1]);
-    let unasked = evaluate(&mut Mapping, &data, None, "x").unwrap();
-    assert!(unasked.maps.is_empty());
+    let without_maps = evaluate(&mut Mapping, &data, None, "x").unwrap();
+    assert!(without_maps.maps.is_empty());
 }
 
 #[test]
@@ -227,7 +227,7 @@ fn a_part_of_the_answers_is_summed_up_alone() {
 }
 
 #[test]
-fn only_the_asked_samples_count() {
+fn only_the_requested_samples_count() {
     let data = presses(10, 2);
     let held_out = crate::SplitConfig::default().apply(&data).unwrap().test;
     let result = evaluate(&mut Known, &data, Some(&held_out), "held out").unwrap();

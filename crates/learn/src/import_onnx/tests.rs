@@ -98,7 +98,7 @@ fn outputs_of_a_graph_with_several_are_taken_in_its_order() {
 fn what_does_not_fit_is_said_at_once() {
     let dir = tempfile::tempdir().unwrap();
     let (onnx, out, skin) = (inverse(dir.path()), dir.path().join("bundle"), skin());
-    let told = |outputs: &str, wiring: &Wiring, onnx: &Path| {
+    let message = |outputs: &str, wiring: &Wiring, onnx: &Path| {
         let outputs = names(outputs);
         let request = ImportRequest {
             skin: &skin,
@@ -112,14 +112,14 @@ fn what_does_not_fit_is_said_at_once() {
         import_onnx(&request).unwrap_err().to_string().replace(&dir.path().display().to_string(), "DIR")
     };
     let two = Wiring { taps: Taps::Frames(vec![0, 1]), ..Wiring::default() };
-    insta::assert_snapshot!(told("position.x,force.normal", &two, &onnx), @r"
+    insta::assert_snapshot!(message("position.x,force.normal", &two, &onnx), @r"
     2 things are in the way
       1. model file DIR/theirs.onnx: input `taxels` [1, 2] has 2 numbers where there are 4 numbers for the 2 channels of skin `pad`: train it on those channels, or say in a file of `--input` which taps, low_pass and difference it takes
       2. model file DIR/theirs.onnx: output `contact` [1, 3] has 3 numbers where there are 2 numbers for position.x, force.normal: name each number that comes out, in order, in `--outputs`
     ");
     let three =
         Wiring { mean: PerChannel::Each(vec![0.0; 3]), scale: PerChannel::Each(vec![1.0; 3]), ..wiring() };
-    insta::assert_snapshot!(told("position.x,position.y,torque", &three, &onnx), @r"
+    insta::assert_snapshot!(message("position.x,position.y,torque", &three, &onnx), @r"
     3 things are in the way
       1. the model's outputs: `torque` is none of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact: name each number that comes out, in order
       2. the model's input: `mean` has 3 entries where skin `pad` has 2 channels: give one number for all, or one each
@@ -132,8 +132,8 @@ fn what_does_not_fit_is_said_at_once() {
     g.output("b", &y, &[1, 2]);
     g.output("c", &x, &[1, 2]);
     std::fs::write(&other, g.finish().unwrap()).unwrap();
-    insta::assert_snapshot!(told("force.normal,contact", &Wiring::default(), &other), @"model file DIR/other.onnx: outputs `b` [1, 2] and `c` [1, 2] have 4 numbers together where there are 2 numbers for force.normal, contact: name each number that comes out, in order, in `--outputs`");
+    insta::assert_snapshot!(message("force.normal,contact", &Wiring::default(), &other), @"model file DIR/other.onnx: outputs `b` [1, 2] and `c` [1, 2] have 4 numbers together where there are 2 numbers for force.normal, contact: name each number that comes out, in order, in `--outputs`");
     std::fs::write(&other, "PK").unwrap();
-    insta::assert_snapshot!(told("force.normal", &Wiring::default(), &other), @"model file DIR/other.onnx: is not an ONNX model: it holds no graph; export it again");
+    insta::assert_snapshot!(message("force.normal", &Wiring::default(), &other), @"model file DIR/other.onnx: is not an ONNX model: it holds no graph; export it again");
     assert!(!out.exists());
 }

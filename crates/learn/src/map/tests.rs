@@ -162,7 +162,7 @@ fn poses_may_come_as_one_of_many_transforms() {
 }
 
 #[test]
-fn pressed_places_have_identities_that_scatter_does_not_change() {
+fn pressed_locations_have_identities_that_scatter_does_not_change() {
     let (mut here, mut there) = (Places::default(), Places::default());
     let at = |x: f64| Point3::new(x, 0.0, 0.0);
     // 6.5 mm lies on the edge of a cell of 1 mm.
@@ -174,16 +174,16 @@ fn pressed_places_have_identities_that_scatter_does_not_change() {
 
 #[test]
 fn all_that_is_missing_is_said_at_once() {
-    let told = |map: &LabelMap,
-                edit: &dyn Fn(&mut TaxelFrame, &mut TransformStamped, &mut WrenchStamped),
-                options: &DatasetOptions| {
+    let refusal = |map: &LabelMap,
+                   edit: &dyn Fn(&mut TaxelFrame, &mut TransformStamped, &mut WrenchStamped),
+                   options: &DatasetOptions| {
         let dir = tempfile::tempdir().unwrap();
         let bag = record(dir.path(), map, &two_presses(), edit);
         let error = Dataset::from_bags(&[&bag], &skin(), options).unwrap_err().to_string();
         error.replace(&bag.display().to_string(), "BAG")
     };
     let whole = map(&[]);
-    insta::assert_snapshot!(told(&whole, &|f, p, w| {
+    insta::assert_snapshot!(refusal(&whole, &|f, p, w| {
         f.values = vec![3.0, f32::NAN];
         p.child_frame_id = "camera".into();
         w.header.stamp = Time::default();
@@ -194,14 +194,14 @@ fn all_that_is_missing_is_said_at_once() {
       3. bag BAG: /tool_pose never tells of the tool `flange` (map: robot.tool), but of `camera`: without it there is no ground truth
       4. bag BAG: 500 messages on /wrench have no stamp (header.stamp is 0): nothing can be joined by acquisition time; let the driver stamp its messages
     ");
-    insta::assert_snapshot!(told(&whole, &|_, p, _| p.child_frame_id = if p.header.stamp.nanosec % 3 == 0 { "a".into() } else { "b".into() }, &options(&map(&[("tool = \"flange\"\n", "")]))), @"bag BAG: /tool_pose carries several frames: `a`, `b`: which of them is the tool must be said (map: robot.tool)");
-    insta::assert_snapshot!(told(&whole, &|_, p, _| p.header.frame_id = "world".into(), &options(&map(&[("tool = \"flange\"", "base = \"robot\"")]))), @"bag BAG: poses on /tool_pose are in the frame `world` where one base is needed (map: robot.base is `robot`): positions would be meaningless");
-    insta::assert_snapshot!(told(&whole, &|_, p, w| {
+    insta::assert_snapshot!(refusal(&whole, &|_, p, _| p.child_frame_id = if p.header.stamp.nanosec % 3 == 0 { "a".into() } else { "b".into() }, &options(&map(&[("tool = \"flange\"\n", "")]))), @"bag BAG: /tool_pose carries several frames: `a`, `b`: which of them is the tool must be said (map: robot.tool)");
+    insta::assert_snapshot!(refusal(&whole, &|_, p, _| p.header.frame_id = "world".into(), &options(&map(&[("tool = \"flange\"", "base = \"robot\"")]))), @"bag BAG: poses on /tool_pose are in the frame `world` where one base is needed (map: robot.base is `robot`): positions would be meaningless");
+    insta::assert_snapshot!(refusal(&whole, &|_, p, w| {
         for stamp in [&mut p.header.stamp, &mut w.header.stamp] {
             *stamp = Time::from_nanos(stamp.as_nanos() + 100_000_000_000);
         }
     }, &options(&whole)), @"bag BAG: none of 500 frames has ground truth within 0.1 s of its stamp: frames reach from 0 to 4.99 s, the ground truth from 100.00 to 104.99 s after the first frame: check that both were stamped by the same clock");
-    insta::assert_snapshot!(told(&whole, &|_, _, _| {}, &options(&map(&[("tip_radius = 0.002", "tip_radius = 0.02")]))), @"bag BAG: the tip is never 2 mm or more away from the skin for 5 readings of /wrench: the force sensor's bias is unknown; check robot.tip and skin.pose of the map, record the tip in the air, or set force.remove_bias to false");
+    insta::assert_snapshot!(refusal(&whole, &|_, _, _| {}, &options(&map(&[("tip_radius = 0.002", "tip_radius = 0.02")]))), @"bag BAG: the tip is never 2 mm or more away from the skin for 5 readings of /wrench: the force sensor's bias is unknown; check robot.tip and skin.pose of the map, record the tip in the air, or set force.remove_bias to false");
 }
 
 #[test]

@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn light_frames_are_left_out_only_where_that_is_asked_for() {
+    fn light_frames_are_left_out_only_on_request() {
         let surface = panel();
         let light = truth(&[(0.1, 0.0, 16.0), (-0.1, 0.0, 4.0)]);
         let clear = truth(&[(0.1, 0.0, 16.0), (-0.1, 0.0, 4.905)]);

@@ -115,12 +115,12 @@ impl Sums {
         self.totals += (0..map.per_point()).map(axis).sum::<f64>();
     }
 
-    /// Of `asked` frames.
-    fn part(&self, map: MapTarget, asked: usize) -> MapPart {
+    /// Of `targets` frames.
+    fn part(&self, map: MapTarget, targets: usize) -> MapPart {
         let any = self.frames > 0;
         MapPart {
             frames: self.frames,
-            unanswered: asked.saturating_sub(self.frames),
+            unanswered: targets.saturating_sub(self.frames),
             rms: any.then(|| (self.squares / self.points as f64).sqrt()),
             relative: (self.energy > 0.0).then(|| (self.squares / self.energy).sqrt()),
             total_force: (any && map.is_force()).then(|| (self.totals / self.frames as f64).sqrt()),
@@ -174,7 +174,7 @@ pub(crate) struct MapScorer {
     /// How contacts are read off maps of forces; not where absent.
     reading: Option<MapReading>,
     /// Untouched and touched frames whose true map is known.
-    asked: [usize; 2],
+    targets: [usize; 2],
     truth: Vec<f64>,
 }
 
@@ -182,7 +182,7 @@ impl MapScorer {
     /// Compares with these; contacts are read off maps of forces where the surface is wide enough for [`MapReading::default`].
     pub(crate) fn new(maps: Maps) -> Self {
         let reading = MapReading::of_surface(maps.surface());
-        Self { maps, sums: BTreeMap::new(), reading, asked: [0; 2], truth: Vec::new() }
+        Self { maps, sums: BTreeMap::new(), reading, targets: [0; 2], truth: Vec::new() }
     }
 
     /// Reads contacts off maps of forces in this way.
@@ -206,7 +206,7 @@ impl MapScorer {
             return Ok(());
         }
         let part = usize::from(truth.touched());
-        self.asked[part] += 1;
+        self.targets[part] += 1;
         for map in MapTarget::ALL {
             let Some(answer) = given(map).filter(|a| a.len() == self.maps.len(map)) else { continue };
             if !self.maps.knows(map) {
@@ -264,7 +264,7 @@ impl MapScorer {
 
     /// Errors by name of the map; none of maps that were never given.
     pub(crate) fn finish(self) -> BTreeMap<String, MapErrors> {
-        let [untouched, touched] = self.asked;
+        let [untouched, touched] = self.targets;
         let of_number = |(number, scores): (usize, MapScores)| {
             let MapSummary { maps: frames, rms, fvu } = scores.summary();
             (number, MapOfNumber { frames, rms, fvu: Some(fvu).filter(|fvu| fvu.is_finite()) })

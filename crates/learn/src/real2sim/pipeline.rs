@@ -94,9 +94,9 @@ pub fn train(
     recorded: (&[Recorded], &[Recorded]),
     settings: &PipelineSettings,
     runtime: &Runtime,
-    told: ProgressFn<'_>,
+    progress: ProgressFn<'_>,
 ) -> Result<(Pipeline, Trained), LearnError> {
-    Stages { model, sensors, scenes, settings, states: None::<&States>, told }.train(recorded, runtime)
+    Stages { model, sensors, scenes, settings, states: None::<&States>, progress }.train(recorded, runtime)
 }
 
 impl Pipeline {

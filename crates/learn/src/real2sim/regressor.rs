@@ -164,7 +164,7 @@ impl NetMap {
         Self::fit_kept((inputs, targets), width, (network, training), None, &mut |_| ())
     }
 
-    /// The same, with its state kept under a name where `keep` says so ([`fit_kept`]); `told` is called after every epoch.
+    /// The same, with its state kept under a name where `keep` says so ([`fit_kept`]); `progress` is called after every epoch.
     ///
     /// # Errors
     ///
@@ -174,7 +174,7 @@ impl NetMap {
         width: usize,
         (network, training): (&NetworkConfig, &TrainingConfig),
         keep: Option<(&States, &str)>,
-        told: &mut dyn FnMut(Progress),
+        progress: &mut dyn FnMut(Progress),
     ) -> Result<Self, LearnError> {
         let rows = inputs.len() / width.max(1);
         let (input, output) = (scale(inputs), scale(targets));
@@ -185,7 +185,7 @@ impl NetMap {
             outputs: targets.len() / rows.max(1),
             ..Batch::default()
         };
-        Ok(Self { input, output, net: fit_kept(&data, network, training, keep, told)? })
+        Ok(Self { input, output, net: fit_kept(&data, network, training, keep, progress)? })
     }
 
     /// The network: its inputs and outputs are divided by a number each.

@@ -128,7 +128,7 @@ pub fn simulate(
     sensors: &VirtualSensors,
     scenes: &[Stimulus],
     basis: Option<&MapBasis>,
-    told: ProgressFn<'_>,
+    progress: ProgressFn<'_>,
 ) -> Result<Simulated, LearnError> {
     let wrong = |reason: String| LearnError::Training { reason };
     let points = model.surface().points.len();
@@ -136,7 +136,7 @@ pub fn simulate(
     let mut map = vec![0.0; points];
     let mut block: Vec<f32> = Vec::with_capacity(BLOCK * points);
     for (done, part) in scenes.chunks(BLOCK).enumerate() {
-        told("simulating contacts", (done * BLOCK) as f64 / scenes.len() as f64);
+        progress("simulating contacts", (done * BLOCK) as f64 / scenes.len() as f64);
         block.clear();
         for scene in part {
             if !model.displacement(scene, &mut map).map_err(|e| wrong(e.to_string()))? {

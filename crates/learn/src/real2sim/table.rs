@@ -130,11 +130,11 @@ pub fn table(
     sensors: &VirtualSensors,
     scenes: &Scenes,
     settings: &TableSettings,
-    told: ProgressFn<'_>,
+    progress: ProgressFn<'_>,
 ) -> Result<Table, LearnError> {
     let points = model.surface().points.len();
     let quiet: ProgressFn<'_> = &|_, _| {};
-    told("simulating contacts", 0.0);
+    progress("simulating contacts", 0.0);
     let mut start = Vec::new();
     for contacts in 1..=CONTACTS {
         let scenes = scenes.draw(Part::Train, contacts, settings.samples[contacts - 1].min(BASIS_MAPS));
@@ -149,7 +149,7 @@ pub fn table(
     let mut validation = Vec::new();
     let mut test = Vec::new();
     for contacts in 1..=CONTACTS {
-        told("simulating contacts", contacts as f64 / (CONTACTS + 1) as f64);
+        progress("simulating contacts", contacts as f64 / (CONTACTS + 1) as f64);
         let count = settings.samples[contacts - 1];
         train.push(part(Part::Train, contacts, count, Some(&basis))?);
         validation.push(part(
@@ -176,7 +176,7 @@ pub fn table(
         let (data, chosen) = (join(&train), join(&validation));
         for (index, method) in Table::METHODS.into_iter().enumerate() {
             let done = (trained - 1) * Table::METHODS.len() + index;
-            told(
+            progress(
                 &format!("{method}, learned from 1 to {trained} contacts"),
                 done as f64 / (CONTACTS * Table::METHODS.len()) as f64,
             );

@@ -87,7 +87,7 @@ fn runtime() -> &'static Runtime {
 }
 
 #[test]
-fn places_are_parted_and_scenes_drawn_alike() {
+fn locations_are_parted_and_scenes_drawn_alike() {
     let model = sheet(0.0);
     let scenes = scenes(&model);
     let key = |p: &Point3<f64>| format!("{:?}", p.coords);
@@ -263,12 +263,12 @@ fn the_settings_of_the_thesis_make_networks_of_its_sizes() {
 
 #[test]
 fn settings_that_cannot_be_are_refused_by_name() {
-    let told = |change: fn(&mut PipelineSettings)| {
+    let message = |change: fn(&mut PipelineSettings)| {
         let mut settings = PipelineSettings::default();
         change(&mut settings);
         settings.validate("s.toml").unwrap_err().to_string()
     };
-    insta::assert_snapshot!(told(|s| s.superpose = 5), @"s.toml: field `superpose`: is 5 and must be 1 to 4");
-    insta::assert_snapshot!(told(|s| s.sensitivity_contacts = 0), @"s.toml: field `sensitivity_contacts`: is 0 and must be 1 to 4");
-    insta::assert_snapshot!(told(|s| s.kept = 1.0), @"s.toml: field `kept`: is 1 and must lie between 0 and 1");
+    insta::assert_snapshot!(message(|s| s.superpose = 5), @"s.toml: field `superpose`: is 5 and must be 1 to 4");
+    insta::assert_snapshot!(message(|s| s.sensitivity_contacts = 0), @"s.toml: field `sensitivity_contacts`: is 0 and must be 1 to 4");
+    insta::assert_snapshot!(message(|s| s.kept = 1.0), @"s.toml: field `kept`: is 1 and must lie between 0 and 1");
 }

@@ -118,15 +118,15 @@ mod tests {
         let network = NetworkConfig { hidden: vec![4], ..Default::default() };
         let fresh = || Mlp::new(2, 1, &network, 1);
         save(&file, &State::new(fresh()), "these data").unwrap();
-        let told = |signature: &str| {
+        let message = |signature: &str| {
             let error = load(&file, fresh(), signature).unwrap_err().to_string();
             error.replace(&file.display().to_string(), "FILE")
         };
-        insta::assert_snapshot!(told("others"), @"checkpoint FILE: belongs to other data or another configuration; train without `--resume` to begin anew");
+        insta::assert_snapshot!(message("others"), @"checkpoint FILE: belongs to other data or another configuration; train without `--resume` to begin anew");
         let bytes = std::fs::read(&file).unwrap();
         std::fs::write(&file, &bytes[..bytes.len() - 1]).unwrap();
-        insta::assert_snapshot!(told("these data"), @"checkpoint FILE: was cut short; train without `--resume` to begin anew");
+        insta::assert_snapshot!(message("these data"), @"checkpoint FILE: was cut short; train without `--resume` to begin anew");
         std::fs::write(&file, b"hello").unwrap();
-        insta::assert_snapshot!(told("these data"), @"checkpoint FILE: is no checkpoint; train without `--resume` to begin anew");
+        insta::assert_snapshot!(message("these data"), @"checkpoint FILE: is no checkpoint; train without `--resume` to begin anew");
     }
 }

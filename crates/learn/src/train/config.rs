@@ -443,9 +443,9 @@ impl TrainConfig {
     /// Targets in the order of the model's outputs: scalars, maps, and `contact` last.
     #[must_use]
     pub fn outputs(&self) -> Vec<&'static str> {
-        let asked = |name: &&'static str| self.targets.iter().any(|own| own == name);
+        let requested = |name: &&'static str| self.targets.iter().any(|own| own == name);
         let (contact, scalars): (Vec<_>, Vec<_>) =
-            Truth::TARGETS.into_iter().filter(asked).partition(|name| *name == "contact");
+            Truth::TARGETS.into_iter().filter(requested).partition(|name| *name == "contact");
         let maps = self.maps().into_iter().map(MapTarget::name);
         scalars.into_iter().chain(maps).chain(contact).collect()
     }
@@ -469,11 +469,11 @@ mod tests {
 
     #[test]
     fn refusals_name_the_field() {
-        let told = |text: &str| TrainConfig::from_toml(text, "c.toml").unwrap_err().to_string();
-        insta::assert_snapshot!(told("targets = [\"position.x\"]"), @"c.toml: field `targets`: position.x and position.y only make sense together");
-        insta::assert_snapshot!(told("targets = [\"torque\"]"), @r#"c.toml: field `targets[0]`: is "torque" and must be one of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact, map.normal, map.force, map.displacement, signal"#);
-        insta::assert_snapshot!(told("targets = [\"contact\"]\n[training]\nepoch = 3"), @"c.toml: field `(line 3)`: unknown field `epoch`, expected one of `epochs`, `batch`, `learning_rate`, `weight_decay`, `noise`, `channel_noise`, `momentum`, `seed`");
-        insta::assert_snapshot!(told("targets = [\"contact\"]\n[network]\nmembers = 0"), @"c.toml: field `network.members`: is 0 and must be 1 to 64");
+        let message = |text: &str| TrainConfig::from_toml(text, "c.toml").unwrap_err().to_string();
+        insta::assert_snapshot!(message("targets = [\"position.x\"]"), @"c.toml: field `targets`: position.x and position.y only make sense together");
+        insta::assert_snapshot!(message("targets = [\"torque\"]"), @r#"c.toml: field `targets[0]`: is "torque" and must be one of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact, map.normal, map.force, map.displacement, signal"#);
+        insta::assert_snapshot!(message("targets = [\"contact\"]\n[training]\nepoch = 3"), @"c.toml: field `(line 3)`: unknown field `epoch`, expected one of `epochs`, `batch`, `learning_rate`, `weight_decay`, `noise`, `channel_noise`, `momentum`, `seed`");
+        insta::assert_snapshot!(message("targets = [\"contact\"]\n[network]\nmembers = 0"), @"c.toml: field `network.members`: is 0 and must be 1 to 64");
     }
 
     #[test]

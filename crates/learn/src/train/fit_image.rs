@@ -28,7 +28,7 @@ pub(super) fn fit_image(
     job: &Job<'_>,
     image: &ImageConfig,
     stop: &AtomicBool,
-    told: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Trained, LearnError> {
     let config = job.request.config;
     let surface = job.request.data.skin().surface();
@@ -49,7 +49,7 @@ pub(super) fn fit_image(
         Ok(known.then(|| [vec![targets], Vec::new()]))
     };
     let spec = image.spec(MAP_NORMAL, inputs);
-    let (network, samples) = fit_spec(job, &spec, (image.patience, noise), &targets, stop, told)?;
+    let (network, samples) = fit_spec(job, &spec, (image.patience, noise), &targets, stop, progress)?;
     let graph = network.to_onnx_mixed("dermis", &mixing.clone().scaled(scale / unit))?;
     let port = |name: &str, shape: &[usize]| TensorPort { name: name.into(), shape: shape.to_vec() };
     let output = port(MAP_NORMAL, &[1, mixing.rows()]);

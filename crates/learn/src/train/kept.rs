@@ -56,7 +56,7 @@ impl States {
 }
 
 /// Fits one network as [`fit`](super::fit) does. Where `keep` says so, its state is kept under a name, half-way and at its end: the
-/// same call goes on from there, and ends with the very same network. `told` is called after every epoch.
+/// same call goes on from there, and ends with the very same network. `report` is called after every epoch.
 ///
 /// # Errors
 ///
@@ -66,7 +66,7 @@ pub fn fit_kept(
     network: &NetworkConfig,
     training: &TrainingConfig,
     keep: Option<(&States, &str)>,
-    told: &mut dyn FnMut(Progress),
+    report: &mut dyn FnMut(Progress),
 ) -> Result<Mlp, LearnError> {
     let fresh = || Mlp::new(data.width, data.outputs, network, seed_of(training, 0, 0));
     let file = keep.map(|(states, name)| states.of_network(name, data, network, training)).transpose()?;
@@ -77,7 +77,7 @@ pub fn fit_kept(
         .unwrap_or_else(|| State::new(fresh()));
     let mut saved = Instant::now();
     advance(&mut state, data, training, 0, &AtomicBool::new(false), &mut |state, progress| {
-        told(progress);
+        report(progress);
         if let Some((path, signature)) = &file
             && (progress.epoch == progress.epochs || saved.elapsed() >= OFTEN)
         {

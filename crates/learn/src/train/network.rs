@@ -412,14 +412,14 @@ pub(super) fn seed_of(training: &TrainingConfig, member: u32, epoch: u32) -> u64
     z ^ (z >> 31)
 }
 
-/// Goes on until all epochs are done or `stop` is set; `told` is called after every epoch.
+/// Goes on until all epochs are done or `stop` is set; `report` is called after every epoch.
 pub(super) fn advance(
     state: &mut State,
     data: &Batch,
     training: &TrainingConfig,
     member: u32,
     stop: &AtomicBool,
-    told: &mut dyn FnMut(&State, Progress) -> Result<(), LearnError>,
+    report: &mut dyn FnMut(&State, Progress) -> Result<(), LearnError>,
 ) -> Result<(), LearnError> {
     let samples = data.len();
     if samples == 0 {
@@ -451,7 +451,7 @@ pub(super) fn advance(
                 ),
             });
         }
-        told(state, Progress { member, epoch: state.epoch, epochs: training.epochs, loss })?;
+        report(state, Progress { member, epoch: state.epoch, epochs: training.epochs, loss })?;
     }
     Ok(())
 }

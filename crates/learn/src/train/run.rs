@@ -79,7 +79,7 @@ pub(super) fn partial(out: &Path) -> PathBuf {
 
 /// Trains, evaluates on what was held out, and writes the bundle with its card and a report.
 ///
-/// `told` is called after every epoch of every network, from several threads. When `stop` is set, the state is
+/// `progress` is called after every epoch of every network, from several threads. When `stop` is set, the state is
 /// saved and training ends.
 ///
 /// # Errors
@@ -89,7 +89,7 @@ pub(super) fn partial(out: &Path) -> PathBuf {
 pub fn run(
     request: &Request<'_>,
     stop: &AtomicBool,
-    told: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Outcome, LearnError> {
     let (data, config) = (request.data, request.config);
     check_framework(config)?;
@@ -108,9 +108,9 @@ pub fn run(
     let job = Job { request, split: &split, features: &features, outputs: &outputs, decoder: &decoder };
     let started = Instant::now();
     let Trained { graph, interface, samples, choice } = match (&config.network.conv, &config.network.image) {
-        (None, None) => fit_dense(&job, &mut maps, stop, told)?,
-        (Some(conv), _) => fit_conv(&job, conv, maps, stop, told)?,
-        (None, Some(image)) => fit_image(&job, image, stop, told)?,
+        (None, None) => fit_dense(&job, &mut maps, stop, progress)?,
+        (Some(conv), _) => fit_conv(&job, conv, maps, stop, progress)?,
+        (None, Some(image)) => fit_image(&job, image, stop, progress)?,
     };
     let seconds = started.elapsed().as_secs_f64();
     let model = Model::load(request.runtime, &graph, &interface)?;
@@ -197,7 +197,7 @@ fn fit_dense(
     job: &Job<'_>,
     maps: &mut Maps,
     stop: &AtomicBool,
-    told: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Trained, LearnError> {
     let (data, config) = (job.request.data, job.request.config);
     let held_out: BTreeSet<SampleId> = job.split.test.iter().copied().collect();
@@ -235,7 +235,7 @@ fn fit_dense(
     let interface = Interface::flat(width, columns.len());
     let samples = batch.len();
     if config.model.candidates.as_slice() == [Candidate::Network] {
-        let networks = fit_all(job.request, &batch, &signature, stop, told)?;
+        let networks = fit_all(job.request, &batch, &signature, stop, progress)?;
         let graph = Mlp::to_onnx(&networks, &preparation, "dermis").map_err(written)?;
         return Ok(Trained { graph, interface, samples, choice: None });
     }
@@ -245,7 +245,7 @@ fn fit_dense(
         return Err(LearnError::Interrupted { epoch: 0, epochs: config.training.epochs, path });
     };
     let networks = if choose::needs_network(&choice) {
-        fit_all(job.request, &batch, &signature, stop, told)?
+        fit_all(job.request, &batch, &signature, stop, progress)?
     } else {
         Vec::new()
     };
@@ -364,7 +364,7 @@ fn fit_all(
     batch: &Batch,
     signature: &str,
     stop: &AtomicBool,
-    told: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Vec<Mlp>, LearnError> {
     let config = request.config;
     let folder = partial(request.out);
@@ -380,7 +380,7 @@ fn fit_all(
         loop {
             let index = next.fetch_add(1, Ordering::Relaxed);
             let (Some(slot), Ok(member)) = (done.get(index), u32::try_from(index)) else { return };
-            let result = fit_member(request, batch, &folder, signature, member, stop, told);
+            let result = fit_member(request, batch, &folder, signature, member, stop, progress);
             if result.is_err() {
                 stop.store(true, Ordering::Relaxed);
             }
@@ -410,7 +410,7 @@ fn fit_member(
     signature: &str,
     member: u32,
     stop: &AtomicBool,
-    told: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<State, LearnError> {
     let config = request.config;
     let fresh = Mlp::new(batch.width, batch.outputs, &config.network, seed_of(&config.training, member, 0));
@@ -421,8 +421,8 @@ fn fit_member(
         State::new(fresh)
     };
     let mut saved = Instant::now();
-    advance(&mut state, batch, &config.training, member, stop, &mut |state, progress| {
-        told(progress);
+    advance(&mut state, batch, &config.training, member, stop, &mut |state, epoch| {
+        progress(epoch);
         if saved.elapsed() >= SAVE_EVERY {
             checkpoint::save(&file, state, signature)?;
             saved = Instant::now();

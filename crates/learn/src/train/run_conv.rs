@@ -132,7 +132,7 @@ pub(super) fn fit_conv(
     conv: &ConvConfig,
     maps: Maps,
     stop: &AtomicBool,
-    told: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Trained, LearnError> {
     if conv.grid.iter().product::<usize>() != job.features.input_len() {
         return Err(LearnError::Training {
@@ -171,7 +171,7 @@ pub(super) fn fit_conv(
         };
         Ok(Some([parts(&targets), parts(&job.weights(truth, &columns))]))
     };
-    let (network, samples) = fit_spec(job, &spec, (conv.patience, Vec::new()), &targets, stop, told)?;
+    let (network, samples) = fit_spec(job, &spec, (conv.patience, Vec::new()), &targets, stop, progress)?;
     let graph = network.to_onnx("dermis")?;
     let port = |name: &str, shape: &[usize]| TensorPort { name: name.into(), shape: [&[1], shape].concat() };
     let outputs: Vec<TensorPort> = heads
@@ -197,7 +197,7 @@ pub(super) fn fit_spec(
     (patience, noise): (u32, Vec<f32>),
     targets: &TargetsOf<'_>,
     stop: &AtomicBool,
-    told: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<(ConvNetwork, usize), LearnError> {
     let (request, config) = (job.request, job.request.config);
     let training = ConvTraining {
@@ -240,7 +240,9 @@ pub(super) fn fit_spec(
         (&reader(train), &reader(validation)),
         Some((&state, request.resume)),
         stop,
-        &mut |p| told(Progress { member: 0, epoch: p.epoch, epochs: training.epochs, loss: p.validation }),
+        &mut |p| {
+            progress(Progress { member: 0, epoch: p.epoch, epochs: training.epochs, loss: p.validation })
+        },
     )?;
     Ok((fitted.network, samples))
 }

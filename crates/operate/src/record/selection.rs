@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn topics_are_chosen_as_asked() {
+    fn topics_are_chosen_as_requested() {
         let frame = "dermis_msgs/msg/TaxelFrame";
         assert!(selection(&[], &[], &[], &[], false).wants("/left/taxels", frame));
         assert!(!selection(&[], &[], &[], &[], false).wants("/left/_hidden/x", frame));

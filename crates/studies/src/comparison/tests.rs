@@ -47,13 +47,13 @@ fn data() -> Dataset {
 
 /// Notes what it is asked, has no answer to the first touched frame after a reset, and is 2 mm off in the others.
 struct Noting {
-    told: Arc<Mutex<Vec<String>>>,
+    calls: Arc<Mutex<Vec<String>>>,
     early: bool,
 }
 
 impl ContactFinder for Noting {
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError> {
-        self.told.lock().unwrap().push(format!("find {:?}", frame.signal));
+        self.calls.lock().unwrap().push(format!("find {:?}", frame.signal));
         if std::mem::take(&mut self.early) {
             return Err(FindError::History("made up".into()));
         }
@@ -64,31 +64,31 @@ impl ContactFinder for Noting {
     }
 
     fn pass(&mut self, _: &ConditionedFrame<'_>) -> Result<(), FindError> {
-        self.told.lock().unwrap().push("pass".into());
+        self.calls.lock().unwrap().push("pass".into());
         Ok(())
     }
 
     fn reset(&mut self) {
         self.early = true;
-        self.told.lock().unwrap().push("reset".into());
+        self.calls.lock().unwrap().push("reset".into());
     }
 }
 
 #[test]
-fn finders_see_every_frame_and_answer_those_that_are_asked() {
+fn finders_see_every_frame_and_answer_the_sampled_ones() {
     let data = data();
-    let told = Arc::new(Mutex::new(Vec::new()));
-    let noting = Noting { told: Arc::clone(&told), early: false };
-    let asked: Vec<SampleId> = [10, 12, 24].map(|sample| SampleId { run: 0, sample }).to_vec();
+    let calls = Arc::new(Mutex::new(Vec::new()));
+    let noting = Noting { calls: Arc::clone(&calls), early: false };
+    let targets: Vec<SampleId> = [10, 12, 24].map(|sample| SampleId { run: 0, sample }).to_vec();
     let finders: Vec<Named> = vec![("noting".into(), Box::new(noting))];
-    let rows = answer(finders, &data, &asked, &[0.0], None, &Unwatched).unwrap();
+    let rows = answer(finders, &data, &targets, &[0.0], None, &Unwatched).unwrap();
     let mut expected = vec!["reset", "reset"];
     expected.extend(["pass"; 10]);
     expected.extend(["find [100.0, 0.0]", "pass", "find [100.0, 0.0]", "reset"]);
     expected.extend(["pass"; 11]);
     expected.push("find [100.0, 0.0]");
     // What lies behind the last frame that is asked is not read.
-    assert_eq!(*told.lock().unwrap(), expected);
+    assert_eq!(*calls.lock().unwrap(), expected);
     let [(name, evaluation)] = rows.as_slice() else { panic!("{} rows", rows.len()) };
     assert_eq!((name.as_str(), evaluation.frames), ("noting", 3));
     // A history that is not filled is no contact: one after either zero.
@@ -161,7 +161,7 @@ fn a_bundle_is_compared_by_the_contacts_and_maps_that_it_is_evaluated_by() {
     let skin = nine();
     let (data, runtime) = (pressed(&skin), Runtime::load(&RuntimeConfig::default()).unwrap());
     let forward: Arc<dyn ForwardModel> = Arc::new(membrane(&skin));
-    let asked: Vec<SampleId> = (60..70).map(|sample| SampleId { run: 0, sample }).collect();
+    let targets: Vec<SampleId> = (60..70).map(|sample| SampleId { run: 0, sample }).collect();
     let pairs = || {
         let mut settings = Settings::new(0.004, 5.0);
         (settings.contacts, settings.distance, settings.search) = (2, 0.006, Search::Pairs);
@@ -187,17 +187,17 @@ fn a_bundle_is_compared_by_the_contacts_and_maps_that_it_is_evaluated_by() {
         assert_eq!(called, format!("made: {name}"));
         let [compared, evaluated] = [(); 2].map(|()| Arc::new(Mutex::new(Vec::new())));
         let finders: Vec<Named> = vec![(called, Box::new(Kept(finder, Arc::clone(&compared))))];
-        let rows = answer(finders, &data, &asked, &[0.0], Some(&forward), &Unwatched).unwrap();
+        let rows = answer(finders, &data, &targets, &[0.0], Some(&forward), &Unwatched).unwrap();
 
         let estimator =
             dermis_estimate::estimator(STRETCHED, &skin, &[dir.path().to_owned()], &[], runtime).unwrap();
         let mut estimator = Kept(estimator, Arc::clone(&evaluated));
         let maps = Maps::new(&skin, Some(Arc::clone(&forward)), &[]).unwrap();
         let mut evaluator = Evaluator::of(&data).by_force(&[0.0]).with_maps(maps);
-        evaluator.run(&mut estimator, &data, Some(&asked)).unwrap();
+        evaluator.run(&mut estimator, &data, Some(&targets)).unwrap();
 
         let (compared, evaluated) = (compared.lock().unwrap(), evaluated.lock().unwrap());
-        assert_eq!(compared.len(), asked.len());
+        assert_eq!(compared.len(), targets.len());
         for (found, contacts) in compared.iter().zip(&evaluated[60..]) {
             assert_eq!((found.len(), contacts.len()), (1, 1), "{name}: {found:?}, {contacts:?}");
             let of = |c: &Contact| (c.position, c.force, c.position_covariance, c.force_covariance);

@@ -20,7 +20,7 @@ use crate::regressions::{self, Learned as Presses, Most};
 const MOST: Most = Most { all: 30_000, kernels: 2500 };
 const NETWORK: usize = 12_000;
 /// Readings that every way is asked at most: as many as are held against their bound.
-const ASKED: usize = MOST_BOUNDED;
+const MOST_TARGETS: usize = MOST_BOUNDED;
 
 /// What another way makes of the same recordings.
 #[derive(Debug, Serialize)]
@@ -54,7 +54,7 @@ pub(super) fn beside(
             "the bags of `--beside` hold no single contact of {least} N or more, of known place, force and tip"
         );
     }
-    let mut asked: Vec<SampleId> = match only {
+    let mut targets: Vec<SampleId> = match only {
         Some(ids) => ids.to_vec(),
         None => data.labelled().map(|(id, ..)| id).collect(),
     };
@@ -66,16 +66,16 @@ pub(super) fn beside(
             s.truth.as_ref().is_some_and(heavy)
         })
     };
-    asked.retain(felt);
-    let mut asked = data.gather(&asked)?;
-    asked.retain(|(_, sample)| sample.tared.iter().any(|v| v.is_finite()));
-    let every = dermis_regress::stride(asked.len(), ASKED);
-    let asked: Vec<_> = asked.into_iter().step_by(every).collect();
+    targets.retain(felt);
+    let mut targets = data.gather(&targets)?;
+    targets.retain(|(_, sample)| sample.tared.iter().any(|v| v.is_finite()));
+    let every = dermis_regress::stride(targets.len(), MOST_TARGETS);
+    let targets: Vec<_> = targets.into_iter().step_by(every).collect();
     let mut found = Vec::new();
     let mut measure = |method: &'static str, settings: Value, mut finder: RegressionFinder| -> Result<()> {
         progress.begin(&format!("{method}: answering"));
         let mut evaluator = Evaluator::of(data).by_force(bins);
-        for (id, sample) in &asked {
+        for (id, sample) in &targets {
             let Some(truth) = sample.truth.as_ref() else { continue };
             let contacts = finder.find(&sample.conditioned())?;
             evaluator.push(*id, truth, &Estimate { contacts, ..Estimate::default() });
@@ -92,5 +92,5 @@ pub(super) fn beside(
     progress.begin("feed-forward network: learning");
     let (network, settings) = regressions::network(skin, &presses, NETWORK)?;
     measure("feed-forward network", settings, network)?;
-    Ok((asked.iter().map(|(id, _)| *id).collect(), found))
+    Ok((targets.iter().map(|(id, _)| *id).collect(), found))
 }

@@ -23,8 +23,8 @@ use crate::{Families, LeftOut, Progress};
 mod judge;
 mod methods;
 
-pub(super) use judge::{Asked, Judge};
 pub use judge::{Errors, Row};
+pub(super) use judge::{Judge, Targets};
 use methods::prepare;
 
 /// What to compare on what.
@@ -196,8 +196,8 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     let learned = Dataset::from_bags(&options.train, &skin, &labels)?;
     let data = Dataset::from_bags(&options.bags, &skin, &labels)?;
     let compliance = Compliance::of(model.as_ref(), 0.010)?;
-    let asked = Asked::of(&data, options, &compliance)?;
-    let test = &asked.all;
+    let targets = Targets::of(&data, options, &compliance)?;
+    let test = &targets.all;
     if test.values().all(Vec::is_empty) {
         bail!("these bags hold no frame of one or two contacts of {} N or more each", options.least);
     }
@@ -205,9 +205,9 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
     let (learn, choose) = parts(&learned, &all);
     let prepared = prepare(options, &skin, &model, &compliance, &learned, (&learn, &choose), progress)?;
-    let compared: Vec<SampleId> = asked.compared().copied().collect();
+    let compared: Vec<SampleId> = targets.compared().copied().collect();
     let bounds = frame_bounds(model.as_ref(), &data, Some(&compared), Unknowns::Normal)?;
-    let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: asked.kept.as_ref() };
+    let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: targets.kept.as_ref() };
     let mut rows = Vec::new();
     let mut shown: Option<ShownFrame> = None;
     for (name, mut method) in prepared.methods {
@@ -241,7 +241,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         frames: test.iter().map(|(kind, ids)| (*kind, ids.len())).collect(),
         rows,
         bound,
-        left_out: asked.left_out,
+        left_out: targets.left_out,
         asks,
         shown,
     })
@@ -253,7 +253,8 @@ pub struct TargetFigure {
     /// Which figure.
     pub what: &'static str,
     /// What it should be.
-    pub asked: String,
+    #[serde(rename = "asked")]
+    pub target: String,
     /// Method that comes nearest.
     pub method: String,
     /// Its figure.
@@ -298,7 +299,7 @@ fn asks(rows: &[Row]) -> Vec<TargetFigure> {
         if let Some((method, p, f)) = best {
             all.push(TargetFigure {
                 what,
-                asked: format!("{:.0} mm, {force} N", place * 1e3),
+                target: format!("{:.0} mm, {force} N", place * 1e3),
                 method: method.to_owned(),
                 found: format!("{:.2} mm, {f:.2} N", p * 1e3),
                 reached: p <= place && f <= force,
@@ -312,7 +313,7 @@ fn asks(rows: &[Row]) -> Vec<TargetFigure> {
     if let Some((method, right)) = best {
         all.push(TargetFigure {
             what: "number of contacts, two far apart",
-            asked: "90 %".into(),
+            target: "90 %".into(),
             method: method.to_owned(),
             found: format!("{:.1} %", right * 100.0),
             reached: right >= 0.9,
@@ -357,9 +358,9 @@ mod tests {
             row("regression", Kind::Single, 1e-4, 0.1, None),
         ];
         let found = asks(&rows);
-        let told: Vec<String> =
+        let lines: Vec<String> =
             found.iter().map(|a| format!("{} {} {} {}", a.what, a.method, a.found, a.reached)).collect();
-        insta::assert_snapshot!(told.join("\n"), @r"
+        insta::assert_snapshot!(lines.join("\n"), @r"
         one contact, mean errors a 4.00 mm, 1.00 N true
         two contacts, mean errors a 6.00 mm, 1.00 N false
         number of contacts, two far apart a 80.0 % false

@@ -40,7 +40,7 @@ use dermis_model::{ForwardModel, Unknowns};
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize};
 
-use super::compare::{self, Asked, Judge, Kind, Row};
+use super::compare::{self, Judge, Kind, Row, Targets};
 use super::train::parts;
 use super::{nominal, sensors, watched};
 use crate::{Families, LeftOut, Progress};
@@ -201,8 +201,8 @@ pub fn measure(options: &Request, families: &Families, progress: &dyn Progress) 
     let mut options = options.clone();
     let reduced = if options.reduced { reduction::apply(&mut settings, &mut options) } else { Vec::new() };
     let compliance = Compliance::of(model.as_ref(), settings.scenes.diameter)?;
-    let asked = Asked::of(&data, &of_comparison(&options), &compliance)?;
-    let frames = Frames::of(&data, &asked, model.as_ref())?;
+    let targets = Targets::of(&data, &of_comparison(&options), &compliance)?;
+    let frames = Frames::of(&data, &targets, model.as_ref())?;
 
     let split = settings.split.apply(&learned)?;
     let (learn, choose) = parts(&learned, &split.train);
@@ -231,13 +231,13 @@ pub fn measure(options: &Request, families: &Families, progress: &dyn Progress) 
     let pipeline = Arc::new(pipeline);
     progress.begin("strongest peaks");
     let [strongest, of_true_maps] = strongest::of(&pipeline, known.model.surface(), &frames, runtime)?;
-    let compared: Vec<_> = asked.compared().copied().collect();
+    let compared: Vec<_> = targets.compared().copied().collect();
     let bounds = frame_bounds(known.model.as_ref(), &data, Some(&compared), Unknowns::Normal)?;
-    let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: asked.kept.as_ref() };
+    let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: targets.kept.as_ref() };
     let mut rows = Vec::new();
     for (name, mut method) in methods::all(&known, &pipeline, options.vectors, runtime, progress)? {
         progress.begin(&name);
-        for (kind, ids) in &asked.all {
+        for (kind, ids) in &targets.all {
             if !(ids.is_empty() || (method.single() && *kind != Kind::Single)) {
                 rows.push(judge.row(&name, method.as_mut(), (*kind, ids), progress)?);
             }
@@ -250,8 +250,8 @@ pub fn measure(options: &Request, families: &Families, progress: &dyn Progress) 
         sizes: Sizes::of(&pipeline),
         trained,
         data: [learned.hash(), data.hash()],
-        frames: asked.all.iter().map(|(kind, ids)| (kind.name(), ids.len())).collect(),
-        left_out: asked.left_out,
+        frames: targets.all.iter().map(|(kind, ids)| (kind.name(), ids.len())).collect(),
+        left_out: targets.left_out,
         settings: known.settings,
         maps,
         rows,
@@ -285,7 +285,7 @@ fn train(
         bail!("`--sensors` and `--jobs` are 1 or more");
     }
     let own = known.settings.pipeline.each;
-    let told = watched(progress);
+    let watched_progress = watched(progress);
     let whole = || -> Result<(Pipeline, Trained)> {
         let virtual_sensors = sensors(&known.model, &known.skin, own)?;
         let stages = Stages {
@@ -294,7 +294,7 @@ fn train(
             scenes: &known.scenes,
             settings: &known.settings.pipeline,
             states: Some(&known.states),
-            told: &told,
+            progress: &watched_progress,
         };
         Ok(stages.train((&known.recorded, &known.choose), runtime)?)
     };
@@ -303,7 +303,7 @@ fn train(
     let (trained, rows) = std::thread::scope(|scope| {
         let first = (options.jobs > 1).then(|| scope.spawn(whole));
         let most = options.jobs.saturating_sub(1).max(1);
-        let rows = maps::rows_of(known, &others, frames, most, &told);
+        let rows = maps::rows_of(known, &others, frames, most, &watched_progress);
         let trained = first.map_or_else(whole, |thread| match thread.join() {
             Ok(trained) => trained,
             Err(panic) => std::panic::resume_unwind(panic),
@@ -312,7 +312,7 @@ fn train(
     });
     let ((pipeline, report), mut all) = (trained?, rows?);
     if options.sensors.contains(&own) {
-        all.extend(maps::rows(known, own, frames, &told)?);
+        all.extend(maps::rows(known, own, frames, &watched_progress)?);
     }
     all.sort_by_key(|row| row.each);
     Ok((pipeline, report, all))

@@ -276,7 +276,7 @@ impl Sending {
     fn wait(&mut self, t: f64) -> Result<(), TestbedError> {
         let due = self.begin + Duration::from_secs_f64(t);
         loop {
-            self.requests += self.encoder.asked(&self.line.received());
+            self.requests += self.encoder.requested_frames(&self.line.received());
             // A picture is longer than what a line takes at once.
             self.line.flush().map_err(|source| self.lost(source))?;
             let on_request = self.encoder.on_request();

@@ -86,7 +86,7 @@ impl Schedule<'_> {
                 Ok(())
             }
             Action::Presses { count, level, repeats } => {
-                (0..*count).try_for_each(|_| self.presses_at_one_place(level, *repeats, profile))
+                (0..*count).try_for_each(|_| self.presses_at_one_location(level, *repeats, profile))
             }
             Action::Levels { count, levels } => (0..*count).try_for_each(|_| {
                 self.check_bounds()?;
@@ -110,7 +110,7 @@ impl Schedule<'_> {
         }
     }
 
-    fn presses_at_one_place(
+    fn presses_at_one_location(
         &mut self,
         level: &Level<[f64; 2]>,
         repeats: u32,

@@ -390,7 +390,7 @@ fn what_a_step_adds_does_not_change_what_the_others_draw() {
 }
 
 #[test]
-fn a_grid_has_the_pitch_that_was_asked_for() {
+fn a_grid_has_the_requested_pitch() {
     let steps = "[[steps]]\nkind = \"grid\"\npitch = [0.0007, 0.004]\nforces = [0.1]\n";
     let timeline = carried_out(steps).unwrap();
     let mut places: Vec<_> = timeline.presses.iter().map(|p| p.touches[0].from).collect();
@@ -488,7 +488,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn contacts_lie_on_the_surface_and_press_with_what_was_asked(seed in any::<u64>(), dome in any::<bool>()) {
+    fn contacts_lie_on_the_surface_and_press_with_the_requested_force(seed in any::<u64>(), dome in any::<bool>()) {
         let spec = if dome {
             SurfaceSpec::Dome { radius: 0.01, cylinder: 0.016, spacing: 0.002 }
         } else {

@@ -156,14 +156,14 @@ fn less_force_is_needed_between_taxels() {
 }
 
 #[test]
-fn two_contacts_are_told_apart_where_each_has_taxels_of_its_own() {
+fn two_contacts_are_distinguished_where_each_has_taxels_of_its_own() {
     let (line, _) = toy_row(0.0005, 2.0);
     let (a, b) = (at(&line, -0.0130), at(&line, 0.0130));
     assert!(line.distinguishable((a, 0.3), (b, 0.3), 25.0, 2));
     assert!(!line.distinguishable((a, 0.3), (at(&line, -0.0065), 0.3), 25.0, 2));
     // Close together never; "with higher forces the distinguishable distance is larger": they reach more taxels.
-    let told = |force: f64| line.distinguishable_by_distance(force, 25.0, &[0.004, 0.011, 0.012]);
-    let (light, hard) = (told(0.3), told(0.6));
+    let resolved = |force: f64| line.distinguishable_by_distance(force, 25.0, &[0.004, 0.011, 0.012]);
+    let (light, hard) = (resolved(0.3), resolved(0.6));
     assert_eq!((light[0], hard[0]), (0.0, 0.0));
     assert!(light[1] > hard[1] && light[2] > hard[2], "{light:?} {hard:?}");
 }

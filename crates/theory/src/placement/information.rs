@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn places_that_read_alike_are_told_apart() {
+    fn locations_that_read_alike_are_distinguished() {
         // Two elements that mirror each other cannot tell which side is pressed; the local bound does not mind.
         let field = plate(9, 9);
         let local = purely_local();

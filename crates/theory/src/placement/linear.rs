@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn reduction_explains_what_is_asked() {
+    fn reduction_explains_the_requested_share() {
         let field = plate(9, 5);
         let few = reduce(&field, 0.05).unwrap();
         let many = reduce(&field, 0.01).unwrap();

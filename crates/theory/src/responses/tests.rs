@@ -86,7 +86,7 @@ fn presses_give_what_the_model_does() {
 }
 
 #[test]
-fn noise_is_told_from_drift() {
+fn noise_is_distinguished_from_drift() {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
     let mut stretch = |sigma: f64| -> Vec<Vec<f64>> {
         (0..2000)

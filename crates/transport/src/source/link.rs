@@ -61,16 +61,16 @@ impl Wire {
                 if n == 0 {
                     return Ok(None);
                 }
-                let told = |text: String| format!("{name}: {text}");
+                let prefixed = |text: String| format!("{name}: {text}");
                 match senders.judge(sender, Instant::now()) {
                     Verdict::Read(None) => return Ok(Some(n)),
                     Verdict::Read(Some(first)) => queue.reads(first, None),
-                    Verdict::ReadInstead(other, why) => queue.reads(other, Some(told(why))),
+                    Verdict::ReadInstead(other, why) => queue.reads(other, Some(prefixed(why))),
                     Verdict::LeaveOut(notice) => {
-                        queue.left_out(Refused::Datagram(sender), notice.map(told));
+                        queue.left_out(Refused::Datagram(sender), notice.map(prefixed));
                         return Ok(None);
                     }
-                    Verdict::NotAskedFor => {
+                    Verdict::Unrequested => {
                         queue.left_out(Refused::Datagram(sender), None);
                         return Ok(None);
                     }

@@ -16,18 +16,18 @@ const NOTICE_PERIOD: Duration = Duration::from_secs(10);
 #[derive(Debug, Default)]
 pub(super) struct Notices {
     at: Option<Instant>,
-    untold: u64,
+    unreported: u64,
 }
 
 impl Notices {
     /// Counts one; the end of its sentence where it is time for one.
     pub(super) fn count(&mut self, now: Instant) -> Option<String> {
         if self.at.is_some_and(|at| now.saturating_duration_since(at) < NOTICE_PERIOD) {
-            self.untold += 1;
+            self.unreported += 1;
             return None;
         }
         self.at = Some(now);
-        Some(match std::mem::take(&mut self.untold) {
+        Some(match std::mem::take(&mut self.unreported) {
             0 => String::new(),
             more => format!(" ({more} more were left out since this was last said)"),
         })
@@ -44,7 +44,7 @@ pub(super) enum Verdict {
     /// It is left out; with a sentence where it is time for one.
     LeaveOut(Option<String>),
     /// It comes from an address that was not asked for.
-    NotAskedFor,
+    Unrequested,
 }
 
 /// Decides on datagrams by their sender.
@@ -71,7 +71,7 @@ impl Senders {
     pub(super) fn judge(&mut self, sender: SocketAddr, now: Instant) -> Verdict {
         let host = sender.ip().to_canonical();
         if self.from.is_some_and(|from| from != host) {
-            return Verdict::NotAskedFor;
+            return Verdict::Unrequested;
         }
         let Some((current, last)) = self.current.as_mut() else {
             self.current = Some((sender, now));
@@ -124,15 +124,15 @@ mod tests {
         let start = Instant::now();
         let at = |ms: u64| start + Duration::from_millis(ms);
         assert_eq!(senders.judge(a, at(0)), Verdict::Read(Some(a)));
-        let mut told = Vec::new();
+        let mut texts = Vec::new();
         for i in 1..1500 {
             assert_eq!(senders.judge(a, at(10 * i)), Verdict::Read(None));
             match senders.judge(b, at(10 * i + 5)) {
-                Verdict::LeaveOut(notice) => told.extend(notice),
+                Verdict::LeaveOut(notice) => texts.extend(notice),
                 other => panic!("{other:?}"),
             }
         }
-        insta::assert_snapshot!(told.join("\n"), @r"
+        insta::assert_snapshot!(texts.join("\n"), @r"
         datagrams of 10.0.0.3:6000 are left out, because 10.0.0.2:5000 sends to the same port: give each device a port of its own, or name the one that is meant with from=10.0.0.2
         datagrams of 10.0.0.3:6000 are left out, because 10.0.0.2:5000 sends to the same port: give each device a port of its own, or name the one that is meant with from=10.0.0.2 (999 more were left out since this was last said)
         ");
@@ -163,7 +163,7 @@ mod tests {
         }
         let mut senders =
             Senders::new(Sender::One, Duration::from_secs(1), Some("10.0.0.3".parse().unwrap()));
-        assert_eq!(senders.judge(a, now), Verdict::NotAskedFor);
+        assert_eq!(senders.judge(a, now), Verdict::Unrequested);
         assert_eq!(
             senders.judge(address("[::ffff:10.0.0.3]:9"), now),
             Verdict::Read(Some(address("[::ffff:10.0.0.3]:9")))

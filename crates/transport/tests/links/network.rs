@@ -31,7 +31,7 @@ fn a_tcp_server_that_restarts_is_found_again() {
 }
 
 #[test]
-fn a_web_stream_is_read_behind_its_head_and_asked_for_again() {
+fn a_web_stream_is_read_behind_its_head_and_requested_again() {
     let server = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = server.local_addr().unwrap();
     let mut consumer = Consumer::new(open(&format!("http://{address}/?action=stream")));

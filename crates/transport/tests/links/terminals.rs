@@ -272,8 +272,8 @@ fn a_killed_reader_does_not_lock_the_next_one_out_of_a_pseudo_terminal() {
     let opened = std::fs::File::open(device.slave_path()).unwrap();
     let mut exclusive: i32 = 1;
     // SAFETY: the descriptor is open, and the pointer is to a live number.
-    let asked = unsafe { nix::libc::ioctl(opened.as_raw_fd(), nix::libc::TIOCGEXCL, &raw mut exclusive) };
-    assert_eq!((asked, exclusive), (0, 0));
+    let status = unsafe { nix::libc::ioctl(opened.as_raw_fd(), nix::libc::TIOCGEXCL, &raw mut exclusive) };
+    assert_eq!((status, exclusive), (0, 0));
 }
 
 #[test]

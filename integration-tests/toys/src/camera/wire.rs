@@ -26,7 +26,7 @@ pub struct PictureReader {
     stats: DecoderStats,
     clock: DeviceClock,
     /// When the request was made that is not answered yet.
-    asked: Option<i64>,
+    requested: Option<i64>,
     last: Option<u32>,
 }
 
@@ -36,7 +36,7 @@ impl PictureReader {
             buffer: Vec::new(),
             stats: DecoderStats::new(WHOLE),
             clock: DeviceClock::new(),
-            asked: None,
+            requested: None,
             last: None,
         }
     }
@@ -86,23 +86,23 @@ impl Decoder for PictureReader {
             self.buffer.drain(..done);
             if let Some(frame) = frame {
                 self.stats.valid(self.buffer.len());
-                self.asked = None;
+                self.requested = None;
                 out.push(frame);
             }
         }
     }
 
     fn request(&mut self, now_ns: i64) -> Option<Vec<u8>> {
-        if self.asked.is_some_and(|at| now_ns - at < OVERDUE) {
+        if self.requested.is_some_and(|at| now_ns - at < OVERDUE) {
             return None;
         }
-        self.asked = Some(now_ns);
+        self.requested = Some(now_ns);
         Some(vec![REQUEST])
     }
 
     fn gap(&mut self) {
         self.buffer.clear();
-        self.asked = None;
+        self.requested = None;
     }
 
     fn stats(&self) -> &DecoderStats {
@@ -144,7 +144,7 @@ impl Encoder for PictureWriter {
         true
     }
 
-    fn asked(&mut self, bytes: &[u8]) -> usize {
+    fn requested_frames(&mut self, bytes: &[u8]) -> usize {
         bytes.iter().filter(|byte| **byte == REQUEST).count()
     }
 }

@@ -153,7 +153,7 @@ fn what_leans_on_a_panel_is_no_short() {
 }
 
 #[test]
-fn a_multiplexer_that_fails_on_one_side_is_told_from_a_wire() {
+fn a_multiplexer_that_fails_on_one_side_is_distinguished_from_a_wire() {
     let mut device = Device::new(Vec::new());
     let stimulus = device.touches(1);
     let whole = device.read(&stimulus);
@@ -194,7 +194,7 @@ fn injections_in_another_order_are_named() {
 }
 
 #[test]
-fn frames_that_lack_numbers_are_looked_at() {
+fn frames_that_lack_numbers_are_inspected() {
     let mut device = Device::new(vec![Effect::new("open-electrode").seed(1)]);
     let stimulus = device.touches(0);
     let mut values = device.read(&stimulus);

@@ -209,7 +209,7 @@ fn a_flicker_is_no_contact_and_no_end() {
 }
 
 #[test]
-fn skins_without_places_and_forces_are_heard() {
+fn skins_without_locations_and_forces_are_heard() {
     let mut fuser = fuser(Settings::default());
     let mut nowhere = contact(3, f64::NAN, 0.0, 2.0);
     nowhere.force_components = ForceComponents::Normal;

@@ -182,19 +182,19 @@ fn a_push_where_no_skin_is_is_found() {
     for seed in 0..30 {
         let mut simulation = Simulation::new(seed, &[on_hand()]);
         let (mut first, mut last) = (f64::INFINITY, 0.0);
-        let mut asked = None;
+        let mut latest = None;
         simulation.run(1.8, |t, state| {
             let found = unknown(state);
             assert!(found.len() <= 1, "seed {seed} at {t} s: {found:?}");
             let Some(touch) = found.first() else { return };
             (first, last) = (t.min(first), t);
             if (1.1..1.11).contains(&t) {
-                asked = Some(((*touch).clone(), state.unexplained.clone().unwrap()));
+                latest = Some(((*touch).clone(), state.unexplained.clone().unwrap()));
             }
         });
         assert!((0.55..0.9).contains(&first), "seed {seed}: found at {first} s");
         assert!((1.3..1.75).contains(&last), "seed {seed}: ended at {last} s");
-        let (touch, torques) = asked.expect("it is there");
+        let (touch, torques) = latest.expect("it is there");
         assert_eq!((touch.link, touch.other_links.len(), touch.contact.track_id), (7, 0, 1), "seed {seed}");
         assert!(touch.contact.position.x.is_nan() && touch.contact.confidence > 0.99);
         let error = touch.contact.force - on_hand().force;
@@ -221,9 +221,9 @@ fn a_push_with_few_joints_above_is_a_contact_without_a_force() {
     let push =
         Push { link: 4, at: Point3::new(0.05, 0.0, 0.15), force: Vector3::new(-80.0, 5.0, 0.0), ..on_hand() };
     let mut simulation = Simulation::new(3, &[push]);
-    let mut asked = None;
-    simulation.run(1.2, |_, state| asked = unknown(state).first().map(|t| (*t).clone()).or(asked.take()));
-    let touch = asked.unwrap();
+    let mut latest = None;
+    simulation.run(1.2, |_, state| latest = unknown(state).first().map(|t| (*t).clone()).or(latest.take()));
+    let touch = latest.unwrap();
     assert_eq!((touch.link, touch.contact.force_components), (4, ForceComponents::None));
     // Links beyond the wrist stay possible but for those whose joint turned meanwhile.
     assert!(!touch.other_links.contains(&4) && touch.other_links.len() <= 3, "{touch:?}");
@@ -260,12 +260,12 @@ fn what_skins_explain_is_no_alarm() {
 fn motion_is_no_touch() {
     let mut simulation = Simulation::new(9, &[]);
     simulation.speed = 3.0;
-    let mut asked = 0;
+    let mut answers = 0;
     simulation.run(4.0, |t, state| {
         assert!(unknown(state).is_empty(), "at {t} s");
-        asked += usize::from(state.unexplained.is_some());
+        answers += usize::from(state.unexplained.is_some());
     });
-    assert!(asked > 350);
+    assert!(answers > 350);
 }
 
 /// Friction of 10 % of the limits, five times what the variance allows for.

@@ -332,7 +332,7 @@ fn ridges_make_small_displacements_visible() {
 }
 
 #[test]
-fn noise_is_what_it_was_asked_to_be_and_another_each_time() {
+fn noise_is_as_requested_and_another_each_time() {
     let model = ThumbModel::new(&small(vec![])).unwrap();
     let take = |seed: f64| model.render(&Stimulus::default(), &mut || seed).unwrap().unwrap();
     let [clean, a, b, again] = [0.0, 0.3, -1.7, 0.3].map(take);

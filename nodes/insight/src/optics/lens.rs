@@ -82,7 +82,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn places_are_found_again(x in 0.0..1640.0f64, y in 0.0..1232.0f64, far in 0.001..0.1f64, turn in -0.1..0.1f64) {
+        fn locations_are_found_again(x in 0.0..1640.0f64, y in 0.0..1232.0f64, far in 0.001..0.1f64, turn in -0.1..0.1f64) {
             let camera = Camera {
                 size: [1640, 1232],
                 focal: 795.0,

@@ -252,7 +252,7 @@ fn a_node_that_is_not_active_says_so_and_goes_on_where_it_was() {
 }
 
 #[test]
-fn rules_that_cannot_be_used_are_refused_before_ros_is_asked() {
+fn rules_that_cannot_be_used_are_refused_before_ros_is_used() {
     let bench = Bench::new("schema = 'dermis-reflex/1'\nname = 'x'\n");
     let refused = ReflexNode::start(&Config::new(&bench.rules), &bench.backend).err().unwrap().to_string();
     assert!(refused.starts_with("rule file ") && refused.contains("missing field"), "{refused}");

@@ -61,7 +61,7 @@ pub struct Stages<'a> {
     /// Where the states of networks are kept.
     pub states: Option<&'a States>,
     /// Who watches.
-    pub told: ProgressFn<'a>,
+    pub progress: ProgressFn<'a>,
 }
 
 impl Stages<'_> {
@@ -154,12 +154,12 @@ impl Stages<'_> {
         if self.settings.whole_maps {
             return Ok(MapBasis::whole(points));
         }
-        (self.told)("shapes of maps", 0.0);
+        (self.progress)("shapes of maps", 0.0);
         let mut maps = Vec::new();
         for contacts in 1..=CONTACTS {
             let count = self.settings.samples[contacts - 1].min(BASIS_MAPS);
             let drawn = self.scenes.draw(Part::Train, contacts, count);
-            maps.extend(simulate(self.model.as_ref(), self.sensors, &drawn, None, self.told)?.maps);
+            maps.extend(simulate(self.model.as_ref(), self.sensors, &drawn, None, self.progress)?.maps);
         }
         Ok(MapBasis::measure(&maps, points, self.settings.kept, self.scenes.settings().seed))
     }
@@ -187,7 +187,7 @@ impl Stages<'_> {
     /// [`LearnError::Training`] where the model has no answer.
     pub fn paired(&self, presses: &[(Stimulus, Vec<f32>)], basis: &MapBasis) -> Result<Paired, LearnError> {
         let stimuli: Vec<Stimulus> = presses.iter().map(|(s, _)| s.clone()).collect();
-        let simulated = simulate(self.model.as_ref(), self.sensors, &stimuli, Some(basis), self.told)?;
+        let simulated = simulate(self.model.as_ref(), self.sensors, &stimuli, Some(basis), self.progress)?;
         Ok(Paired { signals: presses.iter().flat_map(|(_, signal)| signal).copied().collect(), simulated })
     }
 
@@ -217,7 +217,7 @@ impl Stages<'_> {
         let mut all = Simulated::default();
         for contacts in 1..=CONTACTS {
             let drawn = self.scenes.draw(Part::Train, contacts, self.settings.samples[contacts - 1]);
-            all.extend(&simulate(self.model.as_ref(), self.sensors, &drawn, Some(basis), self.told)?);
+            all.extend(&simulate(self.model.as_ref(), self.sensors, &drawn, Some(basis), self.progress)?);
         }
         Ok(all)
     }
@@ -244,22 +244,22 @@ impl Stages<'_> {
         how: (&NetworkConfig, &TrainingConfig),
     ) -> Result<NetMap, LearnError> {
         let step = format!("{name} network");
-        (self.told)(&step, 0.0);
+        (self.progress)(&step, 0.0);
         // Other virtual sensors make other samples of the same number.
         let states = self.states.map(|states| states.of(&self.sensors.describe()));
         let keep = states.as_ref().map(|states| (states, name));
         NetMap::fit_kept(samples, width, how, keep, &mut |p| {
-            (self.told)(&step, f64::from(p.epoch) / f64::from(p.epochs));
+            (self.progress)(&step, f64::from(p.epoch) / f64::from(p.epochs));
         })
     }
 
     /// Root mean square \[m\] over whole maps of simulated contacts at held-out places, by their number from 1 on.
     fn map_rms(&self, reconstruction: &NetMap, basis: &MapBasis) -> Result<Vec<f64>, LearnError> {
-        (self.told)("maps of held-out places", 0.0);
+        (self.progress)("maps of held-out places", 0.0);
         let points = self.model.surface().points.len();
         let of = |contacts: usize| {
             let drawn = self.scenes.draw(Part::Test, contacts, JUDGED);
-            let truth = simulate(self.model.as_ref(), self.sensors, &drawn, None, self.told)?;
+            let truth = simulate(self.model.as_ref(), self.sensors, &drawn, None, self.progress)?;
             let maps = basis.decode(&reconstruction.predict(&truth.sensors)?);
             let mut scores = crate::MapScores::new();
             let both = truth.maps.chunks_exact(points).zip(maps.chunks_exact(points));
@@ -276,7 +276,7 @@ impl Stages<'_> {
         recorded: &[Recorded],
         runtime: &Runtime,
     ) -> Result<usize, LearnError> {
-        (self.told)("sensitivity network", 0.0);
+        (self.progress)("sensitivity network", 0.0);
         let frames = self.peak_frames(recorded);
         let taught = |(stimulus, _): &&(Stimulus, Vec<f32>)| {
             stimulus.contacts.len() <= self.settings.sensitivity_contacts

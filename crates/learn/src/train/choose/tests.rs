@@ -40,8 +40,8 @@ fn train(data: &Dataset, out: &Path) -> crate::train::Outcome {
 #[test]
 fn outputs_are_grouped_by_quantity() {
     let all = groups(&["position.x", "position.y", "force.x", "force.normal", "contact"]);
-    let told: Vec<_> = all.iter().map(|g| (g.name, g.columns.clone())).collect();
-    assert_eq!(told, [("position", 0..2), ("force", 2..4), ("contact", 4..5)]);
+    let named: Vec<_> = all.iter().map(|g| (g.name, g.columns.clone())).collect();
+    assert_eq!(named, [("position", 0..2), ("force", 2..4), ("contact", 4..5)]);
     assert_eq!(groups(&["force.normal"]).len(), 1);
 }
 
@@ -162,15 +162,15 @@ fn rows_of_one_fold_are_of_one_location() {
 
 #[test]
 fn candidates_that_cannot_be_are_refused() {
-    let told = |model: &str| {
+    let message = |model: &str| {
         let text = format!("targets = [\"force.normal\"]\n[model]\n{model}");
         TrainConfig::from_toml(&text, "c.toml").unwrap_err().to_string()
     };
-    insta::assert_snapshot!(told("candidates = [\"network\", \"trees\"]"), @"c.toml: field `model.candidates[1]`: is extra trees, which no bundle can hold: the embedded runtime has no operator for them; `dermis compare` measures them");
-    insta::assert_snapshot!(told("candidates = [\"vectors\", \"vectors\"]"), @"c.toml: field `model.candidates[1]`: support vectors is already a candidate");
-    insta::assert_snapshot!(told("candidates = [\"vectors\", \"mean\"]"), @"c.toml: field `model.candidates[1]`: is the mean of all others, and there are fewer than two");
-    insta::assert_snapshot!(told("candidates = []"), @"c.toml: field `model.candidates`: is empty: someone has to be the model");
-    insta::assert_snapshot!(told("folds = 1"), @"c.toml: field `model.folds`: is 1 and must be 2 to 20");
+    insta::assert_snapshot!(message("candidates = [\"network\", \"trees\"]"), @"c.toml: field `model.candidates[1]`: is extra trees, which no bundle can hold: the embedded runtime has no operator for them; `dermis compare` measures them");
+    insta::assert_snapshot!(message("candidates = [\"vectors\", \"vectors\"]"), @"c.toml: field `model.candidates[1]`: support vectors is already a candidate");
+    insta::assert_snapshot!(message("candidates = [\"vectors\", \"mean\"]"), @"c.toml: field `model.candidates[1]`: is the mean of all others, and there are fewer than two");
+    insta::assert_snapshot!(message("candidates = []"), @"c.toml: field `model.candidates`: is empty: someone has to be the model");
+    insta::assert_snapshot!(message("folds = 1"), @"c.toml: field `model.folds`: is 1 and must be 2 to 20");
     let maps = "targets = [\"map.normal\"]\n[model]\ncandidates = [\"gaussian\"]";
     insta::assert_snapshot!(TrainConfig::from_toml(maps, "c.toml").unwrap_err(), @"c.toml: field `model.candidates`: is for scalar targets and dense networks; leave it out, or maps and `network.conv`");
 }

@@ -136,9 +136,9 @@ fn an_interrupted_run_ends_where_an_undisturbed_one_does() {
     assert_eq!(resumed, whole);
 
     let other = ConvTraining { batch: 8, ..training() };
-    let told = run(&other, Some((&path, true)), &AtomicBool::new(false)).unwrap_err().to_string();
-    let told = told.replace(&path.display().to_string(), "FILE");
-    insta::assert_snapshot!(told, @"checkpoint FILE: belongs to another network or another configuration; train without `--resume` to begin anew");
+    let message = run(&other, Some((&path, true)), &AtomicBool::new(false)).unwrap_err().to_string();
+    let message = message.replace(&path.display().to_string(), "FILE");
+    insta::assert_snapshot!(message, @"checkpoint FILE: belongs to another network or another configuration; train without `--resume` to begin anew");
 }
 
 /// Sums round differently there, and each step builds on the one before: losses agree, numbers do not.

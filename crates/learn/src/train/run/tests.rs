@@ -117,14 +117,14 @@ fn what_cannot_be_learned_is_refused_before_training() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("model");
     let data = presses(20, 1);
-    let told = |data: &Dataset, config: &TrainConfig| {
+    let message = |data: &Dataset, config: &TrainConfig| {
         let never = |_: Progress| panic!("training has begun");
         let error = run(&request(data, config, &out), &AtomicBool::new(false), &never);
         error.unwrap_err().to_string()
     };
     let mut depth = config();
     depth.targets = vec!["position.z".into()];
-    insta::assert_snapshot!(told(&data, &depth), @"the training part: `position.z` is the same in all 34 samples: it cannot be learned; leave it out or record other presses");
+    insta::assert_snapshot!(message(&data, &depth), @"the training part: `position.z` is the same in all 34 samples: it cannot be learned; leave it out or record other presses");
 
     let mut unknown = data.clone();
     let mut runs = unknown.runs().to_vec();
@@ -137,7 +137,7 @@ fn what_cannot_be_learned_is_refused_before_training() {
         contact.components = dermis_skin::ForceComponents::None;
     }
     unknown = Dataset::from_runs(unknown.skin(), runs.clone());
-    insta::assert_snapshot!(told(&unknown, &config()), @"bag made.bag: `force.normal` is never known while the skin is touched; known are contact (40 samples), position.x (40 samples), position.y (40 samples), position.z (40 samples): it cannot be learned; name other targets or record them");
+    insta::assert_snapshot!(message(&unknown, &config()), @"bag made.bag: `force.normal` is never known while the skin is touched; known are contact (40 samples), position.x (40 samples), position.y (40 samples), position.z (40 samples): it cannot be learned; name other targets or record them");
 
     // Without untouched frames there is no zero.
     for sample in runs.iter_mut().flat_map(|r| &mut r.samples) {
@@ -146,7 +146,7 @@ fn what_cannot_be_learned_is_refused_before_training() {
     }
     let mut place = config();
     place.targets = vec!["position.x".into(), "position.y".into()];
-    insta::assert_snapshot!(told(&Dataset::from_runs(unknown.skin(), runs), &place), @r#"bag made.bag: no stretch of 0.03 s (and 3 frames) before the touched frames is labelled untouched: the zero is unknown; record idle frames first, or train with `baseline = "raw"`"#);
+    insta::assert_snapshot!(message(&Dataset::from_runs(unknown.skin(), runs), &place), @r#"bag made.bag: no stretch of 0.03 s (and 3 frames) before the touched frames is labelled untouched: the zero is unknown; record idle frames first, or train with `baseline = "raw"`"#);
 }
 
 #[test]
@@ -270,9 +270,9 @@ fn a_picture_is_learned_and_its_bundle_gives_forces_on_the_points() {
     let mut noisy = config.clone();
     noisy.training.channel_noise = Some(super::super::ChannelNoise { bundle: out.clone(), share: 0.1 });
     let other = dir.path().join("noisy");
-    let told =
+    let error =
         run(&request(&data, &noisy, &other), &AtomicBool::new(false), &|_| {}).unwrap_err().to_string();
-    assert!(told.contains("holds no errors by channel"), "{told}");
+    assert!(error.contains("holds no errors by channel"), "{error}");
 }
 
 #[test]

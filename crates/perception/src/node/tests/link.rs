@@ -7,7 +7,7 @@ use dermis_node::Status;
 use super::*;
 
 #[test]
-fn a_device_on_the_other_wire_is_told_the_key() {
+fn a_device_on_the_other_wire_receives_the_key() {
     let bench = Bench::new();
     let mut pty = Pty::open().unwrap();
     pty.link(bench.path("tty")).unwrap();

@@ -260,7 +260,7 @@ fn a_model_that_does_not_fit_leaves_the_readings() {
 }
 
 #[test]
-fn a_lifecycle_manager_decides_where_asked() {
+fn a_lifecycle_manager_decides_where_requested() {
     let bench = Bench::new();
     let _device = Device::plug(&bench.path("tty"));
     let running = bench.start(&Config { autostart: false, ..bench.config() });

@@ -84,13 +84,13 @@ pub struct Row {
 }
 
 /// Touched frames that are compared, by kind; those of places that give way among them; and what is left out of the latter.
-pub(in crate::real2sim) struct Asked {
+pub(in crate::real2sim) struct Targets {
     pub(in crate::real2sim) all: BTreeMap<Kind, Vec<SampleId>>,
     pub(in crate::real2sim) kept: Option<BTreeSet<SampleId>>,
     pub(in crate::real2sim) left_out: Vec<LeftOut>,
 }
 
-impl Asked {
+impl Targets {
     /// Touched frames of one and two contacts, evenly thinned.
     pub(in crate::real2sim) fn of(
         data: &Dataset,
@@ -194,9 +194,9 @@ impl Judge<'_> {
             let number = frames.iter().filter(|id| right.get(id) == Some(&true)).count();
             Errors::of(&contacts, counts.then_some((number, frames.len())), frames.len())
         };
-        let asked: Option<Vec<SampleId>> =
+        let targets: Option<Vec<SampleId>> =
             self.kept.map(|kept| ids.iter().filter(|id| kept.contains(id)).copied().collect());
-        let part = asked.map(|ids| evaluator.restricted(&ids).finish(name));
+        let part = targets.map(|ids| evaluator.restricted(&ids).finish(name));
         let whole = evaluator.finish(name);
         let (with_everything, evaluation) = match part {
             Some(part) => (Some(errors(&whole, false)), part),

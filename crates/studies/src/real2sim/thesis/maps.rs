@@ -13,7 +13,7 @@ use dermis_model::{ForwardModel, Stimulus};
 use serde::Serialize;
 
 use super::Known;
-use crate::real2sim::compare::{Asked, Kind};
+use crate::real2sim::compare::{Kind, Targets};
 use crate::real2sim::sensors;
 
 /// Neighbours that answer, as in the thesis.
@@ -32,7 +32,7 @@ pub struct Frames {
 
 impl Frames {
     /// Frames that are compared, whose channels all have a reading.
-    pub(super) fn of(data: &Dataset, asked: &Asked, model: &dyn ForwardModel) -> Result<Self> {
+    pub(super) fn of(data: &Dataset, targets: &Targets, model: &dyn ForwardModel) -> Result<Self> {
         let channels = model.channels();
         let mut all = Self {
             signals: Default::default(),
@@ -41,9 +41,9 @@ impl Frames {
             channels,
         };
         let mut map = vec![0.0; model.surface().points.len()];
-        for (kind, ids) in &asked.all {
+        for (kind, ids) in &targets.all {
             let of = usize::from(*kind != Kind::Single);
-            let kept: Vec<SampleId> = ids.iter().copied().filter(|id| asked.keeps(id)).collect();
+            let kept: Vec<SampleId> = ids.iter().copied().filter(|id| targets.keeps(id)).collect();
             for (_, sample) in data.gather(&kept)? {
                 let Some(stimulus) = sample.truth.as_ref().and_then(dermis_learn::stimulus) else { continue };
                 if sample.tared.iter().any(|v| !v.is_finite()) || !model.displacement(&stimulus, &mut map)? {
@@ -105,7 +105,7 @@ pub(super) fn rows_of(
     numbers: &[usize],
     frames: &Frames,
     most: usize,
-    told: ProgressFn<'_>,
+    progress: ProgressFn<'_>,
 ) -> Result<Vec<MapRow>> {
     let waiting = Mutex::new(numbers.iter().copied().collect::<VecDeque<usize>>());
     let found = Mutex::new(Vec::new());
@@ -113,7 +113,7 @@ pub(super) fn rows_of(
         loop {
             let next = waiting.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
             let Some(each) = next else { return };
-            let rows = rows(known, each, frames, told);
+            let rows = rows(known, each, frames, progress);
             found.lock().unwrap_or_else(PoisonError::into_inner).push(rows);
         }
     };
@@ -127,7 +127,12 @@ pub(super) fn rows_of(
 }
 
 /// Rows of one number of virtual sensors.
-pub(super) fn rows(known: &Known, each: usize, frames: &Frames, told: ProgressFn<'_>) -> Result<Vec<MapRow>> {
+pub(super) fn rows(
+    known: &Known,
+    each: usize,
+    frames: &Frames,
+    progress: ProgressFn<'_>,
+) -> Result<Vec<MapRow>> {
     let virtual_sensors = sensors(&known.model, &known.skin, each)?;
     let settings = known.settings_with(each);
     let stages = Stages {
@@ -136,7 +141,7 @@ pub(super) fn rows(known: &Known, each: usize, frames: &Frames, told: ProgressFn
         scenes: &known.scenes,
         settings: &settings,
         states: Some(&known.states),
-        told,
+        progress,
     };
     let basis = stages.basis()?;
     let channels = known.model.channels();
@@ -152,7 +157,7 @@ pub(super) fn rows(known: &Known, each: usize, frames: &Frames, told: ProgressFn
         ]
     };
     let reconstruction = stages.reconstruction(&stages.simulated(&basis)?)?;
-    told("maps of recorded contacts", 0.0);
+    progress("maps of recorded contacts", 0.0);
     let row = |(name, transfer): (&'static str, Box<dyn MapRegressor>)| {
         let maps = |signals: &[f32]| {
             let amplitudes = reconstruction.predict(&transfer.predict(signals)?)?;

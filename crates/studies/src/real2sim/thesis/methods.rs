@@ -118,11 +118,11 @@ impl Direct {
         let states = known.states.of(&serde_json::to_string(&known.settings.pipeline)?);
         let width = inputs.len() / recorded.len().max(1);
         progress.begin(name);
-        let told = &mut |p: dermis_learn::train::Progress| {
+        let report = &mut |p: dermis_learn::train::Progress| {
             progress.at(f64::from(p.epoch) / f64::from(p.epochs));
         };
         let keep = Some((&states, name));
-        let net = NetMap::fit_kept((inputs, &targets), width, (&network, training), keep, told)?;
+        let net = NetMap::fit_kept((inputs, &targets), width, (&network, training), keep, report)?;
         Ok(Self { net, scales })
     }
 

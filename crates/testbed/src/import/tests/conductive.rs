@@ -39,7 +39,7 @@ fn e_skin_folder(inputs: &str, outputs: &str) -> tempfile::TempDir {
 }
 
 #[test]
-fn presses_of_a_hydrogel_skin_are_told_from_the_untouched_skin() {
+fn presses_of_a_hydrogel_skin_are_distinguished_from_the_untouched_skin() {
     let row = |value: &str| vec![value; 192].join(",");
     let inputs = format!("\u{feff}{}\r\n{}\r\n\r\n", row("-3.5"), row("7.0625"));
     let folder = e_skin_folder(&inputs, "\u{feff}0.01,-0.30,0.02\n0.03,-0.36,0.02\n");
@@ -59,16 +59,16 @@ fn presses_of_a_hydrogel_skin_are_told_from_the_untouched_skin() {
 #[test]
 fn damaged_tables_of_a_hydrogel_skin_are_refused_by_line_and_column() {
     let row = |value: &str| vec![value; 192].join(",");
-    let told = |inputs: &str, outputs: &str| {
+    let refusal = |inputs: &str, outputs: &str| {
         let folder = e_skin_folder(inputs, outputs);
         let error = auto(folder.path(), &folder.path().join("bag")).unwrap_err().to_string();
         error.replace(&folder.path().display().to_string(), "DIR")
     };
-    insta::assert_snapshot!(told(&row("1"), "0,0,0\n1,1,1\n"), @"DIR/inp_tiny.csv: has 1 rows where DIR/out_tiny.csv has 2");
-    insta::assert_snapshot!(told(&row("x"), "0,0,0\n"), @r#"DIR/inp_tiny.csv, line 1, column 1: "x" is not a finite number"#);
-    insta::assert_snapshot!(told("1,2,3", "0,0,0\n"), @"DIR/inp_tiny.csv, line 1: has 3 columns, and 192 belong there");
-    insta::assert_snapshot!(told(&row("1"), "0,0,inf\n"), @r#"DIR/out_tiny.csv, line 1, column 3: "inf" is not a finite number"#);
-    insta::assert_snapshot!(told("\n", "0,0,0\n"), @"DIR/inp_tiny.csv: holds no rows");
+    insta::assert_snapshot!(refusal(&row("1"), "0,0,0\n1,1,1\n"), @"DIR/inp_tiny.csv: has 1 rows where DIR/out_tiny.csv has 2");
+    insta::assert_snapshot!(refusal(&row("x"), "0,0,0\n"), @r#"DIR/inp_tiny.csv, line 1, column 1: "x" is not a finite number"#);
+    insta::assert_snapshot!(refusal("1,2,3", "0,0,0\n"), @"DIR/inp_tiny.csv, line 1: has 3 columns, and 192 belong there");
+    insta::assert_snapshot!(refusal(&row("1"), "0,0,inf\n"), @r#"DIR/out_tiny.csv, line 1, column 3: "inf" is not a finite number"#);
+    insta::assert_snapshot!(refusal("\n", "0,0,0\n"), @"DIR/inp_tiny.csv: holds no rows");
 }
 
 #[test]
@@ -112,13 +112,13 @@ fn tanks_as_text() {
 #[test]
 fn damaged_recordings_of_tanks_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let told = |name: &str, text: &str| {
+    let refusal = |name: &str, text: &str| {
         let path = folder.path().join(name);
         fs::write(&path, text).unwrap();
         read_tank(&path).unwrap_err().to_string().replace(&folder.path().display().to_string(), "DIR")
     };
-    insta::assert_snapshot!(told("a_1000Hz.csv", "1,2\n1\n"), @"DIR/a_1000Hz.csv, line 2: has 1 numbers, and pairs of real and imaginary part belong there, as many as in line 1");
-    insta::assert_snapshot!(told("b_1000Hz.csv", "1,2\n3,4\n"), @"DIR/b_1000Hz.csv: has 2 readings, and a frame of 16 electrodes has 208");
-    insta::assert_snapshot!(told("c.txt", "#MEAS\n#Start\n1 x 3\n"), @r#"DIR/c.txt, line 3: "x" is not a finite number"#);
-    insta::assert_snapshot!(told("d.txt", "#MEAS\n#Start\n1 2 0\n"), @"DIR/d.txt, line 3: has the current 0, by which nothing can be divided");
+    insta::assert_snapshot!(refusal("a_1000Hz.csv", "1,2\n1\n"), @"DIR/a_1000Hz.csv, line 2: has 1 numbers, and pairs of real and imaginary part belong there, as many as in line 1");
+    insta::assert_snapshot!(refusal("b_1000Hz.csv", "1,2\n3,4\n"), @"DIR/b_1000Hz.csv: has 2 readings, and a frame of 16 electrodes has 208");
+    insta::assert_snapshot!(refusal("c.txt", "#MEAS\n#Start\n1 x 3\n"), @r#"DIR/c.txt, line 3: "x" is not a finite number"#);
+    insta::assert_snapshot!(refusal("d.txt", "#MEAS\n#Start\n1 2 0\n"), @"DIR/d.txt, line 3: has the current 0, by which nothing can be divided");
 }

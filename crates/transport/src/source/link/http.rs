@@ -38,7 +38,7 @@ impl Body {
         let request =
             format!("GET {path} HTTP/1.0\r\nHost: {address}\r\nUser-Agent: dermis\r\nAccept: */*\r\n\r\n");
         let mut head = Vec::new();
-        let mut asked = || -> io::Result<()> {
+        let mut send_request = || -> io::Result<()> {
             stream.set_nonblocking(false)?;
             stream.set_write_timeout(Some(timeout))?;
             stream.write_all(request.as_bytes())?;
@@ -57,7 +57,7 @@ impl Body {
             }
             stream.set_nonblocking(true)
         };
-        asked().map_err(failed)?;
+        send_request().map_err(failed)?;
         let end = check(&head).map_err(|reason| format!("http://{address}{path} {reason}"))?;
         let mut first = head.split_off(end);
         first.reverse();

@@ -91,7 +91,7 @@ fn identities_switch_once_in_1000_contact_seconds_at_most() {
         skin.position = 1.5e-3;
     }
     scenario.rate = 50.0;
-    let (mut of_touch, mut switches, mut lost, mut asked): (HashMap<usize, u32>, u32, u32, u32) =
+    let (mut of_touch, mut switches, mut lost, mut samples): (HashMap<usize, u32>, u32, u32, u32) =
         Default::default();
     let mut more = 0;
     scenario.run(|moment| {
@@ -99,7 +99,7 @@ fn identities_switch_once_in_1000_contact_seconds_at_most() {
             return;
         }
         for (touch, error) in errors(moment) {
-            asked += 1;
+            samples += 1;
             match error {
                 Some((_, found)) => {
                     let id = found.contact.track_id;
@@ -110,12 +110,12 @@ fn identities_switch_once_in_1000_contact_seconds_at_most() {
         }
         more += moment.state.contacts.len().saturating_sub(moment.truth.len());
     });
-    let seconds = f64::from(asked) / scenario.rate;
+    let seconds = f64::from(samples) / scenario.rate;
     println!("{switches} switches in {seconds} contact-seconds");
     assert!(seconds > 980.0);
     assert!(f64::from(switches) <= seconds / 1000.0, "{switches} switches in {seconds} s");
-    assert_eq!(lost, 0, "of {asked}");
-    assert!(more as f64 <= 0.001 * f64::from(asked), "{more} contacts too many in {asked}");
+    assert_eq!(lost, 0, "of {samples}");
+    assert!(more as f64 <= 0.001 * f64::from(samples), "{more} contacts too many in {samples}");
 }
 
 /// Standard deviations within which three normal variables all are in 95 % of cases (Bonferroni): the quantile of 1 − 0.05 / 6.
