@@ -1,4 +1,4 @@
-//! The device of the measurements: precomputed frames of a pressed skin, written to a pseudo-terminal when asked.
+//! The device of the measurements: precomputed frames of a pressed skin, written to a pseudo-terminal on request.
 
 use std::io::Write;
 

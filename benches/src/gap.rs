@@ -362,7 +362,7 @@ pub fn run(options: &Options) -> Result<Value> {
     let found = diagnose(&simulator, &recording, &how, &Memory::default())?;
     let seconds = begun.elapsed().as_secs_f64();
     let report = found.report;
-    // How well the gain of every channel is told: against what the device was given.
+    // How well the gain of every channel is estimated: against what the device was given.
     let truth: Vec<f64> = (0..recording.channels).map(|t| drawn_gain(&effects[0], t)).collect();
     let channel_gains = found.corrected.effects.iter().find(|e| e.name == "channel-gain");
     let errors: Option<Vec<f64>> = channel_gains.map(|channel_gains| {

@@ -84,7 +84,7 @@ const CHAIN: &str = "chain in C";
 pub fn run(options: &Options) -> Result<Value> {
     let root = &options.programs.root;
     let bundle = learned_only(root)?;
-    // The peer's library serves us, too, so that the runtimes can be told from the rest.
+    // The peer's library serves us, too, so that the runtimes can be distinguished from the rest.
     let library = options.onnxruntime.clone().or_else(|| library_in(options.peer_packages.as_deref()?));
     let mut candidates = Vec::new();
     for (name, backend, programs) in options.programs.rows() {

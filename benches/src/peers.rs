@@ -41,7 +41,7 @@ impl Run<'_> {
             .arg(self.root.join("benches/python").join(script))
             .arg(&file)
             .args([self.seconds.to_string(), self.threads.to_string()])
-            // Threads are counted: none besides those that are asked for.
+            // Threads are counted: none besides those that are requested.
             .envs([("OMP_NUM_THREADS", "1"), ("OPENBLAS_NUM_THREADS", "1")])
             .output()
             .with_context(|| format!("{} cannot be started", self.python.display()))?;

@@ -29,7 +29,7 @@ pub struct Options {
     /// Seconds of each measurement.
     #[arg(long, default_value_t = 8.0)]
     seconds: f64,
-    /// Rate \[MB/s\] that is asked of the recorder.
+    /// Rate \[MB/s\] that the recorder shall keep up with.
     #[arg(long, default_value_t = 200.0)]
     rate: f64,
     /// Folder on the disk that is measured; a temporary one where absent.

@@ -129,7 +129,7 @@ fn starts(out: impl std::io::Read + Send + 'static) -> Receiver<i32> {
     starts
 }
 
-/// When the next array of a frame after `after` \[ns\] came, with known contacts where asked for.
+/// When the next array of a frame after `after` \[ns\] came, with known contacts where requested.
 fn wait(contacts: &Receiver<(i64, ContactArray)>, after: i64, known: bool) -> Result<i64> {
     let deadline = Instant::now() + PATIENCE;
     loop {

@@ -22,7 +22,7 @@ fn cpu_time() -> Result<f64> {
     Ok(nanoseconds * 1e-9)
 }
 
-/// Samples per second of all threads, by the clock and by their CPU time: response, noise, range, and where `maps` are asked for the
+/// Samples per second of all threads, by the clock and by their CPU time: response, noise, range, and where `maps` are requested the
 /// displacement of every point.
 pub fn sample(
     model: &dyn ForwardModel,

@@ -164,7 +164,7 @@ pub fn run(options: &Options) -> Result<Value> {
     machine::interrupt(&launch.0)?;
     let status = machine::wait(&mut launch.0, Duration::from_secs(60))?;
     if !status.success() {
-        bail!("the launch ended with {status} when it was asked to stop");
+        bail!("the launch ended with {status} when it was requested to stop");
     }
     let check = checked(&dermis, &bag)?;
     let summary = summary(&seconds, &received, &lost, &check);

@@ -214,7 +214,7 @@ fn calibrate(options: &Calibrate) -> Result<()> {
         write(path, &text)?;
     }
     let said = format!(
-        "{} trials: causes that are left out are told from known ones with an AUROC of {:.3} (cross-validated); called unknown above {:.2}, \
+        "{} trials: causes that are left out are distinguished from known ones with an AUROC of {:.3} (cross-validated); called unknown above {:.2}, \
          firm below {:.2}\n",
         made.trials.len(),
         model.auroc,

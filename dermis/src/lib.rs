@@ -180,7 +180,7 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         }
     };
     let limit = log::start(format, level);
-    // What a model computes once is kept for every command; nodes are told by their parameters.
+    // What a model computes once is kept for every command; nodes receive it by their parameters.
     dermis_skin::cache::use_folder(dermis_skin::cache::usual_folder());
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
@@ -230,7 +230,7 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Err(error) if error.is::<ReaderGone>() => dermis_io::pipe::die(),
         Err(error) => {
             report(&error, format);
-            // What was asked for is there, but not all of it.
+            // What was requested is there, but not all of it.
             let incomplete = matches!(error.downcast_ref(), Some(OperateError::Incomplete(_)));
             if incomplete { ExitCode::from(3) } else { ExitCode::FAILURE }
         }

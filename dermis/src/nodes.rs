@@ -22,7 +22,7 @@ pub struct Skin {
 /// Command of the node of any skin.
 const RUN: &str = "run";
 
-/// The node of one skin, and the family that it was asked for by name.
+/// The node of one skin, and the family whose name was given.
 pub struct Node {
     sensor: Option<&'static dyn Sensor>,
     options: Box<Skin>,

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use dermis_msgs::{Message, TypeSupport};
 use dermis_transport::framing::CRC_16;
 
-/// A message type, and what must hold for any bytes that it is asked to decode.
+/// A message type, and what must hold for any bytes that it decodes.
 pub struct Kind {
     /// The type as a tool has it that knows only its name.
     pub support: &'static TypeSupport,

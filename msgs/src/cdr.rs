@@ -18,7 +18,7 @@ const WORD_PADDING: usize = 3;
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("not a {type_name}: {kind}")]
 pub struct CdrError {
-    /// Full name of the message that was asked for.
+    /// Full name of the message that was requested.
     pub type_name: &'static str,
     /// What is wrong, and where.
     pub kind: CdrErrorKind,

@@ -6,7 +6,7 @@
 //! none of that is a loss.
 //!
 //! Method: [`SequenceTracker`] follows one sender. It keeps its highest number and the gaps below it. A number that falls into
-//! a gap was late and takes itself off the count. Any other number that is not above the highest is told by its time: where
+//! a gap was late and takes itself off the count. Any other number that is not above the highest is judged by its time: where
 //! it was sent after the highest one, the sender counts from the start again; otherwise it has come before. Without times, a lower
 //! number starts the count again, unless the number after the highest one follows: then it was late. The first message
 //! of a sender is where counting begins: what went before it was never meant for this receiver. [`LossCounter`] does so for
@@ -38,7 +38,7 @@ pub enum Arrival {
     After(u64),
     /// It was missing: it came late, after a higher number.
     Late,
-    /// It has come before, or is older than what was asked for (history).
+    /// It has come before, or is older than what was requested (history).
     Repeated,
     /// The sender counts from this number on again.
     Restarted,
@@ -152,7 +152,7 @@ struct Sender {
     heard: u64,
 }
 
-/// Follows the numbers of several senders, told apart by `K`.
+/// Follows the numbers of several senders, distinguished by `K`.
 pub struct LossCounter<K> {
     senders: HashMap<K, Sender>,
     losses: Losses,
@@ -236,7 +236,7 @@ mod tests {
 
     #[test]
     fn history_before_the_first_is_no_loss() {
-        // A live message overtakes the history that was asked for, of which one comes twice.
+        // A live message overtakes the history that was requested, of which one comes twice.
         let (arrivals, missing) = all(&[(100, 100), (98, 98), (99, 99), (99, 99), (101, 101)]);
         use Arrival::{First, Next, Repeated};
         assert_eq!(arrivals, [First, Repeated, Repeated, Repeated, Next]);

@@ -16,7 +16,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 thread_local! {
-    /// Bytes that this thread asked for, not counting what it gave back.
+    /// Bytes that this thread requested, not counting what it gave back.
     static ALLOCATED: Cell<usize> = const { Cell::new(0) };
 }
 
@@ -39,7 +39,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Bytes asked for, for each byte of input: an empty string is 24 bytes here and 4 on the wire.
+/// Bytes requested, for each byte of input: an empty string is 24 bytes here and 4 on the wire.
 const MULTIPLE: usize = 12;
 
 fn decode<T: Message>(bytes: &[u8]) {

@@ -50,8 +50,8 @@ pub enum Measurement {
     /// The same by networks that are trained and measured on devices with the default effects, against what the thesis
     /// measured on its real ones (Table 5.2).
     Realism,
-    /// Single contacts on the limb with strain gauges by the bundle that ships: as designed, with one dead gauge that nobody
-    /// told the node of, and on a device with the default effects; as designed beside support vectors, nearest neighbours and a
+    /// Single contacts on the limb with strain gauges by the bundle that ships: as designed, with one dead gauge that the node
+    /// does not know of, and on a device with the default effects; as designed beside support vectors, nearest neighbours and a
     /// network that learn from the same presses.
     Limb,
     /// One and two contacts on a limb with the default effects: all ways, learned from recorded single contacts.

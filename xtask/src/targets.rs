@@ -1,4 +1,4 @@
-//! `targets.toml`: every figure that is asked of the project, and the command that measures it.
+//! `targets.toml`: every target figure of the project, and the command that measures it.
 
 use std::path::Path;
 use std::process::Command;
@@ -115,7 +115,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             let shown = value.map_or("-".to_owned(), |v| format!("{v:.4}"));
             let at = commit.map_or(String::new(), |c| format!(" at {c}"));
             println!(
-                "{:<34} {shown:>10} {} (asked {}){at}: {verdict}",
+                "{:<34} {shown:>10} {} (target {}){at}: {verdict}",
                 target.name, target.unit, target.bound
             );
             println!("    {}", target.what);

@@ -70,7 +70,7 @@ pub(crate) fn last_part(topic: &str) -> &str {
     topic.rsplit('/').next().unwrap_or(topic)
 }
 
-/// The name of a skin that is told apart by its topic's namespace.
+/// The name of a skin that is distinguished by its topic's namespace.
 fn beside_namespace(topic: &str, skin: &str) -> String {
     let namespace = topic.trim_matches('/').rsplit_once('/').map_or("root", |(namespace, _)| namespace);
     format!("{}_{skin}", namespace.replace('/', "_"))
@@ -206,7 +206,7 @@ mod tests {
             assert_eq!(sent_as(claims.claim("palm", &first, A, now)), "palm");
             assert_eq!(sent_as(claims.claim("palm", &format!("{}/contacts", order[0]), A, now)), "palm");
             let Verdict::Moved { name, from, to, warning } = claims.claim("palm", &second, B, now) else {
-                panic!("not told apart");
+                panic!("not distinguished");
             };
             let called =
                 |namespace: &str| format!("{}_palm", namespace.trim_start_matches('/').replace('/', "_"));

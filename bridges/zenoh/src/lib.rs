@@ -3,7 +3,7 @@
 //! | key | value |
 //! |---|---|
 //! | `dermis/<robot>/<skin>/contacts` | `dermis_msgs/msg/ContactArray` as JSON, at every frame |
-//! | `dermis/<robot>/<skin>/taxels` | `dermis_msgs/msg/TaxelFrame` with two more fields, `unit` and `channels`, once the skin's geometry has told them |
+//! | `dermis/<robot>/<skin>/taxels` | `dermis_msgs/msg/TaxelFrame` with two more fields, `unit` and `channels`, once the skin's geometry has arrived |
 //! | `dermis/<robot>/<skin>/force_map`, `displacement_map`, `skin_geometry`, … | the other topics of the skin, under the last part of their name |
 //! | `dermis/<robot>/schemas/<pkg>/msg/<Type>` | text of the message definition |
 //! | `dermis/<robot>/<skin>/tare`, `set_enabled`, `load_model` | commands: queries that the skin's node answers, as `{"success": …, "message": …}` |
@@ -11,13 +11,13 @@
 //! `<robot>` is the robot's name in ROS domain 0, and `<name>@<domain>` in any other: two domains on one host have keys of
 //! their own, and a client of `dermis/left_arm/**` hears domain 0 alone. `dermis/*/**` hears all.
 //!
-//! The session reaches as far as `BridgeConfig::network` says: programs of this machine, unless somebody asked for more.
+//! The session reaches as far as `BridgeConfig::network` says: programs of this machine, unless somebody requested more.
 //!
 //! Every key answers a `get` with the latest value (so a late client sees the geometry at once), and values carry
 //! the encoding `application/json`. A liveliness token stands on `dermis/<robot>/<skin>` while the skin's topics
 //! exist. NaN becomes `null`, because JSON has no NaN.
 //!
-//! `<skin>` is the name of the device (`instance` of its node), not of its type. Two devices that claim one name are told apart
+//! `<skin>` is the name of the device (`instance` of its node), not of its type. Two devices that claim one name are distinguished
 //! by the namespaces of their topics, and never share a key.
 //!
 //! The bridge finds skins by itself: whatever is published in the ROS domain with a type of `dermis_msgs` that names

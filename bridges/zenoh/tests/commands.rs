@@ -27,7 +27,7 @@ fn a_command_that_a_node_does_not_offer_is_refused_with_a_sentence() {
     let _enable = skin
         .serve::<SetBool>("~/set_enabled", |request| SetBoolResponse {
             success: request.data,
-            message: format!("was told {}", request.data),
+            message: format!("received {}", request.data),
         })
         .unwrap();
     let node = open("bridge");
@@ -41,9 +41,9 @@ fn a_command_that_a_node_does_not_offer_is_refused_with_a_sentence() {
     let tell = |topic: &str, command: Command| runtime.block_on(commander.tell(topic, "palm", &command));
 
     let obeyed = tell("/contacts", Command::SetEnabled(true));
-    assert_eq!((obeyed.success, obeyed.message.as_str()), (true, "was told true"));
+    assert_eq!((obeyed.success, obeyed.message.as_str()), (true, "received true"));
     let unwilling = tell("/contacts", Command::SetEnabled(false));
-    assert_eq!((unwilling.success, unwilling.message.as_str()), (false, "was told false"));
+    assert_eq!((unwilling.success, unwilling.message.as_str()), (false, "received false"));
 
     let begun = Instant::now();
     let absent = tell("/contacts", Command::Tare);

@@ -190,7 +190,7 @@ impl Frames {
 #[derive(Default)]
 struct Across {
     frames: BTreeMap<String, Frames>,
-    /// Types that were looked at.
+    /// Types that were inspected.
     types: BTreeSet<String>,
     /// What the last note of the recorder says is missing.
     noted: Option<BTreeMap<String, String>>,

@@ -93,7 +93,7 @@ pub enum BagError {
     NoTopic {
         /// The bag.
         path: PathBuf,
-        /// The topic that was asked for.
+        /// The topic that was requested.
         topic: String,
         /// The topics that it has.
         topics: Vec<String>,
@@ -103,7 +103,7 @@ pub enum BagError {
     Ambiguous {
         /// The bag.
         path: PathBuf,
-        /// Topic or type that was asked for.
+        /// Topic or type that was requested.
         wanted: String,
         /// The topics that fit.
         topics: Vec<String>,
@@ -113,7 +113,7 @@ pub enum BagError {
     NoTopicOfType {
         /// The bag.
         path: PathBuf,
-        /// The type that was asked for.
+        /// The type that was requested.
         type_name: String,
         /// Its topics, each with its type.
         topics: Vec<String>,
@@ -127,7 +127,7 @@ pub enum BagError {
         topic: String,
         /// Type in the bag.
         found: String,
-        /// Type that was asked for.
+        /// Type that was requested.
         expected: String,
     },
     /// The type has the same name but other fields.
@@ -222,7 +222,7 @@ impl BagError {
         }
     }
 
-    /// An I/O error with its action and path; a full disk is told apart, because it is none of the program's.
+    /// An I/O error with its action and path; a full disk has a variant of its own, because it is none of the program's.
     pub(crate) fn io_or_full(action: &'static str, path: &Path, source: std::io::Error) -> Self {
         match full(&source) {
             Some(reason) => Self::Full { path: path.into(), reason },

@@ -22,7 +22,7 @@ use crate::{
 /// Opcode and length of a record.
 const HEAD: u64 = 9;
 
-/// Iterator over the messages of a file, record by record: a damaged chunk is passed over, and the file ends where its next
+/// Iterator over the messages of a file, record by record: a damaged chunk is skipped, and the file ends where its next
 /// record does not. It fails only where the system does.
 pub(crate) struct Recovery {
     file: BufReader<File>,

@@ -1,10 +1,10 @@
 //! Which skins a bag speaks of.
 //!
 //! A robot may carry several devices of one skin type. A recording tells them apart by the name in their messages, not by topics
-//! alone: a topic can carry several skins (a remapped `contacts`), and a skin is on several topics. A type is told by the hash
+//! alone: a topic can carry several skins (a remapped `contacts`), and a skin is on several topics. A type is identified by the hash
 //! that the latched geometry carries, and what the channels of its frames are.
 //!
-//! What names a skin begins each message, so that nothing is decoded; of each topic the first messages are looked at, so that a
+//! What names a skin begins each message, so that nothing is decoded; of each topic the first messages are inspected, so that a
 //! long bag is not read whole.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -86,7 +86,7 @@ pub enum SkinChoiceError {
         /// Skins whose frames it has.
         known: String,
     },
-    /// No skin is of this type, as far as can be told.
+    /// No skin is of this type, as far as is known.
     #[error("holds no frames of skin `{type_name}`; it has {known}")]
     NoneOfType {
         /// Name of the type.
@@ -162,7 +162,7 @@ impl SkinChoice<'_> {
 }
 
 impl BagReader {
-    /// The skins that it speaks of, by name. Of a topic with many messages only the first ones are looked at.
+    /// The skins that it speaks of, by name. Of a topic with many messages only the first ones are inspected.
     ///
     /// # Errors
     ///

@@ -3,8 +3,8 @@
 //! The problem: bags outlive definitions. A reader hands out what [`dermis_msgs::v0`] knows as it is defined today, so that nobody
 //! who reads bags knows of another version; [`convert`] writes a bag in which it is so.
 //!
-//! What a bag holds is told by the type hash that it stores, or by its definition where it has none. An old geometry does not say
-//! the unit of the readings; the frames of its skin do, so they are looked at when the first such geometry is read.
+//! What a bag holds is identified by the type hash that it stores, or by its definition where it has none. An old geometry does not say
+//! the unit of the readings; the frames of its skin do, so they are inspected when the first such geometry is read.
 //!
 //! A converted message costs one decoding and one encoding.
 
@@ -21,7 +21,7 @@ use crate::{
     BagError, BagInfo, BagOptions, BagQos, BagReader, BagWriter, Filter, Messages, Topic, TopicId, definition,
 };
 
-/// Messages of a topic that are looked at: skins that share a topic take turns on it.
+/// Messages of a topic that are inspected: skins that share a topic take turns on it.
 pub(crate) const LOOKED_AT: u64 = 200;
 
 /// What makes today's messages of recorded ones; `None` where they are today's, or not known at all.
@@ -54,7 +54,7 @@ impl Topic {
 pub(crate) struct Units {
     files: Vec<Arc<Path>>,
     recover: bool,
-    /// Topics with old frames, and how many of them are looked at.
+    /// Topics with old frames, and how many of them were inspected.
     frames: BTreeMap<String, u64>,
     found: OnceLock<BTreeMap<String, String>>,
 }

@@ -219,7 +219,7 @@ fn begin(
     Ok(Part { path, mcap, length, span: None, messages: 0 })
 }
 
-/// Says a failure to write; a full disk is told apart, because it is none of the program's.
+/// Says a failure to write; a full disk has a variant of its own, because it is none of the program's.
 fn write_error(path: &Path, error: &mcap::McapError) -> BagError {
     if let mcap::McapError::Io(source) = error
         && let Some(reason) = full(source)

@@ -128,7 +128,7 @@ impl Body {
         self.inertias[link].as_ref()
     }
 
-    /// For each coordinate, whether any link that it moves has a mass: of others, no motion takes a torque that could be told.
+    /// For each coordinate, whether any link that it moves has a mass: of others, no motion takes a torque that could be predicted.
     #[must_use]
     pub fn carries_mass(&self) -> Vec<bool> {
         let mut carries = vec![false; self.coordinates.len()];

@@ -43,7 +43,7 @@ pub enum RobotError {
     /// A file cannot be read.
     #[error("robot file {path}: cannot be read: {source}; check the path and its permissions")]
     Read {
-        /// File that was asked for.
+        /// File that was requested.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,

@@ -1,7 +1,7 @@
 //! Tables of taxel positions, as the skins of the iCub have them (`skinGui/conf/positions`).
 //!
 //! A line `[calibration]`, then one line a taxel: x y z \[m\] and the normal, in the frame of the link. A line of zeros keeps the place
-//! of a taxel that is not there. What stands before that line, or has no number, is passed over; a normal of length 0 is not known.
+//! of a taxel that is not there. What stands before that line, or has no number, is skipped; a normal of length 0 is not known.
 
 use nalgebra::{Point3, Vector3};
 

@@ -35,7 +35,7 @@ pub enum UrdfError {
     /// The file cannot be read.
     #[error("robot description {path}: cannot be read: {source}; check the path and its permissions")]
     Read {
-        /// File that was asked for.
+        /// File that was requested.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,

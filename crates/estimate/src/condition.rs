@@ -63,7 +63,7 @@ pub struct Conditioned {
     pub level: f64,
     /// Whether something touches the skin, by level.
     pub touched: bool,
-    /// The coarse image that was asked for ([`Conditioner::set_image`]); NaN throughout where the frame has none.
+    /// The coarse image that was requested ([`Conditioner::set_image`]); NaN throughout where the frame has none.
     pub image: Vec<f32>,
     /// The same less its zero; NaN where that is not known.
     pub image_signal: Vec<f32>,
@@ -142,7 +142,7 @@ impl Conditioner {
         })
     }
 
-    /// Takes these channels for dead from the next frame on, until it is told others: a part of the device is out of order. Channels
+    /// Takes these channels for dead from the next frame on, until others are set: a part of the device is out of order. Channels
     /// that the skin does not have are left out.
     pub fn set_broken(&mut self, channels: impl IntoIterator<Item = usize>) {
         self.broken.clear();
@@ -272,7 +272,7 @@ impl Conditioner {
         self.replaced |= averaging && self.zero.state() == TareState::Done;
     }
 
-    /// Whether another zero was taken since this was asked last: earlier signals are not comparable with later ones.
+    /// Whether another zero was taken since the last call: earlier signals are not comparable with later ones.
     pub fn zero_replaced(&mut self) -> bool {
         std::mem::take(&mut self.replaced)
     }

@@ -31,7 +31,7 @@ pub enum Quality {
     Fault,
 }
 
-/// Maps over the surface that are asked for. What nobody asks for is not computed.
+/// Maps over the surface that are requested. What nobody asks for is not computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Maps {
     /// Forces.
@@ -86,7 +86,7 @@ pub struct SkinEstimator {
     explained: bool,
     /// Something touched at the latest frame that was estimated.
     present: bool,
-    /// What a forward model that searches in pairs found in the latest frame, where it was asked.
+    /// What a forward model that searches in pairs found in the latest frame, where it was called.
     solution: Option<Solution>,
     /// The contacts that it found in the latest frame that had any.
     before: Vec<ContactEstimate>,
@@ -137,7 +137,7 @@ impl SkinEstimator {
         })
     }
 
-    /// Has frames looked at for faults that no channel shows by itself, from the next one on.
+    /// Has frames inspected for faults that no channel shows by itself, from the next one on.
     pub fn set_check(&mut self, check: Option<Box<dyn FrameCheck>>) {
         self.check = check;
         self.faults.clear();
@@ -240,7 +240,7 @@ impl SkinEstimator {
     }
 
     /// \[N\] lightest contact that is reported: the configured force, or where none is configured the model's own error
-    /// for light contacts, below which a force is not told from nothing. NaN where no model gives a force.
+    /// for light contacts, below which a force is not distinguished from nothing. NaN where no model gives a force.
     #[must_use]
     pub fn force_threshold(&self) -> f64 {
         let sigma = ["force.normal", "force.z"]
@@ -417,7 +417,7 @@ impl Estimator for SkinEstimator {
     }
 
     fn tare(&mut self) {
-        // Refused only where asked to check.
+        // Refused only where a check is requested.
         let _ = self.conditioner.begin_tare(true);
     }
 

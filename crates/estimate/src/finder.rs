@@ -87,7 +87,7 @@ pub trait ContactFinder: Send {
     /// [`FindError`] says what failed.
     fn find(&mut self, frame: &ConditionedFrame<'_>) -> Result<Vec<Contact>, FindError>;
 
-    /// Maps that a model gave by itself for the latest frame whose contacts were asked for; none by default.
+    /// Maps that a model gave by itself for the latest frame whose contacts were requested; none by default.
     fn given_maps(&self) -> GivenMaps {
         GivenMaps::default()
     }

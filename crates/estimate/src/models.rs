@@ -25,7 +25,7 @@ const LIGHT: f64 = 0.1;
 const NO_BUNDLE: &str = "no bundle";
 /// Contacts that are looked for without a bundle, at most.
 const MOST_CONTACTS: usize = 6;
-/// Channels that each unknown of a contact shall have, at least, where nobody measured how many contacts can be told apart.
+/// Channels that each unknown of a contact shall have, at least, where nobody measured how many contacts can be distinguished.
 const CHANNELS_EACH: usize = 4;
 /// Channels from which on each place of a skin has a pattern of its own, shear included, where nobody measured it: those of pictures.
 const PICTURED: usize = 1000;
@@ -210,7 +210,7 @@ pub(crate) struct Pipeline {
     pub(crate) undetectable_fraction: Option<(f64, f64)>,
     /// That model knows how far the surface gives way.
     pub(crate) displaces: bool,
-    /// It has been asked before, which may take seconds the first time: whether it has answered.
+    /// It has been called before, which may take seconds the first time: whether it has answered.
     pub(crate) answered: Option<Arc<AtomicBool>>,
 }
 

@@ -42,7 +42,7 @@ pub enum BundleError {
         "model bundle {path}: there is no such folder; train one with `dermis train` or correct the path"
     )]
     NoFolder {
-        /// Folder that was asked for.
+        /// Folder that was requested.
         path: PathBuf,
     },
     /// A file of the bundle is not there.
@@ -154,7 +154,7 @@ pub enum BundleError {
     /// The folder to write holds something else.
     #[error("model bundle {path}: the folder exists and is no bundle; choose another one")]
     Occupied {
-        /// Folder that was asked for.
+        /// Folder that was requested.
         path: PathBuf,
     },
     /// The card cannot be written as JSON, or the manifest as TOML.

@@ -1,6 +1,6 @@
 //! Reading a bundle's files, which may be anything that somebody put there.
 //!
-//! A file is opened without waiting, looked at, and read only where it is a plain one and not longer than it may be: a pipe would hold
+//! A file is opened without waiting, inspected, and read only where it is a plain one and not longer than it may be: a pipe would hold
 //! the program up, a device has no end, and a sparse file of gigabytes takes no space on the disk but all of the memory.
 
 use std::fs::{File, OpenOptions};

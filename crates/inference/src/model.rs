@@ -81,7 +81,7 @@ pub enum ModelError {
         /// What happened, and which limit it ran into.
         reason: String,
     },
-    /// It may make as much as it is told to, and there is no process of its own to try it in.
+    /// Its output may have any size, and there is no process of its own to try it in.
     #[error(
         "has the operator `{operator}`, whose result may be of any size, and this program has no process to try it in: \
          call `dermis_inference::trial::serve` first in `main`"

@@ -21,12 +21,12 @@ pub enum RuntimeKind {
     Embedded,
 }
 
-/// A place that was looked at and gave no runtime.
+/// A path that was inspected and gave no runtime.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Tried {
     /// A library, or a folder without one.
     pub path: PathBuf,
-    /// Why it was passed over.
+    /// Why it was skipped.
     pub reason: String,
 }
 
@@ -39,7 +39,7 @@ pub struct RuntimeReport {
     pub version: String,
     /// The native library; `None` for the embedded runtime.
     pub path: Option<PathBuf>,
-    /// Places that were looked at before, in order.
+    /// Paths that were inspected before, in order.
     pub tried: Vec<Tried>,
 }
 
@@ -64,7 +64,7 @@ pub enum RuntimeError {
         list(.tried)
     )]
     NoNativeLibrary {
-        /// Places that were looked at.
+        /// Paths that were inspected.
         tried: Vec<Tried>,
     },
     /// This process already uses a runtime that the configuration rules out.
@@ -72,7 +72,7 @@ pub enum RuntimeError {
     AlreadyChosen {
         /// Runtime in use.
         active: Box<RuntimeReport>,
-        /// Runtime that was asked for.
+        /// Runtime that was requested.
         wanted: &'static str,
     },
     /// The chosen runtime does not start.
@@ -230,7 +230,7 @@ impl Native {
         // SAFETY: not null, zero-terminated and static by the C API's contract.
         let version = unsafe { CStr::from_ptr(version) }.to_string_lossy().into_owned();
         supported(&version)?;
-        // SAFETY: the version asked for is one that this library has; null where it disagrees.
+        // SAFETY: the version requested is one that this library has; null where it disagrees.
         let api = unsafe { (base.GetApi)(MINOR_VERSION) };
         // SAFETY: not null, it points to a static table that holds at least the functions of the version asked
         // for, which are those that `OrtApi` declares; function pointers are copied out bit by bit.

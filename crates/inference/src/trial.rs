@@ -38,7 +38,7 @@ const TICK: Duration = Duration::from_millis(5);
 /// The program that trials are run by.
 static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
 
-/// What a trial is told, besides the graph's bytes.
+/// A trial's input, besides the graph's bytes.
 #[derive(Debug, Serialize, Deserialize)]
 struct Request {
     interface: Interface,
@@ -226,14 +226,14 @@ fn tried() -> Result<(), String> {
     let mut head = Vec::new();
     let mut byte = [0];
     while head.len() < 1 << 20 {
-        input.read_exact(&mut byte).map_err(|e| format!("the trial was told nothing: {e}"))?;
+        input.read_exact(&mut byte).map_err(|e| format!("the trial received nothing: {e}"))?;
         if byte[0] == b'\n' {
             break;
         }
         head.push(byte[0]);
     }
     let request: Request =
-        serde_json::from_slice(&head).map_err(|e| format!("the trial was told nonsense: {e}"))?;
+        serde_json::from_slice(&head).map_err(|e| format!("the trial received invalid input: {e}"))?;
     let runtime = Runtime::load(&request.runtime).map_err(|e| e.to_string())?;
     let mut graph = Vec::new();
     input

@@ -9,7 +9,7 @@ pub enum LaunchError {
     /// A file cannot be read, or is neither TOML nor YAML.
     #[error("launch file {path}: {reason}")]
     Read {
-        /// File that was asked for.
+        /// File that was requested.
         path: PathBuf,
         /// What is wrong with it.
         reason: String,

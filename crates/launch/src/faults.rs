@@ -1,17 +1,17 @@
 //! Mistakes of launch files, gathered.
 //!
 //! Problem: who checks a file wants to hear of every mistake in it at once, and not of one a run; but what only follows from a
-//! mistake that was told already is no help.
+//! mistake that was reported already is no help.
 //!
 //! Solution: reading goes on after a mistake with whatever is left, and a mistake of a field is dropped where another one of that
-//! field, of one within it or of one around it was told before.
+//! field, of one within it or of one around it was reported before.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
 use crate::error::{LaunchError, LaunchErrors};
 
-/// Mistakes that are told; a file with more of them is no launch file.
+/// Mistakes that are reported; a file with more of them is no launch file.
 const MOST: usize = 100;
 
 #[derive(Debug, Default)]
@@ -22,7 +22,7 @@ pub(crate) struct Faults {
 }
 
 impl Faults {
-    /// Tells a mistake, unless it may follow from one that was told.
+    /// Reports a mistake, unless it may follow from one that was reported.
     pub(crate) fn push(&mut self, error: LaunchError) {
         let LaunchError::Field { path, field, .. } = &error else { return self.tell(error) };
         let around = prefixes(field).any(|field| self.fields.contains(&(path.clone(), field.to_owned())));
@@ -41,7 +41,7 @@ impl Faults {
         }
     }
 
-    /// Whether no more are told: it is of no use to look for them.
+    /// Whether no more are reported: it is of no use to look for them.
     pub(crate) fn full(&self) -> bool {
         self.all.len() >= MOST
     }

@@ -204,7 +204,7 @@ pub(crate) fn parse(text: &str, yaml: bool) -> Result<Value, String> {
         .map_err(|e| one_line(&e.to_string()))
 }
 
-/// A part of a tree as what it should be, and the keys of it that are not right. Every field that is not is told, with a path that
+/// A part of a tree as what it should be, and the keys of it that are not right. Every field that is not is reported, with a path that
 /// begins with `at`, and left out; `None` where nothing can be left out.
 pub(crate) fn typed<T: DeserializeOwned>(
     mut value: Value,

@@ -220,7 +220,7 @@ impl Starter {
         unsafe {
             command.pre_exec(move || {
                 nix::sys::prctl::set_pdeathsig(Signal::SIGKILL)?;
-                // The launch may have gone before it was asked for.
+                // The launch may have gone before it was requested.
                 if nix::unistd::getppid() == launch { Ok(()) } else { Err(nix::Error::ESRCH.into()) }
             });
         }

@@ -489,7 +489,7 @@ mod tests {
             ("2026-11-21T12:00:00Z  WARN talker: hm", Some(Level::Warn)),
             ("WARNING:root:careful", Some(Level::Warn)),
             ("serial:///dev/pts/3", None),
-            ("an ERROR may be told of later in a text", Some(Level::Error)),
+            ("an ERROR may be reported later in a text", Some(Level::Error)),
             ("it says that an ERROR is no level", None),
             ("{\"level\": 3}", None),
             ("{", None),

@@ -82,7 +82,7 @@ impl Scope<'_> {
         }
     }
 
-    /// All texts of a tree, in place. What cannot be put in is told with the path of its field, and stays.
+    /// All texts of a tree, in place. What cannot be put in is reported with the path of its field, and stays.
     pub(crate) fn tree(
         &self,
         value: &mut Value,

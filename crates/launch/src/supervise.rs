@@ -28,7 +28,7 @@ use crate::plan::{Plan, Process, Ready, Restart};
 const LOOK: Duration = Duration::from_millis(20);
 /// Longest wait for the rest of what a process printed, after its end: what it started may hold the pipe open.
 const LAST_WORDS: Duration = Duration::from_millis(500);
-/// Wait between SIGTERM and SIGKILL where the launch is told to hurry.
+/// Wait between SIGTERM and SIGKILL where the launch shall hurry.
 const HURRY: Duration = Duration::from_secs(1);
 /// A signal this soon after the first one is the same one: `timeout`, `cargo run` and others give it to a process and
 /// to its group.
@@ -51,7 +51,7 @@ pub struct Ended {
 /// # Errors
 ///
 /// [`LaunchError::System`] where logs cannot be written or signals not be listened to. Processes that fail are no
-/// error of the launch: they are told in [`Ended`].
+/// error of the launch: they are reported in [`Ended`].
 pub async fn run(plan: &Plan, log: &LogOptions, guard: Option<Command>) -> Result<Ended, LaunchError> {
     // Whoever started it with `nohup` wants it to go on; listening changes that.
     let heed_hang_up = !is_ignored(Signal::SIGHUP);

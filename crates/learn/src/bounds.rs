@@ -350,7 +350,7 @@ mod tests {
         let bounds = found.summary(&FORCE_BINS).unwrap();
         assert_eq!(bounds.samples, 40);
         assert_eq!(bounds.normal_force.iter().map(|b| b.samples).sum::<usize>(), 40);
-        // 0.5 of noise over 20 a newton; y is told by no channel.
+        // 0.5 of noise over 20 a newton; y shows in no channel.
         assert!(bounds.normal_force.iter().all(|b| (b.rms - 0.025).abs() < 1e-9), "{bounds:?}");
         assert!(bounds.position.iter().all(|b| b.rms.is_infinite()));
         let some: Vec<SampleId> = data.labelled().take(30).map(|(id, ..)| id).collect();
@@ -426,7 +426,7 @@ mod tests {
         errors.extend([error(id(4), [0, 2], 4e-3, 0.1), error(id(4), [1, 2], 3e-3, 0.1)]);
         // Of frame 9 there is no bound.
         errors.push(error(id(9), [0, 1], 1.0, 1.0));
-        // What is not found counts with everything, and is told apart.
+        // What is not found counts with everything, and is listed apart.
         errors[3].found = false;
         let against = bounds.against(&errors, &[0.5, 2.0]);
         let one = &against.iter().find(|a| a.contacts == 1 && a.quantity == "position").unwrap().all;

@@ -49,7 +49,7 @@ impl Labels {
 #[serde(default, deny_unknown_fields)]
 pub struct ReadMaps {
     /// Diameter [m] of the disc in which a contact is the largest pressure of a map of forces, e.g. `0.064`, which skins of a quarter of
-    /// a metre and more have without being asked.
+    /// a metre and more have without being requested.
     #[arg(long, value_name = "METRES")]
     map_disc: Option<f64>,
     /// Force [N] that the disc of a contact bears at least; of several, everything is reported for each, e.g. `5,2.5`.
@@ -61,7 +61,7 @@ pub struct ReadMaps {
 }
 
 impl ReadMaps {
-    /// How to read maps over this surface; `None` where nothing is asked for and the surface is small.
+    /// How to read maps over this surface; `None` where nothing is requested and the surface is small.
     ///
     /// # Errors
     ///

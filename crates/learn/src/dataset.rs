@@ -31,7 +31,7 @@ pub use truth::{Truth, TruthContact};
 
 /// Contact locations below which an interval over held-out ones says little.
 const FEW_LOCATIONS: usize = 20;
-/// Bytes of frames that a data set holds where nothing else is asked for.
+/// Bytes of frames that a data set holds where nothing else is requested.
 const MEMORY: usize = 256 << 20;
 
 /// One recording.

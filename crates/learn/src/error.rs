@@ -43,7 +43,7 @@ pub enum LearnError {
         /// What does not fit.
         source: dermis_skin::ImageGridError,
     },
-    /// The data cannot be used as asked; all reasons at once.
+    /// The data cannot be used as requested; all reasons at once.
     #[error("{0}")]
     Unfit(Findings),
     /// A file of other people's formats cannot be written.
@@ -137,7 +137,7 @@ pub enum LearnError {
     Interrupted {
         /// Epochs done by the member that has done fewest.
         epoch: u32,
-        /// Epochs asked for.
+        /// Epochs requested.
         epochs: u32,
         /// Where the state lies.
         path: PathBuf,

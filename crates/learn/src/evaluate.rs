@@ -238,7 +238,7 @@ impl fmt::Display for Evaluation {
 
 /// Feeds every frame of a data set to an estimator, in order and as the device gave them, and compares what comes
 /// out with the truth; on `only` (e.g. the held-out part of a split), or on all labelled frames. The estimator is
-/// reset before each run, and told to take its zero anew where the data set says so ([`Sample::tare`]). Touched
+/// reset before each run, and takes its zero anew where the data set says so ([`Sample::tare`]). Touched
 /// frames before the first zero count as unanswered: as frames in which nothing was found.
 ///
 /// [`Sample::tare`]: crate::Sample::tare
@@ -273,7 +273,7 @@ pub fn evaluate_by(
 }
 
 /// As [`evaluate_by`], on several parts of a data set at once, each by an evaluator of its own, for estimators that take their time:
-/// touched frames of presses that no part asks for are left out. `watch` is told how far it is, from 0 to 1, and says whether it goes
+/// touched frames of presses that no part asks for are left out. `watch` receives the progress, from 0 to 1, and says whether it goes
 /// on; `None` where it does not.
 ///
 /// # Errors

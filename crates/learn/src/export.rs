@@ -5,7 +5,7 @@
 //! | `stamp` | `stamp` \[n\] | ns | when the frame was acquired, since 1970 |
 //! | `sequence` | `sequence` \[n\] | 1 | counts every frame of the device; a step > 1 is a loss |
 //! | `channel.NAME` | `values` \[n, channels\] | the skin's | readings as the device gave them, NaN where invalid |
-//! | `tared.NAME` | `tared` \[n, channels\] | the skin's | readings minus their zero; only where asked for |
+//! | `tared.NAME` | `tared` \[n, channels\] | the skin's | readings minus their zero; only where requested |
 //! | `flags.NAME` | `flags` \[n, channels\] | bits | `dermis_msgs/TaxelFrame` FLAG_*; 0 is healthy |
 //! | `temperature` | `temperature` \[n\] | K | of the skin, NaN where unknown |
 //! | `contacts` | `contacts` \[n\] | 1 | true contacts, −1 without ground truth |

@@ -1,7 +1,7 @@
 //! Errors per quantity and force: one implementation for training, evaluation, comparisons and reports.
 //!
 //! Problem: errors of estimators, and of an estimator and its bound, can be compared only where the same frames count. Rule: every
-//! touched frame that was asked counts. A contact that is not found, or whose frame has no answer, counts in number, as a force of 0,
+//! touched target frame counts. A contact that is not found, or whose frame has no answer, counts in number, as a force of 0,
 //! and in position as the distance to [`Rule::centre`], the middle of the surface. That is the answer with the least mean square
 //! error of who knows nothing but the surface (the mean of a uniform prior; compare the reference of R²). Beside each figure with
 //! everything stands the figure of what was found, under its name and ` found`. Of several contacts each true one is held against the

@@ -35,7 +35,7 @@ pub use sensors::{Simulated, VirtualSensors, simulate};
 pub use settings::Settings;
 pub use table::{Cell, Table, TableSettings, table};
 
-/// Told how far long work has come: what is being done, and which share of it is done.
+/// Receives the progress of long work: what is being done, and which share of it is done.
 pub type ProgressFn<'a> = &'a (dyn Fn(&str, f64) + Sync);
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use crate::LearnError;
 use crate::bounds::stimulus;
 use crate::dataset::{Dataset, SampleId};
 
-/// Draws of one superposition before its contacts are allowed to stand nearer to each other than asked.
+/// Draws of one superposition before its contacts are allowed to stand nearer to each other than requested.
 const TRIES: usize = 200;
 
 /// One contact, and what the channels read of it.

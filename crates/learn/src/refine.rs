@@ -32,7 +32,7 @@ const FEWEST: f64 = 1.0;
 /// Times that the presence is raised at most.
 const HIGHEST: f64 = 30.0;
 
-/// Told how far long work is, from 0 to 1; says whether it goes on.
+/// Receives the progress of long work, from 0 to 1; says whether it goes on.
 pub type Watch<'a> = &'a dyn Fn(f64) -> bool;
 
 /// Settings of an inversion that fit these samples: gains of the channels against the forward model, and how far the two
@@ -109,7 +109,7 @@ pub struct Learned {
 }
 
 /// The correction, learned from `recorded`, that leaves least of presses at other places (`chosen`). `gains` are those of
-/// [`settings`]. `watch` is told how far it is, from 0 to 1, and says whether it goes on; `None` where it does not.
+/// [`settings`]. `watch` receives the progress, from 0 to 1, and says whether it goes on; `None` where it does not.
 ///
 /// # Errors
 ///
@@ -160,7 +160,7 @@ pub fn exact(signal: &[f32]) -> Vec<Reading> {
 
 /// Sets the [evidence](Settings::evidence) that gives the right number of contacts on `frames`, sums of recorded contacts
 /// ([`superpose`](crate::superpose)), as often as any other but for what so many frames leave to chance: of those within one standard
-/// error of the best the largest, which finds the fewest contacts that are not there. `watch` is told how far it is, from 0 to 1, and
+/// error of the best the largest, which finds the fewest contacts that are not there. `watch` receives the progress, from 0 to 1, and
 /// says whether it goes on; false where it did not, and nothing was set.
 ///
 /// # Errors
@@ -201,7 +201,7 @@ fn simplest(rights: &[usize], of: usize) -> Option<usize> {
 
 /// Raises the [presence](Settings::presence) until [`UNTOUCHED`] of the untouched samples of `only` at most would count as touched,
 /// each after a contact that was felt to its end: a zero follows drift with a lag, and not at all while contacts follow each
-/// other, and what it leaves looks like a light contact. Too few untouched samples leave it as it is. `watch` is told how far it is,
+/// other, and what it leaves looks like a light contact. Too few untouched samples leave it as it is. `watch` receives the progress,
 /// from 0 to 1, and says whether it goes on; false where it did not, and nothing was set.
 ///
 /// # Errors

@@ -156,9 +156,9 @@ pub struct Maps {
     profile: ForceProfile,
     model: Option<Arc<dyn ForwardModel>>,
     displacement: Vec<f64>,
-    /// Whether the forward model knows displacements, once it was asked.
+    /// Whether the forward model knows displacements, once it was evaluated.
     displaces: Option<bool>,
-    /// What the channels read where nothing touches, once the forward model was asked.
+    /// What the channels read where nothing touches, once the forward model was evaluated.
     untouched: Option<Vec<f64>>,
     channels: usize,
     /// Of the skin.

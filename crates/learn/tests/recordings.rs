@@ -1,7 +1,7 @@
 //! Learns from the recordings of a real skin. They are found by the environment variable `DERMIS_DATA` or in
 //! `../shared/data` beside the repository, and skipped where they are missing.
 //!
-//! The networks are small, so that this takes seconds in an unoptimised build; the figures that are asked for are
+//! The networks are small, so that this takes seconds in an unoptimised build; the target figures are
 //! measured with the configurations in `launch/train/` by `cargo xtask targets`.
 #![expect(clippy::unwrap_used, reason = "a test whose preparation fails should fail")]
 

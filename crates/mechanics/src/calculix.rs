@@ -24,7 +24,7 @@ pub use dome::dome_cases;
 pub use layer::layer_cases;
 pub use shell::{Panel, Touch, panel_cases, panel_time, shell_cases, touch_readings};
 
-/// Debian's package, and what people are told to install.
+/// Debian's package, and what the instructions say to install.
 const INSTALL: &str = "install CalculiX (Debian and Ubuntu: apt-get install calculix-ccx)";
 
 /// Why CalculiX has no answer.

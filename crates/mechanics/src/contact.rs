@@ -311,7 +311,7 @@ mod tests {
         }
     }
 
-    /// The solution fulfils what it was asked for: under the sphere, the surface has the sphere's shape.
+    /// The solution fulfils its conditions: under the sphere, the surface has the sphere's shape.
     #[test]
     fn surface_follows_the_sphere() {
         let pad = Medium::layer(E, NU, 0.004, Base::Bonded).unwrap();

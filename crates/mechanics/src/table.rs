@@ -48,8 +48,8 @@ impl SphereContacts {
         Ok(Self { medium: *medium, radius, contacts })
     }
 
-    /// \[N\] that press the sphere in by `depth` \[m\], 0 above the surface; `None` beyond the largest force that was asked
-    /// for, and where so little is left of a layer that small strains say nothing.
+    /// \[N\] that press the sphere in by `depth` \[m\], 0 above the surface; `None` beyond the largest requested
+    /// force, and where so little is left of a layer that small strains say nothing.
     #[must_use]
     pub fn force_at(&self, depth: f64) -> Option<f64> {
         if depth.is_nan() || depth > DEPTH_MAX * self.medium.thickness() {

@@ -112,7 +112,7 @@ fn ros_variables(
         Reach::Lan => "SUBNET",
         Reach::Address(address) => {
             return Err(format!(
-                "ROS 2 cannot be told to use the address {address} only: use --network loopback or lan, or choose the interface in the configuration of your middleware (FASTRTPS_DEFAULT_PROFILES_FILE, CYCLONEDDS_URI)"
+                "ROS 2 cannot be restricted to the address {address}: use --network loopback or lan, or choose the interface in the configuration of your middleware (FASTRTPS_DEFAULT_PROFILES_FILE, CYCLONEDDS_URI)"
             ));
         }
     };
@@ -551,7 +551,7 @@ mod tests {
             assert_eq!(
                 value(&network, "ROS_STATIC_PEERS"),
                 None,
-                "what was asked for wins over the environment"
+                "an explicit choice wins over the environment"
             );
         }
         let peers = Network { static_peers: vec!["10.0.0.1".into(), "b".into()], ..Network::default() };

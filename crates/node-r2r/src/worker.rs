@@ -14,7 +14,7 @@ use futures::{FutureExt, StreamExt};
 
 use crate::{Gate, lock};
 
-/// Longest wait for an event before commands are looked at. A message ends the wait at once.
+/// Longest wait for an event before commands are read. A message ends the wait at once.
 const WAIT: Duration = Duration::from_millis(5);
 /// How often a client asks whether its server is there.
 const AVAILABILITY: Duration = Duration::from_millis(200);
@@ -65,7 +65,7 @@ impl Watch {
     }
 }
 
-/// Handle of the thread; the thread ends when it is told to, or with its last handle.
+/// Handle of the thread; the thread ends on request, or with its last handle.
 #[derive(Clone)]
 pub(crate) struct Worker {
     commands: mpsc::Sender<Command>,

@@ -153,7 +153,7 @@ pub trait BackendNode: Send + Sync {
     fn topics(&self) -> Result<Vec<(String, String)>, BackendError>;
 
     /// Calls `hook` after each change of the graph. A backend that cannot tell ignores it; the graph is
-    /// looked at once a second anyway.
+    /// checked once a second anyway.
     fn on_graph_change(&self, hook: GraphHook);
 
     /// Leaves the network. Endpoints of this node do nothing afterwards, and a second call neither.

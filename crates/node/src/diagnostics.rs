@@ -90,7 +90,7 @@ impl Diagnostics {
         }))
     }
 
-    /// Adds a source; it is asked once a second. One of the same name is replaced. It must not add sources.
+    /// Adds a source; it is polled once a second. One of the same name is replaced. It must not add sources.
     pub fn add(&self, name: impl Into<String>, source: impl FnMut() -> Status + Send + 'static) {
         let name = name.into();
         let mut sources = lock(&self.0.sources);

@@ -205,7 +205,7 @@ impl<T: Send + 'static> Lane<T> {
             let (_state, timed_out) =
                 self.idle.wait_timeout_while(state, CLOSE_WAIT, busy).unwrap_or_else(PoisonError::into_inner);
             if timed_out.timed_out() {
-                tracing::warn!(lane = %self.name, "a callback is still running {CLOSE_WAIT:?} after its end was asked for");
+                tracing::warn!(lane = %self.name, "a callback is still running {CLOSE_WAIT:?} after its end was requested");
             }
             items
         };

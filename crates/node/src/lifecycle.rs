@@ -154,9 +154,9 @@ struct Inner {
     state: Mutex<State>,
     /// The thread that takes a transition now.
     taking: Mutex<Option<ThreadId>>,
-    /// Told when a transition is over.
+    /// Signalled when a transition is over.
     idle: Condvar,
-    /// A callback of the running transition asked for the end of the node.
+    /// A callback of the running transition requested the end of the node.
     end_requested: AtomicBool,
     callbacks: Mutex<Vec<(Transition, Callback)>>,
     events: OnceLock<EventSink>,

@@ -6,7 +6,7 @@
 //! Solution: one type, [`Network`], says how far a program reaches. Nodes over both backends and the JSON bridge use it,
 //! and nothing else decides on it. It is resolved from, in this order:
 //!
-//! 1. what was asked for in so many words: `--network`, `--zenoh-config`, or the keys `network` and `zenoh_config` of a
+//! 1. what was requested explicitly: `--network`, `--zenoh-config`, or the keys `network` and `zenoh_config` of a
 //!    node's configuration ([`NetworkChoice`]);
 //! 2. `DERMIS_NETWORK` and `DERMIS_ZENOH_CONFIG`, by which `dermis launch` hands its keys to its processes;
 //! 3. `ZENOH_SESSION_CONFIG_URI`, the session configuration of `rmw_zenoh`;
@@ -93,7 +93,7 @@ impl<'de> Deserialize<'de> for Reach {
     }
 }
 
-/// What somebody asked for in so many words; nothing where the environment is to decide.
+/// What was requested explicitly; nothing where the environment is to decide.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct NetworkChoice {
     /// How far to reach.

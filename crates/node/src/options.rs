@@ -30,7 +30,7 @@ pub struct NodeOptions {
     pub threads: usize,
     /// Why other nodes may not set parameters; `None` where they may. Reading them is answered always.
     pub parameters_refused: Option<String>,
-    /// Why other nodes may not take it through its lifecycle; `None` where they may. Its state is told always.
+    /// Why other nodes may not take it through its lifecycle; `None` where they may. Its state is always reported.
     pub lifecycle_refused: Option<String>,
 }
 

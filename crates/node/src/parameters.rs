@@ -442,7 +442,7 @@ impl Parameters {
         lock(&self.0.entries).keys().cloned().collect()
     }
 
-    /// Overrides given at start that no declaration asked for: most likely misspelt.
+    /// Overrides given at start that no declaration requested: most likely misspelt.
     #[must_use]
     pub fn unused_overrides(&self) -> Vec<String> {
         let entries = lock(&self.0.entries);

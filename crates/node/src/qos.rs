@@ -110,7 +110,7 @@ impl Qos {
         }
     }
 
-    /// Why a subscription with this profile gets nothing, or less than it asked for, from a publisher
+    /// Why a subscription with this profile gets nothing, or less than it requested, from a publisher
     /// with `offered`; `None` where the two fit.
     #[must_use]
     pub fn unmet_by(&self, offered: &Self) -> Option<&'static str> {

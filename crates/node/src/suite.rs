@@ -419,7 +419,7 @@ pub fn calls_at_the_same_time_get_their_own_answers(backend: &dyn Backend) {
     });
 }
 
-/// Neither a missing nor a busy server holds the caller longer than it asked for.
+/// Neither a missing nor a busy server holds the caller longer than it requested.
 pub fn a_call_without_answer_times_out(backend: &dyn Backend) {
     let bench = Bench::new(backend);
     let (a, b) = (bench.node("a"), bench.node("b"));

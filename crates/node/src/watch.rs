@@ -128,7 +128,7 @@ fn mismatch(own: &OwnEndpoint, kind: EndpointKind, peer: &EndpointInfo) -> Optio
         name: name.clone(),
         sentence: format!(
             "{name}: {why}: node {} has ({peer_qos}), this node has ({own_qos}); over DDS no message \
-             passes, over zenoh what was asked for is not kept",
+             passes, over zenoh the requested profile is not kept",
             peer.node
         ),
     })
@@ -173,7 +173,7 @@ mod tests {
     fn qos_is_compared_in_the_right_direction() {
         let publisher = own(EndpointKind::Publisher, Qos::sensor_data());
         let problem = mismatch(&publisher, EndpointKind::Subscription, &peer(Qos::reliable(10))).unwrap();
-        insta::assert_snapshot!(problem.sentence, @"/contacts: the subscription asks for reliable, the publisher offers best effort: node /planner has (reliable, volatile, keep last 10), this node has (best effort, volatile, keep last 5); over DDS no message passes, over zenoh what was asked for is not kept");
+        insta::assert_snapshot!(problem.sentence, @"/contacts: the subscription asks for reliable, the publisher offers best effort: node /planner has (reliable, volatile, keep last 10), this node has (best effort, volatile, keep last 5); over DDS no message passes, over zenoh the requested profile is not kept");
         let subscription = own(EndpointKind::Subscription, Qos::sensor_data());
         assert_eq!(mismatch(&subscription, EndpointKind::Publisher, &peer(Qos::reliable(10))), None);
     }

@@ -144,7 +144,7 @@ fn a_stream_is_a_reliable_publisher_to_others() {
     stream.publish(&Text { data: "late".to_owned() }).unwrap();
     loop {
         let (data, sent) = expect_next(&from_ros, "the last word");
-        assert!(sent.is_some(), "the time of publishing is told");
+        assert!(sent.is_some(), "the time of publishing is reported");
         if data == "late" {
             break;
         }
@@ -327,7 +327,7 @@ fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-/// Passes bytes between two peers until it is told to stop reading.
+/// Passes bytes between two peers until it shall stop reading.
 struct Proxy {
     port: u16,
     stopped: Arc<AtomicBool>,

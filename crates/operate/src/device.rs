@@ -44,7 +44,7 @@ pub struct Simulation {
     /// Where it is plugged in.
     #[command(flatten)]
     pub outlet: Plug,
-    /// What is told on the bus of what really touches it.
+    /// What is published on the bus of what really touches it.
     #[command(flatten)]
     pub published: Published,
 }

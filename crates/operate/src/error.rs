@@ -110,17 +110,17 @@ pub enum OperateError {
     /// There was no room for the folder of a recording until it was to end.
     #[error("nothing was recorded: there was no room for {}", .0.display())]
     NoRoom(PathBuf),
-    /// Topics that were asked for by name brought nothing.
-    #[error("nothing was recorded of what was asked for by name: {0}")]
+    /// Topics that were requested by name brought nothing.
+    #[error("nothing was recorded of what was requested by name: {0}")]
     Silent(String),
     /// A bag that is complete and sound, of a recording that lacks something.
     #[error("the recording is not complete: {0}")]
     Incomplete(String),
 
-    /// Skins that were asked for are not there.
+    /// Skins that were requested are not there.
     #[error("{0}")]
     NotHeard(String),
-    /// Skins did not do what they were told to.
+    /// Skins did not obey a command.
     #[error("{0} was not tared")]
     NotTared(String),
 

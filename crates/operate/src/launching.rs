@@ -139,7 +139,7 @@ fn refusal(error: &RunError, sensors: &Registry) -> Refusal {
     Refusal { field, reason: format!("{error}{hint}") }
 }
 
-/// Whether the devices of these nodes can be told apart: two of one name would be one skin to everybody who listens, and two of
+/// Whether the devices of these nodes can be distinguished: two of one name would be one skin to everybody who listens, and two of
 /// one type in one coordinate frame would lie on top of each other.
 #[must_use]
 pub fn together(nodes: &[(&str, &Value)]) -> Vec<(usize, Refusal)> {

@@ -12,7 +12,7 @@
 //! | [`launching`] | checks what launch files say of nodes |
 //!
 //! A request says what a command line says, with the same names, units and defaults. The ROS 2 backend is handed in by the
-//! program, and so are the sensor families. What goes on meanwhile is told to a [`Progress`]. Findings serialise to the record
+//! program, and so are the sensor families. What goes on meanwhile is reported to a [`Progress`]. Findings serialise to the record
 //! that `--json` prints; their text is made in `dermis-report`.
 
 pub mod collect;
@@ -43,7 +43,7 @@ pub use error::OperateError;
 pub use stats::{Samples, Spread};
 pub use touch::{Touch, pressing_force};
 
-/// How often what is watched is looked at.
+/// How often what is watched is checked.
 const LOOK: Duration = Duration::from_millis(200);
 
 /// Who hears how work goes on.

@@ -24,9 +24,9 @@ use crate::{OperateError, Progress, foreign, written};
 
 type Result<T, E = OperateError> = std::result::Result<T, E>;
 
-/// Behind by more than this is told.
+/// Behind by more than this is reported.
 const BEHIND: Duration = Duration::from_millis(100);
-/// How often it is told at most.
+/// How often it is reported at most.
 const TELL: Duration = Duration::from_secs(5);
 /// How long subscribers have to find what is published before the first message goes out.
 const DISCOVERY: Duration = Duration::from_millis(500);
@@ -314,7 +314,7 @@ struct Player<'a> {
 }
 
 impl Player<'_> {
-    /// Waits for the subscribers that were asked for; else gives those that are there the time to find the publishers.
+    /// Waits for the subscribers that were requested; else gives those that are there the time to find the publishers.
     fn wait(&self, subscribers: Option<usize>) {
         let began = Instant::now();
         while !self.node.is_shut_down() {

@@ -26,7 +26,7 @@ use self::session::{Ended, Session};
 use crate::quantity::{duration, size};
 use crate::{OperateError, Progress, written};
 
-/// How often the graph is looked at for new topics, and the end for its reasons.
+/// How often the graph is checked for new topics, and the end for its reasons.
 const LOOK_AROUND: Duration = Duration::from_millis(100);
 /// How often a recording that finds no room for its folder tries again.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -147,7 +147,7 @@ pub trait Watcher: Progress {
     /// Recording begins, into this folder.
     fn begin(&self, folder: &Path);
 
-    /// Where the recording is, after this time; told several times a second.
+    /// Where the recording is, after this time; reported several times a second.
     fn at(&self, state: &RecorderState, elapsed: Duration);
 
     /// No more messages are waited for: the bag is completed.
@@ -177,7 +177,7 @@ pub struct Recording {
     pub waited_for_room_s: f64,
     /// The bag of the part before this one.
     pub goes_on_from: Option<PathBuf>,
-    /// Topics that were asked for by name and on which nothing came, each with why.
+    /// Topics that were requested by name and on which nothing came, each with why.
     pub silent: BTreeMap<String, String>,
     /// What was recorded and lost, by topic.
     pub topics: Vec<TopicState>,
@@ -221,7 +221,7 @@ impl Findings {
     ///
     /// # Errors
     ///
-    /// Where the bag could not be completed, or a topic that was asked for by name brought nothing; with `complete` also
+    /// Where the bag could not be completed, or a topic that was requested by name brought nothing; with `complete` also
     /// [`OperateError::Incomplete`], where messages are missing or it is not known whether some are.
     pub fn require(self, complete: bool) -> Result<(), OperateError> {
         self.recording?;
@@ -237,7 +237,7 @@ impl Findings {
     }
 }
 
-/// Records until `end`, or as long as was asked for. A full disk is waited for.
+/// Records until `end`, or as long as requested. A full disk is waited for.
 ///
 /// # Errors
 ///
@@ -427,7 +427,7 @@ mod tests {
         assert!(said(findings(None, &[]), true).is_some(), "whether something is missing is not known");
         assert_eq!(
             said(findings(Some(0), &[("/b", "nobody published it")]), false).unwrap(),
-            "nothing was recorded of what was asked for by name: /b (nobody published it)"
+            "nothing was recorded of what was requested by name: /b (nobody published it)"
         );
     }
 

@@ -1,6 +1,6 @@
 //! Follows the contacts of running skins, whoever started them.
 //!
-//! Skins are found by the type of their contacts in the ROS graph, and told apart by topic and name, because two nodes may
+//! Skins are found by the type of their contacts in the ROS graph, and distinguished by topic and name, because two nodes may
 //! publish one topic.
 
 use std::collections::BTreeMap;
@@ -42,7 +42,7 @@ type Key = (String, String);
 #[derive(Default)]
 struct Seen {
     shown: BTreeMap<Key, Touch>,
-    /// Names of skins that are there and were not asked for.
+    /// Names of skins that are there and were not requested.
     others: Vec<String>,
 }
 
@@ -75,11 +75,11 @@ impl View<'_> {
     }
 }
 
-/// Follows skins until `end`, or as long as was asked for, and hands what they feel to `show` several times a second.
+/// Follows skins until `end`, or as long as requested, and hands what they feel to `show` several times a second.
 ///
 /// # Errors
 ///
-/// Where a skin that was asked for is not heard in time or not tared, or `show` fails.
+/// Where a skin that was requested is not heard in time or not tared, or `show` fails.
 pub async fn watch(
     request: &Request,
     backend: &dyn Backend,
@@ -186,7 +186,7 @@ impl Seen {
     }
 }
 
-/// Skins that were asked for and are not there: by name, or any.
+/// Skins that were requested and are not there: by name, or any.
 fn missing(request: &Request, seen: &Seen) -> Vec<String> {
     if request.skins.is_empty() {
         return if seen.shown.is_empty() { vec![String::new()] } else { Vec::new() };

@@ -31,7 +31,7 @@ pub struct NetworkArguments {
 }
 
 impl NetworkArguments {
-    /// What was asked for.
+    /// What was requested.
     #[must_use]
     pub fn choice(&self) -> NetworkChoice {
         NetworkChoice { network: self.network, zenoh_config: self.zenoh_config.clone() }

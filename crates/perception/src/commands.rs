@@ -1,6 +1,6 @@
 //! Which commands a node obeys.
 //!
-//! A command changes what a node does: whoever reaches its services can give one. A node that is finished may be told to obey only
+//! A command changes what a node does: whoever reaches its services can give one. A node that is finished may be configured to obey only
 //! some groups of commands, or none. Services of the others stay, and answer with a sentence: a ROS client waits without end for a
 //! service that is not there. What only reads (the state, parameters and their descriptions) is answered always.
 

@@ -1,4 +1,4 @@
-//! What the node is told when it starts.
+//! The start configuration of the node.
 //!
 //! A skin file describes a type of skin; `instance`, `frame_id`, `mount`, `source`, `masked` and `correction` describe the one
 //! device of that type that a node reads.
@@ -20,7 +20,7 @@ pub enum ConfigError {
     /// The file cannot be read, or is neither TOML nor YAML.
     #[error("configuration {path}: {reason}")]
     Read {
-        /// File that was asked for.
+        /// File that was requested.
         path: PathBuf,
         /// What is wrong with it.
         reason: String,
@@ -45,7 +45,7 @@ pub enum ConfigError {
     },
 }
 
-/// What the node is told when it starts; a file of it is TOML or YAML.
+/// The start configuration of the node; a file of it is TOML or YAML.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Config {
     /// Skin description file; relative to the configuration file where it comes from one.

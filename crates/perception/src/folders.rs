@@ -57,7 +57,7 @@ pub(crate) fn bundle(name: &str, folders: &[PathBuf]) -> Result<PathBuf, String>
         }
         return Ok(found);
     }
-    // What lies elsewhere is not told from what is not there.
+    // What lies elsewhere is not distinguished from what is not there.
     let lexically = |f: &PathBuf| !requested.is_absolute() || requested.starts_with(f);
     let linked = folders.iter().any(|f| f.join(requested).symlink_metadata().is_ok());
     Err(if folders.iter().any(lexically) && !linked {

@@ -21,7 +21,7 @@ pub use crate::config::{CacheConfig, Config, ConfigError};
 pub use commands::{Command, Commands, UnknownCommand};
 pub use node::{RunError, SkinNode};
 
-/// Whether a node would start with this configuration, as far as can be told without starting it: skin, source,
+/// Whether a node would start with this configuration, as far as can be checked without starting it: skin, source,
 /// masked channels and parameters. Models are looked for, not loaded; the device is not opened. What is wrong is as the node
 /// itself would say it, each for itself; nothing where it would start.
 #[must_use]

@@ -2,7 +2,7 @@
 //!
 //! Who asks knows a skin's name, and the topic that its contacts come on. The ROS graph knows which node publishes that topic,
 //! and the node's services lie under the node's name. Where several nodes publish one topic, because none has a namespace, the
-//! one that is called as its skin is meant, as nodes are by default: `left_palm` is `/gripper/left/palm`. A node that does not offer a command is not asked for it.
+//! one that is called as its skin is meant, as nodes are by default: `left_palm` is `/gripper/left/palm`. A command that a node does not offer is not sent to it.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -22,7 +22,7 @@ const LOOK: Duration = Duration::from_millis(20);
 /// Longest wait for an answer; a node ends a tare by itself, and says why.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What a skin's node can be told.
+/// Commands that a skin's node takes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Command {
     /// Take the present readings for those of an untouched skin.
@@ -79,7 +79,7 @@ impl Command {
     }
 }
 
-/// What a node said to a command, or why it was not asked.
+/// What a node said to a command, or why it was not called.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Answer {
     /// Whether it was done.

@@ -40,7 +40,7 @@ pub trait Decoder: Send {
     /// `out`: values in the unit of the skin, stamped on the host clock with the time of acquisition.
     fn push(&mut self, bytes: &[u8], received_ns: i64, out: &mut Vec<Frame>);
 
-    /// What to write to the device now, for one that answers requests. Asked after every frame, and at least every 50 ms whether
+    /// What to write to the device now, for one that answers requests. Called after every frame, and at least every 50 ms whether
     /// the link is up or not; `now_ns` \[ns since the Unix epoch\] says when an answer is overdue and the request is made again.
     fn request(&mut self, now_ns: i64) -> Option<Vec<u8>> {
         let _ = now_ns;
@@ -83,12 +83,12 @@ pub trait Encoder: Send {
     /// A sentence where the wire cannot carry the frame.
     fn encode(&mut self, frame: &Frame, device_time_us: u64) -> Result<&[u8], String>;
 
-    /// Whether the device sends only what it is asked for.
+    /// Whether the device sends only on request.
     fn on_request(&self) -> bool {
         false
     }
 
-    /// Takes what the host wrote; how many frames that asks for. A device that sends by itself ignores it.
+    /// Takes what the host wrote; returns how many frames that requests. A device that sends by itself ignores it.
     fn requested_frames(&mut self, bytes: &[u8]) -> usize {
         let _ = bytes;
         0

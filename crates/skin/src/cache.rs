@@ -452,7 +452,7 @@ mod tests {
         let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("of/dermis");
-        assert!(ask(1).1 && ask(1).1, "nothing is kept unless asked for");
+        assert!(ask(1).1 && ask(1).1, "nothing is kept unless requested");
         use_folder(Some(cache.clone()));
         assert_eq!((ask(1), ask(1), ask(2)), ((field(), true), (field(), false), (field(), true)));
         assert_eq!(entries(&cache).len(), 2);

@@ -9,7 +9,7 @@ pub enum SkinError {
     /// The file cannot be read.
     #[error("skin file {path}: cannot be read: {source}; check the path and its permissions")]
     Read {
-        /// File that was asked for.
+        /// File that was requested.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
@@ -47,7 +47,7 @@ pub enum SkinError {
     /// The file of effects cannot be read.
     #[error("effects file {path}: cannot be read: {source}; check the path and its permissions")]
     ReadEffects {
-        /// File that was asked for.
+        /// File that was requested.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,

@@ -1,4 +1,4 @@
-//! Triangulated surfaces from files, and what can be asked of any triangulation.
+//! Triangulated surfaces from files, and operations on any triangulation.
 
 use std::collections::{BTreeMap, BinaryHeap};
 use std::path::Path;

@@ -6,7 +6,7 @@ use crate::surface::Triangulation;
 
 /// Where the material of a panel is: see [`SurfaceSpec::Panel`](crate::SurfaceSpec::Panel).
 ///
-/// Its points are told by (x, s): x along the axis, s the length of the arc from the middle of the panel, positive towards +y.
+/// Its points have the coordinates (x, s): x along the axis, s the length of the arc from the middle of the panel, positive towards +y.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Panel {
     pub radius: f64,

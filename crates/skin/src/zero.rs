@@ -19,7 +19,7 @@ const LONGEST_STEP: f64 = 1.0;
 /// Where a tare stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TareState {
-    /// Averaging; never had a zero, or was asked for a new one.
+    /// Averaging; never had a zero, or a new one was requested.
     Averaging {
         /// \[s\] of untouched readings so far.
         elapsed: f64,
@@ -162,7 +162,7 @@ impl ZeroTracker {
     }
 
     /// Has it keep the zero of an image of so many numbers as well, which is taken from the same frames as that of the
-    /// channels. Whether the skin is quiet is told by the channels alone.
+    /// channels. Whether the skin is quiet follows from the channels alone.
     ///
     /// A zero of another image is forgotten.
     pub fn set_image(&mut self, numbers: usize) {
@@ -276,7 +276,7 @@ impl ZeroTracker {
         self.window.clear(self.zero.len());
     }
 
-    /// Gives up a tare that was asked for; the zero before it stays. Without one the tracker keeps averaging.
+    /// Gives up a requested tare; the zero before it stays. Without one the tracker keeps averaging.
     pub fn cancel_tare(&mut self) {
         self.averaging = !self.known;
         self.window.clear(self.zero.len());

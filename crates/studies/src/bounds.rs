@@ -193,7 +193,7 @@ pub struct SurfaceFactor {
 
 /// Everything that was found.
 pub struct Findings {
-    /// What was asked for.
+    /// What was requested.
     pub request: Request,
     /// The skin.
     pub skin: SkinDescription,

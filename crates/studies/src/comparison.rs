@@ -7,7 +7,7 @@
 //! displacement maps that come with contacts are held against the true ones by the figures of `evaluate`.
 //! Bags are read in order, and a bundle whose forward model searches in pairs follows contacts from frame to frame as the node does.
 //!
-//! Cost: one pass over the bags for all of them, and what follows contacts also looks at the frames between those that are asked; neighbours look at every reading of the training part for every answer.
+//! Cost: one pass over the bags for all of them, and what follows contacts also looks at the frames between the targets; neighbours look at every reading of the training part for every answer.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -206,7 +206,7 @@ fn left_out(
 
 type Named = (String, Box<dyn ContactFinder>);
 
-/// What finders make of the asked frames; true displacements are those of the `forward` model. The frames between them feed the history of what looks at several, as in a node; a
+/// What finders make of the target frames; true displacements are those of the `forward` model. The frames between them feed the history of what looks at several, as in a node; a
 /// history that is not filled yet is an answer of no contact, as there.
 fn answer(
     mut finders: Vec<Named>,

@@ -1,7 +1,7 @@
 //! Measuring model bundles on labelled bags, with the node's own estimator.
 //!
 //! Frames are answered in their order, as a node would; errors are summed up over contacts and by force, beside the
-//! Cramér–Rao bound on the same contacts and, where they are asked for, beside other ways that learn from recordings.
+//! Cramér–Rao bound on the same contacts and, where they are requested, beside other ways that learn from recordings.
 
 mod beside;
 
@@ -115,7 +115,7 @@ mod written {
 pub struct Findings {
     /// Errors with every frame, where `evaluation` leaves some out, and what it leaves out.
     pub everything: Option<(Evaluation, Vec<LeftOut>)>,
-    /// Errors of what was asked for.
+    /// Errors of what was requested.
     pub evaluation: Evaluation,
     /// What any estimator without bias could reach on the same contacts.
     pub bound: Option<Bounds>,

@@ -175,7 +175,7 @@ pub struct Counts {
 
 /// Everything that was found.
 pub struct Findings {
-    /// What was asked for.
+    /// What was requested.
     pub request: Request,
     /// The skin.
     pub skin: SkinDescription,
@@ -424,7 +424,7 @@ fn choose(
     Ok(())
 }
 
-/// Places to press: points of the surface away from its supports, as many as are asked for.
+/// Places to press: points of the surface away from its supports, as many as are requested.
 fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Place> {
     let verdicts = feasible(surface, &surface.points, rule);
     let free: Vec<usize> = (0..surface.points.len()).filter(|i| verdicts[*i] == Verdict::Feasible).collect();
@@ -438,7 +438,7 @@ fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Plac
         .collect()
 }
 
-/// The forces that were asked for; otherwise one that the skin as it is feels clearly.
+/// The forces that were requested; otherwise one that the skin as it is feels clearly.
 fn forces(
     skin: &SkinDescription,
     options: &Request,
@@ -472,7 +472,7 @@ fn forces(
     Ok(vec![force.parse().context("a force cannot be found: give one with `--force`")?])
 }
 
-/// How often the bound is faster than greedy-svr, where both were asked.
+/// How often the bound is faster than greedy-svr, where both were run.
 #[must_use]
 pub fn faster(choices: &[Choice]) -> Option<f64> {
     let seconds = |method| choices.iter().find(|c| c.method == method).map(|c| c.seconds);

@@ -296,7 +296,7 @@ fn make_without_network(
     Ok(writer.write(folder, &[])?)
 }
 
-/// Refuses a bundle with a network where one without is asked for, and the other way round.
+/// Refuses a bundle with a network where one without is requested, and the other way round.
 fn check_kind(bundle: &Bundle, invert: bool) -> Result<()> {
     let (what, how) = match (bundle.manifest().model.is_some(), invert) {
         (true, true) => ("has a network", "leave out `--invert`, or choose another folder"),
@@ -376,7 +376,7 @@ fn key(options: &Request, bundle: &Bundle, data: &Dataset) -> serde_json::Value 
 pub struct Refinement {
     /// Of the inverter.
     pub settings: Settings,
-    /// How the device differs from its model, and the hash of the recordings that told it.
+    /// How the device differs from its model, and the hash of the recordings behind it.
     pub correction: Option<(Learned, String)>,
 }
 

@@ -109,7 +109,7 @@ pub struct Elasticity {
 
 /// Everything that was found.
 pub struct Findings {
-    /// What was asked for.
+    /// What was requested.
     pub request: Request,
     /// The skin, with a coarser surface.
     pub skin: SkinDescription,
@@ -161,7 +161,7 @@ pub fn of_skin(
     let parameters: Vec<Parameter> = if request.vary.is_empty() {
         Parameter::value_variants().iter().copied().filter(|p| p.value(&skin).is_ok()).collect()
     } else {
-        // What was asked for must be there.
+        // What was requested must be there.
         request.vary.iter().map(|p| p.value(&skin).map(|_| *p)).collect::<Result<_>>()?
     };
     let model = families.model_of_file(&request.skin, &skin)?;

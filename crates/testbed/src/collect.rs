@@ -85,7 +85,7 @@ const STRIDE: u64 = 64;
 const INTERRUPTED: &str = "interrupted";
 
 /// Carries out `plan` on the modelled skin and writes the labelled bag `dir`: topics `taxels`, `ground_truth`,
-/// `skin_geometry` and, where the skin is read by a camera and [pictures](CollectOptions::images) are asked for, `image`. As fast as the model answers, not in real time.
+/// `skin_geometry` and, where the skin is read by a camera and [pictures](CollectOptions::images) are requested, `image`. As fast as the model answers, not in real time.
 ///
 /// # Errors
 ///
@@ -356,7 +356,7 @@ mod tests {
                 assert!((found.depth - depth).abs() < 6.0 * 7.5e-6, "{} m for {depth} m", found.depth);
             }
         }
-        // Standard deviations are those that were asked for: 2 Pa and 4 mN, within their own statistics.
+        // Standard deviations are those that were requested: 2 Pa and 4 mN, within their own statistics.
         approx::assert_relative_eq!(f64::sqrt(squares / readings), 2.0, max_relative = 0.1);
         approx::assert_relative_eq!(f64::sqrt(forces / contacts), 0.004, max_relative = 0.1);
 

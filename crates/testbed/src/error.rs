@@ -13,7 +13,7 @@ pub enum TestbedError {
     /// The plan file cannot be read.
     #[error("plan file {path}: cannot be read: {source}; check the path and its permissions")]
     ReadPlan {
-        /// File that was asked for.
+        /// File that was requested.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,

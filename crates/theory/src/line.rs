@@ -370,7 +370,7 @@ impl Line {
         (slopes > 0.0).then_some(Deviations { position: both / slopes, force: both })
     }
 
-    /// Whether two contacts, each a place and a force \[N\], can be told apart by their isolines (thesis 5.3.3): each reaches
+    /// Whether two contacts, each a place and a force \[N\], can be distinguished by their isolines (thesis 5.3.3): each reaches
     /// `needed` taxels that the other one leaves below `least`, so that its triangulation is not spoilt.
     #[must_use]
     pub fn distinguishable(&self, a: (usize, f64), b: (usize, f64), least: f64, needed: usize) -> bool {

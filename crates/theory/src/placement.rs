@@ -85,5 +85,5 @@ impl Sets {
     }
 }
 
-/// Told how far a long search is, from 0 to 1; says whether it goes on. A search that is stopped returns what it has.
+/// Receives the progress of a long search, from 0 to 1; says whether it goes on. A search that is stopped returns what it has.
 pub type Watch<'a> = &'a (dyn Fn(f64) -> bool + Sync);

@@ -154,7 +154,7 @@ pub struct TwoContacts {
     pub position: f64,
     /// \[N\] bound of its pressing force.
     pub normal_force: f64,
-    /// Whether they can be told apart: the bound of the position is below half of their distance.
+    /// Whether they can be distinguished: the bound of the position is below half of their distance.
     pub resolved: bool,
 }
 

@@ -84,21 +84,21 @@ pub enum TransportError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// A frame that an encoder was asked for does not fit the wire format.
+    /// A frame requested of an encoder does not fit the wire format.
     #[error("cannot encode a frame of {channels} channels: a frame has 1 to {max}")]
     ChannelCount {
-        /// Channels asked for.
+        /// Channels requested.
         channels: usize,
         /// Most channels of a frame.
         max: usize,
     },
-    /// A frame that an encoder was asked to split does not fit datagrams of this length.
+    /// A frame that an encoder is to split does not fit datagrams of this length.
     #[error(
         "cannot send a frame of {channels} channels in datagrams of {most} bytes: they must have at least {least}, and a frame has at \
          most 255 parts"
     )]
     DatagramLength {
-        /// \[bytes\] asked for.
+        /// \[bytes\] requested.
         most: usize,
         /// Channels of the frame.
         channels: usize,

@@ -103,7 +103,7 @@ pub enum SourceUrl {
     Http {
         /// `HOST:PORT`, the host a name or an address.
         address: String,
-        /// What is asked for, from the `/` on, as it goes over the line.
+        /// What is requested, from the `/` on, as it goes over the line.
         path: String,
     },
     /// Wait for the device to connect.

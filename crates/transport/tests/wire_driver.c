@@ -1,6 +1,6 @@
 /* Encodes frames that a test asks for on its standard input: format u8, channels u16, sequence u32, time u64, datagram u32,
  * values. Each is answered by a length u32 and the frame; where a datagram has a length, by as many parts as there are, each with
- * its length, and a length of 0. 12-bit counts are asked for as 16-bit ones. Numbers are in the order of the host. */
+ * its length, and a length of 0. 12-bit counts are requested as 16-bit ones. Numbers are in the order of the host. */
 #include <stdio.h>
 #include <string.h>
 

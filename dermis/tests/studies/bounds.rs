@@ -76,7 +76,7 @@ force [N] |  pos. RMS   median     95 %    worst |     F RMS   median     95 %  
         1 |     0.021    0.019    0.028    0.040 |    0.0033   0.0034   0.0034   0.0034
 
 positions in mm, forces in N; `-`: the channels do not tell it
-two contacts of 1 N across the middle can be told apart from 3 mm on (to 0.272 mm each)
+two contacts of 1 N across the middle can be distinguished from 3 mm on (to 0.272 mm each)
 
 isolines from the forward model; σ_S 20.0 Pa as the skin description says; S_min 80 Pa
 row of 6 taxels, 32.500 mm: c(0) = 0.156 N/kPa, linear within 1 %; F_S from 0.0186 to 0.0468 N

@@ -14,7 +14,7 @@ use crate::{SENSORS, program};
 /// Kinds of files that have a schema.
 const KINDS: [&str; 4] = ["skin", "launch", "plan", "effects"];
 
-/// What `dermis schema` prints, asked once.
+/// What `dermis schema` prints, run once.
 fn text(kind: &str) -> String {
     static PRINTED: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
     let mut printed = PRINTED.lock().unwrap_or_else(PoisonError::into_inner);

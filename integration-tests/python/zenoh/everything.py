@@ -48,7 +48,7 @@ def latest(key):
 [(key, encoding, text)] = wait("geometry by get", lambda: latest("dermis/*/*/skin_geometry"))
 geometry = json.loads(text)
 assert encoding == "application/json" and len(geometry["taxels"]) == 25, key
-# Frames carry a number for their channels; the bridge adds the names that the geometry told.
+# Frames carry a number for their channels; the bridge adds the names that the geometry holds.
 named = lambda: [f for _, _, t in latest("dermis/*/*/taxels") if "channels" in (f := json.loads(t))]
 [frame] = wait("names of channels", named)
 assert frame["channels"] == geometry["channels"] and frame["unit"] == "Pa", frame

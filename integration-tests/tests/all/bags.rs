@@ -277,7 +277,7 @@ fn a_type_that_is_not_built_in_is_recorded_and_played_by_its_definition() {
         (so_far(&path("b")) > 0).then_some(())
     });
     recorder.interrupt();
-    assert_eq!(recorder.end(SOON).code(), Some(1), "a topic that was asked for by name is not there");
+    assert_eq!(recorder.end(SOON).code(), Some(1), "a topic that was requested by name is not there");
     let said = std::fs::read_to_string(path("said")).unwrap();
     let about: Vec<&str> = said.lines().filter(|line| line.starts_with("/unknown")).collect();
     assert_eq!(

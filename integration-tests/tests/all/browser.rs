@@ -18,15 +18,15 @@ addEventListener("load", () => {
   if (page.scrollWidth > page.clientWidth + 1) faults.push("the page is wider than its window");
   const outermost = e => { while (e.ownerSVGElement) e = e.ownerSVGElement; return e; };
   const texts = [...document.querySelectorAll("svg text")].filter(t => t.textContent.trim() && box(t).width > 0);
-  const told = t => JSON.stringify(t.textContent.trim());
+  const quoted = t => JSON.stringify(t.textContent.trim());
   for (const text of texts) {
     const own = box(text), frame = box(outermost(text));
     if (own.left < frame.left - 1 || own.right > frame.right + 1 || own.top < frame.top - 1 || own.bottom > frame.bottom + 1)
-      faults.push(told(text) + " is cut off");
+      faults.push(quoted(text) + " is cut off");
     const top = document.elementFromPoint((own.left + own.right) / 2, (own.top + own.bottom) / 2);
     const area = top && top.tagName.toLowerCase() !== "text" && ["rect", "image", "path", "polygon"].includes(top.tagName.toLowerCase());
     if (area && (top.compareDocumentPosition(text) & Node.DOCUMENT_POSITION_PRECEDING))
-      faults.push(told(text) + " is covered by a " + top.tagName);
+      faults.push(quoted(text) + " is covered by a " + top.tagName);
   }
   // Corners of a text as it stands, turned or not, a tenth smaller than its box: lines may stand close.
   const corners = t => {
@@ -42,7 +42,7 @@ addEventListener("load", () => {
   const shapes = texts.map(corners);
   for (let i = 0; i < texts.length; i++) for (let j = 0; j < i; j++)
     if (outermost(texts[i]) === outermost(texts[j]) && !beyond(shapes[i], shapes[j]) && !beyond(shapes[j], shapes[i]))
-      faults.push(told(texts[i]) + " runs into " + told(texts[j]));
+      faults.push(quoted(texts[i]) + " runs into " + quoted(texts[j]));
   document.getElementById("found").textContent = JSON.stringify(faults);
 });
 </script>

@@ -291,7 +291,7 @@ fn text_that_is_no_readings_is_named_where_lines_are_expected() {
     bench.is_foreign("the device sends text that is not lines of numbers");
     // A logger of accelerations.
     device.becomes(Box::new(|_| b"0.01,0.02,9.81\r\n".repeat(4)));
-    let array = bench.contacts_say("told apart", |a| a.status_text.contains("3 values on a line"));
+    let array = bench.contacts_say("refused", |a| a.status_text.contains("3 values on a line"));
     assert_eq!(array.status, ContactArray::STATUS_FAULT, "{}", array.status_text);
 }
 
@@ -512,7 +512,7 @@ fn simulated_time_that_starts_over_is_followed() {
     ticking.join().unwrap();
 }
 
-/// What a listener got since it was asked last: messages, the longest time between two \[s\], and the 99th percentile of their
+/// What a listener got since the last call: messages, the longest time between two \[s\], and the 99th percentile of their
 /// age on arrival \[s\].
 #[derive(Debug, Clone, Copy)]
 struct Heard {

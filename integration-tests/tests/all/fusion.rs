@@ -264,7 +264,7 @@ struct Press {
     identities: Vec<u32>,
 }
 
-/// Presses of the palm, told apart by their places.
+/// Presses of the palm, distinguished by their places.
 fn presses(body: &[BodyContacts], truth: &[Indentation]) -> Vec<Press> {
     let mut all: Vec<(Point3<f64>, Press)> = Vec::new();
     let link_from_skin = Isometry3::from_parts(

@@ -65,7 +65,7 @@ impl Keys {
         Some(Self(Peer::start(Command::new(client_python()?).arg(script).arg(robot))))
     }
 
-    /// Waits until the counts are as asked.
+    /// Waits until the counts are as requested.
     fn until(&mut self, what: &str, mut holds: impl FnMut(&Value) -> bool) -> Value {
         let deadline = Instant::now() + PATIENCE;
         loop {

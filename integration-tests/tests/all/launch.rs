@@ -40,7 +40,7 @@ processes:
     for name in ["after", "talker", "slow"] {
         assert_eq!(launch.wait_for("was ended"), format!("{name} was ended by signal 2 (SIGINT)"));
     }
-    assert!(launch.peer.end(PATIENCE).success(), "stopped as asked is no failure");
+    assert!(launch.peer.end(PATIENCE).success(), "stopped as requested is no failure");
 }
 
 #[test]

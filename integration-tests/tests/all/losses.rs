@@ -310,7 +310,7 @@ fn a_topic_that_nobody_publishes_is_said_and_fails() {
     recorder.interrupt();
     let line = recorder.expect("{", SOON);
     assert_eq!(recorder.end(SOON).code(), Some(1));
-    let last = "dermis: nothing was recorded of what was asked for by name: /mute (it was published, but no message came), /nobody (nobody published it)";
+    let last = "dermis: nothing was recorded of what was requested by name: /mute (it was published, but no message came), /nobody (nobody published it)";
     assert!(lines().lines().any(|line| line == last), "{}", lines());
     let report: serde_json::Value = serde_json::from_str(&line).unwrap();
     assert_eq!(report["silent"]["/nobody"], "nobody published it");

@@ -206,7 +206,7 @@ fn a_stranger() {
     println!("\nFINDINGS {findings}");
 }
 
-/// Answers as if the robot had asked for peers (a `Hello` of zenoh, at every UDP port), and tells whether it connects.
+/// Answers as if the robot had requested peers (a `Hello` of zenoh, at every UDP port), and tells whether it connects.
 fn lure() -> bool {
     let trap = TcpListener::bind((STRANGER, 0)).unwrap();
     trap.set_nonblocking(true).unwrap();
@@ -305,7 +305,7 @@ fn by_default_no_other_host_hears_or_commands_anything() {
     let client = format!("mode=\"client\";listen/endpoints=[];connect/endpoints=[\"tcp/{ROBOT}:7450\"]");
     for variables in [vec![], vec![("ZENOH_CONFIG_OVERRIDE", client.as_str())]] {
         let mut found = assault(&robot, &stranger, &variables);
-        // The open program does what it is told from outside; the demo does not.
+        // The open program obeys commands from outside; the demo does not.
         found["lured"] = json!(false);
         assert_eq!(found, everything(false), "an open program passed things on: {variables:?}");
     }

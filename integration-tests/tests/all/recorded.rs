@@ -60,7 +60,7 @@ fn recorded_frames_become_contacts_over_ros() {
         &[("--skin", &skin_file), ("--model", &model), ("", &bag)],
     );
     println!("held-out presses: {}", held_out.trim());
-    // Another day is another thing: no bound is asked of it, but there must be an honest figure.
+    // Another day is another thing: it has no bound, but there must be an honest figure.
     let across =
         dermis(&["evaluate", "--json"], &[("--skin", &skin_file), ("--model", &model), ("", &other)]);
     println!("the other run: {}", across.trim());
@@ -72,7 +72,7 @@ fn recorded_frames_become_contacts_over_ros() {
     online_equals_offline(&skin, &skin_file, &bag, &model, &split);
 }
 
-/// A load cell with one axis: what is known of the force is learned, measured and told.
+/// A load cell with one axis: what is known of the force is learned, measured and reported.
 #[test]
 fn a_recording_that_knows_one_component_of_the_force_is_learned() {
     let Some(data) = recordings("eflesh/shear_force") else { return };

@@ -137,7 +137,7 @@ fn a_press_stops_the_robot_and_so_does_a_node_that_is_killed() {
 fn the_end_of_the_reflexes_is_a_stop() {
     let folder = tempfile::tempdir().unwrap();
     let rules = folder.path().join("rules.toml");
-    // Nothing is asked of the input, so that nothing acts until the end.
+    // Nothing is required of the input, so that nothing acts until the end.
     let idle = RULES.replace("quiet = 0.05", "quiet = 0.05\ncounts_as_touched = []");
     std::fs::write(&rules, idle).unwrap();
     let options = NodeOptions::new("robot").domain_id(domain()).localhost_only(true);

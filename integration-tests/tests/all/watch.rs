@@ -79,7 +79,7 @@ fn two_skins_are_tared_and_shown_apart() {
     }
     both.kill();
 
-    // What a tare did is told, each skin for itself; the end says whether all were obeyed.
+    // What a tare did is reported, each skin for itself; the end says whether all were obeyed.
     let out = dermis()
         .args(["watch", "--tare", "--duration", "12s", "--within", "30s"])
         .env("ROS_DOMAIN_ID", domain().to_string())

@@ -1,6 +1,6 @@
 //! A camera behind a soft pad: frames are pictures, on a wire of its own.
 //!
-//! Not a physical model: a press makes a dent, three lamps shade it in three colours, and the picture is asked for and answered.
+//! Not a physical model: a press makes a dent, three lamps shade it in three colours, and the picture is requested and answered.
 
 mod effects;
 mod model;

@@ -11,7 +11,7 @@
 //! * with a short of r to ground at electrode e and nothing else, V_ek / V_kk = r / (r + R_ke), where R_ke = Z_kk + Z_ee − 2 Z_ke of the
 //!   untouched sheet; that gives r as a median over all k. Touches elsewhere make it look smaller, by as much as they conduct. A short is
 //!   believed below [`BELOW`] of what [`TIPS`] tips at the largest force that the skin is rated for make together, so that a press is
-//!   no short. Weaker ones are not told from something that leans on the panel.
+//!   no short. Weaker ones are not distinguished from something that leans on the panel.
 //!
 //! Of several shorts the strongest is found, and those about as strong ([`ALIKE`]); the others once that is mended. Wires that were
 //! exchanged at both ends of the multiplexer give a sheet that can be: only the diagnosis of the gap finds them.

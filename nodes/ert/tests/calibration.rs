@@ -73,7 +73,10 @@ fn voltages_vary_as_much_as_the_thesis_says() {
     for (tips, wanted) in (1..).zip(THESIS) {
         let found = deviation(&model, tips);
         println!("{tips} tips: {:.1} mV, {:.1} mV in the thesis", found * 1e3, wanted * 1e3);
-        assert!((0.6..1.6).contains(&(found / wanted)), "{tips} tips: {found} V where {wanted} V are asked");
+        assert!(
+            (0.6..1.6).contains(&(found / wanted)),
+            "{tips} tips: {found} V where {wanted} V are expected"
+        );
         ratios *= found / wanted;
     }
     // What is calibrated: the geometric mean over all numbers.

@@ -1,4 +1,4 @@
-//! What the node is told when it starts.
+//! The start configuration of the node.
 //!
 //! ```toml
 //! robot = "humanoid.toml"      # relative to this file
@@ -48,7 +48,7 @@ pub enum Transforms {
     Robot,
 }
 
-/// What the node is told when it starts; a file of it is TOML.
+/// The start configuration of the node; a file of it is TOML.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -124,7 +124,7 @@ pub enum ConfigError {
     /// The file cannot be read.
     #[error("configuration {path}: cannot be read: {source}; check the path and its permissions")]
     Read {
-        /// File that was asked for.
+        /// File that was requested.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,

@@ -1,6 +1,6 @@
 //! All skins of a robot, and what its whole body feels.
 //!
-//! [`Fuser`] takes messages as they come and answers with a [`BodyState`] whenever it is asked. It opens nothing and reads no clock: whoever
+//! [`Fuser`] takes messages as they come and answers with a [`BodyState`] on request. It opens nothing and reads no clock: whoever
 //! calls it says what time it is.
 
 use dermis_body::{HistoryLimits, JointHistory, JointKind, JointsAt, Refused, Robot, SkinOnBody, Wrench};
@@ -287,7 +287,7 @@ impl Fuser {
         Ok(())
     }
 
-    /// Takes joints that no state has told of for resting at 0, or at the limit next to it.
+    /// Takes joints that no state has reported for resting at 0, or at the limit next to it.
     pub fn assume_rest(&mut self) {
         let rest = |joint: &dermis_body::Joint| {
             joint

@@ -23,7 +23,7 @@ use crate::track::seconds;
 
 /// \[s\] for which what was last wrong is remembered where reports come again.
 const REMEMBERED: f64 = 0.5;
-/// Restarts within [`RESTART_TIME`] that make two publishers likely, where publishers cannot be told apart.
+/// Restarts within [`RESTART_TIME`] that make two publishers likely, where publishers cannot be distinguished.
 const RESTARTS: u32 = 3;
 /// \[s\]
 const RESTART_TIME: f64 = 1.0;

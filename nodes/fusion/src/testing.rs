@@ -180,7 +180,7 @@ pub(crate) struct Scenario {
     pub rate: f64,
 }
 
-/// What comes from a simulation each time that the fuser is asked.
+/// What comes from a simulation each time that the fuser is called.
 pub(crate) struct Moment<'a> {
     pub t: f64,
     /// Touches that last, as they are at the instant of the answer; with their index.

@@ -422,7 +422,7 @@ pub struct JointValues<'a> {
 }
 
 impl Latest {
-    /// Of a joint that no state has told of.
+    /// Of a joint that no state has reported.
     fn unknown() -> Self {
         Self { rate: f64::NAN, effort: f64::NAN, ..Self::default() }
     }

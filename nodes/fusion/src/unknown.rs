@@ -7,7 +7,7 @@
 //! joint moves it not. They are ruled out once such a joint has turned by [`TURNED`] meanwhile and still feels nothing, and where a
 //! joint's torque is not known, its links stay. Chains of their own have contacts of their own; two contacts on one chain are one here.
 //!
-//! The force is told where the torques of six joints or more determine it: weighted least squares of the wrench on the innermost link, for
+//! The force is reported where the torques of six joints or more determine it: weighted least squares of the wrench on the innermost link, for
 //! any place of the contact.
 //!
 //! A contact ends when the joint has been below [`STAYS`] of the alarm for as long.

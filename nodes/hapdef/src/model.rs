@@ -227,7 +227,7 @@ fn strains(design: &Design) -> Result<Vec<f64>, ModelError> {
 impl ShellModel {
     /// The model of a skin whose `medium` names `thickness` \[m\], `young_modulus` \[Pa\], `poisson_ratio`, `gauge` (length and
     /// width \[m\]), and may name `patch` \[m\], `clamp` and `bridge`. Takes some tenths of a second for a shell of 3,000 points;
-    /// displacements, when they are first asked for, some seconds more.
+    /// displacements, when they are first requested, some seconds more.
     ///
     /// # Errors
     ///

@@ -1,6 +1,6 @@
 //! The thumb's outside: a cone that a sphere closes, both about z, the base at z = 0.
 //!
-//! Places are told by two coordinates: the way s \[m\] along a meridian of the outside, from the tip downwards, and the azimuth φ \[rad\].
+//! A location has two coordinates: the way s \[m\] along a meridian of the outside, from the tip downwards, and the azimuth φ \[rad\].
 //! The sphere touches the cone, so that the normal is continuous. Surfaces at one depth below the outside are a cone and a sphere again.
 //! Everything here is closed-form.
 

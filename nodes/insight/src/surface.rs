@@ -1,4 +1,4 @@
-//! The points that forces are told at: rings around the axis, about one spacing apart along and across, and the triangles between them.
+//! The points at which forces are reported: rings around the axis, about one spacing apart along and across, and the triangles between them.
 
 use std::f64::consts::TAU;
 

@@ -1,6 +1,6 @@
 //! What one message means for one rule.
 //!
-//! Each contact in the rule's region is compared with the rule's thresholds; each skin of the region is asked whether it feels.
+//! Each contact in the rule's region is compared with the rule's thresholds; of each skin of the region it is checked whether it feels.
 //! A number that the message does not give is [`Loss::Unmeasured`] where the rule asks for it, and never 0. The cost is
 //! linear in contacts and skins; nothing is remembered here.
 

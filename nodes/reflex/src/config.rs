@@ -1,4 +1,4 @@
-//! What the node is told when it starts.
+//! The start configuration of the node.
 
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ pub enum RunError {
     Thread(std::io::Error),
 }
 
-/// What the node is told when it starts.
+/// The start configuration of the node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
     /// Rule file.

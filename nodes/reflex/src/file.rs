@@ -62,7 +62,7 @@ pub enum RuleFileError {
     /// The file cannot be read.
     #[error("rule file {file}: cannot be read: {source}; check the path and its permissions")]
     Read {
-        /// File that was asked for.
+        /// File that was requested.
         file: String,
         /// What the system says.
         source: std::io::Error,

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::{PROGRAM, evaluation, scratch};
 use crate::run::{cargo, run as execute, target_dir};
 
-/// Folders of the recordings, and the mean error \[mm\] of a kernel ridge regression on the same kind of split, which is asked for.
+/// Folders of the recordings, and the mean error \[mm\] of a kernel ridge regression on the same kind of split, which is the target.
 const SKINS: [(&str, &str, f64); 5] = [
     ("plain", "No Pattern", 1.7),
     ("parallel", "Parallel Lines", 1.8),

@@ -63,7 +63,7 @@ pub struct Sizes {
     maps: Vec<usize>,
 }
 
-/// The program, where it works, and what it is asked for.
+/// The program, its working directory, and its arguments.
 struct Work<'a> {
     root: &'a Path,
     dermis: PathBuf,

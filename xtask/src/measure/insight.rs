@@ -16,7 +16,7 @@ use crate::run::{cargo, run as execute, target_dir};
 
 const SKIN: &str = "launch/skins/insight-thumb.toml";
 const MODEL: &str = "models/insight-thumb";
-/// Plan, result, what is less than in the thesis or than was asked for; in the order in which they are measured.
+/// Plan, result, what is less than in the thesis or than was requested; in the order in which they are measured.
 const PLANS: [(&str, &str, &str); 4] = [
     (
         "evaluate",

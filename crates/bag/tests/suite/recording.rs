@@ -231,7 +231,7 @@ fn many_notes_are_no_error() {
     );
     assert_eq!(report.findings.len(), 21);
 
-    // Errors and notes of one kind are told apart, too: 30 errors stay an error.
+    // Errors and notes of one kind are distinguished, too: 30 errors stay an error.
     let mut writer = BagWriter::create(dir.path().join("bad")).unwrap();
     let id = writer.declare(&taxels()).unwrap();
     for index in 0..30 {

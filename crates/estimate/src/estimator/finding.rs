@@ -28,7 +28,7 @@ impl SkinEstimator {
         for pipeline in &mut self.pipelines {
             pipeline.fresh = false;
             let config = pipeline.features.config();
-            // A model that was told which channels are missing knows better what to make of it, and an image has no channels.
+            // A model that receives which channels are missing knows better what to make of it, and an image has no channels.
             let as_it_is =
                 self.guessed.is_empty() || config.missing == Missing::Mask || config.image.is_some();
             if as_it_is {
@@ -56,7 +56,7 @@ impl SkinEstimator {
     /// Runs what is needed of the models. Returns whether a contact is there and whether every model could answer.
     pub(super) fn infer(&mut self) -> Result<(bool, bool), String> {
         self.push()?;
-        // A model that says whether there is a contact is asked on every frame, the others only during contacts.
+        // A model that says whether there is a contact is called on every frame, the others only during contacts.
         let mut probability = None;
         for pipeline in &mut self.pipelines {
             if pipeline.names().any(|n| n == "contact") && pipeline.infer()? {
@@ -111,7 +111,7 @@ impl SkinEstimator {
             let solution = solve(inverter, &self.readings, Learned::default(), &self.before)?;
             let found = indentations(&solution.contacts, inverter.settings());
             inverter.signal(&found, &mut self.guessed)?;
-            // Asked once a frame: what it costs is the frame's time.
+            // Called once a frame: what it costs is the frame's time.
             self.solution = (inverter.settings().follows()).then_some(solution);
         }
         Ok(())
@@ -159,7 +159,7 @@ impl SkinEstimator {
             return Ok((learned, None));
         };
         let solution = match self.solution.take() {
-            // Found when it was asked what the missing channels would read.
+            // Found when it predicted what the missing channels would read.
             Some(solution) => Ok(solution),
             None => {
                 let learned = Learned { contacts: &learned, complete: self.complete() };

@@ -6,8 +6,8 @@ use super::{Quality, SkinEstimator};
 use crate::condition::listed;
 
 impl SkinEstimator {
-    /// Impaired channels: their names with what is wrong but for those of parts that are out of order, and of those that nobody
-    /// asked to leave out, how many of how many are unusable.
+    /// Impaired channels: their names with what is wrong but for those of parts that are out of order, and of those that are not
+    /// masked, how many of how many are unusable.
     pub(super) fn channel_faults(&self) -> (Vec<String>, usize, usize) {
         let reading = &self.cleaned.reading;
         let mut names = Vec::new();

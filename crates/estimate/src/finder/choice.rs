@@ -28,7 +28,7 @@ impl Pipeline {
 
 /// The finder that gives the contacts that a node with this bundle gives: of its outputs, refined on the forward model where its
 /// manifest asks for that, from frame to frame where its settings [follow](dermis_inversion::Settings::follows) contacts. `model`
-/// is asked only then.
+/// is called only then.
 ///
 /// # Errors
 ///

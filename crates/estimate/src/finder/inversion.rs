@@ -317,7 +317,7 @@ mod tests {
     fn a_finder_that_follows_begins_where_the_contacts_were() {
         let (first, second, nothing) = (read(0.0), read(0.0005), vec![0.0; 9]);
         let mut finder = bundle(Search::Pairs).following();
-        // One that nobody asked about counts.
+        // One that was not checked counts.
         finder.pass(&frame(&first)).unwrap();
         assert_eq!(finder.before().len(), 2);
         let before = finder.before().to_vec();

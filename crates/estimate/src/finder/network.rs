@@ -131,7 +131,7 @@ impl NetworkFinder {
         Ok(regressed(|name| outputs.get(name), sigma, &self.surface, self.flat).contact)
     }
 
-    /// What the model gave for the latest frame whose contact was asked for.
+    /// What the model gave for the latest frame whose contact was requested.
     #[must_use]
     pub fn outputs(&self) -> &Outputs {
         &self.pipeline.outputs

@@ -166,7 +166,7 @@ fn a_bundle_that_gives_no_map_of_this_surface_is_no_map_finder() {
     assert!(error.to_string().contains("has 169 numbers where the surface needs 25"), "{error}");
 }
 
-/// Says the same of every frame, and remembers what it was told.
+/// Says the same of every frame, and remembers its calls.
 struct Fixed(Vec<Contact>, Arc<std::sync::Mutex<Vec<&'static str>>>);
 
 impl ContactFinder for Fixed {
@@ -200,7 +200,7 @@ fn inversion(start: Start) -> InversionFinder {
     InversionFinder::new(Inverter::new(Arc::new(membrane(&nine())), settings).unwrap(), start)
 }
 
-/// Every way to begin; those that ask others are told of places some millimetres off.
+/// Every way to begin; those that call others receive locations some millimetres off.
 fn ways(presses: &[([f64; 2], f64)]) -> Vec<(&'static str, InversionFinder)> {
     let rough: Vec<_> = presses.iter().map(|([x, y], force)| ([x + 0.002, y - 0.001], force * 0.8)).collect();
     [
@@ -238,7 +238,7 @@ fn an_inversion_of_nothing_is_nothing_or_as_light_as_noise() {
     for (name, mut finder) in ways(&[]) {
         let contacts = found(&mut finder, &[0.0; 9]).unwrap();
         match name {
-            // The first contact is there because it was asked for; 20 Pa of noise are 0.01 N.
+            // The first contact is there because it was requested; 20 Pa of noise are 0.01 N.
             "greedy" | "pairs" | "bundle" => {
                 assert!(contacts.len() <= 1, "{name}: {contacts:?}");
                 assert!(contacts.iter().all(|c| c.normal_force().abs() < 0.05), "{name}: {contacts:?}");
@@ -362,7 +362,7 @@ fn finders_give_what_the_estimator_of_a_node_gives() {
     assert_same(&estimator, &mut finder, &estimate);
     let skin = skin_with("");
     let loaded = Bundle::load(kept.path(), &skin).unwrap();
-    let mut finder = finder_of(&loaded, &skin, || panic!("nobody asked for a model"), runtime()).unwrap();
+    let mut finder = finder_of(&loaded, &skin, || panic!("no model was requested"), runtime()).unwrap();
     assert!(finder.single());
     assert_same(&estimator, finder.as_mut(), &estimate);
 }
@@ -408,7 +408,7 @@ fn a_bundle_asks_for_an_inverter_or_does_not() {
     let (skin, dir) = (nine(), tempfile::tempdir().unwrap());
     let load = || Bundle::load(dir.path(), &skin).unwrap();
     TestBundle::default().write(&skin, dir.path());
-    let unused = crate::inverter(&load(), || panic!("nobody asked for a model"));
+    let unused = crate::inverter(&load(), || panic!("no model was requested"));
     assert!(unused.unwrap().is_none());
     TestBundle { inversion: Some(Settings::new(0.004, 5.0)), ..TestBundle::default() }
         .write(&skin, dir.path());

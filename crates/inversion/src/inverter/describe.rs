@@ -118,8 +118,8 @@ impl Inverter {
 }
 
 impl Inverter {
-    /// Places of the dictionary that a mean over all has to ask. On a skin of very many elements, those that explain so much less than the best
-    /// that they weigh nothing are told by one product.
+    /// Places of the dictionary that a mean over all has to evaluate. On a skin of very many elements, those that explain so much less than the best
+    /// that they weigh nothing follow from one product.
     fn likely(&self, data: &[Datum]) -> Vec<usize> {
         let all = 0..self.dictionary.places.len();
         let whole = data.iter().all(|datum| matches!(datum, Datum::Exact(..)));

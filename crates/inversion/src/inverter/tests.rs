@@ -130,7 +130,7 @@ fn row(gain: f64) -> (Inverter, Arc<Analytic>) {
 #[test]
 fn of_two_places_that_explain_readings_the_likelier_is_answered() {
     // The element beside the row reads 197 · gain or 3458 · gain Pa: 3.3 deviations apart. The likelier place is the true one with
-    // Φ(3.3 / 2) = 95 %, whatever place the search is told to begin at.
+    // Φ(3.3 / 2) = 95 %, wherever the search begins.
     let (inverter, model) = row(0.02);
     let mut random = random(21);
     let (truth, other) = (press(0.003, -0.008, 1.0), press(0.003, 0.008, 1.0));

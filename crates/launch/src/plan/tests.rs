@@ -237,10 +237,10 @@ processes:
     assert_eq!(
         of(&plan, "e", "DERMIS_NETWORK").as_deref(),
         Some(""),
-        "what the launch was told is taken away"
+        "what the launch received is taken away"
     );
     assert_eq!(of(&plan, "f", "ZENOH_SESSION_CONFIG_URI"), Some(path));
-    assert_eq!(of(&plan, "g", range), None, "ROS 2 cannot be told an address");
+    assert_eq!(of(&plan, "g", range), None, "ROS 2 cannot be given an address");
     for process in &mut plan.processes {
         process.set_network(true, "loopback");
     }

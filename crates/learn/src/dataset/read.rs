@@ -171,7 +171,7 @@ impl Contents {
             findings.fatal(
                 place,
                 reason.clone(),
-                "the readings cannot be told apart; check the skin description",
+                "the readings cannot be assigned to channels; check the skin description",
             );
         }
         if self.unstamped[0] > 0 {

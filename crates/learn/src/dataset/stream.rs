@@ -51,8 +51,8 @@ pub struct Sample {
     pub frame: Frame,
     /// `value − zero` in the unit of the skin, one a channel; NaN where a channel is invalid or its zero unknown.
     pub tared: Vec<f32>,
-    /// The coarse image that was asked for ([`Dataset::stream_images`](super::Dataset::stream_images)), NaN throughout where
-    /// the frame has none; empty where none was asked for.
+    /// The coarse image that was requested ([`Dataset::stream_images`](super::Dataset::stream_images)), NaN throughout where
+    /// the frame has none; empty where none was requested.
     pub image: Vec<f32>,
     /// The same less its zero; NaN where that is not known.
     pub image_tared: Vec<f32>,

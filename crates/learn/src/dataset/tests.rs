@@ -203,12 +203,12 @@ fn what_a_bag_lacks_is_said() {
         std::fs::remove_dir_all(&path).unwrap();
         error.replace(&path.display().to_string(), "BAG")
     };
-    insta::assert_snapshot!(refusal_of(&swapped), @"bag BAG: frame 7: channel 0 is `x` where the skin has `left`: the readings cannot be told apart; check the skin description");
-    insta::assert_snapshot!(refusal_of(&like("\"Pa\"", "\"V\"")), @r#"bag BAG: frame 7 is in "V" where the skin is in "Pa": the readings cannot be told apart; check the skin description"#);
+    insta::assert_snapshot!(refusal_of(&swapped), @"bag BAG: frame 7: channel 0 is `x` where the skin has `left`: the readings cannot be assigned to channels; check the skin description");
+    insta::assert_snapshot!(refusal_of(&like("\"Pa\"", "\"V\"")), @r#"bag BAG: frame 7 is in "V" where the skin is in "Pa": the readings cannot be assigned to channels; check the skin description"#);
     let nameless = swapped.frame_message(&Frame::new(BEGIN, 7, vec![1.0, 2.0]));
-    insta::assert_snapshot!(refusal(&[nameless], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has the channel layout fa8ce54b where the skin has 988a1319, and no geometry says which channels those are: the readings cannot be told apart; check the skin description");
+    insta::assert_snapshot!(refusal(&[nameless], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has the channel layout fa8ce54b where the skin has 988a1319, and no geometry says which channels those are: the readings cannot be assigned to channels; check the skin description");
     let short = frame(0, 7, vec![1.0]);
-    insta::assert_snapshot!(refusal(&[short], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has 1 values where the skin has 2 channels: the readings cannot be told apart; check the skin description");
+    insta::assert_snapshot!(refusal(&[short], &[truth(0, 0, &[])]), @"bag BAG: frame 7 has 1 values where the skin has 2 channels: the readings cannot be assigned to channels; check the skin description");
 }
 
 #[test]

@@ -22,7 +22,7 @@ pub struct TruthContact {
 }
 
 impl TruthContact {
-    /// The tip that a model is asked of, standing straight on the surface.
+    /// The tip that a model is evaluated for, standing straight on the surface.
     #[must_use]
     pub fn tip(&self) -> Tip {
         if self.flat {

@@ -182,7 +182,7 @@ impl Evaluator {
         self
     }
 
-    /// What is given shows in the contacts; only then does "no contact" mean "no force". Who never found anything is asked for all.
+    /// What is given shows in the contacts; only then does "no contact" mean "no force". Who never found anything is scored on all.
     fn rule(&self) -> Rule {
         let found = || self.answers.iter().filter_map(|(.., found)| found.as_ref()).flatten();
         let gives =

@@ -140,10 +140,7 @@ fn contacts(f: &mut fmt::Formatter<'_>, name: &str, of: &MapContacts) -> fmt::Re
     }
     if let Some(share) = of.left_out.filter(|share| *share > 0.0) {
         let share = share * 100.0;
-        writeln!(
-            f,
-            "    {share:.1} % of the frames are left out: a true contact is lighter than was asked for"
-        )?;
+        writeln!(f, "    {share:.1} % of the frames are left out: a true contact is lighter than requested")?;
     }
     if let Some(wrong) = of.untouched {
         writeln!(f, "    contacts a frame where nothing touches: {wrong:.3}")?;

@@ -251,7 +251,7 @@ fn parts_are_evaluated_by_themselves_and_without_what_nobody_asks_for() {
         let alone = evaluate(&mut Known, &data, Some(ids), *name).unwrap();
         assert_eq!(format!("{found:#?}"), format!("{alone:#?}"));
     }
-    // It counts what it is asked.
+    // It counts its calls.
     struct Counted(usize);
     impl Estimator for Counted {
         fn estimate(&mut self, frame: &Frame) -> Result<Estimate, EstimateError> {

@@ -30,7 +30,7 @@ pub struct MapErrors {
     /// On touched frames, by true number of contacts.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub by_number: BTreeMap<usize, MapOfNumber>,
-    /// Contacts that are read off a map of forces, for each threshold; empty for displacements and where nobody asked.
+    /// Contacts that are read off a map of forces, for each threshold; empty for displacements and where not requested.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub contacts: Vec<MapContacts>,
     /// One contact by the strongest points, on touched frames; only of `map.force`.

@@ -5,7 +5,7 @@
 //! more than a threshold each ([`THRESHOLDS`](StrongestErrors::THRESHOLDS)). Errors are the distance of places, the length of the difference of force vectors, the
 //! difference of their lengths, and the angle between them; all are medians, by true force, too.
 //!
-//! Assumption: one contact presses, and all of its force is known; other frames are left out, and their share is told. Points have areas, and a
+//! Assumption: one contact presses, and all of its force is known; other frames are left out, and their share is reported. Points have areas, and a
 //! contact area is as wide as the circle of the same area. Cost: one sort of the points a frame.
 
 use dermis_skin::Surface;

@@ -63,7 +63,7 @@ fn missed_and_false_contacts_are_counted() {
     assert_eq!((scores.missed(), scores.false_contacts()), (Some(0.5), Some(1.0)));
     let s = scores.summaries(1);
     assert_eq!((s["position"].samples, s["force.normal"].samples), (2, 2));
-    // The one that was missed is 5 mm from the middle of the surface; what was found is told apart.
+    // The one that was missed is 5 mm from the middle of the surface; what was found is listed apart.
     approx::assert_relative_eq!(s["position"].rms, 0.005 / 2.0_f64.sqrt(), max_relative = 1e-9);
     assert_eq!((s["position found"].samples, s["position found"].rms), (1, 0.0));
     assert_eq!((s["force.normal found"].samples, s["force.normal found"].rms), (1, 0.0));

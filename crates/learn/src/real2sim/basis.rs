@@ -9,7 +9,7 @@ use crate::train::Product;
 
 /// Shapes at most.
 const MOST: usize = 240;
-/// Shapes beyond those that are asked for, by which the random start is more likely to hold them.
+/// Shapes beyond those that are requested, by which the random start is more likely to hold them.
 const MARGIN: usize = 16;
 
 /// Orthonormal shapes of maps, the strongest first: principal components without a mean, so that the untouched skin, whose map is

@@ -11,7 +11,7 @@ use crate::LearnError;
 
 /// Share of the median compliance below which a place is taken for rigid: nothing is felt there, and nothing is simulated.
 const RIGID: f64 = 0.1;
-/// Draws of one scene before its contacts are allowed to stand nearer to each other than asked.
+/// Draws of one scene before its contacts are allowed to stand nearer to each other than requested.
 const TRIES: usize = 200;
 
 /// What is simulated.
@@ -188,7 +188,7 @@ impl Scenes {
         Ok(Self { settings: settings.clone(), parts: [sites, validation, test] })
     }
 
-    /// What was asked for.
+    /// What was requested.
     #[must_use]
     pub fn settings(&self) -> &SceneSettings {
         &self.settings
@@ -200,7 +200,7 @@ impl Scenes {
         &self.parts[part as usize]
     }
 
-    /// `count` scenes of `contacts` contacts at places of a part, the same ones whenever they are asked for.
+    /// `count` scenes of `contacts` contacts at places of a part, the same ones whenever they are requested.
     #[must_use]
     pub fn draw(&self, part: Part, contacts: usize, count: usize) -> Vec<Stimulus> {
         let s = &self.settings;

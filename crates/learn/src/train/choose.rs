@@ -333,7 +333,7 @@ impl<'a> Table<'a> {
         Ok((answers, all))
     }
 
-    /// Judges everyone; `None` where it was asked to stop.
+    /// Judges everyone; `None` where it was stopped.
     pub(super) fn choose(
         &self,
         config: &TrainConfig,

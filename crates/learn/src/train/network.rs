@@ -372,7 +372,7 @@ impl State {
     }
 }
 
-/// What is told after every epoch.
+/// What is reported after every epoch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
     /// Which network of an ensemble.

@@ -38,7 +38,7 @@ impl Keep for Bicubic {
 
 impl Bicubic {
     /// `count` points (at least two) along each coordinate, from `start` in steps of `step`; `value` writes the `width`
-    /// numbers at a point, given by its indices. It is asked for one point beyond either end, too (−1 and `count`).
+    /// numbers at a point, given by its indices. It is called for one point beyond either end, too (−1 and `count`).
     #[must_use]
     pub fn new(
         start: [f64; 2],

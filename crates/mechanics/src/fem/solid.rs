@@ -8,7 +8,7 @@ use crate::error::positive;
 use crate::{MechanicsError, Medium};
 
 /// A body of linear elastic, isotropic material on a mesh of hexahedra, its stiffness factored: any number of loads can
-/// be asked for.
+/// be requested.
 ///
 /// Displacements are trilinear; the dilatation is replaced by its mean over each cell (B-bar), which keeps a nearly
 /// incompressible material from locking. (T. J. R. Hughes, *The Finite Element Method*, §4.5.)

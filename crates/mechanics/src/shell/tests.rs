@@ -20,7 +20,7 @@ fn turns() -> [Rotation3<f64>; 2] {
 }
 
 fn free(mesh: ShellMesh) -> Shell {
-    // Held so that it can be factored; what is asked of it does not need that.
+    // Held so that it can be factored; what is tested does not need that.
     Shell::new(mesh, &[Section::isotropic(2e9, 0.35, 0.002)], &[Support::clamped(0)]).unwrap()
 }
 

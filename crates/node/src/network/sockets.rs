@@ -1,6 +1,6 @@
 //! Keeps the sockets with which zenoh looks for peers on the loopback.
 //!
-//! zenoh 1.10 sends its questions over the interface that it is told, but binds the socket that waits for the answers to
+//! zenoh 1.10 sends its questions over the interface that is configured, but binds the socket that waits for the answers to
 //! every address. So any host of the network could send such an answer (a `Hello` with its own address in it) to our port,
 //! and have us connect to it. There is no setting against that. So the sockets are bound to the loopback interface after
 //! zenoh has made them; Linux then drops what comes from elsewhere. The socket that hears questions is bound too: it would get
@@ -20,7 +20,7 @@ pub(super) fn keep_on_loopback() -> Result<(), std::io::Error> {
             continue;
         };
         // SAFETY: the number was open when it was listed. Where another thread closes it meanwhile, the calls below fail, or
-        // find another socket, which they only touch where all that is asked for here is true of it, too.
+        // find another socket, which they only touch where all that is requested here is true of it, too.
         let fd = unsafe { BorrowedFd::borrow_raw(number) };
         let socket = SockRef::from(&fd);
         let Some(local) = socket.local_addr().ok().and_then(|address| address.as_socket_ipv4()) else {

@@ -14,7 +14,7 @@ use crate::pubsub::Publisher;
 use crate::service::ServiceServer;
 
 impl Node {
-    /// Lives a node that works while it is active: `work` is told whether to, with each transition. A shutdown ends the node. With
+    /// Lives a node that works while it is active: `work` receives whether to, with each transition. A shutdown ends the node. With
     /// `autostart` it is configured and activated at once.
     ///
     /// # Errors

@@ -17,7 +17,7 @@ const DEPTH: usize = 1000;
 
 /// Which topics are wanted.
 pub struct Selection {
-    /// Those that were asked for by name.
+    /// Those that were requested by name.
     pub topics: BTreeSet<String>,
     regex: Vec<Regex>,
     types: Vec<String>,
@@ -59,7 +59,7 @@ impl Selection {
         topics.iter().filter(|topic| wanted(topic) || describes(topic)).map(|(name, _)| *name).collect()
     }
 
-    /// Whether a topic of this name and type was asked for.
+    /// Whether a topic of this name and type was requested.
     pub fn wants(&self, topic: &str, type_name: &str) -> bool {
         if self.topics.contains(topic) {
             return true;

@@ -11,7 +11,7 @@ use dermis_node::{Level, Node, PublicationCounter, Qos, Status, Subscription};
 use super::selection::{Selection, adapt, support_of};
 use crate::{OperateError, Progress};
 
-/// A topic that was asked for by name and is not published for so long is mentioned.
+/// A topic that was requested by name and is not published for so long is mentioned.
 const ABSENT: Duration = Duration::from_secs(3);
 /// How long what has arrived may take into the queue of the recorder, at the end of a subscription.
 const DRAIN: Duration = Duration::from_secs(5);
@@ -55,7 +55,7 @@ pub struct Ended {
     pub recorded: Result<Recorded, BagError>,
     /// What was recorded and lost, also where the bag could not be completed.
     pub state: RecorderState,
-    /// Topics that were asked for by name and on which nothing came, each with why.
+    /// Topics that were requested by name and on which nothing came, each with why.
     pub silent: Vec<(String, String)>,
 }
 
@@ -65,7 +65,7 @@ pub struct Session {
     selection: Selection,
     taken: BTreeMap<String, Taken>,
     began: Instant,
-    /// Topics that were asked for and were not published for a while.
+    /// Topics that were requested and were not published for a while.
     absent: BTreeSet<String>,
     /// Topics that cannot be recorded, and why, each said once.
     said: BTreeSet<(String, String)>,
@@ -141,7 +141,7 @@ impl Session {
         }
     }
 
-    /// Says of topics that were asked for that nobody publishes them, and when somebody does.
+    /// Says of topics that were requested that nobody publishes them, and when somebody does.
     fn watch_absent(&mut self, progress: &dyn Progress) {
         if self.began.elapsed() < ABSENT {
             return;

@@ -387,7 +387,7 @@ fn two_contacts(body: &mut String, findings: &Findings) -> Result<()> {
         let share = pairs.iter().zip(&findings.distinguishable).map(|(p, s)| (p.distance * 1e3, *s));
         let axes = Axes {
             y_range: Some((0.0, 1.0)),
-            ..Axes::new("by isolines, anywhere on the row", "distance [mm]", "share of pairs told apart")
+            ..Axes::new("by isolines, anywhere on the row", "distance [mm]", "share of pairs distinguished")
         };
         pictures.push(curves(&axes, &[Curve::new("", 1, share.collect())])?);
     }
@@ -395,7 +395,7 @@ fn two_contacts(body: &mut String, findings: &Findings) -> Result<()> {
     body.push_str(&figure(
         &pictures,
         "<b>How close two equal contacts may come.</b> <i>Two contacts across the middle</i>: the bound of either when both are \
-         unknown; they are told apart where it is below half of their distance. <i>By isolines, anywhere on the row</i> (Fig. 5.5): \
+         unknown; they are distinguished where it is below half of their distance. <i>By isolines, anywhere on the row</i> (Fig. 5.5): \
          each contact needs two taxels of its own that the other leaves below S<sub>min</sub>, or crossings are spoilt; harder presses reach further, so that this \
          gets harder with force. The bound knows that readings add up and needs no taxel of its own.",
     ));

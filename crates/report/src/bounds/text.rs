@@ -119,19 +119,19 @@ fn bounds(out: &mut String, findings: &Findings) {
     out.push_str(&table(&rows, &[1, 5]));
     out.push_str("\npositions in mm, forces in N; `-`: the channels do not tell it\n");
     let force = options.force.get(options.force.len() / 2).copied().unwrap_or(f64::NAN);
-    // From where on all wider ones can be told apart.
+    // From where on all wider ones can be distinguished.
     let from = findings.pairs.iter().rev().take_while(|p| p.resolved).last();
     match from {
         Some(pair) => {
             let _ = writeln!(
                 out,
-                "two contacts of {force} N across the middle can be told apart from {} mm on (to {} mm each)",
+                "two contacts of {force} N across the middle can be distinguished from {} mm on (to {} mm each)",
                 pair.distance * 1e3,
                 mm(pair.position)
             );
         }
         None => {
-            let _ = writeln!(out, "two contacts of {force} N across the middle cannot be told apart");
+            let _ = writeln!(out, "two contacts of {force} N across the middle cannot be distinguished");
         }
     }
 }

@@ -335,7 +335,7 @@ fn confusions(body: &mut String, report: &Report) {
     }
     let _ = writeln!(
         body,
-        "<h2>What cannot be told apart</h2><table><tr><th>named</th><th>or</th><th>explains</th><th>confused with \
+        "<h2>What cannot be distinguished</h2><table><tr><th>named</th><th>or</th><th>explains</th><th>confused with \
          probability</th><th>angle [°]</th></tr>"
     );
     for effect in open {

@@ -77,7 +77,7 @@ pub fn text(report: &Report) -> String {
         for alike in effect.class.iter().skip(1).filter(|a| !a.alias) {
             let _ = writeln!(
                 out,
-                "    not to be told from {} (explains {}, confused with probability {:.2})",
+                "    indistinguishable from {} (explains {}, confused with probability {:.2})",
                 alike.name,
                 percent(alike.gain),
                 alike.p_confuse

@@ -27,7 +27,7 @@ pub enum Source {
         presses: Vec<Press>,
         /// σ_S of every channel.
         noise: Vec<f64>,
-        /// Whether untouched stretches told it; otherwise it is what the skin says.
+        /// Whether it comes from untouched stretches; otherwise it is what the skin says.
         measured: bool,
         /// \[N\] largest force.
         most: f64,

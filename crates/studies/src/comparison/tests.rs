@@ -45,7 +45,7 @@ fn data() -> Dataset {
     Dataset::from_runs(&skin, vec![run])
 }
 
-/// Notes what it is asked, has no answer to the first touched frame after a reset, and is 2 mm off in the others.
+/// Notes its calls, has no answer to the first touched frame after a reset, and is 2 mm off in the others.
 struct Noting {
     calls: Arc<Mutex<Vec<String>>>,
     early: bool,
@@ -87,7 +87,7 @@ fn finders_see_every_frame_and_answer_the_sampled_ones() {
     expected.extend(["find [100.0, 0.0]", "pass", "find [100.0, 0.0]", "reset"]);
     expected.extend(["pass"; 11]);
     expected.push("find [100.0, 0.0]");
-    // What lies behind the last frame that is asked is not read.
+    // What lies behind the last target frame is not read.
     assert_eq!(*calls.lock().unwrap(), expected);
     let [(name, evaluation)] = rows.as_slice() else { panic!("{} rows", rows.len()) };
     assert_eq!((name.as_str(), evaluation.frames), ("noting", 3));

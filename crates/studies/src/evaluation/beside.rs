@@ -19,7 +19,7 @@ use crate::regressions::{self, Learned as Presses, Most};
 /// Recorded readings that neighbours and trees learn from at most, support vectors and Gaussian processes, and the network.
 const MOST: Most = Most { all: 30_000, kernels: 2500 };
 const NETWORK: usize = 12_000;
-/// Readings that every way is asked at most: as many as are held against their bound.
+/// Target readings of every way at most: as many as are held against their bound.
 const MOST_TARGETS: usize = MOST_BOUNDED;
 
 /// What another way makes of the same recordings.

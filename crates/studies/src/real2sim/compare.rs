@@ -1,4 +1,4 @@
-//! Ways to one and two contacts, side by side on the same recordings. The frames that are asked do not follow each other, so each is
+//! Ways to one and two contacts, side by side on the same recordings. The sampled frames do not follow each other, so each is
 //! taken by itself; a node follows contacts from frame to frame.
 
 use std::collections::BTreeMap;
@@ -146,7 +146,7 @@ pub struct ShownFrame {
 
 /// Everything that was found.
 pub struct Findings {
-    /// What was asked for.
+    /// What was requested.
     pub request: Request,
     /// The skin as it was designed.
     pub skin: SkinDescription,
@@ -164,7 +164,7 @@ pub struct Findings {
     pub bound: Option<Bounds>,
     /// Touched frames that are not compared, and why.
     pub left_out: Vec<LeftOut>,
-    /// Figures that are asked for.
+    /// Target figures.
     pub asks: Vec<TargetFigure>,
     /// The first bundle's map of two contacts far apart.
     pub shown: Option<ShownFrame>,
@@ -247,7 +247,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     })
 }
 
-/// One figure that is asked for.
+/// One target figure.
 #[derive(Debug, Clone, Serialize)]
 pub struct TargetFigure {
     /// Which figure.

@@ -268,7 +268,7 @@ fn identity(skin: &SkinDescription, learned: &Dataset, settings: &Settings) -> R
     Ok(format!("{} {} {}", skin.hash(), learned.hash(), serde_json::to_string(&settings)?))
 }
 
-/// Which frames are asked for, as a comparison says it.
+/// Which frames are requested, as a comparison says it.
 fn of_comparison(options: &Request) -> compare::Request {
     compare::Request { least: options.least, most: options.most, ..compare::Request::default() }
 }

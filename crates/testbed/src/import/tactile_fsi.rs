@@ -235,7 +235,7 @@ fn presses(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError> {
         middle(presses.iter().map(|press| press.x)),
         middle(presses.iter().map(|press| press.y.unwrap_or(0.0))),
     ];
-    // Places are told apart to a tenth of a millimetre.
+    // Locations are distinguished to a tenth of a millimetre.
     let place =
         |press: &Press| ((press.x * 1e4).round() as i64, (press.y.unwrap_or(0.0) * 1e4).round() as i64);
     let places: BTreeSet<(i64, i64)> = presses.iter().map(place).collect();
@@ -415,7 +415,7 @@ fn time_series(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError>
             format!("the log has no date: stamps count from 2025-01-01 on, {rate} a second"),
             if placed > 0 {
                 format!(
-                    "{placed} of {} presses are in sweeps of {SWEEP}, told by the longer way back after each: they are taken to be \
+                    "{placed} of {} presses are in sweeps of {SWEEP}, recognised by the longer way back after each: they are taken to be \
                      at 10, 20, … 90 mm",
                     series.len()
                 )

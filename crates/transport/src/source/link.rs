@@ -26,7 +26,7 @@ pub(super) enum ReadOutcome {
     Down(String),
     /// It is time to stop.
     Stopped,
-    /// No bytes came in the one wait that was asked for.
+    /// No bytes came in the one wait that was requested.
     Nothing,
 }
 
@@ -86,7 +86,7 @@ impl Wire {
             Self::Terminal(terminal) => terminal.file().write(bytes),
             Self::Pty(pty) => pty.write_lossy(bytes),
             Self::Tcp(stream) => stream.write(bytes),
-            // A web server was asked already.
+            // The request to a web server was sent already.
             Self::Http(_) => Ok(bytes.len()),
             Self::Udp { socket, senders } => match senders.read() {
                 Some(peer) => socket.send_to(bytes, peer),

@@ -43,7 +43,7 @@ pub(super) enum Verdict {
     ReadInstead(SocketAddr, String),
     /// It is left out; with a sentence where it is time for one.
     LeaveOut(Option<String>),
-    /// It comes from an address that was not asked for.
+    /// It comes from an address that was not configured.
     Unrequested,
 }
 

@@ -159,7 +159,7 @@ fn a_client_that_sends_is_not_thrown_out_by_a_new_one() {
             );
             assert!(!taken_over && consumer.reasons.is_empty(), "{:?}", consumer.reasons);
             second.set_read_timeout(Some(PATIENCE)).unwrap();
-            assert!(matches!(second.read(&mut [0; 1]), Ok(0) | Err(_)), "it is told by its end");
+            assert!(matches!(second.read(&mut [0; 1]), Ok(0) | Err(_)), "its end shows it");
             let before = consumer.frames.len();
             consumer.until("the first goes on", |c| c.frames.len() > before + 10);
             let stats = consumer.source.stats();

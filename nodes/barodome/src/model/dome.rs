@@ -41,7 +41,7 @@ pub(super) struct Dome {
     medium: Medium,
     poisson_ratio: f64,
     probes: Vec<Probe>,
-    /// Solved when first asked for: a second of work that a model without contacts can do without.
+    /// Solved when first requested: a second of work that a model without contacts can do without.
     field: OnceLock<Result<fem::Dome, MechanicsError>>,
     /// Cosine and sine of each point's place in its ring.
     turns: Vec<Vec<(f64, f64)>>,

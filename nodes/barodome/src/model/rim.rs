@@ -55,7 +55,7 @@ impl Block {
 #[derive(Debug)]
 pub(super) struct Rim {
     block: Block,
-    /// Solved when first asked for: some seconds of work that a model without contacts can do without.
+    /// Solved when first requested: some seconds of work that a model without contacts can do without.
     change: OnceLock<Result<Change, MechanicsError>>,
 }
 

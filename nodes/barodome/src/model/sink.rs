@@ -15,7 +15,7 @@ const FORCE_MAX: f64 = 5.0;
 /// Diameters whose contacts are kept.
 const KEPT: usize = 32;
 
-/// Contacts of spherical tips with the elastomer, solved when they are asked for.
+/// Contacts of spherical tips with the elastomer, solved when they are requested.
 #[derive(Debug)]
 pub(super) struct Sink {
     medium: Medium,

@@ -33,7 +33,7 @@ fn reports_that_overtake_each_other_change_nothing() {
         }
         for (k, (skin, ms)) in order.iter().enumerate() {
             assert!(fuser.take(*skin, &message(*skin, *ms), None, now), "{skin} {ms}");
-            // Asked in between, so that identities are given early.
+            // Called in between, so that identities are given early.
             if k % 5 == 0 {
                 fuser.state(now);
             }

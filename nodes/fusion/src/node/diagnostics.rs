@@ -44,7 +44,7 @@ impl Shared {
             return Status::ok("not active");
         }
         let mut core = self.lock();
-        let Some(state) = core.last.clone() else { return Status::ok("nothing has been asked for yet") };
+        let Some(state) = core.last.clone() else { return Status::ok("nothing has been requested yet") };
         let mut status = Status::ok("all skins feel");
         match state.status {
             ContactArray::STATUS_OK => {}

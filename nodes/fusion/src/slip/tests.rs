@@ -244,7 +244,7 @@ fn what_is_not_resolved_is_unknown() {
     assert!(tip.recall() > 0.8 && tip.sticks == 0.0 && tip.unknown > 1000.0, "{tip:?}");
 }
 
-/// Once a contact has slid, the next slip is told before it comes.
+/// Once a contact has slid, the next slip is announced before it comes.
 #[test]
 fn friction_is_learnt_from_a_slide() {
     let mut watch = SlipWatch::default();

@@ -102,7 +102,7 @@ impl Light {
         }
         let off = (way.norm_squared() - along * along).max(0.0);
         let within = self.beam.radius + self.beam.spread * along;
-        // Most lamps do not light a place: that is told without a root.
+        // Most lamps do not light a place: that is decided without a root.
         if off >= (within + 0.5 * self.beam.edge).powi(2) {
             return 0.0;
         }

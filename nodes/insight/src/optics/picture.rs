@@ -147,7 +147,7 @@ impl Picture {
     }
 
     /// Standard deviation of each number of a frame whose picture was sent. What compression changes of a picture is another thing for each
-    /// noise, and so adds to it: it is counted in some pictures without a touch when it is first asked for.
+    /// noise, and so adds to it: it is counted in some pictures without a touch when it is first requested.
     #[must_use]
     pub fn deviations(&self) -> &[f64] {
         self.deviations.get_or_init(|| {

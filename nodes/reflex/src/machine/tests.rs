@@ -85,7 +85,7 @@ impl Rig {
         self.note(&done);
     }
 
-    /// Lets time pass; the machine is called when it asked to be, and at the end.
+    /// Lets time pass; the machine is called when it requested to be, and at the end.
     fn wait(&mut self, time: Duration) {
         let end = self.now + time;
         let mut calls = 0;

@@ -209,7 +209,7 @@ impl Guard {
         }
     }
 
-    /// Calls the state machine when it asked to be called, until the node ends.
+    /// Calls the state machine when it requested to be called, until the node ends.
     fn keep_time(&self) {
         let mut core = self.lock();
         while !core.ended {

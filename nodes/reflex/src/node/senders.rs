@@ -104,7 +104,7 @@ impl Senders {
         }
     }
 
-    /// Where calls of an action are asked for.
+    /// Where calls of an action are requested.
     pub(super) fn set_caller(&self, action: usize, to: SyncSender<()>) {
         if let Sender::Call(_, requests) = &self.0[action] {
             *requests.lock().unwrap_or_else(PoisonError::into_inner) = Some(to);
@@ -121,7 +121,7 @@ impl Senders {
     }
 }
 
-/// A thread that calls when it is asked to and says how it went; it ends when nobody can ask it any more, or `answered` says so.
+/// A thread that calls on request and reports the result; it ends when nobody can ask it any more, or `answered` says so.
 pub(super) fn start_caller(
     caller: Caller,
     action: &Action,

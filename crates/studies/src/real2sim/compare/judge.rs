@@ -70,7 +70,7 @@ pub struct Row {
     /// Errors on every frame, where `errors` leaves out those of places that hardly give way.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub with_everything: Option<Errors>,
-    /// Errors on what was asked for.
+    /// Errors on what was requested.
     #[serde(flatten)]
     pub errors: Errors,
     /// The same of contacts that were found, where not all were.

@@ -115,7 +115,7 @@ fn check(head: &[u8]) -> Result<usize, String> {
         .any(|line| line.name.eq_ignore_ascii_case("transfer-encoding") && line.value != b"identity");
     if chunked {
         return Err(
-            "sends its answer in chunks though HTTP 1.0 was asked, which is not read: use another server"
+            "sends its answer in chunks though HTTP 1.0 was requested, which is not read: use another server"
                 .to_owned(),
         );
     }
