@@ -107,14 +107,14 @@ impl BagReport {
         }
         if !self.missing_frames.is_empty() {
             let of = self.missing_frames.iter();
-            let of = of.map(|(topic, m)| format!("{topic} {} in {}", m.frames, places(m.gaps)));
+            let of = of.map(|(topic, m)| format!("{topic} {} in {}", m.frames, gap_count(m.gaps)));
             clauses.push(format!("taxel frames are missing: {}", of.collect::<Vec<_>>().join(", ")));
         }
         clauses.join("; ")
     }
 }
 
-fn places(count: u64) -> String {
+fn gap_count(count: u64) -> String {
     if count == 1 { "1 place".to_owned() } else { format!("{count} places") }
 }
 

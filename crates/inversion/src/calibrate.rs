@@ -47,7 +47,7 @@ const ERRORS: (f64, f64, usize) = (1e-4, 0.5, 12);
 /// Share of the surface up to which a channel that only presses there tell may go without a gain.
 const QUIET: f64 = 0.02;
 /// Places that say so, at most.
-const PLACES: usize = 500;
+const LOCATIONS: usize = 500;
 
 /// One labelled frame.
 struct Labelled<'a> {
@@ -189,15 +189,15 @@ fn audible(
     diameter: f64,
 ) -> Result<Vec<f64>, ModelError> {
     let (surface, noise) = (model.surface(), model.noise());
-    let step = surface.points.len().div_ceil(PLACES).max(1);
-    let places: Vec<_> = surface.points.iter().zip(&surface.normals).step_by(step).collect();
+    let step = surface.points.len().div_ceil(LOCATIONS).max(1);
+    let locations: Vec<_> = surface.points.iter().zip(&surface.normals).step_by(step).collect();
     let (mut shares, mut out) = (vec![0.0; noise.len()], vec![0.0; noise.len()]);
-    for (position, normal) in &places {
+    for (position, normal) in &locations {
         let contacts = vec![Indentation::sphere(**position, -**normal * force, diameter)];
         model.response(&Stimulus { contacts, ..Stimulus::default() }, &mut out)?;
         untouched.subtract(&mut out);
         for ((share, signal), noise) in shares.iter_mut().zip(&out).zip(noise) {
-            *share += if signal.abs() > STRONG * noise { 1.0 / places.len() as f64 } else { 0.0 };
+            *share += if signal.abs() > STRONG * noise { 1.0 / locations.len() as f64 } else { 0.0 };
         }
     }
     Ok(shares)

@@ -17,7 +17,7 @@ const LEVELS: [f64; 4] = [0.05, 0.2, 0.5, 1.0];
 
 /// One place of the surface.
 #[derive(Debug, Clone)]
-pub(crate) struct Place {
+pub(crate) struct Location {
     pub position: Point3<f64>,
     pub normal: Vector3<f64>,
     /// \[m²\] of the surface that it stands for.
@@ -27,7 +27,7 @@ pub(crate) struct Place {
 /// Responses of a normal press at places × levels.
 #[derive(Debug)]
 pub(crate) struct Dictionary {
-    pub places: Vec<Place>,
+    pub locations: Vec<Location>,
     /// \[N\] of the levels.
     pub forces: Vec<f64>,
     channels: usize,
@@ -57,17 +57,17 @@ impl Dictionary {
         settings: &Settings,
         gains: &[f64],
     ) -> Result<Self, ModelError> {
-        let mut places = thin(model.surface(), line, spacing);
+        let mut locations = thin(model.surface(), line, spacing);
         if let Some([low, high]) = region {
-            places.retain(|p| (0..3).all(|k| (low[k]..=high[k]).contains(&p.position[k])));
+            locations.retain(|p| (0..3).all(|k| (low[k]..=high[k]).contains(&p.position[k])));
         }
         let forces: Vec<f64> = LEVELS.iter().map(|share| share * settings.force_max).collect();
         let channels = model.channels();
         let untouched = Untouched::of(model)?;
-        let mut responses = Vec::with_capacity(places.len() * forces.len() * channels);
-        let mut directions = Vec::with_capacity(places.len() * channels);
+        let mut responses = Vec::with_capacity(locations.len() * forces.len() * channels);
+        let mut directions = Vec::with_capacity(locations.len() * channels);
         let mut out = vec![0.0; channels];
-        for place in &places {
+        for place in &locations {
             for (level, force) in forces.iter().enumerate() {
                 let contact = settings.indentation(place.position, -place.normal * *force);
                 model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
@@ -81,11 +81,11 @@ impl Dictionary {
                 }
             }
         }
-        let neighbours = beside(&places, BESIDE * spacing);
+        let neighbours = beside(&locations, BESIDE * spacing);
         let mismatches =
             neighbours.iter().enumerate().map(|(i, all)| mismatch(&directions, channels, i, all));
         let mismatches = mismatches.collect();
-        Ok(Self { places, forces, channels, responses, directions, neighbours, mismatches })
+        Ok(Self { locations, forces, channels, responses, directions, neighbours, mismatches })
     }
 
     /// Places beside a place.
@@ -130,10 +130,10 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 
 /// Points of a surface with their normals, so that none is nearer than `spacing` to another; each stands for its own area and that of
 /// the points that it kept out: a point counts with the place that is nearest to it when its turn comes.
-fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Place> {
+fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Location> {
     let cell = |p: &Point3<f64>| p.coords.map(|v| (v / spacing).floor() as i64);
     let mut cells = std::collections::BTreeMap::<[i64; 3], Vec<usize>>::new();
-    let mut places: Vec<Place> = Vec::new();
+    let mut locations: Vec<Location> = Vec::new();
     for ((point, normal), area) in surface.points.iter().zip(&surface.normals).zip(&surface.areas) {
         let point = &line.map_or(*point, |y| Point3::new(point.x, y, point.z));
         let at = cell(point);
@@ -142,7 +142,7 @@ fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Place> {
             for dy in -1..=1 {
                 for dz in -1..=1 {
                     for &other in cells.get(&[at.x + dx, at.y + dy, at.z + dz]).into_iter().flatten() {
-                        let distance = (places[other].position - point).norm();
+                        let distance = (locations[other].position - point).norm();
                         if nearest.is_none_or(|(d, _)| distance < d) {
                             nearest = Some((distance, other));
                         }
@@ -152,14 +152,14 @@ fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Place> {
         }
         match nearest {
             // A hair less, so that rounding does not thin out a grid whose pitch is the spacing.
-            Some((distance, other)) if distance < spacing * 0.999 => places[other].area += area,
+            Some((distance, other)) if distance < spacing * 0.999 => locations[other].area += area,
             _ => {
-                cells.entry([at.x, at.y, at.z]).or_default().push(places.len());
-                places.push(Place { position: *point, normal: *normal, area: *area });
+                cells.entry([at.x, at.y, at.z]).or_default().push(locations.len());
+                locations.push(Location { position: *point, normal: *normal, area: *area });
             }
         }
     }
-    places
+    locations
 }
 
 /// Share of the square of a unit direction that the worst of its neighbours does not explain.
@@ -174,15 +174,15 @@ fn mismatch(directions: &[f32], channels: usize, place: usize, neighbours: &[usi
 }
 
 /// For every place all others that are nearer than `distance` \[m\].
-fn beside(places: &[Place], distance: f64) -> Vec<Vec<usize>> {
+fn beside(locations: &[Location], distance: f64) -> Vec<Vec<usize>> {
     let cell = |p: &Point3<f64>| p.coords.map(|v| (v / distance).floor() as i64);
     let mut cells = std::collections::BTreeMap::<[i64; 3], Vec<usize>>::new();
-    for (index, place) in places.iter().enumerate() {
+    for (index, place) in locations.iter().enumerate() {
         let at = cell(&place.position);
         cells.entry([at.x, at.y, at.z]).or_default().push(index);
     }
     let around = |index: usize| {
-        let place = &places[index];
+        let place = &locations[index];
         let at = cell(&place.position);
         let offsets = || -1..=1;
         let near = offsets()
@@ -190,10 +190,12 @@ fn beside(places: &[Place], distance: f64) -> Vec<Vec<usize>> {
             .filter_map(|d| cells.get(&[at.x + d[0], at.y + d[1], at.z + d[2]]));
         near.flatten()
             .copied()
-            .filter(|other| *other != index && (places[*other].position - place.position).norm() < distance)
+            .filter(|other| {
+                *other != index && (locations[*other].position - place.position).norm() < distance
+            })
             .collect()
     };
-    (0..places.len()).map(around).collect()
+    (0..locations.len()).map(around).collect()
 }
 
 #[cfg(test)]
@@ -227,7 +229,7 @@ mod tests {
         assert_eq!(all.iter().map(|p| p.area).collect::<Vec<_>>(), surface.areas);
         // On the line both rows fall together, and places lie three points apart. The same without cells; no point is as near to
         // one place as to another.
-        let places = thin(&surface, Some(0.0), 0.0025);
+        let locations = thin(&surface, Some(0.0), 0.0025);
         let mut expected: Vec<(f64, f64)> = Vec::new();
         for (point, area) in surface.points.iter().zip(&surface.areas) {
             let far = |place: &(f64, f64)| (place.0 - point.x).abs();
@@ -236,8 +238,8 @@ mod tests {
                 _ => expected.push((point.x, *area)),
             }
         }
-        assert_eq!((places.len(), expected.len()), (3, 3));
-        for (place, (x, area)) in places.iter().zip(&expected) {
+        assert_eq!((locations.len(), expected.len()), (3, 3));
+        for (place, (x, area)) in locations.iter().zip(&expected) {
             assert_eq!(place.position.x, *x);
             approx::assert_relative_eq!(place.area, *area, max_relative = 1e-12);
         }

@@ -43,7 +43,7 @@ const PAIRS: usize = 5;
 /// Spacings of the dictionary that a contact moves in one step, where that is more than [`STRIDE`].
 const STEP: f64 = 0.75;
 /// Places of a dictionary at most, roughly.
-const PLACES: f64 = 1500.0;
+const LOCATIONS: f64 = 1500.0;
 
 /// Finds contacts that explain readings.
 ///
@@ -89,7 +89,7 @@ impl Inverter {
         let area: f64 = model.surface().areas.iter().sum();
         // Fine enough to begin at; a row of taxels has a length more than an area.
         let longest = model.surface().points.iter().map(|p| p.coords.amax()).fold(0.0, f64::max);
-        let spacing = (area / PLACES).sqrt().max(longest / PLACES).max(5e-4);
+        let spacing = (area / LOCATIONS).sqrt().max(longest / LOCATIONS).max(5e-4);
         let points = &model.surface().points;
         let middle = points.iter().map(|p| p.y).sum::<f64>() / points.len().max(1) as f64;
         let line = (s.unknowns == Unknowns::Line).then_some(middle);
@@ -370,7 +370,7 @@ impl Inverter {
     pub fn undetectable_fraction(&self, force: f64, evidence: f64) -> f64 {
         let unit = self.dictionary.forces[SHAPE];
         let (mut all, mut undetectable) = (0.0, 0.0);
-        for (index, place) in self.dictionary.places.iter().enumerate() {
+        for (index, place) in self.dictionary.locations.iter().enumerate() {
             let response = self.dictionary.response(index, SHAPE).iter().zip(self.noise());
             let square: f64 = response.map(|(v, n)| (f64::from(*v) / n * force / unit).powi(2)).sum();
             all += place.area;

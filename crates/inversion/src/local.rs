@@ -237,7 +237,7 @@ impl Inverter {
         let mut peaks: Vec<usize> = (0..scores.len())
             .filter(|i| dictionary.neighbours(*i).iter().all(|other| scores[*other] <= scores[*i]))
             .filter(|i| {
-                let at = dictionary.places[*i].position;
+                let at = dictionary.locations[*i].position;
                 let near = |c: &Indentation| (c.position - at).norm() < self.settings().distance;
                 !best.contacts.iter().any(near)
             })
@@ -247,7 +247,7 @@ impl Inverter {
         let stands_out = |gain: f64| gain > least && gain >= TOGETHER * highest;
         let mut chosen: Vec<Indentation> = Vec::new();
         for index in peaks {
-            let at = dictionary.places[index].position;
+            let at = dictionary.locations[index].position;
             if chosen.len() == room || !stands_out(f64::from(scores[index]).powi(2)) {
                 break;
             }

@@ -7,30 +7,30 @@ use crate::dictionary::{Dictionary, SHAPE};
 use crate::fit::Datum;
 
 /// Places whose pairs are gone through, roughly.
-const PLACES: usize = 420;
+const LOCATIONS: usize = 420;
 
 /// Some places of a dictionary, all over the surface.
 #[derive(Debug)]
 pub(crate) struct Pairs {
-    places: Vec<usize>,
+    locations: Vec<usize>,
     /// \[m\] that they are apart.
     spacing: f64,
 }
 
 impl Pairs {
     pub fn new(dictionary: &Dictionary, spacing: f64) -> Self {
-        let share = (dictionary.places.len() as f64 / PLACES as f64).sqrt().max(1.0);
+        let share = (dictionary.locations.len() as f64 / LOCATIONS as f64).sqrt().max(1.0);
         let spacing = spacing * share;
-        let mut places: Vec<usize> = Vec::new();
-        for (i, place) in dictionary.places.iter().enumerate() {
+        let mut locations: Vec<usize> = Vec::new();
+        for (i, place) in dictionary.locations.iter().enumerate() {
             let near = |other: &usize| {
-                (dictionary.places[*other].position - place.position).norm() < spacing * 0.999
+                (dictionary.locations[*other].position - place.position).norm() < spacing * 0.999
             };
-            if share <= 1.0 || !places.iter().any(near) {
-                places.push(i);
+            if share <= 1.0 || !locations.iter().any(near) {
+                locations.push(i);
             }
         }
-        Self { places, spacing }
+        Self { locations, spacing }
     }
 
     /// The pairs, `apart` \[m\] or more from one another, whose best forces (between 0 and `force_max` \[N\]) explain most of
@@ -53,20 +53,20 @@ impl Pairs {
         let channels = data.len();
         let unit = dictionary.forces[SHAPE];
         // Of every place: what one newton does to each channel, in units of its error.
-        let mut rows = Vec::with_capacity(self.places.len() * channels);
-        for place in &self.places {
+        let mut rows = Vec::with_capacity(self.locations.len() * channels);
+        for place in &self.locations {
             let response = dictionary.response(*place, SHAPE);
             rows.extend(response.iter().zip(&weights).map(|(v, w)| f64::from(*v) * w / unit));
         }
         let row = |i: usize| &rows[i * channels..(i + 1) * channels];
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let own: Vec<(f64, f64)> =
-            (0..self.places.len()).map(|i| (dot(row(i), &values), dot(row(i), row(i)))).collect();
-        let position = |i: usize| dictionary.places[self.places[i]].position;
+            (0..self.locations.len()).map(|i| (dot(row(i), &values), dot(row(i), row(i)))).collect();
+        let position = |i: usize| dictionary.locations[self.locations[i]].position;
         let apart = apart * apart;
         // The best partner of each.
         let mut found: Vec<(f64, usize, usize, [f64; 2])> = Vec::new();
-        for i in 0..self.places.len() {
+        for i in 0..self.locations.len() {
             let (bi, gi) = own[i];
             let mut best: Option<(f64, usize, usize, [f64; 2])> = None;
             for (j, (bj, gj)) in own.iter().copied().enumerate().take(i) {
@@ -102,7 +102,7 @@ impl Pairs {
             }
             chosen.push((i, j));
             let contact = |k: usize, force: f64| {
-                let place = &dictionary.places[self.places[k]];
+                let place = &dictionary.locations[self.locations[k]];
                 press(place.position, place.normal, force, diameter)
             };
             all.push([contact(i, fi), contact(j, fj)]);

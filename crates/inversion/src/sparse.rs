@@ -47,10 +47,10 @@ impl Inverter {
     ) -> Result<Vec<Indentation>, InverterError> {
         let signal = self.whitened(readings)?;
         let dictionary = self.dictionary();
-        let places = dictionary.places.len();
+        let locations = dictionary.locations.len();
         let unit = dictionary.forces[SHAPE];
         let noise = self.noise();
-        let lengths: Vec<f64> = (0..places)
+        let lengths: Vec<f64> = (0..locations)
             .map(|place| {
                 let response = dictionary.response(place, SHAPE).iter().zip(noise);
                 response.map(|(v, n)| (f64::from(*v) / n).powi(2)).sum::<f64>().sqrt()
@@ -62,17 +62,17 @@ impl Inverter {
         let force =
             |place: usize| if lengths[place] > 0.0 { amplitudes[place] / lengths[place] * unit } else { 0.0 };
         let mut active: Vec<(f64, usize)> =
-            (0..places).map(|p| (force(p), p)).filter(|(f, _)| *f > 0.0).collect();
+            (0..locations).map(|p| (force(p), p)).filter(|(f, _)| *f > 0.0).collect();
         active.sort_by(|a, b| b.0.total_cmp(&a.0));
         // The strongest place gathers what is near, then the strongest of the rest.
         let mut contacts: Vec<Indentation> = Vec::new();
         while let Some((_, middle)) = active.first().copied() {
-            let centre = dictionary.places[middle].position;
-            let near = |p: &usize| (dictionary.places[*p].position - centre).norm() <= settings.radius;
+            let centre = dictionary.locations[middle].position;
+            let near = |p: &usize| (dictionary.locations[*p].position - centre).norm() <= settings.radius;
             let (mut total, mut place) = (0.0, nalgebra::Vector3::zeros());
             for (force, p) in active.iter().filter(|(_, p)| near(p)) {
                 total += force;
-                place += dictionary.places[*p].position.coords * *force;
+                place += dictionary.locations[*p].position.coords * *force;
             }
             active.retain(|(_, p)| !near(p));
             let (position, normal) = self.surface().project(&(place / total).into());
@@ -93,12 +93,12 @@ impl Inverter {
 
 /// Amplitudes of unit directions (places × channels, end to end) from 0 up to the `most` of each place.
 fn lasso(signal: &[f64], directions: &[f32], most: &[f64], share: f64) -> Vec<f64> {
-    let (channels, places) = (signal.len(), most.len());
+    let (channels, locations) = (signal.len(), most.len());
     let direction = |place: usize| &directions[place * channels..(place + 1) * channels];
     let dot = |a: &[f32], b: &[f64]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * b).sum::<f64>();
-    let largest = (0..places).map(|p| dot(direction(p), signal)).fold(0.0, f64::max);
+    let largest = (0..locations).map(|p| dot(direction(p), signal)).fold(0.0, f64::max);
     let penalty = share * largest;
-    let mut amplitudes = vec![0.0; places];
+    let mut amplitudes = vec![0.0; locations];
     let mut left = signal.to_vec();
     let update = |place: usize, amplitudes: &mut [f64], left: &mut [f64]| {
         let d = direction(place);
@@ -113,13 +113,13 @@ fn lasso(signal: &[f64], directions: &[f32], most: &[f64], share: f64) -> Vec<f6
     // All places once, then those that matter until they stand still, and so on until no other wants to join.
     for _ in 0..ROUNDS {
         let mut change: f64 = 0.0;
-        for place in 0..places {
+        for place in 0..locations {
             change = change.max(update(place, &mut amplitudes, &mut left));
         }
         if change <= SETTLED * largest {
             break;
         }
-        let active: Vec<usize> = (0..places).filter(|p| amplitudes[*p] > 0.0).collect();
+        let active: Vec<usize> = (0..locations).filter(|p| amplitudes[*p] > 0.0).collect();
         for _ in 0..ROUNDS {
             let mut change: f64 = 0.0;
             for place in &active {

@@ -16,9 +16,9 @@ const DEPTH: f64 = 0.005;
 /// linear in it, and to shear as the derivative of that.
 pub(crate) fn grid(noise: f64) -> Analytic {
     let at = |i: usize| (i as f64 - 2.0) * 0.0065;
-    let places = (0..25).map(|i| Point3::new(at(i % 5), at(i / 5), 0.0));
+    let locations = (0..25).map(|i| Point3::new(at(i % 5), at(i / 5), 0.0));
     let spec = SurfaceSpec::Rectangle { size: [0.034, 0.034], spacing: 0.001 };
-    Analytic::new(Surface::from_spec(&spec), places, noise, |c, taxel| {
+    Analytic::new(Surface::from_spec(&spec), locations, noise, |c, taxel| {
         let pressing = -c.force.z;
         let (dx, dy) = (taxel.x - c.position.x, taxel.y - c.position.y);
         let r = (dx * dx + dy * dy + DEPTH * DEPTH).sqrt();

@@ -335,8 +335,8 @@ mod tests {
 
     /// Both channels of the made-up skin: one tells x by the force, the other the force.
     fn made(skin: &dermis_skin::SkinDescription) -> Analytic {
-        let places = skin.taxels.iter().map(dermis_skin::Taxel::point);
-        Analytic::of_contacts(skin.surface(), places, 0.5, |c, _, out| {
+        let locations = skin.taxels.iter().map(dermis_skin::Taxel::point);
+        Analytic::of_contacts(skin.surface(), locations, 0.5, |c, _, out| {
             out[0] += c.position.x * 1e4;
             out[1] += -c.force.z * 20.0;
         })

@@ -21,7 +21,7 @@ use dermis_skin::SkinDescription;
 use sha2::{Digest, Sha256};
 
 use crate::findings::{self, Findings};
-use crate::map::{Bias, LabelMap, Places};
+use crate::map::{Bias, LabelMap, Locations};
 use crate::{LearnError, SplitConfig, SplitKind};
 
 use read::read_run;
@@ -135,11 +135,11 @@ impl Dataset {
         skin: &SkinDescription,
         options: &DatasetOptions,
     ) -> Result<Self, LearnError> {
-        let (mut findings, mut places) = (Findings::default(), Places::default());
+        let (mut findings, mut pressed) = (Findings::default(), Locations::default());
         let mut runs = Vec::new();
         let mut memory = options.memory;
         for path in paths {
-            runs.extend(read_run(path.as_ref(), skin, options, &mut places, &mut findings, &mut memory)?);
+            runs.extend(read_run(path.as_ref(), skin, options, &mut pressed, &mut findings, &mut memory)?);
         }
         Ok(Self { skin: skin.clone(), runs, findings, map: options.map.clone() })
     }

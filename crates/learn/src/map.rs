@@ -261,9 +261,9 @@ fn quoted(names: &std::collections::BTreeSet<String>) -> String {
 /// Places that were pressed, over all bags of a data set: where the same place was pressed again is the same location,
 /// whichever cell of a grid its scatter falls into.
 #[derive(Debug, Default)]
-pub(crate) struct Places(Vec<(Point3<f64>, u32)>);
+pub(crate) struct Locations(Vec<(Point3<f64>, u32)>);
 
-impl Places {
+impl Locations {
     fn identify(&mut self, point: &Point3<f64>, size: f64) -> u32 {
         let near = self.0.iter().find(|(p, _)| (p - point).norm() <= size / 2.0);
         if let Some((_, id)) = near {
@@ -363,7 +363,7 @@ pub(crate) fn label(
     readings: &mut Readings,
     map: &LabelMap,
     skin: &SkinDescription,
-    places: &mut Places,
+    locations: &mut Locations,
     place: &str,
     findings: &mut Findings,
 ) -> (Vec<Option<Truth>>, Option<Bias>) {
@@ -435,7 +435,7 @@ pub(crate) fn label(
         }
         if touched && !was {
             press += 1;
-            location = places.identify(&tip.point, map.join.location_size);
+            location = locations.identify(&tip.point, map.join.location_size);
         }
         let contact = TruthContact {
             position: tip.point,

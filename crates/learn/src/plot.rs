@@ -158,24 +158,24 @@ fn thin(points: &[Point]) -> impl Iterator<Item = &Point> {
 
 /// Every pressed location once, larger where it was pressed harder; those that are held out in another colour.
 fn location_map(data: &Dataset, split: Option<&SplitConfig>) -> Result<Option<String>, LearnError> {
-    let mut places: BTreeMap<(u32, bool), ((f64, f64), f64)> = BTreeMap::new();
+    let mut locations: BTreeMap<(u32, bool), ((f64, f64), f64)> = BTreeMap::new();
     for run in data.runs() {
         let marks = split.map(|s| s.mark(run));
         for (i, truth) in run.samples.iter().enumerate().filter_map(|(i, s)| Some((i, s.truth.as_ref()?))) {
             let Some((x, y)) = truth.value("position.x").zip(truth.value("position.y")) else { continue };
             let held_out = marks.as_ref().is_some_and(|m| m[i] == Some(true));
             let force = truth.value("force.normal").unwrap_or(0.0);
-            let place = places.entry((truth.location, held_out)).or_insert(((x * 1e3, y * 1e3), force));
+            let place = locations.entry((truth.location, held_out)).or_insert(((x * 1e3, y * 1e3), force));
             place.1 = place.1.max(force);
         }
     }
-    if places.is_empty() {
+    if locations.is_empty() {
         return Ok(None);
     }
-    let most = places.values().map(|(_, force)| *force).fold(1e-9, f64::max);
+    let most = locations.values().map(|(_, force)| *force).fold(1e-9, f64::max);
     let mut groups = [Dots::new("to learn from", 0, Vec::new()), Dots::new("held out", 1, Vec::new())];
     for ((_, held_out), (at, force)) in
-        places.iter().step_by(dermis_regress::stride(places.len(), MOST_POINTS))
+        locations.iter().step_by(dermis_regress::stride(locations.len(), MOST_POINTS))
     {
         let group = &mut groups[usize::from(*held_out)];
         group.points.push(*at);
@@ -185,7 +185,8 @@ fn location_map(data: &Dataset, split: Option<&SplitConfig>) -> Result<Option<St
         // Nothing to tell apart.
         groups.iter_mut().for_each(|group| group.name.clear());
     }
-    let axes = Axes::new("pressed locations", "x [mm]", "y [mm]").equal(places.values().map(|(at, _)| *at));
+    let axes =
+        Axes::new("pressed locations", "x [mm]", "y [mm]").equal(locations.values().map(|(at, _)| *at));
     Ok(Some(dots(&axes, &groups, &[])?))
 }
 

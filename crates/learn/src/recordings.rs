@@ -112,11 +112,11 @@ mod tests {
         let recorded: Vec<Recorded> = (0..20).map(press).collect();
         let model = dermis_model::suite::Probe::that_superposes();
         for (stimulus, signal) in superpose(&model, &recorded, 3, 50, 0.025, 1) {
-            let places: Vec<f64> = stimulus.contacts.iter().map(|c| c.position.x).collect();
-            let sum: f64 = places.iter().map(|x| x / 0.01).sum();
+            let locations: Vec<f64> = stimulus.contacts.iter().map(|c| c.position.x).collect();
+            let sum: f64 = locations.iter().map(|x| x / 0.01).sum();
             assert!((f64::from(signal[0]) - sum).abs() < 1e-4 && signal[1] == 3.0);
-            for (i, a) in places.iter().enumerate() {
-                assert!(places[..i].iter().all(|b| (a - b).abs() >= 0.025 - 1e-12), "{places:?}");
+            for (i, a) in locations.iter().enumerate() {
+                assert!(locations[..i].iter().all(|b| (a - b).abs() >= 0.025 - 1e-12), "{locations:?}");
             }
         }
         assert!(superpose(&model, &[], 2, 5, 0.01, 1).is_empty());

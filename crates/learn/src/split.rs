@@ -209,16 +209,16 @@ mod tests {
     proptest! {
         #[test]
         fn no_location_is_in_both_parts(
-            places in 5_u32..60, repeats in 1_u32..4, seed in any::<u64>(), fraction in 0.1..0.9_f64,
+            location_count in 5_u32..60, repeats in 1_u32..4, seed in any::<u64>(), fraction in 0.1..0.9_f64,
             folds in proptest::option::of(2_u32..6),
         ) {
-            let data = presses(places, repeats);
+            let data = presses(location_count, repeats);
             let fold = folds.map(|of| Fold { index: (seed % u64::from(of)) as u32, of });
             let config = SplitConfig { kind: SplitKind::Location, fraction, seed, fold };
             if let Ok(split) = config.apply(&data) {
                 let (train, test) = (locations(&data, &split.train), locations(&data, &split.test));
                 prop_assert!(train.is_disjoint(&test));
-                prop_assert_eq!(train.len() + test.len(), places as usize);
+                prop_assert_eq!(train.len() + test.len(), location_count as usize);
                 prop_assert_eq!(split.train.len() + split.test.len(), data.labelled().count());
             }
         }

@@ -21,13 +21,13 @@ pub fn stream(effect: &Effect, index: usize) -> ChaCha8Rng {
 /// Waves that make up a random field: many, so that it is close to Gaussian.
 const WAVES: usize = 200;
 
-/// A random field of an effect at `places` \[m\]: normal, its correlation falling as exp(−d²/2ℓ²) with the distance d for the `length` ℓ
+/// A random field of an effect at `locations` \[m\]: normal, its correlation falling as exp(−d²/2ℓ²) with the distance d for the `length` ℓ
 /// \[m\] (Rahimi and Recht's random waves, in space).
 #[must_use]
 pub fn random_field<const N: usize>(
     effect: &Effect,
     length: f64,
-    places: impl Iterator<Item = [f64; N]>,
+    locations: impl Iterator<Item = [f64; N]>,
 ) -> Vec<f64> {
     let mut rng = stream(effect, 0);
     let waves: Vec<([f64; N], f64)> = (0..WAVES)
@@ -41,7 +41,7 @@ pub fn random_field<const N: usize>(
     let value = |at: [f64; N]| {
         scale * waves.iter().map(|(wave, phase)| (phase_at(wave, &at) + phase).cos()).sum::<f64>()
     };
-    places.map(value).collect()
+    locations.map(value).collect()
 }
 
 /// The random numbers of one time that a device is switched on: those of the device itself for `start` 0, others of the same stream

@@ -102,9 +102,9 @@ mod tests {
     const MODULUS: f64 = 70e3 / (1.0 - 0.49 * 0.49);
 
     /// Squares of `side` \[m\] on a half-space (A. E. H. Love, 1929, for the square itself; far ones as points).
-    fn half_space(places: &[[f64; 2]], side: f64) -> DMatrix<f64> {
-        DMatrix::from_fn(places.len(), places.len(), |i, j| {
-            let [dx, dy] = [0, 1].map(|k| places[i][k] - places[j][k]);
+    fn half_space(locations: &[[f64; 2]], side: f64) -> DMatrix<f64> {
+        DMatrix::from_fn(locations.len(), locations.len(), |i, j| {
+            let [dx, dy] = [0, 1].map(|k| locations[i][k] - locations[j][k]);
             match i == j {
                 // At its middle: 4 ln(1 + √2) a p / (π E*).
                 true => 4.0 * (1.0 + 2f64.sqrt()).ln() / (PI * MODULUS * side),
@@ -121,10 +121,10 @@ mod tests {
     #[test]
     fn a_ball_rests_as_hertz_says() {
         let (radius, side) = (0.01, 0.00015);
-        let places = squares(10, side);
-        let heights: Vec<f64> = places.iter().map(|[x, y]| (x * x + y * y) / (2.0 * radius)).collect();
+        let locations = squares(10, side);
+        let heights: Vec<f64> = locations.iter().map(|[x, y]| (x * x + y * y) / (2.0 * radius)).collect();
         let force = 0.02;
-        let found = RigidContact::solve(&half_space(&places, side), &heights, force).unwrap();
+        let found = RigidContact::solve(&half_space(&locations, side), &heights, force).unwrap();
         let contact = (0.75 * force * radius / MODULUS).cbrt();
         assert!(contact < 10.0 * side, "the contact lies inside of what is looked at: {contact}");
         assert_relative_eq!(found.depth, contact * contact / radius, max_relative = 0.02);
@@ -139,15 +139,17 @@ mod tests {
     #[test]
     fn a_flat_punch_sinks_as_far_as_sneddon_says() {
         let (radius, side) = (0.002, 0.0002);
-        let places: Vec<[f64; 2]> =
+        let locations: Vec<[f64; 2]> =
             squares(10, side).into_iter().filter(|[x, y]| x.hypot(*y) <= radius).collect();
-        let found = RigidContact::solve(&half_space(&places, side), &vec![0.0; places.len()], 0.5).unwrap();
-        let covered = (places.len() as f64 * side * side / PI).sqrt();
+        let found =
+            RigidContact::solve(&half_space(&locations, side), &vec![0.0; locations.len()], 0.5).unwrap();
+        let covered = (locations.len() as f64 * side * side / PI).sqrt();
         assert_relative_eq!(found.depth, 0.5 / (2.0 * MODULUS * covered), max_relative = 0.03);
         let at = |x: f64| {
             let near = |p: &[f64; 2]| (p[0] - x).hypot(p[1]);
-            let place =
-                (0..places.len()).min_by(|a, b| near(&places[*a]).total_cmp(&near(&places[*b]))).unwrap();
+            let place = (0..locations.len())
+                .min_by(|a, b| near(&locations[*a]).total_cmp(&near(&locations[*b])))
+                .unwrap();
             found.forces[place]
         };
         // Pressure rises towards the edge: by 2.3 at 0.9 of the radius.
@@ -169,8 +171,8 @@ mod tests {
         /// Nothing pulls, nothing enters, what presses touches, and the force is what presses.
         #[test]
         fn every_tip_rests(heights in prop::collection::vec(0.0..5e-4f64, 25), force in 1e-3..1.0f64) {
-            let (side, places) = (0.0004, squares(2, 0.0004));
-            let compliance = half_space(&places, side);
+            let (side, locations) = (0.0004, squares(2, 0.0004));
+            let compliance = half_space(&locations, side);
             let found = RigidContact::solve(&compliance, &heights, force).unwrap();
             let forces = DVector::from_column_slice(&found.forces);
             let gap = &compliance * &forces + DVector::from_column_slice(&heights)

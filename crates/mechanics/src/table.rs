@@ -121,7 +121,7 @@ fn cubics(values: &[f64], parity: f64) -> impl Iterator<Item = Cubic> {
 
 /// A force's place in a table, found once and used for many distances.
 #[derive(Debug, Clone, Copy)]
-struct ForcePlace {
+struct ForceIndex {
     row: usize,
     fraction: f64,
     force: f64,
@@ -131,14 +131,14 @@ struct ForcePlace {
 #[derive(Debug, Clone, Copy)]
 pub struct Profile<'a> {
     table: &'a PressureTable,
-    place: ForcePlace,
+    place: ForceIndex,
 }
 
 impl Profile<'_> {
     /// The [ring](SphereContact::ring) that stands for the contact: its radius \[m\] and its share of the force.
     #[must_use]
     pub fn ring(&self) -> (f64, f64) {
-        let ForcePlace { row, fraction, .. } = self.place;
+        let ForceIndex { row, fraction, .. } = self.place;
         let [low, high] = [row, row + 1].map(|row| self.table.rings[row]);
         let between = |k: usize| low[k] + fraction * (high[k] - low[k]);
         (between(0), between(1))
@@ -275,18 +275,18 @@ impl PressureTable {
         Profile { table: self, place: self.place(force) }
     }
 
-    fn place(&self, force: f64) -> ForcePlace {
+    fn place(&self, force: f64) -> ForceIndex {
         let force = if force > 0.0 { force } else { 0.0 };
         let root = force.cbrt();
         let last = self.roots.len() - 1;
         let row = self.roots.partition_point(|r| *r <= root).clamp(1, last) - 1;
         let fraction = ((root - self.roots[row]) / (self.roots[row + 1] - self.roots[row])).clamp(0.0, 1.0);
-        ForcePlace { row, fraction, force }
+        ForceIndex { row, fraction, force }
     }
 
     /// Value of `cubics` per newton at the distance `r`.
     #[inline]
-    fn at(&self, cubics: &[Cubic], place: ForcePlace, r: f64) -> f64 {
+    fn at(&self, cubics: &[Cubic], place: ForceIndex, r: f64) -> f64 {
         let x = r * self.density;
         // Also what is not a number, or negative, has no place in the table.
         if !(0.0..self.columns as f64).contains(&x) {

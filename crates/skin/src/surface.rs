@@ -120,8 +120,8 @@ impl Surface {
                     (radius * angle).hypot(cylinder - low.z) + arc(&equator, &high)
                 };
                 // Where the way crosses the equator: near the best of some places, the length has one minimum.
-                let places = (0..=16).map(|i| f64::from(i) / 16.0);
-                let near = places.min_by(|p, q| through(*p).total_cmp(&through(*q))).unwrap_or(0.0);
+                let locations = (0..=16).map(|i| f64::from(i) / 16.0);
+                let near = locations.min_by(|p, q| through(*p).total_cmp(&through(*q))).unwrap_or(0.0);
                 let (mut from, mut to) = ((near - 1.0 / 16.0).max(0.0), (near + 1.0 / 16.0).min(1.0));
                 for _ in 0..30 {
                     let third = (to - from) / 3.0;

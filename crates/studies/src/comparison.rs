@@ -91,7 +91,7 @@ pub struct Findings {
     /// Readings that every estimator answered.
     pub readings: usize,
     /// Different places of these.
-    pub places: usize,
+    pub locations: usize,
     /// \[N\] at which the bins of errors by force begin.
     pub bins: Vec<f64>,
     /// Name of each estimator and what it made of them.
@@ -105,7 +105,7 @@ pub struct Findings {
 impl Serialize for Findings {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         json!({
-            "skin": self.skin.name, "readings": self.readings, "places": self.places, "bins_n": self.bins,
+            "skin": self.skin.name, "readings": self.readings, "places": self.locations, "bins_n": self.bins,
             "methods":
                 self.methods.iter().map(|(name, e)| json!({ "name": name, "evaluation": e })).collect::<Vec<_>>(),
             "bound": self.bound, "left_out": self.left_out,
@@ -172,12 +172,12 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
         }
     };
     let left_out = left_out(&data, &split.test, (&all, &test), least);
-    let places: BTreeSet<u32> =
+    let locations: BTreeSet<u32> =
         test.iter().filter_map(|id| Some(data.sample(*id)?.truth.as_ref()?.location)).collect();
     Ok(Findings {
         skin,
         readings: test.len(),
-        places: places.len(),
+        locations: locations.len(),
         bins: options.bins.clone(),
         methods: rows,
         bound,

@@ -15,8 +15,8 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use dermis_skin::{SkinDescription, Surface, Taxel};
 use dermis_theory::placement::{
-    BoundSettings, Feasibility, Field, GaussianField, GreedySettings, JudgeSettings, Judgement, Method,
-    Place, Reduction, Sets, Verdict, by_bound, feasible, greedy_svr, judge, pca_qr, reduce,
+    BoundSettings, Feasibility, Field, GaussianField, GreedySettings, JudgeSettings, Judgement, Location,
+    Method, Reduction, Sets, Verdict, by_bound, feasible, greedy_svr, judge, pca_qr, reduce,
 };
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize, Serializer};
@@ -192,7 +192,7 @@ pub struct Findings {
     /// \[N\] that the skin was pressed with.
     pub forces: Vec<f64>,
     /// Places that methods saw, and that they were judged at.
-    pub places: [usize; 2],
+    pub locations: [usize; 2],
     /// One for each method.
     pub choices: Vec<Choice>,
     /// Whether it ended early: what was not through is left out.
@@ -216,7 +216,7 @@ fn summary(findings: &Findings) -> serde_json::Value {
         "diameter_m": options.diameter,
         "candidates": findings.counts,
         "unexplained": findings.reduction.unexplained,
-        "places": { "seen": findings.places[0], "held_out": findings.places[1], "searched": options.searched },
+        "places": { "seen": findings.locations[0], "held_out": findings.locations[1], "searched": options.searched },
         "rim_of_candidates": rim(&findings.skin, &findings.surface, &findings.candidate_locations),
         "methods": findings.choices,
         "interrupted": findings.interrupted,
@@ -296,17 +296,17 @@ pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Resu
     }
     let taxels: Vec<Taxel> = kept.iter().map(|i| proposed[*i].clone()).collect();
     let sites: Vec<Point3<f64>> = kept.iter().map(|i| feet[*i]).collect();
-    let places = pressed(&surface, &Feasibility { neighbours: 0, ..rule }, options);
-    let forces = forces(&skin, options, &places, families)?;
+    let locations = pressed(&surface, &Feasibility { neighbours: 0, ..rule }, options);
+    let forces = forces(&skin, options, &locations, families)?;
     bar.begin("what candidates read");
     let model = families.model_of_file(&options.skin, &skin.with_taxels(taxels.clone())?)?;
     let watch = |share: f64| bar.at(share);
-    let Some(field) = Field::of_model(model.as_ref(), &places, &forces, options.diameter, &watch)? else {
+    let Some(field) = Field::of_model(model.as_ref(), &locations, &forces, options.diameter, &watch)? else {
         bail!("interrupted before anything was found");
     };
     drop(model);
-    let order = dermis_regress::shuffled(places.len(), options.seed);
-    let out = ((places.len() as f64 * options.held_out).round() as usize).clamp(1, places.len() / 2);
+    let order = dermis_regress::shuffled(locations.len(), options.seed);
+    let out = ((locations.len() as f64 * options.held_out).round() as usize).clamp(1, locations.len() / 2);
     let sorted = |of: &[usize]| {
         let mut of = of.to_vec();
         of.sort_unstable();
@@ -425,7 +425,7 @@ fn choose(
 }
 
 /// Places to press: points of the surface away from its supports, as many as are requested.
-fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Place> {
+fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Location> {
     let verdicts = feasible(surface, &surface.points, rule);
     let free: Vec<usize> = (0..surface.points.len()).filter(|i| verdicts[*i] == Verdict::Feasible).collect();
     // At random, so that no pattern of the triangulation shows.
@@ -434,7 +434,7 @@ fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Plac
     order.sort_unstable();
     order
         .into_iter()
-        .map(|n| Place { point: surface.points[free[n]], normal: surface.normals[free[n]] })
+        .map(|n| Location { point: surface.points[free[n]], normal: surface.normals[free[n]] })
         .collect()
 }
 
@@ -442,7 +442,7 @@ fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Plac
 fn forces(
     skin: &SkinDescription,
     options: &Request,
-    places: &[Place],
+    locations: &[Location],
     families: &Families,
 ) -> Result<Vec<f64>> {
     if !options.force.is_empty() {
@@ -455,7 +455,7 @@ fn forces(
     let untouched = dermis_model::Untouched::of(model.as_ref())?;
     let mut out = vec![0.0; model.channels()];
     let mut clear = Vec::new();
-    for place in places.iter().step_by(dermis_regress::stride(places.len(), 200)) {
+    for place in locations.iter().step_by(dermis_regress::stride(locations.len(), 200)) {
         let contact = dermis_model::Indentation::sphere(place.point, -place.normal, options.diameter);
         model
             .response(&dermis_model::Stimulus { contacts: vec![contact], ..Default::default() }, &mut out)?;

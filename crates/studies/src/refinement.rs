@@ -417,8 +417,8 @@ fn prepare(
 ) -> Result<Option<Refinement>> {
     bar.begin("gains of the channels");
     let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
-    let places: BTreeSet<u32> = train.iter().filter_map(place).collect();
-    let kept: BTreeSet<u32> = places.into_iter().step_by(5).collect();
+    let locations: BTreeSet<u32> = train.iter().filter_map(place).collect();
+    let kept: BTreeSet<u32> = locations.into_iter().step_by(5).collect();
     let (choose, learn): (Vec<SampleId>, Vec<SampleId>) =
         train.iter().copied().partition(|id| place(id).is_some_and(|p| kept.contains(&p)));
     let (unknowns, contacts) = match unmeasured {
@@ -493,8 +493,8 @@ fn reach(recorded: &[Recorded]) -> f64 {
 /// Held-out samples by place: every other place to each half.
 fn halves(data: &Dataset, held_out: &[SampleId]) -> (Vec<SampleId>, Vec<SampleId>) {
     let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
-    let places: BTreeSet<u32> = held_out.iter().filter_map(place).collect();
-    let chosen: BTreeSet<u32> = places.into_iter().step_by(2).collect();
+    let locations: BTreeSet<u32> = held_out.iter().filter_map(place).collect();
+    let chosen: BTreeSet<u32> = locations.into_iter().step_by(2).collect();
     held_out.iter().copied().partition(|id| place(id).is_some_and(|p| chosen.contains(&p)))
 }
 

@@ -50,7 +50,7 @@ pub(crate) struct Learned {
     /// Direction and logarithm of the length, row by row.
     inputs: Vec<f64>,
     width: usize,
-    places: Vec<f64>,
+    positions: Vec<f64>,
     forces: Vec<f64>,
     /// Numbers of a force: the pressing one, or x, y and z.
     components: usize,
@@ -63,7 +63,7 @@ impl Learned {
         Self {
             inputs: Vec::new(),
             width: skin.channels().len() + 1,
-            places: Vec::new(),
+            positions: Vec::new(),
             forces: Vec::new(),
             components: if components == ForceComponents::Full { 3 } else { 1 },
             locations: Vec::new(),
@@ -92,7 +92,7 @@ impl Learned {
         location: u32,
     ) {
         self.inputs.extend(direction(whitened));
-        self.places.extend(position.iter());
+        self.positions.extend(position.iter());
         match self.components {
             1 => self.forces.push(pressing),
             _ => self.forces.extend(force.iter()),
@@ -113,7 +113,7 @@ impl Learned {
         };
         Self {
             inputs: of(&self.inputs, self.width),
-            places: of(&self.places, 3),
+            positions: of(&self.positions, 3),
             forces: of(&self.forces, self.components),
             locations: self.locations.iter().copied().step_by(step).collect(),
             ..*self
@@ -142,7 +142,7 @@ pub(crate) fn tuned(
         Ok((settings.fit(inputs, targets)?, json!({ "settings": settings, "error": error })))
     };
     // Metres and newtons are scaled for themselves: outputs of one fit share a scale.
-    let (place, of_place) = fitted(Rows::new(&some.places, 3, "places")?)?;
+    let (place, of_place) = fitted(Rows::new(&some.positions, 3, "places")?)?;
     let (force, of_force) = fitted(Rows::new(&some.forces, some.components, "forces")?)?;
     let settings = json!({ "learned": some.len(), "position": of_place, "force": of_force });
     let regress = move |row: &[f64]| {
@@ -162,8 +162,8 @@ pub(crate) fn network(
 ) -> Result<(RegressionFinder, Value)> {
     let learned = learned.thinned(most);
     let largest = |values: &[f64]| values.iter().fold(1e-9_f64, |m, v| m.max(v.abs())) as f32;
-    let scales = [largest(&learned.places), largest(&learned.forces)];
-    let targets = learned.places.chunks_exact(3).zip(learned.forces.chunks_exact(learned.components));
+    let scales = [largest(&learned.positions), largest(&learned.forces)];
+    let targets = learned.positions.chunks_exact(3).zip(learned.forces.chunks_exact(learned.components));
     let data = Batch {
         inputs: learned.inputs.iter().map(|v| *v as f32).collect(),
         targets: targets

@@ -58,12 +58,12 @@ impl Line {
         feet: &[Point3<f64>],
         tolerance: f64,
     ) -> Result<Self, TheoryError> {
-        let (places, of) = distinct(feet);
+        let (locations, of) = distinct(feet);
         let on = |foot: &Point3<f64>| {
             let off = surface.geodesic(foot, &path.points[path.nearest(foot).0]);
             (off <= tolerance).then(|| path.foot(foot))
         };
-        let on: Vec<Option<f64>> = places.iter().map(on).collect();
+        let on: Vec<Option<f64>> = locations.iter().map(on).collect();
         let mut taxels: Vec<LineTaxel> = of
             .iter()
             .enumerate()

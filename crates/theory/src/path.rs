@@ -39,7 +39,7 @@ impl Path {
         direction: &Vector3<f64>,
         step: f64,
     ) -> Result<Self, TheoryError> {
-        let (points, closed) = Self::places(surface, through, direction, step)?;
+        let (points, closed) = Self::locations(surface, through, direction, step)?;
         let normals = points.iter().map(|p| surface.project(p).1).collect();
         // On a mesh the shortest way over its edges would be many times a step; places that follow each other lie straight ahead.
         let exact = surface.has_closed_form();
@@ -61,7 +61,7 @@ impl Path {
     }
 
     /// The places of a path, and whether it comes back to where it began.
-    pub(crate) fn places(
+    pub(crate) fn locations(
         surface: &Surface,
         through: &Point3<f64>,
         direction: &Vector3<f64>,
@@ -131,18 +131,18 @@ fn straight_ahead(
     step: f64,
 ) -> (Vec<Point3<f64>>, bool) {
     let (mut at, mut along) = (start, along);
-    let mut places = Vec::new();
-    while places.len() < MOST {
+    let mut locations = Vec::new();
+    while locations.len() < MOST {
         let (next, normal) = surface.project(&(at + along * step));
         let moved = next - at;
         // What is left of a step at the edge is its last.
         if moved.norm() < 1e-3 * step {
             break;
         }
-        places.push(next);
-        if places.len() > 3 && (next - start).norm() < 0.75 * step {
-            places.pop();
-            return (places, true);
+        locations.push(next);
+        if locations.len() > 3 && (next - start).norm() < 0.75 * step {
+            locations.pop();
+            return (locations, true);
         }
         if moved.norm() < 0.5 * step || moved.dot(&along) < 0.5 * moved.norm() {
             break;
@@ -150,7 +150,7 @@ fn straight_ahead(
         let Some(turned) = (along - normal * normal.dot(&along)).try_normalize(1e-9) else { break };
         (at, along) = (next, turned);
     }
-    (places, false)
+    (locations, false)
 }
 
 #[cfg(test)]

@@ -25,7 +25,7 @@ mod testing;
 use serde::{Deserialize, Serialize};
 
 pub use feasible::{Feasibility, Verdict, feasible};
-pub use field::{Field, Place};
+pub use field::{Field, Location};
 pub use gaussian::GaussianField;
 pub use greedy::{GreedySettings, greedy_svr};
 pub use information::{BoundSettings, by_bound, expected_error};

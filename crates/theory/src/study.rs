@@ -150,11 +150,11 @@ pub struct Factors {
 pub fn longest_row(surface: &Surface, feet: &[Point3<f64>], step: f64) -> Result<(Path, f64), TheoryError> {
     positive("step of a path [m]", step)?;
     // Channels of one taxel have one foot: each foot is tried once, and counts as often as there are channels.
-    let (places, of) = distinct(feet);
-    let mut counts = vec![0usize; places.len()];
+    let (locations, of) = distinct(feet);
+    let mut counts = vec![0usize; locations.len()];
     of.iter().for_each(|place| counts[*place] += 1);
-    let nearest_other = places.iter().zip(&counts).enumerate().flat_map(|(i, (a, count))| {
-        let others = places.iter().enumerate().filter(move |(j, _)| *j != i);
+    let nearest_other = locations.iter().zip(&counts).enumerate().flat_map(|(i, (a, count))| {
+        let others = locations.iter().enumerate().filter(move |(j, _)| *j != i);
         let nearest = others.map(|(_, b)| (a - b).norm()).filter(|d| *d > 1e-6).fold(f64::INFINITY, f64::min);
         std::iter::repeat_n(nearest, *count)
     });
@@ -167,12 +167,13 @@ pub fn longest_row(surface: &Surface, feet: &[Point3<f64>], step: f64) -> Result
     let count = surface.points.len().max(1) as f64;
     let middle = Point3::from(surface.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count);
     let mut best: Option<(usize, f64, Point3<f64>, Vector3<f64>)> = None;
-    for foot in &places {
+    for foot in &locations {
         let [first, second] = tangents(&surface.project(foot).1);
         for direction in [first, second] {
-            let (path, _) = Path::places(surface, foot, &direction, pitch / 8.0)?;
+            let (path, _) = Path::locations(surface, foot, &direction, pitch / 8.0)?;
             let on = |f: &Point3<f64>| nearest(&path, f).1 <= tolerance + pitch / 16.0;
-            let on = places.iter().zip(&counts).filter(|(f, _)| on(f)).map(|(_, count)| count).sum::<usize>();
+            let on =
+                locations.iter().zip(&counts).filter(|(f, _)| on(f)).map(|(_, count)| count).sum::<usize>();
             let off = (foot - middle).norm();
             // More taxels first, then nearer to the middle; the first direction (x) where both are equal.
             let better = best
@@ -197,16 +198,16 @@ impl Line {
         let taxels: Vec<TaxelStudy> = self.studied().iter().map(|t| self.taxel(t, options)).collect();
         let minimum_force =
             (0..self.arc().len()).map(|p| self.responses().minimum_force(p, options.least, 2)).collect();
-        let places = self.places(options.step);
+        let locations = self.locations(options.step);
         let rows = options.map_forces.len().max(1) as f64;
         let mut map = LineMap {
-            arc: places.iter().map(|p| self.arc()[*p]).collect(),
+            arc: locations.iter().map(|p| self.arc()[*p]).collect(),
             forces: options.map_forces.clone(),
             position: Vec::new(),
             force: Vec::new(),
         };
         for (row, force) in options.map_forces.iter().enumerate() {
-            let found: Vec<Option<Deviations>> = places
+            let found: Vec<Option<Deviations>> = locations
                 .iter()
                 .map(|place| {
                     let mut active = self.responses().active(*place, *force, options.least);
@@ -218,7 +219,7 @@ impl Line {
             map.force.push(found.iter().map(|d| d.map(|d| d.force)).collect());
             progress(0.5 * (row + 1) as f64 / rows);
         }
-        let between: Vec<usize> = places
+        let between: Vec<usize> = locations
             .into_iter()
             .filter(|p| {
                 let first = self.taxels()[0].foot;
@@ -281,7 +282,7 @@ impl Line {
     }
 
     /// Places about `step` \[m\] apart.
-    fn places(&self, step: f64) -> Vec<usize> {
+    fn locations(&self, step: f64) -> Vec<usize> {
         let last = self.arc().len() - 1;
         let every = ((step / (self.arc()[last] / last as f64)).round() as usize).max(1);
         (0..=last).step_by(every).collect()
@@ -301,7 +302,7 @@ impl Line {
         let off = over.iter().map(|(s, f)| (f - c * s).abs()).fold(0.0, f64::max);
         let value = options.values.get(options.values.len() / 2).copied().unwrap_or(options.least);
         let c_by_distance = self
-            .places(options.step)
+            .locations(options.step)
             .into_iter()
             .filter_map(|p| Some([self.distance(p, taxel), self.responses().slope(p, taxel.channel, value)?]))
             .collect();
@@ -319,7 +320,7 @@ impl Line {
     fn averages(
         &self,
         force: f64,
-        (places, bounds): (&[usize], &[Option<Deviations>]),
+        (locations, bounds): (&[usize], &[Option<Deviations>]),
         taxels: &[TaxelStudy],
         options: &StudyOptions,
     ) -> ByForce {
@@ -334,13 +335,13 @@ impl Line {
                 position,
                 position_rms: (found.iter().map(|d| d.position * d.position).sum::<f64>() / n).sqrt(),
                 force: found.iter().map(|d| d.force).sum::<f64>() / n,
-                share: n / places.len() as f64,
+                share: n / locations.len() as f64,
                 factor: factor(position),
                 factor_with_testbed: factor(options.testbed.position(position)),
             })
         };
-        let at_places = |of: &dyn Fn(usize) -> Option<Deviations>| {
-            average(places.iter().filter_map(|place| of(*place)).collect())
+        let at_locations = |of: &dyn Fn(usize) -> Option<Deviations>| {
+            average(locations.iter().filter_map(|place| of(*place)).collect())
         };
         let pair = |place: usize| self.pair(self.arc()[place]);
         let located = |place: usize| {
@@ -351,13 +352,13 @@ impl Line {
         };
         ByForce {
             force,
-            fits: at_places(&|place| {
+            fits: at_locations(&|place| {
                 let pair = pair(place);
                 located(place)
                     .then(|| self.by_fits(place, force, &pair, [fits_of(&pair[0]), fits_of(&pair[1])]))
                     .flatten()
             }),
-            corners: at_places(&|place| {
+            corners: at_locations(&|place| {
                 located(place).then(|| self.corners(place, force, pair(place).map(|t| t.channel))).flatten()
             }),
             bound: average(bounds.iter().flatten().copied().collect()),

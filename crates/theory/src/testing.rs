@@ -13,8 +13,8 @@ pub const DEPTH: f64 = 0.005;
 /// Point taxels at depth h under a plane: force · h / (r² + h²), and shear along x tilts the field.
 pub fn toy(taxels: &[(f64, f64)]) -> Analytic {
     let spec = SurfaceSpec::Rectangle { size: [0.04, 0.04], spacing: 0.005 };
-    let places = taxels.iter().map(|(x, y)| Point3::new(*x, *y, 0.0));
-    Analytic::new(Surface::from_spec(&spec), places, 2.0, |c, taxel| {
+    let locations = taxels.iter().map(|(x, y)| Point3::new(*x, *y, 0.0));
+    Analytic::new(Surface::from_spec(&spec), locations, 2.0, |c, taxel| {
         let (dx, dy) = (c.position.x - taxel.x, c.position.y - taxel.y);
         let r = dx * dx + dy * dy + DEPTH * DEPTH;
         (-c.force.z + 0.3 * c.force.x * dx / DEPTH) * DEPTH / r

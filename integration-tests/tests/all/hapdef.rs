@@ -209,8 +209,8 @@ fn pressed_and_found(protocol: &str, rate: f64) {
     let mut operator = Operator::new();
     let skin = wired(operator.folder.path(), protocol, rate);
     let surface = SkinDescription::load(&skin).unwrap().surface();
-    let places = [place(&surface, 0.03, 0.005).0, place(&surface, -0.04, -0.02).0];
-    let at: Vec<String> = places.iter().map(|p| format!("[{:.6}, {:.6}, {:.6}]", p.x, p.y, p.z)).collect();
+    let locations = [place(&surface, 0.03, 0.005).0, place(&surface, -0.04, -0.02).0];
+    let at: Vec<String> = locations.iter().map(|p| format!("[{:.6}, {:.6}, {:.6}]", p.x, p.y, p.z)).collect();
     let plan = operator.path("plan.toml");
     std::fs::write(
         &plan,
@@ -241,7 +241,7 @@ fn pressed_and_found(protocol: &str, rate: f64) {
     operator.contacts_say("that nothing touches", untouched);
 
     let held = |c: &Contact| (pressing(c) - FORCE).abs() < 0.1 * FORCE;
-    for place in &places {
+    for place in &locations {
         let found = operator.contacts_say("where it is pressed", |array| {
             array.contacts.iter().any(|c| held(c) && apart(c, place) < 0.004)
         });
@@ -278,7 +278,7 @@ fn pressed_and_found(protocol: &str, rate: f64) {
     assert_eq!((pushed.displacements.len(), pushed.geometry_id), (surface.points.len(), whole.geometry_id));
     operator.hears(&displacements, "that it is deepest under the press", |map| {
         let (point, depth) = deepest(map);
-        depth > 3e-4 && places.iter().any(|place| (point - place).norm() < 0.015)
+        depth > 3e-4 && locations.iter().any(|place| (point - place).norm() < 0.015)
     });
     let flat = |map: &DisplacementMap| map.displacements.iter().all(|d| *d == 0.0);
     operator.hears(&displacements, "that nothing touches", flat);
@@ -318,12 +318,12 @@ fn both() -> [Point3<f64>; 2] {
 }
 
 /// Presses of [`FORCE`] in these places.
-fn presses(places: &[Point3<f64>]) -> Vec<Indentation> {
+fn presses(locations: &[Point3<f64>]) -> Vec<Indentation> {
     let press = |at: &Point3<f64>| {
         let (position, normal) = model().surface().project(at);
         Indentation::sphere(position, -normal * FORCE, TIP)
     };
-    places.iter().map(press).collect()
+    locations.iter().map(press).collect()
 }
 
 /// What the gauges read of these presses.

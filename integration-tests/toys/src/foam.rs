@@ -83,8 +83,8 @@ impl Saddle {
     fn electrodes(&self) -> Vec<Taxel> {
         let [columns, rows] = GRID;
         let along = |i: usize, n: usize| ((i as f64 + 0.5) / n as f64 - 0.5) * self.size;
-        let places = (0..columns * rows).map(|e| (along(e % columns, columns), along(e / columns, rows)));
-        places
+        let locations = (0..columns * rows).map(|e| (along(e % columns, columns), along(e / columns, rows)));
+        locations
             .enumerate()
             .map(|(e, (x, y))| Taxel {
                 name: format!("e{e}"),

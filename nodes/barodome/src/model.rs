@@ -36,7 +36,7 @@ trait Field: std::fmt::Debug + Send + Sync {
 #[derive(Debug)]
 struct Packages {
     /// Where each lies \[m\] and what is up for it.
-    places: Vec<(Point3<f64>, Vector3<f64>)>,
+    locations: Vec<(Point3<f64>, Vector3<f64>)>,
     stiffening: f64,
     reach: f64,
 }
@@ -54,7 +54,7 @@ impl Packages {
                 (-(offset - up * above).norm_squared() / (2.0 * self.reach.powi(2))).exp()
             }
         };
-        1.0 + self.stiffening * self.places.iter().map(rise).sum::<f64>()
+        1.0 + self.stiffening * self.locations.iter().map(rise).sum::<f64>()
     }
 }
 
@@ -106,14 +106,14 @@ impl BarometerModel {
             }
         };
         let packages = (parameters.stiffening != 0.0).then(|| {
-            let mut places: Vec<(Point3<f64>, Vector3<f64>)> = Vec::new();
+            let mut locations: Vec<(Point3<f64>, Vector3<f64>)> = Vec::new();
             for element in &parameters.elements {
                 // Channels of one taxel share its package.
-                if places.iter().all(|(place, _)| *place != element.position) {
-                    places.push((element.position, element.normal));
+                if locations.iter().all(|(place, _)| *place != element.position) {
+                    locations.push((element.position, element.normal));
                 }
             }
-            Packages { places, stiffening: parameters.stiffening, reach: parameters.stiffening_reach }
+            Packages { locations, stiffening: parameters.stiffening, reach: parameters.stiffening_reach }
         });
         Ok(Self {
             surface: Surface::from_spec(&parameters.surface),

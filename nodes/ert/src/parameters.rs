@@ -347,9 +347,9 @@ pub fn complete(skin: &mut SkinDescription) -> Result<(), FieldFault> {
         let spec = MediumSpec::read(skin).map_err(fault)?;
         let panel = Panel::of(skin).map_err(|reason| FieldFault::new("surface", reason))?;
         let depth = spec.foam.thickness + spec.top.thickness;
-        let places = spec.electrodes.rows.iter().flat_map(|row| row.x.iter().map(|x| [*x, row.y]));
+        let locations = spec.electrodes.rows.iter().flat_map(|row| row.x.iter().map(|x| [*x, row.y]));
         let mut taxels = Vec::new();
-        for (i, at) in places.enumerate() {
+        for (i, at) in locations.enumerate() {
             if !panel.holds(at) || i >= ELECTRODES {
                 let reason = format!(
                     "has an electrode at ({}, {}) m: a panel has {ELECTRODES} at most, all of them on its {} x {} m",

@@ -37,8 +37,8 @@ fn deviation(model: &FabricModel, tips: usize) -> f64 {
             let (sin, cos) = (arm as f64 * std::f64::consts::FRAC_PI_3).sin_cos();
             [centre[0] + radius * cos, centre[1] + radius * sin]
         };
-        let places: Vec<[f64; 2]> = (0..tips).map(at).collect();
-        if !places.iter().all(|p| p[0].abs() < half[0] && p[1].abs() < half[1]) {
+        let locations: Vec<[f64; 2]> = (0..tips).map(at).collect();
+        if !locations.iter().all(|p| p[0].abs() < half[0] && p[1].abs() < half[1]) {
             continue;
         }
         placed += 1;
@@ -52,7 +52,8 @@ fn deviation(model: &FabricModel, tips: usize) -> f64 {
                 force: Vector3::new(0.0, 0.0, -force),
                 tip: Tip { shape: TIP, orientation: UnitQuaternion::identity() },
             };
-            let stimulus = Stimulus { contacts: places.iter().map(press).collect(), ..Stimulus::default() };
+            let stimulus =
+                Stimulus { contacts: locations.iter().map(press).collect(), ..Stimulus::default() };
             model.response(&stimulus, &mut out).unwrap();
             for ((v, sum), squares) in out.iter().zip(&mut sum).zip(&mut squares) {
                 (*sum, *squares) = (*sum + v, *squares + v * v);

@@ -24,17 +24,17 @@ fn settings() -> Settings {
 
 /// Contacts of 20 to 40 N, 120 mm apart.
 fn scene(rng: &mut ChaCha8Rng) -> Vec<Indentation> {
-    let mut places: Vec<Point3<f64>> = Vec::new();
-    while places.len() < CONTACTS {
+    let mut locations: Vec<Point3<f64>> = Vec::new();
+    while locations.len() < CONTACTS {
         let place = Point3::new(rng.random_range(-0.22..0.22), rng.random_range(-0.22..0.22), 0.0);
-        if places.iter().all(|other| (place - other).norm() > 0.12) {
-            places.push(place);
+        if locations.iter().all(|other| (place - other).norm() > 0.12) {
+            locations.push(place);
         }
     }
     let mut press = |place: Point3<f64>| {
         settings().indentation(place, Vector3::new(0.0, 0.0, -rng.random_range(20.0..40.0)))
     };
-    places.into_iter().map(&mut press).collect()
+    locations.into_iter().map(&mut press).collect()
 }
 
 #[test]

@@ -150,13 +150,14 @@ impl Tracks {
         let owner = |d: &Detection| named.get(&d.track).copied().filter(|_| d.track != 0);
         let owners: Vec<Option<usize>> = detections.iter().map(owner).collect();
         let extent = detections.iter().map(Detection::extent).fold(0.0, f64::max);
-        let places: Vec<Option<Vector3<f64>>> = detections.iter().map(|d| d.place.map(|p| p.value)).collect();
+        let locations: Vec<Option<Vector3<f64>>> =
+            detections.iter().map(|d| d.place.map(|p| p.value)).collect();
         let mut pairs: Vec<(usize, usize, f64)> = Vec::new();
         for (t, track) in self.tracks.iter_mut().enumerate() {
             let reach = track.reach(extent, report.stamp, s).powi(2);
             let at: Option<Vector3<f64>> =
                 track.place.as_ref().map(|p| p.mean.fixed_rows::<3>(0).into_owned());
-            for (d, (detection, place)) in detections.iter().zip(&places).enumerate() {
+            for (d, (detection, place)) in detections.iter().zip(&locations).enumerate() {
                 // Most pairs end here.
                 if let (Some(at), Some(place)) = (at, place)
                     && (at - place).norm_squared() > reach

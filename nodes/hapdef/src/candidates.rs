@@ -26,7 +26,7 @@ pub fn candidates(skin: &SkinDescription) -> Result<Vec<Taxel>, ModelError> {
     let Some(size) = parameters.gauges.first().map(|g| g.size) else { return Ok(Vec::new()) };
     let mut found = Vec::new();
     let size = size.map(|side| side + 2.0 * CLEARANCE);
-    for (i, point) in places(surface).into_iter().enumerate() {
+    for (i, point) in locations(surface).into_iter().enumerate() {
         let (point, normal) = surface.project(&point);
         let position = point - normal * parameters.thickness;
         for (name, axis) in directions(skin, &normal) {
@@ -45,7 +45,7 @@ pub fn candidates(skin: &SkinDescription) -> Result<Vec<Taxel>, ModelError> {
 }
 
 /// Points, then middles of edges.
-fn places(surface: &Surface) -> Vec<Point3<f64>> {
+fn locations(surface: &Surface) -> Vec<Point3<f64>> {
     let mut edges = BTreeSet::new();
     for t in &surface.triangles {
         for [i, j] in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {

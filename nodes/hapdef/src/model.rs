@@ -346,12 +346,12 @@ impl ShellModel {
         if self.stiffening == 0.0 {
             return vec![1.0; contacts.len()];
         }
-        let places: Vec<_> =
+        let locations: Vec<_> =
             contacts.iter().map(|(c, n)| self.nodes.corners(&self.surface, &c.position, n)).collect();
-        places
+        locations
             .iter()
             .map(|at| {
-                let touches = contacts.iter().zip(&places);
+                let touches = contacts.iter().zip(&locations);
                 let linear: f64 =
                     touches.map(|((c, n), place)| -c.force.dot(n) * self.gives(at, place)).sum();
                 if linear == 0.0 { 1.0 } else { self.deflection(linear) / linear }

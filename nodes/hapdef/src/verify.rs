@@ -44,7 +44,7 @@ fn shin() -> Result<SkinDescription, VerifyError> {
 const TOUCHES: [(&str, [f64; 2]); 3] =
     [("normal", [0.0, 0.0]), ("along", [0.5, 0.0]), ("around", [0.0, 0.5])];
 /// Places that are touched, all over the limb.
-const PLACES: usize = 40;
+const LOCATIONS: usize = 40;
 /// \[m\] from the clamped ends within which nothing is touched: hardly anything is felt there.
 const HELD: f64 = 0.012;
 /// Largest share of a touch's strongest reading by which a gauge may differ, and of all by root mean square. Of 2.7 % and 1.7 %,
@@ -55,15 +55,15 @@ const WITHIN: [f64; 2] = [0.04, 0.03];
 /// A limb (the one that ships) under touches all over it: what its ten gauges read, and what they would on
 /// solids of 1.2 mm. Of each kind of touch there are two cases: the worst reading of all, and the root mean square of all.
 fn limb(shin: &SkinDescription) -> Result<Vec<Case>, VerifyError> {
-    let places = places(shin);
-    let Some(readings) = solids(shin, &places)? else { return Ok(vec![unjoined()]) };
+    let locations = locations(shin);
+    let Some(readings) = solids(shin, &locations)? else { return Ok(vec![unjoined()]) };
     let mut thin = shin.clone();
     thin.medium.insert("theory".into(), "kirchhoff-love".into());
     let models = [ShellModel::new(shin)?, ShellModel::new(&thin)?];
     let mut cases = Vec::new();
     for ((name, along), solid) in TOUCHES.iter().zip(&readings) {
         let compared: Vec<Vec<Compared>> =
-            models.iter().map(|model| compare(model, &places, *along, solid)).collect::<Result<_, _>>()?;
+            models.iter().map(|model| compare(model, &locations, *along, solid)).collect::<Result<_, _>>()?;
         let [ours, thin] = [0, 1].map(|k| rms(&compared[k]));
         let thin_worst = compared[1].iter().fold(0.0f64, |worst, c| worst.max(c.off()));
         let worst = compared[0].iter().max_by(|a, b| a.off().total_cmp(&b.off()));
@@ -77,7 +77,7 @@ fn limb(shin: &SkinDescription) -> Result<Vec<Case>, VerifyError> {
         cases.push(Case::new(
             format!("shell-ccx-shin-{name}"),
             format!(
-                "the limb touched at {PLACES} places by {what}: the worst of all readings by the strongest of the same \
+                "the limb touched at {LOCATIONS} places by {what}: the worst of all readings by the strongest of the same \
                  touch, gauge {} at ({x:.1}, {y:.1}, {z:.1}) mm",
                 worst.gauge
             ),
@@ -105,7 +105,7 @@ fn unjoined() -> Case {
     Case::new(
         "shell-ccx-shin",
         format!(
-            "the limb touched at {PLACES} places: nothing was compared, because the triangles of its surface do not join to \
+            "the limb touched at {LOCATIONS} places: nothing was compared, because the triangles of its surface do not join to \
              quadrilaterals, which solids are raised on. Give the skin a surface of `type = \"panel\"`, or a mesh with two \
              triangles a cell"
         ),
@@ -135,16 +135,16 @@ impl Compared {
 /// Root mean square over touches, of the norm of each touch's differences over the norm of its readings.
 fn rms(compared: &[Compared]) -> f64 {
     let sum: f64 = compared.iter().map(|c| ((c.strains[0] - c.strains[1]) / c.norm).powi(2)).sum();
-    (sum / PLACES as f64).sqrt()
+    (sum / LOCATIONS as f64).sqrt()
 }
 
 /// Places on the limb, and the normals there.
-fn places(skin: &SkinDescription) -> Vec<(Point3<f64>, Vector3<f64>)> {
+fn locations(skin: &SkinDescription) -> Vec<(Point3<f64>, Vector3<f64>)> {
     let surface = skin.surface();
     let end = surface.points.iter().fold(0.0f64, |end, p| end.max(p.x.abs())) - HELD;
     let free: Vec<usize> = (0..surface.points.len()).filter(|&n| surface.points[n].x.abs() < end).collect();
     // A step that is prime and long: neighbours in the list lie far from each other.
-    (0..PLACES)
+    (0..LOCATIONS)
         .map(|k| free[(7 + 1009 * k) % free.len()])
         .map(|n| (surface.points[n], surface.normals[n]))
         .collect()
@@ -157,13 +157,13 @@ fn force(normal: &Vector3<f64>, [x, s]: [f64; 2]) -> Vector3<f64> {
 
 fn compare(
     model: &ShellModel,
-    places: &[(Point3<f64>, Vector3<f64>)],
+    locations: &[(Point3<f64>, Vector3<f64>)],
     along: [f64; 2],
     solid: &[Vec<f64>],
 ) -> Result<Vec<Compared>, ModelError> {
     let mut out = Vec::new();
     let patch = model.patch();
-    for ((place, normal), solid) in places.iter().zip(solid) {
+    for ((place, normal), solid) in locations.iter().zip(solid) {
         let contact = Indentation::sphere(*place, force(normal, along), 2.0 * patch);
         let mut read = vec![0.0; model.channels()];
         model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut read)?;
@@ -183,7 +183,7 @@ fn compare(
 /// What CalculiX says that the gauges read: of each kind of touch, place and gauge. `None` where the mesh makes no solids.
 fn solids(
     skin: &SkinDescription,
-    places: &[(Point3<f64>, Vector3<f64>)],
+    locations: &[(Point3<f64>, Vector3<f64>)],
 ) -> Result<Option<Vec<Vec<Vec<f64>>>>, VerifyError> {
     let parameters = Parameters::nominal(skin)?;
     let surface = &parameters.surface;
@@ -206,7 +206,7 @@ fn solids(
     let touches: Vec<Touch> = TOUCHES
         .iter()
         .flat_map(|(_, along)| {
-            places.iter().map(|(p, n)| Touch {
+            locations.iter().map(|(p, n)| Touch {
                 centre: parameters.middle(p, n),
                 patch: parameters.patch,
                 force: force(n, *along),
@@ -214,7 +214,7 @@ fn solids(
         })
         .collect();
     let readings = calculix::touch_readings(&quads, &parameters.sections[0], &clamped, &gauges, &touches)?;
-    Ok(Some(readings.chunks(places.len()).map(<[_]>::to_vec).collect()))
+    Ok(Some(readings.chunks(locations.len()).map(<[_]>::to_vec).collect()))
 }
 
 #[cfg(test)]

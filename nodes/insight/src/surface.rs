@@ -50,7 +50,7 @@ impl Rings {
 
     /// (s, φ) of every point. Every second ring is turned by half a point.
     #[must_use]
-    pub fn places(&self) -> Vec<[f64; 2]> {
+    pub fn locations(&self) -> Vec<[f64; 2]> {
         let ring = |(row, count): (usize, &usize)| {
             let (count, step) = (*count, self.step);
             (0..count).map(move |i| [row as f64 * step, azimuth(row, count, i)])
@@ -110,7 +110,7 @@ impl Rings {
     /// What is wrong with the triangles: spacings that are too wide for the thumb.
     pub fn mesh(&self, thumb: &Thumb) -> Result<TriangleMesh, String> {
         let points: Vec<Point3<f64>> =
-            self.places().into_iter().map(|[s, phi]| thumb.point(s, phi, 0.0).0).collect();
+            self.locations().into_iter().map(|[s, phi]| thumb.point(s, phi, 0.0).0).collect();
         TriangleMesh::from_triangles(points, &self.triangles(), 1)
     }
 }
@@ -147,7 +147,7 @@ mod tests {
     fn weights_are_linear_in_between() {
         let thumb = Thumb::new(0.020, 0.070, 0.009).unwrap();
         let rings = Rings::new(&thumb, 0.060, 0.003);
-        for (i, [s, phi]) in rings.places().into_iter().enumerate() {
+        for (i, [s, phi]) in rings.locations().into_iter().enumerate() {
             let weights = rings.weights(s + 1e-12, phi + 1e-12);
             let own: f64 = weights.iter().filter(|(p, _)| *p == i).map(|(_, w)| w).sum();
             assert!(own > 1.0 - 1e-6, "{i}: {weights:?}");

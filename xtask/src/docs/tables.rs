@@ -243,7 +243,7 @@ fn show(value: &Value, parent: &Value, format: &str) -> Result<String> {
         let value = value * scale;
         let decimals = match (decimals, significant) {
             (Some(decimals), _) => Some(decimals),
-            (None, Some(count)) => Some(places(value, count)),
+            (None, Some(count)) => Some(decimals_for(value, count)),
             (None, None) => None,
         };
         Ok(decimals.map_or(format!("{value}"), |d| format!("{value:.d$}")))
@@ -266,7 +266,7 @@ fn show(value: &Value, parent: &Value, format: &str) -> Result<String> {
 }
 
 /// Decimals that show so many significant figures.
-fn places(value: f64, significant: i32) -> usize {
+fn decimals_for(value: f64, significant: i32) -> usize {
     if value == 0.0 || !value.is_finite() {
         return 0;
     }
@@ -347,7 +347,7 @@ mod tests {
         {
             assert!(sources.figures(wrong).is_err(), "{wrong}");
         }
-        assert_eq!([9.96, 0.0999, 0.0, 1457.2, 0.101].map(|v| places(v, 2)), [0, 2, 0, 0, 2]);
+        assert_eq!([9.96, 0.0999, 0.0, 1457.2, 0.101].map(|v| decimals_for(v, 2)), [0, 2, 0, 0, 2]);
     }
 
     #[test]

@@ -43,7 +43,7 @@ const MAPS: [[u32; 2]; 12] = [
 /// \[mm\] side of the square that every map covers.
 const SQUARE: u32 = 640;
 /// Places of each number of contacts, and random presses, in the thesis.
-const THESIS_PLACES: u32 = 3000;
+const THESIS_LOCATIONS: u32 = 3000;
 const THESIS_RANDOM: u32 = 200_000;
 const THESIS_EPOCHS: u32 = 1024;
 /// \[N\] the lightest contact that the thesis has: manual loads of 4.905 N.
@@ -119,11 +119,11 @@ pub(super) fn inversion(root: &Path) -> Result<Value> {
 
 /// What is less than in the thesis, in words and numbers.
 fn reduced(root: &Path, sizes: &Sizes) -> Result<Value> {
-    let places = scaled(&plan(root, "hex-train")?, "hex", Some(1), sizes.share).1;
+    let locations = scaled(&plan(root, "hex-train")?, "hex", Some(1), sizes.share).1;
     let random = scaled(&plan(root, "random-train")?, "multi", None, sizes.share).1;
     Ok(json!({
         "share_of_the_plans": sizes.share,
-        "places_of_each_number": { "here": places, "thesis": THESIS_PLACES },
+        "places_of_each_number": { "here": locations, "thesis": THESIS_LOCATIONS },
         "random_presses": { "here": random, "thesis": THESIS_RANDOM },
         "epochs": { "here": sizes.epochs, "thesis": THESIS_EPOCHS },
         "maps": if sizes.maps.is_empty() { (1..=MAPS.len()).collect() } else { sizes.maps.clone() },

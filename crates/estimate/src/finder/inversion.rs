@@ -326,9 +326,9 @@ mod tests {
         let node = inverter(Search::Pairs);
         let readings: Vec<_> = readings(&second, &WELL).collect();
         let followed = node.follow(&readings, &before).unwrap().unwrap().contacts;
-        let places = |found: &[ContactEstimate]| found.iter().map(|f| f.position).collect::<Vec<_>>();
-        assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), places(&followed));
-        assert_eq!(places(finder.before()), places(&followed));
+        let locations = |found: &[ContactEstimate]| found.iter().map(|f| f.position).collect::<Vec<_>>();
+        assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), locations(&followed));
+        assert_eq!(locations(finder.before()), locations(&followed));
         // Contacts that ended are not where the next ones begin.
         finder.pass(&frame(&nothing)).unwrap();
         assert!(finder.before().is_empty());

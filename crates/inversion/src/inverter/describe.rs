@@ -46,7 +46,7 @@ impl Inverter {
     /// Mean and covariance of one contact over all places and forces, each as likely as any other before the reading.
     pub(super) fn mean(&self, data: &[Datum], sharp: &ContactEstimate) -> ContactEstimate {
         let levels = &self.dictionary.forces;
-        let mut terms: Vec<(f64, f64, f64, usize)> = Vec::with_capacity(self.dictionary.places.len());
+        let mut terms: Vec<(f64, f64, f64, usize)> = Vec::with_capacity(self.dictionary.locations.len());
         let mut least = f64::INFINITY;
         for place in self.likely(data) {
             // The level whose force comes out nearest to itself.
@@ -78,7 +78,7 @@ impl Inverter {
         let (mut total, mut force, mut force_square) = (0.0, 0.0, 0.0);
         let (mut place, mut second) = (Vector3::zeros(), Matrix3::zeros());
         for (found, square, chi2, index) in terms {
-            let spot = &self.dictionary.places[index];
+            let spot = &self.dictionary.locations[index];
             // The force is Gaussian about `found`, cut off at 0 (and, far away, at the largest).
             let deviation = 1.0 / square.sqrt();
             let (mass, mean, variance) = truncated(found, deviation);
@@ -121,7 +121,7 @@ impl Inverter {
     /// Places of the dictionary that a mean over all has to evaluate. On a skin of very many elements, those that explain so much less than the best
     /// that they weigh nothing follow from one product.
     fn likely(&self, data: &[Datum]) -> Vec<usize> {
-        let all = 0..self.dictionary.places.len();
+        let all = 0..self.dictionary.locations.len();
         let whole = data.iter().all(|datum| matches!(datum, Datum::Exact(..)));
         if !whole || self.settings.search != Search::Near {
             return all.collect();

@@ -55,7 +55,7 @@ impl Inverter {
         let mut tried = self.peaks(&scores, &limits);
         for index in &tried {
             // From beside a minimum that explains the readings the search ends in it once more.
-            let place = self.dictionary.places[*index].position;
+            let place = self.dictionary.locations[*index].position;
             let explains = |m: &Minimum| m.chi2 < limits.noise && self.is_at(m, place);
             if !minima.iter().any(explains) {
                 self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
@@ -139,14 +139,14 @@ impl Inverter {
             let left = if whole { limits.left(*score) } else { self.unexplained(index, data) };
             (left, index)
         };
-        let mut places: Vec<(f64, usize)> = scores.iter().enumerate().map(left).collect();
-        let few = RANKED.min(places.len());
-        if few > 0 && few < places.len() {
-            places.select_nth_unstable_by(few - 1, |a, b| a.0.total_cmp(&b.0));
-            places.truncate(few);
+        let mut locations: Vec<(f64, usize)> = scores.iter().enumerate().map(left).collect();
+        let few = RANKED.min(locations.len());
+        if few > 0 && few < locations.len() {
+            locations.select_nth_unstable_by(few - 1, |a, b| a.0.total_cmp(&b.0));
+            locations.truncate(few);
         }
-        places.sort_by(|a, b| a.0.total_cmp(&b.0));
-        places
+        locations.sort_by(|a, b| a.0.total_cmp(&b.0));
+        locations
     }
 
     /// The best of `ranked` that may hold a minimum and is far from every place where a search began or ended.
@@ -157,7 +157,7 @@ impl Inverter {
         tried: &[usize],
         minima: &[Minimum],
     ) -> Option<usize> {
-        let place = |index: usize| self.dictionary.places[index].position;
+        let place = |index: usize| self.dictionary.locations[index].position;
         let is_far = |index: usize| {
             let begun = tried.iter().map(|other| place(*other));
             let ended = minima.iter().flat_map(|m| m.contacts.iter().map(|c| c.position));

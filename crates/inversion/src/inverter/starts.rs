@@ -72,7 +72,7 @@ impl Inverter {
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut chosen: Vec<Indentation> = Vec::new();
         for (_, index) in scores {
-            let place = &self.dictionary.places[index];
+            let place = &self.dictionary.locations[index];
             if chosen.len() == most {
                 break;
             }
@@ -86,7 +86,7 @@ impl Inverter {
 
     /// A press at a place of the dictionary, with the force that explains whitened residuals best.
     pub(crate) fn pressed(&self, index: usize, left: &[f32]) -> Indentation {
-        let place = &self.dictionary.places[index];
+        let place = &self.dictionary.locations[index];
         // The level whose force changes least.
         let force = (0..self.dictionary.forces.len())
             .map(|level| {

@@ -18,7 +18,7 @@ use super::stream::{BagFrames, infos};
 use super::{DatasetOptions, Run, Truth, TruthContact, hex};
 use crate::LearnError;
 use crate::findings::{self, Findings};
-use crate::map::{self, Places, Readings};
+use crate::map::{self, Locations, Readings};
 
 /// What one bag holds for a skin, before it is joined.
 #[derive(Default)]
@@ -294,7 +294,7 @@ pub(super) fn read_run(
     path: &Path,
     skin: &SkinDescription,
     options: &DatasetOptions,
-    places: &mut Places,
+    locations: &mut Locations,
     findings: &mut Findings,
     memory: &mut usize,
 ) -> Result<Option<Run>, LearnError> {
@@ -339,7 +339,7 @@ pub(super) fn read_run(
     let (mut labels, mut bias) = (Vec::new(), None);
     let mut span = found.rig.span();
     if let Some(map) = &options.map {
-        (labels, bias) = map::label(&stamps, &mut found.rig, map, skin, places, place, &mut own);
+        (labels, bias) = map::label(&stamps, &mut found.rig, map, skin, locations, place, &mut own);
         hasher.update(serde_json::to_vec(map).unwrap_or_default());
         found.sessions.insert(path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned());
     } else {

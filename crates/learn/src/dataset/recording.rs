@@ -62,11 +62,11 @@ impl Recording {
         if !marks.is_sorted_by_key(|m| m.stamp) {
             let mut order: Vec<u32> = (0_u32..).take(marks.len()).collect();
             order.sort_by_key(|i| marks[*i as usize].stamp);
-            let mut places = vec![0; order.len()];
+            let mut rank_of = vec![0; order.len()];
             for (place, i) in (0_u32..).zip(&order) {
-                places[*i as usize] = place;
+                rank_of[*i as usize] = place;
             }
-            ranks = Some(Arc::new(places));
+            ranks = Some(Arc::new(rank_of));
             marks.sort_by_key(|m| m.stamp);
         }
         bag.ranks = ranks;

@@ -35,9 +35,9 @@ pub(crate) fn contact(x: f64, y: f64, newtons: f64) -> TruthContact {
     }
 }
 
-/// `repeats` rounds of presses at `places` locations, two touched frames each after ten untouched ones; readings
+/// `repeats` rounds of presses at `locations` locations, two touched frames each after ten untouched ones; readings
 /// are linear in position and force over a zero of 1000.
-pub(crate) fn presses(places: u32, repeats: u32) -> Dataset {
+pub(crate) fn presses(locations: u32, repeats: u32) -> Dataset {
     let skin = skin();
     let mut stamp = 0;
     let (mut frames, mut truths) = (Vec::new(), Vec::new());
@@ -48,12 +48,13 @@ pub(crate) fn presses(places: u32, repeats: u32) -> Dataset {
         truths.push((stamp, truth));
     };
     for repeat in 0..repeats {
-        for location in 0..places {
-            let press = u64::from(repeat * places + location);
+        for location in 0..locations {
+            let press = u64::from(repeat * locations + location);
             for _ in 0..10 {
                 push([1000.0, 1000.0], Truth { press, location, idle: true, contacts: Vec::new() });
             }
-            let (x, force) = (f64::from(location) / f64::from(places) * 0.01, 1.0 + f64::from(location % 5));
+            let (x, force) =
+                (f64::from(location) / f64::from(locations) * 0.01, 1.0 + f64::from(location % 5));
             for _ in 0..2 {
                 let truth = Truth { press, location, idle: false, contacts: vec![contact(x, 0.0, force)] };
                 push([1000.0 + 1e4 * x, 1000.0 + 20.0 * force], truth);

@@ -197,11 +197,11 @@ impl Evaluator {
         let force = [0, 1, 2].map(component);
         let position = nothing || found().any(|c| c.position.x.is_finite() && c.position.y.is_finite());
         // On a curved skin the height says where a contact is, too.
-        let places =
+        let locations =
             || self.answers.iter().flat_map(|(_, truth, _)| truth.contacts.iter().map(|c| c.position));
         let (low, high) =
-            places().fold((f64::INFINITY, -f64::INFINITY), |(l, h), p| (l.min(p.z), h.max(p.z)));
-        let known = || places().filter(|p| p.coords.iter().all(|v| v.is_finite()));
+            locations().fold((f64::INFINITY, -f64::INFINITY), |(l, h), p| (l.min(p.z), h.max(p.z)));
+        let known = || locations().filter(|p| p.coords.iter().all(|v| v.is_finite()));
         let count = known().count();
         let middle =
             (count > 0).then(|| Point3::from(known().map(|p| p.coords).sum::<Vector3<f64>>() / count as f64));

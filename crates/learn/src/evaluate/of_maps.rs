@@ -228,14 +228,14 @@ mod tests {
         let surface = Surface::from_spec(&SurfaceSpec::Rectangle { size: [0.5, 0.5], spacing: 0.004 });
         let mut contacts =
             ContactsOfMaps::new(&surface, MapReading { least_force: 4.0, ..MapReading::default() });
-        let places = [(-0.1, 0.1), (0.1, -0.1), (0.12, 0.14)];
+        let locations = [(-0.1, 0.1), (0.1, -0.1), (0.12, 0.14)];
         for number in 1..=3 {
-            let true_ones = places[..number]
+            let true_ones = locations[..number]
                 .iter()
                 .map(|(x, y)| TruthContact { diameter: 0.02, ..contact(*x, *y, 20.0) });
             let truth = Truth { press: 1, location: 1, idle: false, contacts: true_ones.collect() };
             let mut map = vec![0.0; surface.points.len()];
-            for (x, y) in &places[..number.min(2)] {
+            for (x, y) in &locations[..number.min(2)] {
                 let inside = |i: &usize| {
                     let p = surface.points[*i];
                     (p.x - x - 0.008).hypot(p.y - y) <= 0.010 + 1e-9

@@ -163,7 +163,7 @@ fn poses_may_come_as_one_of_many_transforms() {
 
 #[test]
 fn pressed_locations_have_identities_that_scatter_does_not_change() {
-    let (mut here, mut there) = (Places::default(), Places::default());
+    let (mut here, mut there) = (Locations::default(), Locations::default());
     let at = |x: f64| Point3::new(x, 0.0, 0.0);
     // 6.5 mm lies on the edge of a cell of 1 mm.
     let ids: Vec<u32> = [0.00651, 0.00649, 0.0065].iter().map(|x| here.identify(&at(*x), 1e-3)).collect();

@@ -31,9 +31,9 @@ fn stiff_sheet(off: f64) -> Analytic {
         let (x, y) = (f64::from(i % 5) - 2.0, f64::from(i / 5) - 1.0);
         Point3::new(x * 0.022 + by(off * 1e-3), y * 0.022 + by(off * 1e-3), 0.0)
     };
-    let places: Vec<_> = (0..15).map(&mut at).collect();
+    let locations: Vec<_> = (0..15).map(&mut at).collect();
     let gains: Vec<_> = (0..15).map(|_| 1.0 + by(0.1 * off)).collect();
-    let mut sheet = Analytic::new(Surface::from_spec(&spec), places, 1e-3, |c, element| {
+    let mut sheet = Analytic::new(Surface::from_spec(&spec), locations, 1e-3, |c, element| {
         -c.force.z * bump((c.position - element).xy().norm_squared(), FELT)
     });
     sheet.elements.iter_mut().zip(gains).for_each(|(element, gain)| element.gain = gain);
@@ -49,13 +49,13 @@ fn sheet(off: f64) -> Analytic {
 }
 
 fn skin() -> SkinDescription {
-    let places = sheet(0.0).places();
+    let locations = sheet(0.0).locations();
     SkinFile::new("sheet")
         .set("sensor", "\"sheet\"")
         .set("unit", "\"1\"")
         .set("noise", "1e-3")
         .rectangle([0.10, 0.06], 0.004)
-        .taxels(places.iter().enumerate().map(|(i, at)| (format!("e{i}"), [at.x, at.y, 0.0])))
+        .taxels(locations.iter().enumerate().map(|(i, at)| (format!("e{i}"), [at.x, at.y, 0.0])))
         .read()
 }
 
@@ -91,10 +91,10 @@ fn locations_are_parted_and_scenes_drawn_alike() {
     let model = sheet(0.0);
     let scenes = scenes(&model);
     let key = |p: &Point3<f64>| format!("{:?}", p.coords);
-    let places = |part| -> std::collections::BTreeSet<String> {
+    let locations = |part| -> std::collections::BTreeSet<String> {
         scenes.sites(part).iter().map(|(p, _)| key(p)).collect()
     };
-    let [train, validation, test] = [Part::Train, Part::Validation, Part::Test].map(places);
+    let [train, validation, test] = [Part::Train, Part::Validation, Part::Test].map(locations);
     assert!(train.is_disjoint(&validation) && train.is_disjoint(&test) && validation.is_disjoint(&test));
     assert!(train.len() > 2 * test.len() && test.len() > 100, "{} {}", train.len(), test.len());
     for scene in scenes.draw(Part::Test, 3, 50) {

@@ -135,11 +135,11 @@ impl<'a> Table<'a> {
             data.sample(*id).and_then(|s| s.truth.as_ref()).filter(|t| t.touched()).map(|t| t.location)
         };
         let runs: std::collections::BTreeSet<usize> = ids.iter().map(|id| id.run).collect();
-        let places: std::collections::BTreeSet<u32> = ids.iter().filter_map(location).collect();
+        let locations: std::collections::BTreeSet<u32> = ids.iter().filter_map(location).collect();
         let most = config.model.folds;
         let (between, groups): (_, Vec<usize>) = if runs.len() > 1 {
             ("runs", ids.iter().map(|id| id.run).collect())
-        } else if places.len() >= most {
+        } else if locations.len() >= most {
             // Untouched rows go with the place before them.
             let mut last = 0;
             let mut place = |id: &SampleId| {

@@ -133,7 +133,7 @@ fn corner(k: usize) -> [f64; 3] {
 
 /// Values and slopes of the eight shape functions of a side.
 pub(super) fn serendipity(x: f64, y: f64) -> [[f64; 3]; 8] {
-    const PLACES: [[f64; 2]; 8] = [
+    const NODES_AT: [[f64; 2]; 8] = [
         [-1.0, -1.0],
         [1.0, -1.0],
         [1.0, 1.0],
@@ -143,7 +143,7 @@ pub(super) fn serendipity(x: f64, y: f64) -> [[f64; 3]; 8] {
         [0.0, 1.0],
         [-1.0, 0.0],
     ];
-    PLACES.map(|[a, b]| {
+    NODES_AT.map(|[a, b]| {
         if a == 0.0 {
             let (f, g) = (1.0 - x * x, 1.0 + b * y);
             [f * g / 2.0, -x * g, f * b / 2.0]

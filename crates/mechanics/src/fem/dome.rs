@@ -102,7 +102,7 @@ impl Dome {
         Medium::half_space(1.0, poisson_ratio)?;
         let depth = least_depth(&shape, probes)?;
         let mesh = Meridian::new(shape, depth / resolution.elements);
-        let (rings, places) = on_rings(probes);
+        let (rings, locations) = on_rings(probes);
         // The field that boundaries send back comes from beyond them and falls by R/(R+d) from harmonic to harmonic.
         let harmonics =
             (-resolution.left.ln() / (depth / shape.radius).ln_1p()).ceil().min(HARMONICS_MAX) as usize;
@@ -120,7 +120,7 @@ impl Dome {
         let width = 3 * probes.len();
         let mut values = vec![0.0; along * around * width];
         for i in 0..along {
-            for (p, probe) in places.iter().enumerate() {
+            for (p, probe) in locations.iter().enumerate() {
                 for j in 0..around {
                     let sum = fields.influence(probe, i, j as f64 * steps[1]);
                     let place = (i * around + j) * width + 3 * p;
@@ -180,7 +180,7 @@ type OnRing = (usize, f64, f64);
 /// ring have the same field, turned.
 fn on_rings(probes: &[Probe]) -> (Vec<[f64; 2]>, Vec<Vec<OnRing>>) {
     let mut rings: Vec<[f64; 2]> = Vec::new();
-    let places = probes
+    let locations = probes
         .iter()
         .map(|probe| {
             probe
@@ -197,7 +197,7 @@ fn on_rings(probes: &[Probe]) -> (Vec<[f64; 2]>, Vec<Vec<OnRing>>) {
                 .collect()
         })
         .collect();
-    (rings, places)
+    (rings, locations)
 }
 
 /// The field of each ring: its source, and what the boundaries send back.

@@ -338,12 +338,12 @@ fn twisted_beam() -> Result<Case, MechanicsError> {
         (0..mesh.points.len()).filter(|&n| mesh.points[n].x < 1e-9).map(Support::clamped).collect();
     let load = along_end(&mesh, length, |n| Action::moment(n, Vector3::x()));
     // Away from both ends, where the section may not warp or is pushed.
-    let places = [length / 3.0, length * (2.0 / 3.0)];
-    let [first, last] = places.map(|x| node_at(&mesh, Point3::new(x, 0.0, 0.0)));
+    let locations = [length / 3.0, length * (2.0 / 3.0)];
+    let [first, last] = locations.map(|x| node_at(&mesh, Point3::new(x, 0.0, 0.0)));
     let (first, last) = (first?, last?);
     let section = Section::isotropic(young, poisson, thickness).by(PlateTheory::ReissnerMindlin);
     let moved = Shell::new(mesh, &[section], &clamped)?.solve(&[load])?.remove(0);
-    let twist = (moved.rotation(last).x - moved.rotation(first).x) / (places[1] - places[0]);
+    let twist = (moved.rotation(last).x - moved.rotation(first).x) / (locations[1] - locations[0]);
     let shear_modulus = young / (2.0 * (1.0 + poisson));
     Ok(Case::relative(
         "H8",

@@ -104,13 +104,13 @@ fn carried(element: &Element, corners: &[Point3<f64>; 3], turns: &[Rotation3<f64
     let e3 = normal.try_normalize(0.0)?;
     let local_from_link = Matrix3::from_rows(&[e1.transpose(), e3.cross(&e1).transpose(), e3.transpose()]);
     let middle = (p1.coords + p2.coords + p3.coords) / 3.0;
-    let places = corners.map(|p| local_from_link * (p.coords - middle));
+    let locations = corners.map(|p| local_from_link * (p.coords - middle));
     let first = element.corners;
     let first_middle = [0, 1].map(|k| (first[0][k] + first[1][k] + first[2][k]) / 3.0);
     let mut follow = SMatrix::<f64, 3, 18>::zeros();
     for (a, [j, m]) in [[1, 2], [2, 0], [0, 1]].into_iter().enumerate() {
-        follow[(0, 6 * a + 2)] = (places[m].x - places[j].x) / double;
-        follow[(1, 6 * a + 2)] = -(places[j].y - places[m].y) / double;
+        follow[(0, 6 * a + 2)] = (locations[m].x - locations[j].x) / double;
+        follow[(1, 6 * a + 2)] = -(locations[j].y - locations[m].y) / double;
     }
     let side = (p2 - p1).norm();
     follow[(2, 1)] = -1.0 / side;
@@ -121,7 +121,7 @@ fn carried(element: &Element, corners: &[Point3<f64>; 3], turns: &[Rotation3<f64
     let mut vectors = SMatrix::<f64, 18, 18>::identity();
     for a in 0..3 {
         let start = Vector3::new(first[a][0] - first_middle[0], first[a][1] - first_middle[1], 0.0);
-        own.fixed_rows_mut::<3>(6 * a).copy_from(&(places[a] - start));
+        own.fixed_rows_mut::<3>(6 * a).copy_from(&(locations[a] - start));
         let turn = local_from_link * turns[a].matrix() * element.local_from_link.transpose();
         let vector = vector(&Rotation3::from_matrix_unchecked(turn));
         own.fixed_rows_mut::<3>(6 * a + 3).copy_from(&vector);
@@ -131,7 +131,7 @@ fn carried(element: &Element, corners: &[Point3<f64>; 3], turns: &[Rotation3<f64
             block -= Matrix3::identity() / 3.0;
         }
         let mut displacements = projector.fixed_rows_mut::<3>(6 * a);
-        displacements += spin(&places[a]) * follow;
+        displacements += spin(&locations[a]) * follow;
         let mut rotations = projector.fixed_rows_mut::<3>(6 * a + 3);
         rotations -= follow;
     }

@@ -441,14 +441,14 @@ fn trends(body: &mut String, findings: &Findings) -> Result<()> {
 
 fn shapes(body: &mut String) -> Result<()> {
     let alphas = [0.5, 1.0, 2.0, 4.0];
-    let places: Vec<f64> = (-60..=160).map(|i| f64::from(i) / 100.0).collect();
+    let locations: Vec<f64> = (-60..=160).map(|i| f64::from(i) / 100.0).collect();
     let (mut lines, mut position, mut force, mut least) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (n, alpha) in alphas.into_iter().enumerate() {
         let two = TwoTaxels::normalised(alpha)?;
         let name = format!("α = {alpha}");
         // Where two lie on each other both show.
         let pen = if alpha == 2.0 { Pen::Dashed } else { Pen::Line };
-        let of = |value: &dyn Fn(f64) -> f64| places.iter().map(|d| (*d, value(*d))).collect::<Vec<_>>();
+        let of = |value: &dyn Fn(f64) -> f64| locations.iter().map(|d| (*d, value(*d))).collect::<Vec<_>>();
         lines.push(Curve::new(name.clone(), n, of(&|d| 0.2 + two.rise(d)[0])));
         lines.push(Curve::new("", n, of(&|d| 0.2 + two.rise(d)[1])).pen(Pen::Dashed));
         position.push(Curve::new(name.clone(), n, of(&|d| two.corners(d, SIGMA).position / SIGMA)).pen(pen));

@@ -23,8 +23,8 @@ fn reading(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return "-".into();
     }
-    let places = (2 - value.abs().log10().floor() as i32).clamp(0, 12);
-    if places > 6 { format!("{value:.2e}") } else { number(value, usize::try_from(places).unwrap_or(0)) }
+    let decimals = (2 - value.abs().log10().floor() as i32).clamp(0, 12);
+    if decimals > 6 { format!("{value:.2e}") } else { number(value, usize::try_from(decimals).unwrap_or(0)) }
 }
 
 /// Rows of cells, right-aligned, with a bar before each of the columns `bars`: as wide as their longest cell, and 9 at least.

@@ -40,12 +40,12 @@ pub fn instructions(found: &Planned, plan: &str) -> String {
     };
     let sizes: Vec<String> = tips.iter().map(|t| format!("a {shape} of {} mm", mm(*t))).collect();
     let _ = writeln!(text, "\nTips: {}.\n", sizes.join(", "));
-    let mut places: Vec<[f64; 3]> = Vec::new();
-    let mut number = |at: &[f64; 3]| match places.iter().position(|p| p == at) {
+    let mut locations: Vec<[f64; 3]> = Vec::new();
+    let mut number = |at: &[f64; 3]| match locations.iter().position(|p| p == at) {
         Some(index) => index + 1,
         None => {
-            places.push(*at);
-            places.len()
+            locations.push(*at);
+            locations.len()
         }
     };
     text.push_str(
@@ -82,7 +82,7 @@ pub fn instructions(found: &Planned, plan: &str) -> String {
         );
     }
     text.push_str("\n| place | x [mm] | y [mm] | z [mm] |\n|---|---|---|---|\n");
-    for (index, [x, y, z]) in places.iter().enumerate() {
+    for (index, [x, y, z]) in locations.iter().enumerate() {
         let _ = writeln!(text, "| {} | {} | {} | {} |", index + 1, mm(*x), mm(*y), mm(*z));
     }
     let _ = write!(

@@ -30,7 +30,7 @@ fn flat(findings: &Findings, points: &[Point3<f64>]) -> (Vec<(f64, f64)>, [&'sta
 /// Where a figure cannot be drawn.
 pub fn html(findings: &Findings, text: &str) -> Result<String> {
     let mut body = format!("<pre>{}</pre>\n", escape(text));
-    places(&mut body, findings)?;
+    locations(&mut body, findings)?;
     errors(&mut body, findings)?;
     elements(&mut body, findings);
     Ok(page(&format!("{}: where to put sensing elements", findings.skin.name), &body))
@@ -61,7 +61,7 @@ fn map(findings: &Findings, title: String, cells: &[Kind], marks: &Kind) -> Resu
     Ok(kinds(&axes, cells, marks)?)
 }
 
-fn places(body: &mut String, findings: &Findings) -> Result<()> {
+fn locations(body: &mut String, findings: &Findings) -> Result<()> {
     let cells = |name: &str, colour: RGBColor, points: &[Point3<f64>]| Kind {
         name: name.into(),
         points: flat(findings, points).0,

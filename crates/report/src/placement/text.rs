@@ -29,7 +29,7 @@ pub fn text(findings: &Findings) -> String {
         findings.skin.name, counts.all, counts.edge, counts.held, counts.feasible, counts.reduced
     );
     let forces: Vec<String> = findings.forces.iter().map(|f| format!("{f}")).collect();
-    let [seen, held_out] = findings.places;
+    let [seen, held_out] = findings.locations;
     let _ = writeln!(
         out,
         "pressed with {} N at {} places; judged at {held_out} of them, by support vector regression that learns the other {seen}\n",
@@ -191,7 +191,7 @@ mod tests {
             counts: Counts { all: 26, edge: 1, held: 0, feasible: 25, reduced: 3 },
             reduction: Reduction { chosen: vec![3, 12, 20], unexplained: vec![(1, 0.4), (3, 0.008)] },
             forces: vec![0.42],
-            places: [900, 300],
+            locations: [900, 300],
             choices,
             interrupted: true,
             skin,

@@ -90,20 +90,21 @@ pub fn e_skin(folder: &Path, out_dir: &Path) -> Result<ImportReport, ImportError
     let (Some(inputs), Some(outputs)) = (table(folder, "inp_"), table(folder, "out_")) else {
         return Err(ImportError::Unknown { path: folder.into() });
     };
-    let (readings, places) = (read(&inputs, COLUMNS[0])?, read(&outputs, COLUMNS[1])?);
-    if readings.len() != places.len() {
-        let problem = format!("has {} rows where {} has {}", readings.len(), outputs.display(), places.len());
+    let (readings, locations) = (read(&inputs, COLUMNS[0])?, read(&outputs, COLUMNS[1])?);
+    if readings.len() != locations.len() {
+        let problem =
+            format!("has {} rows where {} has {}", readings.len(), outputs.display(), locations.len());
         return Err(ImportError::file(&inputs, problem));
     }
     let middle = [0, 1].map(|axis: usize| {
-        let of = |pick: fn(f64, f64) -> f64| places.iter().map(|place| place[axis]).reduce(pick);
+        let of = |pick: fn(f64, f64) -> f64| locations.iter().map(|place| place[axis]).reduce(pick);
         f64::midpoint(of(f64::min).unwrap_or_default(), of(f64::max).unwrap_or_default())
     });
     let stem = inputs.file_stem().unwrap_or_default().to_string_lossy();
     let session = stem.trim_start_matches("inp_");
     let skin = Skin::described(SKIN, "e-skin-hydrogel.toml")?;
     let mut target = Target::create(folder, out_dir, session, skin, EPOCH)?;
-    for (press, (reading, place)) in readings.iter().zip(&places).enumerate() {
+    for (press, (reading, place)) in readings.iter().zip(&locations).enumerate() {
         let stamp = EPOCH + (press as i64 + 1) * PRESS_STEP;
         let location = u32::try_from(press).unwrap_or(u32::MAX);
         let label = |phase, contact| Label { press: press as u64, location, repeat: 0, phase, contact };
@@ -121,7 +122,7 @@ pub fn e_skin(folder: &Path, out_dir: &Path) -> Result<ImportReport, ImportError
         };
         target.write_other("probe", &probe, stamp)?;
     }
-    target.finish(facts(session, middle, places.len() as u64), folder)
+    target.finish(facts(session, middle, locations.len() as u64), folder)
 }
 
 fn facts(session: &str, [x, y]: [f64; 2], presses: u64) -> Facts {

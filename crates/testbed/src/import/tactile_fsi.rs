@@ -238,8 +238,8 @@ fn presses(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError> {
     // Locations are distinguished to a tenth of a millimetre.
     let place =
         |press: &Press| ((press.x * 1e4).round() as i64, (press.y.unwrap_or(0.0) * 1e4).round() as i64);
-    let places: BTreeSet<(i64, i64)> = presses.iter().map(place).collect();
-    let ids: BTreeMap<(i64, i64), u32> = places.into_iter().zip(0..).collect();
+    let locations: BTreeSet<(i64, i64)> = presses.iter().map(place).collect();
+    let ids: BTreeMap<(i64, i64), u32> = locations.into_iter().zip(0..).collect();
     let mut repeats: BTreeMap<(u32, i64), u32> = BTreeMap::new();
     let mut stamp = EPOCH + (IDLE_REPEATS - 1) * IDLE_STEP;
     for (index, press) in presses.iter().enumerate() {

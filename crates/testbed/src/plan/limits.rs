@@ -52,8 +52,8 @@ pub(super) fn check(plan: &Plan) -> Result<(), (String, String)> {
                 limits(at("pitch"), pitch, LENGTH, "m")?;
                 listed(&levels.values)?;
             }
-            Action::Places { at: places, levels } => {
-                for (j, place) in places.iter().enumerate() {
+            Action::Places { at: locations, levels } => {
+                for (j, place) in locations.iter().enumerate() {
                     limits(at(&format!("at[{j}]")), &place.map(f64::abs), [0.0, LENGTH[1]], "m")?;
                 }
                 listed(&levels.values)?;

@@ -80,7 +80,7 @@ impl Checker<'_> {
         Ok(levels.presses() as u64 * u64::from(levels.repeats))
     }
 
-    fn places(&self, at: &[[f64; 3]]) -> Checked {
+    fn locations(&self, at: &[[f64; 3]]) -> Checked {
         if at.is_empty() {
             return self.wrong("at", "is empty: name at least one place");
         }
@@ -118,7 +118,7 @@ impl Checker<'_> {
                 self.levels(levels)
             }
             Action::Places { at, levels } => {
-                self.places(at)?;
+                self.locations(at)?;
                 Ok(at.len() as u64 * self.levels(levels)?)
             }
             Action::Slides { count, force, length, speed } => {

@@ -100,15 +100,15 @@ impl<'a> CandidateLocations<'a> {
                 ));
             }
             let along = |k: u32, n: f64, pitch: f64| (f64::from(k) - (n - 1.0) / 2.0) * pitch;
-            let mut places = Vec::new();
+            let mut locations = Vec::new();
             for j in 0..ny as u32 {
                 for i in 0..nx as u32 {
                     let offset = Vector3::new(along(i, nx, pitch[0]), along(j, ny, pitch[1]), 0.0);
-                    places.push(self.surface.project(&(middle + offset)).0);
+                    locations.push(self.surface.project(&(middle + offset)).0);
                 }
             }
-            places.retain(|p| self.lies_within(p));
-            return Ok(places);
+            locations.retain(|p| self.lies_within(p));
+            return Ok(locations);
         }
         let [pitch, other] = pitch;
         if pitch != other {

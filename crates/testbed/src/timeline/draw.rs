@@ -138,8 +138,8 @@ impl<'a> Draw<'a> {
                 let fits = (on - end).norm() <= 0.05 * radius && self.candidates.may_be_touched(&on);
                 fits.then_some(on)
             };
-            if let Some(places) = on.zip(&ends).map(near).collect() {
-                return Some(places);
+            if let Some(locations) = on.zip(&ends).map(near).collect() {
+                return Some(locations);
             }
         }
         None
@@ -148,15 +148,15 @@ impl<'a> Draw<'a> {
     /// So many places, each so far from every other.
     pub(super) fn apart(&mut self, count: usize, [least, most]: [f64; 2]) -> Option<Vec<Point3<f64>>> {
         for _ in 0..20 {
-            let mut places: Vec<Point3<f64>> = Vec::new();
+            let mut locations: Vec<Point3<f64>> = Vec::new();
             for _ in 0..TRIES / 10 {
-                self.tried += places.len() as u64;
+                self.tried += locations.len() as u64;
                 let p = self.place()?;
-                if places.iter().all(|q| (least..=most).contains(&(p - q).norm())) {
-                    places.push(p);
+                if locations.iter().all(|q| (least..=most).contains(&(p - q).norm())) {
+                    locations.push(p);
                 }
-                if places.len() == count {
-                    return Some(places);
+                if locations.len() == count {
+                    return Some(locations);
                 }
             }
         }

@@ -131,17 +131,17 @@ impl Schedule<'_> {
 
     fn grid(&mut self, pitch: [f64; 2], levels: &Levels, profile: &PressProfile) -> Result<(), TestbedError> {
         let plan = self.draw.plan;
-        let mut places = self
+        let mut locations = self
             .draw
             .candidates
             .grid(pitch)
             .map_err(|reason| plan.wrong(format!("steps[{}].pitch", self.step), reason))?;
-        if places.is_empty() {
+        if locations.is_empty() {
             return Err(self.too_narrow());
         }
-        plan.fits(places.len() as u64 * u64::from(levels.repeats) * levels.presses() as u64)?;
-        places.shuffle(&mut self.draw.rng);
-        for at in places {
+        plan.fits(locations.len() as u64 * u64::from(levels.repeats) * levels.presses() as u64)?;
+        locations.shuffle(&mut self.draw.rng);
+        for at in locations {
             self.check_bounds()?;
             self.location += 1;
             self.levels(at, levels, profile)?;

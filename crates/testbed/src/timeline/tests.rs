@@ -60,12 +60,12 @@ fn the_plan_is_carried_out_in_full() {
     }
     // One place is one position, whatever the repeat, unless it slides.
     for location in 1..=4 {
-        let places: Vec<_> = all
+        let positions: Vec<_> = all
             .iter()
             .filter(|m| m.location == location)
             .flat_map(|m| m.stimulus.contacts.iter().map(|c| c.position))
             .collect();
-        assert!(places.len() > 10 && places.iter().all(|p| *p == places[0]));
+        assert!(positions.len() > 10 && positions.iter().all(|p| *p == positions[0]));
     }
 }
 
@@ -370,14 +370,17 @@ fn what_a_step_adds_does_not_change_what_the_others_draw() {
     let of = |steps: &str| {
         let timeline = carried_out(steps).unwrap();
         let held = moments(&timeline).into_iter().filter(|m| m.phase == Phase::Hold);
-        let mut places: BTreeMap<u32, (Point3<f64>, f64, BTreeSet<u64>)> = BTreeMap::new();
+        let mut locations: BTreeMap<u32, (Point3<f64>, f64, BTreeSet<u64>)> = BTreeMap::new();
         for moment in held {
             let contact = &moment.stimulus.contacts[0];
-            let entry =
-                places.entry(moment.location).or_insert((contact.position, contact.force.z, BTreeSet::new()));
+            let entry = locations.entry(moment.location).or_insert((
+                contact.position,
+                contact.force.z,
+                BTreeSet::new(),
+            ));
             entry.2.insert(contact.diameter().to_bits());
         }
-        places
+        locations
     };
     let (plain, more) = (of(plain), of(&format!("{plain}shear = [0.1, 0.9]\ndiameter = [0.002, 0.008]")));
     let mut tips: BTreeSet<u64> = BTreeSet::new();
@@ -393,15 +396,15 @@ fn what_a_step_adds_does_not_change_what_the_others_draw() {
 fn a_grid_has_the_requested_pitch() {
     let steps = "[[steps]]\nkind = \"grid\"\npitch = [0.0007, 0.004]\nforces = [0.1]\n";
     let timeline = carried_out(steps).unwrap();
-    let mut places: Vec<_> = timeline.presses.iter().map(|p| p.touches[0].from).collect();
-    places.sort_by(|a, b| (a.y, a.x).partial_cmp(&(b.y, b.x)).unwrap());
+    let mut locations: Vec<_> = timeline.presses.iter().map(|p| p.touches[0].from).collect();
+    locations.sort_by(|a, b| (a.y, a.x).partial_cmp(&(b.y, b.x)).unwrap());
     // 26 mm by 16 mm within the margin.
-    assert_eq!(places.len(), 38 * 5);
-    for pair in places.windows(2) {
+    assert_eq!(locations.len(), 38 * 5);
+    for pair in locations.windows(2) {
         let way = pair[1] - pair[0];
         assert!((way.x - 0.0007).abs() < 1e-12 && way.y == 0.0 || (way.y - 0.004).abs() < 1e-12, "{way:?}");
     }
-    assert!((nalgebra::center(&places[0], &places[places.len() - 1]).coords).norm() < 1e-12);
+    assert!((nalgebra::center(&locations[0], &locations[locations.len() - 1]).coords).norm() < 1e-12);
     let refused = |from: &str, to: &str| carried_out(&steps.replace(from, to)).unwrap_err();
     insta::assert_snapshot!(refused("[0.0007, 0.004]", "1e-6"), @"plan some.toml: field `steps[0].pitch`: makes 416042001 places; 1000000 contacts at most fit a recording");
     insta::assert_snapshot!(refused("[0.0007, 0.004]\nforces = [0.1]", "0.00003\nforces = [0.1, 0.2, 0.3]"), @"plan some.toml: field `steps`: make 1388934 contacts; 1000000 at most fit a recording");

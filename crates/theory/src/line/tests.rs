@@ -13,7 +13,7 @@ fn toy_row(step: f64, noise: f64) -> (Line, Analytic) {
     model.noise.fill(noise);
     let path = Path::across(model.surface(), &Point3::origin(), &Vector3::x(), step).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(3.0, 30), 0.004).unwrap();
-    (Line::new(responses, &path, model.surface(), &model.places(), 0.001).unwrap(), model)
+    (Line::new(responses, &path, model.surface(), &model.locations(), 0.001).unwrap(), model)
 }
 
 /// Place at x.
@@ -55,7 +55,7 @@ fn ideal_line(count: usize, alpha: f64, sigma: f64) -> (Line, Analytic) {
     let model = ideal(count, alpha, sigma);
     let path = Path::across(model.surface(), &Point3::origin(), &Vector3::x(), 0.00005).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(20.0, 60), 0.004).unwrap();
-    (Line::new(responses, &path, model.surface(), &model.places(), 0.001).unwrap(), model)
+    (Line::new(responses, &path, model.surface(), &model.locations(), 0.001).unwrap(), model)
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn distances_on_a_dome_are_those_along_it() {
     let tip = Point3::new(0.0, 0.0, 0.026);
     let path = Path::across(model.surface(), &tip, &Vector3::x(), 0.0004).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(2.0, 20), 0.004).unwrap();
-    let line = Line::new(responses, &path, model.surface(), &model.places(), 0.001).unwrap();
+    let line = Line::new(responses, &path, model.surface(), &model.locations(), 0.001).unwrap();
     // Tip, upper and lower taxels on both sides.
     assert_eq!(line.taxels().len(), 5);
     let tip = line.taxels()[2];
@@ -195,7 +195,7 @@ fn a_ring_has_no_ends() {
     let model = dome();
     let path = Path::across(model.surface(), &Point3::new(0.01, 0.0, 0.016), &Vector3::y(), 0.0002).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(3.0, 20), 0.004).unwrap();
-    let line = Line::new(responses, &path, model.surface(), &model.places(), 0.001).unwrap();
+    let line = Line::new(responses, &path, model.surface(), &model.locations(), 0.001).unwrap();
     // Six taxels, the same everywhere between two of them, also where the path begins and ends.
     assert_eq!(line.taxels().len(), 6);
     assert_relative_eq!(line.span(), std::f64::consts::TAU * 0.01, max_relative = 1e-2);

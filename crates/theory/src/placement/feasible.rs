@@ -32,9 +32,9 @@ pub enum Verdict {
 /// Judges places on a surface. A centre counts as far as it lies along the surface: that of points on a curved one lies below
 /// it everywhere.
 #[must_use]
-pub fn feasible(surface: &Surface, places: &[Point3<f64>], rule: &Feasibility) -> Vec<Verdict> {
+pub fn feasible(surface: &Surface, locations: &[Point3<f64>], rule: &Feasibility) -> Vec<Verdict> {
     let count = rule.neighbours.min(surface.points.len());
-    places
+    locations
         .iter()
         .map(|place| {
             if rule.held.iter().any(|held| (held - place).norm() < rule.margin) {

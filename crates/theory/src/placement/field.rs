@@ -9,7 +9,7 @@ use crate::surface::positive;
 
 /// A place that is pressed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct Location {
     /// \[m\] on the surface.
     pub point: Point3<f64>,
     /// Out of the surface there.
@@ -21,7 +21,7 @@ pub struct Place {
 #[derive(Debug, Clone)]
 pub struct Field {
     /// Where it is pressed.
-    pub places: Vec<Place>,
+    pub locations: Vec<Location>,
     /// \[N\] pressing.
     pub forces: Vec<f64>,
     /// \[m\] diameter of the tip.
@@ -43,7 +43,7 @@ impl Field {
     /// [`TheoryError::NotPositive`] for a force or a diameter that is not.
     pub fn of_model(
         model: &dyn ForwardModel,
-        places: &[Place],
+        locations: &[Location],
         forces: &[f64],
         diameter: f64,
         watch: Watch<'_>,
@@ -55,15 +55,15 @@ impl Field {
         {
             return Err(TheoryError::Noise { channel, noise });
         }
-        let (channels, presses) = (model.channels(), places.len() * forces.len());
+        let (channels, presses) = (model.channels(), locations.len() * forces.len());
         let mut readings = DMatrix::zeros(presses, channels);
         let mut slopes = std::array::from_fn(|_| DMatrix::zeros(presses, channels));
         let untouched = Untouched::of(model)?;
         let mut read = vec![0.0; channels];
         let mut jacobian = vec![0.0; channels * Unknowns::Normal.count()];
         let mut stimulus = Stimulus::default();
-        for (at, place) in places.iter().enumerate() {
-            if !watch(at as f64 / places.len() as f64) {
+        for (at, place) in locations.iter().enumerate() {
+            if !watch(at as f64 / locations.len() as f64) {
                 return Ok(None);
             }
             for (n, &force) in forces.iter().enumerate() {
@@ -80,8 +80,8 @@ impl Field {
                 }
             }
         }
-        let (places, forces) = (places.to_vec(), forces.to_vec());
-        Ok(Some(Self { places, forces, diameter, noise, readings, slopes }))
+        let (locations, forces) = (locations.to_vec(), forces.to_vec());
+        Ok(Some(Self { locations, forces, diameter, noise, readings, slopes }))
     }
 
     /// Number of candidates.
@@ -98,17 +98,17 @@ impl Field {
 
     /// Place of a press.
     #[must_use]
-    pub fn place_of(&self, press: usize) -> &Place {
-        &self.places[press / self.forces.len()]
+    pub fn place_of(&self, press: usize) -> &Location {
+        &self.locations[press / self.forces.len()]
     }
 
     /// The same for some of the places.
     #[must_use]
-    pub fn at(&self, places: &[usize]) -> Self {
+    pub fn at(&self, locations: &[usize]) -> Self {
         let count = self.forces.len();
-        let rows: Vec<usize> = places.iter().flat_map(|p| p * count..(p + 1) * count).collect();
+        let rows: Vec<usize> = locations.iter().flat_map(|p| p * count..(p + 1) * count).collect();
         Self {
-            places: places.iter().map(|p| self.places[*p]).collect(),
+            locations: locations.iter().map(|p| self.locations[*p]).collect(),
             forces: self.forces.clone(),
             diameter: self.diameter,
             noise: self.noise.clone(),

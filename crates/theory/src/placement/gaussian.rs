@@ -47,14 +47,14 @@ impl GaussianField {
         watch: Watch<'_>,
     ) -> Result<Option<Self>, TheoryError> {
         let every = surface.points.len().div_ceil(most.max(1)).max(1);
-        let places: Vec<usize> = (0..surface.points.len()).step_by(every).collect();
-        let mut ways = Vec::with_capacity(places.len());
-        for (n, place) in places.iter().enumerate() {
-            if !watch(n as f64 / places.len() as f64) {
+        let locations: Vec<usize> = (0..surface.points.len()).step_by(every).collect();
+        let mut ways = Vec::with_capacity(locations.len());
+        for (n, place) in locations.iter().enumerate() {
+            if !watch(n as f64 / locations.len() as f64) {
                 return Ok(None);
             }
             let all = surface.ways_from(&surface.points[*place]);
-            ways.push(places.iter().map(|p| all[*p]).collect::<Vec<f64>>());
+            ways.push(locations.iter().map(|p| all[*p]).collect::<Vec<f64>>());
         }
         let longest = ways.iter().flatten().copied().fold(0.0, f64::max);
         if !(longest.is_finite() && longest > 0.0) {
@@ -63,7 +63,7 @@ impl GaussianField {
             });
         }
         let length = LENGTH * longest;
-        let n = places.len();
+        let n = locations.len();
         let mut nugget = NUGGET;
         let covariance = loop {
             let matrix = Mat::from_fn(n, n, |i, j| {
@@ -80,7 +80,7 @@ impl GaussianField {
         };
         let mut nearest: Vec<Option<(f64, usize)>> = vec![None; n];
         for (index, candidate) in candidates.iter().enumerate() {
-            let off = |p: &usize| (surface.points[places[*p]] - candidate).norm();
+            let off = |p: &usize| (surface.points[locations[*p]] - candidate).norm();
             let Some(site) = (0..n).min_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
             let far = off(&site);
             if nearest[site].is_none_or(|(known, _)| far < known) {
@@ -89,7 +89,7 @@ impl GaussianField {
         }
         let sites =
             nearest.iter().enumerate().filter_map(|(site, c)| c.map(|(_, index)| (site, index))).collect();
-        let points = places.iter().map(|p| surface.points[*p]).collect();
+        let points = locations.iter().map(|p| surface.points[*p]).collect();
         Ok(Some(Self { covariance, sites, points, ways, length, nugget }))
     }
 
@@ -176,14 +176,14 @@ impl GaussianField {
     /// How far out places lie: their mean distance along the surface from everywhere, over that of all candidates. Above 1 they
     /// lie towards the rim, below 1 towards the middle.
     #[must_use]
-    pub fn outwardness(&self, places: &[Point3<f64>]) -> f64 {
+    pub fn outwardness(&self, locations: &[Point3<f64>]) -> f64 {
         let far = |site: usize| self.ways[site].iter().sum::<f64>();
         let all = self.sites.iter().map(|(site, _)| far(*site)).sum::<f64>() / self.sites.len().max(1) as f64;
         let off = |n: usize, p: &Point3<f64>| (self.points[n] - p).norm_squared();
         let nearest = |p: &Point3<f64>| {
             (0..self.points.len()).min_by(|a, b| off(*a, p).total_cmp(&off(*b, p))).unwrap_or_default()
         };
-        places.iter().map(|p| far(nearest(p))).sum::<f64>() / places.len().max(1) as f64 / all
+        locations.iter().map(|p| far(nearest(p))).sum::<f64>() / locations.len().max(1) as f64 / all
     }
 }
 

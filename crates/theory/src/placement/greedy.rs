@@ -89,7 +89,7 @@ impl Search {
             })
             .collect();
         let groups: Vec<usize> = (0..presses).map(|p| p / field.forces.len()).collect();
-        let count = settings.folds.clamp(2, field.places.len().max(2));
+        let count = settings.folds.clamp(2, field.locations.len().max(2));
         let fold = folds(&groups, count, settings.seed);
         let folds = (0..count)
             .map(|k| Fold {

@@ -48,7 +48,7 @@ struct Problem {
     /// Candidate by candidate: standardised readings.
     readings: Vec<Vec<f32>>,
     /// \[m\] coordinates of the presses from their middle, presses × 3.
-    places: Mat<f32>,
+    locations: Mat<f32>,
     /// Covariance of directions and force before anything is read.
     prior: Matrix3<f64>,
     /// γ and ridge of the process, where it counts.
@@ -77,10 +77,10 @@ impl Problem {
         let slopes =
             (0..candidates).map(|j| [0, 1, 2].map(|k| column(&field.slopes[k], j, field.noise[j]))).collect();
         let readings = (0..candidates).map(|j| column(&field.readings, j, unit(j))).collect();
-        let sum: nalgebra::Vector3<f64> = field.places.iter().map(|p| p.point.coords).sum();
-        let middle = sum / field.places.len().max(1) as f64;
+        let sum: nalgebra::Vector3<f64> = field.locations.iter().map(|p| p.point.coords).sum();
+        let middle = sum / field.locations.len().max(1) as f64;
         let from_middle = |p: usize| field.place_of(p).point.coords - middle;
-        let places = Mat::from_fn(presses, 3, |p, k| from_middle(p)[k] as f32);
+        let locations = Mat::from_fn(presses, 3, |p, k| from_middle(p)[k] as f32);
         // Anywhere on the skin, in either direction alike.
         let squares: f64 = (0..presses).map(|p| from_middle(p).norm_squared()).sum();
         let place = squares / presses.max(1) as f64 / 2.0;
@@ -90,7 +90,7 @@ impl Problem {
         let force = (high - low).max(0.0).powi(2) / 12.0;
         let prior = Matrix3::from_diagonal(&nalgebra::Vector3::new(place, place, force));
         let process = settings.between.then_some((settings.gamma as f32, settings.ridge as f32));
-        Self { presses, forces: field.forces.len().max(1), slopes, readings, places, prior, process }
+        Self { presses, forces: field.forces.len().max(1), slopes, readings, locations, prior, process }
     }
 
     fn start(&self) -> State {
@@ -177,13 +177,13 @@ impl Problem {
         }
         // The ridge keeps it positive definite; were it not, this element would tell nothing.
         let Ok(factor) = covariance.llt(Side::Lower) else {
-            return (0..n).map(|m| (0..3).map(|k| self.places[(m, k)].powi(2)).sum()).collect();
+            return (0..n).map(|m| (0..3).map(|k| self.locations[(m, k)].powi(2)).sum()).collect();
         };
         // K⁻¹ = (L⁻¹)ᵀ L⁻¹, of which a few products are needed.
         let mut root = covariance;
         root.fill(0.0);
         invert_lower_triangular(root.as_mut(), factor.L(), Par::Seq);
-        let solved = root.transpose() * (&root * &self.places);
+        let solved = root.transpose() * (&root * &self.locations);
         let mut out = vec![0.0f32; n];
         let count = self.forces;
         for begin in (0..n).step_by(count) {
@@ -207,7 +207,7 @@ impl Problem {
 
 /// As many of the places, evenly.
 fn thinned(field: &Field, most: usize) -> Field {
-    let (all, most) = (field.places.len(), most.clamp(1, field.places.len().max(1)));
+    let (all, most) = (field.locations.len(), most.clamp(1, field.locations.len().max(1)));
     field.at(&(0..most).map(|n| n * all / most).collect::<Vec<_>>())
 }
 

@@ -106,26 +106,26 @@ fn summary(values: &[f64]) -> (f64, f64) {
 /// Presses of one seed: readings with noise, and the places.
 struct Draw {
     teach: DMatrix<f64>,
-    teach_places: Vec<f64>,
+    teach_locations: Vec<f64>,
     groups: Vec<usize>,
     ask: DMatrix<f64>,
-    ask_places: Vec<[f64; 3]>,
+    ask_locations: Vec<[f64; 3]>,
 }
 
 impl Draw {
     fn new(teach: &Field, ask: &Field, seed: u64, share: f64) -> Self {
-        let count = ((teach.places.len() as f64 * share).round() as usize).clamp(1, teach.places.len());
-        let mut places = shuffled(teach.places.len(), seed);
+        let count = ((teach.locations.len() as f64 * share).round() as usize).clamp(1, teach.locations.len());
+        let mut locations = shuffled(teach.locations.len(), seed);
         // In random order: the first ones stand for all.
-        places.truncate(count);
-        let taught = teach.at(&places);
+        locations.truncate(count);
+        let taught = teach.at(&locations);
         let point = |field: &Field, p: usize| -> [f64; 3] { field.place_of(p).point.coords.into() };
         Self {
             teach: noisy(&taught, seed.wrapping_mul(2)),
-            teach_places: (0..taught.presses()).flat_map(|p| point(&taught, p)).collect(),
+            teach_locations: (0..taught.presses()).flat_map(|p| point(&taught, p)).collect(),
             groups: (0..taught.presses()).map(|p| p / taught.forces.len()).collect(),
             ask: noisy(ask, seed.wrapping_mul(2).wrapping_add(1)),
-            ask_places: (0..ask.presses()).map(|p| point(ask, p)).collect(),
+            ask_locations: (0..ask.presses()).map(|p| point(ask, p)).collect(),
         }
     }
 
@@ -138,7 +138,7 @@ impl Draw {
         let inputs = Self::rows(&self.teach, elements);
         Svr::fit(
             Rows::new(&inputs, elements.len(), "the readings")?,
-            Rows::new(&self.teach_places, 3, "the places")?,
+            Rows::new(&self.teach_locations, 3, "the places")?,
             settings,
         )
     }
@@ -149,13 +149,13 @@ impl Draw {
         let rows = Self::rows(&self.ask, elements);
         let mut sum = 0.0;
         let mut read = Vec::new();
-        for (row, place) in rows.chunks_exact(elements.len()).zip(&self.ask_places) {
+        for (row, place) in rows.chunks_exact(elements.len()).zip(&self.ask_locations) {
             read.clear();
             read.extend_from_slice(row);
             failed.iter().for_each(|f| read[*f] = svr.means()[*f]);
             sum += off(&svr.predict(&read)?, place);
         }
-        Ok(sum / self.ask_places.len().max(1) as f64)
+        Ok(sum / self.ask_locations.len().max(1) as f64)
     }
 
     /// The estimator of the least error among what teaches.
@@ -170,15 +170,17 @@ impl Draw {
         for estimator in &settings.estimators {
             let mut sum = 0.0;
             for k in 0..settings.folds.max(2) {
-                let (x, y) =
-                    (pick(&inputs, width, &|r| fold[r] != k), pick(&self.teach_places, 3, &|r| fold[r] != k));
+                let (x, y) = (
+                    pick(&inputs, width, &|r| fold[r] != k),
+                    pick(&self.teach_locations, 3, &|r| fold[r] != k),
+                );
                 let svr = Svr::fit(
                     Rows::new(&x, width, "the readings")?,
                     Rows::new(&y, 3, "the places")?,
                     estimator,
                 )?;
                 for r in (0..rows).filter(|r| fold[*r] == k) {
-                    let place = &self.teach_places[r * 3..(r + 1) * 3];
+                    let place = &self.teach_locations[r * 3..(r + 1) * 3];
                     sum += off(&svr.predict(&inputs[r * width..(r + 1) * width])?, place);
                 }
             }
@@ -313,7 +315,7 @@ mod tests {
     use super::*;
 
     fn halves(field: &Field) -> (Field, Field) {
-        let even = |odd: usize| (0..field.places.len()).filter(|p| p % 3 / 2 == odd).collect::<Vec<_>>();
+        let even = |odd: usize| (0..field.locations.len()).filter(|p| p % 3 / 2 == odd).collect::<Vec<_>>();
         (field.at(&even(0)), field.at(&even(1)))
     }
 

@@ -4,7 +4,7 @@ use dermis_fixtures::Analytic;
 use dermis_skin::{Surface, SurfaceSpec};
 use nalgebra::Point3;
 
-use super::{Field, Place};
+use super::{Field, Location};
 
 /// \[m\] size, and reach of a press.
 const SIZE: [f64; 2] = [0.2, 0.12];
@@ -26,12 +26,12 @@ pub fn plate(nx: usize, ny: usize) -> Field {
     let model = model(nx, ny);
     let surface = &model.surface;
     let inside = |p: &Point3<f64>| p.x.abs() < 0.095 && p.y.abs() < 0.055;
-    let places: Vec<Place> = surface
+    let locations: Vec<Location> = surface
         .points
         .iter()
         .zip(&surface.normals)
         .filter(|(p, _)| inside(p))
-        .map(|(point, normal)| Place { point: *point, normal: *normal })
+        .map(|(point, normal)| Location { point: *point, normal: *normal })
         .collect();
-    Field::of_model(&model, &places, &[10.0], 0.01, &|_| true).unwrap().unwrap()
+    Field::of_model(&model, &locations, &[10.0], 0.01, &|_| true).unwrap().unwrap()
 }

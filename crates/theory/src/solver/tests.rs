@@ -12,14 +12,14 @@ use crate::testing::{dome, grid, ideal, read, row, thesis_row};
 fn errors(
     model: &Analytic,
     solver: &IsolineSolver,
-    places: &[Point3<f64>],
+    locations: &[Point3<f64>],
     force: f64,
     taxels: usize,
     noise: f64,
 ) -> (f64, usize) {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
     let (mut squares, mut solved) = (0.0, 0);
-    for place in places {
+    for place in locations {
         let values: Vec<f64> = read(model, place, force)
             .into_iter()
             .map(|v| {
@@ -32,7 +32,7 @@ fn errors(
             solved += 1;
         }
     }
-    ((squares / f64::from(solved.max(1))).sqrt(), places.len() - solved as usize)
+    ((squares / f64::from(solved.max(1))).sqrt(), locations.len() - solved as usize)
 }
 
 fn on_line(count: u32) -> Vec<Point3<f64>> {
@@ -81,13 +81,13 @@ fn on_a_dome_three_find_it() {
     let spec = SurfaceSpec::Dome { radius: 0.010, cylinder: 0.016, spacing: 0.001 };
     let options = SolverOptions { step: 1e-3, ..SolverOptions::surface() };
     let solver = IsolineSolver::surface_of_model(&model, &spec, &options).unwrap();
-    let places: Vec<Point3<f64>> = [(0.2, 0.9), (1.0, 0.6), (3.0, 0.3), (5.0, 0.1)]
+    let locations: Vec<Point3<f64>> = [(0.2, 0.9), (1.0, 0.6), (3.0, 0.3), (5.0, 0.1)]
         .map(|(turn, up): (f64, f64)| {
             let r = 0.01 * (1.0f64 - up * up).sqrt();
             Point3::new(r * turn.cos(), r * turn.sin(), 0.016 + 0.01 * up)
         })
         .to_vec();
-    let (rms, missed) = errors(&model, &solver, &places, 0.7, 3, 0.0);
+    let (rms, missed) = errors(&model, &solver, &locations, 0.7, 3, 0.0);
     assert!(rms < 2e-4 && missed == 0, "{rms}, {missed} missed");
 }
 
@@ -107,8 +107,8 @@ fn three_taxels_beat_two_on_the_isolines_of_the_theory() {
         ..SolverOptions::line()
     };
     let solver = IsolineSolver::line_of_model(&model, &Point3::origin(), &Vector3::x(), &options).unwrap();
-    let places: Vec<Point3<f64>> = on_line(300).iter().map(|p| p * 0.6).collect();
-    let of = |taxels| errors(&model, &solver, &places, 6.0, taxels, 0.02).0;
+    let locations: Vec<Point3<f64>> = on_line(300).iter().map(|p| p * 0.6).collect();
+    let of = |taxels| errors(&model, &solver, &locations, 6.0, taxels, 0.02).0;
     let (two, three) = (of(2), of(3));
     assert!(three < 0.85 * two, "{three} {two}");
 }
@@ -117,9 +117,9 @@ fn three_taxels_beat_two_on_the_isolines_of_the_theory() {
 fn three_taxels_beat_two_in_an_elastic_layer_where_crossings_are_weighted() {
     let model = thesis_row();
     let (plain, weighted) = (row_solver(&model, Averaging::Plain), row_solver(&model, Averaging::Weighted));
-    let places = on_line(400);
+    let locations = on_line(400);
     for force in [0.5, 1.05] {
-        let of = |solver: &IsolineSolver, taxels| errors(&model, solver, &places, force, taxels, 20.0).0;
+        let of = |solver: &IsolineSolver, taxels| errors(&model, solver, &locations, force, taxels, 20.0).0;
         let (two, three) = (of(&weighted, 2), of(&weighted, 3));
         assert!(three < two, "{force} N: {three} {two}");
         let bound = over_surface(&model, force, TipShape::Sphere { diameter: 0.004 }, Unknowns::Line)
@@ -140,8 +140,8 @@ fn three_taxels_beat_two_in_an_elastic_layer_where_crossings_are_weighted() {
             element.gain = (0.1 * draw()).exp();
             element.at.x += 3e-4 * draw();
         }
-        two += errors(&device, &weighted, &places[..100], 0.5, 2, 20.0).0.powi(2);
-        three += errors(&device, &weighted, &places[..100], 0.5, 3, 20.0).0.powi(2);
+        two += errors(&device, &weighted, &locations[..100], 0.5, 2, 20.0).0.powi(2);
+        three += errors(&device, &weighted, &locations[..100], 0.5, 3, 20.0).0.powi(2);
     }
     assert!(three < two, "{} {}", three.sqrt(), two.sqrt());
 }

@@ -8,9 +8,9 @@ use crate::{Responses, force_ladder, over_surface};
 
 fn study() -> (LineStudy, Analytic) {
     let model = thesis_row();
-    let (path, tolerance) = longest_row(model.surface(), &model.places(), 1.25e-4).unwrap();
+    let (path, tolerance) = longest_row(model.surface(), &model.locations(), 1.25e-4).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(2.5, 40), 0.004).unwrap();
-    let line = Line::new(responses, &path, model.surface(), &model.places(), tolerance).unwrap();
+    let line = Line::new(responses, &path, model.surface(), &model.locations(), tolerance).unwrap();
     let options = StudyOptions {
         least: 100.0,
         values: (0..8).map(|i| 200.0 * 1.6f64.powi(i)).collect(),
@@ -65,13 +65,13 @@ fn the_row_of_the_thesis() {
 #[test]
 fn rows_are_found_on_any_surface() {
     let grid = grid();
-    let feet = grid.places();
+    let feet = grid.locations();
     let (path, tolerance) = longest_row(grid.surface(), &feet, 0.001).unwrap();
     // Through the middle, along x.
     assert!(path.points.iter().all(|p| p.y == 0.0) && (tolerance - 0.0012).abs() < 1e-9);
     let dome = dome();
-    let (path, _) = longest_row(dome.surface(), &dome.places(), 0.0005).unwrap();
-    let on = dome.places().iter().filter(|f| path.nearest(f).1 < 0.001).count();
+    let (path, _) = longest_row(dome.surface(), &dome.locations(), 0.0005).unwrap();
+    let on = dome.locations().iter().filter(|f| path.nearest(f).1 < 0.001).count();
     assert!(on >= 5, "{on}");
     assert!(longest_row(grid.surface(), &feet[..1], 0.001).is_err());
 }
@@ -79,8 +79,8 @@ fn rows_are_found_on_any_surface() {
 /// Six taxels in a row, `each` of whose channels read the same.
 fn shared(each: usize) -> (Line, Vec<Point3<f64>>, Analytic) {
     let each_of = |at: Point3<f64>| std::iter::repeat_n((at.x, at.y), each);
-    let model = toy(&row(6).places().into_iter().flat_map(each_of).collect::<Vec<_>>());
-    let feet = model.places();
+    let model = toy(&row(6).locations().into_iter().flat_map(each_of).collect::<Vec<_>>());
+    let feet = model.locations();
     let (path, tolerance) = longest_row(model.surface(), &feet, 5e-4).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(2.0, 20), 0.004).unwrap();
     (Line::new(responses, &path, model.surface(), &feet, tolerance).unwrap(), feet, model)

@@ -223,11 +223,11 @@ impl Field for Dome {
             Vector3::new(b, 1.0 + normal.y * normal.y * a, -normal.y),
         ];
         let mut points = [[arc, angle, 1.0 - patch.rings[0] - patch.rings[1]]; POINTS];
-        let mut places = points[1..].iter_mut();
+        let mut locations = points[1..].iter_mut();
         for ((share, (square, _)), turns) in patch.rings.iter().zip(RINGS).zip(&self.turns) {
             let radius = patch.radius * square.sqrt();
             let weight = share / turns.len() as f64;
-            for ((c, s), place) in turns.iter().zip(&mut places) {
+            for ((c, s), place) in turns.iter().zip(&mut locations) {
                 let point = contact.position + (along[0] * *c + along[1] * *s) * radius;
                 let [arc, angle] = self.shape.chart(&point);
                 *place = [arc, angle, weight];

@@ -154,14 +154,14 @@ impl Flat {
 impl Flat {
     /// The tables of a tip, one a layer.
     fn tabulate(&self, diameter: f64) -> Result<Arc<[PressureTable]>, MechanicsError> {
-        let places: Vec<[f64; 2]> =
+        let locations: Vec<[f64; 2]> =
             self.layers.iter().map(|l| [l.depth, self.reach.min(100.0 * l.depth)]).collect();
-        let depends = (&self.medium, diameter, FORCE_MAX, &places);
+        let depends = (&self.medium, diameter, FORCE_MAX, &locations);
         let what = "the pressure in the elastomer under a tip";
         let tables: Box<[PressureTable]> =
             kept(what, Key::new("flat").debug(&depends), || -> Result<_, MechanicsError> {
                 let contacts = SphereContacts::new(&self.medium, diameter, FORCE_MAX)?;
-                places.iter().map(|[depth, reach]| PressureTable::new(&contacts, *depth, *reach)).collect()
+                locations.iter().map(|[depth, reach]| PressureTable::new(&contacts, *depth, *reach)).collect()
             })?;
         Ok(tables.into())
     }

@@ -200,14 +200,14 @@ proptest! {
     /// Exact derivatives are those of central differences: of second order in the step on both sides.
     #[test]
     fn the_jacobian_is_that_of_differences(
-        places in proptest::collection::vec(proptest::array::uniform2(-0.07..0.07f64), 1..5),
+        locations in proptest::collection::vec(proptest::array::uniform2(-0.07..0.07f64), 1..5),
         forces in proptest::array::uniform4(5.0..40.0f64), flat in any::<bool>(), curved in any::<bool>(),
     ) {
         let model = if curved { &*CURVED } else { &*FLAT };
-        let contacts = places.iter().zip(&forces).map(|(at, force)| contact(model, *at, *force, flat)).collect();
+        let contacts = locations.iter().zip(&forces).map(|(at, force)| contact(model, *at, *force, flat)).collect();
         let stimulus = pressed(contacts);
         let differences = Differences::default();
-        let size = model.channels() * 3 * places.len();
+        let size = model.channels() * 3 * locations.len();
         let (mut exact, mut wanted) = (vec![0.0; size], vec![0.0; size]);
         model.jacobian(&stimulus, Unknowns::Normal, &differences, &mut exact).unwrap();
         differences.jacobian(model, &stimulus, Unknowns::Normal, &mut wanted).unwrap();

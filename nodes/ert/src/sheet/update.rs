@@ -28,7 +28,7 @@ pub struct Update {
     /// Points times (points + electrodes): the upper factor, and Y beside it.
     rows: Vec<f64>,
     roots: Vec<f64>,
-    places: Vec<[usize; 2]>,
+    locations: Vec<[usize; 2]>,
     electrodes: usize,
 }
 
@@ -41,8 +41,8 @@ impl Update {
         self.electrodes = n;
         self.roots.clear();
         self.roots.extend(loads.iter().map(|load| load.conductance.sqrt()));
-        self.places.clear();
-        self.places.extend(loads.iter().map(|load| sheet.grid.place(load.node)));
+        self.locations.clear();
+        self.locations.extend(loads.iter().map(|load| sheet.grid.place(load.node)));
         let width = k + n;
         self.rows.resize(k * width, 0.0);
         for i in 0..k {
@@ -51,8 +51,8 @@ impl Update {
             let others = row[i..k].iter_mut().zip(&self.roots[i..]);
             match &sheet.green {
                 Green::Mirrored(green) => {
-                    for ((entry, other), place) in others.zip(&self.places[i..]) {
-                        let value = green.value(self.places[i], *place);
+                    for ((entry, other), place) in others.zip(&self.locations[i..]) {
+                        let value = green.value(self.locations[i], *place);
                         *entry = root * other * (scale * value + sheet.mean);
                     }
                 }

@@ -2,9 +2,9 @@ use super::*;
 use crate::testing::{BEGIN, MS, contact};
 use nalgebra::Isometry3;
 
-fn frame(skin: usize, ms: i64, places: &[(u32, f64)]) -> Report {
+fn frame(skin: usize, ms: i64, locations: &[(u32, f64)]) -> Report {
     let s = Settings::default();
-    let detections = places
+    let detections = locations
         .iter()
         .map(|(track, x)| Detection::of(&contact(*track, *x, 0.0, 2.0), skin, &Isometry3::identity(), &s));
     Report { skin, stamp: BEGIN + ms * MS, detections: detections.collect() }

@@ -275,13 +275,13 @@ fn stiffening_is_that_of_duffing() {
     }
 }
 
-fn places() -> impl Strategy<Value = Point3<f64>> {
+fn locations() -> impl Strategy<Value = Point3<f64>> {
     (-0.095..0.095f64, -0.058..0.058f64).prop_map(|(x, arc)| MODEL.surface.project(&at(x, arc)).0)
 }
 
 proptest! {
     #[test]
-    fn touches_add_up(p in places(), q in places(), f in 0.5..30.0f64, g in 0.5..30.0f64) {
+    fn touches_add_up(p in locations(), q in locations(), f in 0.5..30.0f64, g in 0.5..30.0f64) {
         let (a, b) = (press(&MODEL, p, f), press(&MODEL, q, g));
         let (one, other, both) =
             (read(&MODEL, vec![a.clone()]), read(&MODEL, vec![b.clone()]), read(&MODEL, vec![a.clone(), b.clone()]));
@@ -296,7 +296,7 @@ proptest! {
 
     /// Maxwell and Betti: the place of the touch and the place of the reading may change sides.
     #[test]
-    fn displacement_is_reciprocal(p in places(), q in places()) {
+    fn displacement_is_reciprocal(p in locations(), q in locations()) {
         let corners = |p: &Point3<f64>| MODEL.nodes.corners(&MODEL.surface, p, &MODEL.surface.project(p).1);
         let (a, b) = (corners(&p), corners(&q));
         let (there, back) = (MODEL.gives(&a, &b), MODEL.gives(&b, &a));
@@ -307,7 +307,7 @@ proptest! {
     }
 
     #[test]
-    fn readings_are_smooth_in_the_place(p in places(), turn in 0.0..std::f64::consts::TAU) {
+    fn readings_are_smooth_in_the_place(p in locations(), turn in 0.0..std::f64::consts::TAU) {
         let [first, second] = dermis_model::tangents(&MODEL.surface.project(&p).1);
         let step = 5e-5;
         let by = (first * turn.cos() + second * turn.sin()) * step;

@@ -154,7 +154,7 @@ struct Task<'a> {
     elastomer: &'a Elastomer,
     grid: Grid,
     /// (s, φ) of the points of the outside.
-    places: Vec<[f64; 2]>,
+    locations: Vec<[f64; 2]>,
     reach: f64,
     meshed: Meshed,
     /// Nodes of a layer with weights, for the points of the outside and for the grid's nodes; none below the elastomer's end.
@@ -200,17 +200,17 @@ impl Basis {
     fn compute(elastomer: &Elastomer, rings: &Rings, grid: Grid, reach: f64) -> Result<Self, MechanicsError> {
         let meshed = elastomer.mesh()?;
         let on = |s: f64, azimuth: f64| meshed.weights(&elastomer.thumb.point(s, azimuth, 0.0).0);
-        let places = rings.places();
-        let at_points = places.iter().map(|[s, phi]| on(*s, *phi)).collect();
+        let locations = rings.locations();
+        let at_points = locations.iter().map(|[s, phi]| on(*s, *phi)).collect();
         let at_grid = (0..grid.count())
             .map(|node| {
                 let [s, phi] = grid.place(node);
                 (s <= elastomer.end()).then(|| on(s, phi))
             })
             .collect();
-        let task = Task { elastomer, grid, places, reach, meshed, at_points, at_grid };
+        let task = Task { elastomer, grid, locations, reach, meshed, at_points, at_grid };
         let solid = task.meshed.solid(elastomer.young_modulus, elastomer.poisson_ratio)?;
-        let blocks = task.places.len().div_ceil(TOGETHER);
+        let blocks = task.locations.len().div_ceil(TOGETHER);
         let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::with_capacity(blocks)));
         let threads = std::thread::available_parallelism().map_or(1, usize::from).min(blocks);
         std::thread::scope(|scope| {
@@ -329,7 +329,7 @@ impl Task<'_> {
 
     fn columns(&self, solid: &dermis_mechanics::fem::Solid, block: usize) -> Vec<Columns> {
         let (count, outer) = (self.meshed.count, self.meshed.hexes.nodes.len() - self.meshed.count);
-        let points = block * TOGETHER..((block + 1) * TOGETHER).min(self.places.len());
+        let points = block * TOGETHER..((block + 1) * TOGETHER).min(self.locations.len());
         let loads: Vec<Vec<(usize, Vector3<f64>)>> = points
             .clone()
             .flat_map(|point| {
@@ -343,7 +343,7 @@ impl Task<'_> {
         };
         let last = self.elastomer.layers;
         let column = |(point, three): (usize, &[Vec<Vector3<f64>>])| {
-            let [row, rows, first, around] = self.window(self.places[point]);
+            let [row, rows, first, around] = self.window(self.locations[point]);
             let mut inner = Vec::with_capacity(9 * rows * around);
             for u in three {
                 for node in (row..row + rows).flat_map(|row| {
@@ -354,7 +354,7 @@ impl Task<'_> {
                 }
             }
             let own = self.position(point).0;
-            let near = (0..self.places.len()).filter(|k| (self.position(*k).0 - own).norm() < self.reach);
+            let near = (0..self.locations.len()).filter(|k| (self.position(*k).0 - own).norm() < self.reach);
             let (mut neighbours, mut outer) = (Vec::new(), Vec::new());
             for k in near {
                 let normal = self.position(k).1;
@@ -368,7 +368,7 @@ impl Task<'_> {
     }
 
     fn position(&self, point: usize) -> (Point3<f64>, Vector3<f64>) {
-        let [s, phi] = self.places[point];
+        let [s, phi] = self.locations[point];
         self.elastomer.thumb.point(s, phi, 0.0)
     }
 
@@ -403,8 +403,8 @@ mod tests {
     #[test]
     fn compliance_is_reciprocal() {
         let (basis, elastomer, rings) = basis();
-        let places = rings.places();
-        let normal = |k: usize| elastomer.thumb.point(places[k][0], places[k][1], 0.0).1;
+        let locations = rings.locations();
+        let normal = |k: usize| elastomer.thumb.point(locations[k][0], locations[k][1], 0.0).1;
         let give = |from: usize, to: usize| {
             let mut found = 0.0;
             basis.give(from, &-normal(from), |k, by| {
@@ -415,7 +415,7 @@ mod tests {
             found
         };
         let mut tried = 0;
-        for a in (0..places.len()).step_by(5) {
+        for a in (0..locations.len()).step_by(5) {
             let near: Vec<usize> = basis.neighbours[basis.starts[a] as usize..basis.starts[a + 1] as usize]
                 .iter()
                 .map(|k| *k as usize)
@@ -432,9 +432,9 @@ mod tests {
     #[test]
     fn a_press_pushes_the_inside_inwards_and_survives_the_disk() {
         let (basis, elastomer, rings) = basis();
-        let places = rings.places();
-        let point = places.len() / 2;
-        let (_, normal) = elastomer.thumb.point(places[point][0], places[point][1], 0.0);
+        let locations = rings.locations();
+        let point = locations.len() / 2;
+        let (_, normal) = elastomer.thumb.point(locations[point][0], locations[point][1], 0.0);
         let mut field = Field::default();
         field.clear(&basis.grid);
         basis.add(point, &(-0.1 * normal), &mut field);

@@ -250,7 +250,7 @@ mod tests {
     fn shares_sum_up_and_lie_around_the_contact() {
         let thumb = Thumb::new(0.020, 0.070, 0.009).unwrap();
         let rings = Rings::new(&thumb, 0.060, 0.0011);
-        let places = rings.places();
+        let locations = rings.locations();
         for (s, azimuth) in [(0.03, 1.0), (0.002, -2.0), (0.055, 3.0)] {
             let (at, _) = thumb.point(s, azimuth, 0.0);
             let footprint = Footprint::new(&thumb, &rings, &at, 0.002, 0.0015);
@@ -259,7 +259,7 @@ mod tests {
             let middle: Vector3<f64> = footprint
                 .shares
                 .iter()
-                .map(|(p, w)| thumb.point(places[*p][0], places[*p][1], 0.0).0.coords * *w)
+                .map(|(p, w)| thumb.point(locations[*p][0], locations[*p][1], 0.0).0.coords * *w)
                 .sum();
             assert!((middle - at.coords).norm() < 3e-4, "{s}: {}", (middle - at.coords).norm());
         }

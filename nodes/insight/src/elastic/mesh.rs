@@ -190,7 +190,7 @@ impl Elastomer {
         let cylinder = rows as f64 * std::f64::consts::TAU / (4 * self.around) as f64;
         let mut hexes = HexMesh::dome(1.0, cylinder, 0.5, self.around, self.layers)?;
         let count = hexes.nodes.len() / (self.layers + 1);
-        let places: Vec<[f64; 2]> = hexes.nodes[..count]
+        let locations: Vec<[f64; 2]> = hexes.nodes[..count]
             .iter()
             .map(|p| {
                 let (above, r) = (p.z - cylinder, p.x.hypot(p.y));
@@ -206,7 +206,7 @@ impl Elastomer {
         let reaches = levels[levels.len() - 1];
         let mut held = Vec::with_capacity(hexes.nodes.len());
         for (i, node) in hexes.nodes.iter_mut().enumerate() {
-            let [s, azimuth] = places[i % count];
+            let [s, azimuth] = locations[i % count];
             let (layer, share) = (i / count, levels[i / count] / reaches);
             let thickness = self.thickness_at(s, azimuth);
             *node = self.thumb.point(s, azimuth, (1.0 - share) * thickness).0;

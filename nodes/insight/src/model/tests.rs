@@ -350,9 +350,9 @@ fn noise_is_as_requested_and_another_each_time() {
 /// Root mean square distances \[m\] of a contact's force from its middle, along and across the tip's own x.
 fn spread(model: &ThumbModel, contact: &Indentation) -> [f64; 2] {
     let (footprint, _) = model.footprint(0, contact).unwrap().unwrap();
-    let places = model.parameters().rings.places();
+    let locations = model.parameters().rings.locations();
     let own = |point: usize| {
-        let (p, _) = model.parameters().elastomer.thumb.point(places[point][0], places[point][1], 0.0);
+        let (p, _) = model.parameters().elastomer.thumb.point(locations[point][0], locations[point][1], 0.0);
         contact.tip.orientation.inverse_transform_vector(&(p - contact.position))
     };
     let mean =

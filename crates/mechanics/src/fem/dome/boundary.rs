@@ -14,7 +14,7 @@ use crate::quadrature::gauss_legendre;
 pub(super) struct Boundary {
     harmonics: usize,
     /// Place of each node among those of the boundary.
-    places: Vec<Option<usize>>,
+    locations: Vec<Option<usize>>,
     nodes: usize,
     loads: Vec<[f64; 3]>,
     displacements: Vec<[f64; 3]>,
@@ -23,10 +23,10 @@ pub(super) struct Boundary {
 impl Boundary {
     pub(super) fn new(mesh: &Meridian, edges: &[Edge], sources: &[Source], harmonics: usize) -> Self {
         let core = (0..mesh.nodes.len()).step_by(mesh.line());
-        let mut places = vec![None; mesh.nodes.len()];
+        let mut locations = vec![None; mesh.nodes.len()];
         let mut nodes = 0;
         for n in edges.iter().flat_map(|e| e.nodes).chain(core.clone()) {
-            places[n].get_or_insert_with(|| {
+            locations[n].get_or_insert_with(|| {
                 nodes += 1;
                 nodes - 1
             });
@@ -34,7 +34,7 @@ impl Boundary {
         let size = sources.len() * (harmonics + 1) * nodes;
         let mut boundary = Self {
             harmonics,
-            places,
+            locations,
             nodes,
             loads: vec![[0.0; 3]; size],
             displacements: vec![[0.0; 3]; size],
@@ -87,7 +87,7 @@ impl Boundary {
     }
 
     fn index(&self, source: usize, harmonic: usize, node: usize) -> Option<usize> {
-        self.places[node].map(|place| (source * (self.harmonics + 1) + harmonic) * self.nodes + place)
+        self.locations[node].map(|place| (source * (self.harmonics + 1) + harmonic) * self.nodes + place)
     }
 
     pub(super) fn load(&self, source: usize, harmonic: usize, node: usize) -> Vector3<f64> {

@@ -13,9 +13,9 @@ pub(super) const NODES: usize = 9;
 /// Displacements of an element's nodes.
 pub(super) const DOFS: usize = 3 * NODES;
 
-/// Stiffness of an element with nodes at `places` \[m\] for the harmonic `m` and Young's modulus 1, by rows; of a radian about the axis, and half of
+/// Stiffness of an element with nodes at `locations` \[m\] for the harmonic `m` and Young's modulus 1, by rows; of a radian about the axis, and half of
 /// that where both sine and cosine are concerned (which cancels out of each harmonic's equations).
-pub(super) fn stiffness(places: &[[f64; 2]; NODES], m: f64, poisson_ratio: f64) -> Option<Vec<f64>> {
+pub(super) fn stiffness(locations: &[[f64; 2]; NODES], m: f64, poisson_ratio: f64) -> Option<Vec<f64>> {
     let bulk = 1.0 / (3.0 * (1.0 - 2.0 * poisson_ratio));
     let shear = 0.5 / (1.0 + poisson_ratio);
     let mut matrix = vec![0.0; DOFS * DOFS];
@@ -30,7 +30,7 @@ pub(super) fn stiffness(places: &[[f64; 2]; NODES], m: f64, poisson_ratio: f64) 
                 let ((a, da), (b, db)) = (along[n / 3], across[n % 3]);
                 (a * b, da * b, a * db)
             });
-            for (place, (value, xi, eta)) in places.iter().zip(local) {
+            for (place, (value, xi, eta)) in locations.iter().zip(local) {
                 r += value * place[0];
                 for axis in 0..2 {
                     jacobian[0][axis] += xi * place[axis];

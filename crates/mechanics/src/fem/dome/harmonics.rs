@@ -159,8 +159,8 @@ impl Meridian {
         self.elements()
             .enumerate()
             .map(|(cell, nodes)| {
-                let places: [[f64; 2]; NODES] = nodes.map(|n| self.nodes[n]);
-                let [zero, one, minus] = [0.0, 1.0, -1.0].map(|m| stiffness(&places, m, poisson_ratio));
+                let locations: [[f64; 2]; NODES] = nodes.map(|n| self.nodes[n]);
+                let [zero, one, minus] = [0.0, 1.0, -1.0].map(|m| stiffness(&locations, m, poisson_ratio));
                 match (zero, one, minus) {
                     (Some(zero), Some(one), Some(minus)) => {
                         let linear = one.iter().zip(&minus).map(|(a, b)| (a - b) / 2.0).collect();

@@ -45,14 +45,14 @@ impl Errors {
         };
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
         let rms = |v: &[f64]| (v.iter().map(|v| v * v).sum::<f64>() / v.len().max(1) as f64).sqrt();
-        let (places, forces) = (values(|c| c.position), values(|c| c.normal_force));
+        let (locations, forces) = (values(|c| c.position), values(|c| c.normal_force));
         let lost = contacts.iter().filter(|c| !c.found).count();
         Self {
             frames,
             count_right: right.map(|(right, of)| right as f64 / of.max(1) as f64),
-            position_mean: mean(&places),
-            position_rms: rms(&places),
-            position_median: places.get(places.len() / 2).copied().unwrap_or(f64::NAN),
+            position_mean: mean(&locations),
+            position_rms: rms(&locations),
+            position_median: locations.get(locations.len() / 2).copied().unwrap_or(f64::NAN),
             force_mean: mean(&forces),
             force_rms: rms(&forces),
             lost: lost as f64 / contacts.len().max(1) as f64,

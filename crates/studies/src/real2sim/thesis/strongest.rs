@@ -145,9 +145,9 @@ mod tests {
     #[test]
     fn a_peak_that_is_much_weaker_takes_no_place_and_too_few_are_counted() {
         let all = [peak(0.0, 10.0), peak(0.02, 5.0), peak(0.04, 4.4)];
-        let places = |of: Vec<&Contact>| of.iter().map(|c| c.position.x).collect::<Vec<_>>();
-        assert_eq!(places(taken(&all, 2, Rule::NextWithinTenth)), [0.0, 0.02]);
-        assert_eq!(places(taken(&all[..2], 2, Rule::NextWithinTenth)), [0.0, 0.02]);
+        let locations = |of: Vec<&Contact>| of.iter().map(|c| c.position.x).collect::<Vec<_>>();
+        assert_eq!(locations(taken(&all, 2, Rule::NextWithinTenth)), [0.0, 0.02]);
+        assert_eq!(locations(taken(&all[..2], 2, Rule::NextWithinTenth)), [0.0, 0.02]);
         let stimulus = Stimulus { contacts: vec![press(0.0, 9.0), press(0.1, 9.0)], ..Stimulus::default() };
         let few = sum(2, Rule::Strongest, &[(&stimulus, vec![peak(0.003, 10.0)])]);
         assert_eq!((few.short, few.frames), (1.0, 1));
