@@ -67,9 +67,9 @@ impl Dictionary {
         let mut responses = Vec::with_capacity(locations.len() * forces.len() * channels);
         let mut directions = Vec::with_capacity(locations.len() * channels);
         let mut out = vec![0.0; channels];
-        for place in &locations {
+        for location in &locations {
             for (level, force) in forces.iter().enumerate() {
-                let contact = settings.indentation(place.position, -place.normal * *force);
+                let contact = settings.indentation(location.position, -location.normal * *force);
                 model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
                 untouched.subtract(&mut out);
                 out.iter_mut().zip(gains).for_each(|(o, gain)| *o *= gain);
@@ -89,14 +89,14 @@ impl Dictionary {
     }
 
     /// Places beside a place.
-    pub fn neighbours(&self, place: usize) -> &[usize] {
-        &self.neighbours[place]
+    pub fn neighbours(&self, location: usize) -> &[usize] {
+        &self.neighbours[location]
     }
 
     /// Share of the square of a place's response that the response of a neighbour does not explain: the most of all neighbours.
     /// A touch between places leaves no more than that where the nearest place is taken for its own.
-    pub fn mismatch(&self, place: usize) -> f64 {
-        self.mismatches[place]
+    pub fn mismatch(&self, location: usize) -> f64 {
+        self.mismatches[location]
     }
 
     /// For every place the part of whitened residuals that lies along its response, 0 where it points the other way.
@@ -110,8 +110,8 @@ impl Dictionary {
     }
 
     /// Response of a place at a level, gains included, in the unit of the skin.
-    pub fn response(&self, place: usize, level: usize) -> &[f32] {
-        let start = (place * self.forces.len() + level) * self.channels;
+    pub fn response(&self, location: usize, level: usize) -> &[f32] {
+        let start = (location * self.forces.len() + level) * self.channels;
         &self.responses[start..start + self.channels]
     }
 }
@@ -163,9 +163,9 @@ fn thin(surface: &Surface, line: Option<f64>, spacing: f64) -> Vec<Location> {
 }
 
 /// Share of the square of a unit direction that the worst of its neighbours does not explain.
-fn mismatch(directions: &[f32], channels: usize, place: usize, neighbours: &[usize]) -> f64 {
+fn mismatch(directions: &[f32], channels: usize, location: usize, neighbours: &[usize]) -> f64 {
     let direction = |i: usize| &directions[i * channels..(i + 1) * channels];
-    let own = direction(place);
+    let own = direction(location);
     let unexplained = |other: &usize| {
         let cosine = dot(own, direction(*other));
         1.0 - f64::from(cosine.clamp(0.0, 1.0)).powi(2)
@@ -177,13 +177,13 @@ fn mismatch(directions: &[f32], channels: usize, place: usize, neighbours: &[usi
 fn beside(locations: &[Location], distance: f64) -> Vec<Vec<usize>> {
     let cell = |p: &Point3<f64>| p.coords.map(|v| (v / distance).floor() as i64);
     let mut cells = std::collections::BTreeMap::<[i64; 3], Vec<usize>>::new();
-    for (index, place) in locations.iter().enumerate() {
-        let at = cell(&place.position);
+    for (index, location) in locations.iter().enumerate() {
+        let at = cell(&location.position);
         cells.entry([at.x, at.y, at.z]).or_default().push(index);
     }
     let around = |index: usize| {
-        let place = &locations[index];
-        let at = cell(&place.position);
+        let location = &locations[index];
+        let at = cell(&location.position);
         let offsets = || -1..=1;
         let near = offsets()
             .flat_map(|dx| offsets().flat_map(move |dy| offsets().map(move |dz| [dx, dy, dz])))
@@ -191,7 +191,7 @@ fn beside(locations: &[Location], distance: f64) -> Vec<Vec<usize>> {
         near.flatten()
             .copied()
             .filter(|other| {
-                *other != index && (locations[*other].position - place.position).norm() < distance
+                *other != index && (locations[*other].position - location.position).norm() < distance
             })
             .collect()
     };
@@ -232,16 +232,16 @@ mod tests {
         let locations = thin(&surface, Some(0.0), 0.0025);
         let mut expected: Vec<(f64, f64)> = Vec::new();
         for (point, area) in surface.points.iter().zip(&surface.areas) {
-            let far = |place: &(f64, f64)| (place.0 - point.x).abs();
+            let far = |location: &(f64, f64)| (location.0 - point.x).abs();
             match expected.iter_mut().min_by(|a, b| far(a).total_cmp(&far(b))) {
-                Some(place) if far(place) < 0.0025 => place.1 += area,
+                Some(location) if far(location) < 0.0025 => location.1 += area,
                 _ => expected.push((point.x, *area)),
             }
         }
         assert_eq!((locations.len(), expected.len()), (3, 3));
-        for (place, (x, area)) in locations.iter().zip(&expected) {
-            assert_eq!(place.position.x, *x);
-            approx::assert_relative_eq!(place.area, *area, max_relative = 1e-12);
+        for (location, (x, area)) in locations.iter().zip(&expected) {
+            assert_eq!(location.position.x, *x);
+            approx::assert_relative_eq!(location.area, *area, max_relative = 1e-12);
         }
     }
 }

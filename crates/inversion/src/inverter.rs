@@ -370,12 +370,12 @@ impl Inverter {
     pub fn undetectable_fraction(&self, force: f64, evidence: f64) -> f64 {
         let unit = self.dictionary.forces[SHAPE];
         let (mut all, mut undetectable) = (0.0, 0.0);
-        for (index, place) in self.dictionary.locations.iter().enumerate() {
+        for (index, location) in self.dictionary.locations.iter().enumerate() {
             let response = self.dictionary.response(index, SHAPE).iter().zip(self.noise());
             let square: f64 = response.map(|(v, n)| (f64::from(*v) / n * force / unit).powi(2)).sum();
-            all += place.area;
+            all += location.area;
             if square < evidence {
-                undetectable += place.area;
+                undetectable += location.area;
             }
         }
         if all > 0.0 { undetectable / all } else { 0.0 }

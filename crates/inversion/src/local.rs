@@ -327,9 +327,9 @@ mod tests {
         assert_eq!(found.contacts.len(), 1);
         assert!((found.contacts[0].position - truth.position).norm() < 2e-4, "{found:?}");
         assert!(inverter.explains(&found, &data));
-        let (place, chi2) = (found.contacts[0].position, found.chi2);
+        let (location, chi2) = (found.contacts[0].position, found.chi2);
         let again = from(found);
-        assert_eq!((again.contacts[0].position, again.chi2), (place, chi2));
+        assert_eq!((again.contacts[0].position, again.chi2), (location, chi2));
     }
 
     /// What a light press leaves open of its shear is what was expected of it, and no more.

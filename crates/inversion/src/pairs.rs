@@ -22,9 +22,9 @@ impl Pairs {
         let share = (dictionary.locations.len() as f64 / LOCATIONS as f64).sqrt().max(1.0);
         let spacing = spacing * share;
         let mut locations: Vec<usize> = Vec::new();
-        for (i, place) in dictionary.locations.iter().enumerate() {
+        for (i, location) in dictionary.locations.iter().enumerate() {
             let near = |other: &usize| {
-                (dictionary.locations[*other].position - place.position).norm() < spacing * 0.999
+                (dictionary.locations[*other].position - location.position).norm() < spacing * 0.999
             };
             if share <= 1.0 || !locations.iter().any(near) {
                 locations.push(i);
@@ -54,8 +54,8 @@ impl Pairs {
         let unit = dictionary.forces[SHAPE];
         // Of every place: what one newton does to each channel, in units of its error.
         let mut rows = Vec::with_capacity(self.locations.len() * channels);
-        for place in &self.locations {
-            let response = dictionary.response(*place, SHAPE);
+        for location in &self.locations {
+            let response = dictionary.response(*location, SHAPE);
             rows.extend(response.iter().zip(&weights).map(|(v, w)| f64::from(*v) * w / unit));
         }
         let row = |i: usize| &rows[i * channels..(i + 1) * channels];
@@ -102,8 +102,8 @@ impl Pairs {
             }
             chosen.push((i, j));
             let contact = |k: usize, force: f64| {
-                let place = &dictionary.locations[self.locations[k]];
-                press(place.position, place.normal, force, diameter)
+                let location = &dictionary.locations[self.locations[k]];
+                press(location.position, location.normal, force, diameter)
             };
             all.push([contact(i, fi), contact(j, fj)]);
         }

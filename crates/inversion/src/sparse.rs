@@ -51,16 +51,17 @@ impl Inverter {
         let unit = dictionary.forces[SHAPE];
         let noise = self.noise();
         let lengths: Vec<f64> = (0..locations)
-            .map(|place| {
-                let response = dictionary.response(place, SHAPE).iter().zip(noise);
+            .map(|location| {
+                let response = dictionary.response(location, SHAPE).iter().zip(noise);
                 response.map(|(v, n)| (f64::from(*v) / n).powi(2)).sum::<f64>().sqrt()
             })
             .collect();
         // Where no channel responds much, an enormous force would explain whatever is left.
         let most: Vec<f64> = lengths.iter().map(|l| l * self.settings().force_max / unit).collect();
         let amplitudes = lasso(&signal, dictionary.directions(), &most, settings.penalty);
-        let force =
-            |place: usize| if lengths[place] > 0.0 { amplitudes[place] / lengths[place] * unit } else { 0.0 };
+        let force = |location: usize| {
+            if lengths[location] > 0.0 { amplitudes[location] / lengths[location] * unit } else { 0.0 }
+        };
         let mut active: Vec<(f64, usize)> =
             (0..locations).map(|p| (force(p), p)).filter(|(f, _)| *f > 0.0).collect();
         active.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -69,13 +70,13 @@ impl Inverter {
         while let Some((_, middle)) = active.first().copied() {
             let centre = dictionary.locations[middle].position;
             let near = |p: &usize| (dictionary.locations[*p].position - centre).norm() <= settings.radius;
-            let (mut total, mut place) = (0.0, nalgebra::Vector3::zeros());
+            let (mut total, mut location) = (0.0, nalgebra::Vector3::zeros());
             for (force, p) in active.iter().filter(|(_, p)| near(p)) {
                 total += force;
-                place += dictionary.locations[*p].position.coords * *force;
+                location += dictionary.locations[*p].position.coords * *force;
             }
             active.retain(|(_, p)| !near(p));
-            let (position, normal) = self.surface().project(&(place / total).into());
+            let (position, normal) = self.surface().project(&(location / total).into());
             contacts.push(self.settings().indentation(position, -normal * total));
         }
         contacts.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
@@ -94,27 +95,27 @@ impl Inverter {
 /// Amplitudes of unit directions (places × channels, end to end) from 0 up to the `most` of each place.
 fn lasso(signal: &[f64], directions: &[f32], most: &[f64], share: f64) -> Vec<f64> {
     let (channels, locations) = (signal.len(), most.len());
-    let direction = |place: usize| &directions[place * channels..(place + 1) * channels];
+    let direction = |location: usize| &directions[location * channels..(location + 1) * channels];
     let dot = |a: &[f32], b: &[f64]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * b).sum::<f64>();
     let largest = (0..locations).map(|p| dot(direction(p), signal)).fold(0.0, f64::max);
     let penalty = share * largest;
     let mut amplitudes = vec![0.0; locations];
     let mut left = signal.to_vec();
-    let update = |place: usize, amplitudes: &mut [f64], left: &mut [f64]| {
-        let d = direction(place);
-        let before: f64 = amplitudes[place];
-        let after = (before + dot(d, left) - penalty).clamp(0.0, most[place]);
+    let update = |location: usize, amplitudes: &mut [f64], left: &mut [f64]| {
+        let d = direction(location);
+        let before: f64 = amplitudes[location];
+        let after = (before + dot(d, left) - penalty).clamp(0.0, most[location]);
         if after != before {
             left.iter_mut().zip(d).for_each(|(l, d)| *l -= (after - before) * f64::from(*d));
-            amplitudes[place] = after;
+            amplitudes[location] = after;
         }
         (after - before).abs()
     };
     // All places once, then those that matter until they stand still, and so on until no other wants to join.
     for _ in 0..ROUNDS {
         let mut change: f64 = 0.0;
-        for place in 0..locations {
-            change = change.max(update(place, &mut amplitudes, &mut left));
+        for location in 0..locations {
+            change = change.max(update(location, &mut amplitudes, &mut left));
         }
         if change <= SETTLED * largest {
             break;
@@ -122,8 +123,8 @@ fn lasso(signal: &[f64], directions: &[f32], most: &[f64], share: f64) -> Vec<f6
         let active: Vec<usize> = (0..locations).filter(|p| amplitudes[*p] > 0.0).collect();
         for _ in 0..ROUNDS {
             let mut change: f64 = 0.0;
-            for place in &active {
-                change = change.max(update(*place, &mut amplitudes, &mut left));
+            for location in &active {
+                change = change.max(update(*location, &mut amplitudes, &mut left));
             }
             if change <= SETTLED * largest {
                 break;

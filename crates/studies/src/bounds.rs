@@ -391,8 +391,10 @@ fn study_options(line: &Line, least: f64) -> StudyOptions {
     let ratio = (most / FORCES[0]).ln() / f64::from(MAP_FORCES - 1);
     let map_forces = (0..MAP_FORCES).map(|i| FORCES[0] * (f64::from(i) * ratio).exp()).collect();
     // From the smallest reading to what the weakest taxel reads under the largest force straight above it.
-    let above =
-        line.taxels().iter().map(|t| line.responses().reading(line.place(t.foot), t.channel, most * 0.999));
+    let above = line
+        .taxels()
+        .iter()
+        .map(|t| line.responses().reading(line.location(t.foot), t.channel, most * 0.999));
     let largest = above.filter(|v| v.is_finite()).fold(f64::INFINITY, f64::min).max(2.0 * least);
     let largest = if largest.is_finite() { largest } else { 10.0 * least };
     let values =

@@ -455,8 +455,8 @@ fn forces(
     let untouched = dermis_model::Untouched::of(model.as_ref())?;
     let mut out = vec![0.0; model.channels()];
     let mut clear = Vec::new();
-    for place in locations.iter().step_by(dermis_regress::stride(locations.len(), 200)) {
-        let contact = dermis_model::Indentation::sphere(place.point, -place.normal, options.diameter);
+    for location in locations.iter().step_by(dermis_regress::stride(locations.len(), 200)) {
+        let contact = dermis_model::Indentation::sphere(location.point, -location.normal, options.diameter);
         model
             .response(&dermis_model::Stimulus { contacts: vec![contact], ..Default::default() }, &mut out)?;
         untouched.subtract(&mut out);

@@ -416,11 +416,11 @@ fn prepare(
     bar: &dyn Progress,
 ) -> Result<Option<Refinement>> {
     bar.begin("gains of the channels");
-    let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
-    let locations: BTreeSet<u32> = train.iter().filter_map(place).collect();
+    let location = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
+    let locations: BTreeSet<u32> = train.iter().filter_map(location).collect();
     let kept: BTreeSet<u32> = locations.into_iter().step_by(5).collect();
     let (choose, learn): (Vec<SampleId>, Vec<SampleId>) =
-        train.iter().copied().partition(|id| place(id).is_some_and(|p| kept.contains(&p)));
+        train.iter().copied().partition(|id| location(id).is_some_and(|p| kept.contains(&p)));
     let (unknowns, contacts) = match unmeasured {
         Some(unmeasured) => (unmeasured.unknowns, unmeasured.contacts),
         None => (options.unknowns.into(), options.contacts),
@@ -492,10 +492,10 @@ fn reach(recorded: &[Recorded]) -> f64 {
 
 /// Held-out samples by place: every other place to each half.
 fn halves(data: &Dataset, held_out: &[SampleId]) -> (Vec<SampleId>, Vec<SampleId>) {
-    let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
-    let locations: BTreeSet<u32> = held_out.iter().filter_map(place).collect();
+    let location = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
+    let locations: BTreeSet<u32> = held_out.iter().filter_map(location).collect();
     let chosen: BTreeSet<u32> = locations.into_iter().step_by(2).collect();
-    held_out.iter().copied().partition(|id| place(id).is_some_and(|p| chosen.contains(&p)))
+    held_out.iter().copied().partition(|id| location(id).is_some_and(|p| chosen.contains(&p)))
 }
 
 /// The bundle in another folder, refined like this.

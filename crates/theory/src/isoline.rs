@@ -14,8 +14,9 @@ const FEWEST: usize = 4;
 /// One point of an isoline.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IsolinePoint {
-    /// Index of the place.
-    pub place: usize,
+    /// Index of the location.
+    #[serde(rename = "place")]
+    pub location: usize,
     /// \[m\] along the surface from the taxel's foot; negative on the one side of it, on a line.
     pub distance: f64,
     /// \[N\].
@@ -57,9 +58,9 @@ impl Isoline {
         let points = distances
             .iter()
             .enumerate()
-            .filter_map(|(place, distance)| {
-                let force = responses.force_for(place, channel, value)?;
-                Some(IsolinePoint { place, distance: *distance, force })
+            .filter_map(|(location, distance)| {
+                let force = responses.force_for(location, channel, value)?;
+                Some(IsolinePoint { location, distance: *distance, force })
             })
             .collect();
         Self { channel, value, points }
@@ -193,7 +194,7 @@ mod tests {
     fn made(g: f64, lambda: f64, alpha: f64) -> Isoline {
         let points = (-60..=60).map(|i| {
             let distance = f64::from(i) * 1e-4;
-            IsolinePoint { place: 0, distance, force: g + lambda * (distance.abs() / UNIT).powf(alpha) }
+            IsolinePoint { location: 0, distance, force: g + lambda * (distance.abs() / UNIT).powf(alpha) }
         });
         Isoline { channel: 0, value: 1.0, points: points.collect() }
     }
@@ -234,7 +235,7 @@ mod tests {
     #[test]
     fn what_lies_beyond_a_gap_is_not_fitted() {
         let mut isoline = made(0.1, 0.02, 2.0);
-        let far = [-0.031, 0.030, 0.0301].map(|distance| IsolinePoint { place: 0, distance, force: 0.5 });
+        let far = [-0.031, 0.030, 0.0301].map(|distance| IsolinePoint { location: 0, distance, force: 0.5 });
         isoline.points.extend(far);
         let fit = isoline.fit().unwrap();
         assert_relative_eq!(fit.alpha, 2.0, max_relative = 1e-3);

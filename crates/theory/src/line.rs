@@ -67,7 +67,7 @@ impl Line {
         let mut taxels: Vec<LineTaxel> = of
             .iter()
             .enumerate()
-            .filter_map(|(channel, place)| Some(LineTaxel { channel, foot: on[*place]? }))
+            .filter_map(|(channel, location)| Some(LineTaxel { channel, foot: on[*location]? }))
             .collect();
         taxels.sort_by(|a, b| a.foot.total_cmp(&b.foot));
         let fits = responses.points() == path.points.as_slice() && feet.len() == responses.channels();
@@ -112,15 +112,15 @@ impl Line {
 
     /// Signed distance \[m\] of a place from a taxel's foot, the shorter one where the line is closed.
     #[must_use]
-    pub fn distance(&self, place: usize, taxel: &LineTaxel) -> f64 {
-        let off = self.arc[place] - taxel.foot;
+    pub fn distance(&self, location: usize, taxel: &LineTaxel) -> f64 {
+        let off = self.arc[location] - taxel.foot;
         self.around.map_or(off, |around| (off + around / 2.0).rem_euclid(around) - around / 2.0)
     }
 
     /// Signed distance \[m\] of every place from a taxel's foot.
     #[must_use]
     pub fn distances(&self, taxel: &LineTaxel) -> Vec<f64> {
-        (0..self.arc.len()).map(|place| self.distance(place, taxel)).collect()
+        (0..self.arc.len()).map(|location| self.distance(location, taxel)).collect()
     }
 
     /// A place by its number, and where it lies \[m\]: on a closed line numbers and lengths go on beyond its ends.
@@ -128,18 +128,18 @@ impl Line {
         let count = self.arc.len() as isize;
         match self.around {
             Some(around) => {
-                let place = number.rem_euclid(count) as usize;
-                Some((place, self.arc[place] + number.div_euclid(count) as f64 * around))
+                let location = number.rem_euclid(count) as usize;
+                Some((location, self.arc[location] + number.div_euclid(count) as f64 * around))
             }
             None => (0..count).contains(&number).then(|| (number as usize, self.arc[number as usize])),
         }
     }
 
     /// Places before and after one, itself at an end, and how far \[m\] they are apart.
-    pub(crate) fn neighbours(&self, place: usize) -> ([usize; 2], f64) {
-        let here = (place, self.arc[place]);
-        let before = self.at(place as isize - 1).unwrap_or(here);
-        let after = self.at(place as isize + 1).unwrap_or(here);
+    pub(crate) fn neighbours(&self, location: usize) -> ([usize; 2], f64) {
+        let here = (location, self.arc[location]);
+        let before = self.at(location as isize - 1).unwrap_or(here);
+        let after = self.at(location as isize + 1).unwrap_or(here);
         ([before.0, after.0], after.1 - before.1)
     }
 
@@ -157,7 +157,7 @@ impl Line {
 
     /// Index of the place nearest to `arc` \[m\].
     #[must_use]
-    pub fn place(&self, arc: f64) -> usize {
+    pub fn location(&self, arc: f64) -> usize {
         let after = self.arc.partition_point(|a| *a < arc).min(self.arc.len() - 1);
         let before = after.saturating_sub(1);
         if (self.arc[before] - arc).abs() < (self.arc[after] - arc).abs() { before } else { after }
@@ -175,9 +175,9 @@ impl Line {
     }
 
     /// Difference of two isolines at a place.
-    fn gap(&self, place: usize, a: (usize, f64), b: (usize, f64)) -> Option<(f64, f64)> {
-        let first = self.responses.force_for(place, a.0, a.1)?;
-        let second = self.responses.force_for(place, b.0, b.1)?;
+    fn gap(&self, location: usize, a: (usize, f64), b: (usize, f64)) -> Option<(f64, f64)> {
+        let first = self.responses.force_for(location, a.0, a.1)?;
+        let second = self.responses.force_for(location, b.0, b.1)?;
         Some((first - second, first))
     }
 
@@ -203,11 +203,11 @@ impl Line {
                 if !(bounds[0]..=bounds[1]).contains(&next) {
                     continue;
                 }
-                let (Some((place, to)), Some((_, from))) = (self.at(next), self.at(*number)) else {
+                let (Some((location, to)), Some((_, from))) = (self.at(next), self.at(*number)) else {
                     continue;
                 };
                 moved = true;
-                let gap = self.gap(place, a, b);
+                let gap = self.gap(location, a, b);
                 if let (Some((g0, f0)), Some((g1, f1))) = (*known, gap)
                     && (g0 < 0.0) != (g1 < 0.0)
                 {
@@ -223,15 +223,15 @@ impl Line {
     }
 
     /// Numbers of all places around one: half of a closed line to either side.
-    fn all(&self, place: usize) -> [isize; 2] {
-        let (count, place) = (self.arc.len() as isize, place as isize);
-        if self.around.is_some() { [place - count / 2, place + count / 2] } else { [0, count - 1] }
+    fn all(&self, location: usize) -> [isize; 2] {
+        let (count, location) = (self.arc.len() as isize, location as isize);
+        if self.around.is_some() { [location - count / 2, location + count / 2] } else { [0, count - 1] }
     }
 
     /// Readings of channels under a force at a place, and their deviations; `None` where one is not known.
-    fn bands(&self, place: usize, force: f64, channels: &[usize]) -> Option<Vec<(usize, f64, f64)>> {
+    fn bands(&self, location: usize, force: f64, channels: &[usize]) -> Option<Vec<(usize, f64, f64)>> {
         let noise = self.responses.noise();
-        let band = |c: &usize| (*c, self.responses.reading(place, *c, force), noise[*c]);
+        let band = |c: &usize| (*c, self.responses.reading(location, *c, force), noise[*c]);
         let bands: Vec<_> = channels.iter().map(band).collect();
         bands.iter().all(|b| b.1.is_finite()).then_some(bands)
     }
@@ -240,11 +240,11 @@ impl Line {
     /// intersection of both isolines' bands S ± σ_S (5.7–5.10): half of the corners' bounding box. `None` where the
     /// isolines do not cross at all four corners: the area has no end on the line, or a value is not reached.
     #[must_use]
-    pub fn corners(&self, place: usize, force: f64, pair: [usize; 2]) -> Option<Deviations> {
-        let bands = self.bands(place, force, &pair)?;
+    pub fn corners(&self, location: usize, force: f64, pair: [usize; 2]) -> Option<Deviations> {
+        let bands = self.bands(location, force, &pair)?;
         let corners = CORNERS.map(|signs| {
             let [a, b] = [0, 1].map(|i| (bands[i].0, bands[i].1 + signs[i] * bands[i].2));
-            self.crossing(a, b, place, self.all(place))
+            self.crossing(a, b, location, self.all(location))
         });
         extent(&corners.into_iter().collect::<Option<Vec<_>>>()?)
     }
@@ -252,22 +252,22 @@ impl Line {
     /// As [`corners`](Self::corners), of any set of channels: half of the bounding box of the area in which the bands of
     /// all of them overlap.
     #[must_use]
-    pub fn corners_of_all(&self, place: usize, force: f64, channels: &[usize]) -> Option<Deviations> {
-        let bands = self.bands(place, force, channels)?;
+    pub fn corners_of_all(&self, location: usize, force: f64, channels: &[usize]) -> Option<Deviations> {
+        let bands = self.bands(location, force, channels)?;
         // The area of all lies in that of the pair which locates best: no other corner need be looked for beyond it.
-        let mut bounds = self.all(place);
+        let mut bounds = self.all(location);
         let mut smallest = f64::INFINITY;
         for (i, a) in bands.iter().enumerate() {
             for b in &bands[..i] {
-                let Some(first) = self.first_order(place, force, [a.0, b.0]) else { continue };
+                let Some(first) = self.first_order(location, force, [a.0, b.0]) else { continue };
                 if first.position < smallest {
                     smallest = first.position;
                     let ends = [[1.0, -1.0], [-1.0, 1.0]].map(|s| {
                         self.crossing(
                             (a.0, a.1 + s[0] * a.2),
                             (b.0, b.1 + s[1] * b.2),
-                            place,
-                            self.all(place),
+                            location,
+                            self.all(location),
                         )
                     });
                     if let [Some(p), Some(q)] = ends {
@@ -277,12 +277,13 @@ impl Line {
                             let inner = self.at(*number).is_some_and(|(_, arc)| low < arc && arc < high);
                             inner.then_some(number + step)
                         };
-                        let end =
-                            |step| std::iter::successors(Some(place as isize), |n| outside(n, step)).last();
-                        let whole = self.all(place);
+                        let end = |step| {
+                            std::iter::successors(Some(location as isize), |n| outside(n, step)).last()
+                        };
+                        let whole = self.all(location);
                         bounds = [end(-1).unwrap_or(whole[0]), end(1).unwrap_or(whole[1])];
                         // The contact may lie on either end itself.
-                        bounds = [bounds[0].min(place as isize - 1), bounds[1].max(place as isize + 1)];
+                        bounds = [bounds[0].min(location as isize - 1), bounds[1].max(location as isize + 1)];
                     }
                 }
             }
@@ -292,7 +293,7 @@ impl Line {
             for b in &bands[..i] {
                 for signs in CORNERS {
                     let (p, q) = ((a.0, a.1 + signs[0] * a.2), (b.0, b.1 + signs[1] * b.2));
-                    let Some(corner) = self.crossing(p, q, place, bounds) else { continue };
+                    let Some(corner) = self.crossing(p, q, location, bounds) else { continue };
                     if bands.iter().all(|band| self.holds(band, &corner)) {
                         vertices.push(corner);
                     }
@@ -324,22 +325,22 @@ impl Line {
     }
 
     /// Slope dI/dx \[N/m\] of the isoline that passes through a contact, and what one σ_S of the channel is in newtons.
-    fn slope(&self, place: usize, force: f64, channel: usize) -> Option<(f64, f64)> {
-        let value = self.responses.reading(place, channel, force);
+    fn slope(&self, location: usize, force: f64, channel: usize) -> Option<(f64, f64)> {
+        let value = self.responses.reading(location, channel, force);
         let sigma = self.responses.noise()[channel];
-        let ([before, after], apart) = self.neighbours(place);
+        let ([before, after], apart) = self.neighbours(location);
         let low = self.responses.force_for(before, channel, value)?;
         let high = self.responses.force_for(after, channel, value)?;
-        let c = self.responses.slope(place, channel, value)?;
+        let c = self.responses.slope(location, channel, value)?;
         Some(((high - low) / apart, c * sigma))
     }
 
     /// σ_P and σ_F of a contact from two channels to first order, with the isolines' own slopes: (5.14) with the sign of
     /// each slope, so that it also holds outside of both taxels, and each channel's σ_S in newtons by its c(d).
     #[must_use]
-    pub fn first_order(&self, place: usize, force: f64, pair: [usize; 2]) -> Option<Deviations> {
-        let (first, a) = self.slope(place, force, pair[0])?;
-        let (second, b) = self.slope(place, force, pair[1])?;
+    pub fn first_order(&self, location: usize, force: f64, pair: [usize; 2]) -> Option<Deviations> {
+        let (first, a) = self.slope(location, force, pair[0])?;
+        let (second, b) = self.slope(location, force, pair[1])?;
         let apart = (first - second).abs();
         // At the corners along the line one isoline is high by its band, the other low by its own.
         let end = (second * a + first * b).abs() / apart;
@@ -354,18 +355,18 @@ impl Line {
     #[must_use]
     pub fn by_fits(
         &self,
-        place: usize,
+        location: usize,
         force: f64,
         pair: &[LineTaxel; 2],
         fits: [&[IsolineFit]; 2],
     ) -> Option<Deviations> {
         let mut slopes = 0.0;
         for (taxel, fits) in pair.iter().zip(fits) {
-            let value = self.responses.reading(place, taxel.channel, force);
-            slopes += IsolineFit::between(fits, value)?.slope(self.distance(place, taxel));
+            let value = self.responses.reading(location, taxel.channel, force);
+            slopes += IsolineFit::between(fits, value)?.slope(self.distance(location, taxel));
         }
-        let value = self.responses.reading(place, pair[0].channel, force);
-        let c = self.responses.slope(place, pair[0].channel, value)?;
+        let value = self.responses.reading(location, pair[0].channel, force);
+        let c = self.responses.slope(location, pair[0].channel, value)?;
         let both = 2.0 * c * self.responses.noise()[pair[0].channel];
         (slopes > 0.0).then_some(Deviations { position: both / slopes, force: both })
     }
@@ -378,8 +379,8 @@ impl Line {
     }
 
     /// Which taxels of the line read `least` or more of a contact, a place and a force \[N\].
-    fn reached(&self, (place, force): (usize, f64), least: f64) -> Vec<bool> {
-        self.taxels.iter().map(|t| self.responses.reading(place, t.channel, force) >= least).collect()
+    fn reached(&self, (location, force): (usize, f64), least: f64) -> Vec<bool> {
+        self.taxels.iter().map(|t| self.responses.reading(location, t.channel, force) >= least).collect()
     }
 
     /// Share of the pairs of contacts of `force` \[N\] each, at each of these distances \[m\] along the line, that
@@ -389,7 +390,7 @@ impl Line {
         let end = self.arc[self.arc.len() - 1];
         let farthest = self.around.map_or(end, |around| around / 2.0);
         let reached: Vec<Vec<bool>> =
-            (0..self.arc.len()).map(|place| self.reached((place, force), least)).collect();
+            (0..self.arc.len()).map(|location| self.reached((location, force), least)).collect();
         distances
             .iter()
             .map(|distance| {
@@ -403,8 +404,8 @@ impl Line {
                     .iter()
                     .enumerate()
                     .filter(|_| *distance <= farthest + 1e-9)
-                    .filter_map(|(place, arc)| Some((place, other(*arc)?)))
-                    .map(|(place, arc)| each_has_own(&reached[place], &reached[self.place(arc)], 2))
+                    .filter_map(|(location, arc)| Some((location, other(*arc)?)))
+                    .map(|(location, arc)| each_has_own(&reached[location], &reached[self.location(arc)], 2))
                     .collect();
                 apart.iter().filter(|t| **t).count() as f64 / apart.len().max(1) as f64
             })

@@ -126,7 +126,7 @@ impl Responses {
         let mut by_x: Vec<&Press> = presses.iter().filter(|p| p.force.is_finite()).collect();
         by_x.sort_by(|a, b| a.position.x.total_cmp(&b.position.x));
         let mut values = vec![f64::NAN; points.len() * channels * forces.len()];
-        for (place, point) in points.iter().enumerate() {
+        for (location, point) in points.iter().enumerate() {
             let [first, second] = tangents(&surface.project(point).1);
             let begin = by_x.partition_point(|p| p.position.x < point.x - reach);
             let end = by_x.partition_point(|p| p.position.x <= point.x + reach);
@@ -139,7 +139,8 @@ impl Responses {
                 })
                 .collect();
             for (k, force) in forces.iter().enumerate() {
-                let out = &mut values[place * channels * forces.len()..(place + 1) * channels * forces.len()];
+                let out =
+                    &mut values[location * channels * forces.len()..(location + 1) * channels * forces.len()];
                 if *force == 0.0 {
                     (0..channels).for_each(|c| out[c * forces.len() + k] = 0.0);
                     continue;
@@ -167,8 +168,8 @@ impl Responses {
     /// Turns the sign of every channel that a force changes most downwards.
     fn oriented(mut self) -> Self {
         for channel in 0..self.channels {
-            let changes = |place| {
-                let curve = self.curve(place, channel);
+            let changes = |location| {
+                let curve = self.curve(location, channel);
                 curve.iter().map(|value| value - curve[0])
             };
             let known = (0..self.points.len()).flat_map(changes).filter(|change| change.is_finite());
@@ -232,15 +233,15 @@ impl Responses {
 
     /// Oriented readings of a channel at a place, one a force.
     #[must_use]
-    pub fn curve(&self, place: usize, channel: usize) -> &[f64] {
-        let at = (place * self.channels + channel) * self.forces.len();
+    pub fn curve(&self, location: usize, channel: usize) -> &[f64] {
+        let at = (location * self.channels + channel) * self.forces.len();
         &self.values[at..at + self.forces.len()]
     }
 
     /// Oriented reading of a channel at a place under `force` \[N\]; NaN where it is not known.
     #[must_use]
-    pub fn reading(&self, place: usize, channel: usize, force: f64) -> f64 {
-        self.bracket(force).map_or(f64::NAN, |bracket| bracket.of(self.curve(place, channel)))
+    pub fn reading(&self, location: usize, channel: usize, force: f64) -> f64 {
+        self.bracket(force).map_or(f64::NAN, |bracket| bracket.of(self.curve(location, channel)))
     }
 
     /// Where a force \[N\] lies among those of the curves; `None` where it is none of theirs.
@@ -255,8 +256,8 @@ impl Responses {
 
     /// Least force \[N\] at which a channel's oriented reading at a place rises to `value`: one point of a taxel value isoline.
     #[must_use]
-    pub fn force_for(&self, place: usize, channel: usize, value: f64) -> Option<f64> {
-        let curve = self.curve(place, channel);
+    pub fn force_for(&self, location: usize, channel: usize, value: f64) -> Option<f64> {
+        let curve = self.curve(location, channel);
         let mut below: Option<(f64, f64)> = None;
         for (force, reading) in self.forces.iter().zip(curve) {
             if reading.is_nan() {
@@ -275,20 +276,20 @@ impl Responses {
 
     /// c(d) = dF/dS of a channel at a place, where it reads `value` (5.17): newtons per unit of the skin.
     #[must_use]
-    pub fn slope(&self, place: usize, channel: usize, value: f64) -> Option<f64> {
+    pub fn slope(&self, location: usize, channel: usize, value: f64) -> Option<f64> {
         // Over a span that a table's corners do not show in.
         let span = (0.05 * value.abs()).max(f64::MIN_POSITIVE);
-        let high = self.force_for(place, channel, value + span)?;
-        let low = self.force_for(place, channel, value - span)?;
+        let high = self.force_for(location, channel, value + span)?;
+        let low = self.force_for(location, channel, value - span)?;
         Some((high - low) / (2.0 * span))
     }
 
     /// Place where a channel reads most for a given force, the largest known to all: what lies above its taxel.
     #[must_use]
     pub fn peak(&self, channel: usize) -> usize {
-        let strongest = |place: usize| {
+        let strongest = |location: usize| {
             let force = self.forces[self.forces.len() / 2];
-            self.reading(place, channel, force)
+            self.reading(location, channel, force)
         };
         let known = (0..self.points.len()).filter(|p| strongest(*p).is_finite());
         known.max_by(|a, b| strongest(*a).total_cmp(&strongest(*b))).unwrap_or_default()
@@ -297,17 +298,17 @@ impl Responses {
     /// Least force \[N\] at a place from which on at least `needed` channels read `least` or more: F_S, the force from
     /// which on a contact there can be located (thesis 5.3). Two are needed along a line, three on a surface.
     #[must_use]
-    pub fn minimum_force(&self, place: usize, least: f64, needed: usize) -> Option<f64> {
+    pub fn minimum_force(&self, location: usize, least: f64, needed: usize) -> Option<f64> {
         let mut forces: Vec<f64> =
-            (0..self.channels).filter_map(|c| self.force_for(place, c, least)).collect();
+            (0..self.channels).filter_map(|c| self.force_for(location, c, least)).collect();
         forces.sort_by(f64::total_cmp);
         forces.get(needed.max(1) - 1).copied()
     }
 
     /// Channels that read `least` or more at a place under `force` \[N\].
     #[must_use]
-    pub fn active(&self, place: usize, force: f64, least: f64) -> Vec<usize> {
-        (0..self.channels).filter(|c| self.reading(place, *c, force) >= least).collect()
+    pub fn active(&self, location: usize, force: f64, least: f64) -> Vec<usize> {
+        (0..self.channels).filter(|c| self.reading(location, *c, force) >= least).collect()
     }
 }
 

@@ -254,30 +254,30 @@ impl IsolineSolver {
     }
 
     /// Newtons of one σ_S of a channel at a place, where it reads `value`.
-    fn band(&self, place: usize, channel: usize, value: f64) -> f64 {
+    fn band(&self, location: usize, channel: usize, value: f64) -> f64 {
         // At the end of the table c is what it is on average.
-        let average = || self.responses.force_for(place, channel, value).map(|f| f / value);
-        let c = self.responses.slope(place, channel, value).or_else(average);
+        let average = || self.responses.force_for(location, channel, value).map(|f| f / value);
+        let c = self.responses.slope(location, channel, value).or_else(average);
         c.map_or(f64::INFINITY, |c| c * self.responses.noise()[channel])
     }
 
     /// Where the isolines of two channels cross on a line, nearest to where it is expected.
     fn cross_two(&self, [a, b]: [usize; 2], values: &[f64], expected: &Point3<f64>) -> Option<Crossed> {
         let points = self.responses.points();
-        let gap = |place: usize| {
-            let first = self.responses.force_for(place, a, values[a])?;
-            let second = self.responses.force_for(place, b, values[b])?;
+        let gap = |location: usize| {
+            let first = self.responses.force_for(location, a, values[a])?;
+            let second = self.responses.force_for(location, b, values[b])?;
             Some((first, second))
         };
         let mut best: Option<(f64, Crossed)> = None;
         let mut closest: Option<(f64, Crossed)> = None;
         let mut before: Option<(f64, f64)> = None;
-        for place in 0..points.len() {
-            let here = gap(place);
+        for location in 0..points.len() {
+            let here = gap(location);
             if let Some((first, second)) = here {
                 let apart = (first - second).abs() / (first + second);
                 if closest.is_none_or(|(least, _)| apart < least) {
-                    let (at, force) = (points[place], f64::midpoint(first, second));
+                    let (at, force) = (points[location], f64::midpoint(first, second));
                     closest = Some((apart, Crossed { at, force, crossed: false, variance: f64::INFINITY }));
                 }
             }
@@ -286,12 +286,12 @@ impl IsolineSolver {
                 && f0 - s0 != f1 - s1
             {
                 let share = (f0 - s0) / ((f0 - s0) - (f1 - s1));
-                let step = points[place] - points[place - 1];
-                let at = points[place - 1] + step * share;
+                let step = points[location] - points[location - 1];
+                let at = points[location - 1] + step * share;
                 let off = (at - expected).norm();
                 if best.is_none_or(|(least, _)| off < least) {
                     let apart = ((f1 - s1) - (f0 - s0)) / step.norm();
-                    let band = self.band(place, a, values[a]).hypot(self.band(place, b, values[b]));
+                    let band = self.band(location, a, values[a]).hypot(self.band(location, b, values[b]));
                     let (force, variance) = (f0 + share * (f1 - f0), (band / apart).powi(2));
                     best = Some((off, Crossed { at, force, crossed: true, variance }));
                 }
@@ -310,11 +310,11 @@ impl IsolineSolver {
         let forces: Vec<Option<[f64; 3]>> = points
             .iter()
             .enumerate()
-            .map(|(place, point)| {
+            .map(|(location, point)| {
                 if (point - expected).norm() > 1.5 * far + 1e-3 {
                     return None;
                 }
-                let [a, b, c] = channels.map(|c| self.responses.force_for(place, c, values[c]));
+                let [a, b, c] = channels.map(|c| self.responses.force_for(location, c, values[c]));
                 Some([a?, b?, c?])
             })
             .collect();

@@ -152,7 +152,7 @@ pub fn longest_row(surface: &Surface, feet: &[Point3<f64>], step: f64) -> Result
     // Channels of one taxel have one foot: each foot is tried once, and counts as often as there are channels.
     let (locations, of) = distinct(feet);
     let mut counts = vec![0usize; locations.len()];
-    of.iter().for_each(|place| counts[*place] += 1);
+    of.iter().for_each(|location| counts[*location] += 1);
     let nearest_other = locations.iter().zip(&counts).enumerate().flat_map(|(i, (a, count))| {
         let others = locations.iter().enumerate().filter(move |(j, _)| *j != i);
         let nearest = others.map(|(_, b)| (a - b).norm()).filter(|d| *d > 1e-6).fold(f64::INFINITY, f64::min);
@@ -209,10 +209,10 @@ impl Line {
         for (row, force) in options.map_forces.iter().enumerate() {
             let found: Vec<Option<Deviations>> = locations
                 .iter()
-                .map(|place| {
-                    let mut active = self.responses().active(*place, *force, options.least);
-                    self.clearest(*place, *force, &mut active);
-                    (active.len() > 1).then(|| self.corners_of_all(*place, *force, &active)).flatten()
+                .map(|location| {
+                    let mut active = self.responses().active(*location, *force, options.least);
+                    self.clearest(*location, *force, &mut active);
+                    (active.len() > 1).then(|| self.corners_of_all(*location, *force, &active)).flatten()
                 })
                 .collect();
             map.position.push(found.iter().map(|d| d.map(|d| d.position)).collect());
@@ -228,7 +228,7 @@ impl Line {
             })
             .collect();
         let bounds: Vec<Vec<Option<Deviations>>> =
-            between.iter().map(|place| self.bounds(*place, &options.forces)).collect();
+            between.iter().map(|location| self.bounds(*location, &options.forces)).collect();
         let mut by_force = Vec::new();
         for (row, force) in options.forces.iter().enumerate() {
             let bounds: Vec<Option<Deviations>> = bounds.iter().map(|of| of[row]).collect();
@@ -270,11 +270,11 @@ impl Line {
     }
 
     /// Leaves [`MOST_BANDS`] of `channels`, in their order: those that stand farthest out of their noise.
-    fn clearest(&self, place: usize, force: f64, channels: &mut Vec<usize>) {
+    fn clearest(&self, location: usize, force: f64, channels: &mut Vec<usize>) {
         if channels.len() <= MOST_BANDS {
             return;
         }
-        let clear = |c: &usize| self.responses().reading(place, *c, force) / self.responses().noise()[*c];
+        let clear = |c: &usize| self.responses().reading(location, *c, force) / self.responses().noise()[*c];
         let mut by_clarity = channels.clone();
         by_clarity.sort_by(|a, b| clear(b).total_cmp(&clear(a)));
         by_clarity.truncate(MOST_BANDS);
@@ -291,7 +291,7 @@ impl Line {
     fn taxel(&self, taxel: &LineTaxel, options: &StudyOptions) -> TaxelStudy {
         let isolines: Vec<Isoline> = options.values.iter().map(|v| self.isoline(taxel, *v)).collect();
         let fits: Vec<IsolineFit> = isolines.iter().filter_map(Isoline::fit).collect();
-        let above = self.place(taxel.foot);
+        let above = self.location(taxel.foot);
         let over: Vec<(f64, f64)> = options
             .values
             .iter()
@@ -341,25 +341,29 @@ impl Line {
             })
         };
         let at_locations = |of: &dyn Fn(usize) -> Option<Deviations>| {
-            average(locations.iter().filter_map(|place| of(*place)).collect())
+            average(locations.iter().filter_map(|location| of(*location)).collect())
         };
-        let pair = |place: usize| self.pair(self.arc()[place]);
-        let located = |place: usize| {
-            pair(place).iter().all(|t| self.responses().reading(place, t.channel, force) >= options.least)
+        let pair = |location: usize| self.pair(self.arc()[location]);
+        let located = |location: usize| {
+            pair(location)
+                .iter()
+                .all(|t| self.responses().reading(location, t.channel, force) >= options.least)
         };
         let fits_of = |taxel: &LineTaxel| {
             taxels.iter().find(|t| t.channel == taxel.channel).map_or(&[][..], |t| t.fits.as_slice())
         };
         ByForce {
             force,
-            fits: at_locations(&|place| {
-                let pair = pair(place);
-                located(place)
-                    .then(|| self.by_fits(place, force, &pair, [fits_of(&pair[0]), fits_of(&pair[1])]))
+            fits: at_locations(&|location| {
+                let pair = pair(location);
+                located(location)
+                    .then(|| self.by_fits(location, force, &pair, [fits_of(&pair[0]), fits_of(&pair[1])]))
                     .flatten()
             }),
-            corners: at_locations(&|place| {
-                located(place).then(|| self.corners(place, force, pair(place).map(|t| t.channel))).flatten()
+            corners: at_locations(&|location| {
+                located(location)
+                    .then(|| self.corners(location, force, pair(location).map(|t| t.channel)))
+                    .flatten()
             }),
             bound: average(bounds.iter().flatten().copied().collect()),
         }
@@ -368,14 +372,14 @@ impl Line {
     /// The Cramér–Rao bound of place along the line and force, from the differences of the readings themselves: of a
     /// recording as of a model.
     #[must_use]
-    pub fn bound(&self, place: usize, force: f64) -> Option<Deviations> {
-        self.bounds(place, &[force]).pop().flatten()
+    pub fn bound(&self, location: usize, force: f64) -> Option<Deviations> {
+        self.bounds(location, &[force]).pop().flatten()
     }
 
     /// [`bound`](Self::bound) under many forces: every channel's curves are read once.
     #[must_use]
-    pub fn bounds(&self, place: usize, forces: &[f64]) -> Vec<Option<Deviations>> {
-        let ([before, after], apart) = self.neighbours(place);
+    pub fn bounds(&self, location: usize, forces: &[f64]) -> Vec<Option<Deviations>> {
+        let ([before, after], apart) = self.neighbours(location);
         let responses = self.responses();
         let brackets: Vec<[Option<Bracket>; 3]> = forces
             .iter()
@@ -384,7 +388,7 @@ impl Line {
         // By place twice, by place and force, by force twice.
         let mut sums = vec![[0.0; 3]; forces.len()];
         for (channel, sigma) in responses.noise().iter().enumerate() {
-            let [before, here, after] = [before, place, after].map(|p| responses.curve(p, channel));
+            let [before, here, after] = [before, location, after].map(|p| responses.curve(p, channel));
             for ((sums, force), [at, more, less]) in sums.iter_mut().zip(forces).zip(&brackets) {
                 let (Some(at), Some(more), Some(less)) = (at, more, less) else { continue };
                 let change = 0.02 * force;

@@ -44,8 +44,8 @@ struct Packages {
 impl Packages {
     /// Modulus that a contact at `point` feels, relative to the elastomer's own.
     fn stiffness(&self, point: &Point3<f64>) -> f64 {
-        let rise = |(place, up): &(Point3<f64>, Vector3<f64>)| {
-            let offset = point - place;
+        let rise = |(location, up): &(Point3<f64>, Vector3<f64>)| {
+            let offset = point - location;
             let above = offset.dot(up);
             // What lies below a package is the other side of a skin that is not flat.
             if above < 0.0 {
@@ -109,7 +109,7 @@ impl BarometerModel {
             let mut locations: Vec<(Point3<f64>, Vector3<f64>)> = Vec::new();
             for element in &parameters.elements {
                 // Channels of one taxel share its package.
-                if locations.iter().all(|(place, _)| *place != element.position) {
+                if locations.iter().all(|(location, _)| *location != element.position) {
                     locations.push((element.position, element.normal));
                 }
             }

@@ -26,13 +26,13 @@ fn settings() -> Settings {
 fn scene(rng: &mut ChaCha8Rng) -> Vec<Indentation> {
     let mut locations: Vec<Point3<f64>> = Vec::new();
     while locations.len() < CONTACTS {
-        let place = Point3::new(rng.random_range(-0.22..0.22), rng.random_range(-0.22..0.22), 0.0);
-        if locations.iter().all(|other| (place - other).norm() > 0.12) {
-            locations.push(place);
+        let location = Point3::new(rng.random_range(-0.22..0.22), rng.random_range(-0.22..0.22), 0.0);
+        if locations.iter().all(|other| (location - other).norm() > 0.12) {
+            locations.push(location);
         }
     }
-    let mut press = |place: Point3<f64>| {
-        settings().indentation(place, Vector3::new(0.0, 0.0, -rng.random_range(20.0..40.0)))
+    let mut press = |location: Point3<f64>| {
+        settings().indentation(location, Vector3::new(0.0, 0.0, -rng.random_range(20.0..40.0)))
     };
     locations.into_iter().map(&mut press).collect()
 }

@@ -73,7 +73,7 @@ fn limb(shin: &SkinDescription) -> Result<Vec<Case>, VerifyError> {
             [x, 0.0] => format!("1 N inwards and {x} N along it"),
             [_, s] => format!("1 N inwards and {s} N around it"),
         };
-        let [x, y, z]: [f64; 3] = (worst.place * 1e3).into();
+        let [x, y, z]: [f64; 3] = (worst.location * 1e3).into();
         cases.push(Case::new(
             format!("shell-ccx-shin-{name}"),
             format!(
@@ -118,7 +118,7 @@ fn unjoined() -> Case {
 
 /// A reading in both worlds.
 struct Compared {
-    place: Point3<f64>,
+    location: Point3<f64>,
     gauge: usize,
     strains: [f64; 2],
     /// The largest of the solid's readings of the same touch, and the root of the sum of their squares.
@@ -163,14 +163,14 @@ fn compare(
 ) -> Result<Vec<Compared>, ModelError> {
     let mut out = Vec::new();
     let patch = model.patch();
-    for ((place, normal), solid) in locations.iter().zip(solid) {
-        let contact = Indentation::sphere(*place, force(normal, along), 2.0 * patch);
+    for ((location, normal), solid) in locations.iter().zip(solid) {
+        let contact = Indentation::sphere(*location, force(normal, along), 2.0 * patch);
         let mut read = vec![0.0; model.channels()];
         model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut read)?;
         let peak = solid.iter().fold(0.0f64, |peak, r| peak.max(r.abs()));
         let norm = solid.iter().map(|r| r * r).sum::<f64>().sqrt();
         out.extend(read.iter().zip(solid).enumerate().map(|(gauge, (ours, theirs))| Compared {
-            place: *place,
+            location: *location,
             gauge,
             strains: [*ours, *theirs],
             peak,

@@ -31,12 +31,12 @@ impl Inverter {
                 let block = minimum.covariance.as_ref().map(|c| {
                     c.view((i * per_contact, i * per_contact), (per_contact, per_contact)).into_owned()
                 });
-                let (place, force) = covariances(self.settings.unknowns, &normal, block.as_ref());
+                let (location, force) = covariances(self.settings.unknowns, &normal, block.as_ref());
                 ContactEstimate {
                     position,
                     normal,
                     force: contact.force,
-                    position_covariance: place * inflation,
+                    position_covariance: location * inflation,
                     force_covariance: force * inflation,
                 }
             })
@@ -48,12 +48,12 @@ impl Inverter {
         let levels = &self.dictionary.forces;
         let mut terms: Vec<(f64, f64, f64, usize)> = Vec::with_capacity(self.dictionary.locations.len());
         let mut least = f64::INFINITY;
-        for place in self.likely(data) {
+        for location in self.likely(data) {
             // The level whose force comes out nearest to itself.
             let mut chosen: Option<(f64, f64, f64, f64)> = None;
             for (level, force) in levels.iter().enumerate() {
                 let (mut dot, mut square, mut whole) = (0.0, 0.0, 0.0);
-                let response = self.dictionary.response(place, level);
+                let response = self.dictionary.response(location, level);
                 for (value, datum) in response.iter().zip(data) {
                     let Datum::Exact(reading, weight) = *datum else { continue };
                     let v = f64::from(*value) * weight / force;
@@ -72,11 +72,11 @@ impl Inverter {
             }
             if let Some((_, found, square, chi2)) = chosen {
                 least = least.min(chi2);
-                terms.push((found, square, chi2, place));
+                terms.push((found, square, chi2, location));
             }
         }
         let (mut total, mut force, mut force_square) = (0.0, 0.0, 0.0);
-        let (mut place, mut second) = (Vector3::zeros(), Matrix3::zeros());
+        let (mut location, mut second) = (Vector3::zeros(), Matrix3::zeros());
         for (found, square, chi2, index) in terms {
             let spot = &self.dictionary.locations[index];
             // The force is Gaussian about `found`, cut off at 0 (and, far away, at the largest).
@@ -91,13 +91,13 @@ impl Inverter {
             total += weight;
             force += weight * mean;
             force_square += weight * (variance + mean * mean);
-            place += spot.position.coords * weight;
+            location += spot.position.coords * weight;
             second += spot.position.coords * spot.position.coords.transpose() * weight;
         }
         if !(total > 0.0 && total.is_finite()) {
             return sharp.clone();
         }
-        let mean = place / total;
+        let mean = location / total;
         let (position, normal) = self.model.0.surface().project(&Point3::from(mean));
         let pressing = (force / total).min(self.settings.force_max * 1.5);
         let variance = (force_square / total - pressing * pressing).max(0.0);
@@ -129,7 +129,7 @@ impl Inverter {
         let left = residuals(data, &vec![0.0; data.len()]);
         let scores: Vec<f32> = self.dictionary.project(&left).map(|score| score * score).collect();
         let best = scores.iter().copied().fold(0.0, f32::max);
-        all.filter(|place| scores[*place] > best - WEIGHTLESS).collect()
+        all.filter(|location| scores[*location] > best - WEIGHTLESS).collect()
     }
 }
 

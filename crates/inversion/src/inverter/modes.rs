@@ -55,8 +55,8 @@ impl Inverter {
         let mut tried = self.peaks(&scores, &limits);
         for index in &tried {
             // From beside a minimum that explains the readings the search ends in it once more.
-            let place = self.dictionary.locations[*index].position;
-            let explains = |m: &Minimum| m.chi2 < limits.noise && self.is_at(m, place);
+            let location = self.dictionary.locations[*index].position;
+            let explains = |m: &Minimum| m.chi2 < limits.noise && self.is_at(m, location);
             if !minima.iter().any(explains) {
                 self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
             }
@@ -96,23 +96,23 @@ impl Inverter {
         if modes.first().is_none_or(|first| first.share >= CERTAIN) || self.is_broad(answer) {
             return;
         }
-        let (mut place, mut force) = (Matrix3::zeros(), Matrix3::zeros());
+        let (mut location, mut force) = (Matrix3::zeros(), Matrix3::zeros());
         for mode in modes.iter().filter(|m| m.share > 0.0) {
             for contact in self.describe(&mode.minimum, data) {
                 let (by, more) = (contact.position - answer.position, contact.force - answer.force);
                 // As in the evidence: a minimum answers for its own surroundings only.
                 let own = (APART * self.spacing / contact.deviation()).min(1.0).powi(2);
-                place += (contact.position_covariance * own + by * by.transpose()) * mode.share;
+                location += (contact.position_covariance * own + by * by.transpose()) * mode.share;
                 force += (contact.force_covariance * own + more * more.transpose()) * mode.share;
             }
         }
-        (answer.position_covariance, answer.force_covariance) = (place, force);
+        (answer.position_covariance, answer.force_covariance) = (location, force);
     }
 
     /// Takes a minimum in; two starts that end in one place are one minimum.
     fn add(&self, minima: &mut Vec<Minimum>, found: Minimum) {
-        let Some(place) = found.contacts.first().map(|c| c.position) else { return };
-        let same = |m: &&mut Minimum| self.is_at(m, place);
+        let Some(location) = found.contacts.first().map(|c| c.position) else { return };
+        let same = |m: &&mut Minimum| self.is_at(m, location);
         match minima.iter_mut().find(same) {
             Some(other) if self.score(&found) < self.score(other) => *other = found,
             Some(_) => {}
@@ -121,8 +121,8 @@ impl Inverter {
     }
 
     /// Whether a minimum lies at a place, as far as the dictionary tells places apart.
-    fn is_at(&self, minimum: &Minimum, place: Point3<f64>) -> bool {
-        minimum.contacts.iter().any(|c| (c.position - place).norm() < self.spacing)
+    fn is_at(&self, minimum: &Minimum, location: Point3<f64>) -> bool {
+        minimum.contacts.iter().any(|c| (c.position - location).norm() < self.spacing)
     }
 
     fn limits(&self, data: &[Datum]) -> Limits {
@@ -157,11 +157,11 @@ impl Inverter {
         tried: &[usize],
         minima: &[Minimum],
     ) -> Option<usize> {
-        let place = |index: usize| self.dictionary.locations[index].position;
+        let location = |index: usize| self.dictionary.locations[index].position;
         let is_far = |index: usize| {
-            let begun = tried.iter().map(|other| place(*other));
+            let begun = tried.iter().map(|other| location(*other));
             let ended = minima.iter().flat_map(|m| m.contacts.iter().map(|c| c.position));
-            begun.chain(ended).all(|other| (other - place(index)).norm() > APART * self.spacing)
+            begun.chain(ended).all(|other| (other - location(index)).norm() > APART * self.spacing)
         };
         let mut possible = ranked.iter().filter(|(left, index)| self.is_possible(*left, *index, limits));
         possible.find(|(_, index)| is_far(*index)).map(|(_, index)| *index)

@@ -39,10 +39,10 @@ impl Inverter {
             Start::Split => {
                 let Some((last, others)) = best.contacts.split_last() else { return Vec::new() };
                 let surface = self.model.0.surface();
-                let (place, normal) = surface.project(&last.position);
+                let (location, normal) = surface.project(&last.position);
                 let directions = if self.settings.unknowns == Unknowns::Line { 1 } else { 2 };
                 let half = |by: Vector3<f64>| {
-                    let (position, normal) = surface.project(&(place + by));
+                    let (position, normal) = surface.project(&(location + by));
                     Indentation { position, force: -normal * (last.force.norm() / 2.0), ..last.clone() }
                 };
                 tangents(&normal)[..directions]
@@ -72,11 +72,11 @@ impl Inverter {
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut chosen: Vec<Indentation> = Vec::new();
         for (_, index) in scores {
-            let place = &self.dictionary.locations[index];
+            let location = &self.dictionary.locations[index];
             if chosen.len() == most {
                 break;
             }
-            if chosen.iter().any(|c| (c.position - place.position).norm() < spacings * self.spacing) {
+            if chosen.iter().any(|c| (c.position - location.position).norm() < spacings * self.spacing) {
                 continue;
             }
             chosen.push(self.pressed(index, &left));
@@ -86,7 +86,7 @@ impl Inverter {
 
     /// A press at a place of the dictionary, with the force that explains whitened residuals best.
     pub(crate) fn pressed(&self, index: usize, left: &[f32]) -> Indentation {
-        let place = &self.dictionary.locations[index];
+        let location = &self.dictionary.locations[index];
         // The level whose force changes least.
         let force = (0..self.dictionary.forces.len())
             .map(|level| {
@@ -102,7 +102,7 @@ impl Inverter {
             .zip(&self.dictionary.forces)
             .min_by(|a, b| (a.0.max(1e-9).ln().abs()).total_cmp(&b.0.max(1e-9).ln().abs()))
             .map_or(0.0, |(share, force)| share * force);
-        let pressing = -place.normal * force.clamp(1e-3, self.settings.force_max);
-        self.settings.indentation(place.position, pressing)
+        let pressing = -location.normal * force.clamp(1e-3, self.settings.force_max);
+        self.settings.indentation(location.position, pressing)
     }
 }

@@ -63,8 +63,8 @@ impl Recording {
             let mut order: Vec<u32> = (0_u32..).take(marks.len()).collect();
             order.sort_by_key(|i| marks[*i as usize].stamp);
             let mut rank_of = vec![0; order.len()];
-            for (place, i) in (0_u32..).zip(&order) {
-                rank_of[*i as usize] = place;
+            for (rank, i) in (0_u32..).zip(&order) {
+                rank_of[*i as usize] = rank;
             }
             ranks = Some(Arc::new(rank_of));
             marks.sort_by_key(|m| m.stamp);

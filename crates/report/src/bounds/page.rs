@@ -83,7 +83,7 @@ fn isolines(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
         for (i, taxel) in line.taxels.iter().enumerate() {
             let isoline = &taxel.isolines[k];
             let name = if i == 0 { format!("{} {unit}", short(isoline.value)) } else { String::new() };
-            let points = isoline.points.iter().map(|p| (p.place, line.arc[p.place], p.force));
+            let points = isoline.points.iter().map(|p| (p.location, line.arc[p.location], p.force));
             all.push(Curve::new(name, n, unbroken(points)));
         }
     }
@@ -271,7 +271,7 @@ fn over_surface(body: &mut String, findings: &Findings, study: &SurfaceStudy) ->
     let (taxels, _) = flat(&skin, &taxels(findings, &skin));
     let mut isoline = vec![f64::NAN; points.len()];
     for point in &study.isoline.points {
-        isoline[point.place] = point.force;
+        isoline[point.location] = point.force;
     }
     let least: Vec<f64> = study.minimum_force.iter().map(|f| f.unwrap_or(f64::NAN)).collect();
     body.push_str("<h2>The surface</h2>\n");

@@ -169,10 +169,10 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
 
 /// Four of five places to learn from, and the fifth to choose by.
 pub(crate) fn parts(data: &Dataset, train: &[SampleId]) -> (Vec<SampleId>, Vec<SampleId>) {
-    let place = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
-    let locations: BTreeSet<u32> = train.iter().filter_map(place).collect();
+    let location = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
+    let locations: BTreeSet<u32> = train.iter().filter_map(location).collect();
     let chosen: BTreeSet<u32> = locations.into_iter().step_by(5).collect();
     let (choose, learn) =
-        train.iter().copied().partition(|id| place(id).is_some_and(|p| chosen.contains(&p)));
+        train.iter().copied().partition(|id| location(id).is_some_and(|p| chosen.contains(&p)));
     (learn, choose)
 }

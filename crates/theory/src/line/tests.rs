@@ -18,7 +18,7 @@ fn toy_row(step: f64, noise: f64) -> (Line, Analytic) {
 
 /// Place at x.
 fn at(line: &Line, x: f64) -> usize {
-    line.place(x + 0.02)
+    line.location(x + 0.02)
 }
 
 #[test]
@@ -41,9 +41,9 @@ fn corners_tend_to_the_closed_form_and_to_the_slopes_of_the_toy() {
     let exact = |sigma: f64| sigma * (c(d1) + c(d2)) / (m(d1) - m(d2)).abs();
     for sigma in [1.0, 0.25] {
         let (line, _) = toy_row(0.00005, sigma);
-        let place = at(&line, x);
-        let corners = line.corners(place, force, [2, 3]).unwrap();
-        let first = line.first_order(place, force, [2, 3]).unwrap();
+        let location = at(&line, x);
+        let corners = line.corners(location, force, [2, 3]).unwrap();
+        let first = line.first_order(location, force, [2, 3]).unwrap();
         assert_relative_eq!(first.position, exact(sigma), max_relative = 2e-3);
         assert_relative_eq!(corners.position, first.position, max_relative = 5e-3);
         assert_relative_eq!(corners.force, first.force, max_relative = 2e-2);
@@ -64,9 +64,10 @@ fn a_line_of_two_is_the_normalised_setting() {
         let (line, model) = ideal_line(2, alpha, 0.02);
         let two = TwoTaxels::normalised(alpha).unwrap();
         for x in [-0.002, 0.0, 0.001, 0.004] {
-            let place = at(&line, x);
-            let contact = (line.responses().points()[place].x - model.elements[0].at.x) / IDEAL_DISTANCE;
-            let (found, expected) = (line.corners(place, 2.0, [0, 1]).unwrap(), two.corners(contact, 0.02));
+            let location = at(&line, x);
+            let contact = (line.responses().points()[location].x - model.elements[0].at.x) / IDEAL_DISTANCE;
+            let (found, expected) =
+                (line.corners(location, 2.0, [0, 1]).unwrap(), two.corners(contact, 0.02));
             assert_relative_eq!(found.position / IDEAL_DISTANCE, expected.position, max_relative = 5e-3);
             assert_relative_eq!(found.force, expected.force, max_relative = 1e-2);
         }
@@ -77,8 +78,8 @@ fn a_line_of_two_is_the_normalised_setting() {
 fn taxels_further_away_locate_better_where_the_noise_is_the_same_force() {
     // Fig. 5.4: each band of a pair twice as far apart is crossed twice as steeply.
     let (line, _) = ideal_line(4, 2.0, 0.02);
-    let place = at(&line, 0.0005);
-    let of = |channels: &[usize]| line.corners_of_all(place, 6.0, channels).unwrap().position;
+    let location = at(&line, 0.0005);
+    let of = |channels: &[usize]| line.corners_of_all(location, 6.0, channels).unwrap().position;
     let (two, three, four) = (of(&[1, 2]), of(&[1, 2, 3]), of(&[0, 1, 2, 3]));
     assert_relative_eq!(two, 0.02 * 0.005, max_relative = 5e-3);
     assert_relative_eq!(three / two, 0.5, max_relative = 5e-3);
@@ -95,9 +96,9 @@ fn fits_of_parabolas_give_the_same() {
     let values: Vec<f64> = (1..=20).map(|i| f64::from(i) * 10.0).collect();
     let pair = line.pair(0.021);
     let fits = pair.map(|t| line.fits(&t, &values));
-    let (place, force) = (line.place(0.021), 0.6);
-    let found = line.by_fits(place, force, &pair, [&fits[0], &fits[1]]).unwrap();
-    let first = line.first_order(place, force, pair.map(|t| t.channel)).unwrap();
+    let (location, force) = (line.location(0.021), 0.6);
+    let found = line.by_fits(location, force, &pair, [&fits[0], &fits[1]]).unwrap();
+    let first = line.first_order(location, force, pair.map(|t| t.channel)).unwrap();
     // Two different c, of which (5.18) takes one.
     assert!((found.position / first.position - 1.0).abs() < 0.35, "{found:?} {first:?}");
 }
@@ -106,17 +107,17 @@ fn fits_of_parabolas_give_the_same() {
 fn more_taxels_locate_no_worse() {
     let (line, model) = toy_row(0.0001, 2.0);
     for x in [-0.006, 0.0, 0.0013] {
-        let place = at(&line, x);
-        let pair = line.pair(line.arc()[place]).map(|t| t.channel);
-        let two = line.corners(place, 0.8, pair).unwrap().position;
-        let of = |channels: &[usize]| line.corners_of_all(place, 0.8, channels).unwrap().position;
+        let location = at(&line, x);
+        let pair = line.pair(line.arc()[location]).map(|t| t.channel);
+        let two = line.corners(location, 0.8, pair).unwrap().position;
+        let of = |channels: &[usize]| line.corners_of_all(location, 0.8, channels).unwrap().position;
         assert_relative_eq!(of(&pair), two, max_relative = 1e-6);
         let (four, six) = (of(&[1, 2, 3, 4]), of(&[0, 1, 2, 3, 4, 5]));
         // Taxels that lie further away have steeper isolines, but here one σ_S of them is more force.
         assert!(four <= two && six <= four, "{two} {four} {six}");
         // And the box that holds all bands is wider than what their average would have, which is the bound.
         let contact = dermis_model::Indentation::sphere(
-            line.responses().points()[place],
+            line.responses().points()[location],
             Vector3::new(0.0, 0.0, -0.8),
             0.004,
         );
@@ -183,10 +184,10 @@ fn distances_on_a_dome_are_those_along_it() {
     // A parabola in the distance along the surface.
     assert_relative_eq!(fit.alpha, 2.0, max_relative = 0.01);
     assert_relative_eq!(fit.g, 40.0 * 0.005, max_relative = 0.01);
-    let place = line.place(tip.foot + 0.003);
-    let pair = line.pair(line.arc()[place]).map(|t| t.channel);
+    let location = line.location(tip.foot + 0.003);
+    let pair = line.pair(line.arc()[location]).map(|t| t.channel);
     let (exact, first) =
-        (line.corners(place, 1.0, pair).unwrap(), line.first_order(place, 1.0, pair).unwrap());
+        (line.corners(location, 1.0, pair).unwrap(), line.first_order(location, 1.0, pair).unwrap());
     assert_relative_eq!(exact.position, first.position, max_relative = 0.05);
 }
 
@@ -201,11 +202,11 @@ fn a_ring_has_no_ends() {
     assert_relative_eq!(line.span(), std::f64::consts::TAU * 0.01, max_relative = 1e-2);
     let sixth = line.span() / 6.0;
     let of = |i: usize| {
-        let place = line.place((line.taxels()[0].foot + sixth * (0.3 + i as f64)) % line.span());
-        let pair = line.pair(line.arc()[place]).map(|t| t.channel);
-        let active = line.responses().active(place, 1.0, 20.0);
-        let all = line.corners_of_all(place, 1.0, &active).unwrap();
-        (line.corners(place, 1.0, pair).unwrap(), line.first_order(place, 1.0, pair).unwrap(), all)
+        let location = line.location((line.taxels()[0].foot + sixth * (0.3 + i as f64)) % line.span());
+        let pair = line.pair(line.arc()[location]).map(|t| t.channel);
+        let active = line.responses().active(location, 1.0, 20.0);
+        let all = line.corners_of_all(location, 1.0, &active).unwrap();
+        (line.corners(location, 1.0, pair).unwrap(), line.first_order(location, 1.0, pair).unwrap(), all)
     };
     let (first, ..) = of(0);
     for i in 0..6 {

@@ -36,20 +36,20 @@ pub fn feasible(surface: &Surface, locations: &[Point3<f64>], rule: &Feasibility
     let count = rule.neighbours.min(surface.points.len());
     locations
         .iter()
-        .map(|place| {
-            if rule.held.iter().any(|held| (held - place).norm() < rule.margin) {
+        .map(|location| {
+            if rule.held.iter().any(|held| (held - location).norm() < rule.margin) {
                 return Verdict::Held;
             }
             if count == 0 {
                 return Verdict::Feasible;
             }
             let mut around: Vec<(f64, usize)> =
-                surface.points.iter().enumerate().map(|(i, p)| ((p - place).norm_squared(), i)).collect();
+                surface.points.iter().enumerate().map(|(i, p)| ((p - location).norm_squared(), i)).collect();
             // Those as far as the last one count, too: a grid has many at one distance, and any choice among them is lopsided.
             let (_, last, _) = around.select_nth_unstable_by(count - 1, |a, b| a.0.total_cmp(&b.0));
             let reach = last.0 * (1.0 + 1e-6) + 1e-18;
             let within: Vec<usize> = around.iter().filter(|(d, _)| *d <= reach).map(|(_, i)| *i).collect();
-            let sum: Vector3<f64> = within.iter().map(|i| surface.points[*i] - place).sum();
+            let sum: Vector3<f64> = within.iter().map(|i| surface.points[*i] - location).sum();
             let off = sum / within.len() as f64;
             let normal = within.iter().map(|i| surface.normals[*i]).sum::<Vector3<f64>>();
             let normal = normal.try_normalize(1e-9).unwrap_or_else(Vector3::z);

@@ -62,13 +62,13 @@ impl Field {
         let mut read = vec![0.0; channels];
         let mut jacobian = vec![0.0; channels * Unknowns::Normal.count()];
         let mut stimulus = Stimulus::default();
-        for (at, place) in locations.iter().enumerate() {
+        for (at, location) in locations.iter().enumerate() {
             if !watch(at as f64 / locations.len() as f64) {
                 return Ok(None);
             }
             for (n, &force) in forces.iter().enumerate() {
                 let row = at * forces.len() + n;
-                let contact = Indentation::sphere(place.point, -place.normal * force, diameter);
+                let contact = Indentation::sphere(location.point, -location.normal * force, diameter);
                 stimulus.contacts = vec![contact];
                 model.response(&stimulus, &mut read)?;
                 untouched.subtract(&mut read);
@@ -98,7 +98,7 @@ impl Field {
 
     /// Place of a press.
     #[must_use]
-    pub fn place_of(&self, press: usize) -> &Location {
+    pub fn location_of(&self, press: usize) -> &Location {
         &self.locations[press / self.forces.len()]
     }
 

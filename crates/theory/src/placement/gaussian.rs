@@ -49,11 +49,11 @@ impl GaussianField {
         let every = surface.points.len().div_ceil(most.max(1)).max(1);
         let locations: Vec<usize> = (0..surface.points.len()).step_by(every).collect();
         let mut ways = Vec::with_capacity(locations.len());
-        for (n, place) in locations.iter().enumerate() {
+        for (n, location) in locations.iter().enumerate() {
             if !watch(n as f64 / locations.len() as f64) {
                 return Ok(None);
             }
-            let all = surface.ways_from(&surface.points[*place]);
+            let all = surface.ways_from(&surface.points[*location]);
             ways.push(locations.iter().map(|p| all[*p]).collect::<Vec<f64>>());
         }
         let longest = ways.iter().flatten().copied().fold(0.0, f64::max);

@@ -71,8 +71,9 @@ impl Search {
             })
             .collect();
         let presses = field.presses();
-        let coordinates: Vec<Vec<f64>> =
-            (0..3).map(|k| (0..presses).map(|p| field.place_of(p).point[k]).collect::<Vec<f64>>()).collect();
+        let coordinates: Vec<Vec<f64>> = (0..3)
+            .map(|k| (0..presses).map(|p| field.location_of(p).point[k]).collect::<Vec<f64>>())
+            .collect();
         let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
         let spread = |of: &[f64]| {
             let middle = mean(of);

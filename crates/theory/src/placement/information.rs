@@ -79,7 +79,7 @@ impl Problem {
         let readings = (0..candidates).map(|j| column(&field.readings, j, unit(j))).collect();
         let sum: nalgebra::Vector3<f64> = field.locations.iter().map(|p| p.point.coords).sum();
         let middle = sum / field.locations.len().max(1) as f64;
-        let from_middle = |p: usize| field.place_of(p).point.coords - middle;
+        let from_middle = |p: usize| field.location_of(p).point.coords - middle;
         let locations = Mat::from_fn(presses, 3, |p, k| from_middle(p)[k] as f32);
         // Anywhere on the skin, in either direction alike.
         let squares: f64 = (0..presses).map(|p| from_middle(p).norm_squared()).sum();

@@ -119,7 +119,7 @@ impl Draw {
         // In random order: the first ones stand for all.
         locations.truncate(count);
         let taught = teach.at(&locations);
-        let point = |field: &Field, p: usize| -> [f64; 3] { field.place_of(p).point.coords.into() };
+        let point = |field: &Field, p: usize| -> [f64; 3] { field.location_of(p).point.coords.into() };
         Self {
             teach: noisy(&taught, seed.wrapping_mul(2)),
             teach_locations: (0..taught.presses()).flat_map(|p| point(&taught, p)).collect(),
@@ -149,11 +149,11 @@ impl Draw {
         let rows = Self::rows(&self.ask, elements);
         let mut sum = 0.0;
         let mut read = Vec::new();
-        for (row, place) in rows.chunks_exact(elements.len()).zip(&self.ask_locations) {
+        for (row, location) in rows.chunks_exact(elements.len()).zip(&self.ask_locations) {
             read.clear();
             read.extend_from_slice(row);
             failed.iter().for_each(|f| read[*f] = svr.means()[*f]);
-            sum += off(&svr.predict(&read)?, place);
+            sum += off(&svr.predict(&read)?, location);
         }
         Ok(sum / self.ask_locations.len().max(1) as f64)
     }
@@ -180,8 +180,8 @@ impl Draw {
                     estimator,
                 )?;
                 for r in (0..rows).filter(|r| fold[*r] == k) {
-                    let place = &self.teach_locations[r * 3..(r + 1) * 3];
-                    sum += off(&svr.predict(&inputs[r * width..(r + 1) * width])?, place);
+                    let location = &self.teach_locations[r * 3..(r + 1) * 3];
+                    sum += off(&svr.predict(&inputs[r * width..(r + 1) * width])?, location);
                 }
             }
             if best.is_none_or(|(least, _)| sum < least) {

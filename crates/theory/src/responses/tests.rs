@@ -10,20 +10,20 @@ fn a_reading_is_found_again_by_its_force() {
     let model = row(6);
     let points = [Point3::new(0.001, 0.0, 0.0), Point3::new(0.003, 0.0, 0.0)];
     let responses = Responses::of_model(&model, &points, &force_ladder(2.0, 30), 0.004).unwrap();
-    for place in 0..2 {
+    for location in 0..2 {
         for channel in 0..6 {
             for force in [0.03, 0.4, 1.7] {
-                let value = responses.reading(place, channel, force);
+                let value = responses.reading(location, channel, force);
                 assert_relative_eq!(
-                    responses.force_for(place, channel, value).unwrap(),
+                    responses.force_for(location, channel, value).unwrap(),
                     force,
                     max_relative = 1e-9
                 );
                 // The toy is linear in the force: c is what it takes for one unit.
-                let c = responses.slope(place, channel, value * 0.9).unwrap();
+                let c = responses.slope(location, channel, value * 0.9).unwrap();
                 assert_relative_eq!(c, force / value, max_relative = 1e-6);
             }
-            assert_eq!(responses.force_for(place, channel, 1e9), None);
+            assert_eq!(responses.force_for(location, channel, 1e9), None);
         }
     }
     assert!(responses.reading(0, 0, 2.1).is_nan());
@@ -41,9 +41,9 @@ fn isolines_are_those_of_signals() {
     let plain = Responses::of_model(&row(6), &points, &forces, 0.004).unwrap();
     let resting = Responses::of_model(&shifted(row(6)), &points, &forces, 0.004).unwrap();
     assert_eq!(resting.reading(0, 2, 0.0), 0.0);
-    for place in 0..2 {
+    for location in 0..2 {
         for channel in 0..6 {
-            let [a, b] = [&plain, &resting].map(|r| r.force_for(place, channel, 20.0).unwrap());
+            let [a, b] = [&plain, &resting].map(|r| r.force_for(location, channel, 20.0).unwrap());
             assert_relative_eq!(a, b, max_relative = 1e-9);
         }
     }
@@ -54,10 +54,10 @@ fn presses_give_what_the_model_does() {
     // Presses at random places of a row, each with noise.
     let model = row(6);
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
-    let (place, force) = (Uniform::new(-0.018, 0.018).unwrap(), Uniform::new(0.01, 1.5).unwrap());
+    let (location, force) = (Uniform::new(-0.018, 0.018).unwrap(), Uniform::new(0.01, 1.5).unwrap());
     let presses: Vec<Press> = (0..6000)
         .map(|_| {
-            let position = Point3::new(place.sample(&mut random), 0.0, 0.0);
+            let position = Point3::new(location.sample(&mut random), 0.0, 0.0);
             let force = force.sample(&mut random);
             let readings = read(&model, &position, force).into_iter().map(|v| {
                 let noise: f64 = StandardNormal.sample(&mut random);
@@ -72,10 +72,11 @@ fn presses_give_what_the_model_does() {
     let found =
         Responses::of_presses(&presses, model.noise(), model.surface(), &points, &forces, 0.0015).unwrap();
     let mut errors = Vec::new();
-    for place in 0..points.len() {
+    for location in 0..points.len() {
         for channel in 0..6 {
             for force in [0.3, 0.7, 1.3] {
-                errors.push(found.reading(place, channel, force) - exact.reading(place, channel, force));
+                errors
+                    .push(found.reading(location, channel, force) - exact.reading(location, channel, force));
             }
         }
     }
@@ -120,10 +121,10 @@ fn a_signal_that_falls_has_the_isolines_of_one_that_rises() {
     for channel in 0..6 {
         assert_eq!(falling.orientation(channel), if channel % 2 == 0 { -1.0 } else { 1.0 });
         assert_eq!(falling.peak(channel), plain.peak(channel));
-        for place in 0..2 {
-            assert_eq!(falling.curve(place, channel), plain.curve(place, channel));
-            assert_eq!(falling.force_for(place, channel, 20.0), plain.force_for(place, channel, 20.0));
-            assert!(falling.force_for(place, channel, 20.0).is_some());
+        for location in 0..2 {
+            assert_eq!(falling.curve(location, channel), plain.curve(location, channel));
+            assert_eq!(falling.force_for(location, channel, 20.0), plain.force_for(location, channel, 20.0));
+            assert!(falling.force_for(location, channel, 20.0).is_some());
         }
     }
     assert_eq!(falling.minimum_force(0, 10.0, 3), plain.minimum_force(0, 10.0, 3));

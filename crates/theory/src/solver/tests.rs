@@ -19,8 +19,8 @@ fn errors(
 ) -> (f64, usize) {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
     let (mut squares, mut solved) = (0.0, 0);
-    for place in locations {
-        let values: Vec<f64> = read(model, place, force)
+    for location in locations {
+        let values: Vec<f64> = read(model, location, force)
             .into_iter()
             .map(|v| {
                 let n: f64 = StandardNormal.sample(&mut random);
@@ -28,7 +28,7 @@ fn errors(
             })
             .collect();
         if let Some(found) = solver.solve(&values, taxels) {
-            squares += (found.position - place).norm_squared();
+            squares += (found.position - location).norm_squared();
             solved += 1;
         }
     }
@@ -150,10 +150,10 @@ fn three_taxels_beat_two_in_an_elastic_layer_where_crossings_are_weighted() {
 fn presses_teach_it_as_the_model_does() {
     let model = row(6);
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
-    let (place, force) = (Uniform::new(-0.02, 0.02).unwrap(), Uniform::new(0.01, 1.5).unwrap());
+    let (location, force) = (Uniform::new(-0.02, 0.02).unwrap(), Uniform::new(0.01, 1.5).unwrap());
     let presses: Vec<Press> = (0..5000)
         .map(|_| {
-            let position = Point3::new(place.sample(&mut random), 0.0, 0.0);
+            let position = Point3::new(location.sample(&mut random), 0.0, 0.0);
             let force = force.sample(&mut random);
             Press { position, force, readings: read(&model, &position, force) }
         })

@@ -130,13 +130,13 @@ fn bands_of_the_clearest_channels_are_overlapped() {
     let (path, tolerance) = longest_row(model.surface(), &feet, 5e-4).unwrap();
     let responses = Responses::of_model(&model, &path.points, &force_ladder(2.0, 20), 0.004).unwrap();
     let line = Line::new(responses, &path, model.surface(), &feet, tolerance).unwrap();
-    let place = line.place(line.taxels()[59].foot);
+    let location = line.location(line.taxels()[59].foot);
     let mut channels: Vec<usize> = (0..60).collect();
-    line.clearest(place, 1.0, &mut channels);
+    line.clearest(location, 1.0, &mut channels);
     // Above the last taxel every one before it is farther away, and noisier.
     assert_eq!(channels, (28..60).collect::<Vec<_>>());
     let mut few = vec![7, 3];
-    line.clearest(place, 1.0, &mut few);
+    line.clearest(location, 1.0, &mut few);
     assert_eq!(few, [7, 3]);
 }
 
@@ -144,9 +144,9 @@ fn bands_of_the_clearest_channels_are_overlapped() {
 fn bounds_under_many_forces_are_those_under_each() {
     let (line, ..) = shared(2);
     let forces = [0.1, 0.6, 1.9, 1.99, 3.0];
-    for place in [0, line.arc().len() / 2, line.arc().len() - 1] {
-        let all = line.bounds(place, &forces);
-        assert_eq!(all, forces.map(|force| line.bound(place, force)));
+    for location in [0, line.arc().len() / 2, line.arc().len() - 1] {
+        let all = line.bounds(location, &forces);
+        assert_eq!(all, forces.map(|force| line.bound(location, force)));
         // What lies beyond the table, or a step beyond it, is not known.
         assert!(all[2].is_some() && all[3].is_none() && all[4].is_none(), "{all:?}");
     }

@@ -227,10 +227,10 @@ impl Field for Dome {
         for ((share, (square, _)), turns) in patch.rings.iter().zip(RINGS).zip(&self.turns) {
             let radius = patch.radius * square.sqrt();
             let weight = share / turns.len() as f64;
-            for ((c, s), place) in turns.iter().zip(&mut locations) {
+            for ((c, s), location) in turns.iter().zip(&mut locations) {
                 let point = contact.position + (along[0] * *c + along[1] * *s) * radius;
                 let [arc, angle] = self.shape.chart(&point);
-                *place = [arc, angle, weight];
+                *location = [arc, angle, weight];
             }
         }
         let mut sums = vec![0.0; influence.width()];

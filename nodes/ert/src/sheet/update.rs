@@ -51,8 +51,8 @@ impl Update {
             let others = row[i..k].iter_mut().zip(&self.roots[i..]);
             match &sheet.green {
                 Green::Mirrored(green) => {
-                    for ((entry, other), place) in others.zip(&self.locations[i..]) {
-                        let value = green.value(self.locations[i], *place);
+                    for ((entry, other), location) in others.zip(&self.locations[i..]) {
+                        let value = green.value(self.locations[i], *location);
                         *entry = root * other * (scale * value + sheet.mean);
                     }
                 }
