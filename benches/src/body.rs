@@ -181,7 +181,7 @@ fn observe(
     // Every skin is pressed at one place of its own.
     while !arrivals.try_iter().any(|arrival| usize::from(arrival.contacts) == SKINS) {
         if begun.elapsed() > PATIENCE {
-            bail!("not all {SKINS} skins were felt within {} s", PATIENCE.as_secs());
+            bail!("not all {SKINS} skins reported contact within {} s", PATIENCE.as_secs());
         }
         std::thread::sleep(Duration::from_millis(10));
     }

@@ -211,7 +211,7 @@ pub fn summary(seen: &[Arrival], sent: &[i64], frames: u64, rate: f64, cores: f6
 pub fn table(rows: &[Value], rate: f64) {
     eprintln!(
         "\n{:<28} {:>8} {:>8} {:>9} {:>15} {:>15} {:>12} {:>7}",
-        "bundle", "p50 ms", "p99 ms", "max ms", "touched p50 ms", "touched p99 ms", "passed over", "cores"
+        "bundle", "p50 ms", "p99 ms", "max ms", "touched p50 ms", "touched p99 ms", "dropped", "cores"
     );
     for row in rows {
         let (all, touched) = (&row["latency"], &row["latency_touched"]);

@@ -6,7 +6,7 @@ use dermis_msgs::geometry_msgs::msg::WrenchStamped;
 use dermis_msgs::msg::{BodyContacts, ContactArray, LinkWrench};
 use dermis_node::{HirozBackend, Node, NodeError, NodeOptions, Publisher, Qos};
 
-/// One publisher a link, made when the link is felt first.
+/// One publisher a link, made when the link is sensed first.
 struct Links {
     node: Node,
     publishers: Vec<(String, Publisher<WrenchStamped>)>,
@@ -15,9 +15,9 @@ struct Links {
 impl Links {
     fn spread(&mut self, body: &BodyContacts) -> Result<(), NodeError> {
         for of in &body.wrenches {
-            // What cannot be felt is no force of zero: the topic falls silent.
+            // What cannot be sensed is no force of zero: the topic falls silent.
             if ![ContactArray::STATUS_OK, ContactArray::STATUS_DEGRADED].contains(&of.status) {
-                println!("{} is not felt", of.link);
+                println!("{} is not sensed", of.link);
                 continue;
             }
             let mut message = WrenchStamped { header: body.header.clone(), wrench: of.wrench.clone() };

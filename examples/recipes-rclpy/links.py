@@ -3,7 +3,7 @@
 python3 links.py
 
 For every link of the fused contacts, `<link>/wrench` (`geometry_msgs/WrenchStamped`) in the frame of the link. While a link cannot
-be felt its topic falls silent, as a sensor that is unplugged does: a controller with a timeout sees that, and would not see zeros.
+be sensed its topic falls silent, as a sensor that is unplugged does: a controller with a timeout sees that, and would not see zeros.
 """
 
 import rclpy
@@ -25,7 +25,7 @@ class Links(Node):
     def spread(self, body):
         for of in body.wrenches:
             if of.status not in FEELING:
-                print(f"{of.link} is not felt", flush=True)
+                print(f"{of.link} is not sensed", flush=True)
                 continue
             if of.link not in self.outputs:
                 self.outputs[of.link] = self.create_publisher(WrenchStamped, f"{of.link}/wrench", 10)

@@ -154,7 +154,7 @@ fn fused_contacts_become_those_of_moveit_and_wrenches_of_links() {
     let bodies = bodies.map(|field| said[field].clone());
     assert_eq!(json!(bodies), json!(["hand", "hand", 0, "environment", 1, 0.0]));
     links.expect("hand 0.000 0.000 -2.000 N", SOON);
-    links.expect("foot is not felt", SOON);
+    links.expect("foot is not sensed", SOON);
     let found = rclpy.event("message", |said| said["topic"] == "/hand/wrench")["value"].clone();
     assert_eq!(found["header"]["frame_id"], "hand");
     assert_eq!(found["wrench"]["torque"]["y"], 0.2);

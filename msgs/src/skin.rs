@@ -31,7 +31,7 @@ impl SkinNames {
     /// Reads the beginning of an encoded message of one of the types [`OF_A_SKIN`].
     ///
     /// # Errors
-    /// Where the bytes are no such message. The rest of it is not looked at.
+    /// Where the bytes are no such message. The rest of it is not inspected.
     pub fn of(cdr: &[u8]) -> Result<Self, CdrError> {
         let read = || -> Result<Self, CdrErrorKind> {
             let mut reader = Reader::of(cdr)?;

@@ -47,7 +47,7 @@ fn has_libclang() -> bool {
     std::env::var_os("LIBCLANG_PATH").is_some() || llvm.into_iter().any(|folder| holds(&folder))
 }
 
-/// Chromium, in which pages and figures are looked at; installs it where it may. Says what is not tested without it.
+/// Chromium, in which pages and figures are inspected; installs it where it may. Says what is not tested without it.
 pub fn chromium() -> Option<String> {
     let there = || Command::new("chromium").arg("--version").output().is_ok_and(|o| o.status.success());
     (!debian(&["chromium", "fonts-dejavu-core"], there)).then(|| {

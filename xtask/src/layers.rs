@@ -7,38 +7,38 @@ use serde::Deserialize;
 
 use crate::run::{cargo, output};
 
-/// Rooms from the top down: a crate may import crates of its own room's rank (but see [`Room::alone`]) or a lower one.
-struct Room {
+/// A layer of the workspace: a crate may import crates of its own layer's rank (but see [`Layer::alone`]) or a lower one.
+struct Layer {
     rank: u8,
-    /// Crates of this room never import each other.
+    /// Crates of this layer never import each other.
     alone: bool,
 }
 
-fn room(folder: &str, name: &str) -> Option<Room> {
+fn layer(folder: &str, name: &str) -> Option<Layer> {
     let (first, _) = folder.split_once('/').unwrap_or((folder, ""));
-    let room = |rank, alone| Some(Room { rank, alone });
+    let layer = |rank, alone| Some(Layer { rank, alone });
     match (first, name) {
-        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => room(12, true),
-        ("dermis", _) => room(11, true),
-        ("nodes" | "bridges", _) => room(10, true),
-        ("msgs", _) | ("crates", "dermis-io") => room(0, true),
+        ("xtask" | "integration-tests" | "fuzz" | "benches", _) => layer(12, true),
+        ("dermis", _) => layer(11, true),
+        ("nodes" | "bridges", _) => layer(10, true),
+        ("msgs", _) | ("crates", "dermis-io") => layer(0, true),
         // Drawing knows nothing of skins.
-        ("crates", "dermis-skin" | "dermis-figures") => room(1, true),
+        ("crates", "dermis-skin" | "dermis-figures") => layer(1, true),
         // A robot's body carries skins, and knows nothing of what they read.
-        ("crates", "dermis-model" | "dermis-body") => room(2, true),
+        ("crates", "dermis-model" | "dermis-body") => layer(2, true),
         // Skins and models of tests: whoever tests on them lies above skin and model, or takes their text only.
-        ("crates", "dermis-fixtures") => room(3, true),
+        ("crates", "dermis-fixtures") => layer(3, true),
         // What bundles say of it, inference reads.
-        ("crates", "dermis-inversion") => room(3, true),
+        ("crates", "dermis-inversion") => layer(3, true),
         ("crates", "dermis-transport" | "dermis-electrics" | "dermis-mechanics" | "dermis-inference") => {
-            room(4, true)
+            layer(4, true)
         }
-        ("crates", "dermis-sensor") => room(5, true),
-        ("crates", "dermis-estimate") => room(6, true),
+        ("crates", "dermis-sensor") => layer(5, true),
+        ("crates", "dermis-estimate") => layer(6, true),
         // Experiments, and what people do with running skins: neither needs the other.
-        ("crates", "dermis-studies" | "dermis-operate") => room(8, true),
-        ("crates", "dermis-report") => room(9, true),
-        ("crates", _) => room(7, false),
+        ("crates", "dermis-studies" | "dermis-operate") => layer(8, true),
+        ("crates", "dermis-report") => layer(9, true),
+        ("crates", _) => layer(7, false),
         _ => None,
     }
 }
@@ -88,11 +88,8 @@ pub fn violations(metadata: &str) -> Result<Vec<String>> {
     let mut found = Vec::new();
     for package in &metadata.packages {
         let here = folder(&package.manifest_path);
-        let Some(from) = room(&here, &package.name) else {
-            found.push(format!(
-                "{} lies in {here}, which is no room of the house: see ARCHITECTURE.md",
-                package.name
-            ));
+        let Some(from) = layer(&here, &package.name) else {
+            found.push(format!("{} lies in {here}, which is no layer: see ARCHITECTURE.md", package.name));
             continue;
         };
         if here.starts_with("crates/") {
@@ -126,7 +123,7 @@ pub fn violations(metadata: &str) -> Result<Vec<String>> {
             }
             let Some(path) = &dependency.path else { continue };
             let there = folder(&format!("{path}/Cargo.toml"));
-            let Some(to) = room(&there, &dependency.name) else { continue };
+            let Some(to) = layer(&there, &dependency.name) else { continue };
             if to.rank > from.rank || (to.rank == from.rank && from.alone) {
                 found.push(format!(
                     "{} ({here}) imports {} ({there}): imports run downwards only",

@@ -60,7 +60,7 @@ use crate::claims::{Claims, Publisher, Verdict, last_part};
 use crate::commands::Commander;
 use crate::queries::Offered;
 
-/// How often the ROS graph is looked at for new skins.
+/// How often the ROS graph is inspected for new skins.
 const LOOK_AROUND: Duration = Duration::from_millis(500);
 
 /// Where the bridge appears.

@@ -13,7 +13,7 @@ use std::fmt;
 use dermis_msgs::msg::{SkinGeometry, TaxelFrame};
 use dermis_msgs::{ChannelLayout, Message, OF_A_SKIN, SkinNames, v0};
 
-use crate::versions::LOOKED_AT;
+use crate::versions::INSPECTED;
 use crate::{BagError, BagMessage, BagReader, Filter};
 
 /// A skin that a bag speaks of.
@@ -172,7 +172,7 @@ impl BagReader {
             .topics()
             .iter()
             .filter(|topic| OF_A_SKIN.contains(&topic.type_name.as_str()) && topic.messages > 0)
-            .map(|topic| (topic.name.as_str(), topic.messages.min(LOOKED_AT)))
+            .map(|topic| (topic.name.as_str(), topic.messages.min(INSPECTED)))
             .collect();
         let mut skins: BTreeMap<String, BagSkin> = BTreeMap::new();
         if left.is_empty() {

@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// Messages of a topic that are inspected: skins that share a topic take turns on it.
-pub(crate) const LOOKED_AT: u64 = 200;
+pub(crate) const INSPECTED: u64 = 200;
 
 /// What makes today's messages of recorded ones; `None` where they are today's, or not known at all.
 pub(crate) fn upgrade_of(type_name: &str, hash: Option<&str>, recorded: &str) -> Option<&'static Upgrade> {
@@ -63,7 +63,7 @@ impl Units {
     pub(crate) fn new(files: Vec<Arc<Path>>, recover: bool, topics: &[Topic]) -> Self {
         let frames = topics.iter().filter(|topic| topic.type_name == TaxelFrame::TYPE_NAME);
         let frames = frames.filter(|topic| topic.messages > 0 && topic.is_converted());
-        let frames = frames.map(|topic| (topic.name.clone(), topic.messages.min(LOOKED_AT))).collect();
+        let frames = frames.map(|topic| (topic.name.clone(), topic.messages.min(INSPECTED))).collect();
         Self { files, recover, frames, found: OnceLock::new() }
     }
 

@@ -70,14 +70,14 @@ impl LabelMap {
             },
         };
         let axes = self.sensor_axes(&turn);
-        let felt = axes.inverse() * (skin.rotation * force) * self.sign() + offset;
+        let measured = axes.inverse() * (skin.rotation * force) * self.sign() + offset;
         let frame_id = match self.force.mounted {
             Carrier::Tool => pose.child_frame_id.clone(),
             Carrier::Base => base,
         };
         let wrench = WrenchStamped {
             header: Header { stamp: moved(self.force.time_offset), frame_id },
-            wrench: Wrench { force: vector(&felt), torque: VectorMsg::default() },
+            wrench: Wrench { force: vector(&measured), torque: VectorMsg::default() },
         };
         (pose, wrench)
     }

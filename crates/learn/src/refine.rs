@@ -200,7 +200,7 @@ fn simplest(rights: &[usize], of: usize) -> Option<usize> {
 }
 
 /// Raises the [presence](Settings::presence) until [`UNTOUCHED`] of the untouched samples of `only` at most would count as touched,
-/// each after a contact that was felt to its end: a zero follows drift with a lag, and not at all while contacts follow each
+/// each after a contact that was detected to its end: a zero follows drift with a lag, and not at all while contacts follow each
 /// other, and what it leaves looks like a light contact. Too few untouched samples leave it as it is. `watch` receives the progress,
 /// from 0 to 1, and says whether it goes on; false where it did not, and nothing was set.
 ///
@@ -316,11 +316,11 @@ mod tests {
         assert!((90.0..100.0).contains(&raised.presence), "{}", raised.presence);
         let wrong = |settings: &Settings| {
             let mut before = false;
-            let felt = seen(40.0).into_iter().filter(|evidence| {
+            let detected = seen(40.0).into_iter().filter(|evidence| {
                 before = evidence.is_none_or(|evidence| settings.exceeds_threshold(evidence, before));
                 before && evidence.is_some()
             });
-            felt.count()
+            detected.count()
         };
         assert!(wrong(&settings) > 2000 && wrong(&raised) <= 4, "{}, {}", wrong(&settings), wrong(&raised));
         // A handful of frames says nothing about one in a thousand.

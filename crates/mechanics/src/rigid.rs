@@ -126,7 +126,7 @@ mod tests {
         let force = 0.02;
         let found = RigidContact::solve(&half_space(&locations, side), &heights, force).unwrap();
         let contact = (0.75 * force * radius / MODULUS).cbrt();
-        assert!(contact < 10.0 * side, "the contact lies inside of what is looked at: {contact}");
+        assert!(contact < 10.0 * side, "the contact lies inside of the modelled area: {contact}");
         assert_relative_eq!(found.depth, contact * contact / radius, max_relative = 0.02);
         let sum: f64 = found.forces.iter().sum();
         assert_relative_eq!(sum, force, max_relative = 1e-9);

@@ -10,7 +10,7 @@ const SILENT: f64 = 1.0;
 /// \[m\] beyond which a contact is not in the plane z = 0, and the table has a column for z.
 const FLAT: f64 = 1e-9;
 
-/// Name, rate and latency, then what is felt, a contact a line.
+/// Name, rate and latency, then the contacts, one a line.
 #[must_use]
 pub fn lines(touch: &Touch, elapsed: f64, now_ns: i64) -> Vec<String> {
     let (p50, p99) = (touch.latency_ms.percentile(50.0), touch.latency_ms.percentile(99.0));

@@ -27,7 +27,7 @@ pub enum TipKind {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rated {
-    /// \[N\] pressing forces, from the least that is felt well to the most that the skin is built for.
+    /// \[N\] pressing forces, from the least that is detected reliably to the most that the skin is built for.
     pub force: [f64; 2],
     /// \[m\] of the tip.
     pub diameter: f64,

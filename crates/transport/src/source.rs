@@ -98,7 +98,7 @@ impl Default for SourceOptions {
         Self {
             queue_bytes: 1 << 20,
             queue_chunks: 4096,
-            // A skin that is plugged in again is to be felt again within a second.
+            // A skin that is plugged in again is to be detected again within a second.
             backoff_initial: Duration::from_millis(50),
             backoff_max: Duration::from_secs(1),
             connect_timeout: Duration::from_secs(3),

@@ -422,7 +422,7 @@ fn no_press_is_detected_by_one_gauge_alone() {
         let press = Indentation::sphere(*position, -normal * FORCE, TIP);
         let mut strain: Vec<f64> = strain(vec![press]).iter().map(|s| s.abs()).collect();
         strain.sort_by(f64::total_cmp);
-        // Only one that is at its rail comes into question, and a harder press is felt more by the others, too.
+        // Only one that is at its rail comes into question, and a harder press is detected more by the others, too.
         if strain[9] > 0.02 * rail {
             least = least.min(strain[8] / strain[9]);
         }
@@ -603,9 +603,9 @@ fn two_contacts_a_thousand_times_a_second_are_looked_for_in_the_newest_frame() {
         let found = status.values.iter().find(|v| v.key == key).map(|v| v.value.clone());
         found.unwrap_or_else(|| panic!("{key} is not in {status:#?}"))
     };
-    assert!(value("frames passed over").parse::<u64>().unwrap() > 0, "{status:#?}");
+    assert!(value("frames dropped").parse::<u64>().unwrap() > 0, "{status:#?}");
     assert_eq!(value("bytes dropped"), "0", "nothing of the line is lost");
-    assert!(value("not felt [% of surface]").contains("(a press of 4.00 N)"), "{status:#?}");
+    assert!(value("undetectable [% of surface]").contains("(a press of 4.00 N)"), "{status:#?}");
 }
 
 /// A bundle whose network knows two presses: the map of any readings is the sum of a bell about either place, as high as

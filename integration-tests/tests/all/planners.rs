@@ -98,7 +98,7 @@ fn the_force_on_each_link_is_a_topic() {
     });
     let mut links = Peer::start(&mut Command::new(links));
     links.expect("hand 0.000 0.000 -2.000 N", SOON);
-    links.expect("foot is not felt", SOON);
+    links.expect("foot is not sensed", SOON);
     let found = wrenches.recv_timeout(SOON).unwrap();
     assert_eq!((found.header.frame_id.as_str(), found.wrench.force.z), ("hand", -2.0));
 }

@@ -100,7 +100,7 @@ fn a_press_stops_the_robot_and_so_does_a_node_that_is_killed() {
         &source,
     ]));
 
-    // It is felt, and latches.
+    // It is detected, and latches.
     status(&diagnostics, "rule `touch` acts until it is released: a force of ");
     while stop.try_recv().is_ok() {}
     expect(&stop, "the stop is repeated", |stop| stop.data);

@@ -242,10 +242,10 @@ fn a_cameras_node_publishes_images_and_the_force_map_of_its_network() {
             let _ = seen.send((image.width, image.height, image.encoding, image.data.len()));
         })
         .unwrap();
-    let (felt, maps) = channel();
+    let (sender, maps) = channel();
     let _maps = node
         .subscribe::<ForceMap>("force_map", Qos::sensor_data(), move |map, _| {
-            let _ = felt.send(map);
+            let _ = sender.send(map);
         })
         .unwrap();
     let (found, contacts) = channel();

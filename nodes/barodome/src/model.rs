@@ -189,7 +189,7 @@ impl ForwardModel for BarometerModel {
         Box::new(Stepped::new(self, self.dynamics.start(seed)))
     }
 
-    /// Of a layer as wide as it likes, on which the curvature of a skin makes a tip sharper; edges are not felt.
+    /// Of a layer as wide as it likes, on which the curvature of a skin makes a tip sharper; edges have no effect.
     fn force_at(&self, at: &Point3<f64>, diameter: f64, depth: f64) -> Option<f64> {
         let contacts = self.sink.contacts(at, diameter * self.diameter_scale)?;
         contacts.force_at(depth).map(|force| force * self.stiffness(at))

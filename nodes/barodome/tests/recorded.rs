@@ -1,4 +1,4 @@
-//! Readings of devices with effects, alone and together, are those that were recorded when each effect was last looked at.
+//! Readings of devices with effects, alone and together, are those that were recorded when each effect was last reviewed.
 //!
 //! `DERMIS_RECORD=1 cargo nextest run -p dermis-barodome recorded` records them anew.
 

@@ -110,7 +110,7 @@ impl<const N: usize> Filter<N> {
         }
     }
 
-    /// Takes a reading. One whose covariance is none is passed over.
+    /// Takes a reading. One whose covariance is none is skipped.
     pub(crate) fn update(&mut self, reading: &Reading) {
         let innovation = self.innovation(reading);
         let Some(inverse) = innovation.covariance.try_inverse() else { return };

@@ -41,7 +41,7 @@ pub(crate) struct SkinState {
     intake: Intake,
     group: usize,
     pub top_from_skin: Isometry3<f64>,
-    felt: bool,
+    touched: bool,
 }
 
 /// A skin and what it can feel.
@@ -158,7 +158,7 @@ impl Fuser {
                 intake: intake(skin),
                 group,
                 top_from_skin: top_from_link * skin.pose,
-                felt: false,
+                touched: false,
             });
         }
         let joints = JointHistory::new(&robot.body, limits);
@@ -242,7 +242,7 @@ impl Fuser {
             // What is refused changes nothing until somebody asks: there may be a flood of it.
             Verdict::Refused => return false,
             Verdict::Blind => {
-                state.felt = false;
+                state.touched = false;
                 self.groups[state.group].lose(skin);
                 return false;
             }
@@ -260,7 +260,7 @@ impl Fuser {
             self.skins[skin].intake.was_late(before, now, &s);
             return false;
         }
-        self.skins[skin].felt = true;
+        self.skins[skin].touched = true;
         self.newest = Some(self.newest.map_or(stamp, |newest| newest.max(stamp)));
         true
     }
@@ -319,7 +319,7 @@ impl Fuser {
     pub fn reset(&mut self, limits: HistoryLimits) {
         for (state, skin) in self.skins.iter_mut().zip(&self.robot.skins) {
             state.intake = intake(skin);
-            state.felt = false;
+            state.touched = false;
         }
         self.groups.iter_mut().for_each(|group| *group = Group::default());
         for skin in 0..self.skins.len() {
@@ -336,8 +336,8 @@ impl Fuser {
         let mut all = Vec::with_capacity(self.skins.len());
         for (skin, state) in self.skins.iter_mut().enumerate() {
             let health = state.intake.health(now, &self.settings);
-            if state.felt && !health.feels() {
-                state.felt = false;
+            if state.touched && !health.feels() {
+                state.touched = false;
                 self.groups[state.group].lose(skin);
             }
             all.push(SkinAt { skin, health });

@@ -6,7 +6,7 @@
 //! 1. Contacts of the report are gated with the tracks by their Mahalanobis distance, and assigned to them by the least sum of costs
 //!    (global nearest neighbour; Blackman and Popoli, *Design and Analysis of Modern Tracking Systems*, 1999, §6.4). No two contacts of a
 //!    report get the same track, so that two touches that one skin tells apart stay two.
-//! 2. A contact that no track can be begins one. It is published once [`births`](Settings::births) reports felt it.
+//! 2. A contact that no track can be begins one. It is published once [`births`](Settings::births) reports contain it.
 //! 3. A skin that does not feel a contact any more leaves its track after [`hold`](Settings::hold); a track without skins ends.
 //! 4. Two tracks that no skin feels both, and that are in one place by their covariances, become one.
 //!
@@ -117,9 +117,9 @@ impl Tracks {
                 None => {}
             }
         }
-        // Where the skin takes a new place for a contact that it felt elsewhere, it does not feel it there any more.
+        // Where the skin takes a new place for a contact that it detected elsewhere, the contact is not there any more.
         for track in &mut self.tracks {
-            let moved = |k: u32| begun.iter().any(|b| b.is_felt_as(report.skin, k));
+            let moved = |k: u32| begun.iter().any(|b| b.is_detected_as(report.skin, k));
             track
                 .sources
                 .retain(|source| source.skin != report.skin || source.seen == at || !moved(source.track));
@@ -209,14 +209,14 @@ impl Tracks {
     /// Makes one of two tracks that look like one contact; only those that the report touched can have begun to.
     fn merge(&mut self, report: &Report, s: &Settings) {
         // A skin tells its own contacts apart: only one of others can be the same.
-        if self.tracks.iter().all(|t| t.is_felt_by(report.skin)) {
+        if self.tracks.iter().all(|t| t.is_detected_by(report.skin)) {
             return;
         }
         let mut i = 0;
         while i < self.tracks.len() {
             let settled = |t: &Track| t.hits >= s.births;
             if !(settled(&self.tracks[i])
-                && self.tracks[i].is_felt_by(report.skin)
+                && self.tracks[i].is_detected_by(report.skin)
                 && self.tracks[i].seen == self.at)
             {
                 i += 1;
@@ -247,7 +247,7 @@ impl Tracks {
 
 /// Cost of taking a detection for a track; `None` where it cannot be.
 fn pair(track: &mut Track, detection: &Detection, report: &Report, s: &Settings) -> Option<f64> {
-    let same = track.is_felt_as(report.skin, detection.track);
+    let same = track.is_detected_as(report.skin, detection.track);
     let (Some(_), Some(_)) = (&track.place, &detection.place) else {
         // Without a place there is nothing to tell it by but what the skin says.
         return same.then_some(0.0);
@@ -260,7 +260,7 @@ fn pair(track: &mut Track, detection: &Detection, report: &Report, s: &Settings)
         Some(_) if !same => SWITCH,
         _ => 0.0,
     };
-    // What was felt once may be noise.
+    // What was reported once may be noise.
     let doubt = if track.hits < s.births { SWITCH } else { 0.0 };
     (distance <= track.gate(report.skin, s)).then_some(distance + spread + penalty + doubt)
 }
@@ -442,7 +442,7 @@ impl Group {
         shown
     }
 
-    /// Nothing is felt by this skin any more: it is gone, blind, or another one.
+    /// Nothing is reported by this skin any more: it is gone, blind, or another one.
     pub(crate) fn lose(&mut self, skin: usize) {
         self.waiting.retain(|r| r.skin != skin);
         for tracks in [&mut self.settled, &mut self.current] {

@@ -31,7 +31,7 @@ pub struct BodyTouch {
     pub velocity: Vector3<f64>,
     /// \[m²/s²\]
     pub velocity_covariance: Matrix3<f64>,
-    /// When it was felt first.
+    /// When it was detected first.
     pub born: Stamp,
     /// When the latest reading that it rests on was acquired.
     pub seen: Stamp,

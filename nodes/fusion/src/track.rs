@@ -149,7 +149,7 @@ pub(crate) struct Source {
     pub skin: usize,
     /// Identity at the skin.
     pub track: u32,
-    /// When it felt the contact last.
+    /// When it reported the contact last.
     pub seen: Stamp,
     pub normal: Vector3<f64>,
     pub components: ForceComponents,
@@ -172,13 +172,13 @@ pub(crate) struct Track {
     pub force: Option<Filter<3>>,
     /// Skins that feel it now, the most certain first.
     pub sources: Vec<Source>,
-    /// When it was felt first.
+    /// When it was detected first.
     pub born: Stamp,
-    /// When it was felt last.
+    /// When it was detected last.
     pub seen: Stamp,
     /// What its filters are for.
     pub at: Stamp,
-    /// Reports that felt it.
+    /// Reports that contain it.
     pub hits: u32,
     pub slip: SlipWatch,
 }
@@ -216,19 +216,19 @@ impl Track {
         }
     }
 
-    /// Whether it is felt by this skin under this identity.
-    pub(crate) fn is_felt_as(&self, skin: usize, track: u32) -> bool {
+    /// Whether it is detected by this skin under this identity.
+    pub(crate) fn is_detected_as(&self, skin: usize, track: u32) -> bool {
         self.sources.iter().any(|s| s.skin == skin && s.track == track)
     }
 
     /// \[1\] squared distance up to which a detection of a skin can be of this contact. One of a skin that feels it has twice as much:
     /// the errors of a skin stay, so that what is far once is far again.
     pub(crate) fn gate(&self, skin: usize, s: &Settings) -> f64 {
-        if self.is_felt_by(skin) { 2.0 * s.gate } else { s.gate }
+        if self.is_detected_by(skin) { 2.0 * s.gate } else { s.gate }
     }
 
     /// Whether a skin feels it.
-    pub(crate) fn is_felt_by(&self, skin: usize) -> bool {
+    pub(crate) fn is_detected_by(&self, skin: usize) -> bool {
         self.sources.iter().any(|s| s.skin == skin)
     }
 
@@ -293,7 +293,7 @@ impl Track {
         source.is_some_and(|s| s.strays == 0 || self.sources.len() == 1)
     }
 
-    /// Takes such a reading. The place of the first is passed over; at the second the contact is there.
+    /// Takes such a reading. The place of the first is skipped; at the second the contact is there.
     pub(crate) fn stray(&mut self, detection: &Detection, skin: usize, at: Stamp, s: &Settings) {
         let before = self.sources.iter().find(|s| s.skin == skin).map_or(0, |s| s.strays);
         let mut strays = before + 1;
@@ -344,7 +344,7 @@ impl Track {
     pub(crate) fn looks_like(&self, other: &Self, gate: f64) -> bool {
         let (Some(a), Some(b)) = (&self.place, &other.place) else { return false };
         // Most pairs end here.
-        if self.sources.iter().any(|s| other.is_felt_by(s.skin)) {
+        if self.sources.iter().any(|s| other.is_detected_by(s.skin)) {
             return false;
         }
         let difference = (a.mean - b.mean).fixed_rows::<3>(0).into_owned();

@@ -44,7 +44,7 @@ struct Active {
     seen: Stamp,
     /// Joint positions when it began.
     positions: Vec<f64>,
-    /// Further joints that have turned and felt nothing.
+    /// Further joints that have turned without contact.
     passed: Vec<usize>,
 }
 

@@ -42,7 +42,7 @@ struct MediumSpec {
 enum Theory {
     /// Normals stay normal, on the triangles of the surface, and forces act on the middle surface: what the bundles that ship were
     /// trained on. Gauges read about 9 % less than in converged solids, and a force along the surface, which also turns the shell by
-    /// its arm of half a thickness, is felt wrongly.
+    /// its arm of half a thickness, has a wrong effect.
     #[default]
     KirchhoffLove,
     /// The shell shears across its thickness, on triangles that are refined at edges and corners, and forces act on the outside.

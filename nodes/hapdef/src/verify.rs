@@ -45,7 +45,7 @@ const TOUCHES: [(&str, [f64; 2]); 3] =
     [("normal", [0.0, 0.0]), ("along", [0.5, 0.0]), ("around", [0.0, 0.5])];
 /// Places that are touched, all over the limb.
 const LOCATIONS: usize = 40;
-/// \[m\] from the clamped ends within which nothing is touched: hardly anything is felt there.
+/// \[m\] from the clamped ends within which nothing is touched: the signals are weak there.
 const HELD: f64 = 0.012;
 /// Largest share of a touch's strongest reading by which a gauge may differ, and of all by root mean square. Of 2.7 % and 1.7 %,
 /// 1 % is the theory's (solids against the same shell on ever finer triangles), the rest its mesh's; solids of 1.2 mm themselves

@@ -69,7 +69,7 @@ struct ElastomerSpec {
     cells: [usize; 2],
     /// \[m\] between nodes of the inside's grid.
     grid: f64,
-    /// \[m\] that a press is felt around it.
+    /// \[m\] around it that a press reaches.
     reach: f64,
 }
 
@@ -149,7 +149,7 @@ pub struct Parameters {
     pub rings: Rings,
     /// Of the inside.
     pub grid: Grid,
-    /// \[m\] that a press is felt around it.
+    /// \[m\] around it that a press reaches.
     pub reach: f64,
     /// Tangential over normal force at which a contact slips.
     pub friction: f64,

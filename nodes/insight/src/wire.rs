@@ -1,7 +1,7 @@
 //! The camera's own wire: over TCP, the host writes a request of up to 256 bytes, and the device answers with the length of a JPEG picture
 //! (u32, little-endian) and the picture.
 //!
-//! Nothing in it marks a beginning. Where a length cannot be, or no JPEG follows, bytes are passed over until a length and the beginning of a
+//! Nothing in it marks a beginning. Where a length cannot be, or no JPEG follows, bytes are skipped until a length and the beginning of a
 //! JPEG come again. Lengths and sizes are bounded before anything is decoded: a picture has at most as many bytes as its pixels, and must be
 //! of the skin's size, or a whole multiple of it up to eight, which is reduced to means.
 //!
@@ -96,7 +96,7 @@ impl PictureReader {
         Self { pictures: Pictures::new(observer), buffer: Vec::new(), requested: None }
     }
 
-    /// Bytes to pass over until an answer may begin, and its picture's length where that is known.
+    /// Bytes to skip until an answer may begin, and its picture's length where that is known.
     fn next(&self) -> (usize, Option<usize>) {
         let most = self.pictures.most();
         let begins = |at: usize| {

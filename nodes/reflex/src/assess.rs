@@ -30,7 +30,7 @@ pub struct Assessment {
 }
 
 /// A contact with what its message says of it beside.
-struct Felt<'a> {
+struct Reported<'a> {
     contact: &'a Contact,
     link: Option<&'a str>,
     other_links: &'a [String],
@@ -43,7 +43,7 @@ struct Felt<'a> {
     force_max: f64,
 }
 
-impl Felt<'_> {
+impl Reported<'_> {
     fn is_in(&self, rule: &Rule) -> bool {
         rule.region.is_everything()
             || self.link.is_some_and(|link| rule.region.has_link(link))
@@ -98,7 +98,7 @@ pub(crate) fn skin(
     }
     insensitive(&mut found, rule, message);
     for (i, contact) in message.contacts.iter().enumerate() {
-        let felt = Felt {
+        let reported = Reported {
             contact,
             link,
             other_links: &[],
@@ -109,8 +109,8 @@ pub(crate) fn skin(
             force_max: f64::from(message.force_max),
         };
         // The input was chosen for the region, as a whole.
-        if !felt.is_left_out(rule) {
-            found.contact(rule, &felt);
+        if !reported.is_left_out(rule) {
+            found.contact(rule, &reported);
         }
     }
     found
@@ -122,7 +122,7 @@ pub(crate) fn body(rules: &Rules, rule: &Rule, message: &BodyContacts) -> Assess
     health(&mut found, rules, rule, message);
     for contact in &message.contacts {
         let Vector3 { x, y, z } = contact.velocity;
-        let felt = Felt {
+        let reported = Reported {
             contact: &contact.contact,
             link: Some(&contact.link),
             other_links: &contact.other_links,
@@ -132,8 +132,8 @@ pub(crate) fn body(rules: &Rules, rule: &Rule, message: &BodyContacts) -> Assess
             cause: contact.cause,
             force_max: f64::NAN,
         };
-        if felt.is_in(rule) && !felt.is_left_out(rule) {
-            found.contact(rule, &felt);
+        if reported.is_in(rule) && !reported.is_left_out(rule) {
+            found.contact(rule, &reported);
         }
     }
     found
@@ -250,9 +250,9 @@ impl Assessment {
     }
 
     /// A contact does not have a number that the rule asks for.
-    fn unmeasured(&mut self, rule: &Rule, felt: &Felt<'_>, what: &str) {
+    fn unmeasured(&mut self, rule: &Rule, reported: &Reported<'_>, what: &str) {
         if rule.counts(Loss::Unmeasured) {
-            self.act(|| format!("a contact on {} has no {what}", felt.place()));
+            self.act(|| format!("a contact on {} has no {what}", reported.place()));
         }
     }
 
@@ -261,24 +261,24 @@ impl Assessment {
         self.touch.get_or_insert_with(text);
     }
 
-    fn contact(&mut self, rule: &Rule, felt: &Felt<'_>) {
+    fn contact(&mut self, rule: &Rule, reported: &Reported<'_>) {
         self.touched = true;
-        let force = force_of(felt.contact, rule.sigmas);
-        let pressure = rule.peak_over_mean * mean_pressure(force, felt.contact);
+        let force = force_of(reported.contact, rule.sigmas);
+        let pressure = rule.peak_over_mean * mean_pressure(force, reported.contact);
         if let Some(threshold) = rule.force {
-            self.value(rule, felt, "force", known(force, felt, threshold.above), threshold, 1.0, "N");
+            self.value(rule, reported, "force", known(force, reported, threshold.above), threshold, 1.0, "N");
         }
         if let Some(threshold) = rule.pressure {
-            self.value(rule, felt, "pressure", pressure, threshold, PASCALS_PER_N_PER_CM2, "N/cm²");
+            self.value(rule, reported, "pressure", pressure, threshold, PASCALS_PER_N_PER_CM2, "N/cm²");
         }
         if let Some(threshold) = rule.speed {
-            self.value(rule, felt, "sliding speed", felt.speed, threshold, 1.0, "m/s");
+            self.value(rule, reported, "sliding speed", reported.speed, threshold, 1.0, "m/s");
         }
         if let Some(least) = rule.slip {
-            self.slip(rule, felt, least);
+            self.slip(rule, reported, least);
         }
         if let Some(limits) = &rule.limits {
-            self.limited(rule, felt, limits, (force, pressure));
+            self.limited(rule, reported, limits, (force, pressure));
         }
     }
 
@@ -286,7 +286,7 @@ impl Assessment {
     fn value(
         &mut self,
         rule: &Rule,
-        felt: &Felt<'_>,
+        reported: &Reported<'_>,
         what: &str,
         value: f64,
         threshold: Threshold,
@@ -298,28 +298,28 @@ impl Assessment {
             Compared::Holds => self.holds = true,
             Compared::Acts => self.act(|| {
                 let (value, above) = (short(value / unit), short(threshold.above / unit));
-                format!("a {what} of {value} {symbol} on {} is above {above} {symbol}", felt.place())
+                format!("a {what} of {value} {symbol} on {} is above {above} {symbol}", reported.place())
             }),
-            Compared::Unknown => self.unmeasured(rule, felt, what),
+            Compared::Unknown => self.unmeasured(rule, reported, what),
         }
     }
 
-    fn slip(&mut self, rule: &Rule, felt: &Felt<'_>, least: Slip) {
-        let slip = match felt.slip {
+    fn slip(&mut self, rule: &Rule, reported: &Reported<'_>, least: Slip) {
+        let slip = match reported.slip {
             BodyContact::SLIP_NONE => return,
             BodyContact::SLIP_INCIPIENT => Slip::Incipient,
             BodyContact::SLIP_GROSS => Slip::Gross,
-            _ => return self.unmeasured(rule, felt, "slip"),
+            _ => return self.unmeasured(rule, reported, "slip"),
         };
         if slip >= least {
-            self.act(|| format!("a contact on {} slips", felt.place()));
+            self.act(|| format!("a contact on {} slips", reported.place()));
         }
     }
 
     fn limited(
         &mut self,
         rule: &Rule,
-        felt: &Felt<'_>,
+        reported: &Reported<'_>,
         limits: &ContactLimits,
         (force, pressure): (f64, f64),
     ) {
@@ -336,13 +336,13 @@ impl Assessment {
             {
                 self.act(|| {
                     let (value, limit) = (short(value / unit), short(limit / unit));
-                    format!("a {what} of {value} {symbol} on {} is above {limit} {symbol}, the transient limit of `{name}`", felt.place())
+                    format!("a {what} of {value} {symbol} on {} is above {limit} {symbol}, the transient limit of `{name}`", reported.place())
                 });
             }
         }
         for (what, value, limit, unit, symbol) in of(&limits.quasi_static) {
             let Some(limit) = limit else { continue };
-            let value = if what == "force" { known(value, felt, limit) } else { value };
+            let value = if what == "force" { known(value, reported, limit) } else { value };
             match compare(value, Threshold { above: limit, release: limit * limits.release_ratio }) {
                 Compared::Below => {}
                 Compared::Holds => self.holds = true,
@@ -350,10 +350,10 @@ impl Assessment {
                     self.holds = true;
                     self.lasting.get_or_insert_with(|| {
                         let (value, limit) = (short(value / unit), short(limit / unit));
-                        format!("a lasting {what} of {value} {symbol} on {} is above {limit} {symbol}, the quasi-static limit of `{name}`", felt.place())
+                        format!("a lasting {what} of {value} {symbol} on {} is above {limit} {symbol}, the quasi-static limit of `{name}`", reported.place())
                     });
                 }
-                Compared::Unknown => self.unmeasured(rule, felt, what),
+                Compared::Unknown => self.unmeasured(rule, reported, what),
             }
         }
     }
@@ -365,8 +365,8 @@ fn short(value: f64) -> f64 {
 }
 
 /// A force, or NaN where the skin's range ends below both the force and the threshold: it may be any larger one.
-fn known(force: f64, felt: &Felt<'_>, threshold: f64) -> f64 {
-    let end = felt.force_max;
+fn known(force: f64, reported: &Reported<'_>, threshold: f64) -> f64 {
+    let end = reported.force_max;
     // A range that ends at 0 was not filled in.
     if end > 0.0 && force >= end && threshold >= end { f64::NAN } else { force }
 }

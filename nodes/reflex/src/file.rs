@@ -371,7 +371,7 @@ impl Known {
                 found
             }
         };
-        // A part of the region that nobody can tell of would never be felt.
+        // A part of the region that no input reports would never be sensed.
         let reports = |input: &usize, skin: Option<&str>, link: Option<&str>| match &self.inputs[*input].kind
         {
             InputKind::Body => true,

@@ -380,7 +380,7 @@ impl RuleMemory {
                 verdict.holds = true;
                 verdict.loss.get_or_insert(text);
             }
-            // What was felt last counts on, also where nothing more comes.
+            // What was detected last counts on, also where nothing more comes.
             let latest = &self.latest[slot];
             touched |= latest.touched;
             verdict.holds |= latest.holds;

@@ -61,7 +61,7 @@ pub struct Input {
     pub topic: String,
     /// Longest time without a new message; longer is [`Loss::Late`].
     pub timeout: Duration,
-    /// Largest age of a message when it arrives, from its stamp on; older is [`Loss::Late`]. `None`: not looked at.
+    /// Largest age of a message when it arrives, from its stamp on; older is [`Loss::Late`]. `None`: not inspected.
     pub max_age: Option<Duration>,
 }
 

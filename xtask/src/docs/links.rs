@@ -70,7 +70,7 @@ pub fn broken(root: &Path) -> Result<Vec<String>> {
     Ok(broken)
 }
 
-/// Whether a link leads to the network, which is not looked at.
+/// Whether a link leads to the network, which is not inspected.
 fn outside(target: &str) -> bool {
     ["http://", "https://", "mailto:"].iter().any(|scheme| target.starts_with(scheme))
 }

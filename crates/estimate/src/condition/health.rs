@@ -4,7 +4,7 @@ use dermis_skin::{ChannelFlags, Condition, Frame, SkinDescription, Stamp};
 
 /// Fewest unchanged readings that count as evidence of a stuck channel.
 const FEWEST_UNCHANGED: f64 = 20.0;
-/// A press that takes one of coupled channels to the end of its range is felt by another at this share of it or more.
+/// A press that takes one of coupled channels to the end of its range is detected by another at this share of it or more.
 const SOLITARY: f64 = 1.0 / 30.0;
 /// Misjudging a healthy channel takes this many expected waiting times without a change (e⁻²⁰).
 const SURE: f64 = 20.0;
@@ -66,7 +66,7 @@ impl Health {
     }
 
     /// Where channels are coupled: takes those for broken that stand at the end of their range while no other feels anything.
-    /// At once, where no press could be felt by one alone so much; otherwise once it has stood still there. It is believed again as
+    /// At once, where no press could be detected by one alone so much; otherwise once it has stood still there. It is believed again as
     /// soon as it moves. Whether the frame has changed by this.
     pub(super) fn disown(&mut self, reading: &mut Frame, signal: &[f32], condition: &Condition) -> bool {
         if !condition.coupled {

@@ -123,7 +123,7 @@ fn what_hysteresis_leaves_behind_is_the_new_zero_where_requested() {
         assert_eq!(!run.out.touched, released, "release_share {share}");
         if released {
             assert!(run.out.level < 2.0 && (run.conditioner.zero().unwrap()[0] - 101_525.0).abs() < 15.0);
-            assert!(run.push([2000.0, 0.0, 0.0, 0.0]).touched, "the next press is felt");
+            assert!(run.push([2000.0, 0.0, 0.0, 0.0]).touched, "the next press is detected");
         }
     }
     // What is left below the threshold counts too, as soon as it stands still.
@@ -207,13 +207,13 @@ fn a_channel_that_fails_to_its_rail_is_no_contact_for_ever() {
     };
     for _ in 0..600 {
         let out = broken(&mut run, 0.0);
-        assert!(!out.touched && out.signal.values[0].is_nan(), "no press is felt by one alone: {out:?}");
+        assert!(!out.touched && out.signal.values[0].is_nan(), "no press is detected by one alone: {out:?}");
     }
     let out = broken(&mut run, 3000.0);
     assert!(out.reading.flags[0].contains(ChannelFlags::STUCK) && out.signal.values[0].is_nan());
     assert!(out.touched, "the others go on feeling");
     assert!(run.push([0.0; 4]).reading.flags[0].is_ok(), "it moves again");
-    // A press that saturates one channel and is felt by another is a press for as long as it lasts.
+    // A press that saturates one channel and is detected by another is a press for as long as it lasts.
     for _ in 0..2000 {
         let near = (101_725.0 + 20.0 * run.noise.normal()) as f32;
         let rest = [(); 2].map(|()| (101_325.0 + 20.0 * run.noise.normal()) as f32);
@@ -261,8 +261,8 @@ fn a_minute_of_contact_on_gauges_that_drift() {
         seconds(&mut conditioner, 30.0, 0.0);
         let zero = conditioner.zero().unwrap().to_vec();
         assert!((zero[0] - drift * 30.0).abs() < drift * 15.0, "the zero follows drift while untouched");
-        let (felt, levels) = seconds(&mut conditioner, 60.0, 2e-4);
-        assert!(felt, "drift {drift}: a contact of a minute is felt to its end");
+        let (detected, levels) = seconds(&mut conditioner, 60.0, 2e-4);
+        assert!(detected, "drift {drift}: a contact of a minute is detected to its end");
         assert!(levels.last() > levels.first().map(|l| l * 0.9).as_ref(), "and does not fade");
         assert_eq!(conditioner.zero().unwrap(), zero, "the zero rests while something touches");
         let (still, _) = seconds(&mut conditioner, 5.0, 0.0);
@@ -384,7 +384,7 @@ fn every_recorded_press_is_detected_and_ends() {
         let signals = read(run.join("sensor_post_baselines.csv"));
         let mut conditioner = Conditioner::new(&skin, &[]).unwrap();
         let mut out = Conditioned::default();
-        let (mut k, mut felt, mut ended, mut worst) = (0, 0, 0, 0.0_f64);
+        let (mut k, mut detected, mut ended, mut worst) = (0, 0, 0, 0.0_f64);
         for (reading, signal) in readings.iter().zip(&signals) {
             let stamp = (reading[0] * 1e9) as Stamp;
             let tesla = |v: &[f64]| v.iter().map(|v| (v * 1e-6) as f32).collect::<Vec<f32>>();
@@ -400,12 +400,12 @@ fn every_recorded_press_is_detected_and_ends() {
                     worst = worst.max(out.level);
                 }
             }
-            felt += usize::from(out.touched);
+            detected += usize::from(out.touched);
         }
         let presses = readings.len();
         assert_eq!(presses, 4805, "{}", run.display());
-        println!("{}: {felt} felt, {ended} ended, worst rest {worst:.2}", run.display());
-        assert!(felt + 2 >= presses, "{felt} of {presses} presses felt in {}", run.display());
+        println!("{}: {detected} detected, {ended} ended, worst rest {worst:.2}", run.display());
+        assert!(detected + 2 >= presses, "{detected} of {presses} presses detected in {}", run.display());
         assert!(ended + 5 >= presses, "{ended} of {presses} presses ended in {}", run.display());
     }
 }

@@ -395,7 +395,7 @@ fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
         };
         assert!(at(a) > 0.8 * COMPLIANCE && at(b) > 0.3 * COMPLIANCE);
     }
-    // One that ends leaves the other alone; a frame that is passed over changes nothing.
+    // One that ends leaves the other alone; a frame that is skipped changes nothing.
     estimator.pass(&both(100, &[(a, 1.0), (b, 2.0)])).unwrap();
     assert!(estimator.verdict().touched);
     let left = estimator.estimate(&both(101, &[(b, 2.0)])).unwrap().contacts;
@@ -462,7 +462,7 @@ fn a_forward_model_is_corrected_by_what_was_recorded() {
 #[test]
 fn drift_that_a_bundle_knows_of_is_no_light_contact() {
     let skin = nine();
-    let felt = |presence: f64, newtons: f64| {
+    let detect = |presence: f64, newtons: f64| {
         let settings = Settings { presence, ..Settings::new(0.004, 5.0) };
         let bundle = TestBundle { inversion: Some(settings), ..TestBundle::default() };
         let dir = tempfile::tempdir().unwrap();
@@ -476,11 +476,11 @@ fn drift_that_a_bundle_knows_of_is_no_light_contact() {
         (!contacts.is_empty(), estimator.verdict().level)
     };
     // So light that the level does not show it.
-    let light = (1..40).map(|k| f64::from(k) * 2e-3).find(|newtons| felt(30.0, *newtons).0).unwrap();
-    let (level, threshold) = (felt(30.0, light).1, skin.condition.contact_threshold);
+    let light = (1..40).map(|k| f64::from(k) * 2e-3).find(|newtons| detect(30.0, *newtons).0).unwrap();
+    let (level, threshold) = (detect(30.0, light).1, skin.condition.contact_threshold);
     assert!(level < threshold, "{light} N: {level}");
-    assert!(!felt(1e4, light).0, "what untouched readings reach is no contact");
-    assert!(felt(1e4, 1.0).0, "what the level shows is one, whatever the drift");
+    assert!(!detect(1e4, light).0, "what untouched readings reach is no contact");
+    assert!(detect(1e4, 1.0).0, "what the level shows is one, whatever the drift");
 }
 
 #[test]

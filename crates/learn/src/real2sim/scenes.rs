@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 
-/// Share of the median compliance below which a place is taken for rigid: nothing is felt there, and nothing is simulated.
+/// Share of the median compliance below which a place is taken for rigid: it has no signal, and nothing is simulated.
 const RIGID: f64 = 0.1;
 /// Draws of one scene before its contacts are allowed to stand nearer to each other than requested.
 const TRIES: usize = 200;

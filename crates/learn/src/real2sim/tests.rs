@@ -14,7 +14,7 @@ use super::*;
 use crate::train::{Activation, NetworkConfig, TrainingConfig};
 
 const BUMP: f64 = 0.008;
-const FELT: f64 = 0.020;
+const REACH: f64 = 0.020;
 
 /// Bump of this width at a distance whose square is given.
 fn bump(square: f64, width: f64) -> f64 {
@@ -34,7 +34,7 @@ fn stiff_sheet(off: f64) -> Analytic {
     let locations: Vec<_> = (0..15).map(&mut at).collect();
     let gains: Vec<_> = (0..15).map(|_| 1.0 + by(0.1 * off)).collect();
     let mut sheet = Analytic::new(Surface::from_spec(&spec), locations, 1e-3, |c, element| {
-        -c.force.z * bump((c.position - element).xy().norm_squared(), FELT)
+        -c.force.z * bump((c.position - element).xy().norm_squared(), REACH)
     });
     sheet.elements.iter_mut().zip(gains).for_each(|(element, gain)| element.gain = gain);
     sheet.resting_at(|_| 0.5)

@@ -132,7 +132,7 @@ pub struct PadReadings {
 /// Mean stress \[Pa\] in a bonded pad of 34 mm by 34 mm by 10 mm with free sides, of the material above, under each of `contacts`
 /// whose spheres' axes go through (x, 0) of the surface.
 ///
-/// Half of the pad, by its symmetry, in 20-node hexahedra of 1 mm where it is touched and felt. The spheres' pressure is that
+/// Half of the pad, by its symmetry, in 20-node hexahedra of 1 mm where it is touched and where it senses. The spheres' pressure is that
 /// of the contact, on a layer without end.
 ///
 /// # Errors

@@ -32,7 +32,7 @@ const fn push(arc: f64, angle: f64, force: [f64; 3]) -> Push {
 }
 
 /// Pushes at once, on tip, hemisphere and cylinder. Those along the surface lie beside the sensors, as the force points:
-/// there they are felt most, while straight below their field changes its sign and says more of meshes than of domes. The
+/// there their signal is largest, while straight below their field changes its sign and says more of meshes than of domes. The
 /// numbers are tolerances, of the largest stress, for CalculiX's mesh: with 12 quads by four around the equator and 7 layers,
 /// which takes minutes, it differs by 0.12 % where it is pushed in, and by 0.13 % in all but one sensor (0.7 %) else.
 const LOADS: [(&str, f64, [Push; 3]); 2] = [

@@ -240,7 +240,7 @@ mod tests {
             let n = axis.len();
             for (i, x) in axis.iter().enumerate().filter(|(_, x)| x.abs() < 0.0151) {
                 let pushed = -field[(n / 2) * n + i].z - layer.pressure(&point, 0.005, x.abs()).unwrap();
-                // A force along x is felt ahead of it, where it pushes to.
+                // A force along x presses the medium ahead of it.
                 let along = field[(n / 2) * n + i].x
                     + x.signum() * layer.pressure_of_shear(&point, 0.005, x.abs()).unwrap();
                 let tolerance = if x.abs() < 0.003 { 0.08 } else { 0.035 };
@@ -267,7 +267,7 @@ mod tests {
         assert!(block.ball(&Point3::new(0.005, 0.005, 0.011)).is_err());
     }
 
-    /// Nothing holds a block that slips but friction, spread over its base: no force along its top is felt in its middle.
+    /// Nothing holds a block that slips but friction, spread over its base: no force along its top acts on its middle.
     #[test]
     fn a_block_that_slides_has_an_answer() {
         let axis: Vec<f64> = (-6..=6).map(|i| f64::from(i) * 0.002).collect();

@@ -94,7 +94,7 @@ impl Shared {
             }
         }
         status.value("frames", figures.frames_total);
-        status.value("frames passed over", figures.dropped_total);
+        status.value("frames dropped", figures.dropped_total);
     }
 
     /// Names of the channels with each flag.
@@ -176,7 +176,8 @@ fn estimation(status: &mut Status, core: &Core) {
     status.value("level [noise deviations]", format!("{:.2}", verdict.level));
     status.value("touched", verdict.touched);
     if let Some((force, share)) = estimator.undetectable_fraction() {
-        status.value("not felt [% of surface]", format!("{:.1} (a press of {force:.2} N)", 100.0 * share));
+        status
+            .value("undetectable [% of surface]", format!("{:.1} (a press of {force:.2} N)", 100.0 * share));
     }
     status.value(
         "tare",

@@ -58,7 +58,7 @@ pub(super) fn beside(
         Some(ids) => ids.to_vec(),
         None => data.labelled().map(|(id, ..)| id).collect(),
     };
-    let felt = |id: &SampleId| {
+    let detectable = |id: &SampleId| {
         data.sample(*id).is_some_and(|s| {
             let heavy = |t: &dermis_learn::Truth| {
                 t.single().and_then(dermis_learn::TruthContact::normal_force).is_some_and(|f| f >= least)
@@ -66,7 +66,7 @@ pub(super) fn beside(
             s.truth.as_ref().is_some_and(heavy)
         })
     };
-    targets.retain(felt);
+    targets.retain(detectable);
     let mut targets = data.gather(&targets)?;
     targets.retain(|(_, sample)| sample.tared.iter().any(|v| v.is_finite()));
     let every = dermis_regress::stride(targets.len(), MOST_TARGETS);

@@ -206,13 +206,13 @@ pub fn measure(options: &Request, families: &Families, progress: &dyn Progress) 
 
     let split = settings.split.apply(&learned)?;
     let (learn, choose) = parts(&learned, &split.train);
-    let felt = |ids: &[_], most: usize| {
+    let detectable = |ids: &[_], most: usize| {
         let mut all = Recorded::of(&learned, ids, settings.least, most)?;
         // What presses where nothing gives way shows in no reading.
         all.retain(|r| compliance.gives_way(&r.contact.position));
         anyhow::Ok(all)
     };
-    let (recorded, choose) = (felt(&learn, settings.most)?, felt(&choose, settings.most / 3)?);
+    let (recorded, choose) = (detectable(&learn, settings.most)?, detectable(&choose, settings.most / 3)?);
     let passing = tempfile::tempdir()?;
     let folder = options.states.clone().unwrap_or_else(|| passing.path().to_owned());
     let identity = identity(&skin, &learned, &settings)?;

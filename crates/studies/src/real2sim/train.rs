@@ -72,13 +72,13 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
     let (learn, choose) = parts(&data, &split.train);
     let compliance = Compliance::of(model.as_ref(), settings.scenes.diameter)?;
     // What presses where nothing gives way shows in no reading.
-    let felt = |ids: &[SampleId], most: usize| {
+    let detectable = |ids: &[SampleId], most: usize| {
         let mut all = Recorded::of(&data, ids, settings.least, most)?;
         all.retain(|r| compliance.gives_way(&r.contact.position));
         anyhow::Ok(all)
     };
-    let recorded = felt(&learn, settings.most)?;
-    let choose = felt(&choose, settings.most / 4)?;
+    let recorded = detectable(&learn, settings.most)?;
+    let choose = detectable(&choose, settings.most / 4)?;
     let scenes = Scenes::new(model.as_ref(), &settings.scenes)?;
     let sensors = sensors(&model, &skin, settings.pipeline.each)?;
     let runtime = Runtime::load(&RuntimeConfig::default())?;

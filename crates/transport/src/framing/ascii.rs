@@ -48,7 +48,7 @@ impl AsciiOptions {
 
 /// Reads lines of numbers, separated by commas, semicolons, blanks or tabs and ended by LF, CR or both.
 ///
-/// `nan` is an invalid channel. Empty lines and lines that begin with `#` are passed over, and one separator at the
+/// `nan` is an invalid channel. Empty lines and lines that begin with `#` are skipped, and one separator at the
 /// end of a line does no harm. Text has no checksum: a line whose damage still reads as the right number of numbers
 /// is taken unless it leaves the range of [`AsciiOptions::counts`], and so the native wire is the better choice where the
 /// firmware is yours. The first line after

@@ -1,6 +1,6 @@
 //! An elastomer over a rigid core: a fingertip.
 //!
-//! Its field is that of finite elements ([`dermis_mechanics::fem::Dome`]): how a force at any point of the outside is felt.
+//! Its field is that of finite elements ([`dermis_mechanics::fem::Dome`]): how a force at any point of the outside acts on the sensors.
 //! A sphere's contact is spread over the outside like the pressure under a sphere on a flat layer of that thickness, with
 //! the radius 1/(1/R_sphere + 1/R_dome) that two spheres have for each other; on the cylinder, which is curved one way only,
 //! that takes a tip of 4 mm for 9 % sharper than it is, and its contact for 3 % narrower. A force along the surface is spread

@@ -244,7 +244,7 @@ impl Field for Flat {
                 let (dx, dy) = (s.x - p.x, s.y - p.y);
                 let r = (dx * dx + dy * dy).sqrt();
                 out[s.channel] += s.weight * profile.pressure(r);
-                // Straight under the contact, shear is not felt.
+                // Straight under the contact, shear has no effect.
                 if sheared && r > 0.0 {
                     let ahead = (force.x * dx + force.y * dy) / r;
                     out[s.channel] += s.weight * ahead * profile.shear(r);

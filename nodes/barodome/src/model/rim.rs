@@ -1,9 +1,9 @@
 //! What the free sides of a flat elastomer change.
 //!
-//! Near its edge, an elastomer that ends there gives way to the side: [`free_sides`] says how that is felt. A contact is as wide
+//! Near its edge, an elastomer that ends there gives way to the side: [`free_sides`] says how that changes the readings. A contact is as wide
 //! as on a layer without end. The change varies little over it, so that seven points stand for it: its centre, and six on the
 //! ring that has the moments of its pressure ([`dermis_mechanics::SphereContact::ring`]). Acting at its centre alone, 1 N on a tip
-//! of 4 mm would be felt some percent less, 3 mm from a side.
+//! of 4 mm would read some percent less, 3 mm from a side.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 

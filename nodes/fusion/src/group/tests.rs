@@ -79,7 +79,7 @@ fn a_contact_that_jumps_is_followed_from_the_second_frame_on() {
     }
     group.take(frame(0, 100, &[(1, 0.1)]), &s);
     let (id, x) = place(&mut group, &mut identities, 100);
-    assert!(id == 1 && x.abs() < 1e-3, "an outlier is passed over: {x}");
+    assert!(id == 1 && x.abs() < 1e-3, "an outlier is dropped: {x}");
     group.take(frame(0, 110, &[(1, 0.1)]), &s);
     let (id, x) = place(&mut group, &mut identities, 110);
     assert!(id == 1 && (x - 0.1).abs() < 1e-3, "{x}");

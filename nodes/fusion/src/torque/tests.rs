@@ -62,7 +62,7 @@ struct Push {
     from: f64,
     to: f64,
     /// Whether the skin feels it.
-    felt: bool,
+    detected: bool,
 }
 
 struct Simulation {
@@ -131,16 +131,16 @@ impl Simulation {
             let [q, v, a] = self.motion(t);
             let poses = body.poses(&q);
             let mut efforts = poses.inverse_dynamics(&v, &a, &gravity);
-            let mut felt: Vec<Contact> = Vec::new();
+            let mut detected: Vec<Contact> = Vec::new();
             for push in self.pushes.iter().filter(|p| (p.from..p.to).contains(&t)) {
                 let wrench = Wrench::of_force(push.force, push.at).seen_from(poses.root_from(push.link));
                 let of_push = poses.torques(push.link, &wrench);
                 efforts.iter_mut().zip(of_push).for_each(|(e, t)| *e -= t);
-                if push.felt {
+                if push.detected {
                     let mut on_skin = contact(1, 0.0, 0.0, 0.0);
                     on_skin.position = skin.pose.inverse() * push.at;
                     on_skin.force = skin.pose.rotation.inverse() * push.force;
-                    felt.push(on_skin);
+                    detected.push(on_skin);
                 }
             }
             for (i, effort) in efforts.iter_mut().enumerate() {
@@ -153,7 +153,7 @@ impl Simulation {
             // The skin reports at 100 Hz, 10 ms late.
             if k % 5 == 0 {
                 let then = stamp - 10 * MS;
-                self.fuser.take(0, &report("a", k, then, &felt), None, stamp);
+                self.fuser.take(0, &report("a", k, then, &detected), None, stamp);
                 look(t, &self.fuser.state(stamp));
             }
         }
@@ -167,7 +167,7 @@ fn on_hand() -> Push {
         force: Vector3::new(-14.0, 9.0, -20.0),
         from: 0.5,
         to: 1.3,
-        felt: false,
+        detected: false,
     }
 }
 
@@ -236,20 +236,20 @@ fn what_skins_explain_is_no_alarm() {
         link: 4,
         at: Point3::new(0.01, 0.05, 0.12),
         force: Vector3::new(5.0, -40.0, 8.0),
-        felt: true,
+        detected: true,
         ..on_hand()
     };
     for seed in 0..20 {
         let mut simulation = Simulation::new(200 + seed, &[push]);
-        let mut felt = 0;
+        let mut detected = 0;
         simulation.run(1.8, |t, state| {
             assert!(unknown(state).is_empty(), "seed {seed} at {t} s: {state:?}");
-            felt += usize::from(!state.contacts.is_empty());
+            detected += usize::from(!state.contacts.is_empty());
         });
-        assert!(felt > 60, "{felt} answers with the contact");
+        assert!(detected > 60, "{detected} answers with the contact");
     }
     // The same push, where the skin is silent of it, is one.
-    let mut simulation = Simulation::new(200, &[Push { felt: false, ..push }]);
+    let mut simulation = Simulation::new(200, &[Push { detected: false, ..push }]);
     let mut found = 0;
     simulation.run(1.8, |_, state| found += unknown(state).len());
     assert!(found > 40, "{found}");

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 /// A touch is never narrower than this many edges of the mesh: fewer points would not carry it evenly.
 const NARROWEST: f64 = 1.6;
-/// Points looked at when the surface around a place is so coarse that none lies in the patch.
+/// Points inspected when the surface around a place is so coarse that none lies in the patch.
 const FEWEST: usize = 4;
 
 /// The points of a surface, found by place.

@@ -27,7 +27,7 @@ const SPIRAL: usize = 24;
 /// which their compliance knows nothing.
 const ACROSS: f64 = 24.0;
 const FINEST: f64 = 3.5e-4;
-/// \[m\] by which a tip's face may lie above its lowest point and still be looked at: the thickness of the elastomer.
+/// \[m\] by which a tip's face may lie above its lowest point and still be inspected: the thickness of the elastomer.
 const HIGHEST: f64 = 4e-3;
 /// Points of the lattice are closer than those of the outside, so that many forces move these alike. This share of a point's own compliance is
 /// added to it, which chooses the most even one among them.

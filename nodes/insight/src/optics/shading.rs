@@ -7,7 +7,7 @@
 //!
 //! Ridges are too fine for the grid. What a displacement does to them is that they move: a pixel then sees another phase of them.
 //!
-//! Cost: nodes that neither move nor have a neighbour that does are passed over; about 0.4 µs for any other. Derivatives are those of the
+//! Cost: nodes that neither move nor have a neighbour that does are skipped; about 0.4 µs for any other. Derivatives are those of the
 //! untouched inside but for the ridges' phases, where it is now: a tenth of the time, after a table that takes 0.1 s once.
 
 use std::f64::consts::TAU;

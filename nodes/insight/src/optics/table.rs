@@ -16,7 +16,7 @@ use crate::elastic::mesh::Elastomer;
 
 /// \[rad\] by which ridges are moved for a difference.
 const MOVED: f64 = 0.3;
-/// Pixels of a row below which a pixel is looked at in parts, and such parts along a side at most.
+/// Pixels of a row below which a pixel is inspected in parts, and such parts along a side at most.
 const FINE: u32 = 1640;
 const PARTS: u32 = 2;
 

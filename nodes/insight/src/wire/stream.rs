@@ -1,10 +1,10 @@
 //! Pictures one after another, as a camera's web server streams them (MJPEG over HTTP), a file of them holds them, or a program pipes them.
 //!
 //! A picture ends where its own markers say so (ITU-T T.81, annex B): segments have lengths, and compressed data end at the first marker
-//! in them that is none of a restart. What lies between two pictures, the heads of a multipart stream for one, is passed over. So nothing
+//! in them that is none of a restart. What lies between two pictures, the heads of a multipart stream for one, is skipped. So nothing
 //! depends on what servers write there, which differs.
 //!
-//! Cost: each byte is looked at once, and compressed data for the byte 255 only.
+//! Cost: each byte is inspected once, and compressed data for the byte 255 only.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -51,7 +51,7 @@ pub struct StreamReader {
     buffer: Vec<u8>,
     /// Where the buffer begins with a picture.
     walk: Option<Walk>,
-    /// Bytes passed over since the last picture.
+    /// Bytes skipped since the last picture.
     between: usize,
 }
 

@@ -211,10 +211,14 @@ fn the_rules_of_the_humanoid_are_refused_until_they_are_made_ones_own() {
     let own = text.replace("placeholders = true\n", "");
     let rules = Rules::from_toml(&own, "own").unwrap();
     let robot = dermis_body::Robot::load(launch.join("robots/humanoid.toml")).unwrap();
-    let felt: Vec<&str> = robot.skins.iter().map(|skin| robot.body.links()[skin.link].as_str()).collect();
+    let covered: Vec<&str> = robot.skins.iter().map(|skin| robot.body.links()[skin.link].as_str()).collect();
     for rule in &rules.rules {
         for link in &rule.region.links {
-            assert!(felt.contains(&link.as_str()), "rule `{}`: no skin is on {link}: {felt:?}", rule.name);
+            assert!(
+                covered.contains(&link.as_str()),
+                "rule `{}`: no skin is on {link}: {covered:?}",
+                rule.name
+            );
         }
     }
 }

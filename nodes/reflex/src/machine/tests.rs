@@ -247,7 +247,7 @@ fn a_rule_that_counts_no_loss_ignores_silence() {
     rig.quietly(10 * MS);
     rig.wait(1000 * MS);
     assert!(!rig.acts());
-    // What was felt last counts on.
+    // What was detected last counts on.
     rig.palm(&[6.0]);
     rig.wait(1000 * MS);
     assert!(rig.release().is_err());

@@ -299,7 +299,7 @@ impl Stages<'_> {
         Ok(peaks.len())
     }
 
-    /// Frames whose peaks are looked at: recorded singles, and sums of several, whatever the networks were trained on. The
+    /// Frames whose peaks are inspected: recorded singles, and sums of several, whatever the networks were trained on. The
     /// thesis' network sees singles only; the suppression needs several, and sums of recorded ones are at hand.
     fn peak_frames(&self, recorded: &[Recorded]) -> Vec<(Stimulus, Vec<f32>)> {
         let scenes = self.scenes.settings();

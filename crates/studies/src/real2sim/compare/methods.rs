@@ -39,12 +39,12 @@ pub(super) fn prepare(
     progress: &dyn Progress,
 ) -> Result<Prepared> {
     let runtime = Runtime::load(&RuntimeConfig::default())?;
-    let felt = |ids: &[SampleId], most: usize| {
+    let detectable = |ids: &[SampleId], most: usize| {
         let mut all = Recorded::of(learned, ids, options.least * 0.5, most)?;
         all.retain(|r| compliance.gives_way(&r.contact.position));
         anyhow::Ok(all)
     };
-    let (recorded, chosen) = (felt(learn, options.learn)?, felt(choose, options.learn / 4)?);
+    let (recorded, chosen) = (detectable(learn, options.learn)?, detectable(choose, options.learn / 4)?);
     if recorded.is_empty() || chosen.is_empty() {
         bail!("the bags of `--train` hold no single contact of known place, force and tip");
     }
