@@ -434,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn on_the_surface_forces_and_places_stay() {
+    fn on_the_surface_forces_and_locations_stay() {
         let surface = panel();
         for of in MAPS {
             let picture = map(of);

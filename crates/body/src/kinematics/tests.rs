@@ -117,7 +117,7 @@ fn fixed_joints_make_one_rigid_body() {
 
 /// Poses of the demo robot as another program computes them. `kinematics/reference.py` makes the numbers, with yourdfpy.
 #[test]
-fn another_solver_finds_the_links_in_the_same_places() {
+fn another_solver_finds_the_links_at_the_same_positions() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let body = Body::load(folder.join("../../launch/robots/humanoid.urdf")).unwrap();
     let cases: serde_json::Value = serde_json::from_str(include_str!("reference.json")).unwrap();

@@ -44,7 +44,7 @@ fn refused(from: &str, to: &str) -> String {
 }
 
 #[test]
-fn skins_have_names_places_and_taxels() {
+fn skins_have_names_poses_and_taxels() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("arm.urdf"), URDF).unwrap();
     std::fs::write(folder.path().join("left.txt"), "[calibration]\n0 0 0 0 0 0\n0.01 0 0 0 0 1\n").unwrap();

@@ -128,7 +128,7 @@ fn row(gain: f64) -> (Inverter, Arc<Analytic>) {
 }
 
 #[test]
-fn of_two_places_that_explain_readings_the_likelier_is_answered() {
+fn of_two_locations_that_explain_readings_the_likelier_is_answered() {
     // The element beside the row reads 197 · gain or 3458 · gain Pa: 3.3 deviations apart. The likelier place is the true one with
     // Φ(3.3 / 2) = 95 %, wherever the search begins.
     let (inverter, model) = row(0.02);

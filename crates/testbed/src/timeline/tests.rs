@@ -455,7 +455,7 @@ fn shear_lies_in_a_curved_surface_too() {
 }
 
 #[test]
-fn named_places_lie_on_the_surface() {
+fn named_locations_lie_on_the_surface() {
     let refused = |at: &str| {
         carried_out(&format!("[[steps]]\nkind = \"places\"\nat = [[0.0, 0.0, 0.0], {at}]\nforces = [0.1]"))
             .unwrap_err()

@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wider_the_tip_the_less_is_felt_below() {
+    fn the_wider_the_tip_the_less_is_read_below() {
         let below = |diameter: f64| {
             let position = Point3::new(0.0, 0.0, 0.026);
             let mut out = vec![0.0; 16];
