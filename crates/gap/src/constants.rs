@@ -240,10 +240,8 @@ pub(crate) mod signatures {
     pub const DISCREPANCIES: usize = 12;
     /// Simulations whose readings are held at once, about. Chosen: bounds memory.
     pub const AT_ONCE: usize = 16;
-    /// \[m\] by which things are moved for central differences. Chosen: small against a footprint of millimetres.
+    /// \[m\] by which taxels are moved for central differences. Chosen: small against a footprint of millimetres.
     pub const SHIFT: f64 = 2e-4;
-    /// \[rad\] by which they are turned. Chosen.
-    pub const TURN: f64 = 0.02;
     /// \[s\] time constants of zeros that decay from power-on, half an order of magnitude apart. Chosen.
     pub const DECAYS: [f64; 5] = [30.0, 95.0, 300.0, 950.0, 3000.0];
     /// Components of these decays. Chosen.

@@ -333,7 +333,7 @@ pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Resu
         counts,
         reduction,
         forces,
-        places: [teach.places.len(), ask.places.len()],
+        locations: [teach.locations.len(), ask.locations.len()],
         choices: Vec::new(),
         interrupted: false,
         skin,
