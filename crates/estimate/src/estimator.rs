@@ -1,5 +1,6 @@
 //! Frame → contacts in one struct, the same in the node and in offline evaluation.
 
+mod beside;
 mod finding;
 mod judgement;
 mod maps;
@@ -15,6 +16,7 @@ use dermis_skin::{
 use crate::condition::{Conditioned, Conditioner, TareRefusal};
 use crate::contacts::{TaxelShares, Tracker};
 use crate::models::{Models, Pipeline, SetupError, maps};
+use beside::Beside;
 use dermis_sensor::{ElementFault, FrameCheck};
 
 /// Whether the estimate can be relied on; the order is from best to worst.
@@ -69,7 +71,8 @@ pub struct Verdict {
 /// model (corrected, where it has a `correction`), which may tell several contacts apart: one after the other or, where it says so,
 /// among all pairs of places when contacts come and go, and from those of the frame before while they last. A frame goes through
 /// [`Conditioner`], the models' features, the models, [`Inverter`] and [`Tracker`]; nothing but the frames and the loaded
-/// bundles goes in, so that a recording gives the same contacts offline as it gave in the node.
+/// bundles goes in, so that a recording gives the same contacts offline as it gave in the node; but for frames that came while a
+/// [search ran beside](SkinEstimator::search_beside).
 pub struct SkinEstimator {
     skin: SkinDescription,
     surface: Surface,
@@ -90,6 +93,8 @@ pub struct SkinEstimator {
     solution: Option<Solution>,
     /// The contacts that it found in the latest frame that had any.
     before: Vec<ContactEstimate>,
+    /// Searches on a forward model that frames do not wait for; `None` where they do.
+    beside: Option<Beside>,
     /// The latest signal, as an inverter takes it.
     readings: Vec<Reading>,
     /// What a forward model makes of the channels that have no reading out of those that have one; empty where none is
@@ -125,6 +130,7 @@ impl SkinEstimator {
             present: false,
             solution: None,
             before: Vec::new(),
+            beside: None,
             readings: Vec::new(),
             guessed: Vec::new(),
             maps: Maps::ALL,
@@ -169,8 +175,22 @@ impl SkinEstimator {
     fn follow_models(&mut self) {
         let grid = self.pipelines.iter().find_map(|p| p.features.config().image);
         self.conditioner.set_image(grid);
-        self.before.clear();
+        self.forget_contacts();
         self.probable = false;
+    }
+
+    fn forget_contacts(&mut self) {
+        self.before.clear();
+        if let Some(beside) = &mut self.beside {
+            beside.forget();
+        }
+    }
+
+    /// Whether searches for contacts on a forward model run on a thread of their own, so that frames do not wait for them: until one ends, frames
+    /// are answered by the contacts of the frame before, moved to where they explain the readings best. For live devices. What a frame says
+    /// then depends on how fast the machine is; it does not at first.
+    pub fn search_beside(&mut self, on: bool) {
+        self.beside = on.then(Beside::default);
     }
 
     /// Has the verdict say why there is no model, for as long as there is none.
@@ -373,7 +393,7 @@ impl Estimator for SkinEstimator {
         };
         self.present = matches!(inferred, Ok((true, _)));
         if !self.present {
-            self.before.clear();
+            self.forget_contacts();
         }
         let (present, complete) = match inferred {
             Ok(answer) => answer,
@@ -434,7 +454,7 @@ impl Estimator for SkinEstimator {
         self.explained = false;
         self.present = false;
         self.solution = None;
-        self.before.clear();
+        self.forget_contacts();
         self.faults.clear();
         self.conditioner.set_broken([]);
         if let Some(check) = &mut self.check {

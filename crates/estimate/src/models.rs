@@ -205,7 +205,7 @@ pub(crate) struct Pipeline {
     /// Reads contacts off the map that it gives.
     pub(crate) peaks: Option<Peaks>,
     /// Refines what it says on the skin's forward model.
-    pub(crate) inverter: Option<Inverter>,
+    pub(crate) inverter: Option<Arc<Inverter>>,
     /// \[N\] and the share of the surface where so light a press cannot be detected, by that model.
     pub(crate) undetectable_fraction: Option<(f64, f64)>,
     /// That model knows how far the surface gives way.
@@ -319,7 +319,7 @@ impl Pipeline {
         let displaces = matches!(model.displacement(&Stimulus::default(), &mut points), Ok(true));
         let force = LIGHT * inverter.settings().force_max;
         let fraction = Some((force, inverter.undetectable_fraction(force, inverter.settings().presence)));
-        Self { inverter: Some(inverter), undetectable_fraction: fraction, displaces, ..self }
+        Self { inverter: Some(Arc::new(inverter)), undetectable_fraction: fraction, displaces, ..self }
     }
 
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {

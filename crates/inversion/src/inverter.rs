@@ -202,6 +202,23 @@ impl Inverter {
         (best, (whole - best) / freedom as f64)
     }
 
+    /// One contact, at the place of the dictionary that explains `readings` best, moved to where it explains them better: what can be had while
+    /// a search takes its time.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Channels`] for readings of another skin.
+    pub fn first_guess(&self, readings: &[Reading]) -> Result<Solution, InverterError> {
+        self.check(readings)?;
+        let data = self.data(readings);
+        let untouched = Minimum::untouched(&data);
+        let Some(start) = self.matches(&data, &untouched.signal, 1, 1.0).pop() else {
+            return Ok(self.solution(&untouched, &data));
+        };
+        let best = self.problem(&data).minimise(vec![start])?;
+        Ok(self.solution(&best, &data))
+    }
+
     /// The contacts near `starts` that explain `readings` best, refined together. The weakest is dropped for as long as what
     /// remains explains the readings about as well ([`Settings::evidence`]), and where two have run into one another.
     ///

@@ -37,6 +37,14 @@ const PLAUSIBLE: f64 = 3.0;
 /// second). Of 1500 readings that is more than the noise of their sum.
 const ZERO: f64 = 0.05;
 
+/// What came of contacts where somebody supposed them.
+enum Supposed {
+    /// They explain the readings.
+    Right(Minimum),
+    /// They do not; the best of them.
+    Wrong(Option<Minimum>),
+}
+
 impl Inverter {
     /// The contacts that explain `readings` best, near those of the frame `before` or those that somebody else supposes where these explain
     /// the readings, and wherever they are otherwise.
@@ -53,26 +61,62 @@ impl Inverter {
         self.check(readings)?;
         let data = self.data(readings);
         let problem = self.problem(&data);
-        let most = self.most(&data);
-        let last: Vec<Indentation> =
-            before.iter().map(|c| self.settings().indentation(c.position, c.force)).collect();
-        let mut best: Option<Minimum> = None;
-        for start in [last.as_slice(), starts].into_iter().filter(|s| (1..=most).contains(&s.len())) {
-            let minimum = self.without_idle(&problem, problem.minimise(start.to_vec())?)?;
-            if self.explains(&minimum, &data) && self.apart(&minimum) {
-                return Ok(self.solution(&minimum, &data));
-            }
-            if best.as_ref().is_none_or(|best| self.cost(&minimum) < self.cost(best)) {
-                best = Some(minimum);
-            }
-        }
+        let best = match self.supposed(&problem, &data, before, starts)? {
+            Supposed::Right(minimum) => return Ok(self.solution(&minimum, &data)),
+            Supposed::Wrong(best) => best,
+        };
         // Contacts that lie wrong would be in the way of those that are there.
-        let found = self.pursue(&problem, &data, most)?;
+        let found = self.pursue(&problem, &data, self.most(&data))?;
         let best = match best {
             Some(best) if self.cost(&best) <= self.cost(&found) && self.apart(&best) => best,
             _ => found,
         };
         Ok(self.solution(&best, &data))
+    }
+
+    /// What [`search_near`](Self::search_near) finds where contacts are supposed to be, if that explains the readings; `None` where it has to
+    /// look elsewhere, which takes many times as long.
+    ///
+    /// # Errors
+    ///
+    /// [`InverterError::Channels`] for readings of another skin.
+    pub fn follow_near(
+        &self,
+        readings: &[Reading],
+        before: &[ContactEstimate],
+        starts: &[Indentation],
+    ) -> Result<Option<Solution>, InverterError> {
+        self.check(readings)?;
+        let data = self.data(readings);
+        let problem = self.problem(&data);
+        Ok(match self.supposed(&problem, &data, before, starts)? {
+            Supposed::Right(minimum) => Some(self.solution(&minimum, &data)),
+            Supposed::Wrong(_) => None,
+        })
+    }
+
+    /// Least squares from where contacts are supposed to be.
+    fn supposed(
+        &self,
+        problem: &Problem<'_>,
+        data: &[Datum],
+        before: &[ContactEstimate],
+        starts: &[Indentation],
+    ) -> Result<Supposed, InverterError> {
+        let last: Vec<Indentation> =
+            before.iter().map(|c| self.settings().indentation(c.position, c.force)).collect();
+        let most = self.most(data);
+        let mut best: Option<Minimum> = None;
+        for start in [last.as_slice(), starts].into_iter().filter(|s| (1..=most).contains(&s.len())) {
+            let minimum = self.without_idle(problem, problem.minimise(start.to_vec())?)?;
+            if self.explains(&minimum, data) && self.apart(&minimum) {
+                return Ok(Supposed::Right(minimum));
+            }
+            if best.as_ref().is_none_or(|best| self.cost(&minimum) < self.cost(best)) {
+                best = Some(minimum);
+            }
+        }
+        Ok(Supposed::Wrong(best))
     }
 
     /// Takes in what stands out of what is left, until nothing does. It is first done on readings whose strong ones count for less: what is
@@ -307,6 +351,10 @@ mod tests {
             matches(&nowhere, truth);
             let near = inverter.search_near(&readings, &[], &[press(0.007, 0.005, 0.5)]).unwrap();
             matches(&near, truth);
+            let unsupposed = inverter.follow_near(&readings, &[], &[]).unwrap();
+            assert_eq!(unsupposed, None);
+            let followed = inverter.follow_near(&readings, &nowhere.contacts, &[]).unwrap();
+            matches(&followed.unwrap(), truth);
             let wrong = inverter.search_near(&readings, &[], &[press(-0.001, 0.002, 0.5)]).unwrap();
             matches(&wrong, truth);
             matches(&inverter.search_near(&readings, &nowhere.contacts, &[]).unwrap(), truth);

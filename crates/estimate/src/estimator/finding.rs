@@ -1,12 +1,17 @@
 //! From model outputs to contacts.
 
+use std::sync::Arc;
+
 use dermis_inference::{Baseline, Missing};
-use dermis_inversion::{ContactEstimate, InverterError, Reading, Settings};
+use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Settings, Solution};
 use dermis_model::Indentation;
 use dermis_skin::Contact;
 
 use super::SkinEstimator;
-use crate::finder::{Learned, Peaks, Regressed, is_flat, peaks, readings, refined, regressed, solve};
+use super::beside::Job;
+use crate::finder::{
+    Learned, Peaks, Regressed, follow, is_flat, peaks, provisional, readings, refined, regressed, solve,
+};
 use crate::models::Pipeline;
 
 /// Presence by probability begins above the first and ends below the second.
@@ -108,7 +113,8 @@ impl SkinEstimator {
         let shows = self.cleaned.touched
             || inverter.settings().exceeds_threshold((inverter.evidence(&self.readings).0, 0.0), true);
         if shows {
-            let solution = solve(inverter, &self.readings, Learned::default(), &self.before)?;
+            let inverter = Arc::clone(inverter);
+            let solution = self.solved(&inverter, Learned::default())?;
             let found = indentations(&solution.contacts, inverter.settings());
             inverter.signal(&found, &mut self.guessed)?;
             // Called once a frame: what it costs is the frame's time.
@@ -158,17 +164,18 @@ impl SkinEstimator {
         else {
             return Ok((learned, None));
         };
+        let inverter = Arc::clone(inverter);
         let solution = match self.solution.take() {
             // Found when it predicted what the missing channels would read.
             Some(solution) => Ok(solution),
             None => {
                 let learned = Learned { contacts: &learned, complete: self.complete() };
-                solve(inverter, &self.readings, learned, &self.before)
+                self.solved(&inverter, learned)
             }
         };
         let solution =
             solution.map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
-        let (mut contacts, refined) = refined(inverter, solution.contacts, learned, &mut self.before);
+        let (mut contacts, refined) = refined(&inverter, solution.contacts, learned, &mut self.before);
         if !refined {
             return Ok((contacts, None));
         }
@@ -179,6 +186,26 @@ impl SkinEstimator {
             contact.taxels = if single { carrying.clone() } else { self.shares.near(&contact.position) };
         }
         Ok((contacts, Some(index)))
+    }
+
+    /// The contacts that explain the latest frame. Where searches run beside, it is answered without waiting for one.
+    fn solved(&mut self, inverter: &Arc<Inverter>, learned: Learned<'_>) -> Result<Solution, InverterError> {
+        let Some(beside) = self.beside.as_mut().filter(|_| inverter.settings().follows()) else {
+            return solve(inverter, &self.readings, learned, &self.before);
+        };
+        if let Some(found) = beside.found() {
+            self.before = found?.contacts;
+        }
+        if !beside.is_searching() {
+            if let Some(solution) = follow(inverter, &self.readings, learned, &self.before)? {
+                return Ok(solution);
+            }
+            let job = Job::of(inverter, &self.readings, learned, &self.before);
+            if let Err(job) = beside.search(job) {
+                return job.solve();
+            }
+        }
+        provisional(inverter, &self.readings, learned, &self.before)
     }
 
     pub(super) fn contact(&mut self) -> Contact {

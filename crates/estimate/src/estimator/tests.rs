@@ -357,8 +357,8 @@ fn both(k: u64, presses: &[([f64; 2], f64)]) -> Frame {
     Frame::new(k as i64 * 10_000_000, k, values)
 }
 
-#[test]
-fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
+/// An estimator of two contacts on the pad of nine, after 80 untouched frames.
+fn of_two() -> (SkinEstimator, tempfile::TempDir) {
     let skin = nine();
     let mut settings = Settings::new(0.004, 5.0);
     (settings.contacts, settings.distance) = (2, 0.006);
@@ -370,7 +370,13 @@ fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
     for k in 0..80 {
         estimator.estimate(&both(k, &[])).unwrap();
     }
-    let (a, b, surface) = ([-0.007, -0.006], [0.006, 0.007], skin.surface());
+    (estimator, dir)
+}
+
+#[test]
+fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
+    let (mut estimator, _dir) = of_two();
+    let (a, b, surface) = ([-0.007, -0.006], [0.006, 0.007], nine().surface());
     let near = |c: &Contact, [x, y]: [f64; 2]| (c.position - Point3::new(x, y, 0.0)).norm() < 1e-3;
     let one = estimator.estimate(&both(80, &[(a, 1.0)])).unwrap().contacts;
     assert!(one.len() == 1 && near(&one[0], a) && one[0].track_id == 1, "{one:?}");
@@ -406,6 +412,40 @@ fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
             .undetectable_fraction()
             .is_some_and(|(force, share)| force > 0.0 && (0.0..1.0).contains(&share))
     );
+}
+
+/// Each frame has an answer while a search runs; once it has ended, the answer is what waiting for it would have given.
+#[test]
+fn frames_do_not_wait_for_a_search_that_runs_beside() {
+    let (mut waits, _dir) = of_two();
+    let (mut estimator, _dir) = of_two();
+    estimator.search_beside(true);
+    let presses = [([-0.007, -0.006], 1.0), ([0.006, 0.007], 1.4)];
+    let expected = waits.estimate(&both(80, &presses)).unwrap().contacts;
+    assert_eq!(expected.len(), 2);
+    let begun = std::time::Instant::now();
+    let mut k = 80;
+    let found = loop {
+        let found = estimator.estimate(&both(k, &presses)).unwrap().contacts;
+        assert!((1..=2).contains(&found.len()), "{found:?}");
+        if found.len() == 2 {
+            break found;
+        }
+        assert!(begun.elapsed() < std::time::Duration::from_secs(20), "no search has ended");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        // The noise of a frame comes again every four.
+        k += 4;
+    };
+    for contact in &expected {
+        let same = |c: &&Contact| (c.position - contact.position).norm() < 1e-4;
+        let other = found.iter().find(same).unwrap_or_else(|| panic!("{found:?}, not {expected:?}"));
+        assert!((other.force - contact.force).norm() < 1e-2);
+    }
+    // They are followed from now on, and what is gone is forgotten.
+    assert_eq!(estimator.estimate(&both(k + 1, &presses)).unwrap().contacts.len(), 2);
+    assert!(estimator.estimate(&both(k + 2, &[])).unwrap().contacts.is_empty());
+    let again = estimator.estimate(&both(k + 3, &presses[..1])).unwrap().contacts;
+    assert!(again.len() == 1 && (again[0].position.x + 0.007).abs() < 1e-3, "{again:?}");
 }
 
 #[test]

@@ -53,23 +53,59 @@ pub(crate) fn solve(
     learned: Learned<'_>,
     before: &[ContactEstimate],
 ) -> Result<Solution, InverterError> {
-    let known =
-        |c: &&Contact| c.position.iter().chain(&c.force).all(|v| v.is_finite()) && c.normal_force() > 0.0;
     if inverter.settings().in_pairs() {
         if let Some(solution) = inverter.follow(readings, before)? {
             return Ok(solution);
         }
-        let complete = learned.contacts.iter().filter(|_| learned.complete).filter(known);
-        let starts: Vec<_> = complete.map(|c| indentation(inverter, c)).collect();
-        return inverter.search_from(readings, &starts);
+        let complete = if learned.complete { learned.starts(inverter) } else { Vec::new() };
+        return inverter.search_from(readings, &complete);
     }
     if inverter.settings().search == Search::Near {
-        let starts: Vec<_> =
-            learned.contacts.iter().filter(known).map(|c| indentation(inverter, c)).collect();
-        return inverter.search_near(readings, before, &starts);
+        return inverter.search_near(readings, before, &learned.starts(inverter));
     }
-    let hint = learned.contacts.first().filter(known);
+    let hint = learned.contacts.first().filter(|c| is_known(c));
     inverter.solve(readings, hint.map(|c| indentation(inverter, c)).as_ref())
+}
+
+/// The same, without a search: `None` where only one can tell.
+pub(crate) fn follow(
+    inverter: &Inverter,
+    readings: &[Reading],
+    learned: Learned<'_>,
+    before: &[ContactEstimate],
+) -> Result<Option<Solution>, InverterError> {
+    if inverter.settings().search == Search::Near {
+        return inverter.follow_near(readings, before, &learned.starts(inverter));
+    }
+    inverter.follow(readings, before)
+}
+
+/// What can be said of a frame while a search takes its time: the contacts of the frame `before` or those that were learned, moved to where they
+/// explain these readings best; the best single one where there are none.
+pub(crate) fn provisional(
+    inverter: &Inverter,
+    readings: &[Reading],
+    learned: Learned<'_>,
+    before: &[ContactEstimate],
+) -> Result<Solution, InverterError> {
+    let settings = inverter.settings();
+    let mut starts: Vec<Indentation> =
+        before.iter().map(|c| settings.indentation(c.position, c.force)).collect();
+    if starts.is_empty() {
+        starts = learned.starts(inverter);
+    }
+    if starts.is_empty() { inverter.first_guess(readings) } else { inverter.refine(readings, &starts) }
+}
+
+fn is_known(contact: &Contact) -> bool {
+    contact.position.iter().chain(&contact.force).all(|v| v.is_finite()) && contact.normal_force() > 0.0
+}
+
+impl Learned<'_> {
+    /// Where a search begins at them.
+    fn starts(self, inverter: &Inverter) -> Vec<Indentation> {
+        self.contacts.iter().filter(|c| is_known(c)).map(|c| indentation(inverter, c)).collect()
+    }
 }
 
 /// A contact as what a forward model takes.

@@ -3,7 +3,8 @@
 //! While the node is active, one turn of the loop takes what the source has, decodes it, estimates the contacts of one frame
 //! and publishes them. A frame that waited longer than [`LATE`] gives way to the newest one: it goes through conditioning, so
 //! that the zero and the history of the models see every frame, but its contacts are not estimated. While nothing comes, the
-//! node says why.
+//! node says why. A search for contacts on a forward model takes longer than frames come: with a live source it runs beside, and frames in
+//! the meantime are answered without it.
 
 use std::collections::VecDeque;
 use std::sync::MutexGuard;
@@ -58,10 +59,12 @@ struct Worker<'a> {
 impl Shared {
     /// Reads while the node is active, until it stops.
     pub(super) fn work(&self, early: Option<Source>) {
+        let live = !matches!(self.url, SourceUrl::Replay { .. });
+        self.lock().estimator.search_beside(live);
         let worker = Worker {
             shared: self,
             early,
-            live: !matches!(self.url, SourceUrl::Replay { .. }),
+            live,
             patience: LATE.0.max(Duration::from_secs_f64(LATE.1 / self.skin.rate)),
             waiting: VecDeque::new(),
             pace: 0.0,
