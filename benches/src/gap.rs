@@ -1,5 +1,5 @@
 //! How long a diagnosis of many contacts on many channels takes, and what memory. No skin of so many channels has a model yet: this
-//! one is analytic, with effects of every kind (drawn by device, by channel, of several numbers, remembering, wandering).
+//! one is analytic, with effects of every kind (drawn by device, by channel, of several numbers, remembering, drifting).
 
 use std::fmt::Write as _;
 use std::sync::Arc;

@@ -334,7 +334,7 @@ pub(crate) mod rivals {
     pub const PATCHES: usize = 16;
     /// See [`PATCHES`].
     pub const PLACES_A_PATCH: usize = 6;
-    /// Knots of a zero that wanders, in each run. Chosen.
+    /// Knots of a zero that drifts, in each run. Chosen.
     pub const ZERO_KNOTS: usize = 6;
     /// \[s\] in which what a press leaves behind fades. Chosen.
     pub const FADE: f64 = 0.2;

@@ -130,7 +130,7 @@ pub trait ForwardModel: Send + Sync {
     }
 
     /// Switches a device on that has never been touched. `seed` tells one time that it is switched on from another: what
-    /// wanders draws from it. 0 is the one that effects with their own seeds describe.
+    /// drifts draws from it. 0 is the one that effects with their own seeds describe.
     fn start(&self, seed: u64) -> Box<dyn DeviceState + '_> {
         let _ = seed;
         Box::new(Memoryless::new(self))

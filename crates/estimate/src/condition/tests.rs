@@ -222,7 +222,7 @@ fn a_channel_that_fails_to_its_rail_is_no_contact_for_ever() {
     }
 }
 
-/// Gauges whose zero wanders, leaned on for a minute.
+/// Gauges whose zero drifts, leaned on for a minute.
 #[test]
 fn a_minute_of_contact_on_gauges_that_drift() {
     let gauges: Vec<String> = (0..10)

@@ -2,7 +2,7 @@
 //!
 //! Problem: an effect with a number for each channel, or one that bends with time, fits what it did not cause. Method: flexible
 //! regressions that know no cause (a factor of each channel that varies smoothly over place and force, a force curve of each channel,
-//! channels mixed by a few patterns, a reading that depends on the course of its press, a change of some places, a zero that wanders),
+//! channels mixed by a few patterns, a reading that depends on the course of its press, a change of some places, a zero that drifts),
 //! fitted to the same residual, each scored on places that it was not fitted to. A name that is right leaves little that they find, for it has few numbers
 //! and they have many; one that is wrong is beaten by the rival whose shape its cause has (falsification of models by what a richer one
 //! predicts: Gelman and Shalizi 2013, "Philosophy and the practice of Bayesian statistics"; distortions of declared shapes as tests of
@@ -40,7 +40,7 @@ pub enum Shape {
     Lag,
     /// A factor of all channels that differs in some places.
     Place,
-    /// A zero of each channel that wanders.
+    /// A drift of the zero of each channel.
     Zero,
 }
 
@@ -57,7 +57,7 @@ impl Shape {
             Self::Mixing => "a share of all channels' readings in each",
             Self::Lag => "readings that depend on the course of each press",
             Self::Place => "a change of some places",
-            Self::Zero => "a zero of each channel that wanders",
+            Self::Zero => "a drift of the zero of each channel",
         }
     }
 
@@ -432,13 +432,13 @@ mod tests {
             right.left.abs() < 1e-6 && right.beyond.iter().all(|(_, share, _)| *share < 1e-6),
             "{right:?}"
         );
-        // A zero that goes up through the session is one that wanders.
+        // A zero that goes up through the session is one that drifts.
         let (mut samples, signals) = row();
         samples.list.iter_mut().for_each(|s| s.time = s.group as f64);
         let field = self::field(&samples, &signals);
         let set =
             residual(&samples, &vec![100.0; signals.len()], |s, k| 0.1 * (s.group as f64 / 120.0) * k as f64);
-        let wanders = remains(&field, &set, &Named { left: &set, discrepancy: Vec::new(), prior: 1.0 });
-        assert_eq!(wanders.strongest().unwrap().0, Shape::Zero, "{wanders:?}");
+        let drifts = remains(&field, &set, &Named { left: &set, discrepancy: Vec::new(), prior: 1.0 });
+        assert_eq!(drifts.strongest().unwrap().0, Shape::Zero, "{drifts:?}");
     }
 }

@@ -13,7 +13,7 @@ pub struct Dynamics {
 }
 
 impl Dynamics {
-    /// Those of the effects of `skin` that wander or take time.
+    /// Those of the effects of `skin` that drift or take time.
     ///
     /// # Errors
     ///
@@ -43,7 +43,7 @@ impl Dynamics {
     }
 }
 
-/// What wanders from when a device was switched on.
+/// What drifts from when a device was switched on.
 #[derive(Debug, Clone)]
 pub struct Started {
     drift: Option<RandomWalk>,

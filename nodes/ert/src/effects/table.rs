@@ -224,7 +224,7 @@ pub const EFFECTS: &[EffectInfo] = &[
     },
     EffectInfo {
         name: "fabric-drift",
-        what: "The fabric does not return to what it was: its resistance wanders.",
+        what: "The fabric does not return to what it was: its resistance drifts.",
         source: "thesis, 7.1.2; rate assumed",
         parameters: &[ParameterInfo::new(
             "rate",

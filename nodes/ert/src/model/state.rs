@@ -11,17 +11,17 @@ use crate::memory::Remembered;
 pub(super) struct Device<'a> {
     model: &'a FabricModel,
     foam: Option<Remembered>,
-    wandering: Started,
+    drifting: Started,
     scratch: Scratch,
     /// Voltages of the frame before, and its time \[s\].
     before: Option<(Vec<f64>, f64)>,
 }
 
 impl<'a> Device<'a> {
-    pub fn new(model: &'a FabricModel, wandering: Started) -> Self {
+    pub fn new(model: &'a FabricModel, drifting: Started) -> Self {
         let memory = model.parameters.memory;
         let foam = memory.remembers().then(|| Remembered::new(memory, model.parameters.grid.count()));
-        Self { model, foam, wandering, scratch: Scratch::default(), before: None }
+        Self { model, foam, drifting, scratch: Scratch::default(), before: None }
     }
 }
 
@@ -38,9 +38,9 @@ impl DeviceState for Device<'_> {
         }
         // A clock that jumps back makes no time.
         let dt = self.before.as_ref().map(|(_, last)| (time - last).max(0.0));
-        let scale = model.scale(stimulus.temperature) * self.wandering.fabric(dt.unwrap_or(0.0));
+        let scale = model.scale(stimulus.temperature) * self.drifting.fabric(dt.unwrap_or(0.0));
         model.voltages(&pressures, scale, &mut self.scratch, out);
-        if let Some(duration) = self.wandering.scan() {
+        if let Some(duration) = self.drifting.scan() {
             let now = out.to_vec();
             if let (Some((before, _)), Some(dt)) = (&self.before, dt) {
                 let n = model.sheet.electrodes();

@@ -106,7 +106,7 @@ fn a_press_lowers_voltages_and_two_are_not_their_sum() {
 
 #[test]
 fn where_on_the_grid_a_tip_is_hardly_matters() {
-    // Total conductance as the tip moves across a cell: its second moment on the grid wanders.
+    // Total conductance as the tip moves across a cell: its second moment on the grid varies.
     let total = |x: f64, flat: bool| -> f64 {
         let pressures =
             FLAT.pressures(&pressed(vec![contact(&FLAT, [0.02 + x, 0.011], 20.0, flat)])).unwrap();
