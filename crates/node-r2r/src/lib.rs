@@ -557,7 +557,7 @@ mod tests {
         let peers = Network { static_peers: vec!["10.0.0.1".into(), "b".into()], ..Network::default() };
         assert_eq!(value(&peers, "ROS_STATIC_PEERS").as_deref(), Some("10.0.0.1;b"));
         let refused = of(&reach(Reach::Address([10, 0, 0, 1].into()))).unwrap_err();
-        assert!(refused.contains("the address 10.0.0.1 only: use --network loopback or lan"), "{refused}");
+        assert!(refused.contains("the address 10.0.0.1: use --network loopback or lan"), "{refused}");
         let file = Network { zenoh_config: Some("z.json5".into()), ..Network::default() };
         assert!(of(&file).unwrap_err().contains("z.json5 means nothing to rmw_fastrtps_cpp"));
         let zenoh = ros_variables(&file, Some("rmw_zenoh_cpp")).unwrap();

@@ -50,6 +50,8 @@ type Found = Result<Solution, InverterError>;
 pub(super) struct Beside {
     thread: Option<(Sender<Job>, Receiver<Found>)>,
     searching: bool,
+    /// A search has ended since contacts were forgotten.
+    searched: bool,
     /// What is being searched is of contacts that are gone.
     stale: bool,
 }
@@ -67,11 +69,18 @@ impl Beside {
             }
         };
         self.searching = false;
-        answer.filter(|_| !std::mem::take(&mut self.stale))
+        let answer = answer.filter(|_| !std::mem::take(&mut self.stale));
+        self.searched |= answer.is_some();
+        answer
     }
 
     pub(super) fn is_searching(&self) -> bool {
         self.searching
+    }
+
+    /// Whether no search has ended since contacts were forgotten: what is known of these is a guess.
+    pub(super) fn guesses(&self) -> bool {
+        !self.searched
     }
 
     /// Begins a search.
@@ -107,6 +116,7 @@ impl Beside {
     /// Has what is being searched count for nothing.
     pub(super) fn forget(&mut self) {
         self.stale = self.searching;
+        self.searched = false;
     }
 }
 
@@ -155,7 +165,9 @@ mod tests {
             assert!(beside.search(job()).is_ok() && beside.is_searching());
             assert_eq!(ended(&mut beside).unwrap().unwrap(), here);
         }
-        assert!(beside.found().is_none());
+        assert!(beside.found().is_none() && !beside.guesses());
+        beside.forget();
+        assert!(beside.guesses());
     }
 
     #[test]

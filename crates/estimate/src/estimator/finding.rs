@@ -7,6 +7,7 @@ use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Settin
 use dermis_model::Indentation;
 use dermis_skin::Contact;
 
+use super::Quality;
 use super::SkinEstimator;
 use super::beside::Job;
 use crate::finder::{
@@ -16,6 +17,8 @@ use crate::models::Pipeline;
 
 /// Presence by probability begins above the first and ends below the second.
 const PRESENT: (f64, f64) = (0.5, 0.4);
+/// What is said of frames that come before the first search of a touch has ended.
+const GUESS: &str = "contacts are a first guess: the search for all of them has not ended yet";
 
 impl SkinEstimator {
     pub(super) fn get(&self, output: &str) -> Option<f64> {
@@ -204,6 +207,10 @@ impl SkinEstimator {
             if let Err(job) = beside.search(job) {
                 return job.solve();
             }
+        }
+        if beside.guesses() && self.verdict.quality == Quality::Ok {
+            self.verdict.quality = Quality::Degraded;
+            self.verdict.text = GUESS.to_owned();
         }
         provisional(inverter, &self.readings, learned, &self.before)
     }

@@ -431,6 +431,8 @@ fn frames_do_not_wait_for_a_search_that_runs_beside() {
         if found.len() == 2 {
             break found;
         }
+        let Verdict { quality, text, .. } = estimator.verdict();
+        assert!(*quality == Quality::Degraded && text.contains("first guess"), "{text}");
         assert!(begun.elapsed() < std::time::Duration::from_secs(20), "no search has ended");
         std::thread::sleep(std::time::Duration::from_millis(1));
         // The noise of a frame comes again every four.
@@ -443,6 +445,7 @@ fn frames_do_not_wait_for_a_search_that_runs_beside() {
     }
     // They are followed from now on, and what is gone is forgotten.
     assert_eq!(estimator.estimate(&both(k + 1, &presses)).unwrap().contacts.len(), 2);
+    assert_eq!(estimator.verdict().quality, Quality::Ok);
     assert!(estimator.estimate(&both(k + 2, &[])).unwrap().contacts.is_empty());
     let again = estimator.estimate(&both(k + 3, &presses[..1])).unwrap().contacts;
     assert!(again.len() == 1 && (again[0].position.x + 0.007).abs() < 1e-3, "{again:?}");

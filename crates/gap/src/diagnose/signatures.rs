@@ -66,22 +66,22 @@ mod tests {
             let case = Case::of(simulator, &[Effect::new("channel-gain").with("a", 1.1)]);
             let folder = tempfile::tempdir().unwrap();
             let options = Options { cache: Some(folder.path().to_owned()), ..Options::default() };
-            let obtain = |memory: &Memory| {
-                super::obtain(simulator, &case.recording, &case.samples, &options, memory).unwrap()
+            let of = |memory: &Memory| {
+                obtain(simulator, &case.recording, &case.samples, &options, memory).unwrap()
             };
             let memory = Memory::default();
-            let (first, seconds) = obtain(&memory);
+            let (first, seconds) = of(&memory);
             assert!(seconds > 0.0 && !first.candidates.is_empty());
-            let (again, seconds) = obtain(&memory);
+            let (again, seconds) = of(&memory);
             assert!(Arc::ptr_eq(&first, &again) && seconds == 0.0);
-            let (stored, seconds) = obtain(&Memory::default());
+            let (stored, seconds) = of(&Memory::default());
             assert_eq!((&stored.candidates, seconds), (&first.candidates, 0.0));
             assert_eq!(stored.nominal, first.nominal);
             // What cannot be read is simulated again.
             for file in std::fs::read_dir(folder.path()).unwrap() {
                 std::fs::write(file.unwrap().path(), b"dgapsig").unwrap();
             }
-            let (renewed, seconds) = obtain(&Memory::default());
+            let (renewed, seconds) = of(&Memory::default());
             assert!(seconds > 0.0 && renewed.candidates == first.candidates);
         });
     }

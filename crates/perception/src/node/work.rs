@@ -77,6 +77,15 @@ impl Shared {
     }
 }
 
+/// Asks a device for a frame that sends none by itself, where it is time to.
+fn request(core: &mut Core, source: &mut Source) {
+    let request = core.decoder.as_mut().and_then(|decoder| decoder.request(now_ns()));
+    if let Some(request) = request {
+        // Where the link is down it is made again.
+        source.send(&request);
+    }
+}
+
 impl<'a> Worker<'a> {
     fn run(mut self) {
         let mut source: Option<Source> = None;
@@ -130,11 +139,7 @@ impl<'a> Worker<'a> {
     /// Decodes what came, estimates the contacts of one frame, and reports a skin that is blind.
     fn turn(&mut self, source: &mut Source) {
         let shared = self.shared;
-        let request = shared.lock().decoder.as_mut().and_then(|decoder| decoder.request(now_ns()));
-        if let Some(request) = request {
-            // Where the link is down it is made again.
-            source.send(&request);
-        }
+        request(&mut shared.lock(), source);
         let event = match (self.waiting.is_empty(), self.live) {
             (true, _) => source.next_timeout(TICK),
             (false, true) => source.next_timeout(Duration::ZERO),
@@ -142,6 +147,8 @@ impl<'a> Worker<'a> {
         };
         let mut core = shared.lock();
         core = self.receive(core, source, event);
+        // The device works on the next frame while this one is processed.
+        request(&mut core, source);
         // Measured before a frame is processed, which may take long: what comes meanwhile is in the queue.
         let silence = self.last_frame.elapsed();
         self.process(&mut core);
