@@ -15,8 +15,8 @@
 //! `{FILE POINTER | FORMAT}` is one figure, or several in neighbouring cells. FILE is a name in `benches/results/` without
 //! `.json`, or `targets`. A step of the POINTER is a key, an index, a range `2..5` of indices (both included), a choice `a,b` of
 //! keys, or `[key=value]`, the first item of a list whose field has that value. Words of the FORMAT: `*1000` scales, `.2` is
-//! decimals, `s3` significant figures, `ci` takes two ends of an interval, `reached` adds an asterisk where the field `reached`
-//! beside the figure is false.
+//! decimals, `s3` significant figures, `ci` takes two ends of an interval, `of` makes a count of a share ("4 of 5") by the field `of`
+//! beside it, `reached` adds an asterisk where the field `reached` beside the figure is false.
 //!
 //! `<!-- table once FILE: COMMAND` in place of `<!-- table` is for figures that take hours: as long as FILE is not there, a sentence
 //! stands in place of the table and names the command that makes it.
@@ -223,7 +223,8 @@ fn steps<'a>(value: &'a Value, step: &str) -> Result<Vec<&'a Value>> {
 
 /// A figure in a cell.
 fn show(value: &Value, parent: &Value, format: &str) -> Result<String> {
-    let (mut scale, mut decimals, mut significant, mut interval, mut mark) = (1.0, None, None, false, false);
+    let (mut scale, mut decimals, mut significant) = (1.0, None, None);
+    let (mut interval, mut counted, mut mark) = (false, false, false);
     for word in format.split_whitespace() {
         if let Some(by) = word.strip_prefix('*') {
             scale = by.parse()?;
@@ -231,6 +232,8 @@ fn show(value: &Value, parent: &Value, format: &str) -> Result<String> {
             decimals = Some(count.parse::<usize>()?);
         } else if word == "ci" {
             interval = true;
+        } else if word == "of" {
+            counted = true;
         } else if word == "reached" {
             mark = true;
         } else if let Some(count) = word.strip_prefix('s') {
@@ -252,6 +255,12 @@ fn show(value: &Value, parent: &Value, format: &str) -> Result<String> {
         Value::Null => "–".to_owned(),
         Value::String(text) => text.clone(),
         Value::Bool(yes) => (if *yes { "yes" } else { "no" }).to_owned(),
+        Value::Number(share) if counted => {
+            let of = parent["of"].as_u64().context("has no whole number `of` beside it")?;
+            // A case may count in part: a name that is one of three is worth a third.
+            let count = (share.as_f64().unwrap_or(f64::NAN) * of as f64 * 10.0).round() / 10.0;
+            format!("{count} of {of}")
+        }
         Value::Number(_) => number(value.as_f64().unwrap_or(f64::NAN))?,
         Value::Array(ends) if interval && ends.len() == 2 => {
             let [low, high] = [0, 1].map(|i| ends[i].as_f64().unwrap_or(f64::NAN));
@@ -285,7 +294,8 @@ mod tests {
         let results = dir.path().join("benches/results");
         fs::create_dir_all(&results).unwrap();
         let json = r#"{"rows": [{"n": "a", "rms": 0.000123}, {"n": "b", "rms": 0.00456}],
-            "score": {"value": 0.5, "reached": false, "ends": [0.25, 0.75]}, "x/y": 7}"#;
+            "score": {"value": 0.5, "reached": false, "ends": [0.25, 0.75]}, "x/y": 7,
+            "shares": [{"of": 5, "value": 0.6000000000000001}, {"of": 6, "value": 0.9444444444444443}]}"#;
         fs::write(results.join("run.json"), json).unwrap();
         let targets = "[[target]]\nname = \"speed.a\"\nwhat = \"A | B\"\nbound = \"<= 2\"\nunit = \"ms\"\n\
                        command = \"cargo x\"\nvalue = 3.5\ncommit = \"abc\"\n";
@@ -336,15 +346,22 @@ mod tests {
             ("run /score/value | .2 reached", "0.50 \\*"),
             ("run /score/ends | ci .2", "(0.25–0.75)"),
             ("run /x~1y", "7"),
+            ("run /shares/0..1/value | of", "3 of 5 | 5.7 of 6"),
             ("run /rows/0..1/n", "a | b"),
             ("run /score/value,reached", "0.5 | no"),
             ("targets /speed.a/value | .1", "3.5"),
         ] {
             assert_eq!(sources.figures(what).unwrap(), shown, "{what}");
         }
-        for wrong in
-            ["run /gone", "gone /a", "run", "run /rows", "run /rows/[n=c]/rms", "run /score/value | q"]
-        {
+        for wrong in [
+            "run /gone",
+            "gone /a",
+            "run",
+            "run /rows",
+            "run /rows/[n=c]/rms",
+            "run /score/value | q",
+            "run /x~1y | of",
+        ] {
             assert!(sources.figures(wrong).is_err(), "{wrong}");
         }
         assert_eq!([9.96, 0.0999, 0.0, 1457.2, 0.101].map(|v| decimals_for(v, 2)), [0, 2, 0, 0, 2]);
