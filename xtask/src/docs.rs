@@ -3,6 +3,7 @@
 //! Links in the sources are relative paths, so that they work where the repository is browsed. The pages are built from a copy
 //! under `target/`, in which a link that leaves `docs/` names the file in the public repository.
 
+mod figures;
 mod links;
 mod tables;
 
@@ -21,7 +22,7 @@ pub struct Options {
     /// Only write what is generated: tables of results, the reference of all commands, the schema of effects.
     #[arg(long, conflicts_with = "check")]
     tables: bool,
-    /// Only check tables and links; nothing is written or installed.
+    /// Only check tables, where their figures are from, and links; nothing is written or installed.
     #[arg(long)]
     check: bool,
 }
@@ -37,6 +38,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     wrong.extend(stale(root)?.iter().map(|path| {
         format!("{}: a table is stale; run `cargo xtask docs --tables`", shorter(root, path).display())
     }));
+    wrong.extend(unmarked(root)?);
     if !wrong.is_empty() {
         bail!("{}", wrong.join("\n"));
     }
@@ -91,6 +93,19 @@ fn stale(root: &Path) -> Result<Vec<PathBuf>> {
         }
     }
     Ok(stale)
+}
+
+/// Tables of figures of which no one can tell where the figures are from, one sentence each.
+fn unmarked(root: &Path) -> Result<Vec<String>> {
+    let mut wrong = Vec::new();
+    for path in pages(root)? {
+        let text = fs::read_to_string(&path)?;
+        let found = figures::unmarked(&text, |path| root.join(path).exists());
+        wrong.extend(
+            found.iter().map(|(line, why)| format!("{}:{line}: {why}", shorter(root, &path).display())),
+        );
+    }
+    Ok(wrong)
 }
 
 fn write_generated(root: &Path) -> Result<()> {
@@ -192,6 +207,11 @@ mod tests {
     fn no_table_of_the_book_is_stale() {
         let root = root().unwrap();
         assert_eq!(stale(&root).unwrap(), Vec::<PathBuf>::new(), "run `cargo xtask docs --tables`");
+    }
+
+    #[test]
+    fn every_table_of_figures_is_generated_or_marked() {
+        assert_eq!(unmarked(&root().unwrap()).unwrap(), Vec::<String>::new());
     }
 
     #[test]

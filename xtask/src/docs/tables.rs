@@ -33,7 +33,12 @@ use std::rc::Rc;
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
 
-const END: &str = "<!-- end table -->";
+/// Begins the template of a table.
+const TABLE: &str = "<!-- table";
+/// Begins a table of targets.
+const TARGETS: &str = "<!-- targets ";
+/// Ends what is generated.
+pub const END: &str = "<!-- end table -->";
 
 /// Where figures come from.
 pub struct Sources {
@@ -96,9 +101,7 @@ impl Sources {
                     }
                     _ => self.fill(&template)?,
                 }
-            } else if let Some(names) =
-                start.strip_prefix("<!-- targets ").and_then(|s| s.strip_suffix(" -->"))
-            {
+            } else if let Some(names) = start.strip_prefix(TARGETS).and_then(|s| s.strip_suffix(" -->")) {
                 self.list(&names.split(' ').collect::<Vec<_>>())?
             } else {
                 continue;
@@ -184,9 +187,14 @@ impl Sources {
     }
 }
 
+/// Whether a line begins what is generated.
+pub fn begins(line: &str) -> bool {
+    line.starts_with(TABLE) || line.starts_with(TARGETS)
+}
+
 /// Whether a line begins a table, and what it waits for: a file, and the command that makes it.
 fn table_start(line: &str) -> Result<Option<Option<(&str, &str)>>> {
-    let Some(rest) = line.strip_prefix("<!-- table") else { return Ok(None) };
+    let Some(rest) = line.strip_prefix(TABLE) else { return Ok(None) };
     if rest.is_empty() {
         return Ok(Some(None));
     }
