@@ -254,7 +254,7 @@ impl ContactFinder for InversionFinder {
     }
 
     fn given_maps(&self) -> GivenMaps {
-        self.start.initializer().map_or_else(GivenMaps::default, |finder| finder.given_maps())
+        self.start.initializer().map_or_else(GivenMaps::default, ContactFinder::given_maps)
     }
 
     fn estimate(&mut self, frame: &ConditionedFrame<'_>) -> Result<Estimate, FindError> {
@@ -291,7 +291,7 @@ impl ContactFinder for InversionFinder {
     }
 
     fn image(&self) -> Option<ImageGrid> {
-        self.start.initializer().and_then(|finder| finder.image())
+        self.start.initializer().and_then(ContactFinder::image)
     }
 }
 

@@ -241,7 +241,7 @@ pub(super) fn fit_spec(
         Some((&state, request.resume)),
         stop,
         &mut |p| {
-            progress(Progress { member: 0, epoch: p.epoch, epochs: training.epochs, loss: p.validation })
+            progress(Progress { member: 0, epoch: p.epoch, epochs: training.epochs, loss: p.validation });
         },
     )?;
     Ok((fitted.network, samples))
