@@ -1,5 +1,6 @@
 //! Forward steps, backward drops and swaps.
 
+use std::collections::BTreeSet;
 use std::sync::atomic::Ordering;
 
 use super::{AcceptedEffect, Selection, Selector, Tier};
@@ -24,6 +25,16 @@ struct Accepted {
     ps: Vec<f64>,
     /// Whether the last one may as well be the model discrepancy.
     loose: bool,
+}
+
+/// Sets of effects that steps have led to, in whatever order each was accepted.
+#[derive(Default)]
+struct Visited(BTreeSet<BTreeSet<usize>>);
+
+impl Visited {
+    fn is_new(&mut self, set: &[usize]) -> bool {
+        self.0.insert(set.iter().copied().collect())
+    }
 }
 
 impl Selector<'_> {
@@ -74,9 +85,11 @@ impl Selector<'_> {
         found
     }
 
-    /// Steps forwards until none passes; `none` are the losses without any effect.
+    /// Steps forwards until none passes, or one leads back to effects that were accepted before: where two explain nearly the same, each is
+    /// taken in beside the other, which is then no longer needed. `none` are the losses without any effect.
     fn forwards(&self, none: &[f64]) -> Accepted {
         let mut found = Accepted::default();
+        let mut visited = Visited::default();
         while found.set.len() < self.options.most {
             let set = &found.set;
             let Some(Step { best, with, gain, won }) = self.step(set) else { break };
@@ -100,12 +113,13 @@ impl Selector<'_> {
             if p > self.options.level && won < BEYOND_TEST * self.firm() {
                 break;
             }
-            if !firm {
-                found.loose = true;
+            let (mut set, mut ps) = (with, found.ps.clone());
+            ps.push(p);
+            self.prune(&mut set, &mut ps);
+            if !visited.is_new(&set) {
+                break;
             }
-            found.set = with;
-            found.ps.push(p);
-            self.prune(&mut found.set, &mut found.ps);
+            found = Accepted { set, ps, loose: !firm };
             if !firm {
                 break;
             }
@@ -203,5 +217,17 @@ impl Selector<'_> {
                 _ => break,
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_set_that_steps_led_to_before_is_not_new_in_another_order() {
+        let mut visited = Visited::default();
+        assert!(visited.is_new(&[3]) && visited.is_new(&[3, 1]) && visited.is_new(&[1]));
+        assert!(!visited.is_new(&[1, 3]) && !visited.is_new(&[3]));
     }
 }
