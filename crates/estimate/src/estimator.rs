@@ -1,6 +1,6 @@
 //! Frame → contacts in one struct, the same in the node and in offline evaluation.
 
-mod beside;
+mod background;
 mod finding;
 mod judgement;
 mod maps;
@@ -16,7 +16,7 @@ use dermis_skin::{
 use crate::condition::{Conditioned, Conditioner, TareRefusal};
 use crate::contacts::{TaxelShares, Tracker};
 use crate::models::{Models, Pipeline, SetupError, maps};
-use beside::Beside;
+use background::BackgroundSearch;
 use dermis_sensor::{ElementFault, FrameCheck};
 
 /// Whether the estimate can be relied on; the order is from best to worst.
@@ -72,7 +72,7 @@ pub struct Verdict {
 /// among all pairs of places when contacts come and go, and from those of the frame before while they last. A frame goes through
 /// [`Conditioner`], the models' features, the models, [`Inverter`] and [`Tracker`]; nothing but the frames and the loaded
 /// bundles goes in, so that a recording gives the same contacts offline as it gave in the node; but for frames that came while a
-/// [search ran beside](SkinEstimator::search_beside).
+/// [search ran in the background](SkinEstimator::search_in_background).
 pub struct SkinEstimator {
     skin: SkinDescription,
     surface: Surface,
@@ -94,7 +94,7 @@ pub struct SkinEstimator {
     /// The contacts that it found in the latest frame that had any.
     before: Vec<ContactEstimate>,
     /// Searches on a forward model that frames do not wait for; `None` where they do.
-    beside: Option<Beside>,
+    background: Option<BackgroundSearch>,
     /// The latest signal, as an inverter takes it.
     readings: Vec<Reading>,
     /// What a forward model makes of the channels that have no reading out of those that have one; empty where none is
@@ -130,7 +130,7 @@ impl SkinEstimator {
             present: false,
             solution: None,
             before: Vec::new(),
-            beside: None,
+            background: None,
             readings: Vec::new(),
             guessed: Vec::new(),
             maps: Maps::ALL,
@@ -181,16 +181,16 @@ impl SkinEstimator {
 
     fn forget_contacts(&mut self) {
         self.before.clear();
-        if let Some(beside) = &mut self.beside {
-            beside.forget();
+        if let Some(background) = &mut self.background {
+            background.forget();
         }
     }
 
     /// Whether searches for contacts on a forward model run on a thread of their own, so that frames do not wait for them: until one ends, frames
     /// are answered by the contacts of the frame before, moved to where they explain the readings best. For live devices. What a frame says
     /// then depends on how fast the machine is; it does not at first.
-    pub fn search_beside(&mut self, on: bool) {
-        self.beside = on.then(Beside::default);
+    pub fn search_in_background(&mut self, on: bool) {
+        self.background = on.then(BackgroundSearch::default);
     }
 
     /// Has the verdict say why there is no model, for as long as there is none.

@@ -2,6 +2,11 @@
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
+/// Mean; 0 of no values.
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
 /// Solves `a x = b` for a symmetric positive definite matrix of `n` rows, in place; `None` where it is not.
 pub fn cholesky_solve(a: &mut [f64], n: usize, b: &mut [f64]) -> Option<()> {
     cholesky(a, n)?;

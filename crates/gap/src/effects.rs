@@ -6,10 +6,11 @@
 //! [`Diagnosis::FAMILY`]. Whether an effect belongs to the rig or remembers is said by [`CommonEffect`] and
 //! [`EffectInfo`](dermis_skin::EffectInfo).
 
-use dermis_model::diagnosis::Diagnosis;
+use dermis_model::diagnosis::{Amount, Diagnosis};
 use dermis_model::{COMMON, CommonEffect, common_effect};
 use dermis_skin::Effect;
 
+use crate::algebra::mean;
 use crate::nonlinear_refinement::Free;
 
 /// Properties of the effect `name`.
@@ -30,6 +31,15 @@ pub(crate) fn value(of: &Diagnosis, coefficient: f64, amount: f64) -> f64 {
         None => value,
     };
     if value.abs() < of.least { of.least } else { value }
+}
+
+/// How much of a parameter that is, in its unit: `period` is the time between frames, `noise` the deviation of each channel's.
+pub(crate) fn amount(of: Amount, period: f64, noise: &[f64]) -> f64 {
+    match of {
+        Amount::Si(amount) => amount,
+        Amount::Frames(count) => count * period,
+        Amount::Deviations(count) => count * mean(noise),
+    }
 }
 
 /// Numbers of `effect` that can be fitted; `period` is the time between frames.

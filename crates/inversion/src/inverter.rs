@@ -349,8 +349,7 @@ impl Inverter {
             return Ok(None);
         }
         let problem = self.problem(&data);
-        let start = before.iter().map(|f| s.indentation(f.position, f.force)).collect();
-        let moved = problem.minimise(start)?;
+        let moved = problem.minimise(s.indentations(before))?;
         if moved.chi2 > plausible(freedom) || !self.apart(&moved) {
             return Ok(None);
         }

@@ -37,12 +37,12 @@ const PLAUSIBLE: f64 = 3.0;
 /// second). Of 1500 readings that is more than the noise of their sum.
 const ZERO: f64 = 0.05;
 
-/// What came of contacts where somebody supposed them.
-enum Supposed {
-    /// They explain the readings.
-    Right(Minimum),
-    /// They do not; the best of them.
-    Wrong(Option<Minimum>),
+/// A fit begun at contacts that are given.
+enum LocalFit {
+    /// It explains the readings.
+    Explains(Minimum),
+    /// None does; the best of them.
+    Fails(Option<Minimum>),
 }
 
 impl Inverter {
@@ -61,9 +61,9 @@ impl Inverter {
         self.check(readings)?;
         let data = self.data(readings);
         let problem = self.problem(&data);
-        let best = match self.supposed(&problem, &data, before, starts)? {
-            Supposed::Right(minimum) => return Ok(self.solution(&minimum, &data)),
-            Supposed::Wrong(best) => best,
+        let best = match self.fit_locally(&problem, &data, before, starts)? {
+            LocalFit::Explains(minimum) => return Ok(self.solution(&minimum, &data)),
+            LocalFit::Fails(best) => best,
         };
         // Contacts that lie wrong would be in the way of those that are there.
         let found = self.pursue(&problem, &data, self.most(&data))?;
@@ -74,7 +74,7 @@ impl Inverter {
         Ok(self.solution(&best, &data))
     }
 
-    /// What [`search_near`](Self::search_near) finds where contacts are supposed to be, if that explains the readings; `None` where it has to
+    /// What [`search_near`](Self::search_near) finds near the contacts that it is given, if that explains the readings; `None` where it has to
     /// look elsewhere, which takes many times as long.
     ///
     /// # Errors
@@ -89,34 +89,33 @@ impl Inverter {
         self.check(readings)?;
         let data = self.data(readings);
         let problem = self.problem(&data);
-        Ok(match self.supposed(&problem, &data, before, starts)? {
-            Supposed::Right(minimum) => Some(self.solution(&minimum, &data)),
-            Supposed::Wrong(_) => None,
+        Ok(match self.fit_locally(&problem, &data, before, starts)? {
+            LocalFit::Explains(minimum) => Some(self.solution(&minimum, &data)),
+            LocalFit::Fails(_) => None,
         })
     }
 
-    /// Least squares from where contacts are supposed to be.
-    fn supposed(
+    /// Least squares begun at the contacts of the frame `before`, then at `starts`, until one explains the readings.
+    fn fit_locally(
         &self,
         problem: &Problem<'_>,
         data: &[Datum],
         before: &[ContactEstimate],
         starts: &[Indentation],
-    ) -> Result<Supposed, InverterError> {
-        let last: Vec<Indentation> =
-            before.iter().map(|c| self.settings().indentation(c.position, c.force)).collect();
+    ) -> Result<LocalFit, InverterError> {
+        let last = self.settings().indentations(before);
         let most = self.most(data);
         let mut best: Option<Minimum> = None;
         for start in [last.as_slice(), starts].into_iter().filter(|s| (1..=most).contains(&s.len())) {
             let minimum = self.without_idle(problem, problem.minimise(start.to_vec())?)?;
             if self.explains(&minimum, data) && self.apart(&minimum) {
-                return Ok(Supposed::Right(minimum));
+                return Ok(LocalFit::Explains(minimum));
             }
             if best.as_ref().is_none_or(|best| self.cost(&minimum) < self.cost(best)) {
                 best = Some(minimum);
             }
         }
-        Ok(Supposed::Wrong(best))
+        Ok(LocalFit::Fails(best))
     }
 
     /// Takes in what stands out of what is left, until nothing does. It is first done on readings whose strong ones count for less: what is
@@ -351,8 +350,8 @@ mod tests {
             matches(&nowhere, truth);
             let near = inverter.search_near(&readings, &[], &[press(0.007, 0.005, 0.5)]).unwrap();
             matches(&near, truth);
-            let unsupposed = inverter.follow_near(&readings, &[], &[]).unwrap();
-            assert_eq!(unsupposed, None);
+            let unknown = inverter.follow_near(&readings, &[], &[]).unwrap();
+            assert_eq!(unknown, None);
             let followed = inverter.follow_near(&readings, &nowhere.contacts, &[]).unwrap();
             matches(&followed.unwrap(), truth);
             let wrong = inverter.search_near(&readings, &[], &[press(-0.001, 0.002, 0.5)]).unwrap();

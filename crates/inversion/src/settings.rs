@@ -5,6 +5,8 @@ use dermis_skin::{ModelError, TipKind};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::contact::ContactEstimate;
+
 /// Share of the evidence that a contact begins with down to which it lasts.
 const LASTS: f64 = 0.5;
 /// What a contact leaves unexplained per reading, at most: drift and ambient pressure leave more.
@@ -164,6 +166,12 @@ impl Settings {
             }
             _ => Indentation::sphere(position, force, self.diameter),
         }
+    }
+
+    /// The same of contacts that were found.
+    #[must_use]
+    pub fn indentations(&self, found: &[ContactEstimate]) -> Vec<Indentation> {
+        found.iter().map(|c| self.indentation(c.position, c.force)).collect()
     }
 
     /// Whether contacts are searched among all pairs of places.

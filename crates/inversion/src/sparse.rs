@@ -85,8 +85,7 @@ impl Inverter {
         contacts.truncate(self.settings().contacts);
         if contacts.len() > 1 && !self.model().superposes() {
             let refined = self.refine(readings, &contacts)?.contacts;
-            let settings = self.settings();
-            return Ok(refined.into_iter().map(|c| settings.indentation(c.position, c.force)).collect());
+            return Ok(self.settings().indentations(&refined));
         }
         Ok(contacts)
     }

@@ -1,6 +1,6 @@
 //! What devices remember, whatever they sense with, and the random numbers that tell one device from another.
 
-use dermis_skin::Effect;
+use dermis_skin::{Effect, ParameterInfo};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -167,10 +167,37 @@ pub struct Warmth {
 }
 
 impl Warmth {
-    /// Of a device that warms up by `self_heating` \[K\] with the time `heating_time` \[s\] after it was switched on.
+    /// Parameter of an effect: with what time a device warms up.
+    pub const HEATING_TIME: ParameterInfo =
+        ParameterInfo::new("heating_time", "s", "with which they do", 60.0, [10.0, 600.0], [1e-3, 1e6]);
+    /// Parameter of an effect: how far the room's temperature drifts.
+    pub const ROOM: ParameterInfo = ParameterInfo::new(
+        "room",
+        "K",
+        "standard deviation of the room's temperature",
+        0.3,
+        [0.0, 2.0],
+        [0.0, 50.0],
+    );
+    /// Parameter of an effect: how fast it drifts.
+    pub const ROOM_TIME: ParameterInfo = ParameterInfo::new(
+        "room_time",
+        "s",
+        "time constant of its random drift",
+        600.0,
+        [60.0, 7200.0],
+        [1e-3, 1e8],
+    );
+
+    /// Of a device that warms up by the parameter `self_heating` \[K\] of an effect after it was switched on. `value` gives the values of that
+    /// parameter and of the ones above.
     #[must_use]
-    pub fn new(self_heating: f64, heating_time: f64, room: RandomDrift) -> Self {
-        Self { self_heating, heating_time, room }
+    pub fn of(value: impl Fn(&str) -> f64, random: ChaCha8Rng) -> Self {
+        Self {
+            self_heating: value("self_heating"),
+            heating_time: value(Self::HEATING_TIME.name),
+            room: RandomDrift::new(value(Self::ROOM.name), value(Self::ROOM_TIME.name), random),
+        }
     }
 
     /// The same, in a room whose temperature drifts as after another start.

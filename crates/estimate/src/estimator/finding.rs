@@ -3,13 +3,12 @@
 use std::sync::Arc;
 
 use dermis_inference::{Baseline, Missing};
-use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Settings, Solution};
-use dermis_model::Indentation;
+use dermis_inversion::{Inverter, InverterError, Reading, Solution};
 use dermis_skin::Contact;
 
 use super::Quality;
 use super::SkinEstimator;
-use super::beside::Job;
+use super::background::Job;
 use crate::finder::{
     Learned, Peaks, Regressed, follow, is_flat, peaks, provisional, readings, refined, regressed, solve,
 };
@@ -118,7 +117,7 @@ impl SkinEstimator {
         if shows {
             let inverter = Arc::clone(inverter);
             let solution = self.solved(&inverter, Learned::default())?;
-            let found = indentations(&solution.contacts, inverter.settings());
+            let found = inverter.settings().indentations(&solution.contacts);
             inverter.signal(&found, &mut self.guessed)?;
             // Called once a frame: what it costs is the frame's time.
             self.solution = (inverter.settings().follows()).then_some(solution);
@@ -191,24 +190,24 @@ impl SkinEstimator {
         Ok((contacts, Some(index)))
     }
 
-    /// The contacts that explain the latest frame. Where searches run beside, it is answered without waiting for one.
+    /// The contacts that explain the latest frame. Where searches run in the background, it is answered without waiting for one.
     fn solved(&mut self, inverter: &Arc<Inverter>, learned: Learned<'_>) -> Result<Solution, InverterError> {
-        let Some(beside) = self.beside.as_mut().filter(|_| inverter.settings().follows()) else {
+        let Some(background) = self.background.as_mut().filter(|_| inverter.settings().follows()) else {
             return solve(inverter, &self.readings, learned, &self.before);
         };
-        if let Some(found) = beside.found() {
+        if let Some(found) = background.found() {
             self.before = found?.contacts;
         }
-        if !beside.is_searching() {
+        if !background.is_searching() {
             if let Some(solution) = follow(inverter, &self.readings, learned, &self.before)? {
                 return Ok(solution);
             }
             let job = Job::of(inverter, &self.readings, learned, &self.before);
-            if let Err(job) = beside.search(job) {
+            if let Err(job) = background.begin(job) {
                 return job.solve();
             }
         }
-        if beside.guesses() && self.verdict.quality == Quality::Ok {
+        if background.guesses() && self.verdict.quality == Quality::Ok {
             self.verdict.quality = Quality::Degraded;
             self.verdict.text = GUESS.to_owned();
         }
@@ -252,8 +251,4 @@ impl SkinEstimator {
         };
         (present * healthy * familiar).clamp(0.0, 1.0)
     }
-}
-
-fn indentations(found: &[ContactEstimate], settings: &Settings) -> Vec<Indentation> {
-    found.iter().map(|f| settings.indentation(f.position, f.force)).collect()
 }

@@ -416,10 +416,10 @@ fn two_contacts_keep_their_identities_and_both_are_in_the_maps() {
 
 /// Each frame has an answer while a search runs; once it has ended, the answer is what waiting for it would have given.
 #[test]
-fn frames_do_not_wait_for_a_search_that_runs_beside() {
+fn frames_do_not_wait_for_a_search_in_the_background() {
     let (mut waits, _dir) = of_two();
     let (mut estimator, _dir) = of_two();
-    estimator.search_beside(true);
+    estimator.search_in_background(true);
     let presses = [([-0.007, -0.006], 1.0), ([0.006, 0.007], 1.4)];
     let expected = waits.estimate(&both(80, &presses)).unwrap().contacts;
     assert_eq!(expected.len(), 2);

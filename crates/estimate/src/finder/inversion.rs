@@ -88,9 +88,7 @@ pub(crate) fn provisional(
     learned: Learned<'_>,
     before: &[ContactEstimate],
 ) -> Result<Solution, InverterError> {
-    let settings = inverter.settings();
-    let mut starts: Vec<Indentation> =
-        before.iter().map(|c| settings.indentation(c.position, c.force)).collect();
+    let mut starts = inverter.settings().indentations(before);
     if starts.is_empty() {
         starts = learned.starts(inverter);
     }

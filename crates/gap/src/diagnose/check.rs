@@ -4,6 +4,7 @@ use dermis_model::diagnosis::Evidence;
 use dermis_skin::{Effect, SkinDescription};
 
 use super::report::known_effect;
+use crate::algebra::mean;
 use crate::constants::check::SAME_STEP;
 use crate::effects;
 use crate::noise;
@@ -175,8 +176,7 @@ fn converter(
     sigma: &[f64],
 ) -> Result<Option<Converter>, GapError> {
     let skin = simulator.skin;
-    let noise = skin.channel_noise();
-    let noise = noise.iter().sum::<f64>() / noise.len().max(1) as f64;
+    let noise = mean(&skin.channel_noise());
     let Some(found) = quantization::step(readings).filter(|s| *s > noise) else { return Ok(None) };
     let simulated =
         |effects: &[Effect]| simulator.readings(&simulator.with(effects), recording, &samples.frames());

@@ -222,7 +222,80 @@ impl Selector<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+    use std::time::Duration;
+
+    use indicatif::ProgressBar;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
+
     use super::*;
+    use crate::select::SelectOptions;
+    use crate::signatures::Candidate;
+    use crate::statistics::{Column, Gram, Statistics, tests::samples};
+
+    /// Two effects and a model discrepancy that are nearly the same column. Each effect is taken in beside the other, which is then no longer
+    /// needed; without a memory of where steps led, they take each other's place for ever.
+    #[test]
+    fn steps_between_effects_that_explain_nearly_the_same_end() {
+        let n = 240;
+        let mut rng = ChaCha8Rng::seed_from_u64(580);
+        let mut normal = move || rng.sample::<f32, _>(StandardNormal);
+        let basis: [Vec<f32>; 4] = std::array::from_fn(|_| (0..n).map(|_| normal()).collect());
+        let mut mixed = |others: usize| -> Vec<f32> {
+            let weights: Vec<f32> = (1..others).map(|_| 0.3 * normal()).collect();
+            let others = |i: usize| basis[1..].iter().zip(&weights).map(|(b, w)| w * b[i]).sum::<f32>();
+            (0..n).map(|i| basis[0][i] + others(i)).collect()
+        };
+        let columns = [3, 4, 4].map(|others| Column { channel: None, values: mixed(others) });
+        let mut residual = mixed(4);
+        residual.iter_mut().for_each(|value| *value += 0.02 * normal());
+        let effect = |column: usize, nonlinear: bool| Candidate {
+            name: format!("effect {column}"),
+            what: String::new(),
+            family: false,
+            rig: false,
+            number: false,
+            columns: vec![column],
+            per_channel: false,
+            drifts_randomly: false,
+            nonlinear,
+            depends_on_uptime: false,
+            written_as: None,
+            aliases: Vec::new(),
+            starts: Vec::new(),
+            linear: Vec::new(),
+        };
+        let candidates = [effect(0, true), effect(1, false)];
+        let statistics = Statistics::new(&columns, &residual, &samples(&(0..n).collect::<Vec<_>>()), 1);
+        let gram = Gram::of(&statistics);
+        let options = SelectOptions { permutations: 19, ..SelectOptions::default() };
+        let energy = residual.iter().map(|v| f64::from(*v).powi(2)).sum();
+        let (stop, progress) = (AtomicBool::new(false), ProgressBar::hidden());
+        let selected = std::thread::scope(|scope| {
+            let (ended, end) = std::sync::mpsc::channel::<()>();
+            let stop = &stop;
+            // Ends a selection that would not end by itself.
+            scope.spawn(move || {
+                stop.store(end.recv_timeout(Duration::from_secs(20)).is_err(), Ordering::Relaxed)
+            });
+            let selector = Selector::new(
+                &statistics,
+                &candidates,
+                &[2],
+                &gram,
+                (energy, 1.0, 1.0),
+                &vec![1.0; n],
+                &options,
+            );
+            let selected = selector.watched(stop, &progress).select();
+            let _ = ended.send(());
+            selected
+        });
+        assert!(!stop.load(Ordering::Relaxed), "the selection did not end by itself");
+        assert_eq!(selected.picks.len(), 1);
+    }
 
     #[test]
     fn a_set_that_steps_led_to_before_is_not_new_in_another_order() {

@@ -1,16 +1,17 @@
-//! Signatures of the effects that every skin can have: by what each effect's file
-//! declares, formulas over what the nominal model reads, or central differences.
+//! Signatures of the effects that every skin can have: formulas over what the nominal model reads, or central
+//! differences, as the file of each effect declares ([`dermis_model::diagnosis`]).
 
 use std::collections::BTreeSet;
 
-use dermis_model::diagnosis::{Amount, Covariate, Share, Signature, SignatureSample};
+use dermis_model::diagnosis::{Covariate, Share, Signature, SignatureSample};
 use dermis_model::{COMMON, CommonEffect, NEUTRAL_TEMPERATURE, full_scale};
 use dermis_skin::SkinDescription;
 
 use super::{Candidate, Change, Changes, Signatures, central, uptime};
-use crate::algebra::dot;
+use crate::algebra::{dot, mean};
 use crate::constants::check::KELVIN;
 use crate::constants::signatures::{DECAY_SHARE, MOVED, NONLINEAR, SHIFT};
+use crate::effects;
 use crate::samples::Samples;
 use crate::statistics::Column;
 use crate::zero_level::ZeroLevel;
@@ -88,20 +89,6 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// Mean deviation of the noise over channels.
-    fn sigma(&self) -> f64 {
-        self.noise.iter().sum::<f64>() / self.noise.len().max(1) as f64
-    }
-
-    /// An amount, in the unit of the parameter.
-    fn amount(&self, of: Amount) -> f64 {
-        match of {
-            Amount::Si(amount) => amount,
-            Amount::Frames(count) => count / self.skin.rate,
-            Amount::Deviations(count) => count * self.sigma(),
-        }
-    }
-
     /// One column for each channel: `amount` times the slope at sample and channel.
     fn of_channels(&self, amount: f64, slope: fn(&SignatureSample) -> f64) -> Vec<Part> {
         (0..self.channels())
@@ -134,7 +121,7 @@ impl<'a> Context<'a> {
     /// Zeros, and one factor of all readings, that decay from power-on.
     fn decays(&self, share: &str) -> Vec<Part> {
         let courses = uptime::decays(self.samples);
-        let sigma = self.sigma();
+        let sigma = mean(self.noise);
         let mut parts: Vec<Part> = Vec::new();
         for k in 0..self.channels() {
             for course in &courses {
@@ -190,7 +177,8 @@ impl<'a> Context<'a> {
         }
         match of.diagnosis.signature {
             Signature::Channels { amount, slope } => {
-                Parts::Columns(self.of_channels(self.amount(amount), slope))
+                let amount = effects::amount(amount, 1.0 / self.skin.rate, self.noise);
+                Parts::Columns(self.of_channels(amount, slope))
             }
             Signature::Shares(shares) => Parts::Columns(shares.iter().map(|s| self.share(s)).collect()),
             Signature::DecayFromPowerOn { share, .. } => Parts::Columns(self.decays(share.0)),

@@ -1,7 +1,7 @@
 //! Which simulations signatures need: one job each.
 
 use dermis_model::COMMON;
-use dermis_model::diagnosis::{Amount, Needs, Signature};
+use dermis_model::diagnosis::{Needs, Signature};
 use dermis_skin::{Effect, SkinDescription};
 
 use crate::constants::signatures::{DEVICES, SHIFT, TOLERANCE};
@@ -72,7 +72,6 @@ fn common(simulator: &Simulator<'_>, samples: &Samples, jobs: &mut Vec<Job>) {
     let period = 1.0 / skin.rate;
     let flat = samples.list.iter().all(|s| !s.position[2].is_finite() || s.position[2].abs() < 1e-6);
     let noise = skin.channel_noise();
-    let noise = noise.iter().sum::<f64>() / noise.len().max(1) as f64;
     for of in COMMON {
         let Signature::Simulated(variations) = of.diagnosis.signature else { continue };
         for variation in variations {
@@ -84,11 +83,7 @@ fn common(simulator: &Simulator<'_>, samples: &Samples, jobs: &mut Vec<Job>) {
             if !possible {
                 continue;
             }
-            let amount = match variation.amount {
-                Amount::Si(amount) => amount,
-                Amount::Frames(count) => count * period,
-                Amount::Deviations(count) => count * noise,
-            };
+            let amount = effects::amount(variation.amount, period, &noise);
             let effect = Effect::new(of.name).with(variation.parameter, of.diagnosis.neutral + amount);
             let skin = simulator.with(&[effect]);
             let purpose = Purpose::Common(of.name, variation.parameter.to_owned(), amount);

@@ -3,7 +3,7 @@
 //! While the node is active, one turn of the loop takes what the source has, decodes it, estimates the contacts of one frame
 //! and publishes them. A frame that waited longer than [`LATE`] gives way to the newest one: it goes through conditioning, so
 //! that the zero and the history of the models see every frame, but its contacts are not estimated. While nothing comes, the
-//! node says why. A search for contacts on a forward model takes longer than frames come: with a live source it runs beside, and frames in
+//! node says why. A search for contacts on a forward model takes longer than frames come: with a live source it runs in the background, and frames in
 //! the meantime are answered without it.
 
 use std::collections::VecDeque;
@@ -60,7 +60,7 @@ impl Shared {
     /// Reads while the node is active, until it stops.
     pub(super) fn work(&self, early: Option<Source>) {
         let live = !matches!(self.url, SourceUrl::Replay { .. });
-        self.lock().estimator.search_beside(live);
+        self.lock().estimator.search_in_background(live);
         let worker = Worker {
             shared: self,
             early,
@@ -139,7 +139,6 @@ impl<'a> Worker<'a> {
     /// Decodes what came, estimates the contacts of one frame, and reports a skin that is blind.
     fn turn(&mut self, source: &mut Source) {
         let shared = self.shared;
-        request(&mut shared.lock(), source);
         let event = match (self.waiting.is_empty(), self.live) {
             (true, _) => source.next_timeout(TICK),
             (false, true) => source.next_timeout(Duration::ZERO),

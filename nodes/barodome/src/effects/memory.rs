@@ -87,11 +87,7 @@ impl Dynamics {
                         shares: (0..channels)
                             .map(|c| mean * stream(effect, c).random_range(0.0..=2.0))
                             .collect(),
-                        warmth: Warmth::new(
-                            value("self_heating"),
-                            value("heating_time"),
-                            RandomDrift::new(value("room"), value("room_time"), stream(effect, channels)),
-                        ),
+                        warmth: Warmth::of(value, stream(effect, channels)),
                     });
                 }
                 "ambient-pressure" => {

@@ -55,11 +55,9 @@ impl Dynamics {
                 "temperature" => {
                     // Each gauge keeps 0 to twice what is left on average.
                     let left = strength * value("expansion") * (1.0 - value("compensation"));
-                    let room = RandomDrift::new(value("room"), value("room_time"), stream(effect, channels));
                     let per_kelvin =
                         (0..channels).map(|c| left * stream(effect, c).random_range(0.0..=2.0)).collect();
-                    memory.warmth =
-                        Some((Warmth::new(value("self_heating"), value("heating_time"), room), per_kelvin));
+                    memory.warmth = Some((Warmth::of(value, stream(effect, channels)), per_kelvin));
                 }
                 "zero-drift" => {
                     let rate = strength * value("rate") / 3600f64.sqrt();

@@ -1,5 +1,6 @@
 //! The effects that this family knows.
 
+use dermis_mechanics::Warmth;
 use dermis_skin::{EffectInfo, ParameterInfo};
 
 const ASSUMED: &str = "assumed; to be calibrated on a device";
@@ -237,23 +238,9 @@ pub const EFFECTS: &[EffectInfo] = &[
                 [0.0, 3.0],
                 [0.0, 50.0],
             ),
-            ParameterInfo::new("heating_time", "s", "with which they do", 60.0, [10.0, 600.0], [1e-3, 1e6]),
-            ParameterInfo::new(
-                "room",
-                "K",
-                "standard deviation of the room's temperature",
-                0.3,
-                [0.0, 2.0],
-                [0.0, 50.0],
-            ),
-            ParameterInfo::new(
-                "room_time",
-                "s",
-                "time constant of its random drift",
-                600.0,
-                [60.0, 7200.0],
-                [1e-3, 1e8],
-            ),
+            Warmth::HEATING_TIME,
+            Warmth::ROOM,
+            Warmth::ROOM_TIME,
         ],
         stateful: true,
         random: true,

@@ -47,17 +47,17 @@ type Found = Result<Solution, InverterError>;
 
 /// The thread, from the first search on, and what it works on.
 #[derive(Default)]
-pub(super) struct Beside {
+pub(super) struct BackgroundSearch {
     thread: Option<(Sender<Job>, Receiver<Found>)>,
     searching: bool,
     /// A search has ended since contacts were forgotten.
     searched: bool,
-    /// What is being searched is of contacts that are gone.
+    /// The search that runs is for contacts that are gone: its answer does not count.
     stale: bool,
 }
 
-impl Beside {
-    /// What a search found that has ended since it was asked for.
+impl BackgroundSearch {
+    /// What a search has found, once, after it has ended.
     pub(super) fn found(&mut self) -> Option<Found> {
         let (_, found) = self.thread.as_ref().filter(|_| self.searching)?;
         let answer = match found.try_recv() {
@@ -87,8 +87,8 @@ impl Beside {
     ///
     /// # Errors
     ///
-    /// The job, where the machine gives no thread: it has to be done here.
-    pub(super) fn search(&mut self, job: Job) -> Result<(), Job> {
+    /// The job, where the machine gives no thread: whoever asks has to do it.
+    pub(super) fn begin(&mut self, job: Job) -> Result<(), Job> {
         if self.thread.is_none() {
             let (jobs, taken) = channel::<Job>();
             let (answers, found) = channel();
@@ -113,7 +113,7 @@ impl Beside {
         Ok(())
     }
 
-    /// Has what is being searched count for nothing.
+    /// The contacts are gone: the answer of a search that runs for them does not count.
     pub(super) fn forget(&mut self) {
         self.stale = self.searching;
         self.searched = false;
@@ -144,11 +144,11 @@ mod tests {
     }
 
     /// Until no search runs.
-    fn ended(beside: &mut Beside) -> Option<Found> {
+    fn ended(search: &mut BackgroundSearch) -> Option<Found> {
         let begun = Instant::now();
         while begun.elapsed() < Duration::from_secs(20) {
-            let found = beside.found();
-            if !beside.is_searching() {
+            let found = search.found();
+            if !search.is_searching() {
                 return found;
             }
             std::thread::sleep(Duration::from_millis(1));
@@ -157,27 +157,27 @@ mod tests {
     }
 
     #[test]
-    fn what_is_found_beside_is_what_is_found_here() {
-        let mut beside = Beside::default();
-        assert!(beside.found().is_none() && !beside.is_searching());
+    fn what_is_found_in_the_background_is_what_is_found_here() {
+        let mut search = BackgroundSearch::default();
+        assert!(search.found().is_none() && !search.is_searching());
         let here = job().solve().unwrap();
         for _ in 0..2 {
-            assert!(beside.search(job()).is_ok() && beside.is_searching());
-            assert_eq!(ended(&mut beside).unwrap().unwrap(), here);
+            assert!(search.begin(job()).is_ok() && search.is_searching());
+            assert_eq!(ended(&mut search).unwrap().unwrap(), here);
         }
-        assert!(beside.found().is_none() && !beside.guesses());
-        beside.forget();
-        assert!(beside.guesses());
+        assert!(search.found().is_none() && !search.guesses());
+        search.forget();
+        assert!(search.guesses());
     }
 
     #[test]
     fn what_was_found_of_contacts_that_are_gone_does_not_count() {
-        let mut beside = Beside::default();
-        beside.forget();
-        assert!(beside.search(job()).is_ok());
-        beside.forget();
-        assert!(ended(&mut beside).is_none());
-        assert!(beside.search(job()).is_ok());
-        assert!(ended(&mut beside).is_some());
+        let mut search = BackgroundSearch::default();
+        search.forget();
+        assert!(search.begin(job()).is_ok());
+        search.forget();
+        assert!(ended(&mut search).is_none());
+        assert!(search.begin(job()).is_ok());
+        assert!(ended(&mut search).is_some());
     }
 }
