@@ -278,7 +278,7 @@ mod tests {
             let stop = &stop;
             // Ends a selection that would not end by itself.
             scope.spawn(move || {
-                stop.store(end.recv_timeout(Duration::from_secs(20)).is_err(), Ordering::Relaxed)
+                stop.store(end.recv_timeout(Duration::from_secs(20)).is_err(), Ordering::Relaxed);
             });
             let selector = Selector::new(
                 &statistics,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_mechanics::{Friction, Prony, RandomDrift, RandomWalk, Warmth, stream};
+use dermis_mechanics::{Friction, Prony, RandomWalk, Warmth, stream};
 use dermis_model::{Memory, Stimulus, tangents};
 use dermis_skin::{Effect, ModelError, SkinDescription, Surface};
 use nalgebra::{Unit, UnitQuaternion};
