@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use crate::algebra::mean;
 use crate::constants::Z95;
 use crate::constants::interference::{ABOVE, FEWEST, MAINS, SLOW, STRETCH};
 use crate::recording::Recording;
@@ -93,8 +94,8 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Interference> {
     let share = of(&power, median);
     // Channels of a stretch interference together.
     let each: Vec<f64> = spectra.iter().map(|own| of(own, median / taken as f64)).collect();
-    let mean = each.iter().sum::<f64>() / each.len() as f64;
-    let variance_of = each.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / each.len() as f64;
+    let level = mean(&each);
+    let variance_of = each.iter().map(|s| (s - level).powi(2)).sum::<f64>() / each.len() as f64;
     let spread = Z95 * (variance_of / many as f64).sqrt();
     let amplitude = (2.0 * share * variance / taken as f64).sqrt();
     let between = if peak < half { between([power[peak - 1], power[peak], power[peak + 1]]) } else { 0.0 };

@@ -37,11 +37,11 @@ const PLAUSIBLE: f64 = 3.0;
 /// second). Of 1500 readings that is more than the noise of their sum.
 const ZERO: f64 = 0.05;
 
-/// A fit begun at contacts that are given.
+/// What least squares begun at given contacts came to.
 enum LocalFit {
-    /// It explains the readings.
+    /// Contacts that explain the readings.
     Explains(Minimum),
-    /// None does; the best of them.
+    /// The best of those that do not explain them; `None` where no contacts were given.
     Fails(Option<Minimum>),
 }
 

@@ -167,10 +167,10 @@ pub struct Warmth {
 }
 
 impl Warmth {
-    /// Parameter of an effect: with what time a device warms up.
+    /// Parameter of an effect: the time constant of warming up. It is listed after `self_heating`, which its description refers to.
     pub const HEATING_TIME: ParameterInfo =
         ParameterInfo::new("heating_time", "s", "with which they do", 60.0, [10.0, 600.0], [1e-3, 1e6]);
-    /// Parameter of an effect: how far the room's temperature drifts.
+    /// Parameter of an effect: how far the temperature of the room drifts.
     pub const ROOM: ParameterInfo = ParameterInfo::new(
         "room",
         "K",
@@ -179,7 +179,7 @@ impl Warmth {
         [0.0, 2.0],
         [0.0, 50.0],
     );
-    /// Parameter of an effect: how fast it drifts.
+    /// Parameter of an effect: how fast it drifts. It is listed after [`ROOM`](Self::ROOM).
     pub const ROOM_TIME: ParameterInfo = ParameterInfo::new(
         "room_time",
         "s",

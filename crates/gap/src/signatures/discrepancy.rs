@@ -7,7 +7,7 @@
 use dermis_skin::SkinDescription;
 
 use super::{Changes, Signatures, central};
-use crate::algebra::components;
+use crate::algebra::{components, mean};
 use crate::constants::signatures::{DISCREPANCIES, DISCREPANCY, LAW, TOLERANCE};
 use crate::samples::Samples;
 use crate::statistics::Column;
@@ -76,10 +76,10 @@ impl Field<'_> {
     fn exponent(&self) -> Vec<f32> {
         let list = &self.samples.list;
         let forces: Vec<f64> = list.iter().filter(|s| s.force > 0.0).map(|s| s.force.ln()).collect();
-        let mean = forces.iter().sum::<f64>() / forces.len().max(1) as f64;
+        let level = mean(&forces);
         self.whitened(|i, k| {
             let force = list[i].force;
-            if force > 0.0 { LAW * self.signal(i, k) * (force.ln() - mean) } else { 0.0 }
+            if force > 0.0 { LAW * self.signal(i, k) * (force.ln() - level) } else { 0.0 }
         })
     }
 }
