@@ -6,6 +6,7 @@ mod docs;
 mod environment;
 mod fuzz;
 mod layers;
+mod lints;
 mod measure;
 mod mutants;
 mod run;
@@ -59,6 +60,9 @@ enum Command {
 }
 
 fn main() -> Result<()> {
+    if let Some(error) = lints::serve() {
+        return Err(error.into());
+    }
     dermis_io::pipe::end_quietly();
     let root = run::root()?;
     match Cli::parse().command {

@@ -9,6 +9,7 @@ use clap::Args;
 
 use crate::advisories;
 use crate::environment;
+use crate::lints;
 use crate::run::{cargo, run as execute, step, target_dir};
 
 /// What to leave out.
@@ -43,6 +44,9 @@ pub const ROS_IN_PROGRAM: [&str; 2] = [
 
 /// Programs and tests in one go: apart, their dependencies differ in features and are built twice.
 pub const BUILD: [&str; 4] = ["build", "--release", "--bins", "--tests"];
+
+/// What is linted: examples and benches, too.
+const LINTED: [&str; 3] = ["build", "--release", "--all-targets"];
 
 /// What the tests with ROS 2 need: nothing else is linked once more.
 const BUILD_ROS: [&str; 5] = ["build", "--release", "--bin=dermis", "--bin=dermis-train", "--test=ros2"];
@@ -87,13 +91,20 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         };
         c
     };
-    if !options.no_lint {
-        // With the profile of the build: macros and build scripts are built once for both.
-        let clippy = ["clippy", "--release", "--all-targets"];
-        step("lints", || execute(everything(&clippy).args(["--", "-D", "warnings"])))?;
-    }
     // Release, because that is what ships, and training in it takes seconds.
     step("build", || execute(&mut everything(&BUILD)))?;
+    // Cargo on everything, with ROS 2 in the program, too, where it is there.
+    let whole = |arguments: &[&str]| match &ros {
+        Some(ros) => {
+            let mut c = cargo(root);
+            c.args(arguments).args(ROS_IN_PROGRAM).envs(ros.variables());
+            c
+        }
+        None => everything(arguments),
+    };
+    if !options.no_lint {
+        step("lints", || lints::run(&target_dir(root), &mut whole(&LINTED)))?;
+    }
     let data =
         std::env::var("DERMIS_DATA").unwrap_or_else(|_| root.join("../shared/data").display().to_string());
     if !Path::new(&data).is_dir() {
@@ -121,21 +132,12 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     if options.filter.is_none() {
         step("documentation tests", || execute(&mut everything(&["test", "--release", "--doc", "--quiet"])))?;
     }
-    if let Some(ros) = &ros {
-        let with = |arguments: &[&str]| {
-            let mut c = cargo(root);
-            c.args(arguments).args(ROS_IN_PROGRAM).envs(ros.variables());
-            c
-        };
-        if !options.no_lint {
-            let clippy = ["clippy", "--release", "--bins"];
-            step("lints with ROS 2", || execute(with(&clippy).args(["--", "-D", "warnings"])))?;
-        }
+    if ros.is_some() {
         let programs = step("build with ROS 2", || {
-            build_aside(&release, &["dermis", "dermis-train"], || execute(&mut with(&BUILD_ROS)))
+            build_aside(&release, &["dermis", "dermis-train"], || execute(&mut whole(&BUILD_ROS)))
         })?;
         let tests = [&tests[..], &["--test=ros2"]].concat();
-        step("tests with ROS 2", || nextest(with(&tests), &programs, "binary(ros2)"))?;
+        step("tests with ROS 2", || nextest(whole(&tests), &programs, "binary(ros2)"))?;
     }
     if skipped.is_empty() {
         println!("all tests passed, nothing skipped");
